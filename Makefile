@@ -1,0 +1,164 @@
+# The user's commands; `make` alone lists them. Everything they build is below .venv, build and out.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.ONESHELL:
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.DEFAULT_GOAL := help
+.PHONY: help paper test asan format clean setup test-setup system FORCE
+
+PYTHON ?= python3
+# The tools are those of the environment, whatever else the machine or an active shell offers.
+export PATH := $(CURDIR)/.venv/bin:$(PATH)
+unexport PYTHONPATH PYTHONHOME
+
+# Each stamp is written by the last command of its recipe, so that an interrupted step is done again.
+VENV := .venv/.stamp-venv
+BUILD_TOOLS := .venv/.stamp-build-tools
+ALL_TOOLS := .venv/.stamp-all-tools
+PACKAGE := .venv/.stamp-package
+# Folders are listed too: their time changes when a file is removed.
+SOURCES := CMakeLists.txt pyproject.toml README.md LICENSE \
+  $(shell find cpp python -name __pycache__ -prune -o -print 2>/dev/null)
+CXX_FILES = $$(find cpp tests/cpp benchmarks \( -name '*.cpp' -o -name '*.hpp' \) 2>/dev/null)
+
+help:
+	@cat <<'END'
+	make paper    set up, run the paper's experiment, write out/paper and print the table of results
+	make test     set up, run every test and check; the last line says passed or failed
+	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
+	make format   format the C++ and Python files
+	make clean    remove what the others built (.venv, build, caches), not the results in out
+	The first two install what is missing, Debian packages included, and are quick the second time.
+	PYTHON=python3.12 chooses the interpreter (at least 3.10) that .venv is made from.
+	END
+
+paper: setup
+	@hexservo run paper --out out/paper --force
+
+# A name is added to `failed` and the next check still runs. The set-up is a make of its own,
+# so that its failure ends in the same last line.
+SETUP = $(MAKE) --no-print-directory
+test:
+	@failed=()
+	trap 'exit 130' INT
+	check() {
+	  local name=$$1
+	  shift
+	  printf '\n--- %s: %s\n' "$$name" "$$(printf '%.100s' "$$*")"
+	  "$$@" || failed+=("$$name")
+	}
+	cpp_format() { clang-format --dry-run -Werror $(CXX_FILES); }
+	if $(SETUP) test-setup; then
+	  check ctest cmake --workflow --preset dev
+	  check pytest python -m pytest
+	  check stubtest python -m mypy.stubtest --mypy-config-file pyproject.toml hexservo._core
+	  check mypy mypy
+	  check ruff ruff check
+	  check ruff-format ruff format --check
+	  check clang-format cpp_format
+	else
+	  failed=(set-up)
+	fi
+	echo
+	if [ $${#failed[@]} -gt 0 ]; then
+	  echo "make test: failed: $${failed[*]}"
+	  exit 1
+	fi
+	echo "make test: passed"
+
+asan: $(BUILD_TOOLS)
+	@cmake --workflow --preset asan
+
+format: $(ALL_TOOLS)
+	@ruff check --fix-only --exit-zero
+	ruff format
+	clang-format -i $(CXX_FILES)
+
+clean:
+	@rm -rf .venv build dist .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find cpp python tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+
+setup: $(PACKAGE)
+
+test-setup: $(PACKAGE) $(ALL_TOOLS)
+
+# What only the system can give: checked each time, installed through apt where it is missing.
+system:
+	@python=$$(command -v .venv/bin/python || command -v "$(PYTHON)" || true)
+	if [ -z "$$python" ] || ! "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 10))'; then
+	  found=$$("$(PYTHON)" --version 2>/dev/null || echo "not there")
+	  echo "hexservo needs Python 3.10 or newer, and \"$(PYTHON)\" is $$found: name another one with make PYTHON=..." >&2
+	  exit 1
+	fi
+	version=$$("$$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+	has_venv() { "$$python" -c 'import ensurepip, venv' 2>/dev/null; }
+	has_headers() { test -e "$$("$$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h"; }
+	has_file() {
+	  local prefix
+	  for prefix in $${CMAKE_PREFIX_PATH:+$${CMAKE_PREFIX_PATH//:/ }} /usr/local /usr; do
+	    if [ -e "$$prefix/$$1" ]; then return 0; fi
+	  done
+	  return 1
+	}
+	missing() {
+	  command -v "$(firstword $(CXX))" >/dev/null || echo g++
+	  has_venv || echo "python$$version-venv"
+	  has_headers || echo "python$$version-dev"
+	  has_file share/eigen3/cmake/Eigen3Config.cmake || echo libeigen3-dev
+	  has_file include/doctest/doctest.h || echo doctest-dev
+	}
+	packages=$$(missing | paste -s -d ' ')
+	if [ -z "$$packages" ]; then exit 0; fi
+	echo "Missing system packages: $$packages"
+	give_up() {
+	  echo "$$1 Type this as root (or after sudo), then try again:" >&2
+	  echo "  apt-get update && apt-get install -y $$packages" >&2
+	  exit 1
+	}
+	command -v apt-get >/dev/null || give_up "There is no apt-get here. Find these packages' like in your system; on Debian:"
+	as_root=()
+	if [ "$$(id -u)" != 0 ]; then
+	  # Without a terminal nobody can type a password: fail at once instead of waiting for it.
+	  as_root=(sudo)
+	  if [ ! -t 0 ]; then as_root+=(-n); fi
+	  command -v sudo >/dev/null || give_up "They need root's rights, and there is no sudo here."
+	  "$${as_root[@]}" true || give_up "They need root's rights, and sudo does not grant them."
+	fi
+	as_root+=(env DEBIAN_FRONTEND=noninteractive)
+	install=("$${as_root[@]}" apt-get -q install -y --no-install-recommends $$packages)
+	echo "Installing them with: $${install[*]}"
+	"$${as_root[@]}" apt-get -q update || echo "apt-get update failed; trying with the lists that are there." >&2
+	"$${install[@]}" || give_up "apt-get could not install them."
+	packages=$$(missing | paste -s -d ' ')
+	if [ -n "$$packages" ]; then
+	  echo "Still missing for $$python (version $$version) after the installation: $$packages." \
+	    "Another interpreter may be chosen with make PYTHON=/usr/bin/python3" >&2
+	  exit 1
+	fi
+
+# An environment whose interpreter has gone (an upgrade of the system) is made anew.
+ifneq ($(shell .venv/bin/python -c 'print("works")' 2>/dev/null),works)
+$(VENV): FORCE
+endif
+$(VENV): | system
+	@echo "Making .venv"
+	rm -rf .venv
+	"$(PYTHON)" -m venv .venv
+	python -m pip install --quiet --upgrade 'pip>=25.1'
+	touch $@
+
+$(BUILD_TOOLS): pyproject.toml $(VENV) | system
+	@echo "Installing the build tools into .venv"
+	python -m pip install --quiet --group build
+	touch $@
+
+$(ALL_TOOLS): pyproject.toml $(VENV) | system
+	@echo "Installing the test tools into .venv"
+	python -m pip install --quiet --group dev
+	touch $@
+
+$(PACKAGE): $(SOURCES) $(BUILD_TOOLS) | system
+	@echo "Building and installing hexservo into .venv"
+	python -m pip install --quiet --no-build-isolation .
+	touch $@

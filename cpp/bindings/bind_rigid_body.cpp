@@ -1,0 +1,19 @@
+#include "bindings.hpp"
+
+namespace hexservo::bindings {
+
+void bind_rigid_body(py::module_& m) {
+  py::class_<RigidBody<double>>(m, "RigidBody", "Mass properties of the platform, docs/model.md section 3.")
+      .def(py::init<>())
+      .def_readwrite("mass", &RigidBody<double>::mass, "platform mass [kg]")
+      .def_readwrite("inertia", &RigidBody<double>::inertia_E, "(3, 3) about E's origin, in E [kg m^2]")
+      .def_readwrite("gravity", &RigidBody<double>::gravity, "acceleration along +z of B [m/s^2]");
+
+  py::class_<DynamicsError<double>>(m, "DynamicsError", "Relative errors of the estimated dynamics, (3) of the paper.")
+      .def(py::init<>())
+      .def_readwrite("inertia", &DynamicsError<double>::inertia, "(6, 6) delta_D [1]")
+      .def_readwrite("coriolis", &DynamicsError<double>::coriolis, "(6, 6) delta_C [1]")
+      .def_readwrite("gravity", &DynamicsError<double>::gravity, "(6,) delta_G [1]");
+}
+
+}  // namespace hexservo::bindings

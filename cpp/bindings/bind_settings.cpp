@@ -1,0 +1,83 @@
+#include "bindings.hpp"
+
+#include "hexservo/simulation.hpp"
+
+#include <pybind11/native_enum.h>
+
+namespace hexservo::bindings {
+
+namespace {
+
+using Points = Eigen::Matrix<double, kPoints, 3>;
+
+std::optional<Points> points_of(const Target& target) {
+  if (!target.points_B) return std::nullopt;
+  return Points(target.points_B->transpose());
+}
+
+void set_points(Target& target, const std::optional<Points>& points) {
+  target.points_B.reset();
+  if (points) target.points_B = points->transpose();
+}
+
+}  // namespace
+
+void bind_settings(py::module_& m) {
+  py::native_enum<SwitchingKind>(m, "SwitchingKind", "enum.Enum")
+      .value("sign", SwitchingKind::sign)
+      .value("tanh", SwitchingKind::tanh)
+      .value("saturation", SwitchingKind::saturation)
+      .finalize();
+
+  py::class_<Switching<double>>(m, "Switching", "Stand-in for sgn in (15) of the paper.")
+      .def(py::init<>())
+      .def_readwrite("kind", &Switching<double>::kind)
+      .def_readwrite("width", &Switching<double>::width, "of tanh and saturation [m/s; rad/s]");
+
+  py::class_<HybridGains<double>>(m, "HybridGains", "Gains of the law hybrid, (14), (15) of the paper.")
+      .def(py::init<>())
+      .def_readwrite("kp", &HybridGains<double>::kp, "(8,) diagonal of K_p [N m/px^2]")
+      .def_readwrite("kv", &HybridGains<double>::kv, "(6,) diagonal of K_v [N; N m]")
+      .def_readwrite("fuzzy", &HybridGains<double>::fuzzy);
+
+  py::class_<Target>(m, "Target", "Four points to look at, and where they shall appear.")
+      .def(py::init<>())
+      .def_readwrite("initial_features", &Target::initial_features, "(8,) seen from home [px]")
+      .def_readwrite("depth", &Target::depth, "(4,) |Z| seen from home [m]")
+      .def_property("points", &points_of, &set_points, "(4, 3) in B [m], instead of the two above; or None")
+      .def_readwrite("desired_features", &Target::desired_features, "(8,) [px]");
+
+  py::class_<Uncertainty>(m, "Uncertainty", "Relative errors between estimates and plant.")
+      .def(py::init<>())
+      .def_readwrite("dynamics", &Uncertainty::dynamics)
+      .def_readwrite("depth", &Uncertainty::depth, "(4,) delta_Z [1]");
+
+  py::class_<SimulationSettings>(m, "SimulationSettings", "Time grid and logging.")
+      .def(py::init<>())
+      .def_readwrite("step", &SimulationSettings::step, "[s]")
+      .def_readwrite("duration", &SimulationSettings::duration, "[s], a whole number of steps")
+      .def_readwrite("log_every", &SimulationSettings::log_every, "steps between logged samples");
+
+  py::class_<MetricsSettings>(m, "MetricsSettings", "What is measured against what.")
+      .def(py::init<>())
+      .def_readwrite("settling_threshold", &MetricsSettings::settling_threshold, "[px]")
+      .def_readwrite("rms_start", &MetricsSettings::rms_start, "[s]");
+
+  py::class_<Settings<Hybrid>>(m, "HybridSettings", "A scenario for the law hybrid, as numbers.")
+      .def(py::init<>())
+      .def_readwrite("robot", &Settings<Hybrid>::robot)
+      .def_readwrite("camera", &Settings<Hybrid>::camera)
+      .def_readwrite("convention", &Settings<Hybrid>::convention)
+      .def_readwrite("jacobian", &Settings<Hybrid>::jacobian)
+      .def_readwrite("target", &Settings<Hybrid>::target)
+      .def_readwrite("uncertainty", &Settings<Hybrid>::uncertainty)
+      .def_readwrite("switching", &Settings<Hybrid>::switching)
+      .def_readwrite("gains", &Settings<Hybrid>::gains)
+      .def_readwrite("simulation", &Settings<Hybrid>::simulation)
+      .def_readwrite("metrics", &Settings<Hybrid>::metrics)
+      .def(
+          "validate", [](const Settings<Hybrid>& s) { check_settings(s); },
+          "ValueError('key: expected ..., got ...') for the first thing that is wrong.");
+}
+
+}  // namespace hexservo::bindings

@@ -1,0 +1,39 @@
+/// @file
+/// What the binding files share. Bindings convert and check shapes; they compute nothing.
+#pragma once
+
+#include "hexservo/rigid_body.hpp"
+
+#include <pybind11/eigen.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <stdexcept>
+#include <string>
+
+namespace hexservo::bindings {
+
+namespace py = pybind11;
+
+void bind_hexapod(py::module_& m);
+void bind_rigid_body(py::module_& m);
+void bind_camera(py::module_& m);
+void bind_fuzzy(py::module_& m);
+void bind_settings(py::module_& m);
+void bind_simulation(py::module_& m);
+
+/// Passes on a fixed-size array whose entries are all finite.
+template <class Derived>
+void require_finite(const char* name, const Eigen::MatrixBase<Derived>& value) {
+  if (!value.allFinite()) throw std::invalid_argument(std::string(name) + ": expected finite numbers, got NaN or infinity");
+}
+
+/// A pose from position [m] and quaternion (w, x, y, z) of any length but zero.
+inline Pose<double> checked_pose(const Vector3<double>& position, const Vector4<double>& quaternion) {
+  require_finite("position", position);
+  require_finite("quaternion", quaternion);
+  if (!(quaternion.norm() > 0.0)) throw std::invalid_argument("quaternion: expected one that is not zero, got zero");
+  return {position, quaternion.normalized()};
+}
+
+}  // namespace hexservo::bindings

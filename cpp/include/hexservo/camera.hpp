@@ -1,0 +1,184 @@
+/// @file
+/// The camera: projection (4), image Jacobian (5)-(8), measured Jacobian and its error (9)-(12), both sign conventions.
+///
+/// | paper            | here                          |                                                           |
+/// | ---------------- | ----------------------------- | --------------------------------------------------------- |
+/// | alpha, lambda    | pixel_scale, focal_length     | [px/m], [m]; f = alpha lambda [px]                        |
+/// | xi, Z            | features, depth               | (x1, y1, ...) [px]; Z_i < 0 in front of the camera [m]    |
+/// | J_im             | point_rate, point_wrench      | (8) and its transpose, applied to one point               |
+/// | J = J_im K(chi)  | ImageJacobian                 | push a twist, pull an image force; a matrix on request    |
+/// | J_m = J_r + J_e  | ImageJacobian at the measured depth, image_jacobian_error    |                            |
+#pragma once
+
+#include "hexservo/types.hpp"
+
+namespace hexservo {
+
+/// Which camera the plant has.
+enum class CameraConvention {
+  eye_in_hand,  ///< projects real points through (4); the physical camera
+  as_printed    ///< integrates (12) with (8) as printed, which is minus the physical Jacobian (docs/errata.md, 1)
+};
+
+/// Which sign the controller gives its image Jacobian.
+enum class JacobianConvention {
+  consistent,  ///< the plant's sign
+  printed      ///< (8) as printed, whatever the plant does
+};
+
+/// Pinhole camera.
+template <class S>
+struct Camera {
+  S focal_length{0.008};   ///< lambda [m], 0.008 (paper)
+  S pixel_scale{72727.0};  ///< alpha [px/m], 72727 (paper)
+
+  S focal_pixels() const { return pixel_scale * focal_length; }  ///< f = alpha lambda [px], 581.816
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.focal_length, b.focal_length);
+    f(a.pixel_scale, b.pixel_scale);
+  }
+};
+
+/// Image and depth of N points.
+template <class S, int N = kPoints>
+struct Image {
+  Vector<S, 2 * N> features;  ///< xi [px]
+  Vector<S, N> depth;         ///< Z_i [m], negative in front of the camera
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.features, b.features);
+    f(a.depth, b.depth);
+  }
+};
+
+/// (4): xi = -f (X, Y)/Z of a point in E [m].
+template <class S>
+Vector2<S> project(const S& f, const Vector3<S>& p_E) {
+  const S scale = -f / p_E(2);
+  return Vector2<S>(scale * p_E(0), scale * p_E(1));
+}
+
+/// Inverse of (4): the point in E [m] seen at (x, y) [px] with depth Z [m].
+template <class S>
+Vector3<S> back_project(const S& f, const Vector2<S>& feature, const S& depth) {
+  const S scale = -depth / f;
+  return Vector3<S>(scale * feature(0), scale * feature(1), depth);
+}
+
+/// What the camera at a pose sees of points fixed in B: P_i = R^T (P_i^B - x_p), then (4).
+/// @param points_B 3xN, one column per point [m]
+template <class S, int N>
+Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE, const Eigen::Matrix<S, 3, N>& points_B) {
+  Image<S, N> image;
+  for (int i = 0; i < N; ++i) {
+    const Vector3<S> p_E = R_BE.transpose() * (points_B.col(i) - p_BE);
+    image.features.template segment<2>(2 * i) = project(f, p_E);
+    image.depth(i) = p_E(2);
+  }
+  return image;
+}
+
+/// (8) applied to one point: image velocity [px/s] for the camera's velocity v and angular velocity w, both in E.
+template <class S>
+Vector2<S> point_rate(const S& f, const S& x, const S& y, const S& inverse_depth, const Vector3<S>& v, const Vector3<S>& w) {
+  const S roll = (x * w(1) - y * w(0)) / f;  // the terms xy/f, x^2/f and y^2/f of (8) share this factor
+  return Vector2<S>(-(f * v(0) + x * v(2)) * inverse_depth - x * roll - f * w(1) - y * w(2),
+                    -(f * v(1) + y * v(2)) * inverse_depth - y * roll + f * w(0) + x * w(2));
+}
+
+/// Transpose of (8) for one point: force on E's origin and moment, both in E, for an image force (fx, fy).
+template <class S>
+Vector6<S> point_wrench(const S& f, const S& x, const S& y, const S& inverse_depth, const S& fx, const S& fy) {
+  const S along = (x * fx + y * fy);
+  const S bend = along / f;
+  Vector6<S> wrench;
+  wrench << -f * fx * inverse_depth, -f * fy * inverse_depth, -along * inverse_depth,  //
+      y * bend + f * fy, -(x * bend + f * fx), x * fy - y * fx;
+  return wrench;
+}
+
+/// J = sign J_im(xi, Z) blkdiag(R^T, R^T) of (12): twist in B to image velocity; applied point by point.
+///
+/// With sign = -1 this is the Jacobian of real points fixed in B (eye in hand); +1 is (8) as printed.
+template <class S, int N = kPoints>
+class ImageJacobian {
+ public:
+  /// @param image features [px] and depth [m], measured or true; depth must not be zero
+  ImageJacobian(const S& f, const S& sign, const Image<S, N>& image, const Matrix3<S>& R_BE)
+      : f_(f), sign_(sign), features_(image.features), inverse_depth_(image.depth.cwiseInverse()), R_BE_(R_BE) {}
+
+  /// J chi-dot [px/s] for a twist in B.
+  Vector<S, 2 * N> push(const Vector6<S>& twist) const {
+    const Vector3<S> v_E = R_BE_.transpose() * twist.template head<3>();
+    const Vector3<S> w_E = R_BE_.transpose() * twist.template tail<3>();
+    Vector<S, 2 * N> rates;
+    for (int i = 0; i < N; ++i)
+      rates.template segment<2>(2 * i) = point_rate<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), v_E, w_E);
+    return sign_ * rates;
+  }
+
+  /// J^T p, a wrench in B, for an image force p (2N).
+  Vector6<S> pull(const Vector<S, 2 * N>& image_force) const {
+    Vector6<S> wrench_E = Vector6<S>::Zero();
+    for (int i = 0; i < N; ++i)
+      wrench_E += point_wrench<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), image_force(2 * i),
+                                  image_force(2 * i + 1));
+    Vector6<S> wrench;
+    wrench.template head<3>() = R_BE_ * wrench_E.template head<3>();
+    wrench.template tail<3>() = R_BE_ * wrench_E.template tail<3>();
+    return sign_ * wrench;
+  }
+
+  /// J as a 2N x 6 matrix: twist in B (m/s; rad/s) to image velocity [px/s].
+  Eigen::Matrix<S, 2 * N, 6> matrix() const {
+    Eigen::Matrix<S, 2 * N, 6> J;
+    for (int row = 0; row < 2 * N; ++row) J.row(row) = pull(Vector<S, 2 * N>::Unit(row)).transpose();
+    return J;
+  }
+
+ private:
+  S f_, sign_;
+  Vector<S, 2 * N> features_;
+  Vector<S, N> inverse_depth_;
+  Matrix3<S> R_BE_;
+};
+
+/// The depths that the controller knows, Z-hat_i = (1 + delta_Z,i) Z_i (docs/model.md, section 4) [m].
+template <class S, int N>
+Image<S, N> measured_image(const Image<S, N>& image, const Vector<S, N>& depth_error) {
+  return {image.features, image.depth + depth_error.cwiseProduct(image.depth)};
+}
+
+/// Delta-J of (12): measured minus real image Jacobian, 2N x 6, at one pose.
+template <class S, int N>
+Eigen::Matrix<S, 2 * N, 6> image_jacobian_error(const S& f, const S& sign, const Image<S, N>& image,
+                                                const Vector<S, N>& depth_error, const Matrix3<S>& R_BE) {
+  return ImageJacobian<S, N>(f, sign, measured_image(image, depth_error), R_BE).matrix() -
+         ImageJacobian<S, N>(f, sign, image, R_BE).matrix();
+}
+
+/// Z-dot_i [m/s] of (6) as printed: (omega x P_i + v) along Z, in E, with P_i from (4).
+template <class S, int N>
+Vector<S, N> printed_depth_rate(const S& f, const Image<S, N>& image, const Matrix3<S>& R_BE, const Vector6<S>& twist) {
+  const Vector3<S> v_E = R_BE.transpose() * twist.template head<3>();
+  const Vector3<S> w_E = R_BE.transpose() * twist.template tail<3>();
+  Vector<S, N> rates;
+  for (int i = 0; i < N; ++i) {
+    const Vector2<S> feature = image.features.template segment<2>(2 * i);
+    const Vector3<S> p_E = back_project<S>(f, feature, image.depth(i));
+    rates(i) = w_E.cross(p_E)(2) + v_E(2);
+  }
+  return rates;
+}
+
+/// Sign of the plant's image Jacobian relative to (8).
+constexpr double plant_sign(CameraConvention camera) { return camera == CameraConvention::as_printed ? 1.0 : -1.0; }
+/// Sign of the controller's image Jacobian relative to (8).
+constexpr double controller_sign(CameraConvention camera, JacobianConvention jacobian) {
+  return jacobian == JacobianConvention::printed ? 1.0 : plant_sign(camera);
+}
+
+}  // namespace hexservo

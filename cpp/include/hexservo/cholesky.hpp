@@ -1,0 +1,55 @@
+/// @file
+/// The core's one dense solver: unpivoted L D L^T of a symmetric positive definite matrix, on any scalar.
+///
+/// Eigen's own decompositions pivot and branch on data and do not compile on a pack of lanes. Here a pivot that is not
+/// above `kPivotFloor` times the largest diagonal entry raises the lane's failure mask and the other lanes go on.
+#pragma once
+
+#include "hexservo/types.hpp"
+
+namespace hexservo {
+
+/// Pivots below this share of the largest diagonal entry are rounding noise [1].
+inline constexpr double kPivotFloor = 1e-14;
+
+/// A = L D L^T with unit lower triangular L.
+template <class S, int N>
+class Cholesky {
+ public:
+  explicit Cholesky(const Eigen::Matrix<S, N, N>& A) : L_(A), inverse_D_(Vector<S, N>::Zero()) {
+    S largest = A(0, 0);
+    for (int i = 1; i < N; ++i) largest = max(largest, A(i, i));
+    failed_ = !(largest > S(0.0));
+    for (int j = 0; j < N; ++j) {
+      const S pivot = L_(j, j);
+      const Mask<S> good = pivot > S(kPivotFloor) * largest;
+      failed_ = failed_ | !good;
+      inverse_D_(j) = S(1.0) / select(good, pivot, S(1.0));
+      for (int i = j + 1; i < N; ++i) {
+        const S factor = L_(i, j) * inverse_D_(j);
+        for (int k = j + 1; k <= i; ++k) L_(i, k) -= factor * L_(k, j);
+      }
+      for (int i = j + 1; i < N; ++i) L_(i, j) *= inverse_D_(j);
+    }
+  }
+
+  /// Where the matrix was not positive definite; what `solve` gives there has no meaning.
+  Mask<S> failed() const { return failed_; }
+
+  /// x with A x = b.
+  Vector<S, N> solve(Vector<S, N> b) const {
+    for (int i = 1; i < N; ++i)
+      for (int k = 0; k < i; ++k) b(i) -= L_(i, k) * b(k);
+    b = b.cwiseProduct(inverse_D_);
+    for (int i = N - 2; i >= 0; --i)
+      for (int k = i + 1; k < N; ++k) b(i) -= L_(k, i) * b(k);
+    return b;
+  }
+
+ private:
+  Eigen::Matrix<S, N, N> L_;
+  Vector<S, N> inverse_D_;
+  Mask<S> failed_;
+};
+
+}  // namespace hexservo

@@ -1,0 +1,259 @@
+/// @file
+/// The closed loop: plant, camera and law, in continuous time with the law inside every Runge-Kutta stage.
+///
+/// The only place where the parts meet. `ClosedLoop<S, Law>` is a stepper: parameters are const and shared, the state is a
+/// value, nothing is allocated, and nothing branches on data, so that the same source runs one scenario (`double`) or one
+/// per lane (`Lanes<W>`).
+#pragma once
+
+#include "hexservo/laws/law.hpp"
+#include "hexservo/metrics.hpp"
+#include "hexservo/runge_kutta.hpp"
+
+namespace hexservo {
+
+/// How a run ended; where several apply at one instant the first of this list is reported.
+enum class Outcome { completed, diverged, behind_camera, feature_lost, leg_limit, singular, solver_failed, interrupted };
+
+/// Why a run stopped before its end.
+enum class StopCause { none, not_finite, feature_error, twist, behind_camera, singular };
+
+/// The outcome that a cause stands for.
+constexpr Outcome outcome_of(StopCause cause) {
+  switch (cause) {
+    case StopCause::not_finite:
+    case StopCause::feature_error:
+    case StopCause::twist:
+      return Outcome::diverged;
+    case StopCause::behind_camera:
+      return Outcome::behind_camera;
+    case StopCause::singular:
+      return Outcome::singular;
+    case StopCause::none:
+      break;
+  }
+  return Outcome::completed;
+}
+
+inline constexpr double kMaxFeatureError = 1e4;  ///< any |xi-tilde_i| beyond it is divergence [px]
+inline constexpr double kMaxTwist = 1e3;         ///< any |chi-dot_j| beyond it is divergence [m/s; rad/s]
+
+/// Everything a run needs, prepared and validated; made by `loop_parameters` (settings.hpp).
+template <class S, class Law, int N = kPoints>
+struct LoopParameters {
+  Hexapod<S> hexapod;
+  RigidBody<S> body;
+  DynamicsError<S> dynamics_error;
+  Camera<S> camera;
+  CameraConvention convention = CameraConvention::eye_in_hand;
+  JacobianConvention jacobian = JacobianConvention::consistent;
+  Eigen::Matrix<S, 3, N> points_B;    ///< target points [m]; not used by `as_printed`
+  Image<S, N> initial_image;          ///< seen from home
+  Vector<S, 2 * N> desired_features;  ///< xi_d [px]
+  Vector<S, N> depth_error;           ///< delta_Z,i [1]
+  Switching<S> switching;
+  typename Law::template Gains<S> gains;
+  double step = 1e-3;  ///< h [s]
+  MetricsSettings metrics;
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.hexapod, b.hexapod);
+    f(a.body, b.body);
+    f(a.dynamics_error, b.dynamics_error);
+    f(a.camera, b.camera);
+    f(a.convention, b.convention);
+    f(a.jacobian, b.jacobian);
+    f(a.points_B, b.points_B);
+    f(a.initial_image, b.initial_image);
+    f(a.desired_features, b.desired_features);
+    f(a.depth_error, b.depth_error);
+    f(a.switching, b.switching);
+    f(a.gains, b.gains);
+    f(a.step, b.step);
+    f(a.metrics, b.metrics);
+  }
+};
+
+/// Plant and law in continuous time, from home, at rest.
+template <class S, class Law, int N = kPoints>
+class ClosedLoop {
+ public:
+  using Parameters = LoopParameters<S, Law, N>;
+  using LawState = typename Law::template State<S>;
+
+  /// @param parameters shared, not copied: they must outlive the loop
+  explicit ClosedLoop(const Parameters& parameters)
+      : p_(parameters),
+        task_{p_.camera.focal_pixels(), S(controller_sign(p_.convention, p_.jacobian)), p_.desired_features,
+              gravity_wrench(p_.body), p_.switching},
+        body_(body_state<S>({p_.hexapod.home_position, Pose<S>{}.quaternion}, Vector6<S>::Zero())),
+        law_state_(Law::initial_state(p_.gains)),
+        instant_(instant_at(body_, p_.initial_image, LawStage{&law_state_})),
+        sample_(sample_at(body_, instant_).sample),
+        metrics_(p_.metrics, p_.hexapod, task_.gravity_wrench, sample_) {
+    accept(sample_at(body_, instant_));
+  }
+
+  ClosedLoop(const ClosedLoop&) = delete;  // refers into its parameters
+  ClosedLoop& operator=(const ClosedLoop&) = delete;
+
+  /// What the law sees now.
+  LawInput<S, N> observe() const noexcept { return input_at(body_, instant_.R_BE, instant_.image); }
+
+  /// One Runge-Kutta step; lanes that have stopped stay as they are.
+  void advance() noexcept {
+    const double h = p_.step;
+    const auto derivative_at = [this](double scale, const Rate& rate) {
+      const BodyState<S> body = body_ + S(scale) * rate.body;
+      Image<S, N> printed;
+      if (printed_camera()) {
+        printed.features = instant_.image.features + S(scale) * rate.printed.features;
+        printed.depth = instant_.image.depth + S(scale) * rate.printed.depth;
+      }
+      return rate_of(body, instant_at(body, printed, LawStage{&law_state_, &rate.law, S(scale)}));
+    };
+    const std::array<Rate, 4> k = runge_kutta_stages(h, rate_of(body_, instant_), derivative_at);
+
+    std::array<S, 4> scales;
+    std::array<const LawRate*, 4> law_rates;
+    BodyState<S> body = body_;
+    Image<S, N> image = instant_.image;
+    for (std::size_t i = 0; i < 4; ++i) {
+      scales[i] = S(h * kRungeKuttaWeights[i]);
+      law_rates[i] = &k[i].law;
+      body += scales[i] * k[i].body;
+      if (printed_camera()) {
+        image.features += scales[i] * k[i].printed.features;
+        image.depth += scales[i] * k[i].printed.depth;
+      }
+    }
+    normalise_quaternion(body);
+    if (!printed_camera()) image = image_of(body, rotation_matrix(quaternion_of(body)));
+
+    ++steps_;
+    stop(StopCause::not_finite, !(is_finite(body) & is_finite(image.features) & is_finite(image.depth)));
+    stop(StopCause::feature_error, largest_abs<S, 2 * N, 1>(p_.desired_features - image.features) > S(kMaxFeatureError));
+    stop(StopCause::twist, largest_abs<S, 6, 1>(twist_of(body)) > S(kMaxTwist));
+    stop(StopCause::behind_camera, nearest_depth(image) >= S(0.0));
+
+    const Mask<S> active = running();
+    Law::advance(law_state_, law_rates, scales, active);
+    body_ = select(active, body, body_);
+    image.features = select(active, image.features, instant_.image.features);
+    image.depth = select(active, image.depth, instant_.image.depth);
+    instant_ = instant_at(body_, image, LawStage{&law_state_});
+    accept(sample_at(body_, instant_));
+  }
+
+  /// Time that was last asked for [s]; lanes that have stopped are behind it.
+  double time() const noexcept { return static_cast<double>(steps_) * p_.step; }
+  long long steps() const noexcept { return steps_; }
+  /// The newest good sample of each lane, and its time [s].
+  const Sample<S, N>& sample() const noexcept { return sample_; }
+  const S& sample_time() const noexcept { return sample_time_; }
+  /// Lanes that go on.
+  Mask<S> running() const noexcept { return cause_ == S(0.0); }
+  /// StopCause of each lane, as a number.
+  const S& cause() const noexcept { return cause_; }
+  const LawState& law_state() const noexcept { return law_state_; }
+  const MetricsAccumulator<S, N>& metrics() const noexcept { return metrics_; }
+
+ private:
+  using LawStage = typename Law::template Stage<S>;
+  using LawRate = typename Law::template Rate<S>;
+  using LawEvaluation = typename Law::template Evaluation<S>;
+
+  /// Everything that follows algebraically from a state.
+  struct Instant {
+    Matrix3<S> R_BE;
+    Image<S, N> image;  ///< true features and depth
+    LawEvaluation law;
+  };
+
+  /// Time derivative of everything that integrates.
+  struct Rate {
+    BodyState<S> body;
+    Image<S, N> printed;  ///< of the image as (12) and (6) print it; unused by a camera that projects
+    LawRate law;
+  };
+
+  struct JudgedSample {
+    Sample<S, N> sample;
+    Mask<S> singular;
+  };
+
+  bool printed_camera() const noexcept { return p_.convention == CameraConvention::as_printed; }
+
+  Image<S, N> image_of(const BodyState<S>& body, const Matrix3<S>& R_BE) const noexcept {
+    return take_image(task_.focal_pixels, position_of(body), R_BE, p_.points_B);
+  }
+
+  LawInput<S, N> input_at(const BodyState<S>& body, const Matrix3<S>& R_BE, const Image<S, N>& image) const noexcept {
+    return {measured_image(image, p_.depth_error), R_BE, twist_of(body)};
+  }
+
+  /// @param printed_image integrated image, the true one of a camera as printed
+  Instant instant_at(const BodyState<S>& body, const Image<S, N>& printed_image, const LawStage& stage) const noexcept {
+    Instant instant;
+    instant.R_BE = rotation_matrix(quaternion_of(body));
+    instant.image = printed_camera() ? printed_image : image_of(body, instant.R_BE);
+    instant.law = Law::evaluate(task_, p_.gains, stage, input_at(body, instant.R_BE, instant.image));
+    return instant;
+  }
+
+  Rate rate_of(const BodyState<S>& body, const Instant& instant) const noexcept {
+    Rate rate;
+    rate.body = body_rate(p_.body, p_.dynamics_error, body, instant.R_BE, instant.law.wrench);
+    rate.law = instant.law.rate;
+    if (printed_camera()) {
+      const ImageJacobian<S, N> J(task_.focal_pixels, S(plant_sign(p_.convention)), instant.image, instant.R_BE);
+      rate.printed.features = J.push(twist_of(body));  // (12)
+      rate.printed.depth = printed_depth_rate(task_.focal_pixels, instant.image, instant.R_BE, twist_of(body));
+    }
+    return rate;
+  }
+
+  JudgedSample sample_at(const BodyState<S>& body, const Instant& instant) const noexcept {
+    const Legs<S> legs = inverse_kinematics(p_.hexapod, position_of(body), instant.R_BE);
+    const WrenchMapSolver<S> solver(p_.hexapod, legs);
+    return {{p_.desired_features - instant.image.features, instant.image.depth, position_of(body), quaternion_of(body),
+             twist_of(body), instant.law.wrench, instant.law.fuzzy_output, legs.lengths,
+             solver.leg_forces(instant.law.wrench)},
+            solver.failed()};
+  }
+
+  /// Takes over a sample where it is good, stops the lane where it is not.
+  void accept(const JudgedSample& next) noexcept {
+    stop(StopCause::not_finite, !(is_finite(next.sample.wrench) & is_finite(next.sample.fuzzy_output)));
+    stop(StopCause::singular, next.singular);
+    const Mask<S> good = running();
+    Sample<S, N>::visit([&good](auto& value, const auto& from) { value = select(good, from, value); }, sample_, next.sample);
+    sample_time_ = select(good, S(time()), sample_time_);
+    metrics_.add(time(), sample_, good);
+  }
+
+  /// Records the first cause of each lane.
+  void stop(StopCause cause, const Mask<S>& where) noexcept {
+    cause_ = select(where & running(), S(static_cast<double>(cause)), cause_);
+  }
+
+  static S nearest_depth(const Image<S, N>& image) noexcept {
+    S nearest = image.depth(0);
+    for (int i = 1; i < N; ++i) nearest = max(nearest, image.depth(i));
+    return nearest;
+  }
+
+  const Parameters& p_;
+  ControlTask<S, N> task_;
+  BodyState<S> body_;
+  LawState law_state_;
+  Instant instant_;
+  Sample<S, N> sample_;
+  MetricsAccumulator<S, N> metrics_;
+  S sample_time_{0.0};
+  S cause_{0.0};
+  long long steps_ = 0;
+};
+
+}  // namespace hexservo

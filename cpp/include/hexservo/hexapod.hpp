@@ -1,0 +1,231 @@
+/// @file
+/// The six legs: inverse and forward kinematics, wrench map, leg rates and forces, limits, distance to singularity.
+///
+/// | paper / docs/model.md, 2 | here            |                                                             |
+/// | ------------------------ | --------------- | ----------------------------------------------------------- |
+/// | p_i, b_i                 | platform_joints_E, base_joints_B | joint positions [m], one column per leg    |
+/// | s_i = x_p + R p_i - b_i  | leg vector      | from base joint to platform joint, in B [m]                 |
+/// | l_i = |s_i|, c_i         | lengths, directions_B            | leg lengths [m], unit vectors              |
+/// | H                        | wrench map      | 6x6, leg forces [N] to wrench in B; H^T: twist to leg rates |
+#pragma once
+
+#include "hexservo/cholesky.hpp"
+#include "hexservo/rigid_body.hpp"
+
+#include <array>
+#include <string>
+#include <string_view>
+
+namespace hexservo {
+
+/// A robot as a user describes it: symmetric leg geometry, mass properties and limits. The defaults are the preset `micro`.
+struct RobotParameters {
+  double platform_radius = 0.1;  ///< r_p [m], 0.1 (paper)
+  double base_radius = 0.2;      ///< r_b [m], 0.2 (paper)
+  /// phi_i, joints on the platform about z of E [rad], -50, 50, 70, 170, 190, 290 deg
+  Vector6<double> platform_angles = (Vector6<double>() << -50, 50, 70, 170, 190, 290).finished() * EIGEN_PI / 180.0;
+  /// beta_i, joints on the base about z of B [rad], -10, 10, 110, 130, 230, 250 deg
+  Vector6<double> base_angles = (Vector6<double>() << -10, 10, 110, 130, 230, 250).finished() * EIGEN_PI / 180.0;
+  Vector3<double> home_position = {0.0, 0.0, -0.15};           ///< p_BE at home, where R = I [m], (0, 0, -0.15)
+  double mass = RigidBody<double>{}.mass;                       ///< platform with camera [kg], 0.06 (paper)
+  Matrix3<double> inertia = RigidBody<double>{}.inertia_E;      ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
+  double stroke = 0.017;                                        ///< leg travel about the home length, each way [m], 0.017
+  double force_limit = 1.0;                                     ///< of each leg, each way [N], 1
+};
+
+/// Names that `robot_preset` knows.
+inline constexpr std::array<std::string_view, 2> kRobotPresets = {"micro", "cubic"};
+
+/// `micro` (the paper's radii) or `cubic` (neighbouring legs orthogonal), docs/model.md, section 2.
+/// @throws std::invalid_argument for another name
+RobotParameters robot_preset(std::string_view name);
+
+/// Leg geometry and limits, ready for the loop.
+template <class S>
+struct Hexapod {
+  Matrix36<S> platform_joints_E;  ///< p_i, one column per leg, in E [m]
+  Matrix36<S> base_joints_B;      ///< b_i, one column per leg, in B [m]
+  S platform_radius;              ///< r_p, the length that makes moments comparable with forces [m]
+  Vector3<S> home_position;       ///< p_BE at home, where R = I [m]
+  Vector6<S> home_lengths;        ///< leg lengths at home [m]
+  S stroke;                       ///< allowed |l - home length| [m]
+  S force_limit;                  ///< allowed |leg force| [N]
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.platform_joints_E, b.platform_joints_E);
+    f(a.base_joints_B, b.base_joints_B);
+    f(a.platform_radius, b.platform_radius);
+    f(a.home_position, b.home_position);
+    f(a.home_lengths, b.home_lengths);
+    f(a.stroke, b.stroke);
+    f(a.force_limit, b.force_limit);
+  }
+};
+
+/// Builds the legs and checks that they can hold a platform.
+/// @throws std::invalid_argument naming the scenario key: radii, stroke or force limit not positive, coinciding joints, a
+/// leg of no length, or a geometry whose wrench map is singular at home or at generic poses (sigma_min/sigma_max below
+/// 1e-9), such as regular hexagons joined in cyclic order or a platform similar to its base
+Hexapod<double> make_hexapod(const RobotParameters& robot);
+
+/// The legs at one pose.
+template <class S>
+struct Legs {
+  Vector6<S> lengths;        ///< l_i [m]
+  Matrix36<S> directions_B;  ///< c_i, from base to platform, one column per leg [1]
+  Matrix36<S> arms_B;        ///< R p_i, from E's origin to the platform joints, in B [m]
+
+  /// H: leg forces [N], positive where they push, to the wrench [N; N m] about E's origin, in B. H^T: twist to leg rates.
+  Matrix6<S> wrench_map() const {
+    Matrix6<S> H;
+    for (int i = 0; i < 6; ++i) {
+      const Vector3<S> c = directions_B.col(i), arm = arms_B.col(i);
+      H.template block<3, 1>(0, i) = c;
+      H.template block<3, 1>(3, i) = arm.cross(c);
+    }
+    return H;
+  }
+
+  /// H f_c of (1) without forming H.
+  Vector6<S> wrench(const Vector6<S>& leg_forces) const {
+    Vector6<S> tau = Vector6<S>::Zero();
+    for (int i = 0; i < 6; ++i) {
+      const Vector3<S> force = directions_B.col(i) * leg_forces(i), arm = arms_B.col(i);
+      tau.template head<3>() += force;
+      tau.template tail<3>() += arm.cross(force);
+    }
+    return tau;
+  }
+
+  /// l-dot = H^T chi-dot [m/s] without forming H.
+  Vector6<S> rates(const Vector6<S>& twist) const {
+    const Vector3<S> v = twist.template head<3>(), omega = twist.template tail<3>();
+    Vector6<S> rates;
+    for (int i = 0; i < 6; ++i) {
+      const Vector3<S> c = directions_B.col(i), arm = arms_B.col(i);
+      rates(i) = c.dot(v + omega.cross(arm));
+    }
+    return rates;
+  }
+};
+
+/// Inverse kinematics: s_i = x_p + R p_i - b_i (docs/model.md, section 2).
+template <class S>
+Legs<S> inverse_kinematics(const Hexapod<S>& hexapod, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
+  using std::sqrt;
+  Legs<S> legs;
+  for (int i = 0; i < 6; ++i) {
+    const Vector3<S> arm = R_BE * hexapod.platform_joints_E.col(i);
+    const Vector3<S> leg = p_BE + arm - hexapod.base_joints_B.col(i);
+    const S length = sqrt(leg.squaredNorm());
+    legs.lengths(i) = length;
+    legs.directions_B.col(i) = leg / length;
+    legs.arms_B.col(i) = arm;
+  }
+  return legs;
+}
+
+/// Solves with H whose moments are divided by r_p, so that a metre and a radian weigh alike, by way of H H^T.
+template <class S>
+class WrenchMapSolver {
+ public:
+  WrenchMapSolver(const Hexapod<S>& hexapod, const Legs<S>& legs)
+      : inverse_radius_(S(1.0) / hexapod.platform_radius), H_(scaled(legs.wrench_map(), inverse_radius_)), gram_(H_ * H_.transpose()) {}
+
+  /// Where the pose is singular (sigma_min/sigma_max of H near 1e-7 or below).
+  Mask<S> failed() const { return gram_.failed(); }
+
+  /// f_c with H f_c = tau [N], tau in B.
+  Vector6<S> leg_forces(Vector6<S> wrench) const {
+    for (int i = 3; i < 6; ++i) wrench(i) *= inverse_radius_;
+    return H_.transpose() * gram_.solve(wrench);
+  }
+
+  /// Small displacement (m; rad, in B) with H^T d = leg length changes [m].
+  Vector6<S> displacement(const Vector6<S>& length_changes) const {
+    Vector6<S> d = gram_.solve(H_ * length_changes);
+    for (int i = 3; i < 6; ++i) d(i) *= inverse_radius_;
+    return d;
+  }
+
+ private:
+  static Matrix6<S> scaled(Matrix6<S> H, const S& inverse_radius) {
+    H.template bottomRows<3>() *= inverse_radius;
+    return H;
+  }
+
+  S inverse_radius_;
+  Matrix6<S> H_;
+  Cholesky<S, 6> gram_;
+};
+
+/// How forward kinematics ended.
+enum class KinematicsStatus { converged, not_converged, singular };
+
+/// Pose found from leg lengths, with what is left.
+template <class S>
+struct ForwardKinematics {
+  Pose<S> pose;             ///< platform pose in B, unit quaternion
+  S residual;               ///< max |l(pose) - l| [m]
+  Mask<S> converged;        ///< residual within `kKinematicsTolerance`
+  Mask<S> singular;         ///< a Newton matrix was singular on the way; the pose is the last one before it
+};
+
+inline constexpr double kKinematicsTolerance = 1e-12;  ///< residual of a converged forward kinematics [m]
+inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds, the same number for every lane
+
+/// Forward kinematics by Newton's method on l(pose) = lengths from a start pose; steps are limited to r_p and 0.5 rad.
+///
+/// A hexapod has up to 40 poses for the same lengths; Newton finds one near `start`. A fixed number of rounds bounds the time.
+template <class S>
+ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start) {
+  using std::sqrt;
+  constexpr double kMaxRotation = 0.5;  // [rad] a round
+  ForwardKinematics<S> result;
+  result.pose = start;
+  result.pose.quaternion /= sqrt(result.pose.quaternion.squaredNorm());
+  result.singular = S(1.0) < S(0.0);
+
+  const auto legs_at = [&](const Pose<S>& pose) {
+    return inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
+  };
+  const auto distance = [&](const Vector6<S>& a) {
+    using std::abs;
+    S largest = abs(a(0) - lengths(0));
+    for (int i = 1; i < 6; ++i) largest = max(largest, S(abs(a(i) - lengths(i))));
+    return largest;
+  };
+
+  for (int round = 0; round < kKinematicsRounds; ++round) {
+    const Legs<S> legs = legs_at(result.pose);
+    const WrenchMapSolver<S> solver(hexapod, legs);
+    result.singular = result.singular | solver.failed();
+    Vector6<S> d = solver.displacement(lengths - legs.lengths);
+    const S size = max(S(sqrt(d.template head<3>().squaredNorm()) / hexapod.platform_radius),
+                       S(sqrt(d.template tail<3>().squaredNorm()) / S(kMaxRotation)));
+    d *= select(size > S(1.0), S(S(1.0) / size), S(1.0));
+
+    // q <- normalised (1, d_theta/2) (x) q, the rotation by d_theta to second order
+    Pose<S> next;
+    next.position = result.pose.position + d.template head<3>();
+    next.quaternion = result.pose.quaternion + quaternion_rate<S>(result.pose.quaternion, d.template tail<3>());
+    next.quaternion /= sqrt(next.quaternion.squaredNorm());
+    result.pose.position = select(result.singular, result.pose.position, next.position);
+    result.pose.quaternion = select(result.singular, result.pose.quaternion, next.quaternion);
+  }
+  result.residual = distance(legs_at(result.pose).lengths);
+  result.converged = (result.residual <= S(kKinematicsTolerance)) & !result.singular;
+  return result;
+}
+
+/// In words, for one robot.
+inline KinematicsStatus status(const ForwardKinematics<double>& result) {
+  if (result.converged) return KinematicsStatus::converged;
+  return result.singular ? KinematicsStatus::singular : KinematicsStatus::not_converged;
+}
+
+/// Singular values of H with the moments divided by r_p, largest first [1]; the last is the distance to singularity.
+Vector6<double> wrench_map_singular_values(const Hexapod<double>& hexapod, const Pose<double>& pose);
+
+}  // namespace hexservo

@@ -1,0 +1,166 @@
+/// @file
+/// Metrics of a run, streamed at every step, so that they do not depend on what is logged; and limits, reported on the way.
+#pragma once
+
+#include "hexservo/hexapod.hpp"
+
+namespace hexservo {
+
+/// What is measured, when and against what.
+struct MetricsSettings {
+  double settling_threshold = 2.0;  ///< a run is settled while every |xi-tilde_i| is within this [px], 2
+  double rms_start = 1.0;           ///< the RMS error is taken from here to the end [s], 1
+
+  bool operator==(const MetricsSettings&) const = default;
+};
+
+/// One sample of the closed loop at a grid time.
+template <class S, int N = kPoints>
+struct Sample {
+  Vector<S, 2 * N> feature_error;  ///< xi_d - xi, true [px]
+  Vector<S, N> depth;              ///< Z_i, true [m]
+  Vector3<S> position;             ///< p_BE [m]
+  Vector4<S> quaternion;           ///< (w, x, y, z)
+  Vector6<S> twist;                ///< in B [m/s; rad/s]
+  Vector6<S> wrench;               ///< tau, in B [N; N m]
+  Vector6<S> fuzzy_output;         ///< tau_f [N; N m]
+  Vector6<S> leg_lengths;          ///< [m]
+  Vector6<S> leg_forces;           ///< f_c [N]
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.feature_error, b.feature_error);
+    f(a.depth, b.depth);
+    f(a.position, b.position);
+    f(a.quaternion, b.quaternion);
+    f(a.twist, b.twist);
+    f(a.wrench, b.wrench);
+    f(a.fuzzy_output, b.fuzzy_output);
+    f(a.leg_lengths, b.leg_lengths);
+    f(a.leg_forces, b.leg_forces);
+  }
+};
+
+/// Largest absolute entry; NaN if any entry is.
+template <class S, int R, int C>
+S largest_abs(const Eigen::Matrix<S, R, C>& m) {
+  using std::abs;
+  S result = abs(m(0));
+  for (int i = 1; i < R * C; ++i) result = max(result, S(abs(m(i))));
+  return result;
+}
+
+/// Metrics of one run (`S = double`) or of a pack.
+template <class S>
+struct Metrics {
+  S settling_time{0.0};          ///< last time any |xi-tilde_i| exceeds the threshold [s]; NaN where the run ends above it
+  S final_error{0.0};            ///< max |xi-tilde_i| at the end [px]
+  S rms_error{0.0};              ///< over all components of xi-tilde from rms_start on [px]; NaN where the run is shorter
+  S peak_error{0.0};             ///< max |xi-tilde_i| of the run [px]
+  S peak_displacement{0.0};      ///< max |x_p - x_p(0)| [m]
+  S peak_rotation{0.0};          ///< max rotation angle from the start [rad]
+  S final_linear_speed{0.0};     ///< |v| at the end [m/s]
+  S final_angular_speed{0.0};    ///< |omega| at the end [rad/s]
+  S peak_control_force{0.0};     ///< max |tau_j - G_j| of the force [N]
+  S peak_control_moment{0.0};    ///< max |tau_j - G_j| of the moment [N m]
+  S peak_leg_force{0.0};         ///< max |f_c,i| [N]
+  S peak_leg_excursion{0.0};     ///< max |l_i - home length| [m]
+};
+
+/// First time each leg passed a limit (infinity: never) and its largest value.
+template <class S>
+struct LegLimitMonitor {
+  Vector6<S> first_time = Vector6<S>::Constant(S(std::numeric_limits<double>::infinity()));  ///< [s]
+  Vector6<S> peak = Vector6<S>::Zero();                                                      ///< [m] or [N]
+
+  void add(double time, const Vector6<S>& values, const S& limit, const Mask<S>& active) {
+    using std::abs;
+    for (int i = 0; i < 6; ++i) {
+      const S value = abs(values(i));
+      first_time(i) = select(active & (value > limit), min(first_time(i), S(time)), first_time(i));
+      peak(i) = select(active, max(peak(i), value), peak(i));
+    }
+  }
+};
+
+/// Collects metrics and limit events sample by sample; lanes that are not active keep theirs.
+template <class S, int N = kPoints>
+class MetricsAccumulator {
+ public:
+  MetricsAccumulator(const MetricsSettings& settings, const Hexapod<S>& hexapod, const Vector6<S>& gravity_wrench,
+                     const Sample<S, N>& first)
+      : settings_(settings), hexapod_(hexapod), gravity_wrench_(gravity_wrench), start_position_(first.position),
+        start_quaternion_(first.quaternion) {}
+
+  void add(double time, const Sample<S, N>& sample, const Mask<S>& active) {
+    const auto keep = [&active](S& value, const S& next) { value = select(active, next, value); };
+    const auto peak = [&keep](S& value, const S& next) { keep(value, max(value, next)); };
+
+    const S error = largest_abs(sample.feature_error);
+    const Mask<S> outside = error > S(settings_.settling_threshold);
+    keep(last_outside_, select(outside, S(time), last_outside_));
+    keep(ends_outside_, select(outside, S(1.0), S(0.0)));
+    keep(final_error_, error);
+    peak(peak_error_, error);
+    if (time >= settings_.rms_start * (1.0 - 1e-12)) {
+      keep(square_sum_, square_sum_ + sample.feature_error.squaredNorm());
+      keep(square_count_, square_count_ + S(2.0 * N));
+    }
+
+    peak(peak_displacement_squared_, (sample.position - start_position_).squaredNorm());
+    // vector part of q conj(q_0): its square is sin^2 of half the rotation angle
+    const Vector3<S> v = sample.quaternion.template tail<3>(), v0 = start_quaternion_.template tail<3>();
+    const Vector3<S> half = start_quaternion_(0) * v - sample.quaternion(0) * v0 + v0.cross(v);
+    peak(peak_half_sine_squared_, half.squaredNorm());
+    keep(linear_speed_squared_, sample.twist.template head<3>().squaredNorm());
+    keep(angular_speed_squared_, sample.twist.template tail<3>().squaredNorm());
+
+    const Vector6<S> control = sample.wrench - gravity_wrench_;
+    peak(peak_control_force_, largest_abs<S, 3, 1>(control.template head<3>()));
+    peak(peak_control_moment_, largest_abs<S, 3, 1>(control.template tail<3>()));
+    stroke_.add(time, sample.leg_lengths - hexapod_.home_lengths, hexapod_.stroke, active);
+    force_.add(time, sample.leg_forces, hexapod_.force_limit, active);
+  }
+
+  /// Metrics of what was added so far.
+  Metrics<S> metrics() const {
+    using std::sqrt;
+    const S nan(std::numeric_limits<double>::quiet_NaN());
+    Metrics<S> m;
+    m.settling_time = select(ends_outside_ > S(0.5), nan, last_outside_);
+    m.final_error = final_error_;
+    m.rms_error = select(square_count_ > S(0.0), S(sqrt(S(square_sum_ / square_count_))), nan);
+    m.peak_error = peak_error_;
+    m.peak_displacement = sqrt(peak_displacement_squared_);
+    m.peak_rotation = rotation_angle(min(S(sqrt(peak_half_sine_squared_)), S(1.0)));
+    m.final_linear_speed = sqrt(linear_speed_squared_);
+    m.final_angular_speed = sqrt(angular_speed_squared_);
+    m.peak_control_force = peak_control_force_;
+    m.peak_control_moment = peak_control_moment_;
+    m.peak_leg_force = largest_abs(force_.peak);
+    m.peak_leg_excursion = largest_abs(stroke_.peak);
+    return m;
+  }
+
+  const LegLimitMonitor<S>& stroke() const { return stroke_; }
+  const LegLimitMonitor<S>& force() const { return force_; }
+
+ private:
+  static double rotation_angle(double half_sine) { return 2.0 * std::asin(half_sine); }
+  template <int W>
+  static Lanes<W> rotation_angle(Lanes<W> half_sine) {
+    return detail::map_lanes(half_sine, [](double v) { return rotation_angle(v); });
+  }
+
+  MetricsSettings settings_;
+  Hexapod<S> hexapod_;
+  Vector6<S> gravity_wrench_;
+  Vector3<S> start_position_;
+  Vector4<S> start_quaternion_;
+  S last_outside_{0.0}, ends_outside_{0.0}, final_error_{0.0}, peak_error_{0.0}, square_sum_{0.0}, square_count_{0.0};
+  S peak_displacement_squared_{0.0}, peak_half_sine_squared_{0.0}, linear_speed_squared_{0.0}, angular_speed_squared_{0.0};
+  S peak_control_force_{0.0}, peak_control_moment_{0.0};
+  LegLimitMonitor<S> stroke_, force_;
+};
+
+}  // namespace hexservo

@@ -1,0 +1,199 @@
+/// @file
+/// Platform dynamics (1), its Property 1 (2), and the actual dynamics with relative errors (3).
+///
+/// | paper          | here                     |                                                            |
+/// | -------------- | ------------------------ | ---------------------------------------------------------- |
+/// | m, I           | mass, inertia_E          | estimated mass, inertia about E's origin in E              |
+/// | I' = R I R^T   | inertia_in_base          | the same in B                                              |
+/// | D, C, G (bars) | mass_matrix, ...         | D chi-ddot + C chi-dot + G = tau, 6x6, 6x6, 6              |
+/// | D_e, C_e, G_e  | DynamicsError            | delta_D D etc. with delta element-wise (docs/model.md, 3)  |
+#pragma once
+
+#include "hexservo/types.hpp"
+
+namespace hexservo {
+
+/// Mass properties of the platform with its camera, as the controller believes them to be.
+template <class S>
+struct RigidBody {
+  S mass{0.06};                                                                  ///< platform mass [kg], 0.06 (paper)
+  Matrix3<S> inertia_E = Vector3<S>(1.5e-4, 1.5e-4, 3.0e-4).asDiagonal();        ///< inertia about E's origin, in E [kg m^2]
+  S gravity{9.8};                                                                ///< acceleration along +z of B [m/s^2], 9.8
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.mass, b.mass);
+    f(a.inertia_E, b.inertia_E);
+    f(a.gravity, b.gravity);
+  }
+};
+
+/// Relative errors of the estimated dynamics: the actual matrices are (1 - delta) times the estimated ones, entry by entry.
+template <class S>
+struct DynamicsError {
+  Matrix6<S> inertia = Matrix6<S>::Zero();   ///< delta_D [1], 0; symmetric, and 1 - delta_D positive semidefinite
+  Matrix6<S> coriolis = Matrix6<S>::Zero();  ///< delta_C [1], 0
+  Vector6<S> gravity = Vector6<S>::Zero();   ///< delta_G [1], 0
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.inertia, b.inertia);
+    f(a.coriolis, b.coriolis);
+    f(a.gravity, b.gravity);
+  }
+};
+
+/// Position and attitude of the platform frame E in B.
+template <class S>
+struct Pose {
+  Vector3<S> position = Vector3<S>::Zero();                          ///< p_BE [m]
+  Vector4<S> quaternion = Vector4<S>(S(1.0), S(0.0), S(0.0), S(0.0));  ///< (w, x, y, z); need not be of unit length
+};
+
+/// R_BE of q/|q| (docs/model.md, section 1): no square root is needed.
+template <class S>
+Matrix3<S> rotation_matrix(const Vector4<S>& q) {
+  const S s = S(2.0) / q.squaredNorm();
+  const S w = q(0), x = q(1), y = q(2), z = q(3);
+  Matrix3<S> R_BE;
+  R_BE << S(1.0) - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),  //
+      s * (x * y + w * z), S(1.0) - s * (x * x + z * z), s * (y * z - w * x),      //
+      s * (x * z - w * y), s * (y * z + w * x), S(1.0) - s * (x * x + y * y);
+  return R_BE;
+}
+
+/// q-dot = 1/2 (0, omega) (x) q with omega in B [rad/s] and q as it stands (docs/model.md, section 1).
+template <class S>
+Vector4<S> quaternion_rate(const Vector4<S>& q, const Vector3<S>& omega_B) {
+  const Vector3<S> v = q.template tail<3>();
+  Vector4<S> rate;
+  rate(0) = S(-0.5) * omega_B.dot(v);
+  rate.template tail<3>() = S(0.5) * (q(0) * omega_B + omega_B.cross(v));
+  return rate;
+}
+
+/// State of a body for the integrator: p_BE (3), quaternion (4), twist (6).
+template <class S>
+using BodyState = Vector<S, 13>;
+
+template <class S>
+BodyState<S> body_state(const Pose<S>& pose, const Vector6<S>& twist) {
+  BodyState<S> state;
+  state << pose.position, pose.quaternion, twist;
+  return state;
+}
+template <class S>
+Vector3<S> position_of(const BodyState<S>& state) {
+  return state.template head<3>();
+}
+template <class S>
+Vector4<S> quaternion_of(const BodyState<S>& state) {
+  return state.template segment<4>(3);
+}
+template <class S>
+Vector6<S> twist_of(const BodyState<S>& state) {
+  return state.template tail<6>();
+}
+
+/// Scales the quaternion to unit length, once per step and never inside its stages (docs/model.md, section 1).
+template <class S>
+void normalise_quaternion(BodyState<S>& state) {
+  using std::sqrt;
+  state.template segment<4>(3) /= sqrt(state.template segment<4>(3).squaredNorm());
+}
+
+/// I' = R I R^T, the inertia in B [kg m^2].
+template <class S>
+Matrix3<S> inertia_in_base(const RigidBody<S>& body, const Matrix3<S>& R_BE) {
+  return R_BE * body.inertia_E * R_BE.transpose();
+}
+
+/// D of (1), 6x6: maps acceleration (m/s^2; rad/s^2, in B) to wrench.
+template <class S>
+Matrix6<S> mass_matrix(const RigidBody<S>& body, const Matrix3<S>& R_BE) {
+  Matrix6<S> D = Matrix6<S>::Zero();
+  D.diagonal().template head<3>().setConstant(body.mass);
+  D.template bottomRightCorner<3, 3>() = inertia_in_base(body, R_BE);
+  return D;
+}
+
+/// C of (1), 6x6: maps twist to the gyroscopic wrench, [omega]x I' in the lower right block.
+template <class S>
+Matrix6<S> coriolis_matrix(const RigidBody<S>& body, const Matrix3<S>& R_BE, const Vector3<S>& omega_B) {
+  Matrix6<S> C = Matrix6<S>::Zero();
+  C.template bottomRightCorner<3, 3>() = skew(omega_B) * inertia_in_base(body, R_BE);
+  return C;
+}
+
+/// G of (1): the wrench that holds the platform at rest, m (0, 0, -g, 0, 0, 0) since z points down [N; N m].
+template <class S>
+Vector6<S> gravity_wrench(const RigidBody<S>& body) {
+  Vector6<S> G = Vector6<S>::Zero();
+  G(2) = -body.mass * body.gravity;
+  return G;
+}
+
+/// Solves A x = b for a regular 3x3 matrix by Cramer's rule.
+template <class S>
+Vector3<S> solve3(const Matrix3<S>& A, const Vector3<S>& b) {
+  const Vector3<S> a0 = A.col(0), a1 = A.col(1), a2 = A.col(2);
+  const Vector3<S> a1xa2 = a1.cross(a2);
+  const S inverse_det = S(1.0) / a0.dot(a1xa2);
+  return Vector3<S>(b.dot(a1xa2), a0.dot(b.cross(a2)), a0.dot(a1.cross(b))) * inverse_det;
+}
+
+/// chi-ddot of the actual dynamics (3): (1 - delta_D) D chi-ddot + (1 - delta_C) C chi-dot + (1 - delta_G) G = tau.
+///
+/// D and C are block-diagonal, so only the diagonal of the linear block and the angular blocks of the errors act.
+/// @return (m/s^2; rad/s^2), in B
+template <class S>
+Vector6<S> acceleration(const RigidBody<S>& body, const DynamicsError<S>& error, const Matrix3<S>& R_BE,
+                        const Vector6<S>& twist, const Vector6<S>& wrench) {
+  const Vector3<S> omega = twist.template tail<3>();
+  const Matrix3<S> I_B = inertia_in_base(body, R_BE);
+  const auto scale3 = [](const auto& delta, const Matrix3<S>& M) {
+    return Matrix3<S>(M - delta.template bottomRightCorner<3, 3>().cwiseProduct(M));
+  };
+  const Matrix3<S> actual_inertia = scale3(error.inertia, I_B);
+  const Vector6<S> G = gravity_wrench(body);
+  const Vector6<S> driving = wrench - (G - error.gravity.cwiseProduct(G));
+
+  Vector6<S> result;
+  for (int i = 0; i < 3; ++i) result(i) = driving(i) / ((S(1.0) - error.inertia(i, i)) * body.mass);
+  const Matrix3<S> C_B = skew(omega) * I_B;
+  const Vector3<S> gyroscopic = scale3(error.coriolis, C_B) * omega;
+  result.template tail<3>() = solve3<S>(actual_inertia, driving.template tail<3>() - gyroscopic);
+  return result;
+}
+
+/// Time derivative of the body's state under a wrench.
+template <class S>
+BodyState<S> body_rate(const RigidBody<S>& body, const DynamicsError<S>& error, const BodyState<S>& state,
+                       const Matrix3<S>& R_BE, const Vector6<S>& wrench) {
+  const Vector6<S> twist = twist_of(state);
+  BodyState<S> rate;
+  rate.template head<3>() = twist.template head<3>();
+  rate.template segment<4>(3) = quaternion_rate<S>(quaternion_of(state), twist.template tail<3>());
+  rate.template tail<6>() = acceleration(body, error, R_BE, twist, wrench);
+  return rate;
+}
+
+/// Kinetic energy 1/2 chi-dot^T D chi-dot [J].
+template <class S>
+S kinetic_energy(const RigidBody<S>& body, const Matrix3<S>& R_BE, const Vector6<S>& twist) {
+  return S(0.5) * twist.dot(mass_matrix(body, R_BE) * twist);
+}
+
+/// Potential energy -m g z [J], zero at the height of the base (z points down).
+template <class S>
+S potential_energy(const RigidBody<S>& body, const Vector3<S>& p_BE) {
+  return -body.mass * body.gravity * p_BE(2);
+}
+
+/// Checks mass, inertia and errors as a user gives them.
+/// @throws std::invalid_argument naming the scenario key: a mass that is not positive, an inertia that is not symmetric,
+/// not positive definite, or that breaks the triangle inequality by more than 1e-9 of its trace; errors that leave no
+/// positive inertia.
+void validate(const RigidBody<double>& body, const DynamicsError<double>& error);
+
+}  // namespace hexservo

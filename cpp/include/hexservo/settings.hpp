@@ -1,0 +1,59 @@
+/// @file
+/// A scenario as plain numbers, and the one place that turns it into the validated parameters of a loop.
+#pragma once
+
+#include "hexservo/closed_loop.hpp"
+#include "hexservo/laws/hybrid.hpp"
+
+#include <optional>
+
+namespace hexservo {
+
+/// Four points to look at, given by what the camera sees from home or by where they are, and where they shall appear.
+struct Target {
+  Vector<double, 2 * kPoints> initial_features = Vector<double, 2 * kPoints>::Zero();  ///< seen from home [px]
+  Vector<double, kPoints> depth = Vector<double, kPoints>::Constant(0.5);              ///< |Z_i| seen from home [m], 0.5
+  std::optional<Eigen::Matrix<double, 3, kPoints>> points_B;  ///< instead of the two above: the points in B [m]
+  Vector<double, 2 * kPoints> desired_features = Vector<double, 2 * kPoints>::Zero();  ///< xi_d [px]
+};
+
+/// Relative errors between estimates and plant, docs/model.md, sections 3 and 4.
+struct Uncertainty {
+  DynamicsError<double> dynamics;                                           ///< delta_D, delta_C, delta_G [1], 0
+  Vector<double, kPoints> depth = Vector<double, kPoints>::Zero();          ///< delta_Z,i [1], 0
+};
+
+/// Time grid and logging of a run.
+struct SimulationSettings {
+  double step = 1e-3;      ///< h [s], 1e-3
+  double duration = 5.0;   ///< [s], 5; a whole number of steps
+  long long log_every = 1; ///< steps between logged samples, 1
+};
+
+/// A scenario for one law.
+template <class Law>
+struct Settings {
+  RobotParameters robot;
+  Camera<double> camera;
+  CameraConvention convention = CameraConvention::eye_in_hand;
+  JacobianConvention jacobian = JacobianConvention::consistent;
+  Target target;
+  Uncertainty uncertainty;
+  Switching<double> switching;
+  typename Law::template Gains<double> gains;
+  SimulationSettings simulation;
+  MetricsSettings metrics;
+};
+
+/// Number of steps of a run.
+/// @throws std::invalid_argument naming the scenario key where step, duration or log_every make no grid
+long long step_count(const SimulationSettings& simulation);
+
+/// Validates a scenario and prepares it for the loop: joints, target points, initial image.
+/// @throws std::invalid_argument("key: expected ..., got ...") for the first thing that is wrong
+template <class Law>
+LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings);
+
+extern template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&);
+
+}  // namespace hexservo

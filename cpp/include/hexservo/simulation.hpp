@@ -1,0 +1,71 @@
+/// @file
+/// Runs one scenario and logs it.
+#pragma once
+
+#include "hexservo/settings.hpp"
+
+#include <functional>
+#include <string>
+#include <vector>
+
+namespace hexservo {
+
+/// A leg beyond one of its limits, reported and not enforced.
+struct LimitEvent {
+  enum class Kind { stroke, force };
+  Kind kind;
+  int leg;            ///< 0 to 5
+  double first_time;  ///< [s]
+  double peak;        ///< largest |l - home length| [m] or |force| [N] of the run
+  double limit;       ///< [m] or [N]
+};
+
+/// Logged samples of a run, row after row: `time` has n entries, a k-wide quantity n k.
+struct Trajectory {
+  std::vector<double> time;           ///< [s]
+  std::vector<double> feature_error;  ///< n x 8, xi_d - xi, true [px]
+  std::vector<double> depth;          ///< n x 4, true Z_i [m]
+  std::vector<double> position;       ///< n x 3, p_BE [m]
+  std::vector<double> quaternion;     ///< n x 4, (w, x, y, z)
+  std::vector<double> twist;          ///< n x 6, in B [m/s; rad/s]
+  std::vector<double> wrench;         ///< n x 6, in B [N; N m]
+  std::vector<double> fuzzy_output;   ///< n x 6 [N; N m]
+  std::vector<double> leg_lengths;    ///< n x 6 [m]
+  std::vector<double> leg_forces;     ///< n x 6 [N]
+  FuzzyWeights<double> fuzzy_weights; ///< at the end [N or N m]
+
+  Outcome outcome = Outcome::completed;
+  std::string detail;              ///< one sentence
+  double end_time = 0.0;           ///< time of the last good sample [s]
+  long long steps = 0;             ///< steps taken
+  std::vector<LimitEvent> events;  ///< in the order of their first times
+  Metrics<double> metrics;
+};
+
+/// Bytes that the log of one run may take; more is refused before it is allocated.
+inline constexpr double kMaxLogBytes = 2.0 * 1024 * 1024 * 1024;
+
+/// Checks everything that `simulate` checks, without running.
+/// @throws std::invalid_argument as `simulate`
+template <class Law>
+void check_settings(const Settings<Law>& settings);
+
+extern template void check_settings(const Settings<Hybrid>&);
+
+/// Runs a scenario from home, at rest. The last good sample is always logged.
+/// @param stop_requested asked every few milliseconds; true ends the run with `Outcome::interrupted`
+/// @throws std::invalid_argument as `loop_parameters`, or where the log would not fit into `kMaxLogBytes`
+template <class Law>
+Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested = {});
+
+extern template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&);
+
+/// The platform alone under constant leg forces, without camera or controller (RK4).
+/// @param leg_forces [N], positive where they push
+/// @param steps number of steps of `step` [s]
+/// @return body state (p_BE, quaternion, twist) at the end
+/// @throws std::invalid_argument for inputs that are not finite or not positive
+BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body, const DynamicsError<double>& error,
+                             const BodyState<double>& start, const Vector6<double>& leg_forces, double step, long long steps);
+
+}  // namespace hexservo

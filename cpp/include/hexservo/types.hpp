@@ -1,0 +1,56 @@
+/// @file
+/// Fixed-size types, frames, units and orders that every header of the core shares.
+///
+/// | symbol     | meaning                                                                     | unit        |
+/// | ---------- | --------------------------------------------------------------------------- | ----------- |
+/// | B          | inertial base frame, origin at the centre of the base joints, z points down |             |
+/// | E          | platform frame = camera frame, the camera looks along -Z_E                  |             |
+/// | R_BE       | turns E-coordinates into B-coordinates                                      | 1           |
+/// | p_BE       | position of E's origin in B (the paper's x_p)                               | m           |
+/// | quaternion | attitude of E in B, (w, x, y, z)                                            | 1           |
+/// | twist      | (velocity of E's origin; angular velocity), both in B (the paper's chi-dot) | m/s; rad/s  |
+/// | wrench     | (force; moment about E's origin), both in B (the paper's tau)               | N; N m      |
+/// | features   | (x1, y1, ..., xN, yN) from the image centre (the paper's xi)                | px          |
+/// | depth      | Z_i of the points in E, negative in front of the camera                     | m           |
+///
+/// SI units and radians throughout; pixels for image quantities. Linear parts come before angular ones.
+#pragma once
+
+#include "hexservo/lanes.hpp"
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+namespace hexservo {
+
+template <class S, int N>
+using Vector = Eigen::Matrix<S, N, 1>;
+template <class S>
+using Vector2 = Vector<S, 2>;
+template <class S>
+using Vector3 = Vector<S, 3>;
+template <class S>
+using Vector4 = Vector<S, 4>;
+template <class S>
+using Vector6 = Vector<S, 6>;
+template <class S>
+using Matrix3 = Eigen::Matrix<S, 3, 3>;
+template <class S>
+using Matrix6 = Eigen::Matrix<S, 6, 6>;
+template <class S>
+using Matrix7 = Eigen::Matrix<S, 7, 7>;
+template <class S>
+using Matrix36 = Eigen::Matrix<S, 3, 6>;
+
+/// Number of feature points of the paper, and the only one that is instantiated for now.
+inline constexpr int kPoints = 4;
+
+/// [a]x, so that [a]x b = a x b.
+template <class S>
+Matrix3<S> skew(const Vector3<S>& a) {
+  Matrix3<S> m;
+  m << S(0.0), -a(2), a(1), a(2), S(0.0), -a(0), -a(1), a(0), S(0.0);
+  return m;
+}
+
+}  // namespace hexservo

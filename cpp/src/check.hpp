@@ -1,0 +1,46 @@
+/// @file
+/// Words for misuse: "key: expected ..., got ...".
+#pragma once
+
+#include <Eigen/Core>
+
+#include <cmath>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+
+namespace hexservo::detail {
+
+/// Joins text and numbers; a number as a reader would type it.
+template <class... Parts>
+std::string words(const Parts&... parts) {
+  std::ostringstream out;
+  out.precision(9);
+  (out << ... << parts);
+  return out.str();
+}
+
+[[noreturn]] inline void refuse(const std::string& key, const std::string& expected, const std::string& got) {
+  throw std::invalid_argument(words(key, ": expected ", expected, ", got ", got));
+}
+
+inline void require_finite(const std::string& key, double value) {
+  if (!std::isfinite(value)) refuse(key, "a finite number", words(value));
+}
+
+inline void require_positive(const std::string& key, double value) {
+  if (!(std::isfinite(value) && value > 0.0)) refuse(key, "a finite number > 0", words(value));
+}
+
+/// Names the first entry that is not finite, counted from 0 along the storage order of a vector or (row, column) of a matrix.
+template <class Derived>
+void require_finite(const std::string& key, const Eigen::MatrixBase<Derived>& m) {
+  for (Eigen::Index row = 0; row < m.rows(); ++row)
+    for (Eigen::Index column = 0; column < m.cols(); ++column) {
+      if (std::isfinite(m(row, column))) continue;
+      const std::string index = m.cols() == 1 ? words("[", row, "]") : words("[", row, "][", column, "]");
+      require_finite(key + index, m(row, column));
+    }
+}
+
+}  // namespace hexservo::detail

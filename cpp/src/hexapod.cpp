@@ -1,0 +1,106 @@
+#include "hexservo/hexapod.hpp"
+
+#include "check.hpp"
+
+#include <Eigen/SVD>
+
+namespace hexservo {
+
+using detail::refuse;
+using detail::words;
+
+namespace {
+
+constexpr double kSingularRatio = 1e-9;  // sigma_min/sigma_max of H below which a geometry cannot hold a platform
+
+/// A few poses around home without symmetry: a geometry that is singular at all of them is singular everywhere.
+std::array<Pose<double>, 3> generic_poses(const RobotParameters& robot) {
+  const double r = 0.1 * robot.platform_radius;
+  std::array<Pose<double>, 3> poses;
+  poses[0] = {robot.home_position + r * Vector3<double>(0.31, -0.53, 0.71), {0.98, 0.07, -0.11, 0.13}};
+  poses[1] = {robot.home_position + r * Vector3<double>(-0.67, 0.23, 0.41), {0.97, -0.13, 0.05, -0.17}};
+  poses[2] = {robot.home_position + r * Vector3<double>(0.47, 0.59, -0.37), {0.99, 0.03, 0.09, -0.05}};
+  return poses;
+}
+
+double condition(const Hexapod<double>& hexapod, const Pose<double>& pose) {
+  const Vector6<double> sigma = wrench_map_singular_values(hexapod, pose);
+  return sigma(5) / sigma(0);
+}
+
+Matrix36<double> joints(double radius, const Vector6<double>& angles) {
+  Matrix36<double> points;
+  for (int i = 0; i < 6; ++i) points.col(i) = radius * Vector3<double>(std::cos(angles(i)), std::sin(angles(i)), 0.0);
+  return points;
+}
+
+void require_distinct_legs(const Hexapod<double>& hexapod, const RobotParameters& robot) {
+  for (int i = 0; i < 6; ++i) {
+    if (!(hexapod.home_lengths(i) > 1e-9 * robot.platform_radius))
+      refuse("robot.home_position", "legs of some length at home", words("a length of ", hexapod.home_lengths(i), " m for leg ", i));
+    for (int k = 0; k < i; ++k) {
+      const double platform = (hexapod.platform_joints_E.col(i) - hexapod.platform_joints_E.col(k)).norm();
+      const double base = (hexapod.base_joints_B.col(i) - hexapod.base_joints_B.col(k)).norm();
+      if (platform < 1e-9 * robot.platform_radius && base < 1e-9 * robot.base_radius)
+        refuse("robot.platform_angles", "six different legs", words("legs ", k, " and ", i, " that coincide"));
+    }
+  }
+}
+
+}  // namespace
+
+RobotParameters robot_preset(std::string_view name) {
+  if (name == "micro") return {};
+  if (name == "cubic") {
+    RobotParameters robot;
+    robot.platform_radius = robot.base_radius = 0.1;
+    robot.base_angles = (Vector6<double>() << 0, 0, 120, 120, 240, 240).finished() * EIGEN_PI / 180.0;
+    robot.platform_angles = (Vector6<double>() << -60, 60, 60, 180, 180, 300).finished() * EIGEN_PI / 180.0;
+    robot.home_position = {0.0, 0.0, -robot.platform_radius / std::sqrt(2.0)};
+    return robot;
+  }
+  std::string known;
+  for (const std::string_view preset : kRobotPresets) known += words(known.empty() ? "" : ", ", preset);
+  refuse("robot.preset", words("one of ", known), words('"', name, '"'));
+}
+
+Hexapod<double> make_hexapod(const RobotParameters& robot) {
+  detail::require_positive("robot.platform_radius", robot.platform_radius);
+  detail::require_positive("robot.base_radius", robot.base_radius);
+  detail::require_finite("robot.platform_angles", robot.platform_angles);
+  detail::require_finite("robot.base_angles", robot.base_angles);
+  detail::require_finite("robot.home_position", robot.home_position);
+  detail::require_positive("robot.stroke", robot.stroke);
+  detail::require_positive("robot.force_limit", robot.force_limit);
+
+  Hexapod<double> hexapod;
+  hexapod.platform_joints_E = joints(robot.platform_radius, robot.platform_angles);
+  hexapod.base_joints_B = joints(robot.base_radius, robot.base_angles);
+  hexapod.platform_radius = robot.platform_radius;
+  hexapod.home_position = robot.home_position;
+  hexapod.stroke = robot.stroke;
+  hexapod.force_limit = robot.force_limit;
+  hexapod.home_lengths = inverse_kinematics<double>(hexapod, robot.home_position, Matrix3<double>::Identity()).lengths;
+  require_distinct_legs(hexapod, robot);
+
+  double best = 0.0;
+  for (const Pose<double>& pose : generic_poses(robot)) best = std::max(best, condition(hexapod, pose));
+  if (!(best >= kSingularRatio))
+    refuse("robot.platform_angles",
+           "legs that hold the platform in all six directions (regular hexagons joined in cyclic order, or a platform similar to its "
+           "base, never do)",
+           words("a wrench map that is singular at every pose (smallest/largest singular value ", best, ")"));
+  const double home = condition(hexapod, {robot.home_position, Pose<double>{}.quaternion});
+  if (!(home >= kSingularRatio))
+    refuse("robot.home_position", "a home pose that is not singular",
+           words("a wrench map with smallest/largest singular value ", home));
+  return hexapod;
+}
+
+Vector6<double> wrench_map_singular_values(const Hexapod<double>& hexapod, const Pose<double>& pose) {
+  Matrix6<double> H = inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion)).wrench_map();
+  H.bottomRows<3>() /= hexapod.platform_radius;
+  return Eigen::JacobiSVD<Matrix6<double>>(H).singularValues();
+}
+
+}  // namespace hexservo

@@ -1,0 +1,52 @@
+#include "hexservo/rigid_body.hpp"
+
+#include "check.hpp"
+
+#include <Eigen/Eigenvalues>
+
+namespace hexservo {
+
+using detail::refuse;
+using detail::words;
+
+namespace {
+
+/// 1 - delta_D must keep D positive definite at every attitude: by Schur's product theorem it is enough that 1 - delta_D is
+/// symmetric and positive semidefinite with a positive diagonal.
+void validate_inertia_error(const Matrix6<double>& delta) {
+  const std::string key = "uncertainty.inertia";
+  if ((delta - delta.transpose()).cwiseAbs().maxCoeff() > 0.0) refuse(key, "a symmetric 6x6 array", "one that is not");
+  const Matrix6<double> kept = Matrix6<double>::Ones() - delta;
+  if (kept.diagonal().minCoeff() <= 0.0)
+    refuse(key, "entries below 1 on the diagonal (the actual inertia is (1 - error) times the estimate)",
+           words(delta.diagonal().maxCoeff()));
+  const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(kept.bottomRightCorner<3, 3>(), Eigen::EigenvaluesOnly);
+  const double smallest = solver.eigenvalues()(0);
+  if (smallest < -1e-12)
+    refuse(key, "errors that leave a positive inertia at every attitude (1 - error positive semidefinite)",
+           words("smallest eigenvalue ", smallest, " of the angular block of 1 - error"));
+}
+
+}  // namespace
+
+void validate(const RigidBody<double>& body, const DynamicsError<double>& error) {
+  detail::require_positive("robot.mass", body.mass);
+  detail::require_finite("robot.inertia", body.inertia_E);
+  detail::require_finite("robot.gravity", body.gravity);
+  const Matrix3<double>& I = body.inertia_E;
+  if ((I - I.transpose()).cwiseAbs().maxCoeff() > 1e-12 * I.cwiseAbs().maxCoeff())
+    refuse("robot.inertia", "a symmetric 3x3 matrix", "one that is not");
+  const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(I, Eigen::EigenvaluesOnly);
+  const Vector3<double> principal = solver.eigenvalues();  // ascending
+  const std::string got = words("principal moments ", principal(0), ", ", principal(1), ", ", principal(2), " kg m^2");
+  if (!(principal(0) > 0.0)) refuse("robot.inertia", "a positive definite matrix", got);
+  if (principal(2) - principal(0) - principal(1) > 1e-9 * principal.sum())
+    refuse("robot.inertia", "principal moments none of which exceeds the sum of the other two (no body has such an inertia)", got);
+
+  detail::require_finite("uncertainty.inertia", error.inertia);
+  detail::require_finite("uncertainty.coriolis", error.coriolis);
+  detail::require_finite("uncertainty.gravity", error.gravity);
+  validate_inertia_error(error.inertia);
+}
+
+}  // namespace hexservo

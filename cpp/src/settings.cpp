@@ -1,0 +1,135 @@
+#include "hexservo/settings.hpp"
+
+#include "check.hpp"
+
+#include <Eigen/SVD>
+
+namespace hexservo {
+
+using detail::refuse;
+using detail::words;
+
+namespace {
+
+using Features = Vector<double, 2 * kPoints>;
+
+constexpr double kCoincident = 1e-6;      // features closer than this are one [px]
+constexpr double kRankDeficient = 1e-9;   // sigma_min/sigma_max of the image Jacobian with lengths in units of the depth
+constexpr double kMaxSteps = 1e9;         // a run of hours on one core: surely a slip
+
+void require_apart(const std::string& key, const Features& features) {
+  for (int i = 0; i < kPoints; ++i)
+    for (int k = 0; k < i; ++k)
+      if ((features.segment<2>(2 * i) - features.segment<2>(2 * k)).norm() < kCoincident)
+        refuse(key, "four different features", words("features ", k, " and ", i, " at the same place"));
+}
+
+/// Four features on one line, for example, leave a direction that no image shows.
+void require_full_rank(const std::string& key, double f, const Image<double>& image) {
+  Eigen::Matrix<double, 2 * kPoints, 6> J = ImageJacobian<double>(f, -1.0, image, Matrix3<double>::Identity()).matrix();
+  J.leftCols<3>() *= image.depth.cwiseAbs().mean();
+  const auto sigma = Eigen::JacobiSVD<Eigen::Matrix<double, 2 * kPoints, 6>>(J).singularValues();
+  if (!(sigma(5) > kRankDeficient * sigma(0)))
+    refuse(key, "features that determine the pose (not all on one line)",
+           words("an image Jacobian with smallest/largest singular value ", sigma(5) / sigma(0)));
+}
+
+/// Initial image and, for a camera that projects, the points in B.
+void place_target(const Target& target, CameraConvention convention, double f, const Vector3<double>& home,
+                  Image<double>& image, Eigen::Matrix<double, 3, kPoints>& points_B) {
+  const Matrix3<double> R_BE = Matrix3<double>::Identity();
+  if (target.points_B) {
+    if (convention == CameraConvention::as_printed)
+      refuse("target.points", "initial_features and depth, since a camera as_printed integrates them and has no points", "points");
+    points_B = *target.points_B;
+    detail::require_finite("target.points", Eigen::Matrix<double, kPoints, 3>(points_B.transpose()));
+    for (int i = 0; i < kPoints; ++i) {
+      const double Z = points_B(2, i) - home(2);
+      if (!(Z < 0.0))
+        refuse(words("target.points[", i, "]"),
+               words("a point in front of the camera, which looks along -z from home (z < ", home(2), " m)"),
+               words("z = ", points_B(2, i), " m"));
+    }
+    image = take_image(f, home, R_BE, points_B);
+  } else {
+    detail::require_finite("target.initial_features", target.initial_features);
+    for (int i = 0; i < kPoints; ++i) detail::require_positive(words("target.depth[", i, "]"), target.depth(i));
+    image = {target.initial_features, -target.depth};
+    for (int i = 0; i < kPoints; ++i)
+      points_B.col(i) = home + R_BE * back_project<double>(f, image.features.segment<2>(2 * i), image.depth(i));
+  }
+}
+
+std::string nearest_grid(double step, double duration) {
+  const double steps = std::max(1.0, std::round(duration / step));
+  return words("duration ", steps * step, " or step ", duration / steps);
+}
+
+}  // namespace
+
+long long step_count(const SimulationSettings& simulation) {
+  detail::require_positive("simulation.step", simulation.step);
+  detail::require_positive("simulation.duration", simulation.duration);
+  if (simulation.log_every < 1) refuse("simulation.log_every", "a whole number >= 1", words(simulation.log_every));
+  const double ratio = simulation.duration / simulation.step;
+  if (!(ratio <= kMaxSteps))
+    refuse("simulation.duration", words("at most ", kMaxSteps, " steps"), words(ratio, " steps"));
+  const double steps = std::round(ratio);
+  if (steps < 1.0 || std::abs(ratio - steps) > 1e-9 * steps)
+    refuse("simulation.step", words("a step that divides the duration (nearest: ", nearest_grid(simulation.step, simulation.duration), ")"),
+           words("step ", simulation.step, " and duration ", simulation.duration));
+  return static_cast<long long>(steps);
+}
+
+template <class Law>
+LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
+  LoopParameters<double, Law> p;
+  step_count(settings.simulation);
+  p.hexapod = make_hexapod(settings.robot);
+  p.body = {settings.robot.mass, settings.robot.inertia, RigidBody<double>{}.gravity};
+  p.dynamics_error = settings.uncertainty.dynamics;
+  validate(p.body, p.dynamics_error);
+
+  detail::require_positive("camera.focal_length", settings.camera.focal_length);
+  detail::require_positive("camera.pixel_scale", settings.camera.pixel_scale);
+  p.camera = settings.camera;
+  p.convention = settings.convention;
+  p.jacobian = settings.jacobian;
+
+  const double f = settings.camera.focal_pixels();
+  place_target(settings.target, settings.convention, f, settings.robot.home_position, p.initial_image, p.points_B);
+  p.desired_features = settings.target.desired_features;
+  detail::require_finite("target.desired_features", p.desired_features);
+  const std::string source = settings.target.points_B ? "target.points" : "target.initial_features";
+  for (const auto& [key, image] : {std::pair{source, p.initial_image},
+                                   std::pair{std::string("target.desired_features"),
+                                             Image<double>{p.desired_features, p.initial_image.depth}}}) {
+    require_apart(key, image.features);
+    require_full_rank(key, f, image);
+    const double error = (p.desired_features - image.features).cwiseAbs().maxCoeff();
+    if (!(error <= kMaxFeatureError)) refuse(key, words("features within ", kMaxFeatureError, " px of the goal"), words(error, " px"));
+  }
+
+  p.depth_error = settings.uncertainty.depth;
+  detail::require_finite("uncertainty.depth", p.depth_error);
+  if (p.depth_error.minCoeff() <= -1.0)
+    refuse("uncertainty.depth", "errors > -1 (the measured depth is (1 + error) times the true one)", words(p.depth_error.minCoeff()));
+
+  p.switching = settings.switching;
+  detail::require_positive("controller.switching.width", p.switching.width);
+  p.gains = settings.gains;
+  validate(p.gains);
+  p.step = settings.simulation.step;
+  detail::require_positive("metrics.settling_threshold", settings.metrics.settling_threshold);
+  detail::require_finite("metrics.rms_start", settings.metrics.rms_start);
+  p.metrics = settings.metrics;
+
+  const ClosedLoop<double, Law> start(p);
+  if (!start.running())
+    refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
+  return p;
+}
+
+template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&);
+
+}  // namespace hexservo

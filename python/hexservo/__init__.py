@@ -1,0 +1,48 @@
+"""Image-based visual servoing of parallel robots: scenarios, simulation, metrics and figures.
+
+>>> import hexservo as hs
+>>> result = hs.simulate(hs.load_scenario("paper"))
+>>> result.outcome
+'completed'
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+
+try:
+    from hexservo import _core
+except ImportError as error:  # a source tree, or a wheel of another Python
+    raise ImportError(
+        "hexservo: the compiled module hexservo._core is missing or was built for another Python; install the package "
+        "(`pip install .` in the source tree) and import it from outside of python/"
+    ) from error
+
+from hexservo._metrics import METRICS, metrics
+from hexservo._result import LimitEvent, Result
+from hexservo._scenario import Scenario, ScenarioError, load_scenario, scenario_names
+from hexservo._simulation import simulate
+
+__all__ = [
+    "METRICS",
+    "LimitEvent",
+    "Result",
+    "Scenario",
+    "ScenarioError",
+    "__version__",
+    "load_scenario",
+    "metrics",
+    "plots",
+    "scenario_names",
+    "simulate",
+]
+
+__version__: str = _core.build_info()["hexservo"]
+
+
+def __getattr__(name: str) -> ModuleType:
+    """Import the plotting module when it is first used: matplotlib takes most of a second."""
+    if name == "plots":
+        return import_module("hexservo.plots")
+    raise AttributeError(f"module 'hexservo' has no attribute {name!r}")

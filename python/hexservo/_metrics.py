@@ -1,0 +1,35 @@
+"""Metrics of a run, with their units."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hexservo._result import Result
+
+__all__ = ["METRICS", "metrics"]
+
+# name -> (unit, what it is)
+METRICS: dict[str, tuple[str, str]] = {
+    "settling_time": ("s", "last time any feature error exceeds 2 px"),
+    "final_error": ("px", "largest feature error at the end"),
+    "rms_error": ("px", "RMS of all feature errors from 1 s on"),
+    "peak_error": ("px", "largest feature error of the run"),
+    "peak_displacement": ("m", "largest distance of the platform from its start"),
+    "peak_rotation": ("rad", "largest rotation of the platform from its start"),
+    "final_linear_speed": ("m/s", "speed of the platform at the end"),
+    "final_angular_speed": ("rad/s", "angular speed of the platform at the end"),
+    "peak_control_force": ("N", "largest force component beyond the estimated weight"),
+    "peak_control_moment": ("N m", "largest moment component"),
+    "peak_leg_force": ("N", "largest leg force"),
+    "peak_leg_excursion": ("m", "largest leg travel from the home length"),
+}
+
+
+def metrics(result: Result) -> dict[str, float]:
+    """Give the metrics of a run by name, in SI units and pixels; `METRICS` says what each is.
+
+    The core streams them at every step, so they do not depend on ``simulation.log_every``. ``settling_time`` is NaN
+    where the run ends above the threshold, ``rms_error`` where it ends before 1 s (docs/model.md section 8).
+    """
+    return dict(result.streamed_metrics)

@@ -1,0 +1,101 @@
+"""From a scenario to the core's numbers: the only place where the two vocabularies meet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+
+if TYPE_CHECKING:
+    from hexservo._scenario import Fuzzy, Scenario
+
+__all__ = ["core_parameters"]
+
+
+def core_parameters(scenario: Scenario) -> _core.HybridSettings:
+    """Give the core's settings of a scenario, checked by the core.
+
+    Raises
+    ------
+    ValueError
+        Text "key: expected ..., got ..." for what only the maths can tell: an inertia that no body has, legs that
+        cannot hold a platform, a target behind the camera, features that coincide, a log that does not fit.
+    """
+    settings = _core.HybridSettings()
+    settings.robot = _robot(scenario)
+    settings.camera.focal_length = scenario.camera.focal_length
+    settings.camera.pixel_scale = scenario.camera.pixel_scale
+    settings.convention = _core.CameraConvention[scenario.camera.convention]
+    settings.jacobian = _core.JacobianConvention[scenario.controller.jacobian]
+    settings.target = _target(scenario)
+    settings.uncertainty = _uncertainty(scenario)
+    settings.switching.kind = _core.SwitchingKind[scenario.controller.switching.kind]
+    settings.switching.width = scenario.controller.switching.width
+    settings.gains.kp = _filled(scenario.controller.hybrid.kp, 8)
+    settings.gains.kv = _filled(scenario.controller.hybrid.kv, 6)
+    settings.gains.fuzzy = _fuzzy(scenario.controller.hybrid.fuzzy)
+    settings.simulation.step = scenario.simulation.step
+    settings.simulation.duration = scenario.simulation.duration
+    settings.simulation.log_every = scenario.simulation.log_every
+    settings.validate()
+    return settings
+
+
+def _filled(value: Any, *shape: int) -> NDArray[np.float64]:
+    """Give an array of that shape; a number stands for all entries."""
+    return np.broadcast_to(np.asarray(value, dtype=float), shape)
+
+
+def _robot(scenario: Scenario) -> _core.RobotParameters:
+    robot = _core.RobotParameters()
+    for key in (
+        "platform_radius",
+        "base_radius",
+        "platform_angles",
+        "base_angles",
+        "home_position",
+        "mass",
+        "stroke",
+        "force_limit",
+    ):
+        setattr(robot, key, getattr(scenario.robot, key))
+    inertia = np.asarray(scenario.robot.inertia, dtype=float)
+    robot.inertia = np.diag(inertia) if inertia.ndim == 1 else inertia
+    return robot
+
+
+def _target(scenario: Scenario) -> _core.Target:
+    target = _core.Target()
+    target.desired_features = np.asarray(scenario.target.desired_features)
+    if scenario.target.points is not None:
+        target.points = np.asarray(scenario.target.points)
+    else:
+        target.initial_features = np.asarray(scenario.target.initial_features)
+        target.depth = _filled(scenario.target.depth, 4)
+    return target
+
+
+def _uncertainty(scenario: Scenario) -> _core.Uncertainty:
+    uncertainty = _core.Uncertainty()
+    uncertainty.dynamics.inertia = _filled(scenario.uncertainty.inertia, 6, 6)
+    uncertainty.dynamics.coriolis = _filled(scenario.uncertainty.coriolis, 6, 6)
+    uncertainty.dynamics.gravity = _filled(scenario.uncertainty.gravity, 6)
+    uncertainty.depth = _filled(scenario.uncertainty.depth, 4)
+    return uncertainty
+
+
+def _fuzzy(fuzzy: Fuzzy) -> _core.FuzzyGains:
+    gains = _core.FuzzyGains()
+    gains.enabled = fuzzy.enabled
+    gains.adaptation = _filled(fuzzy.adaptation, 6)
+    gains.error_scale = _filled(fuzzy.error_scale, 6)
+    gains.rate_scale = _filled(fuzzy.rate_scale, 6)
+    gains.initial_scale = _filled(fuzzy.initial_scale, 6)
+    if not isinstance(fuzzy.table, str):  # "linear" is the core's default
+        gains.table = np.asarray(fuzzy.table)
+    gains.bell_width = fuzzy.bell_width
+    gains.bell_slope = fuzzy.bell_slope
+    return gains

@@ -1,0 +1,140 @@
+"""What a run gives back: plain arrays with their scenario, and the same as a labelled dataset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import xarray
+
+    from hexservo._scenario import Scenario
+
+__all__ = ["LimitEvent", "Outcome", "Result"]
+
+Array: TypeAlias = NDArray[np.float64]
+Outcome: TypeAlias = Literal[
+    "completed",
+    "diverged",
+    "behind_camera",
+    "feature_lost",
+    "leg_limit",
+    "singular",
+    "solver_failed",
+    "interrupted",
+]
+
+_FEATURES = ["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"]
+_AXES = ["x", "y", "z"]
+_TERMS = ["NB", "NM", "NS", "ZE", "PS", "PM", "PB"]
+_LEGS = [1, 2, 3, 4, 5, 6]
+_TWIST = ["vx", "vy", "vz", "wx", "wy", "wz"]
+_WRENCH = ["fx", "fy", "fz", "mx", "my", "mz"]
+
+# name -> (second dimension, its labels, unit, what it is); the first dimension is time
+_QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
+    "feature_error": ("feature", _FEATURES, "px", "desired minus true feature coordinates"),
+    "depth": ("point", [1, 2, 3, 4], "m", "true Z of the points in the camera frame E, negative in front"),
+    "position": ("axis", _AXES, "m", "platform position in the base frame B"),
+    "quaternion": ("quaternion_component", ["w", "x", "y", "z"], "1", "platform attitude in the base frame B"),
+    "twist": ("twist_component", _TWIST, "m/s; rad/s", "platform velocity and angular velocity in B"),
+    "wrench": ("wrench_component", _WRENCH, "N; N m", "force and moment about the platform's centre, in B"),
+    "fuzzy_output": ("wrench_component", _WRENCH, "N; N m", "output of the fuzzy systems, subtracted from the wrench"),
+    "leg_lengths": ("leg", _LEGS, "m", "leg lengths"),
+    "leg_forces": ("leg", _LEGS, "N", "leg forces, positive where they push the platform away from the base"),
+}
+
+
+@dataclass(frozen=True)
+class LimitEvent:
+    """A leg that passed one of its limits; continuous runs report this and go on."""
+
+    kind: Literal["stroke", "force"]
+    leg: int  # 1 to 6; column leg - 1 of the arrays
+    time: float  # when it first passed the limit [s]
+    peak: float  # largest |length - home length| [m] or |force| [N] of the run
+    limit: float  # [m] or [N]
+
+    def __str__(self) -> str:
+        """Say it in a sentence."""
+        scale, unit, what = (1e3, "mm", "its stroke") if self.kind == "stroke" else (1.0, "N", "its force limit")
+        return (
+            f"leg {self.leg} passed {what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s "
+            f"(peak {self.peak * scale:.4g} {unit})"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Samples of one run, on the grid that ``simulation.log_every`` asks for; the last good sample is always there.
+
+    Frames and orders: docs/model.md section 1. Arrays are C-contiguous and share the run's memory.
+    """
+
+    scenario: Scenario
+    outcome: Outcome
+    end_time: float  # time of the last good sample [s]
+    detail: str  # one sentence: how the run ended
+    events: tuple[LimitEvent, ...]  # limits passed on the way, by time
+    time: Array  # (n,) [s]
+    feature_error: Array  # (n, 8) [px], desired minus true (x1, y1, ..., x4, y4)
+    depth: Array  # (n, 4) [m], true Z of the points in E, negative in front of the camera
+    position: Array  # (n, 3) [m], in B
+    quaternion: Array  # (n, 4) w x y z
+    twist: Array  # (n, 6) [m/s, rad/s], in B
+    wrench: Array  # (n, 6) [N, N m], in B
+    fuzzy_output: Array  # (n, 6) [N, N m]
+    leg_lengths: Array  # (n, 6) [m]
+    leg_forces: Array  # (n, 6) [N]
+    fuzzy_weights: Array  # (6, 7, 7) [N, N m], at the end; row: term of u, column: term of its rate
+    streamed_metrics: dict[str, float] = field(repr=False)  # read them through hs.metrics(result)
+
+    @property
+    def features(self) -> Array:
+        """True feature coordinates, (n, 8) [px]."""
+        return np.asarray(self.scenario.target.desired_features) - self.feature_error
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Give the run as a dataset with labelled dimensions and units.
+
+        Attributes hold text and numbers only: the outcome, the metrics (``metric_...``) and the scenario as one YAML
+        string (``scenario``), so that every netCDF reader can open the file.
+        """
+        import xarray
+
+        from hexservo import __version__
+        from hexservo._metrics import metrics
+
+        data = {
+            name: xarray.DataArray(
+                getattr(self, name),
+                dims=("time", dimension),
+                coords={"time": self.time, dimension: labels},
+                attrs={"units": unit, "long_name": meaning},
+            )
+            for name, (dimension, labels, unit, meaning) in _QUANTITIES.items()
+        }
+        data["fuzzy_weights"] = xarray.DataArray(
+            self.fuzzy_weights,
+            dims=("wrench_component", "error_term", "rate_term"),
+            coords={"wrench_component": _WRENCH, "error_term": _TERMS, "rate_term": _TERMS},
+            attrs={"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"},
+        )
+        dataset = xarray.Dataset(data)
+        dataset["time"].attrs.update({"units": "s", "long_name": "time"})
+        dataset.attrs.update(
+            {
+                "title": f"hexservo run of {self.scenario.name}",
+                "hexservo_version": __version__,
+                "outcome": self.outcome,
+                "end_time": self.end_time,
+                "detail": self.detail,
+                "events": "\n".join(map(str, self.events)),
+                "scenario": self.scenario.to_yaml(),
+                **{f"metric_{name}": value for name, value in metrics(self).items()},
+            }
+        )
+        return dataset

@@ -1,0 +1,873 @@
+"""Scenarios: what a run simulates, as immutable and completely validated data.
+
+A `Scenario` is read from YAML (`load_scenario`) or built from a mapping. Everything wrong with it is reported at once,
+in a `ScenarioError` with one line per problem. SI units and radians throughout; image quantities in pixels. Frames, the
+symbols and the reasons for the defaults: docs/model.md. The defaults of the maths have one source, the C++ structs.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from typing import Annotated, Any, Literal, NoReturn, TypeAlias, cast, get_args
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+
+from hexservo import _core
+from hexservo._yaml import MAX_DEPTH, ScenarioError, dump_yaml, load_yaml, read_yaml
+
+__all__ = [
+    "Camera",
+    "Controller",
+    "Fuzzy",
+    "Hybrid",
+    "Matrix",
+    "Robot",
+    "Scenario",
+    "ScenarioError",
+    "Simulation",
+    "Switching",
+    "Target",
+    "Uncertainty",
+    "Vector",
+    "load_scenario",
+    "scenario_names",
+]
+
+Vector: TypeAlias = tuple[float, ...]
+Matrix: TypeAlias = tuple[Vector, ...]
+SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation"]
+
+_DEFAULT_PRESET = "micro"
+_DEFAULT_DEPTH = 0.5  # [m], docs/model.md section 4
+_MAX_STEPS = 1e15  # beyond it a double no longer tells one step from the next
+_TERMS = {term: (index - 3) / 3 for index, term in enumerate(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"))}
+
+
+# ---- What a value may be --------------------------------------------------------------------------------------------
+
+
+def _refusal(*problems: tuple[tuple[str | int, ...], str]) -> ValidationError:
+    """Make the error that places each sentence at a location below the current one."""
+    return ValidationError.from_exception_data(
+        "scenario",
+        [
+            InitErrorDetails(type=PydanticCustomError("scenario", "{text}", {"text": text}), loc=place, input=None)
+            for place, text in problems
+        ],
+    )
+
+
+class _Rule(ABC):
+    """Accepts a plain value or raises `_refusal`; strict: text is no number, a boolean is none either."""
+
+    @property
+    @abstractmethod
+    def expected(self) -> str:
+        """What is accepted, as it follows the word "expected"."""
+
+    @abstractmethod
+    def accept(self, value: Any) -> Any:
+        """Return the value in its one canonical form, or raise `_refusal`."""
+
+    def refuse(self, value: Any, place: tuple[int, ...] = (), hint: str = "") -> NoReturn:
+        raise _refusal((place, f"expected {self.expected}, got {_shown(value)}{hint}"))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.accept)
+
+
+@dataclass(frozen=True)
+class _Number(_Rule):
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+
+    @property
+    def bounds(self) -> str:
+        limits = ((">", self.above), (">=", self.at_least), ("<", self.below), ("<=", self.at_most))
+        return " and ".join(f"{sign} {bound:g}" for sign, bound in limits if bound is not None)
+
+    def several(self, count: str) -> str:
+        return f"{count} numbers {self.bounds}" if self.bounds else f"{count} finite numbers"
+
+    @property
+    def expected(self) -> str:
+        return f"a number {self.bounds}" if self.bounds else "a finite number"
+
+    def accept(self, value: Any) -> float:
+        if isinstance(value, str) and _is_number_text(value):
+            self.refuse(value, hint=" (text: a number stands without quotes)")
+        if not _is_number(value):
+            self.refuse(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise _refusal(((), f"expected a finite number, got {_shown(value)}"))
+        if (
+            (self.above is not None and not number > self.above)
+            or (self.at_least is not None and not number >= self.at_least)
+            or (self.below is not None and not number < self.below)
+            or (self.at_most is not None and not number <= self.at_most)
+        ):
+            self.refuse(value)
+        return number
+
+
+@dataclass(frozen=True)
+class _Angle(_Number):
+    """An angle in radians, at most one turn either way: more is somebody's degrees."""
+
+    at_least: float | None = -2 * math.pi
+    at_most: float | None = 2 * math.pi
+
+    @property
+    def bounds(self) -> str:
+        return "within +-2 pi (radians)"
+
+    def refuse(self, value: Any, place: tuple[int, ...] = (), hint: str = "") -> NoReturn:
+        super().refuse(value, place, hint or (" (degrees? multiply by pi/180)" if _is_number(value) else ""))
+
+
+@dataclass(frozen=True)
+class _Array(_Rule):
+    """Numbers of a fixed shape; as alternatives one number that stands for all of them, or null.
+
+    Where one number is allowed, an array of equal numbers becomes that number: one meaning, one form.
+    """
+
+    shape: tuple[int, ...]
+    element: _Number = _Number()
+    or_number: bool = False
+    or_null: bool = False
+
+    @property
+    def expected(self) -> str:
+        count = "x".join(map(str, self.shape))
+        return f"{self.element.expected} or {count} of them" if self.or_number else self.element.several(count)
+
+    def accept(self, value: Any) -> float | Vector | Matrix | None:
+        if value is None and self.or_null:
+            return None
+        if not isinstance(value, list):
+            if not self.or_number:
+                self.refuse(value)
+            if _is_number(value):
+                return self.element.accept(value)
+            self.refuse(value)
+        numbers = _tuples(value, self.shape, self.element.accept, self.expected)
+        return cast("float | Vector | Matrix", _collapsed(numbers) if self.or_number else numbers)
+
+
+@dataclass(frozen=True)
+class _Inertia(_Rule):
+    """A symmetric 3x3 matrix; its diagonal where the rest is zero."""
+
+    @property
+    def expected(self) -> str:
+        return "3 numbers (the diagonal) or 3x3 finite numbers (symmetric)"
+
+    def accept(self, value: Any) -> Vector | Matrix:
+        if not isinstance(value, list):
+            self.refuse(value)
+        if not any(isinstance(row, list) for row in value):
+            return cast("Vector", _tuples(value, (3,), _Number().accept, self.expected))
+        rows = cast("Matrix", _tuples(value, (3, 3), _Number().accept, self.expected))
+        tolerance = 1e-9 * max(abs(number) for row in rows for number in row)
+        uneven = [
+            ((i, j), f"expected a symmetric matrix, got {rows[i][j]!r} here and {rows[j][i]!r} at [{j}][{i}]")
+            for i, j in ((0, 1), (0, 2), (1, 2))
+            if abs(rows[i][j] - rows[j][i]) > tolerance
+        ]
+        if uneven:
+            raise _refusal(*uneven)
+        return _diagonal_if_diagonal(tuple(tuple(rows[i][j] / 2 + rows[j][i] / 2 for j in range(3)) for i in range(3)))
+
+
+@dataclass(frozen=True)
+class _Table(_Rule):
+    """A rule table: rows by the first input, columns by the second, from NB to PB; entries are output terms."""
+
+    @property
+    def expected(self) -> str:
+        return f'"linear" or 7x7 numbers or terms ({" ".join(_TERMS)})'
+
+    def accept(self, value: Any) -> str | Matrix:
+        if value == "linear":
+            return "linear"
+        if not isinstance(value, list):
+            self.refuse(value)
+        rows = cast("Matrix", _tuples(value, (7, 7), self._entry, self.expected))
+        return "linear" if rows == _tupled(_core.FuzzyGains().table) else rows
+
+    def _entry(self, value: Any) -> float:
+        if isinstance(value, str):
+            if value not in _TERMS:
+                raise _refusal(((), f"expected a number or one of {' '.join(_TERMS)}, got {_shown(value)}"))
+            return _TERMS[value]
+        return _Number().accept(value)
+
+
+@dataclass(frozen=True)
+class _Integer(_Rule):
+    at_least: int
+    at_most: int
+
+    @property
+    def expected(self) -> str:
+        return f"an integer from {self.at_least} to {self.at_most}"
+
+    def accept(self, value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not self.at_least <= value <= self.at_most:
+            self.refuse(value)
+        return value
+
+
+@dataclass(frozen=True)
+class _Flag(_Rule):
+    @property
+    def expected(self) -> str:
+        return "true or false"
+
+    def accept(self, value: Any) -> bool:
+        if not isinstance(value, bool):
+            self.refuse(value)
+        return value
+
+
+@dataclass(frozen=True)
+class _Choice(_Rule):
+    """One of some words: those of the Literal it annotates, if it is not told others."""
+
+    choices: tuple[str, ...] = ()
+    or_null: bool = False
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        told = self if self.choices else replace(self, choices=get_args(source))
+        return core_schema.no_info_plain_validator_function(told.accept)
+
+    @property
+    def expected(self) -> str:
+        names = [f'"{choice}"' for choice in self.choices] + ["null"] * self.or_null
+        return names[0] if len(names) == 1 else f"one of {', '.join(names)}"
+
+    def accept(self, value: Any) -> str | None:
+        if value is None and self.or_null:
+            return None
+        if not isinstance(value, str) or value not in self.choices:
+            self.refuse(value, hint=_did_you_mean(value, self.choices))
+        return value
+
+
+@dataclass(frozen=True)
+class _Name(_Rule):
+    """Text that is safe as the name of a file on every system."""
+
+    @property
+    def expected(self) -> str:
+        return 'a name of 1 to 60 letters, digits, "-", "_" and "." that starts with a letter or digit'
+
+    def accept(self, value: Any) -> str:
+        if not isinstance(value, str) or not 1 <= len(value) <= 60:
+            self.refuse(value)
+        if not (value[0].isalnum() and value[-1] != "." and all(c.isalnum() or c in "-_." for c in value)):
+            self.refuse(value)
+        return value
+
+
+@dataclass(frozen=True)
+class _Line(_Rule):
+    @property
+    def expected(self) -> str:
+        return "one line of at most 200 printable characters"
+
+    def accept(self, value: Any) -> str:
+        if not isinstance(value, str) or len(value) > 200 or not value.isprintable():
+            self.refuse(value)
+        return value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_number_text(value: str) -> bool:
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return True
+
+
+def _tuples(value: list[Any], shape: tuple[int, ...], accept: Callable[[Any], float], expected: str) -> Any:
+    """Turn an array into nested tuples, or refuse everything that is wrong in it, each at its index."""
+    problems: list[tuple[tuple[str | int, ...], str]] = []
+
+    def level(value: Any, place: tuple[int, ...]) -> Any:
+        if len(place) == len(shape):
+            try:
+                return accept(value)
+            except ValidationError as error:
+                problems.extend((place, problem["msg"]) for problem in error.errors(include_url=False))
+                return math.nan
+        count = shape[len(place)]
+        if not isinstance(value, list) or len(value) != count:
+            wanted = f"a row of {count}" if place else expected
+            got = f"a list of {len(value)}" if isinstance(value, list) else _shown(value)
+            problems.append((place, f"expected {wanted}, got {got}"))
+            return ()
+        return tuple(level(item, (*place, index)) for index, item in enumerate(value))
+
+    if len(shape) > 1 and not any(isinstance(item, list) for item in value):
+        raise _refusal(((), f"expected {expected}, got {_shown(value)}"))
+    result = level(value, ())
+    if problems:
+        raise _refusal(*problems)
+    return result
+
+
+def _tupled(array: Any) -> Any:
+    """Turn an array of the core into nested tuples of floats."""
+    values = np.asarray(array, dtype=float).tolist()
+    return _map_lists(values, tuple)
+
+
+def _map_lists(value: Any, make: Callable[[Iterable[Any]], Any]) -> Any:
+    return make(_map_lists(item, make) for item in value) if isinstance(value, list | tuple) else value
+
+
+def _collapsed(array: Any) -> Any:
+    """Return one number where all numbers of an array are equal, else the array as nested tuples."""
+    tuples = _tupled(array)
+    numbers = set(np.ravel(tuples).tolist())
+    return numbers.pop() if len(numbers) == 1 else tuples
+
+
+def _diagonal_if_diagonal(matrix: Matrix) -> Vector | Matrix:
+    off_diagonal = any(number for i, row in enumerate(matrix) for j, number in enumerate(row) if i != j)
+    return matrix if off_diagonal else tuple(row[i] for i, row in enumerate(matrix))
+
+
+def _shown(value: Any) -> str:
+    """Show a value as YAML has it, shortened to about 60 characters."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int) and abs(value) > 10**40:
+        return f"an integer of {value.bit_length()} bits"
+    if isinstance(value, str):
+        return f'"{value}"' if len(value) <= 58 else f'"{value[:55]}..."'
+    if isinstance(value, dict):
+        return _shortened(f"a block with the keys {', '.join(list(value)[:8])}" if value else "an empty block")
+    if isinstance(value, list):
+        return _shortened(f"[{', '.join(_shown(item) for item in value[:12])}{', ...' if len(value) > 12 else ''}]")
+    return repr(value) if isinstance(value, int | float) else f"a Python {type(value).__name__}"
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _did_you_mean(value: Any, names: Iterable[str]) -> str:
+    nearest = difflib.get_close_matches(value.lower(), list(names), 1) if isinstance(value, str) else []
+    return f'; did you mean "{nearest[0]}"?' if nearest else ""
+
+
+# ---- The blocks of a scenario ---------------------------------------------------------------------------------------
+
+_POSITIVE = _Number(above=0)
+_NOT_NEGATIVE = _Number(at_least=0)
+_RELATIVE_ERROR = _Number(above=-1, below=1)
+
+_PositiveNumber = Annotated[float, _POSITIVE]
+
+
+class _Block(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Robot(_Block):
+    """The hexapod: its geometry, mass and limits.
+
+    In a file, a preset fills in every key that is not given or null; without one (null, the default of a robot block)
+    every key is required. A scenario without a robot block has the preset "micro". Frames B and E: docs/model.md
+    section 1; legs: section 2.
+    """
+
+    preset: Annotated[str | None, _Choice(tuple(_core.ROBOT_PRESETS), or_null=True)] = None
+    platform_radius: _PositiveNumber  # [m], circle of the platform joints
+    base_radius: _PositiveNumber  # [m], circle of the base joints
+    platform_angles: Annotated[Vector, _Array((6,), _Angle())]  # (6,) [rad], on that circle, in E
+    base_angles: Annotated[Vector, _Array((6,), _Angle())]  # (6,) [rad], on that circle, in B
+    home_position: Annotated[Vector, _Array((3,))]  # (3,) [m], of E's origin in B; z points down
+    mass: _PositiveNumber  # [kg], of the platform
+    inertia: Annotated[Vector | Matrix, _Inertia()]  # (3,) diagonal or (3, 3) [kg m^2], in E about its origin
+    stroke: _PositiveNumber  # [m], each leg's travel either way from its home length
+    force_limit: _PositiveNumber  # [N], magnitude of each leg's force
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        given = {key: value for key, value in data.items() if value is not None}
+        preset = given.get("preset")
+        if preset is None:
+            return given
+        # An unknown preset is reported at its own key; any values do to check the others.
+        known = isinstance(preset, str) and preset in _core.ROBOT_PRESETS
+        return {**_preset_values(preset if known else _DEFAULT_PRESET), **given}
+
+
+class Camera(_Block):
+    """The camera in the platform; docs/model.md section 4, (4)-(8)."""
+
+    focal_length: _PositiveNumber = Field(default_factory=lambda: _core.Camera().focal_length)  # [m]
+    pixel_scale: _PositiveNumber = Field(default_factory=lambda: _core.Camera().pixel_scale)  # [px/m]
+    convention: Annotated[Literal["eye_in_hand", "as_printed"], _Choice()] = "eye_in_hand"
+
+
+class Target(_Block):
+    """The four points that the camera sees, and where in the image they shall be.
+
+    The points are given either by their image from the home pose and their depth, or by their place in B. Features are
+    ordered (x1, y1, ..., x4, y4), in pixels.
+    """
+
+    initial_features: Annotated[Vector | None, _Array((8,), or_null=True)] = None  # (8,) [px], seen from home
+    desired_features: Annotated[Vector, _Array((8,))]  # (8,) [px]
+    # [m], distance |Z| along the optical axis from home: one for all points or (4,); 0.5 if not given
+    depth: Annotated[float | Vector | None, _Array((4,), _POSITIVE, or_number=True, or_null=True)] = None
+    points: Annotated[Matrix | None, _Array((4, 3), or_null=True)] = None  # (4, 3) [m], in B
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("initial_features") is not None and data.get("points") is None:
+            return {**data, "depth": _DEFAULT_DEPTH if data.get("depth") is None else data["depth"]}
+        return data
+
+    @model_validator(mode="after")
+    def _has_one_form(self) -> Target:
+        forms = "expected either initial_features (8 numbers, px) with depth (m), or points (4x3 numbers, m, in B)"
+        if self.initial_features is None and self.points is None:
+            raise _refusal(((), f"{forms}, got neither"))
+        if self.initial_features is not None and self.points is not None:
+            raise _refusal(((), f"{forms}, got both; leave one out or set it to null"))
+        if self.points is not None and self.depth is not None:
+            raise _refusal((("depth",), f"expected no depth beside points, got {_shown(_map_lists(self.depth, list))}"))
+        return self
+
+
+class Uncertainty(_Block):
+    """The relative errors delta of the controller's model, each above -1 and below 1; docs/model.md sections 3 and 4.
+
+    The plant has (1 - delta) times the controller's inertia, Coriolis and gravity terms (3); the controller takes
+    (1 + delta) times the true depth of a point. Arrays act element by element.
+    """
+
+    inertia: Annotated[float | Matrix, _Array((6, 6), _RELATIVE_ERROR, or_number=True)] = 0.0
+    coriolis: Annotated[float | Matrix, _Array((6, 6), _RELATIVE_ERROR, or_number=True)] = 0.0
+    gravity: Annotated[float | Vector, _Array((6,), _RELATIVE_ERROR, or_number=True)] = 0.0
+    depth: Annotated[float | Vector, _Array((4,), _RELATIVE_ERROR, or_number=True)] = 0.0  # one for all points or (4,)
+
+
+class Switching(_Block):
+    """The switching term of the law, sgn or a smooth stand-in; docs/model.md section 6."""
+
+    kind: Annotated[SwitchingKind, _Choice()] = Field(
+        default_factory=lambda: cast("SwitchingKind", _core.Switching().kind.name)
+    )
+    width: _PositiveNumber = Field(default_factory=lambda: _core.Switching().width)  # [m/s and rad/s]; not for sign
+
+
+class Fuzzy(_Block):
+    """The six fuzzy systems and their adaptation, (13) and (22); docs/model.md section 5.
+
+    Where six numbers are allowed they are for x, y, z (N) and about x, y, z (N m).
+    """
+
+    enabled: Annotated[bool, _Flag()] = Field(default_factory=lambda: _core.FuzzyGains().enabled)
+    # Psi of (22): the larger, the slower the weights
+    adaptation: Annotated[float | Vector, _Array((6,), _POSITIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.FuzzyGains().adaptation)
+    )
+    # a, scales g to the first input [1/N, 1/(N m)]
+    error_scale: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.FuzzyGains().error_scale)
+    )
+    # b, scales dg/dt to the second input [s/N, s/(N m)]
+    rate_scale: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.FuzzyGains().rate_scale)
+    )
+    # s0 [N, N m]: the weights start at s0 times the table; above 0 they oppose g, below 0 they help it
+    initial_scale: Annotated[float | Vector, _Array((6,), or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.FuzzyGains().initial_scale)
+    )
+    # rows by the first input, columns by the second, NB to PB; terms stand for -1, -2/3, ..., 1
+    table: Annotated[Literal["linear"] | Matrix, _Table()] = "linear"
+    bell_width: _PositiveNumber = Field(default_factory=lambda: _core.FuzzyGains().bell_width)  # null: exactly 1/6
+    bell_slope: Annotated[float, _Number(above=0, at_most=16)] = Field(
+        default_factory=lambda: _core.FuzzyGains().bell_slope
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("bell_width", 0) is None:
+            return {key: value for key, value in data.items() if key != "bell_width"}
+        return data
+
+
+class Hybrid(_Block):
+    """Gains of the paper's law (14), (15); docs/model.md section 5."""
+
+    # K_p, diagonal, one entry per feature coordinate [N m/px^2]
+    kp: Annotated[float | Vector, _Array((8,), _POSITIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.HybridGains().kp)
+    )
+    # K_v, diagonal, [N] x3, [N m] x3; 0 takes the switching term, the law's only damping, away
+    kv: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.HybridGains().kv)
+    )
+    fuzzy: Fuzzy = Field(default_factory=Fuzzy)
+
+
+class Controller(_Block):
+    """The control law. Each law has a block of its own, and only the selected one acts."""
+
+    law: Annotated[Literal["hybrid"], _Choice()] = "hybrid"
+    # consistent: the sign of the plant; printed: (8) as it stands
+    jacobian: Annotated[Literal["consistent", "printed"], _Choice()] = "consistent"
+    switching: Switching = Field(default_factory=Switching)
+    hybrid: Hybrid = Field(default_factory=Hybrid)
+
+
+class Simulation(_Block):
+    """How long and how finely; the step divides the duration."""
+
+    mode: Annotated[Literal["continuous"], _Choice()] = "continuous"
+    step: _PositiveNumber = 1e-3  # [s], of the Runge-Kutta integration
+    duration: _PositiveNumber = 5.0  # [s]
+    log_every: Annotated[int, _Integer(1, 10**9)] = 1  # steps per logged sample
+
+    @model_validator(mode="after")
+    def _step_divides_duration(self) -> Simulation:
+        ratio = self.duration / self.step
+        if ratio > _MAX_STEPS:
+            raise _refusal((("step",), f"expected at most {_MAX_STEPS:g} steps, got {ratio:g}"))
+        steps = round(ratio)
+        if steps < 1 or abs(ratio - steps) > 1e-9 * steps:
+            counts = [count for count in (math.floor(ratio), max(math.ceil(ratio), 1)) if count]
+            nearest = min((self.duration / count for count in counts), key=lambda step: abs(step - self.step))
+            durations = " or ".join(f"{count * self.step:.12g}" for count in counts)
+            raise _refusal(
+                (
+                    ("step",),
+                    f"expected a step that divides the duration {self.duration:.12g}, got {self.step:.12g}; "
+                    f"nearest: step {nearest:.12g}, or duration {durations}",
+                )
+            )
+        return self
+
+
+class Scenario(_Block):
+    """All that a run depends on. Immutable; a scenario that exists is one that can run.
+
+    Two scenarios are equal when they mean the same: six equal gains are that gain, a table that equals the linear one
+    is "linear", values that a preset fills in are as good as written ones.
+    """
+
+    name: Annotated[str, _Name()]
+    description: Annotated[str, _Line()] = ""  # what it shows, for lists
+    seed: Annotated[int, _Integer(0, 2**63 - 1)] = 0  # of everything random
+    robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": _DEFAULT_PRESET}))
+    camera: Camera = Field(default_factory=Camera)
+    target: Target
+    uncertainty: Uncertainty = Field(default_factory=Uncertainty)
+    controller: Controller = Field(default_factory=Controller)
+    simulation: Simulation = Field(default_factory=Simulation)
+
+    def __init__(self, /, **keys: Any) -> None:
+        """Validate the keys of a scenario.
+
+        Raises
+        ------
+        ScenarioError
+            With one line for each problem.
+        """
+        try:
+            super().__init__(**_plain(keys))
+        except ValidationError as error:
+            raise ScenarioError(list(_in_words(error))) from None
+
+    @model_validator(mode="after")
+    def _can_run(self) -> Scenario:
+        if self.camera.convention == "as_printed" and self.target.points is not None:
+            raise ValueError(
+                "target.points: expected initial_features and depth, since camera.convention is as_printed: its states "
+                "are the features and depths themselves; got points"
+            )
+        from hexservo._parameters import core_parameters  # it knows scenarios, so it is imported late
+
+        core_parameters(self)
+        return self
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> Scenario:
+        """Make a scenario from nested mappings and lists; numpy arrays and scalars will do.
+
+        Raises
+        ------
+        ScenarioError
+            With one line for each problem.
+        """
+        return cls(**_as_block(_plain(mapping)))
+
+    @classmethod
+    def from_yaml(cls, text: str, source: str | None = None) -> Scenario:
+        """Make a scenario from YAML text, as `to_yaml` writes it; `source` heads the errors.
+
+        Raises
+        ------
+        ScenarioError
+            With one line for each problem.
+        """
+        return _from_document(load_yaml(text, source), source)
+
+    def updated(self, changes: Mapping[str, Any]) -> Scenario:
+        """Return a copy with some keys changed, validated again.
+
+        Parameters
+        ----------
+        changes
+            Values by dotted key, as ``{"uncertainty.depth": -0.3}``. A mapping as the value of a block changes the
+            keys it names and leaves the others alone. Changing ``robot.preset`` brings that preset's values, except
+            where this scenario differs from its own preset. To give the target's points in the other form, set the
+            keys of the first form to None.
+
+        Raises
+        ------
+        ScenarioError
+            With one line for each problem; an unknown key comes with the nearest known one.
+        """
+        keys = self._written()
+        problems = [problem for path, value in _plain(changes).items() if (problem := _put(keys, path, value))]
+        if problems:
+            raise ScenarioError(problems)
+        return type(self)(**keys)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the whole scenario, every default filled in, as dicts, lists, text and numbers."""
+        return cast("dict[str, Any]", _plain(self))
+
+    def to_yaml(self) -> str:
+        """Return the whole scenario as YAML that loads to an equal one, floats bit for bit."""
+        return dump_yaml(self.to_mapping())
+
+    def _written(self) -> dict[str, Any]:
+        """Return what a user has to write for this scenario: without the values that follow from others."""
+        keys = self.to_mapping()
+        if self.robot.preset is not None:
+            preset = _preset_values(self.robot.preset)
+            keys["robot"] = {key: value for key, value in keys["robot"].items() if preset.get(key) != value}
+        if self.target.depth == _DEFAULT_DEPTH:
+            del keys["target"]["depth"]
+        return keys
+
+
+# ---- Scenarios by name or path --------------------------------------------------------------------------------------
+
+
+def scenario_names() -> tuple[str, ...]:
+    """Return the names of the packaged scenarios, in alphabetical order."""
+    folder = resources.files(__package__) / "scenarios"
+    return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml")))
+
+
+def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
+    """Load a packaged scenario by its name, or one from a YAML file.
+
+    Parameters
+    ----------
+    name_or_path
+        One of `scenario_names`, or the path of a file. A packaged name wins over a file of the same name in the
+        current folder, which is reached by ``./name`` or as a `pathlib.Path`.
+
+    Raises
+    ------
+    ScenarioError
+        No such scenario (with the nearest name), a file that cannot be read, or a scenario that is not valid: then
+        with one line for each problem, headed by the file's name.
+    """
+    names = scenario_names()
+    if isinstance(name_or_path, str):
+        if name_or_path in names:
+            text = (resources.files(__package__) / "scenarios" / f"{name_or_path}.yaml").read_text(encoding="utf-8")
+            return Scenario.from_yaml(text, name_or_path)
+        if not os.path.lexists(name_or_path):
+            stem = name_or_path.removesuffix(".yaml")
+            raise ScenarioError(
+                f'expected a packaged scenario ({", ".join(names)}) or the path of a YAML file, got "{name_or_path}"'
+                + _did_you_mean(stem.rpartition("/")[2], names)
+            )
+    return _from_document(read_yaml(name_or_path), os.fsdecode(name_or_path))
+
+
+def _from_document(document: Any, source: str | None) -> Scenario:
+    try:
+        return Scenario(**_as_block(document))
+    except ScenarioError as error:
+        raise ScenarioError(error.problems, source) from None
+
+
+# ---- Plain data and errors in words ---------------------------------------------------------------------------------
+
+
+@cache
+def _preset_values(preset: str) -> dict[str, Any]:
+    """Return what a preset puts in for each key of the robot block, as plain data (not to be changed)."""
+    robot = _core.robot_preset(preset)
+    values = {
+        key: _map_lists(_tupled(getattr(robot, key)), list)
+        for key in Robot.model_fields
+        if key not in ("preset", "inertia")
+    }
+    return {**values, "inertia": _map_lists(_diagonal_if_diagonal(_tupled(robot.inertia)), list)}
+
+
+def _plain(value: Any, place: str = "", depth: int = 0) -> Any:
+    """Copy into dicts, lists, text, numbers, booleans and None; anything else stays, for a rule to refuse it."""
+    if depth > MAX_DEPTH:
+        raise ScenarioError(f"{place[:60]}...: expected at most {MAX_DEPTH} levels of nesting, got more")
+    if isinstance(value, BaseModel):
+        value = {key: getattr(value, key) for key in type(value).model_fields}
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str) or not _is_unicode(key):
+                raise ScenarioError(f"{place or 'the scenario'}: expected keys that are text, got {_shown(key)}")
+        return {str(key): _plain(item, f"{place}.{key}".lstrip("."), depth + 1) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item, place, depth + 1) for item in value]
+    if isinstance(value, str) and not _is_unicode(value):
+        raise ScenarioError(f"{place}: expected text of whole Unicode characters, got {_shown(value)}")
+    for kind in (bool, int, float, str):  # numpy's float64 is a float, an enumeration may be text
+        if isinstance(value, kind):
+            return kind(value)
+    return value
+
+
+def _is_unicode(text: str) -> bool:
+    """Tell whether text has no lone surrogates: they can neither be written nor shown."""
+    return not any("\ud800" <= character <= "\udfff" for character in text)
+
+
+def _as_block(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ScenarioError(f"expected a scenario: a mapping with the keys {_listing(Scenario)}; got {_shown(value)}")
+    return value
+
+
+def _put(keys: dict[str, Any], path: str, value: Any) -> str | None:
+    """Change one value by its dotted path, or say what is wrong with the path. Unknown keys are found later."""
+    *blocks, key = path.split(".")
+    for index, name in enumerate(blocks):
+        inner = keys.setdefault(name, {})
+        if not isinstance(inner, dict):
+            return f"{path}: unknown key; {'.'.join(blocks[: index + 1])} is a value and holds no keys"
+        keys = inner
+    if isinstance(value, dict) and isinstance(keys.get(key), dict):
+        _merge(keys[key], value)
+    else:
+        keys[key] = value
+    return None
+
+
+def _merge(keys: dict[str, Any], changes: dict[str, Any]) -> None:
+    for key, value in changes.items():
+        if isinstance(value, dict) and isinstance(keys.get(key), dict):
+            _merge(keys[key], value)
+        else:
+            keys[key] = value
+
+
+def _in_words(error: ValidationError) -> Iterator[str]:
+    """Say each problem that pydantic found in a line of its own."""
+    missing: dict[tuple[int | str, ...], list[str]] = {}
+    for problem in error.errors(include_url=False):
+        place = problem["loc"]
+        kind = problem["type"]
+        if kind == "missing":
+            missing.setdefault(place[:-1], []).append(str(place[-1]))
+        elif kind == "extra_forbidden":
+            yield f"{_path(place)}: {_unknown_key(place)}"
+        elif kind == "value_error":  # from a check of the whole, which places its own lines
+            yield from str(problem["ctx"]["error"]).splitlines()
+        elif kind == "scenario":
+            yield f"{_path(place)}: {problem['msg']}"
+        else:  # a block that is none
+            listing = _listing(_block(place))
+            yield f"{_path(place)}: expected a block with the keys {listing}; got {_shown(problem['input'])}"
+    for place, keys in missing.items():
+        block = _block(place)
+        head = f"{_path(place)}: " if place else ""
+        hint = "; a preset would fill them in" if block is Robot else ""
+        yield f"{head}missing {'key' if len(keys) == 1 else 'keys'}: {_described(block, keys)}{hint}"
+
+
+def _path(place: Sequence[int | str]) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
+
+
+def _block(place: Sequence[int | str]) -> type[BaseModel]:
+    """Find the block at a place in a scenario."""
+    block: type[BaseModel] = Scenario
+    for part in place:
+        block = cast("type[BaseModel]", block.model_fields[str(part)].annotation)
+    return block
+
+
+def _listing(block: type[BaseModel]) -> str:
+    return ", ".join(block.model_fields)
+
+
+def _described(block: type[BaseModel], keys: Iterable[str]) -> str:
+    """List keys with what each is expected to be."""
+    texts = []
+    for key in keys:
+        rules = [rule.expected for rule in block.model_fields[key].metadata if isinstance(rule, _Rule)]
+        texts.append(f"{key} ({rules[0]})" if rules else key)
+    return ", ".join(texts)
+
+
+def _unknown_key(place: Sequence[int | str]) -> str:
+    block = _block(place[:-1])
+    key = str(place[-1])
+    nearest = _did_you_mean(key, block.model_fields)
+    if not nearest:  # right key, wrong block
+        paths = list(_paths(Scenario))
+        names = difflib.get_close_matches(key.lower(), {path.rpartition(".")[2] for path in paths}, 1, 0.8)
+        elsewhere = [f'"{path}"' for path in paths if names and path.rpartition(".")[2] == names[0]]
+        nearest = f"; did you mean {' or '.join(elsewhere)}?" if elsewhere else ""
+    return f"unknown key{nearest or ';'} known keys: {_listing(block)}"
+
+
+def _paths(block: type[BaseModel], head: str = "") -> Iterator[str]:
+    for key, field in block.model_fields.items():
+        yield head + key
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from _paths(field.annotation, f"{head}{key}.")

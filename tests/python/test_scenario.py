@@ -1,0 +1,699 @@
+"""Scenarios: what is accepted, what is refused and in which words, updates, and the way to YAML and back."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+import pickle
+import shutil
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+import hexservo as hs
+from hexservo import _core
+from hexservo._yaml import load_yaml
+
+INITIAL = [30, 18, 65, -65, -44, 37, -10, -15]
+DESIRED = [10, 10, 45, -73, -64, 29, -30, -23]
+# Where the default target is in B: features and depth seen from home, (4) solved for the point.
+POINTS = [[x * 0.5 / 581.816, y * 0.5 / 581.816, -0.65] for x, y in zip(INITIAL[::2], INITIAL[1::2], strict=True)]
+SHORT: dict[str, Any] = {"name": "short", "target": {"initial_features": INITIAL, "desired_features": DESIRED}}
+TERMS = ["NB", "NM", "NS", "ZE", "PS", "PM", "PB"]
+LINEAR = [[TERMS[max(0, min(6, row + column - 3))] for column in range(7)] for row in range(7)]
+ROBOT_KEYS = [
+    "platform_radius",
+    "base_radius",
+    "platform_angles",
+    "base_angles",
+    "home_position",
+    "mass",
+    "inertia",
+    "stroke",
+    "force_limit",
+]
+
+
+@pytest.fixture(scope="module")
+def paper() -> hs.Scenario:
+    return hs.load_scenario("paper")
+
+
+def refusal(changes: dict[str, Any]) -> list[str]:
+    """The lines of the refusal of the paper's scenario with these changes."""
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.load_scenario("paper").updated(changes)
+    lines = str(caught.value).splitlines()
+    assert list(caught.value.problems) == lines
+    assert not any("pydantic" in line or "http" in line for line in lines)
+    return lines
+
+
+# ---- Defaults and packaged scenarios --------------------------------------------------------------------------------
+
+
+def test_defaults_come_from_the_core() -> None:
+    scenario = hs.Scenario.from_mapping(SHORT)
+    robot = _core.robot_preset("micro")
+    for key in ROBOT_KEYS:
+        written = np.array(getattr(scenario.robot, key))
+        np.testing.assert_array_equal(np.diag(written) if key == "inertia" else written, getattr(robot, key))
+    camera = _core.Camera()
+    assert (scenario.camera.focal_length, scenario.camera.pixel_scale) == (camera.focal_length, camera.pixel_scale)
+    switching = _core.Switching()
+    assert scenario.controller.switching.kind == switching.kind.name
+    assert scenario.controller.switching.width == switching.width
+    gains = _core.HybridGains()
+    hybrid = scenario.controller.hybrid
+    np.testing.assert_array_equal(np.broadcast_to(hybrid.kp, 8), gains.kp)
+    np.testing.assert_array_equal(np.broadcast_to(hybrid.kv, 6), gains.kv)
+    fuzzy = _core.FuzzyGains()
+    assert hybrid.fuzzy.enabled == fuzzy.enabled
+    for key in ("adaptation", "error_scale", "rate_scale", "initial_scale"):
+        np.testing.assert_array_equal(np.broadcast_to(getattr(hybrid.fuzzy, key), 6), getattr(fuzzy, key))
+    assert hybrid.fuzzy.table == "linear"
+    assert (hybrid.fuzzy.bell_width, hybrid.fuzzy.bell_slope) == (fuzzy.bell_width, fuzzy.bell_slope)
+    assert hybrid.fuzzy.bell_width == 1 / 6
+
+
+def test_the_paper_spells_out_the_defaults(paper: hs.Scenario) -> None:
+    bare = hs.Scenario.from_mapping(SHORT)
+    expected = {
+        "name": "paper",
+        "description": paper.description,
+        "uncertainty": {"inertia": 0.075, "coriolis": 0.125, "gravity": 0.0, "depth": 0.3},
+    }
+    assert paper == bare.updated(expected)
+    assert paper.description
+
+
+def test_the_paper_names_every_key(paper: hs.Scenario) -> None:
+    text = (resources.files("hexservo") / "scenarios" / "paper.yaml").read_text("utf-8")
+    written = load_yaml(text)
+
+    def keys(block: Any, head: str = "") -> set[str]:
+        inner = {
+            name for key, value in block.items() if isinstance(value, dict) for name in keys(value, f"{head}{key}.")
+        }
+        return inner | {head + key for key in block}
+
+    assert isinstance(written, dict)
+    resolved = keys(paper.to_mapping())
+    assert resolved - keys(written) == {f"robot.{key}" for key in ROBOT_KEYS}
+    for key in ROBOT_KEYS:  # the preset's values, named in a comment
+        assert f"{key} (" in text or f"{key} [" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("paper-nominal", {"uncertainty": {"inertia": 0, "coriolis": 0, "gravity": 0, "depth": 0}}),
+        ("paper-minus", {"uncertainty": {"inertia": -0.075, "coriolis": -0.125, "gravity": 0, "depth": -0.3}}),
+        ("paper-gravity", {"uncertainty.gravity": 0.075}),
+        ("paper-no-fuzzy", {"controller.hybrid.fuzzy.enabled": False, "simulation.duration": 10}),
+    ],
+)
+def test_variants_differ_from_the_paper_as_named(name: str, changes: dict[str, Any], paper: hs.Scenario) -> None:
+    variant = hs.load_scenario(name)
+    assert variant == paper.updated({**changes, "name": name, "description": variant.description})
+    assert variant != paper
+    assert variant.description not in ("", paper.description)
+
+
+def test_names_are_those_of_the_files() -> None:
+    names = hs.scenario_names()
+    assert names == tuple(sorted(names))
+    assert set(names) >= {"paper", "paper-nominal", "paper-minus", "paper-gravity", "paper-no-fuzzy"}
+    for name in names:
+        assert hs.load_scenario(name).name == name
+
+
+# ---- Refusals -------------------------------------------------------------------------------------------------------
+
+INF, NAN = math.inf, math.nan
+REFUSED: list[tuple[str, Any, str]] = [
+    ("name", "", 'got ""'),
+    (
+        "name",
+        "a/b",
+        'expected a name of 1 to 60 letters, digits, "-", "_" and "." that starts with a letter or digit, got',
+    ),
+    ("name", "..", 'got ".."'),
+    ("name", ".hidden", "starts with a letter"),
+    ("name", "-rf", "starts with a letter"),
+    ("name", "dot.", "expected a name"),
+    ("name", "a b", "expected a name"),
+    ("name", "a\0", 'got "a\\x00"'),
+    ("name", "\ud800", 'got "\\ud800"'),
+    ("name", "x" * 61, "1 to 60"),
+    ("name", 5, "got 5"),
+    ("name", None, "got null"),
+    ("description", "two\nlines", 'expected one line of at most 200 printable characters, got "two\\nlines"'),
+    ("description", "x" * 201, "at most 200"),
+    ("description", "\ud800", 'expected text of whole Unicode characters, got "\\ud800"'),
+    ("description", ["x"], 'got ["x"]'),
+    ("seed", -1, "expected an integer from 0 to 9223372036854775807, got -1"),
+    ("seed", 2**63, "got 9223372036854775808"),
+    ("seed", 1.0, "got 1.0"),
+    ("seed", True, "got true"),
+    ("seed", "1", 'got "1"'),
+    ("robot", "micro", "expected a block with the keys preset, platform_radius, "),
+    ("robot.preset", "kubic", 'expected one of "micro", "cubic", null, got "kubic"; did you mean "cubic"?'),
+    ("robot.preset", 3, 'expected one of "micro", "cubic", null, got 3'),
+    ("robot.mass", 0, "expected a number > 0, got 0"),
+    ("robot.mass", -0.06, "expected a number > 0, got -0.06"),
+    ("robot.mass", NAN, "expected a finite number, got nan"),
+    ("robot.mass", INF, "expected a finite number, got inf"),
+    ("robot.mass", 10**400, "expected a finite number, got an integer of 1329 bits"),
+    ("robot.mass", "heavy", 'expected a number > 0, got "heavy"'),
+    ("robot.platform_radius", -1, "expected a number > 0"),
+    ("robot.base_radius", 0.0, "expected a number > 0"),
+    ("robot.stroke", 0, "expected a number > 0"),
+    ("robot.force_limit", True, "expected a number > 0, got true"),
+    ("robot.platform_angles", 0.5, "expected 6 numbers within +-2 pi (radians), got 0.5"),
+    ("robot.platform_angles", [0.0] * 5, "expected 6 numbers within +-2 pi (radians), got a list of 5"),
+    ("robot.base_angles[0]", [-10, 1, 2, 3, 4, 5], "(radians), got -10 (degrees? multiply by pi/180)"),
+    ("robot.base_angles[5]", [0, 1, 2, 3, 4, 250.0], "(radians), got 250.0 (degrees? multiply by pi/180)"),
+    ("robot.home_position", [0, 0], "expected 3 finite numbers, got a list of 2"),
+    ("robot.home_position[2]", [0, 0, NAN], "expected a finite number, got nan"),
+    ("robot.inertia", 1e-4, "expected 3 numbers (the diagonal) or 3x3 finite numbers (symmetric), got 0.0001"),
+    ("robot.inertia", [1e-4] * 4, "got a list of 4"),
+    ("robot.inertia[1]", [[1, 0, 0], [0, 1], [0, 0, 1]], "expected a row of 3, got a list of 2"),
+    ("robot.inertia[1]", [[1, 0, 0], 5, [0, 0, 1]], "expected a row of 3, got 5"),
+    ("robot.inertia[0][1]", [[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], "symmetric matrix, got 0.1 here and 0.2 at [1][0]"),
+    ("robot.inertia[2]", [1e-4, 1e-4, INF], "expected a finite number, got inf"),
+    ("camera", None, "expected a block with the keys focal_length, pixel_scale, convention; got null"),
+    ("camera", [1], "got [1]"),
+    ("camera.focal_length", 0, "expected a number > 0"),
+    ("camera.pixel_scale", [72727], "expected a number > 0, got [72727]"),
+    (
+        "camera.convention",
+        "Eye_in_hand",
+        'one of "eye_in_hand", "as_printed", got "Eye_in_hand"; did you mean "eye_in_hand"?',
+    ),
+    ("target.initial_features", [1] * 7, "expected 8 finite numbers, got a list of 7"),
+    ("target.initial_features", {"x": 1}, "expected 8 finite numbers, got a block with the keys x"),
+    ("target.desired_features", None, "expected 8 finite numbers, got null"),
+    ("target.desired_features[3]", [1, 2, 3, None, 5, 6, 7, 8], "expected a finite number, got null"),
+    ("target.depth", 0, "expected a number > 0, got 0"),
+    ("target.depth", [0.5] * 3, "expected a number > 0 or 4 of them, got a list of 3"),
+    ("target.depth[2]", [0.5, 0.5, -0.5, 0.5], "expected a number > 0, got -0.5"),
+    ("target.depth", "0.5", 'expected a number > 0 or 4 of them, got "0.5"'),
+    ("uncertainty.inertia", 1, "expected a number > -1 and < 1, got 1"),
+    ("uncertainty.inertia[5][0]", [[0] * 6] * 5 + [[NAN] + [0] * 5], "expected a finite number, got nan"),
+    ("uncertainty.inertia", [0] * 6, "expected a number > -1 and < 1 or 6x6 of them, got [0, 0, 0, 0, 0, 0]"),
+    ("uncertainty.inertia[5]", [[0] * 6] * 5 + [0], "expected a row of 6, got 0"),
+    ("uncertainty.coriolis", [], "6x6 of them, got []"),
+    ("uncertainty.coriolis", -1, "expected a number > -1 and < 1, got -1"),
+    ("uncertainty.coriolis", [[0] * 6] * 5, "expected a number > -1 and < 1 or 6x6 of them, got a list of 5"),
+    ("uncertainty.gravity", [0] * 5, "expected a number > -1 and < 1 or 6 of them, got a list of 5"),
+    ("uncertainty.gravity", NAN, "expected a finite number, got nan"),
+    ("uncertainty.depth", [0.1] * 8, "expected a number > -1 and < 1 or 4 of them, got a list of 8"),
+    ("uncertainty.depth", None, "got null"),
+    ("controller.law", "composite", 'expected "hybrid", got "composite"'),
+    ("controller.jacobian", "print", 'one of "consistent", "printed", got "print"; did you mean "printed"?'),
+    (
+        "controller.switching.kind",
+        "sgn",
+        'expected one of "sign", "tanh", "saturation", got "sgn"; did you mean "sign"?',
+    ),
+    ("controller.switching.width", 0, "expected a number > 0, got 0"),
+    ("controller.hybrid.kp", 0, "expected a number > 0, got 0"),
+    ("controller.hybrid.kp", [1e-6] * 6, "expected a number > 0 or 8 of them, got a list of 6"),
+    ("controller.hybrid.kp", "1e-6", "expected a number > 0 or 8 of them"),
+    ("controller.hybrid.kv[0]", [-1, 0, 0, 0, 0, 0], "expected a number >= 0, got -1"),
+    ("controller.hybrid.kv", [1e-3] * 8, "expected a number >= 0 or 6 of them, got a list of 8"),
+    ("controller.hybrid.fuzzy.enabled", 1, "expected true or false, got 1"),
+    ("controller.hybrid.fuzzy.enabled", "true", 'expected true or false, got "true"'),
+    ("controller.hybrid.fuzzy.adaptation", 0, "expected a number > 0"),
+    ("controller.hybrid.fuzzy.error_scale", -1, "expected a number >= 0"),
+    ("controller.hybrid.fuzzy.rate_scale[1]", [0, "1", 0, 0, 0, 0], "a number stands without quotes"),
+    ("controller.hybrid.fuzzy.initial_scale", INF, "expected a finite number, got inf"),
+    (
+        "controller.hybrid.fuzzy.table",
+        "Linear",
+        'expected "linear" or 7x7 numbers or terms (NB NM NS ZE PS PM PB), got',
+    ),
+    ("controller.hybrid.fuzzy.table", [[0] * 7] * 6, "got a list of 6"),
+    ("controller.hybrid.fuzzy.table[6]", [[0] * 7] * 6 + [[0] * 6], "expected a row of 7, got a list of 6"),
+    (
+        "controller.hybrid.fuzzy.table[0][1]",
+        [["NB", "XX"] + ["NB"] * 5] + [[0] * 7] * 6,
+        'NB NM NS ZE PS PM PB, got "XX"',
+    ),
+    ("controller.hybrid.fuzzy.table[6][6]", [[0] * 7] * 6 + [[0] * 6 + [True]], "expected a finite number, got true"),
+    ("controller.hybrid.fuzzy.bell_width", 0, "expected a number > 0"),
+    ("controller.hybrid.fuzzy.bell_slope", 16.5, "expected a number > 0 and <= 16, got 16.5"),
+    ("controller.hybrid.fuzzy.bell_slope", None, "got null"),
+    ("simulation.mode", "sampled", 'expected "continuous", got "sampled"'),
+    ("simulation.step", -1, "expected a number > 0, got -1"),
+    ("simulation.step", "1e-3", 'expected a number > 0, got "1e-3" (text: a number stands without quotes)'),
+    ("simulation.step", 1e-300, "expected at most 1e+15 steps, got 5e+300"),
+    ("simulation", {"step": 1e300, "duration": 1e-300}, "nearest: step 1e-300, or duration 1e+300"),
+    ("simulation.duration", 0, "expected a number > 0"),
+    ("simulation.duration", NAN, "expected a finite number"),
+    ("simulation.log_every", 0, "expected an integer from 1 to 1000000000, got 0"),
+    ("simulation.log_every", 1.0, "got 1.0"),
+]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"), REFUSED, ids=[f"{path}-{i}" for i, (path, _, _) in enumerate(REFUSED)]
+)
+def test_refused(path: str, value: Any, words: str) -> None:
+    key = path.partition("[")[0]
+    (line,) = refusal({key: value})
+    assert line.startswith(f"{path}: ")
+    assert words in line
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("uncertainty.depht", 'unknown key; did you mean "depth"? known keys: inertia, coriolis, gravity, depth'),
+        ("controler", 'unknown key; did you mean "controller"? known keys: name, description, seed, robot, '),
+        ("depth", 'unknown key; did you mean "target.depth" or "uncertainty.depth"? known keys: '),
+        ("bell_slop", 'did you mean "controller.hybrid.fuzzy.bell_slope"?'),
+        ("camera.Focal_Length", 'did you mean "focal_length"?'),
+        ("controller.hybrid.zzz", "unknown key; known keys: kp, kv, fuzzy"),
+        ("controller.composite", "unknown key; known keys: law, jacobian, switching, hybrid"),
+        ("uncertainty.depth.first", "unknown key; uncertainty.depth is a value and holds no keys"),
+        ("target.points.x", "unknown key; target.points is a value and holds no keys"),
+        ("", "unknown key; known keys: name"),
+    ],
+)
+def test_unknown_keys(path: str, words: str) -> None:
+    (line,) = refusal({path: 1})
+    assert line.startswith(f"{path}: ")
+    assert words in line
+
+
+def test_an_unknown_block_is_named() -> None:
+    assert refusal({"uncertanty.depth": 0.1})[0].startswith('uncertanty: unknown key; did you mean "uncertainty"?')
+
+
+def test_what_was_got_is_shortened() -> None:
+    for value in ("x" * 1000, [1.2345678] * 1000, {f"key{i}": i for i in range(1000)}, [["x" * 1000] * 1000]):
+        (line,) = refusal({"robot.mass": value})
+        assert len(line.partition("got ")[2]) <= 60
+
+
+def test_all_problems_are_reported_at_once() -> None:
+    lines = refusal(
+        {
+            "seed": -1,
+            "robot.mass": 0,
+            "target.desired_features": [NAN, 1, 2, 3, "a", 5, 6, 7],
+            "uncertainty.depht": 1,
+            "controller.hybrid.fuzzy.bell_slope": 0,
+            "simulation.step": 0.3,
+        }
+    )
+    assert [line.partition(": ")[0] for line in lines] == [
+        "seed",
+        "robot.mass",
+        "target.desired_features[0]",
+        "target.desired_features[4]",
+        "uncertainty.depht",
+        "controller.hybrid.fuzzy.bell_slope",
+        "simulation.step",
+    ]
+
+
+def test_missing_keys_are_named() -> None:
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.Scenario.from_mapping({"target": {}, "robot": {"mass": 0.1, "preste": "micro"}})
+    lines = str(caught.value).splitlines()
+    assert lines[0].startswith('robot.preste: unknown key; did you mean "preset"?')
+    assert lines[1].startswith("missing key: name (a name of")
+    assert lines[2].startswith("robot: missing keys: platform_radius (a number > 0), base_radius")
+    assert "mass" not in lines[2].partition("home_position")[2].partition("inertia")[0]
+    assert lines[2].endswith("a preset would fill them in")
+    assert lines[3] == "target: missing key: desired_features (8 finite numbers)"
+    assert len(lines) == 4
+
+
+@pytest.mark.parametrize("document", [None, [], "text", 3, [SHORT]])
+def test_a_scenario_is_a_mapping(document: Any) -> None:
+    with pytest.raises(hs.ScenarioError, match="expected a scenario: a mapping with the keys name, description"):
+        hs.Scenario.from_mapping(document)
+
+
+def test_keys_are_text() -> None:
+    with pytest.raises(hs.ScenarioError, match="target: expected keys that are text, got 3"):
+        hs.Scenario.from_mapping({"name": "x", "target": {3: 4}})
+
+
+def test_keys_with_half_characters_are_refused() -> None:
+    with pytest.raises(hs.ScenarioError, match="target: expected keys that are text, got"):
+        hs.Scenario.from_mapping({"name": "x", "target": {"\ud800": 4}})
+    with pytest.raises(hs.ScenarioError, match="expected keys that are text"):
+        hs.Scenario.from_yaml('"\\ud800": 1')
+
+
+def test_endless_data_is_refused() -> None:
+    endless: list[Any] = []
+    endless.append(endless)
+    with pytest.raises(hs.ScenarioError, match="levels of nesting"):
+        hs.Scenario.from_mapping({"name": "x", "target": endless})
+
+
+@pytest.mark.parametrize("value", [object(), {1, 2}, b"1", 1j, lambda: 1])
+def test_foreign_objects_are_refused(value: Any) -> None:
+    (line,) = refusal({"controller.hybrid.kp": value})
+    assert line == f"controller.hybrid.kp: expected a number > 0 or 8 of them, got a Python {type(value).__name__}"
+
+
+def test_the_maths_has_its_say() -> None:
+    lines = refusal({"robot.inertia": [1e-4, 1e-4, 3e-4]})  # a body's largest moment is at most the sum of the others
+    assert len(lines) == 1
+    assert lines[0].startswith("robot.inertia: ")
+
+
+# ---- The rules between keys -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("step", "duration"),
+    [(3e-3, 5.0), (1.0, 0.4), (0.1, 0.25), (0.2857, 0.4), (7e-4, 1.0), (0.3, 1), (1e-3, 1.0005), (0.7, 1e-3)],
+)
+def test_a_step_that_does_not_divide_the_duration_comes_with_ones_that_do(step: float, duration: float) -> None:
+    paper = hs.load_scenario("paper")
+    (line,) = refusal({"simulation": {"step": step, "duration": duration}})
+    assert line.startswith("simulation.step: expected a step that divides the duration")
+    nearest_step, nearest_durations = line.partition("nearest: step ")[2].split(", or duration ")
+    changed = paper.updated({"simulation": {"step": float(nearest_step), "duration": duration}})
+    others = [duration / count for count in range(1, math.ceil(duration / step) + 2)]
+    assert abs(changed.simulation.step - step) <= min(abs(other - step) for other in others) + 1e-11 * step
+    for nearest in nearest_durations.split(" or "):
+        changed = paper.updated({"simulation": {"step": step, "duration": float(nearest)}})
+        assert abs(changed.simulation.duration - duration) <= step
+
+
+@pytest.mark.parametrize(
+    ("step", "duration"), [(0.1, 0.3), (1e-3, 4.999), (0.001 / 3, 1), (2, 2), (0.1, 0.1 * (3 + 1e-9))]
+)
+def test_a_step_divides_to_rounding(step: float, duration: float, paper: hs.Scenario) -> None:
+    assert paper.updated({"simulation": {"step": step, "duration": duration}}).simulation.duration == duration
+
+
+def test_a_target_has_one_form(paper: hs.Scenario) -> None:
+    (both,) = refusal({"target.points": POINTS})
+    assert both.startswith("target: expected either initial_features (8 numbers, px) with depth (m), or points")
+    assert "got both; leave one out or set it to null" in both
+    (neither,) = refusal({"target.initial_features": None})
+    assert neither.endswith("got neither")
+    switch = {"target.points": POINTS, "target.initial_features": None}
+    by_points = paper.updated(switch)
+    assert by_points == paper.updated({**switch, "target.depth": None})
+    assert by_points.target.points == tuple(map(tuple, POINTS))
+    assert by_points.target.depth is None
+    (line,) = refusal({**switch, "target.depth": 0.4})
+    assert line == "target.depth: expected no depth beside points, got 0.4"
+    back = by_points.updated({"target": {"points": None, "initial_features": INITIAL}})
+    assert back == paper
+
+
+def test_points_need_a_real_projection() -> None:
+    (line,) = refusal({"target": {"points": POINTS, "initial_features": None}, "camera.convention": "as_printed"})
+    assert line.startswith("target.points: expected initial_features and depth, since camera.convention is as_printed")
+
+
+def test_a_robot_without_a_preset_has_every_key(paper: hs.Scenario) -> None:
+    (line,) = refusal({"robot.preset": None})
+    assert all(f" {key} (" in line for key in ROBOT_KEYS)
+    keys = {key: getattr(paper.robot, key) for key in ROBOT_KEYS}
+    own = hs.Scenario.from_mapping({**SHORT, "robot": keys})
+    assert own.robot.preset is None
+    assert hs.Scenario.from_yaml(own.to_yaml()) == own
+    assert own.updated({"robot.mass": 0.07}).robot.mass == 0.07
+
+
+# ---- Forms ----------------------------------------------------------------------------------------------------------
+
+
+def test_one_meaning_has_one_form(paper: hs.Scenario) -> None:
+    long = {
+        "target.depth": [0.5] * 4,
+        "uncertainty.inertia": [[0.075] * 6] * 6,
+        "uncertainty.gravity": np.zeros(6),
+        "uncertainty.depth": (0.3, 0.3, 0.3, 0.3),
+        "controller.hybrid.kp": np.full(8, 1e-6),
+        "controller.hybrid.fuzzy.adaptation": [10] * 6,
+        "controller.hybrid.fuzzy.table": LINEAR,
+        "controller.hybrid.fuzzy.bell_width": 1 / 6,
+        "robot.inertia": np.diag([1.5e-4, 1.5e-4, 3e-4]),
+        "simulation.log_every": np.int64(1),
+        "simulation.duration": np.float32(5),
+        "seed": np.uint8(0),
+    }
+    assert paper.updated(long) == paper
+    assert hash(paper.updated(long)) == hash(paper)
+    assert paper.updated(long).to_yaml() == paper.to_yaml()
+
+
+def test_integers_are_numbers(paper: hs.Scenario) -> None:
+    duration = paper.updated({"simulation.duration": 4}).simulation.duration
+    assert type(duration) is float
+    assert duration == 4.0
+
+
+def test_arrays_are_tuples(paper: hs.Scenario) -> None:
+    delta = np.zeros((6, 6))
+    delta[2, 3] = 0.1
+    changed = paper.updated({"uncertainty.inertia": delta, "uncertainty.depth": [0.3, -0.3, 0.3, 0.3]})
+    assert changed.uncertainty.inertia == tuple(map(tuple, delta.tolist()))
+    assert changed.uncertainty.depth == (0.3, -0.3, 0.3, 0.3)
+    delta[2, 3] = 0.2
+    assert changed.uncertainty.inertia[2][3] == 0.1
+
+
+def test_a_table_takes_terms_and_numbers(paper: hs.Scenario) -> None:
+    table: list[list[Any]] = [["PB", "PM", "PS", "ZE", "NS", "NM", "NB"]] * 6 + [[0.25] * 7]
+    rows = paper.updated({"controller.hybrid.fuzzy.table": table}).controller.hybrid.fuzzy.table
+    np.testing.assert_allclose(np.array(rows)[0], np.array([3, 2, 1, 0, -1, -2, -3]) / 3, rtol=1e-15)
+    np.testing.assert_array_equal(np.array(rows)[6], np.full(7, 0.25))
+
+
+def test_a_nearly_symmetric_inertia_becomes_symmetric(paper: hs.Scenario) -> None:
+    angle = 0.3
+    turn = np.array([[1, 0, 0], [0, math.cos(angle), -math.sin(angle)], [0, math.sin(angle), math.cos(angle)]])
+    inertia = turn @ np.diag([1.5e-4, 1.6e-4, 2e-4]) @ turn.T
+    inertia[1, 2] *= 1 + 1e-12
+    read = np.array(paper.updated({"robot.inertia": inertia}).robot.inertia)
+    np.testing.assert_array_equal(read, read.T)
+    np.testing.assert_allclose(read, inertia, rtol=1e-12)
+
+
+# ---- Updates --------------------------------------------------------------------------------------------------------
+
+
+def test_an_update_leaves_the_original_alone(paper: hs.Scenario) -> None:
+    before = paper.to_yaml()
+    changed = paper.updated({"uncertainty.depth": -0.3})
+    assert changed.uncertainty.depth == -0.3
+    assert paper.to_yaml() == before
+    assert changed.updated({"uncertainty.depth": 0.3}) == paper
+    assert paper.updated({}) == paper
+
+
+def test_a_mapping_changes_the_keys_it_names(paper: hs.Scenario) -> None:
+    nested = paper.updated({"uncertainty": {"depth": 0.1}, "controller": {"hybrid": {"fuzzy": {"bell_slope": 3}}}})
+    assert nested == paper.updated({"uncertainty.depth": 0.1, "controller.hybrid.fuzzy.bell_slope": 3})
+    assert nested.uncertainty.inertia == 0.075
+    (line,) = refusal({"uncertainty": {"a.b": 1}})
+    assert line.startswith("uncertainty.a.b: unknown key")
+
+
+def test_a_block_of_another_scenario_will_do(paper: hs.Scenario) -> None:
+    minus = hs.load_scenario("paper-minus")
+    assert paper.updated({"uncertainty": minus.uncertainty}).uncertainty == minus.uncertainty
+
+
+@pytest.mark.parametrize("reloaded", [False, True])
+def test_a_preset_brings_its_values(paper: hs.Scenario, reloaded: bool) -> None:
+    heavy = paper.updated({"robot.mass": 0.08})
+    if reloaded:
+        heavy = hs.Scenario.from_yaml(heavy.to_yaml())
+    cubic = heavy.updated({"robot.preset": "cubic"})
+    preset = _core.robot_preset("cubic")
+    assert cubic.robot.base_radius == preset.base_radius != heavy.robot.base_radius
+    np.testing.assert_array_equal(cubic.robot.base_angles, preset.base_angles)
+    assert cubic.robot.mass == 0.08  # what differs from the preset stays
+    assert cubic.updated({"robot.mass": None}).robot.mass == preset.mass
+    assert cubic.updated({"robot.preset": "micro", "robot.mass": None}) == paper
+
+
+def test_scenarios_are_immutable(paper: hs.Scenario) -> None:
+    for block, key in [(paper, "seed"), (paper.robot, "mass"), (paper.controller.hybrid.fuzzy, "enabled")]:
+        with pytest.raises(ValidationError):
+            setattr(block, key, 1)
+
+
+def test_copies_are_equal(paper: hs.Scenario) -> None:
+    assert copy.deepcopy(paper) == paper
+    assert pickle.loads(pickle.dumps(paper)) == paper
+
+
+# ---- Files ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.yaml"
+    shutil.copy(str(resources.files("hexservo") / "scenarios" / "paper.yaml"), path)
+    return path
+
+
+def test_a_file_is_loaded_by_its_path(file: Path, paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert hs.load_scenario(file) == paper
+    assert hs.load_scenario(str(file)) == paper
+    monkeypatch.chdir(file.parent)
+    assert hs.load_scenario("mine.yaml") == paper
+
+
+def test_a_packaged_name_wins_over_a_file(file: Path, paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(file.parent)
+    Path("paper").write_text(paper.updated({"seed": 7}).to_yaml(), encoding="utf-8")
+    assert hs.load_scenario("paper") == paper
+    assert hs.load_scenario("./paper").seed == 7
+    assert hs.load_scenario(Path("paper")).seed == 7
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"),
+    [("papr", "paper"), ("paper-gravty", "paper-gravity"), ("Paper", "paper"), ("x/paper-minus.yaml", "paper-minus")],
+)
+def test_a_missing_name_comes_with_the_nearest(
+    name: str, nearest: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.load_scenario(name)
+    message = str(caught.value)
+    assert ", ".join(hs.scenario_names()) in message
+    assert message.endswith(f'got "{name}"; did you mean "{nearest}"?')
+
+
+@pytest.mark.parametrize("name", ["", "zzz", "a\0b", "\ud800"])
+def test_a_name_like_no_other_gets_no_guess(name: str) -> None:
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.load_scenario(name)
+    assert "did you mean" not in str(caught.value)
+    str(caught.value).encode()
+
+
+def test_every_line_names_the_file(file: Path) -> None:
+    text = file.read_text("utf-8")
+    file.write_text(
+        text.replace("duration: 5.0", "duration: -5.0").replace("kind: sign", "kin: sign"), encoding="utf-8"
+    )
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.load_scenario(file)
+    assert str(caught.value).splitlines() == [
+        f'{file}: controller.switching.kin: unknown key; did you mean "kind"? known keys: kind, width',
+        f"{file}: simulation.duration: expected a number > 0, got -5.0",
+    ]
+    assert caught.value.source == os.fspath(file)
+
+
+def test_a_file_that_holds_no_scenario(file: Path) -> None:
+    for text, words in [
+        ("", "expected a scenario: a mapping with the keys name, .*; got null"),
+        ("- 1", "expected a scenario: .*; got \\[1\\]"),
+        ("name: a\nname: b", 'line 2: duplicate key "name"'),
+        ("name: {", "not valid YAML"),
+    ]:
+        file.write_text(text, encoding="utf-8")
+        with pytest.raises(hs.ScenarioError, match=words):
+            hs.load_scenario(file)
+    with pytest.raises(hs.ScenarioError, match="cannot be read"):
+        hs.load_scenario(file.parent)
+    with pytest.raises(hs.ScenarioError, match="No such file"):
+        hs.load_scenario(file.parent / "absent.yaml")
+
+
+# ---- To YAML and back -----------------------------------------------------------------------------------------------
+
+
+def plain(value: Any) -> bool:
+    if isinstance(value, dict):
+        return all(type(key) is str and plain(item) for key, item in value.items())
+    if isinstance(value, list):
+        return all(plain(item) for item in value)
+    return value is None or type(value) in (bool, int, float, str)
+
+
+@pytest.mark.parametrize("name", hs.scenario_names())
+def test_the_resolved_scenario_loads_again(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    assert plain(scenario.to_mapping())
+    assert hs.Scenario.from_mapping(scenario.to_mapping()) == scenario
+    again = hs.Scenario.from_yaml(scenario.to_yaml())
+    assert again == scenario
+    assert again.to_yaml() == scenario.to_yaml()
+    assert load_yaml(scenario.to_yaml()) == scenario.to_mapping()
+
+
+def test_to_mapping_gives_away_nothing_shared(paper: hs.Scenario) -> None:
+    paper.to_mapping()["robot"]["base_angles"][0] = 99
+    assert paper.to_mapping()["robot"]["base_angles"][0] != 99
+
+
+def number_or(count: int, element: st.SearchStrategy[float]) -> st.SearchStrategy[Any]:
+    return element | st.lists(element, min_size=count, max_size=count)
+
+
+DELTA = st.floats(-0.99, 0.99)
+GAIN = st.floats(1e-12, 1e3)
+CHANGES = st.fixed_dictionaries(
+    {},
+    optional={
+        "name": st.from_regex(r"[a-zA-Z0-9][-_.a-z0-9]{0,20}[a-z0-9]", fullmatch=True)
+        | st.sampled_from(["on", "no", "null", "0x1F", "1e-6", "1.5", "010", "2001-12-14", "größe"]),
+        "description": st.text(st.characters(categories=["L", "N", "P", "S"]), max_size=60)
+        | st.sampled_from(["a: b", "# c", "- d", "{", "true", "~", "1e-6", "'", '"', " x "]),
+        "seed": st.integers(0, 2**63 - 1),
+        "camera.convention": st.sampled_from(["eye_in_hand", "as_printed"]),
+        "target.desired_features": st.lists(st.floats(-1e3, 1e3), min_size=8, max_size=8),
+        "target.depth": number_or(4, st.floats(0.1, 2)),
+        "uncertainty.inertia": DELTA,
+        "uncertainty.coriolis": st.lists(st.lists(DELTA, min_size=6, max_size=6), min_size=6, max_size=6) | DELTA,
+        "uncertainty.gravity": number_or(6, DELTA),
+        "uncertainty.depth": number_or(4, DELTA),
+        "controller.jacobian": st.sampled_from(["consistent", "printed"]),
+        "controller.switching": st.fixed_dictionaries(
+            {"kind": st.sampled_from(["sign", "tanh", "saturation"]), "width": st.floats(1e-9, 1)}
+        ),
+        "controller.hybrid.kp": number_or(8, GAIN),
+        "controller.hybrid.kv": number_or(6, st.just(0.0) | GAIN),
+        "controller.hybrid.fuzzy.enabled": st.booleans(),
+        "controller.hybrid.fuzzy.adaptation": number_or(6, GAIN),
+        "controller.hybrid.fuzzy.initial_scale": number_or(6, st.floats(-10, 10)),
+        "controller.hybrid.fuzzy.table": st.lists(
+            st.lists(st.sampled_from(TERMS) | st.floats(-1, 1), min_size=7, max_size=7), min_size=7, max_size=7
+        ),
+        "controller.hybrid.fuzzy.bell_width": st.none() | st.floats(0.01, 1),
+        "controller.hybrid.fuzzy.bell_slope": st.integers(1, 4) | st.floats(0.5, 4),
+        "simulation": st.builds(
+            lambda step, count: {"step": step, "duration": step * count}, st.floats(1e-6, 1), st.integers(1, 10_000)
+        ),
+        "simulation.log_every": st.integers(1, 1000),
+    },
+)
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(CHANGES)
+def test_any_valid_scenario_survives_yaml(changes: dict[str, Any]) -> None:
+    scenario = hs.load_scenario("paper").updated(changes)
+    again = hs.Scenario.from_yaml(scenario.to_yaml())
+    assert again == scenario
+    assert repr(again.to_mapping()) == repr(scenario.to_mapping())
