@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from hexservo._scenario import Scenario
 
-__all__ = ["LimitEvent", "Outcome", "Result"]
+__all__ = ["LimitEvent", "LimitKind", "Outcome", "Result"]
 
 Array: TypeAlias = NDArray[np.float64]
 Outcome: TypeAlias = Literal[
@@ -26,6 +26,7 @@ Outcome: TypeAlias = Literal[
     "solver_failed",
     "interrupted",
 ]
+LimitKind: TypeAlias = Literal["stroke", "force"]
 
 _FEATURES = ["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"]
 _AXES = ["x", "y", "z"]
@@ -52,7 +53,7 @@ _QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
 class LimitEvent:
     """A leg that passed one of its limits; continuous runs report this and go on."""
 
-    kind: Literal["stroke", "force"]
+    kind: LimitKind
     leg: int  # 1 to 6; column leg - 1 of the arrays
     time: float  # when it first passed the limit [s]
     peak: float  # largest |length - home length| [m] or |force| [N] of the run

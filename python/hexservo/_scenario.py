@@ -559,9 +559,12 @@ class Simulation(_Block):
     """How long and how finely; the step divides the duration."""
 
     mode: Annotated[Literal["continuous"], _Choice()] = "continuous"
-    step: _PositiveNumber = 1e-3  # [s], of the Runge-Kutta integration
-    duration: _PositiveNumber = 5.0  # [s]
-    log_every: Annotated[int, _Integer(1, 10**9)] = 1  # steps per logged sample
+    step: _PositiveNumber = Field(
+        default_factory=lambda: _core.SimulationSettings().step
+    )  # [s], of the Runge-Kutta integration
+    duration: _PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().duration)  # [s]
+    # steps per logged sample
+    log_every: Annotated[int, _Integer(1, 10**9)] = Field(default_factory=lambda: _core.SimulationSettings().log_every)
 
     @model_validator(mode="after")
     def _step_divides_duration(self) -> Simulation:
@@ -615,11 +618,6 @@ class Scenario(_Block):
 
     @model_validator(mode="after")
     def _can_run(self) -> Scenario:
-        if self.camera.convention == "as_printed" and self.target.points is not None:
-            raise ValueError(
-                "target.points: expected initial_features and depth, since camera.convention is as_printed: its states "
-                "are the features and depths themselves; got points"
-            )
         from hexservo._parameters import core_parameters  # it knows scenarios, so it is imported late
 
         core_parameters(self)

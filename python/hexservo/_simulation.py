@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 from hexservo import _core
 from hexservo._metrics import METRICS
 from hexservo._parameters import core_parameters
-from hexservo._result import LimitEvent, Result
+from hexservo._result import LimitEvent, LimitKind, Outcome, Result
 from hexservo._scenario import Scenario
 
 __all__ = ["simulate"]
@@ -30,12 +32,10 @@ def simulate(scenario: Scenario) -> Result:
     run = _core.simulate(core_parameters(scenario))
     return Result(
         scenario=scenario,
-        outcome=run.outcome.name,
+        outcome=cast("Outcome", run.outcome.name),
         end_time=run.end_time,
         detail=run.detail,
-        events=tuple(
-            LimitEvent(event.kind.name, event.leg + 1, event.first_time, event.peak, event.limit) for event in run.events
-        ),
+        events=tuple(_limit_event(event) for event in run.events),
         time=run.time,
         feature_error=run.feature_error,
         depth=run.depth,
@@ -49,3 +49,8 @@ def simulate(scenario: Scenario) -> Result:
         fuzzy_weights=run.fuzzy_weights,
         streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
     )
+
+
+def _limit_event(event: _core.LimitEvent) -> LimitEvent:
+    """Count legs from 1, as the paper does."""
+    return LimitEvent(cast("LimitKind", event.kind.name), event.leg + 1, event.first_time, event.peak, event.limit)

@@ -1,0 +1,306 @@
+"""Compiled core of hexservo; private. Units and frames: the core's own docstrings and docs/model.md, section 1."""
+
+import enum
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+class _PybindType(type): ...
+
+ROBOT_PRESETS: tuple[str, ...]
+
+class CameraConvention(enum.Enum):
+    __pybind11_native_enum__: object
+    eye_in_hand = 0
+    as_printed = 1
+
+class JacobianConvention(enum.Enum):
+    __pybind11_native_enum__: object
+    consistent = 0
+    printed = 1
+
+class KinematicsStatus(enum.Enum):
+    __pybind11_native_enum__: object
+    converged = 0
+    not_converged = 1
+    singular = 2
+
+class LimitKind(enum.Enum):
+    __pybind11_native_enum__: object
+    stroke = 0
+    force = 1
+
+class Outcome(enum.Enum):
+    __pybind11_native_enum__: object
+    completed = 0
+    diverged = 1
+    behind_camera = 2
+    feature_lost = 3
+    leg_limit = 4
+    singular = 5
+    solver_failed = 6
+    interrupted = 7
+
+class SwitchingKind(enum.Enum):
+    __pybind11_native_enum__: object
+    sign = 0
+    tanh = 1
+    saturation = 2
+
+class RigidBody(metaclass=_PybindType):
+    """Mass properties of the platform."""
+
+    def __init__(self) -> None: ...
+    mass: float
+    inertia: Array
+    gravity: float
+
+class DynamicsError(metaclass=_PybindType):
+    """Relative errors of the estimated dynamics, (3)."""
+
+    def __init__(self) -> None: ...
+    inertia: Array
+    coriolis: Array
+    gravity: Array
+
+class RobotParameters(metaclass=_PybindType):
+    """A robot as a user describes it."""
+
+    def __init__(self) -> None: ...
+    platform_radius: float
+    base_radius: float
+    platform_angles: Array
+    base_angles: Array
+    home_position: Array
+    mass: float
+    inertia: Array
+    stroke: float
+    force_limit: float
+
+class ForwardKinematics(metaclass=_PybindType):
+    """Pose found from leg lengths."""
+
+    def __init__(self, *args: NoReturn, **kwargs: NoReturn) -> None: ...
+    @property
+    def position(self) -> Array: ...
+    @property
+    def quaternion(self) -> Array: ...
+    @property
+    def residual(self) -> float: ...
+    @property
+    def status(self) -> KinematicsStatus: ...
+
+class Hexapod(metaclass=_PybindType):
+    """Legs of a robot; poses are (position in B, quaternion w x y z)."""
+
+    def __init__(self, robot: RobotParameters) -> None: ...
+    @property
+    def home_position(self) -> Array: ...
+    @property
+    def home_lengths(self) -> Array: ...
+    @property
+    def platform_joints(self) -> Array: ...
+    @property
+    def base_joints(self) -> Array: ...
+    def leg_lengths(self, position: ArrayLike, quaternion: ArrayLike) -> Array: ...
+    def wrench_map(self, position: ArrayLike, quaternion: ArrayLike) -> Array: ...
+    def leg_forces(self, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike) -> Array: ...
+    def singular_values(self, position: ArrayLike, quaternion: ArrayLike) -> Array: ...
+    def forward_kinematics(
+        self, lengths: ArrayLike, start_position: ArrayLike, start_quaternion: ArrayLike
+    ) -> ForwardKinematics: ...
+
+class Camera(metaclass=_PybindType):
+    """Pinhole camera, (4)."""
+
+    def __init__(self) -> None: ...
+    focal_length: float
+    pixel_scale: float
+    @property
+    def focal_pixels(self) -> float: ...
+
+class FuzzyGains(metaclass=_PybindType):
+    """Design of the six fuzzy systems, (13) and (22)."""
+
+    def __init__(self) -> None: ...
+    enabled: bool
+    adaptation: Array
+    error_scale: Array
+    rate_scale: Array
+    initial_scale: Array
+    table: Array
+    bell_width: float
+    bell_slope: float
+
+class HybridGains(metaclass=_PybindType):
+    """Gains of the law hybrid, (14) and (15)."""
+
+    def __init__(self) -> None: ...
+    kp: Array
+    kv: Array
+    fuzzy: FuzzyGains
+
+class Switching(metaclass=_PybindType):
+    """Stand-in for sgn in (15)."""
+
+    def __init__(self) -> None: ...
+    kind: SwitchingKind
+    width: float
+
+class Target(metaclass=_PybindType):
+    """Four points to look at, and where they shall appear."""
+
+    def __init__(self) -> None: ...
+    initial_features: Array
+    depth: Array
+    points: Array | None
+    desired_features: Array
+
+class Uncertainty(metaclass=_PybindType):
+    """Relative errors between estimates and plant."""
+
+    def __init__(self) -> None: ...
+    dynamics: DynamicsError
+    depth: Array
+
+class SimulationSettings(metaclass=_PybindType):
+    """Time grid and logging."""
+
+    def __init__(self) -> None: ...
+    step: float
+    duration: float
+    log_every: int
+
+class MetricsSettings(metaclass=_PybindType):
+    """What is measured against what."""
+
+    def __init__(self) -> None: ...
+    settling_threshold: float
+    rms_start: float
+
+class HybridSettings(metaclass=_PybindType):
+    """A scenario for the law hybrid, as numbers."""
+
+    def __init__(self) -> None: ...
+    robot: RobotParameters
+    camera: Camera
+    convention: CameraConvention
+    jacobian: JacobianConvention
+    target: Target
+    uncertainty: Uncertainty
+    switching: Switching
+    gains: HybridGains
+    simulation: SimulationSettings
+    metrics: MetricsSettings
+    def validate(self) -> None: ...
+
+class LimitEvent(metaclass=_PybindType):
+    """A leg beyond one of its limits."""
+
+    def __init__(self, *args: NoReturn, **kwargs: NoReturn) -> None: ...
+    @property
+    def kind(self) -> LimitKind: ...
+    @property
+    def leg(self) -> int: ...
+    @property
+    def first_time(self) -> float: ...
+    @property
+    def peak(self) -> float: ...
+    @property
+    def limit(self) -> float: ...
+
+class Metrics(metaclass=_PybindType):
+    """Metrics of a run, streamed at every step."""
+
+    def __init__(self, *args: NoReturn, **kwargs: NoReturn) -> None: ...
+    @property
+    def settling_time(self) -> float: ...
+    @property
+    def final_error(self) -> float: ...
+    @property
+    def rms_error(self) -> float: ...
+    @property
+    def peak_error(self) -> float: ...
+    @property
+    def peak_displacement(self) -> float: ...
+    @property
+    def peak_rotation(self) -> float: ...
+    @property
+    def final_linear_speed(self) -> float: ...
+    @property
+    def final_angular_speed(self) -> float: ...
+    @property
+    def peak_control_force(self) -> float: ...
+    @property
+    def peak_control_moment(self) -> float: ...
+    @property
+    def peak_leg_force(self) -> float: ...
+    @property
+    def peak_leg_excursion(self) -> float: ...
+
+class Trajectory(metaclass=_PybindType):
+    """Logged samples of a run; arrays share its memory."""
+
+    def __init__(self, *args: NoReturn, **kwargs: NoReturn) -> None: ...
+    @property
+    def time(self) -> Array: ...
+    @property
+    def feature_error(self) -> Array: ...
+    @property
+    def depth(self) -> Array: ...
+    @property
+    def position(self) -> Array: ...
+    @property
+    def quaternion(self) -> Array: ...
+    @property
+    def twist(self) -> Array: ...
+    @property
+    def wrench(self) -> Array: ...
+    @property
+    def fuzzy_output(self) -> Array: ...
+    @property
+    def leg_lengths(self) -> Array: ...
+    @property
+    def leg_forces(self) -> Array: ...
+    @property
+    def fuzzy_weights(self) -> Array: ...
+    @property
+    def outcome(self) -> Outcome: ...
+    @property
+    def detail(self) -> str: ...
+    @property
+    def end_time(self) -> float: ...
+    @property
+    def steps(self) -> int: ...
+    @property
+    def events(self) -> list[LimitEvent]: ...
+    @property
+    def metrics(self) -> Metrics: ...
+
+def build_info() -> dict[str, str]: ...
+def robot_preset(name: str) -> RobotParameters: ...
+def take_image(
+    camera: Camera, position: ArrayLike, quaternion: ArrayLike, points: ArrayLike
+) -> tuple[Array, Array]: ...
+def image_jacobian(
+    camera: Camera,
+    features: ArrayLike,
+    depth: ArrayLike,
+    quaternion: ArrayLike,
+    convention: CameraConvention = CameraConvention.eye_in_hand,
+) -> Array: ...
+def simulate(settings: HybridSettings) -> Trajectory: ...
+def drive_legs(
+    hexapod: Hexapod,
+    body: RigidBody,
+    error: DynamicsError,
+    position: ArrayLike,
+    quaternion: ArrayLike,
+    twist: ArrayLike,
+    leg_forces: ArrayLike,
+    step: float,
+    steps: int,
+) -> tuple[Array, Array, Array]: ...
