@@ -37,11 +37,12 @@ void bind_camera(py::module_& m) {
 
   m.def(
       "image_jacobian",
-      [](const Camera<double>& camera, const Vector<double, 2 * kPoints>& features, const Vector<double, kPoints>& depth,
-         const Vector4<double>& quaternion, CameraConvention convention) {
+      [](const Camera<double>& camera, const Vector<double, 2 * kPoints>& features,
+         const Vector<double, kPoints>& depth, const Vector4<double>& quaternion, CameraConvention convention) {
         require_finite("features", features);
         require_finite("depth", depth);
-        if ((depth.array() == 0.0).any()) throw std::invalid_argument("depth: expected numbers that are not zero, got zero");
+        if ((depth.array() == 0.0).any())
+          throw std::invalid_argument("depth: expected numbers that are not zero, got zero");
         const Matrix3<double> R_BE = rotation_matrix(checked_pose(Vector3<double>::Zero(), quaternion).quaternion);
         return ImageJacobian<double>(camera.focal_pixels(), plant_sign(convention), {features, depth}, R_BE).matrix();
       },

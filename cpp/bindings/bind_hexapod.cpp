@@ -8,7 +8,8 @@ namespace hexservo::bindings {
 
 namespace {
 
-Legs<double> legs_at(const Hexapod<double>& hexapod, const Vector3<double>& position, const Vector4<double>& quaternion) {
+Legs<double> legs_at(const Hexapod<double>& hexapod, const Vector3<double>& position,
+                     const Vector4<double>& quaternion) {
   const Pose<double> pose = checked_pose(position, quaternion);
   return inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
 }
@@ -16,7 +17,8 @@ Legs<double> legs_at(const Hexapod<double>& hexapod, const Vector3<double>& posi
 }  // namespace
 
 void bind_hexapod(py::module_& m) {
-  py::class_<RobotParameters>(m, "RobotParameters", "A robot as a user describes it, docs/model.md section 2; default: micro.")
+  py::class_<RobotParameters>(m, "RobotParameters",
+                              "A robot as a user describes it, docs/model.md section 2; default: micro.")
       .def(py::init<>())
       .def_readwrite("platform_radius", &RobotParameters::platform_radius, "[m]")
       .def_readwrite("base_radius", &RobotParameters::base_radius, "[m]")
@@ -30,7 +32,8 @@ void bind_hexapod(py::module_& m) {
 
   m.def("robot_preset", &robot_preset, py::arg("name"), "Preset of that name; ValueError lists the known ones.");
   py::tuple presets(kRobotPresets.size());
-  for (std::size_t i = 0; i < kRobotPresets.size(); ++i) presets[i] = py::str(kRobotPresets[i].data(), kRobotPresets[i].size());
+  for (std::size_t i = 0; i < kRobotPresets.size(); ++i)
+    presets[i] = py::str(kRobotPresets[i].data(), kRobotPresets[i].size());
   m.attr("ROBOT_PRESETS") = presets;
 
   py::native_enum<KinematicsStatus>(m, "KinematicsStatus", "enum.Enum")
@@ -40,8 +43,10 @@ void bind_hexapod(py::module_& m) {
       .finalize();
 
   py::class_<ForwardKinematics<double>>(m, "ForwardKinematics", "Pose found from leg lengths.")
-      .def_property_readonly("position", [](const ForwardKinematics<double>& r) { return r.pose.position; }, "(3,) in B [m]")
-      .def_property_readonly("quaternion", [](const ForwardKinematics<double>& r) { return r.pose.quaternion; }, "(4,) w x y z")
+      .def_property_readonly(
+          "position", [](const ForwardKinematics<double>& r) { return r.pose.position; }, "(3,) in B [m]")
+      .def_property_readonly(
+          "quaternion", [](const ForwardKinematics<double>& r) { return r.pose.quaternion; }, "(4,) w x y z")
       .def_readonly("residual", &ForwardKinematics<double>::residual, "largest leg length error [m]")
       .def_property_readonly("status", &status, "converged (residual within 1e-12 m), not_converged or singular");
 
@@ -50,34 +55,44 @@ void bind_hexapod(py::module_& m) {
       .def_readonly("home_position", &Hexapod<double>::home_position, "(3,) in B [m]")
       .def_readonly("home_lengths", &Hexapod<double>::home_lengths, "(6,) [m]")
       .def_property_readonly(
-          "platform_joints", [](const Hexapod<double>& h) { return Eigen::Matrix<double, 6, 3>(h.platform_joints_E.transpose()); },
+          "platform_joints",
+          [](const Hexapod<double>& h) { return Eigen::Matrix<double, 6, 3>(h.platform_joints_E.transpose()); },
           "(6, 3) in E [m]")
       .def_property_readonly(
-          "base_joints", [](const Hexapod<double>& h) { return Eigen::Matrix<double, 6, 3>(h.base_joints_B.transpose()); },
+          "base_joints",
+          [](const Hexapod<double>& h) { return Eigen::Matrix<double, 6, 3>(h.base_joints_B.transpose()); },
           "(6, 3) in B [m]")
       .def(
           "leg_lengths",
-          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) { return legs_at(h, p, q).lengths; },
+          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
+            return legs_at(h, p, q).lengths;
+          },
           py::arg("position"), py::arg("quaternion"), "Inverse kinematics: (6,) [m].")
       .def(
           "wrench_map",
-          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) { return legs_at(h, p, q).wrench_map(); },
+          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
+            return legs_at(h, p, q).wrench_map();
+          },
           py::arg("position"), py::arg("quaternion"),
           "H, (6, 6): leg forces [N] to wrench about E's origin in B [N; N m]; H^T: twist to leg rates.")
       .def(
           "leg_forces",
-          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q, const Vector6<double>& wrench) {
+          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q,
+             const Vector6<double>& wrench) {
             require_finite("wrench", wrench);
             const WrenchMapSolver<double> solver(h, legs_at(h, p, q));
-            if (solver.failed()) throw std::invalid_argument("position: expected a pose that is not singular, got a singular one");
+            if (solver.failed())
+              throw std::invalid_argument("position: expected a pose that is not singular, got a singular one");
             return solver.leg_forces(wrench);
           },
           py::arg("position"), py::arg("quaternion"), py::arg("wrench"), "(6,) f_c with H f_c = wrench [N].")
       .def(
           "forward_kinematics",
-          [](const Hexapod<double>& h, const Vector6<double>& lengths, const Vector3<double>& p, const Vector4<double>& q) {
+          [](const Hexapod<double>& h, const Vector6<double>& lengths, const Vector3<double>& p,
+             const Vector4<double>& q) {
             require_finite("lengths", lengths);
-            if (!(lengths.minCoeff() > 0.0)) throw std::invalid_argument("lengths: expected numbers > 0, got " + std::to_string(lengths.minCoeff()));
+            if (!(lengths.minCoeff() > 0.0))
+              throw std::invalid_argument("lengths: expected numbers > 0, got " + std::to_string(lengths.minCoeff()));
             return forward_kinematics(h, lengths, checked_pose(p, q));
           },
           py::arg("lengths"), py::arg("start_position"), py::arg("start_quaternion"),
@@ -88,7 +103,8 @@ void bind_hexapod(py::module_& m) {
             return wrench_map_singular_values(h, checked_pose(p, q));
           },
           py::arg("position"), py::arg("quaternion"),
-          "(6,) of H with moments divided by the platform radius, largest first [1]; the last is the distance to singularity.");
+          "(6,) of H with moments divided by the platform radius, largest first [1]; the last is the distance to "
+          "singularity.");
 }
 
 }  // namespace hexservo::bindings

@@ -101,9 +101,10 @@ void bind_simulation(py::module_& m) {
       .def_readonly("metrics", &Trajectory::metrics);
 
   m.def(
-      "simulate", [](const Settings<Hybrid>& settings) { return simulate(settings, interrupt_requested); }, py::arg("settings"),
-      py::call_guard<py::gil_scoped_release>(),
-      "Runs a scenario; ValueError for a bad one, a trajectory with its outcome otherwise. Ctrl-C ends it with `interrupted`.");
+      "simulate", [](const Settings<Hybrid>& settings) { return simulate(settings, interrupt_requested); },
+      py::arg("settings"), py::call_guard<py::gil_scoped_release>(),
+      "Runs a scenario; ValueError for a bad one, a trajectory with its outcome otherwise. Ctrl-C ends it with "
+      "`interrupted`.");
 
   m.def(
       "drive_legs",
@@ -111,12 +112,15 @@ void bind_simulation(py::module_& m) {
          const Vector3<double>& position, const Vector4<double>& quaternion, const Vector6<double>& twist,
          const Vector6<double>& leg_forces, double step, long long steps) {
         const BodyState<double> end =
-            drive_legs(hexapod, body, error, body_state<double>(checked_pose(position, quaternion), twist), leg_forces, step, steps);
-        return py::make_tuple(Vector3<double>(position_of(end)), Vector4<double>(quaternion_of(end)), Vector6<double>(twist_of(end)));
+            drive_legs(hexapod, body, error, body_state<double>(checked_pose(position, quaternion), twist), leg_forces,
+                       step, steps);
+        return py::make_tuple(Vector3<double>(position_of(end)), Vector4<double>(quaternion_of(end)),
+                              Vector6<double>(twist_of(end)));
       },
-      py::arg("hexapod"), py::arg("body"), py::arg("error"), py::arg("position"), py::arg("quaternion"), py::arg("twist"),
-      py::arg("leg_forces"), py::arg("step"), py::arg("steps"),
-      "The platform alone under constant leg forces (6,) [N]: position, quaternion and twist after `steps` of `step` [s].");
+      py::arg("hexapod"), py::arg("body"), py::arg("error"), py::arg("position"), py::arg("quaternion"),
+      py::arg("twist"), py::arg("leg_forces"), py::arg("step"), py::arg("steps"),
+      "The platform alone under constant leg forces (6,) [N]: position, quaternion and twist after `steps` of `step` "
+      "[s].");
 }
 
 }  // namespace hexservo::bindings

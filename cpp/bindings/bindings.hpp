@@ -25,7 +25,8 @@ void bind_simulation(py::module_& m);
 /// Passes on a fixed-size array whose entries are all finite.
 template <class Derived>
 void require_finite(const char* name, const Eigen::MatrixBase<Derived>& value) {
-  if (!value.allFinite()) throw std::invalid_argument(std::string(name) + ": expected finite numbers, got NaN or infinity");
+  if (!value.allFinite())
+    throw std::invalid_argument(std::string(name) + ": expected finite numbers, got NaN or infinity");
 }
 
 /// A pose from position [m] and quaternion (w, x, y, z) of any length but zero.

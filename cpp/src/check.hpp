@@ -32,7 +32,8 @@ inline void require_positive(const std::string& key, double value) {
   if (!(std::isfinite(value) && value > 0.0)) refuse(key, "a finite number > 0", words(value));
 }
 
-/// Names the first entry that is not finite, counted from 0 along the storage order of a vector or (row, column) of a matrix.
+/// Names the first entry that is not finite, counted from 0 along the storage order of a vector or (row, column) of a
+/// matrix.
 template <class Derived>
 void require_finite(const std::string& key, const Eigen::MatrixBase<Derived>& m) {
   for (Eigen::Index row = 0; row < m.rows(); ++row)

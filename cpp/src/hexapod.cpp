@@ -37,7 +37,8 @@ Matrix36<double> joints(double radius, const Vector6<double>& angles) {
 void require_distinct_legs(const Hexapod<double>& hexapod, const RobotParameters& robot) {
   for (int i = 0; i < 6; ++i) {
     if (!(hexapod.home_lengths(i) > 1e-9 * robot.platform_radius))
-      refuse("robot.home_position", "legs of some length at home", words("a length of ", hexapod.home_lengths(i), " m for leg ", i));
+      refuse("robot.home_position", "legs of some length at home",
+             words("a length of ", hexapod.home_lengths(i), " m for leg ", i));
     for (int k = 0; k < i; ++k) {
       const double platform = (hexapod.platform_joints_E.col(i) - hexapod.platform_joints_E.col(k)).norm();
       const double base = (hexapod.base_joints_B.col(i) - hexapod.base_joints_B.col(k)).norm();
@@ -87,7 +88,8 @@ Hexapod<double> make_hexapod(const RobotParameters& robot) {
   for (const Pose<double>& pose : generic_poses(robot)) best = std::max(best, condition(hexapod, pose));
   if (!(best >= kSingularRatio))
     refuse("robot.platform_angles",
-           "legs that hold the platform in all six directions (regular hexagons joined in cyclic order, or a platform similar to its "
+           "legs that hold the platform in all six directions (regular hexagons joined in cyclic order, or a platform "
+           "similar to its "
            "base, never do)",
            words("a wrench map that is singular at every pose (smallest/largest singular value ", best, ")"));
   const double home = condition(hexapod, {robot.home_position, Pose<double>{}.quaternion});

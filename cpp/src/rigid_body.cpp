@@ -11,8 +11,8 @@ using detail::words;
 
 namespace {
 
-/// 1 - delta_D must keep D positive definite at every attitude: by Schur's product theorem it is enough that 1 - delta_D is
-/// symmetric and positive semidefinite with a positive diagonal.
+/// 1 - delta_D must keep D positive definite at every attitude: by Schur's product theorem it is enough that 1 -
+/// delta_D is symmetric and positive semidefinite with a positive diagonal.
 void validate_inertia_error(const Matrix6<double>& delta) {
   const std::string key = "uncertainty.inertia";
   if ((delta - delta.transpose()).cwiseAbs().maxCoeff() > 0.0) refuse(key, "a symmetric 6x6 array", "one that is not");
@@ -41,7 +41,8 @@ void validate(const RigidBody<double>& body, const DynamicsError<double>& error)
   const std::string got = words("principal moments ", principal(0), ", ", principal(1), ", ", principal(2), " kg m^2");
   if (!(principal(0) > 0.0)) refuse("robot.inertia", "a positive definite matrix", got);
   if (principal(2) - principal(0) - principal(1) > 1e-9 * principal.sum())
-    refuse("robot.inertia", "principal moments none of which exceeds the sum of the other two (no body has such an inertia)", got);
+    refuse("robot.inertia",
+           "principal moments none of which exceeds the sum of the other two (no body has such an inertia)", got);
 
   detail::require_finite("uncertainty.inertia", error.inertia);
   detail::require_finite("uncertainty.coriolis", error.coriolis);

@@ -13,9 +13,9 @@ namespace {
 
 using Features = Vector<double, 2 * kPoints>;
 
-constexpr double kCoincident = 1e-6;      // features closer than this are one [px]
-constexpr double kRankDeficient = 1e-9;   // sigma_min/sigma_max of the image Jacobian with lengths in units of the depth
-constexpr double kMaxSteps = 1e9;         // a run of hours on one core: surely a slip
+constexpr double kCoincident = 1e-6;     // features closer than this are one [px]
+constexpr double kRankDeficient = 1e-9;  // sigma_min/sigma_max of the image Jacobian with lengths in units of the depth
+constexpr double kMaxSteps = 1e9;        // a run of hours on one core: surely a slip
 
 void require_apart(const std::string& key, const Features& features) {
   for (int i = 0; i < kPoints; ++i)
@@ -40,7 +40,8 @@ void place_target(const Target& target, CameraConvention convention, double f, c
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
   if (target.points_B) {
     if (convention == CameraConvention::as_printed)
-      refuse("target.points", "initial_features and depth, since a camera as_printed integrates them and has no points", "points");
+      refuse("target.points", "initial_features and depth, since a camera as_printed integrates them and has no points",
+             "points");
     points_B = *target.points_B;
     detail::require_finite("target.points", Eigen::Matrix<double, kPoints, 3>(points_B.transpose()));
     for (int i = 0; i < kPoints; ++i) {
@@ -76,8 +77,10 @@ long long step_count(const SimulationSettings& simulation) {
     refuse("simulation.duration", words("at most ", kMaxSteps, " steps"), words(ratio, " steps"));
   const double steps = std::round(ratio);
   if (steps < 1.0 || std::abs(ratio - steps) > 1e-9 * steps)
-    refuse("simulation.step", words("a step that divides the duration (nearest: ", nearest_grid(simulation.step, simulation.duration), ")"),
-           words("step ", simulation.step, " and duration ", simulation.duration));
+    refuse(
+        "simulation.step",
+        words("a step that divides the duration (nearest: ", nearest_grid(simulation.step, simulation.duration), ")"),
+        words("step ", simulation.step, " and duration ", simulation.duration));
   return static_cast<long long>(steps);
 }
 
@@ -101,19 +104,21 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
   p.desired_features = settings.target.desired_features;
   detail::require_finite("target.desired_features", p.desired_features);
   const std::string source = settings.target.points_B ? "target.points" : "target.initial_features";
-  for (const auto& [key, image] : {std::pair{source, p.initial_image},
-                                   std::pair{std::string("target.desired_features"),
-                                             Image<double>{p.desired_features, p.initial_image.depth}}}) {
+  for (const auto& [key, image] :
+       {std::pair{source, p.initial_image},
+        std::pair{std::string("target.desired_features"), Image<double>{p.desired_features, p.initial_image.depth}}}) {
     require_apart(key, image.features);
     require_full_rank(key, f, image);
     const double error = (p.desired_features - image.features).cwiseAbs().maxCoeff();
-    if (!(error <= kMaxFeatureError)) refuse(key, words("features within ", kMaxFeatureError, " px of the goal"), words(error, " px"));
+    if (!(error <= kMaxFeatureError))
+      refuse(key, words("features within ", kMaxFeatureError, " px of the goal"), words(error, " px"));
   }
 
   p.depth_error = settings.uncertainty.depth;
   detail::require_finite("uncertainty.depth", p.depth_error);
   if (p.depth_error.minCoeff() <= -1.0)
-    refuse("uncertainty.depth", "errors > -1 (the measured depth is (1 + error) times the true one)", words(p.depth_error.minCoeff()));
+    refuse("uncertainty.depth", "errors > -1 (the measured depth is (1 + error) times the true one)",
+           words(p.depth_error.minCoeff()));
 
   p.switching = settings.switching;
   detail::require_positive("controller.switching.width", p.switching.width);

@@ -11,18 +11,19 @@ using detail::words;
 
 namespace {
 
-constexpr long long kStepsBetweenQuestions = 2048;  // a few milliseconds of work between two looks at Ctrl-C
+constexpr long long kStepsBetweenQuestions = 2048;            // a few milliseconds of work between two looks at Ctrl-C
 constexpr double kLoggedNumbers = 1 + 8 + 4 + 3 + 4 + 5 * 6;  // per sample: time, features, depth, pose, five 6-vectors
 
 /// Samples that a run logs at most.
 std::size_t sample_count(const SimulationSettings& simulation) {
   const auto every = static_cast<double>(simulation.log_every);
-  const double samples = std::floor(static_cast<double>(step_count(simulation)) / every) + 2.0;  // the first, and the last good one
+  const double samples =
+      std::floor(static_cast<double>(step_count(simulation)) / every) + 2.0;  // the first, and the last good one
   const double bytes = samples * kLoggedNumbers * sizeof(double);
   if (bytes > kMaxLogBytes)
     refuse("simulation.log_every",
-           words("a log of at most ", kMaxLogBytes / (1 << 30), " GiB (log_every of ", std::ceil(every * bytes / kMaxLogBytes * 1.01),
-                 " or more fits)"),
+           words("a log of at most ", kMaxLogBytes / (1 << 30), " GiB (log_every of ",
+                 std::ceil(every * bytes / kMaxLogBytes * 1.01), " or more fits)"),
            words(simulation.log_every, ", which makes ", bytes / (1 << 30), " GiB"));
   return static_cast<std::size_t>(samples);
 }
@@ -38,7 +39,8 @@ void reserve(Trajectory& log, std::size_t samples) {
   log.depth.reserve(samples * 4);
   log.position.reserve(samples * 3);
   log.quaternion.reserve(samples * 4);
-  for (auto* column : {&log.twist, &log.wrench, &log.fuzzy_output, &log.leg_lengths, &log.leg_forces}) column->reserve(samples * 6);
+  for (auto* column : {&log.twist, &log.wrench, &log.fuzzy_output, &log.leg_lengths, &log.leg_forces})
+    column->reserve(samples * 6);
 }
 
 void append(Trajectory& log, double time, const Sample<double>& sample) {
@@ -73,9 +75,11 @@ std::string describe(StopCause cause, double time) {
   return "ran to the end";
 }
 
-void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const LegLimitMonitor<double>& monitor, double limit) {
+void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const LegLimitMonitor<double>& monitor,
+                double limit) {
   for (int leg = 0; leg < 6; ++leg)
-    if (std::isfinite(monitor.first_time(leg))) events.push_back({kind, leg, monitor.first_time(leg), monitor.peak(leg), limit});
+    if (std::isfinite(monitor.first_time(leg)))
+      events.push_back({kind, leg, monitor.first_time(leg), monitor.peak(leg), limit});
 }
 
 }  // namespace
@@ -128,8 +132,9 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
 
 template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&);
 
-BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body, const DynamicsError<double>& error,
-                             const BodyState<double>& start, const Vector6<double>& leg_forces, double step, long long steps) {
+BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body,
+                             const DynamicsError<double>& error, const BodyState<double>& start,
+                             const Vector6<double>& leg_forces, double step, long long steps) {
   validate(body, error);
   detail::require_finite("start", start);
   detail::require_finite("leg_forces", leg_forces);
@@ -144,8 +149,9 @@ BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<dou
     return body_rate(body, error, s, R_BE, inverse_kinematics(hexapod, position_of(s), R_BE).wrench(leg_forces));
   };
   for (long long i = 0; i < steps; ++i) {
-    const auto k = runge_kutta_stages(step, rate_at(state),
-                                      [&](double scale, const BodyState<double>& rate) { return rate_at(state + scale * rate); });
+    const auto k = runge_kutta_stages(step, rate_at(state), [&](double scale, const BodyState<double>& rate) {
+      return rate_at(state + scale * rate);
+    });
     for (std::size_t stage = 0; stage < 4; ++stage) state += step * kRungeKuttaWeights[stage] * k[stage];
     normalise_quaternion(state);
   }

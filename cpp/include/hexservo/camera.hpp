@@ -5,7 +5,7 @@
 /// | ---------------- | ----------------------------- | --------------------------------------------------------- |
 /// | alpha, lambda    | pixel_scale, focal_length     | [px/m], [m]; f = alpha lambda [px]                        |
 /// | xi, Z            | features, depth               | (x1, y1, ...) [px]; Z_i < 0 in front of the camera [m]    |
-/// | J_im             | point_rate, point_wrench      | (8) and its transpose, applied to one point               |
+/// | J_im             | point_rate, add_point_wrench  | (8) and its transpose, applied to one point               |
 /// | J = J_im K(chi)  | ImageJacobian                 | push a twist, pull an image force; a matrix on request    |
 /// | J_m = J_r + J_e  | ImageJacobian at the measured depth, image_jacobian_error    |                            |
 #pragma once
@@ -71,7 +71,8 @@ Vector3<S> back_project(const S& f, const Vector2<S>& feature, const S& depth) {
 /// What the camera at a pose sees of points fixed in B: P_i = R^T (P_i^B - x_p), then (4).
 /// @param points_B 3xN, one column per point [m]
 template <class S, int N>
-Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE, const Eigen::Matrix<S, 3, N>& points_B) {
+Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
+                       const Eigen::Matrix<S, 3, N>& points_B) {
   Image<S, N> image;
   for (int i = 0; i < N; ++i) {
     const Vector3<S> p_E = R_BE.transpose() * (points_B.col(i) - p_BE);
@@ -83,21 +84,25 @@ Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_B
 
 /// (8) applied to one point: image velocity [px/s] for the camera's velocity v and angular velocity w, both in E.
 template <class S>
-Vector2<S> point_rate(const S& f, const S& x, const S& y, const S& inverse_depth, const Vector3<S>& v, const Vector3<S>& w) {
+Vector2<S> point_rate(const S& f, const S& x, const S& y, const S& inverse_depth, const Vector3<S>& v,
+                      const Vector3<S>& w) {
   const S roll = (x * w(1) - y * w(0)) / f;  // the terms xy/f, x^2/f and y^2/f of (8) share this factor
   return Vector2<S>(-(f * v(0) + x * v(2)) * inverse_depth - x * roll - f * w(1) - y * w(2),
                     -(f * v(1) + y * v(2)) * inverse_depth - y * roll + f * w(0) + x * w(2));
 }
 
-/// Transpose of (8) for one point: force on E's origin and moment, both in E, for an image force (fx, fy).
+/// Transpose of (8) for one point: adds force on E's origin and moment, both in E, for an image force (fx, fy).
 template <class S>
-Vector6<S> point_wrench(const S& f, const S& x, const S& y, const S& inverse_depth, const S& fx, const S& fy) {
-  const S along = (x * fx + y * fy);
+void add_point_wrench(const S& f, const S& x, const S& y, const S& inverse_depth, const S& fx, const S& fy,
+                      Vector3<S>& force, Vector3<S>& moment) {
+  const S along = x * fx + y * fy;
   const S bend = along / f;
-  Vector6<S> wrench;
-  wrench << -f * fx * inverse_depth, -f * fy * inverse_depth, -along * inverse_depth,  //
-      y * bend + f * fy, -(x * bend + f * fx), x * fy - y * fx;
-  return wrench;
+  force(0) -= f * fx * inverse_depth;
+  force(1) -= f * fy * inverse_depth;
+  force(2) -= along * inverse_depth;
+  moment(0) += y * bend + f * fy;
+  moment(1) -= x * bend + f * fx;
+  moment(2) += x * fy - y * fx;
 }
 
 /// J = sign J_im(xi, Z) blkdiag(R^T, R^T) of (12): twist in B to image velocity; applied point by point.
@@ -116,19 +121,20 @@ class ImageJacobian {
     const Vector3<S> w_E = R_BE_.transpose() * twist.template tail<3>();
     Vector<S, 2 * N> rates;
     for (int i = 0; i < N; ++i)
-      rates.template segment<2>(2 * i) = point_rate<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), v_E, w_E);
+      rates.template segment<2>(2 * i) =
+          point_rate<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), v_E, w_E);
     return sign_ * rates;
   }
 
   /// J^T p, a wrench in B, for an image force p (2N).
   Vector6<S> pull(const Vector<S, 2 * N>& image_force) const {
-    Vector6<S> wrench_E = Vector6<S>::Zero();
+    Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
     for (int i = 0; i < N; ++i)
-      wrench_E += point_wrench<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), image_force(2 * i),
-                                  image_force(2 * i + 1));
+      add_point_wrench<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), image_force(2 * i),
+                          image_force(2 * i + 1), force_E, moment_E);
     Vector6<S> wrench;
-    wrench.template head<3>() = R_BE_ * wrench_E.template head<3>();
-    wrench.template tail<3>() = R_BE_ * wrench_E.template tail<3>();
+    wrench.template head<3>() = R_BE_ * force_E;
+    wrench.template tail<3>() = R_BE_ * moment_E;
     return sign_ * wrench;
   }
 

@@ -1,9 +1,9 @@
 /// @file
 /// The closed loop: plant, camera and law, in continuous time with the law inside every Runge-Kutta stage.
 ///
-/// The only place where the parts meet. `ClosedLoop<S, Law>` is a stepper: parameters are const and shared, the state is a
-/// value, nothing is allocated, and nothing branches on data, so that the same source runs one scenario (`double`) or one
-/// per lane (`Lanes<W>`).
+/// The only place where the parts meet. `ClosedLoop<S, Law>` is a stepper: parameters are const and shared, the state
+/// is a value, nothing is allocated, and nothing branches on data, so that the same source runs one scenario (`double`)
+/// or one per lane (`Lanes<W>`).
 #pragma once
 
 #include "hexservo/laws/law.hpp"
@@ -13,7 +13,16 @@
 namespace hexservo {
 
 /// How a run ended; where several apply at one instant the first of this list is reported.
-enum class Outcome { completed, diverged, behind_camera, feature_lost, leg_limit, singular, solver_failed, interrupted };
+enum class Outcome {
+  completed,
+  diverged,
+  behind_camera,
+  feature_lost,
+  leg_limit,
+  singular,
+  solver_failed,
+  interrupted
+};
 
 /// Why a run stopped before its end.
 enum class StopCause { none, not_finite, feature_error, twist, behind_camera, singular };
@@ -133,7 +142,8 @@ class ClosedLoop {
 
     ++steps_;
     stop(StopCause::not_finite, !(is_finite(body) & is_finite(image.features) & is_finite(image.depth)));
-    stop(StopCause::feature_error, largest_abs<S, 2 * N, 1>(p_.desired_features - image.features) > S(kMaxFeatureError));
+    stop(StopCause::feature_error,
+         largest_abs<S, 2 * N, 1>(p_.desired_features - image.features) > S(kMaxFeatureError));
     stop(StopCause::twist, largest_abs<S, 6, 1>(twist_of(body)) > S(kMaxTwist));
     stop(StopCause::behind_camera, nearest_depth(image) >= S(0.0));
 
@@ -228,7 +238,8 @@ class ClosedLoop {
     stop(StopCause::not_finite, !(is_finite(next.sample.wrench) & is_finite(next.sample.fuzzy_output)));
     stop(StopCause::singular, next.singular);
     const Mask<S> good = running();
-    Sample<S, N>::visit([&good](auto& value, const auto& from) { value = select(good, from, value); }, sample_, next.sample);
+    Sample<S, N>::visit([&good](auto& value, const auto& from) { value = select(good, from, value); }, sample_,
+                        next.sample);
     sample_time_ = select(good, S(time()), sample_time_);
     metrics_.add(time(), sample_, good);
   }

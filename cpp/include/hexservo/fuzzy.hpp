@@ -8,9 +8,9 @@
 /// | tau_f    | FuzzyStage::output   | mu(u)^T W mu(u-dot)                                                          |
 /// | Psi      | adaptation           | (22): omega-dot_j = chi-dot_j phi-bar_j/Psi_j                                |
 ///
-/// The 49-rule sum factorises because rule (r, c) fires mu_r(u) mu_c(u-dot): its normaliser is the product of the two sums.
-/// The adaptation is rank one, so a Runge-Kutta stage holds the weights as W + c (rank one) and never forms 294 numbers
-/// (docs/model.md, section 5).
+/// The 49-rule sum factorises because rule (r, c) fires mu_r(u) mu_c(u-dot): its normaliser is the product of the two
+/// sums. The adaptation is rank one, so a Runge-Kutta stage holds the weights as W + c (rank one) and never forms 294
+/// numbers (docs/model.md, section 5).
 #pragma once
 
 #include "hexservo/types.hpp"
@@ -31,15 +31,15 @@ Matrix7<double> linear_rule_table();
 /// Design of the six fuzzy systems.
 template <class S>
 struct FuzzyGains {
-  bool enabled = true;                                           ///< false: no fuzzy output and no adaptation
-  Vector6<S> adaptation = Vector6<S>::Constant(S(10.0));         ///< Psi_j [m/N; rad/(N m)], 10; small adapts fast
+  bool enabled = true;                                    ///< false: no fuzzy output and no adaptation
+  Vector6<S> adaptation = Vector6<S>::Constant(S(10.0));  ///< Psi_j [m/N; rad/(N m)], 10; small adapts fast
   Vector6<S> error_scale = (Vector6<S>() << S(5.0), S(5.0), S(5.0), S(10.0), S(10.0), S(10.0)).finished();
-                                                                 ///< a_j [1/N; 1/(N m)], (5, 5, 5, 10, 10, 10)
-  Vector6<S> rate_scale = Vector6<S>::Constant(S(0.5));          ///< b_j [s/N; s/(N m)], 0.5
-  Vector6<S> initial_scale = Vector6<S>::Zero();                 ///< s_0: weights start at s_0 times the table [N; N m], 0
-  Matrix7<S> table = linear_rule_table().template cast<S>();     ///< rule table, row: u, column: u-dot [1], linear
-  S bell_width{1.0 / 6.0};                                       ///< w, half width of the bells at 1/2 [1], 1/6
-  double bell_slope = 2.0;                                       ///< s, exponent 2s of the bells [1], 2
+  ///< a_j [1/N; 1/(N m)], (5, 5, 5, 10, 10, 10)
+  Vector6<S> rate_scale = Vector6<S>::Constant(S(0.5));       ///< b_j [s/N; s/(N m)], 0.5
+  Vector6<S> initial_scale = Vector6<S>::Zero();              ///< s_0: weights start at s_0 times the table [N; N m], 0
+  Matrix7<S> table = linear_rule_table().template cast<S>();  ///< rule table, row: u, column: u-dot [1], linear
+  S bell_width{1.0 / 6.0};                                    ///< w, half width of the bells at 1/2 [1], 1/6
+  double bell_slope = 2.0;                                    ///< s, exponent 2s of the bells [1], 2
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
@@ -62,17 +62,19 @@ using AxisVector = Vector<S, kAxes>;
 template <class S>
 using TermStrengths = std::array<AxisVector<S>, kTerms>;
 
-/// x^s for x >= 0; a whole s from 1 to 8 by repeated multiplication, which is what the default costs.
+/// x^s for x >= 0.
 template <class S>
 AxisVector<S> bell_power(const AxisVector<S>& x, double slope) {
   using std::pow;
-  const int whole = static_cast<int>(slope);
+  AxisVector<S> result;
+  for (int j = 0; j < kAxes; ++j) result(j) = pow(x(j), slope);
+  return result;
+}
+/// x^s for a whole s by multiplication: the default slope never calls `pow`.
+template <int slope, class S>
+AxisVector<S> bell_power(const AxisVector<S>& x) {
   AxisVector<S> result = x;
-  if (whole == slope && whole >= 1 && whole <= 8) {
-    for (int i = 1; i < whole; ++i) result = result.cwiseProduct(x);
-  } else {
-    for (int j = 0; j < kAxes; ++j) result(j) = pow(x(j), slope);
-  }
+  for (int i = 1; i < slope; ++i) result = result.cwiseProduct(x);
   return result;
 }
 
@@ -80,13 +82,19 @@ AxisVector<S> bell_power(const AxisVector<S>& x, double slope) {
 template <class S>
 TermStrengths<S> memberships(const AxisVector<S>& x, const S& width, double slope) {
   const S inverse_width = S(1.0) / width;
-  TermStrengths<S> mu;
-  for (int k = 0; k < kTerms; ++k) {
-    const AxisVector<S> distance = (x.array() - S(term_centre(k))).matrix() * inverse_width;
-    const AxisVector<S> power = bell_power<S>(distance.cwiseAbs2(), slope);
-    mu[static_cast<std::size_t>(k)] = (power.array() + S(1.0)).inverse().matrix();
-  }
-  return mu;
+  const auto bells = [&](auto power) {
+    TermStrengths<S> mu;
+    for (int k = 0; k < kTerms; ++k) {
+      const AxisVector<S> distance = (x.array() - S(term_centre(k))).matrix() * inverse_width;
+      const AxisVector<S> raised = power(AxisVector<S>(distance.cwiseProduct(distance)));
+      mu[static_cast<std::size_t>(k)] = (raised.array() + S(1.0)).inverse().matrix();
+    }
+    return mu;
+  };
+  if (slope == 1.0) return bells([](const AxisVector<S>& x2) { return bell_power<1, S>(x2); });
+  if (slope == 2.0) return bells([](const AxisVector<S>& x2) { return bell_power<2, S>(x2); });
+  if (slope == 3.0) return bells([](const AxisVector<S>& x2) { return bell_power<3, S>(x2); });
+  return bells([slope](const AxisVector<S>& x2) { return bell_power<S>(x2, slope); });
 }
 
 /// Memberships divided by their sum: one factor of phi-bar.
@@ -140,7 +148,8 @@ template <class S>
 FuzzyWeights<S> initial_weights(const FuzzyGains<S>& gains) {
   FuzzyWeights<S> weights;
   for (int row = 0; row < kTerms; ++row)
-    for (int column = 0; column < kTerms; ++column) weights[rule(row, column)] = gains.initial_scale * gains.table(row, column);
+    for (int column = 0; column < kTerms; ++column)
+      weights[rule(row, column)] = gains.initial_scale * gains.table(row, column);
   return weights;
 }
 
@@ -168,7 +177,8 @@ struct FuzzyStage {
       result += sum.cwiseProduct(basis.rate[static_cast<std::size_t>(column)]);
     }
     if (rate != nullptr) {
-      const AxisVector<S> overlap = inner(basis.error, rate->basis.error).cwiseProduct(inner(basis.rate, rate->basis.rate));
+      const AxisVector<S> overlap =
+          inner(basis.error, rate->basis.error).cwiseProduct(inner(basis.rate, rate->basis.rate));
       result += scale * rate->strength.cwiseProduct(overlap);
     }
     return result;
@@ -185,8 +195,8 @@ struct FuzzyStage {
 /// W += sum over stages of scale_k * rate_k: the end of a step, one update of rank K.
 /// @param active lanes that take part; the others keep their weights
 template <class S, std::size_t K>
-void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*, K>& rates, const std::array<S, K>& scales,
-                     const Mask<S>& active) {
+void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*, K>& rates,
+                     const std::array<S, K>& scales, const Mask<S>& active) {
   const AxisVector<S> zero = AxisVector<S>::Zero();
   std::array<TermStrengths<S>, K> left, right;
   for (std::size_t k = 0; k < K; ++k) {

@@ -18,7 +18,8 @@
 
 namespace hexservo {
 
-/// A robot as a user describes it: symmetric leg geometry, mass properties and limits. The defaults are the preset `micro`.
+/// A robot as a user describes it: symmetric leg geometry, mass properties and limits. The defaults are the preset
+/// `micro`.
 struct RobotParameters {
   double platform_radius = 0.1;  ///< r_p [m], 0.1 (paper)
   double base_radius = 0.2;      ///< r_b [m], 0.2 (paper)
@@ -26,11 +27,11 @@ struct RobotParameters {
   Vector6<double> platform_angles = (Vector6<double>() << -50, 50, 70, 170, 190, 290).finished() * EIGEN_PI / 180.0;
   /// beta_i, joints on the base about z of B [rad], -10, 10, 110, 130, 230, 250 deg
   Vector6<double> base_angles = (Vector6<double>() << -10, 10, 110, 130, 230, 250).finished() * EIGEN_PI / 180.0;
-  Vector3<double> home_position = {0.0, 0.0, -0.15};           ///< p_BE at home, where R = I [m], (0, 0, -0.15)
-  double mass = RigidBody<double>{}.mass;                       ///< platform with camera [kg], 0.06 (paper)
-  Matrix3<double> inertia = RigidBody<double>{}.inertia_E;      ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
-  double stroke = 0.017;                                        ///< leg travel about the home length, each way [m], 0.017
-  double force_limit = 1.0;                                     ///< of each leg, each way [N], 1
+  Vector3<double> home_position = {0.0, 0.0, -0.15};        ///< p_BE at home, where R = I [m], (0, 0, -0.15)
+  double mass = RigidBody<double>{}.mass;                   ///< platform with camera [kg], 0.06 (paper)
+  Matrix3<double> inertia = RigidBody<double>{}.inertia_E;  ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
+  double stroke = 0.017;                                    ///< leg travel about the home length, each way [m], 0.017
+  double force_limit = 1.0;                                 ///< of each leg, each way [N], 1
 };
 
 /// Names that `robot_preset` knows.
@@ -64,9 +65,9 @@ struct Hexapod {
 };
 
 /// Builds the legs and checks that they can hold a platform.
-/// @throws std::invalid_argument naming the scenario key: radii, stroke or force limit not positive, coinciding joints, a
-/// leg of no length, or a geometry whose wrench map is singular at home or at generic poses (sigma_min/sigma_max below
-/// 1e-9), such as regular hexagons joined in cyclic order or a platform similar to its base
+/// @throws std::invalid_argument naming the scenario key: radii, stroke or force limit not positive, coinciding joints,
+/// a leg of no length, or a geometry whose wrench map is singular at home or at generic poses (sigma_min/sigma_max
+/// below 1e-9), such as regular hexagons joined in cyclic order or a platform similar to its base
 Hexapod<double> make_hexapod(const RobotParameters& robot);
 
 /// The legs at one pose.
@@ -76,7 +77,8 @@ struct Legs {
   Matrix36<S> directions_B;  ///< c_i, from base to platform, one column per leg [1]
   Matrix36<S> arms_B;        ///< R p_i, from E's origin to the platform joints, in B [m]
 
-  /// H: leg forces [N], positive where they push, to the wrench [N; N m] about E's origin, in B. H^T: twist to leg rates.
+  /// H: leg forces [N], positive where they push, to the wrench [N; N m] about E's origin, in B. H^T: twist to leg
+  /// rates.
   Matrix6<S> wrench_map() const {
     Matrix6<S> H;
     for (int i = 0; i < 6; ++i) {
@@ -131,7 +133,9 @@ template <class S>
 class WrenchMapSolver {
  public:
   WrenchMapSolver(const Hexapod<S>& hexapod, const Legs<S>& legs)
-      : inverse_radius_(S(1.0) / hexapod.platform_radius), H_(scaled(legs.wrench_map(), inverse_radius_)), gram_(H_ * H_.transpose()) {}
+      : inverse_radius_(S(1.0) / hexapod.platform_radius),
+        H_(scaled(legs.wrench_map(), inverse_radius_)),
+        gram_(H_ * H_.transpose()) {}
 
   /// Where the pose is singular (sigma_min/sigma_max of H near 1e-7 or below).
   Mask<S> failed() const { return gram_.failed(); }
@@ -166,10 +170,10 @@ enum class KinematicsStatus { converged, not_converged, singular };
 /// Pose found from leg lengths, with what is left.
 template <class S>
 struct ForwardKinematics {
-  Pose<S> pose;             ///< platform pose in B, unit quaternion
-  S residual;               ///< max |l(pose) - l| [m]
-  Mask<S> converged;        ///< residual within `kKinematicsTolerance`
-  Mask<S> singular;         ///< a Newton matrix was singular on the way; the pose is the last one before it
+  Pose<S> pose;       ///< platform pose in B, unit quaternion
+  S residual;         ///< max |l(pose) - l| [m]
+  Mask<S> converged;  ///< residual within `kKinematicsTolerance`
+  Mask<S> singular;   ///< a Newton matrix was singular on the way; the pose is the last one before it
 };
 
 inline constexpr double kKinematicsTolerance = 1e-12;  ///< residual of a converged forward kinematics [m]
@@ -177,7 +181,8 @@ inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds, the s
 
 /// Forward kinematics by Newton's method on l(pose) = lengths from a start pose; steps are limited to r_p and 0.5 rad.
 ///
-/// A hexapod has up to 40 poses for the same lengths; Newton finds one near `start`. A fixed number of rounds bounds the time.
+/// A hexapod has up to 40 poses for the same lengths; Newton finds one near `start`. A fixed number of rounds bounds
+/// the time.
 template <class S>
 ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start) {
   using std::sqrt;

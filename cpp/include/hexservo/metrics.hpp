@@ -1,5 +1,6 @@
 /// @file
-/// Metrics of a run, streamed at every step, so that they do not depend on what is logged; and limits, reported on the way.
+/// Metrics of a run, streamed at every step, so that they do not depend on what is logged; and limits, reported on the
+/// way.
 #pragma once
 
 #include "hexservo/hexapod.hpp"
@@ -53,18 +54,18 @@ S largest_abs(const Eigen::Matrix<S, R, C>& m) {
 /// Metrics of one run (`S = double`) or of a pack.
 template <class S>
 struct Metrics {
-  S settling_time{0.0};          ///< last time any |xi-tilde_i| exceeds the threshold [s]; NaN where the run ends above it
-  S final_error{0.0};            ///< max |xi-tilde_i| at the end [px]
-  S rms_error{0.0};              ///< over all components of xi-tilde from rms_start on [px]; NaN where the run is shorter
-  S peak_error{0.0};             ///< max |xi-tilde_i| of the run [px]
-  S peak_displacement{0.0};      ///< max |x_p - x_p(0)| [m]
-  S peak_rotation{0.0};          ///< max rotation angle from the start [rad]
-  S final_linear_speed{0.0};     ///< |v| at the end [m/s]
-  S final_angular_speed{0.0};    ///< |omega| at the end [rad/s]
-  S peak_control_force{0.0};     ///< max |tau_j - G_j| of the force [N]
-  S peak_control_moment{0.0};    ///< max |tau_j - G_j| of the moment [N m]
-  S peak_leg_force{0.0};         ///< max |f_c,i| [N]
-  S peak_leg_excursion{0.0};     ///< max |l_i - home length| [m]
+  S settling_time{0.0};       ///< last time any |xi-tilde_i| exceeds the threshold [s]; NaN where the run ends above it
+  S final_error{0.0};         ///< max |xi-tilde_i| at the end [px]
+  S rms_error{0.0};           ///< over all components of xi-tilde from rms_start on [px]; NaN where the run is shorter
+  S peak_error{0.0};          ///< max |xi-tilde_i| of the run [px]
+  S peak_displacement{0.0};   ///< max |x_p - x_p(0)| [m]
+  S peak_rotation{0.0};       ///< max rotation angle from the start [rad]
+  S final_linear_speed{0.0};  ///< |v| at the end [m/s]
+  S final_angular_speed{0.0};  ///< |omega| at the end [rad/s]
+  S peak_control_force{0.0};   ///< max |tau_j - G_j| of the force [N]
+  S peak_control_moment{0.0};  ///< max |tau_j - G_j| of the moment [N m]
+  S peak_leg_force{0.0};       ///< max |f_c,i| [N]
+  S peak_leg_excursion{0.0};   ///< max |l_i - home length| [m]
 };
 
 /// First time each leg passed a limit (infinity: never) and its largest value.
@@ -89,7 +90,10 @@ class MetricsAccumulator {
  public:
   MetricsAccumulator(const MetricsSettings& settings, const Hexapod<S>& hexapod, const Vector6<S>& gravity_wrench,
                      const Sample<S, N>& first)
-      : settings_(settings), hexapod_(hexapod), gravity_wrench_(gravity_wrench), start_position_(first.position),
+      : settings_(settings),
+        hexapod_(hexapod),
+        gravity_wrench_(gravity_wrench),
+        start_position_(first.position),
         start_quaternion_(first.quaternion) {}
 
   void add(double time, const Sample<S, N>& sample, const Mask<S>& active) {
@@ -158,7 +162,8 @@ class MetricsAccumulator {
   Vector3<S> start_position_;
   Vector4<S> start_quaternion_;
   S last_outside_{0.0}, ends_outside_{0.0}, final_error_{0.0}, peak_error_{0.0}, square_sum_{0.0}, square_count_{0.0};
-  S peak_displacement_squared_{0.0}, peak_half_sine_squared_{0.0}, linear_speed_squared_{0.0}, angular_speed_squared_{0.0};
+  S peak_displacement_squared_{0.0}, peak_half_sine_squared_{0.0}, linear_speed_squared_{0.0},
+      angular_speed_squared_{0.0};
   S peak_control_force_{0.0}, peak_control_moment_{0.0};
   LegLimitMonitor<S> stroke_, force_;
 };

@@ -16,9 +16,9 @@ namespace hexservo {
 /// Mass properties of the platform with its camera, as the controller believes them to be.
 template <class S>
 struct RigidBody {
-  S mass{0.06};                                                                  ///< platform mass [kg], 0.06 (paper)
-  Matrix3<S> inertia_E = Vector3<S>(1.5e-4, 1.5e-4, 3.0e-4).asDiagonal();        ///< inertia about E's origin, in E [kg m^2]
-  S gravity{9.8};                                                                ///< acceleration along +z of B [m/s^2], 9.8
+  S mass{0.06};                                                            ///< platform mass [kg], 0.06 (paper)
+  Matrix3<S> inertia_E = Vector3<S>(1.5e-4, 1.5e-4, 3.0e-4).asDiagonal();  ///< inertia about E's origin, in E [kg m^2]
+  S gravity{9.8};                                                          ///< acceleration along +z of B [m/s^2], 9.8
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
@@ -28,7 +28,8 @@ struct RigidBody {
   }
 };
 
-/// Relative errors of the estimated dynamics: the actual matrices are (1 - delta) times the estimated ones, entry by entry.
+/// Relative errors of the estimated dynamics: the actual matrices are (1 - delta) times the estimated ones, entry by
+/// entry.
 template <class S>
 struct DynamicsError {
   Matrix6<S> inertia = Matrix6<S>::Zero();   ///< delta_D [1], 0; symmetric, and 1 - delta_D positive semidefinite
@@ -46,7 +47,7 @@ struct DynamicsError {
 /// Position and attitude of the platform frame E in B.
 template <class S>
 struct Pose {
-  Vector3<S> position = Vector3<S>::Zero();                          ///< p_BE [m]
+  Vector3<S> position = Vector3<S>::Zero();                            ///< p_BE [m]
   Vector4<S> quaternion = Vector4<S>(S(1.0), S(0.0), S(0.0), S(0.0));  ///< (w, x, y, z); need not be of unit length
 };
 
@@ -56,9 +57,15 @@ Matrix3<S> rotation_matrix(const Vector4<S>& q) {
   const S s = S(2.0) / q.squaredNorm();
   const S w = q(0), x = q(1), y = q(2), z = q(3);
   Matrix3<S> R_BE;
-  R_BE << S(1.0) - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),  //
-      s * (x * y + w * z), S(1.0) - s * (x * x + z * z), s * (y * z - w * x),      //
-      s * (x * z - w * y), s * (y * z + w * x), S(1.0) - s * (x * x + y * y);
+  R_BE(0, 0) = S(1.0) - s * (y * y + z * z);
+  R_BE(0, 1) = s * (x * y - w * z);
+  R_BE(0, 2) = s * (x * z + w * y);
+  R_BE(1, 0) = s * (x * y + w * z);
+  R_BE(1, 1) = S(1.0) - s * (x * x + z * z);
+  R_BE(1, 2) = s * (y * z - w * x);
+  R_BE(2, 0) = s * (x * z - w * y);
+  R_BE(2, 1) = s * (y * z + w * x);
+  R_BE(2, 2) = S(1.0) - s * (x * x + y * y);
   return R_BE;
 }
 
@@ -151,18 +158,15 @@ Vector6<S> acceleration(const RigidBody<S>& body, const DynamicsError<S>& error,
                         const Vector6<S>& twist, const Vector6<S>& wrench) {
   const Vector3<S> omega = twist.template tail<3>();
   const Matrix3<S> I_B = inertia_in_base(body, R_BE);
-  const auto scale3 = [](const auto& delta, const Matrix3<S>& M) {
-    return Matrix3<S>(M - delta.template bottomRightCorner<3, 3>().cwiseProduct(M));
-  };
-  const Matrix3<S> actual_inertia = scale3(error.inertia, I_B);
+  const Matrix3<S> actual_inertia = I_B - error.inertia.template bottomRightCorner<3, 3>().cwiseProduct(I_B);
   const Vector6<S> G = gravity_wrench(body);
   const Vector6<S> driving = wrench - (G - error.gravity.cwiseProduct(G));
 
   Vector6<S> result;
   for (int i = 0; i < 3; ++i) result(i) = driving(i) / ((S(1.0) - error.inertia(i, i)) * body.mass);
   const Matrix3<S> C_B = skew(omega) * I_B;
-  const Vector3<S> gyroscopic = scale3(error.coriolis, C_B) * omega;
-  result.template tail<3>() = solve3<S>(actual_inertia, driving.template tail<3>() - gyroscopic);
+  const Matrix3<S> actual_coriolis = C_B - error.coriolis.template bottomRightCorner<3, 3>().cwiseProduct(C_B);
+  result.template tail<3>() = solve3<S>(actual_inertia, driving.template tail<3>() - actual_coriolis * omega);
   return result;
 }
 
@@ -191,9 +195,9 @@ S potential_energy(const RigidBody<S>& body, const Vector3<S>& p_BE) {
 }
 
 /// Checks mass, inertia and errors as a user gives them.
-/// @throws std::invalid_argument naming the scenario key: a mass that is not positive, an inertia that is not symmetric,
-/// not positive definite, or that breaks the triangle inequality by more than 1e-9 of its trace; errors that leave no
-/// positive inertia.
+/// @throws std::invalid_argument naming the scenario key: a mass that is not positive, an inertia that is not
+/// symmetric, not positive definite, or that breaks the triangle inequality by more than 1e-9 of its trace; errors that
+/// leave no positive inertia.
 void validate(const RigidBody<double>& body, const DynamicsError<double>& error);
 
 }  // namespace hexservo

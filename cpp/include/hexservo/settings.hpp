@@ -12,22 +12,22 @@ namespace hexservo {
 /// Four points to look at, given by what the camera sees from home or by where they are, and where they shall appear.
 struct Target {
   Vector<double, 2 * kPoints> initial_features = Vector<double, 2 * kPoints>::Zero();  ///< seen from home [px]
-  Vector<double, kPoints> depth = Vector<double, kPoints>::Constant(0.5);              ///< |Z_i| seen from home [m], 0.5
+  Vector<double, kPoints> depth = Vector<double, kPoints>::Constant(0.5);  ///< |Z_i| seen from home [m], 0.5
   std::optional<Eigen::Matrix<double, 3, kPoints>> points_B;  ///< instead of the two above: the points in B [m]
   Vector<double, 2 * kPoints> desired_features = Vector<double, 2 * kPoints>::Zero();  ///< xi_d [px]
 };
 
 /// Relative errors between estimates and plant, docs/model.md, sections 3 and 4.
 struct Uncertainty {
-  DynamicsError<double> dynamics;                                           ///< delta_D, delta_C, delta_G [1], 0
-  Vector<double, kPoints> depth = Vector<double, kPoints>::Zero();          ///< delta_Z,i [1], 0
+  DynamicsError<double> dynamics;                                   ///< delta_D, delta_C, delta_G [1], 0
+  Vector<double, kPoints> depth = Vector<double, kPoints>::Zero();  ///< delta_Z,i [1], 0
 };
 
 /// Time grid and logging of a run.
 struct SimulationSettings {
-  double step = 1e-3;      ///< h [s], 1e-3
-  double duration = 5.0;   ///< [s], 5; a whole number of steps
-  long long log_every = 1; ///< steps between logged samples, 1
+  double step = 1e-3;       ///< h [s], 1e-3
+  double duration = 5.0;    ///< [s], 5; a whole number of steps
+  long long log_every = 1;  ///< steps between logged samples, 1
 };
 
 /// A scenario for one law.
@@ -54,6 +54,8 @@ long long step_count(const SimulationSettings& simulation);
 template <class Law>
 LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings);
 
+// One translation unit compiles each loop (closed_loop.cpp).
+extern template class ClosedLoop<double, Hybrid>;
 extern template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&);
 
 }  // namespace hexservo

@@ -22,17 +22,17 @@ struct LimitEvent {
 
 /// Logged samples of a run, row after row: `time` has n entries, a k-wide quantity n k.
 struct Trajectory {
-  std::vector<double> time;           ///< [s]
-  std::vector<double> feature_error;  ///< n x 8, xi_d - xi, true [px]
-  std::vector<double> depth;          ///< n x 4, true Z_i [m]
-  std::vector<double> position;       ///< n x 3, p_BE [m]
-  std::vector<double> quaternion;     ///< n x 4, (w, x, y, z)
-  std::vector<double> twist;          ///< n x 6, in B [m/s; rad/s]
-  std::vector<double> wrench;         ///< n x 6, in B [N; N m]
-  std::vector<double> fuzzy_output;   ///< n x 6 [N; N m]
-  std::vector<double> leg_lengths;    ///< n x 6 [m]
-  std::vector<double> leg_forces;     ///< n x 6 [N]
-  FuzzyWeights<double> fuzzy_weights; ///< at the end [N or N m]
+  std::vector<double> time;            ///< [s]
+  std::vector<double> feature_error;   ///< n x 8, xi_d - xi, true [px]
+  std::vector<double> depth;           ///< n x 4, true Z_i [m]
+  std::vector<double> position;        ///< n x 3, p_BE [m]
+  std::vector<double> quaternion;      ///< n x 4, (w, x, y, z)
+  std::vector<double> twist;           ///< n x 6, in B [m/s; rad/s]
+  std::vector<double> wrench;          ///< n x 6, in B [N; N m]
+  std::vector<double> fuzzy_output;    ///< n x 6 [N; N m]
+  std::vector<double> leg_lengths;     ///< n x 6 [m]
+  std::vector<double> leg_forces;      ///< n x 6 [N]
+  FuzzyWeights<double> fuzzy_weights;  ///< at the end [N or N m]
 
   Outcome outcome = Outcome::completed;
   std::string detail;              ///< one sentence
@@ -65,7 +65,8 @@ extern template Trajectory simulate(const Settings<Hybrid>&, const std::function
 /// @param steps number of steps of `step` [s]
 /// @return body state (p_BE, quaternion, twist) at the end
 /// @throws std::invalid_argument for inputs that are not finite or not positive
-BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body, const DynamicsError<double>& error,
-                             const BodyState<double>& start, const Vector6<double>& leg_forces, double step, long long steps);
+BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body,
+                             const DynamicsError<double>& error, const BodyState<double>& start,
+                             const Vector6<double>& leg_forces, double step, long long steps);
 
 }  // namespace hexservo

@@ -49,7 +49,9 @@ inline constexpr int kPoints = 4;
 template <class S>
 Matrix3<S> skew(const Vector3<S>& a) {
   Matrix3<S> m;
-  m << S(0.0), -a(2), a(1), a(2), S(0.0), -a(0), -a(1), a(0), S(0.0);
+  m.col(0) = Vector3<S>(S(0.0), a(2), -a(1));
+  m.col(1) = Vector3<S>(-a(2), S(0.0), a(0));
+  m.col(2) = Vector3<S>(a(1), -a(0), S(0.0));
   return m;
 }
 

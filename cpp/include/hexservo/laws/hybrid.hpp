@@ -20,7 +20,7 @@ template <class S, int N = kPoints>
 struct HybridGains {
   Vector<S, 2 * N> kp = Vector<S, 2 * N>::Constant(S(1e-6));  ///< diagonal of K_p [N m/px^2], 1e-6
   Vector6<S> kv = (Vector6<S>() << S(2e-3), S(2e-3), S(2e-3), S(1e-4), S(1e-4), S(1e-4)).finished();
-                                                              ///< diagonal of K_v [N; N m], (2e-3 x3, 1e-4 x3)
+  ///< diagonal of K_v [N; N m], (2e-3 x3, 1e-4 x3)
   FuzzyGains<S> fuzzy;
 
   template <class F, class A, class B>
@@ -76,7 +76,8 @@ struct Hybrid {
       out.rate.basis.rate.fill(Vector6<S>::Zero());
       out.rate.strength.setZero();
     }
-    out.wrench = image_wrench - gains.kv.cwiseProduct(task.switching(input.twist)) + task.gravity_wrench - out.fuzzy_output;
+    out.wrench =
+        image_wrench - gains.kv.cwiseProduct(task.switching(input.twist)) + task.gravity_wrench - out.fuzzy_output;
     return out;
   }
 

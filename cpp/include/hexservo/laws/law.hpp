@@ -49,10 +49,10 @@ struct Switching {
 /// What a law knows of robot, camera and goal: estimates, never the plant's own values.
 template <class S, int N = kPoints>
 struct ControlTask {
-  S focal_pixels;                      ///< f [px]
-  S jacobian_sign;                     ///< sign of the controller's image Jacobian relative to (8)
-  Vector<S, 2 * N> desired_features;   ///< xi_d [px]
-  Vector6<S> gravity_wrench;           ///< G of (1) [N; N m], in B
+  S focal_pixels;                     ///< f [px]
+  S jacobian_sign;                    ///< sign of the controller's image Jacobian relative to (8)
+  Vector<S, 2 * N> desired_features;  ///< xi_d [px]
+  Vector6<S> gravity_wrench;          ///< G of (1) [N; N m], in B
   Switching<S> switching;
 };
 

@@ -1,0 +1,340 @@
+"""The command line: ``hexservo run | scenarios | show | check | version``.
+
+Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
+numerical outcome; 130 interrupted; 141 the reader of the output left.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+import hexservo as hs
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+__all__ = ["app", "main"]
+
+BAD_INPUT = 2
+ENDED_EARLY = 3
+INTERRUPTED = 130  # 128 + SIGINT, as shells count
+READER_LEFT = 141  # 128 + SIGPIPE
+
+# Unit of a metric -> the unit people read, and how many of it make one.
+_READABLE_UNITS = {
+    "m": ("mm", 1e3),
+    "rad": ("mrad", 1e3),
+    "m/s": ("mm/s", 1e3),
+    "rad/s": ("mrad/s", 1e3),
+    "N m": ("mN m", 1e3),
+}
+_ANY_WIDTH = 10_000  # of what no terminal shows: nothing is wrapped or cut
+_WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table leaves out what the metrics mean
+
+app = typer.Typer(
+    help="Image-based visual servoing of parallel robots: run scenarios, look at results.",
+    epilog="Exit codes: 0 done, 2 bad input, 3 a run that ended early (such as divergence), 130 interrupted.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # help and usage errors as plain text: nothing boxed, nothing wrapped in logs
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+ScenarioArgument = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="Name of a packaged scenario, or path of a YAML file.")
+]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one key of the scenario, as uncertainty.gravity=0.075; the value is YAML. May be repeated.",
+    ),
+]
+
+
+def main() -> None:
+    """Run the command line with the arguments of the process, and exit."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a terminal may lack a character of a description or path
+    app(prog_name="hexservo")
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        _write(f"hexservo {hs.__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    scenario: ScenarioArgument,
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", metavar="FOLDER", help="Write figures and data there, into a new or empty folder."),
+    ] = None,
+    settings: SettingsOption = None,
+    force: Annotated[
+        bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
+) -> None:
+    """Simulate a scenario and report on it.
+
+    The results are printed as a table; --out writes figures and data too.
+    """
+    with _reporting():
+        from hexservo._output import OutputError, check_folder, write_results
+
+        chosen = _load(scenario, settings or [])
+        if out is not None:
+            check_folder(out, force=force)
+        started = time.perf_counter()
+        try:
+            result = hs.simulate(chosen)
+        except ValueError as error:
+            raise hs.ScenarioError(str(error).splitlines(), chosen.name) from error
+        elapsed = time.perf_counter() - started
+        failure = None
+        if out is not None:  # before anything is printed, so that no closed pipe costs the results
+            try:
+                write_results(result, out, force=force)
+            except OutputError as error:
+                failure = error
+        if not quiet:
+            written = out if failure is None else None
+            _print(*_report(result, elapsed, written, hint=out is None))
+        if failure is not None:
+            raise failure
+        if result.outcome != "completed":
+            _complain(f"{chosen.name}: {_ending(result)}", head="Ended early")
+            raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
+
+
+@app.command()
+def scenarios() -> None:
+    """List the packaged scenarios."""
+    with _reporting():
+        from rich.table import Table
+
+        table = Table.grid(padding=(0, 2))
+        table.add_column(no_wrap=True, style="bold")
+        table.add_column(overflow="fold")
+        for name in hs.scenario_names():
+            table.add_row(name, hs.load_scenario(name).description)
+        _print(table)
+
+
+@app.command()
+def show(scenario: ScenarioArgument, settings: SettingsOption = None) -> None:
+    """Print a scenario as YAML.
+
+    Every default is filled in, so that the output is a good start for a scenario of one's own.
+    """
+    with _reporting():
+        _write(_load(scenario, settings or []).to_yaml(), encoding="utf-8")  # what a scenario is read with
+
+
+@app.command()
+def check(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Path of a YAML file, or a packaged scenario.")],
+) -> None:
+    """Tell what is wrong with a scenario.
+
+    Every problem is a line on standard error, and the exit code is 2; without any it is 0.
+    """
+    with _reporting():
+        scenario = hs.load_scenario(file)
+        simulation = scenario.simulation
+        _write(
+            f'{file}: valid (scenario "{scenario.name}", {simulation.duration:.6g} s in steps of '
+            f"{simulation.step * 1e3:.6g} ms)\n"
+        )
+
+
+@app.command()
+def version() -> None:
+    """Tell what was built and runs here."""
+    with _reporting():
+        import platform
+
+        import numpy as np
+
+        from hexservo import _core
+
+        build = _core.build_info()
+        facts = {
+            "hexservo": build["hexservo"],
+            "compiler": build["compiler"],
+            "flags": build["flags"],
+            "Eigen": build["eigen"],
+            "Python": f"{platform.python_version()} ({platform.python_implementation()})",
+            "numpy": np.__version__,
+            "platform": platform.platform(),
+        }
+        _write("".join(f"{name + ':':<10}{value}\n" for name, value in facts.items()))
+
+
+# ---- Input ----------------------------------------------------------------------------------------------------------
+
+
+def _load(scenario: str, settings: list[str]) -> hs.Scenario:
+    """Load a scenario and change it as --set says; everything wrong with the settings is reported together."""
+    from hexservo._yaml import load_yaml
+
+    loaded = hs.load_scenario(scenario)
+    problems: list[str] = []
+    changes: dict[str, object] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            problems.append(f'expected KEY=VALUE, as uncertainty.gravity=0.075, got "{setting}"')
+            continue
+        changes.pop(key, None)  # of a key that is set twice the last value counts, in its place
+        try:
+            changes[key] = load_yaml(value)
+        except hs.ScenarioError as error:
+            problems += [f"{key}: {problem}" for problem in error.problems]
+    try:
+        changed = loaded.updated(changes) if changes else loaded
+    except hs.ScenarioError as error:
+        problems += error.problems
+    if problems:
+        raise hs.ScenarioError(problems, "--set")
+    return changed
+
+
+# ---- Output ---------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _reporting() -> Iterator[None]:
+    """Turn bad input and Ctrl-C into words on standard error and an exit code; anything else is a bug with a trace."""
+    from hexservo._output import OutputError
+
+    try:
+        yield
+    except (hs.ScenarioError, OutputError) as error:
+        _complain(*str(error).splitlines())
+        raise typer.Exit(BAD_INPUT) from None
+    except KeyboardInterrupt:
+        _complain("nothing more was written", head="Interrupted")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _ending(result: hs.Result) -> str:
+    return f"{result.outcome.replace('_', ' ')} at t = {result.end_time:.6g} s: {result.detail}"
+
+
+def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool) -> Iterator[RenderableType]:
+    """Say how a run ended, its metrics, the limits it passed, and where its files are."""
+    from rich.text import Text
+
+    name = result.scenario.name
+    if result.outcome == "completed":
+        yield Text.assemble((name, "bold"), f": completed, {result.end_time:.6g} s simulated in {_spell_time(elapsed)}")
+    else:
+        yield Text(f"{name}: {_ending(result)} (simulated in {_spell_time(elapsed)})", style="bold red")
+    yield _metrics_table(result)
+    if result.events:
+        yield Text("\n".join(f"limit passed: {event}" for event in result.events), style="yellow")
+    if folder is not None:
+        yield Text(f"figures, result.nc, metrics.json and scenario.yaml are in {folder}")
+    elif hint:
+        yield Text("no files written; --out FOLDER writes figures and data", style="dim")
+
+
+def _metrics_table(result: hs.Result) -> RenderableType:
+    from rich.table import Table
+
+    with_meanings = _width() >= _WIDTH_FOR_MEANINGS
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(overflow="fold")
+    table.add_column(justify="right", overflow="fold", style="bold")
+    table.add_column(overflow="fold")
+    if with_meanings:
+        table.add_column(overflow="fold", style="dim")
+    for name, value in hs.metrics(result).items():
+        unit, meaning = hs.METRICS[name]
+        unit, scale = _READABLE_UNITS.get(unit, (unit, 1.0))
+        absent = "never" if name == "settling_time" else "none"  # NaN: docs/model.md section 8
+        shown = [f"{value * scale:.4g}", unit] if value == value else [absent, ""]
+        table.add_row(name.replace("_", " "), *shown, *([meaning] if with_meanings else []))
+    return table
+
+
+def _spell_time(seconds: float) -> str:
+    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"
+
+
+def _width() -> int:
+    """Width of the terminal; as wide as it takes where standard output is none."""
+    import shutil
+
+    return shutil.get_terminal_size().columns if sys.stdout is not None and sys.stdout.isatty() else _ANY_WIDTH
+
+
+def _print(*parts: RenderableType) -> None:
+    """Print with colours and line breaks that suit the terminal; plain and unbroken into files and pipes."""
+    from rich.console import Console
+
+    console = Console(
+        width=_width(),
+        color_system=None if os.environ.get("NO_COLOR") else "auto",
+        highlight=False,
+        markup=False,
+        emoji=False,
+    )
+    with console.capture() as capture:
+        for part in parts:
+            console.print(part)
+    _write("".join(f"{line.rstrip()}\n" for line in capture.get().splitlines()))
+
+
+def _write(text: str, encoding: str | None = None) -> None:
+    """Write to standard output at once: here a reader that left and a full disk can still be told from bugs."""
+    if sys.stdout is None:
+        return
+    try:
+        if encoding is None:
+            sys.stdout.write(text)
+        else:
+            sys.stdout.buffer.write(text.encode(encoding))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _give_up_output(READER_LEFT)
+    except OSError as error:
+        _complain(f"standard output: cannot be written: {error.strerror}")
+        _give_up_output(BAD_INPUT)
+
+
+def _give_up_output(code: int) -> NoReturn:
+    """Exit, and let what Python still holds for standard output go nowhere, not into an error at shutdown."""
+    with contextlib.suppress(OSError, io.UnsupportedOperation):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    raise typer.Exit(code)
+
+
+def _complain(*lines: str, head: str = "Error") -> None:
+    with contextlib.suppress(OSError):  # nobody is left to be told
+        for line in lines:
+            print(f"{head}: {line}", file=sys.stderr)

@@ -1,0 +1,17 @@
+"""What the tests share: reproducible property-based tests, and the scenario they all start from."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import settings
+
+import hexservo as hs
+
+# The same examples in every run; a failure prints the line that repeats it. No time limits: machines differ.
+settings.register_profile("hexservo", derandomize=True, print_blob=True, deadline=None)
+settings.load_profile("hexservo")
+
+
+@pytest.fixture(scope="session")
+def paper() -> hs.Scenario:
+    return hs.load_scenario("paper")
