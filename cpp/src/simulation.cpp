@@ -149,10 +149,7 @@ BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<dou
     return body_rate(body, error, s, R_BE, inverse_kinematics(hexapod, position_of(s), R_BE).wrench(leg_forces));
   };
   for (long long i = 0; i < steps; ++i) {
-    const auto k = runge_kutta_stages(step, rate_at(state), [&](double scale, const BodyState<double>& rate) {
-      return rate_at(state + scale * rate);
-    });
-    for (std::size_t stage = 0; stage < 4; ++stage) state += step * kRungeKuttaWeights[stage] * k[stage];
+    runge_kutta_step(step, state, rate_at);
     normalise_quaternion(state);
   }
   return state;

@@ -297,17 +297,19 @@ def _print(*parts: RenderableType) -> None:
     """Print with colours and line breaks that suit the terminal; plain and unbroken into files and pipes."""
     from rich.console import Console
 
+    text = io.StringIO()  # written in one place, with its errors; rich has ways of its own with them
     console = Console(
+        file=text,
+        force_terminal=True if sys.stdout is not None and sys.stdout.isatty() else None,
         width=_width(),
         color_system=None if os.environ.get("NO_COLOR") else "auto",
         highlight=False,
         markup=False,
         emoji=False,
     )
-    with console.capture() as capture:
-        for part in parts:
-            console.print(part)
-    _write("".join(f"{line.rstrip()}\n" for line in capture.get().splitlines()))
+    for part in parts:
+        console.print(part)
+    _write("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()))
 
 
 def _write(text: str, encoding: str | None = None) -> None:

@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
+from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Callable, ParamSpec, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeAlias, TypeVar
 
 import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
+from matplotlib.markers import MarkerStyle
+from matplotlib.ticker import FixedLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from hexservo import _core
@@ -47,25 +46,43 @@ T = TypeVar("T")
 
 _COLUMN, _PAGE = 3.5, 7.16  # widths of a figure in a two-column paper [in]
 _SETTLED = 2.0  # the settling band of the metrics [px]
-_MAX_POINTS = 1200  # of one line in one panel: four per point of paper
+_MAX_POINTS = 1200  # of one line in one panel: more than print resolves
+_MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings
+_THIN = 0.6  # width of samples under their mean [pt]
+_FAINT = 0.45  # opacity of samples under their mean
 
-# Okabe and Ito's colours: apart for every kind of colour vision. The dashes tell them apart in grey.
-_BLACK, _BLUE, _VERMILION, _GREEN, _PURPLE, _ORANGE = "#000000", "#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00"
+
+class _Ink(NamedTuple):
+    """How one line looks."""
+
+    colour: str
+    dashes: Any = "-"
+
+
+# Okabe and Ito's colours, the light ones darkened for text: apart for every kind of colour vision. In grey, dashes and
+# labels tell the lines apart.
+_BLACK, _BLUE, _VERMILION, _GREEN, _PURPLE, _ORANGE = "#000000", "#0072B2", "#D55E00", "#009E73", "#B85F93", "#CC8400"
 _GREY = "0.45"
-_SOLID: Any = "-"
-_DASHED: Any = (0, (4, 1.2))
-_DOTTED: Any = (0, (1.2, 1))
-_DASH_DOT: Any = (0, (5, 1, 1.2, 1))
-_AXIS_STYLES = ((_BLUE, _SOLID), (_VERMILION, _DASHED), (_GREEN, _DASH_DOT))
+_DASHED, _DASH_DOT = (0, (4, 1.2)), (0, (5, 1, 1.2, 1))
+_AXES_INKS = (_Ink(_BLUE), _Ink(_VERMILION, _DASHED), _Ink(_GREEN, _DASH_DOT))
 _POINT_COLOURS = (_BLUE, _VERMILION, _GREEN, _BLACK)
-_LEG_STYLES = (
-    (_BLACK, _SOLID),
-    (_ORANGE, _SOLID),
-    (_BLUE, _DASHED),
-    (_VERMILION, _DASHED),
-    (_GREEN, _DASH_DOT),
-    (_PURPLE, _DASH_DOT),
+_FEATURE_INKS = tuple(_Ink(colour, dashes) for colour in _POINT_COLOURS for dashes in ("-", _DASHED))
+_LEG_INKS = (
+    _Ink(_BLACK),
+    _Ink(_ORANGE),
+    _Ink(_BLUE, _DASHED),
+    _Ink(_VERMILION, _DASHED),
+    _Ink(_GREEN, _DASH_DOT),
+    _Ink(_PURPLE, _DASH_DOT),
 )
+
+_FEATURE_NAMES = ("x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄")
+_START: dict[str, Any] = {"marker": "o", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.1}
+_END: dict[str, Any] = {"marker": "o", "markersize": 3.2, "markeredgewidth": 0}
+_GOAL: dict[str, Any] = {"marker": "s", "markersize": 7, "markerfacecolor": "none", "markeredgewidth": 0.9}
+
+_HALO = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
+_DIVERGING = "PuOr_r"  # light in the middle, and told apart by every kind of colour vision
 
 _STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same everywhere
@@ -78,9 +95,9 @@ _STYLE = {
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-4, 5),
+    "axes.formatter.limits": (-9, 9),
+    "axes.titley": 1.0,  # fixed places for titles and labels: finding them takes a third of the drawing time
     "axes.titlepad": 5,
-    "axes.labelpad": 2.5,
     "grid.color": "0.9",
     "grid.linewidth": 0.5,
     "xtick.labelsize": 7,
@@ -112,7 +129,8 @@ _LOOK = (
 def _our_style() -> Iterator[None]:
     """Draw in our style, from matplotlib's defaults whatever the user's are, and put the user's back."""
     defaults = {name: value for name, value in matplotlib.rcParamsDefault.items() if name.startswith(_LOOK)}
-    with matplotlib.rc_context({**defaults, **_STYLE}):  # type: ignore[arg-type]  # its keys are literals
+    settings: Any = {**defaults, **_STYLE}
+    with matplotlib.rc_context(settings):
         yield
 
 
@@ -138,21 +156,12 @@ def rule_table(scenario: Scenario) -> Figure:
     table = np.asarray(core_parameters(scenario).gains.fuzzy.table)
     terms = list(_TERMS)
     limit = max(1.0, float(np.abs(table).max()))
-    figure = Figure(figsize=(_COLUMN, 2.95))
-    axes = _axes(figure, 0.56, 0.12, 2.2, 2.2)
-    image = axes.imshow(table, cmap="PuOr_r", vmin=-limit, vmax=limit)
-    for row in range(7):
-        for column in range(7):
-            value = float(table[row, column])
-            axes.text(
-                column,
-                row,
-                _cell_text(value),
-                ha="center",
-                va="center",
-                color="white" if abs(value) > 0.6 * limit else "black",
-                fontsize=7,
-            )
+    figure = Figure(figsize=(_COLUMN, 2.75))
+    axes = _axes(figure, 0.52, 0.12, 2.2, 2.2)
+    image = axes.imshow(table, cmap=_DIVERGING, vmin=-limit, vmax=limit)
+    for (row, column), value in np.ndenumerate(table):
+        ink = "white" if abs(value) > 0.6 * limit else "black"
+        axes.text(column, row, _cell_text(value), ha="center", va="center", color=ink, fontsize=7)
     axes.set_xticks(range(7), terms)
     axes.set_yticks(range(7), terms)
     axes.set_xticks(np.arange(0.5, 6), minor=True)
@@ -163,10 +172,10 @@ def rule_table(scenario: Scenario) -> Figure:
     axes.xaxis.tick_top()
     axes.xaxis.set_label_position("top")
     axes.spines[:].set_visible(False)
-    axes.set_xlabel("term of the rate of u [1]", labelpad=4)
-    axes.set_ylabel("term of u, the scaled image wrench [1]", labelpad=2)
-    bar = figure.colorbar(image, cax=_axes(figure, 2.86, 0.12, 0.1, 2.2))
-    bar.outline.set_visible(False)  # type: ignore[operator]  # a Spine, whatever its stub says
+    axes.set_xlabel("rate of u [1]")
+    axes.set_ylabel("u, the scaled image wrench [1]")
+    bar = figure.colorbar(image, cax=_axes(figure, 2.82, 0.12, 0.1, 2.2), ticks=MaxNLocator(4))
+    bar.outline.set_visible(False)
     bar.set_label("output [1]")
     return figure
 
@@ -178,33 +187,26 @@ def feature_errors(result: Result) -> Figure:
     A run that settles is shown in two panels: until somewhat after it has settled, then the rest on a scale of its
     own. The band of ±2 px is shaded.
     """
-    split = _split(result)
-    figure = Figure(figsize=(_PAGE, 2.4))
-    styles = [(_POINT_COLOURS[i // 2], (_SOLID, _DASHED)[i % 2]) for i in range(8)]
-    names = ["x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄"]
-    errors = result.feature_error
-    if split is None:
-        panels = [(_axes(figure, 0.58, 0.4, _PAGE - 1.0, 1.7), _whole(result))]
+    figure = Figure(figsize=(_PAGE, 2.48))
+    parts = _parts(result)
+    if len(parts) == 1:
+        boxes = [(0.62, 6.17)]
+        titles = [f"Feature errors (shaded: ±{_SETTLED:g} px)"]
     else:
-        panels = [
-            (_axes(figure, 0.58, 0.4, 2.95, 1.7), _Window(result.time[0], split)),
-            (_axes(figure, 4.12, 0.4, 2.62, 1.7), _Window(split, result.time[-1])),
-        ]
-    for axes, window in panels:
-        axes.axhspan(-_SETTLED, _SETTLED, color="0.91", linewidth=0, zorder=0)
-        axes.axhline(0, color=_GREY, linewidth=0.5, zorder=1)
-        lines = _draw(axes, result.time, errors, window, styles)
-        _limit(axes, window, [errors[window.indices(result.time)]])
-        axes.set_xlabel("time [s]")
-        axes.set_ylabel("feature error [px]")
-    _label_ends(axes, names, lines)
-    first = panels[0][0]
-    if split is None:
-        first.set_title(f"Feature errors (shaded: ±{_SETTLED:g} px)", loc="left")
-    else:
+        boxes = [(0.62, 2.83), (4.16, 2.63)]
         settled = metrics(result)["settling_time"]
-        first.set_title(f"Within ±{_SETTLED:g} px (shaded) from {settled:.3g} s on", loc="left")
-        axes.set_title("The rest, on a scale of its own", loc="left")
+        titles = [f"Within ±{_SETTLED:g} px (shaded) from {settled:.3g} s on", "The rest, magnified"]
+    for part, (left, width), title in zip(parts, boxes, titles, strict=True):
+        axes = _axes(figure, left, 0.48, width, 1.72)
+        axes.axhspan(-_SETTLED, _SETTLED, color="0.92", linewidth=0, zorder=0)
+        axes.axhline(0, color=_GREY, linewidth=0.5, zorder=1)
+        errors = result.feature_error[part]
+        _draw(axes, result.time[part], errors, _FEATURE_NAMES, _FEATURE_INKS)
+        _set_limits(axes, result.time[part], errors)
+        _describe([_Panel(axes, part)], "feature error [px]", title, time=True)
+    _label_ends(axes, dict(zip(_FEATURE_NAMES, errors[-1], strict=True)), _FEATURE_INKS)
+    solid, dashed = (Line2D([], [], color=_GREY, linestyle=ink.dashes) for ink in _FEATURE_INKS[:2])
+    _explain(figure, {"x₁ to x₄": solid, "y₁ to y₄": dashed})
     _note_outcome(figure, result)
     return figure
 
@@ -217,30 +219,33 @@ def feature_paths(result: Result) -> Figure:
     """
     features = result.features.reshape(-1, 4, 2)
     goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
-    figure = Figure(figsize=(_COLUMN, 3.55))
-    axes = _axes(figure, 0.52, 0.42, 2.85, 2.85)
+    figure = Figure(figsize=(_COLUMN, 3.56))
+    axes = _axes(figure, 0.6, 0.48, 2.78, 2.78)
     everything = np.concatenate([features.reshape(-1, 2), goals])
     low, high = everything.min(axis=0), everything.max(axis=0)
-    middle, half = low / 2 + high / 2, max(0.58 * float((high - low).max()), 1.0)
+    middle, half = (low + high) / 2, max(0.57 * float((high - low).max()), 1.0)
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
     axes.set_aspect("equal", adjustable="box")
-    for index, (goal, colour) in enumerate(zip(goals, _POINT_COLOURS, strict=True)):
-        path = features[:, index]
-        kept = np.union1d(_extremes(path[:, 0], _MAX_POINTS), _extremes(path[:, 1], _MAX_POINTS))
-        axes.plot(path[kept, 0], path[kept, 1], color=colour, linewidth=0.8, gid=f"path {index + 1}")
-        axes.plot(*path[0], "o", color=colour, mfc="white", ms=5, mew=1.1, zorder=4, gid=f"start {index + 1}")
-        axes.plot(*path[-1], "o", color=colour, ms=3.2, mew=0, zorder=4, gid=f"end {index + 1}")
-        axes.plot(*goal, "x", color=colour, ms=6.5, mew=1.1, zorder=5, gid=f"goal {index + 1}")
-        _start_arrow(axes, path, goal, colour)
-        _name_start(axes, str(index + 1), path[0], goal, colour)
-    axes.set_xlabel("image x [px]")
-    axes.set_ylabel("image y [px]")
-    marks = (("start", "o", 5.0, "white"), ("end of the run", "o", 3.2, _GREY), ("goal", "x", 6.0, _GREY))
+    corner = _farther_apart(features[0], features[-1], 0.16 * half)
+    for number, path, goal, colour in zip(range(1, 5), features.swapaxes(0, 1), goals, _POINT_COLOURS, strict=True):
+        kept = np.union1d(_extremes(path[:, 0]), _extremes(path[:, 1]))
+        axes.plot(path[kept, 0], path[kept, 1], color=colour, linewidth=0.8, gid=f"path {number}")
+        for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):
+            looks = {"markerfacecolor": colour, **mark}
+            axes.plot(*place, color=colour, linestyle="", zorder=4, gid=f"{name} {number}", **looks)
+        _point_the_way(axes, path, max(0.55 * float(np.hypot(*(goal - path[0]))), 0.1 * half), colour)
+        named = path[corner]
+        away = tuple(7 * np.where(named < goal, -1, 1))
+        axes.annotate(
+            str(number), named, away, textcoords="offset points", color=colour, ha="center", va="center", bbox=_HALO
+        )
+    _label(axes, "x", "image x [px]")
+    _label(axes, "y", "image y [px]")
     axes.legend(
         handles=[
-            Line2D([], [], linestyle="", marker=mark, markersize=size, color=_GREY, markerfacecolor=fill, label=name)
-            for name, mark, size, fill in marks
+            Line2D([], [], linestyle="", color=_GREY, label=name, **{"markerfacecolor": _GREY, **mark})
+            for name, mark in (("start", _START), ("end of the run", _END), ("goal", _GOAL))
         ],
         loc="lower left",
         bbox_to_anchor=(-0.02, 0.985),
@@ -261,20 +266,13 @@ def platform_motion(result: Result) -> Figure:
     """
     displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
     rotation = 1e3 * _rotation_vector(result.quaternion)
-    figure = Figure(figsize=(_PAGE, 3.5))
-    for bottom, values, names, label, title in (
-        (1.98, displacement, ["x", "y", "z"], "displacement [mm]", "Position relative to home, in B (z points down)"),
-        (0.4, rotation, ["θx", "θy", "θz"], "rotation vector [mrad]", "Orientation: axis times angle, in B"),
-    ):
-        panels = _panels(figure, result, 0.62, bottom, _PAGE - 1.06, 1.2)
-        for axes, window in panels:
-            lines = _draw(axes, result.time, values, window, _AXIS_STYLES)
-            _limit(axes, window, [values])
-        panels[0][0].set_ylabel(label)
-        panels[0][0].set_title(title, loc="left")
-        _label_ends(panels[-1][0], names, lines)
-        if bottom < 1:
-            _label_time(figure, panels)
+    figure = Figure(figsize=(_PAGE, 3.6))
+    upper = _panels(figure, result, (0.62, 2.01, 6.1, 1.3), [displacement])
+    lower = _panels(figure, result, (0.62, 0.48, 6.1, 1.3), [rotation])
+    _fill(upper, result, displacement, ["x", "y", "z"], _AXES_INKS)
+    _fill(lower, result, rotation, ["θx", "θy", "θz"], _AXES_INKS)
+    _describe(upper, "displacement [mm]", "Position relative to home, in B (z points down)")
+    _describe(lower, "rotation vector [mrad]", "Orientation: axis times angle, in B", time=True)
     _note_outcome(figure, result)
     return figure
 
@@ -283,46 +281,32 @@ def platform_motion(result: Result) -> Figure:
 def control_wrench(result: Result) -> Figure:
     """Draw the wrench in N and mN m, in B, and the six leg forces in N, figure 5.
 
-    Thin lines are the samples; where the switching term chatters, thick lines are their moving means. The dotted line
-    is the estimated weight Ḡ that the law feeds forward (1), (15).
+    Thin lines are the samples; where there are enough of them, thick lines are their moving means: the switching term
+    makes the samples chatter. The dotted line is the weight in Ḡ that the law feeds forward (1), (15).
     """
     weight = -result.scenario.robot.mass * _core.RigidBody().gravity
-    force, moment = result.wrench[:, :3], 1e3 * result.wrench[:, 3:]
-    half = _mean_half_width(result)
-    figure = Figure(figsize=(_PAGE, 4.55))
-    left, top, width, height, gap = 0.6, 2.98, 2.52, 1.12, 0.28
-    cells: list[tuple[float, float, float, float, Array, list[str], Any, str, str]] = [
-        (left, top, width, height, force[:, :2], ["fx", "fy"], _AXIS_STYLES[:2], "force [N]", "Force in B, horizontal"),
-        (left, top - height - gap, width, height, force[:, 2:], ["fz"], _AXIS_STYLES[2:], "force [N]", "Vertical"),
-        (left, 0.4, width, height - 0.1, moment, ["mx", "my", "mz"], _AXIS_STYLES, "moment [mN m]", "Moment in B"),
-        (
-            left + width + 0.98,
-            0.4,
-            width + 0.18,
-            top + height - 0.4,
-            result.leg_forces,
-            [f"leg {leg}" for leg in range(1, 7)],
-            _LEG_STYLES,
-            "leg force [N]",
-            "Leg forces (positive: pushing)",
-        ),
+    horizontal, vertical, moment = result.wrench[:, :2], result.wrench[:, 2:3], 1e3 * result.wrench[:, 3:]
+    mean = _mean_samples(result.time)
+    figure = Figure(figsize=(_PAGE, 4.68))
+    rows = [
+        _panels(figure, result, (0.62, bottom, 2.55, 1.1), values)
+        for bottom, values in ((3.16, [horizontal]), (1.82, [vertical, np.array([weight])]), (0.48, [moment]))
     ]
-    for x, y, cell_width, cell_height, values, names, styles, label, title in cells:
-        panels = _panels(figure, result, x, y, cell_width, cell_height)
-        shown = [values]
-        for axes, window in panels:
-            lines = _draw_chatter(axes, result.time, values, window, styles, half)
-            if names == ["fz"]:
-                shown = [values, np.asarray([[weight]])]
-                lines += axes.plot(axes.get_xlim(), [weight] * 2, color=_BLACK, linestyle=_DOTTED, gid="weight")
-            _limit(axes, window, shown)
-        if names == ["fz"]:
-            lines[-1].set_xdata([panels[-1][1].begin, panels[-1][1].end])
-        panels[0][0].set_ylabel(label)
-        panels[0][0].set_title(title, loc="left")
-        _label_ends(panels[-1][0], [*names, "Ḡ"][: len(lines)], lines)
-        if y < 1:
-            _label_time(figure, panels)
+    legs = _panels(figure, result, (4.05, 0.48, 2.64, 3.78), [result.leg_forces])
+    for axes, _ in rows[1]:
+        axes.axhline(weight, color=_BLACK, linewidth=1, linestyle=":", gid="weight")
+    _fill(rows[0], result, horizontal, ["fx", "fy"], _AXES_INKS[:2], mean)
+    _fill(rows[1], result, vertical, ["fz"], [_Ink(_GREEN)], mean, {"−mg": weight})
+    _fill(rows[2], result, moment, ["mx", "my", "mz"], _AXES_INKS, mean)
+    _fill(legs, result, result.leg_forces, [f"leg {leg}" for leg in range(1, 7)], _LEG_INKS, mean)
+    _describe(rows[0], "force [N]", "Horizontal force, in B")
+    _describe(rows[1], "force [N]", "Vertical force, in B (z points down)")
+    _describe(rows[2], "moment [mN m]", "Moment, in B", time=True)
+    _describe(legs, "leg force [N]", "Leg forces (positive: pushing)", time=True)
+    if mean > 1:
+        period = 1e3 * mean * float(np.median(np.diff(result.time)))
+        samples = Line2D([], [], color=_GREY, linewidth=_THIN, alpha=_FAINT)
+        _explain(figure, {"samples": samples, f"mean over {period:.3g} ms": Line2D([], [], color=_GREY)})
     _note_outcome(figure, result)
     return figure
 
@@ -331,7 +315,7 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
     """Write figures 2(a), 2(b), 3, 4 and 5 as SVG and PNG (200 dpi) into a folder, which is made if need be.
 
     Files of the same name are replaced. The same run gives the same bytes. Each file appears whole or not at all, and
-    none appears before all are drawn.
+    none before all are drawn.
 
     Returns
     -------
@@ -343,22 +327,345 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
     ValueError
         The folder cannot be made or written to.
     """
-    drawings = {
+    target = Path(folder)
+    figures = {
         "fig2a_rule_table": rule_table(result.scenario),
         "fig2b_feature_errors": feature_errors(result),
         "fig3_feature_paths": feature_paths(result),
         "fig4_platform_motion": platform_motion(result),
         "fig5_wrench": control_wrench(result),
     }
-    contents = {
-        f"{name}.{kind}": _rendered(figure, kind) for name, figure in drawings.items() for kind in ("svg", "png")
+    images = {
+        f"{name}.{extension}": _image(figure, extension)
+        for name, figure in figures.items()
+        for extension in ("svg", "png")
     }
-    target = Path(folder)
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        return _write_all(target, contents)
+        return _write(target, images)
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
         raise ValueError(
             f'folder: expected a folder that exists or can be made, and can be written to, got "{target}" ({reason})'
         ) from error
+
+
+# ---- Panels ---------------------------------------------------------------------------------------------------------
+
+
+class _Panel(NamedTuple):
+    """Axes over the time with the samples that they show."""
+
+    axes: Axes
+    part: slice
+
+
+def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Add axes at a place in inches: what a layout engine would find, without its time."""
+    across, up = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
+def _parts(result: Result) -> list[slice]:
+    """Split the samples where the run has settled for as long again as it took; the parts share a sample.
+
+    One part where the run does not settle, starts settled, or has too few samples.
+    """
+    settled, time = metrics(result)["settling_time"], result.time
+    whole = [slice(0, len(time))]
+    if not settled > 0:
+        return whole
+    split = min(2 * settled, (settled + time[-1]) / 2)
+    rounded = float(f"{split:.1g}")
+    cut = int(np.searchsorted(time, rounded if settled < rounded < time[-1] else split))
+    return [slice(0, cut + 1), slice(cut, len(time))] if 2 <= cut <= len(time) - 3 else whole
+
+
+def _panels(
+    figure: Figure, result: Result, box: tuple[float, float, float, float], values: Sequence[Array]
+) -> list[_Panel]:
+    """Add axes over the time, broken where a short transient would be lost in a long run.
+
+    Parameters
+    ----------
+    box
+        Left, bottom, width, height [in].
+    values
+        What the y axis shall hold.
+    """
+    left, bottom, width, height = box
+    parts = _parts(result)
+    if len(parts) == 2 and result.time[parts[0]][-1] > result.time[-1] / 2:
+        parts = [slice(0, len(result.time))]
+    gap = 0.1
+    widths = [width] if len(parts) == 1 else [0.62 * (width - gap), 0.38 * (width - gap)]
+    panels: list[_Panel] = []
+    for part, own_width in zip(parts, widths, strict=True):
+        axes = _axes(figure, left, bottom, own_width, height)
+        _set_limits(axes, result.time[part], *values)
+        panels.append(_Panel(axes, part))
+        left += own_width + gap
+    if len(panels) == 2:
+        _break(panels[0].axes, panels[1].axes)
+    return panels
+
+
+def _break(first: Axes, second: Axes) -> None:
+    """Mark that the time axis goes on in the second panel, on another scale."""
+    second.spines["left"].set_visible(False)
+    second.tick_params(axis="y", length=0, labelleft=False)
+    for axes, corner in ((first, 1), (second, 0)):
+        axes.plot(
+            corner,
+            0,
+            transform=axes.transAxes,
+            marker=[(-0.5, -1), (0.5, 1)],
+            ms=6,
+            color="black",
+            mew=0.6,
+            clip_on=False,
+        )
+    begin, end = second.get_xlim()
+    ticks = np.array(MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(begin, end))
+    clear = (ticks > begin + 0.12 * (end - begin)) & (ticks <= end)  # of the label that ends the first panel
+    second.xaxis.set_major_locator(FixedLocator(ticks[clear].tolist()))
+
+
+def _set_limits(axes: Axes, time: Array, *values: Array) -> None:
+    """Let the x axis hold the time exactly, and the y axis the values with a margin."""
+    begin, end = float(time[0]), float(time[-1])
+    axes.set_xlim(begin, end if end > begin else begin + 1e-3)
+    low, high = min(float(part.min()) for part in values), max(float(part.max()) for part in values)
+    margin = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
+    axes.set_ylim(low - margin, high + margin)
+    axes.xaxis.set_major_locator(MaxNLocator(min(10, max(2, int(_size(axes)[0] / 0.36))), steps=[1, 2, 5, 10]))
+    for axis, largest in ((axes.xaxis, abs(end)), (axes.yaxis, max(abs(low), abs(high)))):
+        if not 1e-3 < largest < 1e5:
+            axis.set_major_formatter("{x:.4g}")  # without a common power of ten, which titles would cover
+
+
+def _size(axes: Axes) -> tuple[float, float]:
+    """Give the width and height of axes [in]."""
+    place, figure = axes.get_position(), axes.figure
+    across, up = figure.get_size_inches()  # type: ignore[union-attr]
+    return float(place.width * across), float(place.height * up)
+
+
+def _label(axes: Axes, which: Literal["x", "y"], text: str, along: float = 0.5) -> None:
+    """Label an axis at a fixed distance, clear of the longest tick labels, and at a fraction along it."""
+    width, height = _size(axes)
+    if which == "x":
+        axes.set_xlabel(text)
+        axes.xaxis.set_label_coords(along, -0.21 / height)
+    else:
+        axes.set_ylabel(text)
+        axes.yaxis.set_label_coords(-0.45 / width, along)
+
+
+def _describe(panels: Sequence[_Panel], label: str, title: str, *, time: bool = False) -> None:
+    """Set the title and the label of the y axis, and say the time below, if it is not said by panels further down."""
+    axes = panels[0].axes
+    widths = [_size(panel.axes)[0] for panel in panels]
+    _label(axes, "y", label)
+    axes.set_title(title, loc="left")
+    if time:
+        _label(axes, "x", "time [s]", sum(widths) / 2 / widths[0])
+    else:
+        for axes, _ in panels:
+            axes.tick_params(axis="x", labelbottom=False)
+
+
+def _fill(
+    panels: Sequence[_Panel],
+    result: Result,
+    values: Array,
+    names: Sequence[str],
+    inks: Sequence[_Ink],
+    mean: int = 1,
+    levels: Mapping[str, float] | None = None,
+) -> None:
+    """Draw the columns of values over the time, and name each beside its end.
+
+    Parameters
+    ----------
+    mean
+        Number of samples of a moving mean; above 1 it is drawn over the samples, which then are thin.
+    levels
+        Constants that are named likewise, in black.
+    """
+    means = _moving_mean(values, mean)
+    for axes, part in panels:
+        if mean > 1:
+            thin = [_Ink(ink.colour) for ink in inks]
+            _draw(axes, result.time[part], values[part], names, thin, linewidth=_THIN, alpha=_FAINT)
+            _draw(axes, result.time[part], means[part], [f"mean {name}" for name in names], inks)
+        else:
+            _draw(axes, result.time[part], values[part], names, inks)
+    ends = {**dict(zip(names, means[-1], strict=True)), **(levels or {})}
+    _label_ends(panels[-1].axes, ends, [*inks, *[_Ink(_BLACK) for _ in levels or ()]])
+
+
+def _draw(axes: Axes, time: Array, values: Array, names: Sequence[str], inks: Sequence[_Ink], **looks: Any) -> None:
+    """Draw each column as a line, as dots where there are too few samples for one."""
+    dots: dict[str, Any] = {"marker": "o", "markersize": 2.5} if len(time) < 3 else {}
+    for column, name, ink in zip(values.T, names, inks, strict=True):
+        kept = _extremes(column)
+        axes.plot(time[kept], column[kept], color=ink.colour, linestyle=ink.dashes, gid=name, **dots, **looks)
+
+
+def _label_ends(axes: Axes, ends: Mapping[str, float], inks: Sequence[_Ink]) -> None:
+    """Name lines to the right of the axes, each as near to its last value as the others allow."""
+    low, high = axes.get_ylim()
+    places = np.clip((np.array(list(ends.values())) - low) / (high - low), 0, 1)
+    width, height = _size(axes)
+    spread = _spread(places, 0.114 / height)
+    near, far, text = (1 + inches / width for inches in (0.02, 0.14, 0.17))
+    for name, place, label, ink in zip(ends, places, spread, inks, strict=True):
+        axes.plot([near, far], [place, label], color=ink.colour, linewidth=0.4, clip_on=False, transform=axes.transAxes)
+        axes.text(text, label, name, transform=axes.transAxes, va="center", color=ink.colour, fontsize=7)
+
+
+def _spread(places: Array, gap: float) -> Array:
+    """Move places within [0, 1] apart by at least a gap, all together as little as possible in the least squares.
+
+    With the gaps subtracted this is isotonic regression, solved by pooling neighbours.
+    """
+    order = np.argsort(places, kind="stable")
+    steps = gap * np.arange(len(places))
+    pools: list[list[float]] = []
+    for place in places[order] - steps:
+        pools.append([float(place)])
+        while len(pools) > 1 and np.mean(pools[-2]) >= np.mean(pools[-1]):
+            last = pools.pop()
+            pools[-1] += last
+    level = np.concatenate([np.full(len(pool), np.mean(pool)) for pool in pools])
+    spread = np.empty_like(places)
+    spread[order] = np.clip(level, 0, max(1 - steps[-1], 0)) + steps
+    return spread
+
+
+def _farther_apart(starts: Array, ends: Array, enough: float) -> Literal[0, -1]:
+    """Tell where names of paths have more room: at the starts (0), if that is enough, or at the ends (-1)."""
+
+    def nearest(places: Array) -> float:
+        return min(float(np.hypot(*(a - b))) for a, b in combinations(places, 2))
+
+    return 0 if nearest(starts) >= min(enough, nearest(ends)) else -1
+
+
+def _point_the_way(axes: Axes, path: Array, distance: float, colour: str) -> None:
+    """Put an arrow head on a path at a distance along it."""
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    if not 0 < distance < travelled[-1]:
+        return
+    tail, head = (
+        np.array([np.interp(at, travelled, path[:, axis]) for axis in (0, 1)]) for at in (0.99 * distance, distance)
+    )
+    direction = np.degrees(np.arctan2(*(head - tail)[::-1]))
+    triangle = MarkerStyle(">").rotated(deg=float(direction))
+    axes.plot(*head, marker=triangle, markersize=5, markeredgewidth=0, color=colour)
+
+
+def _explain(figure: Figure, handles: Mapping[str, Line2D]) -> None:
+    """Put a legend into the upper right corner, above all panels."""
+    figure.legend(list(handles.values()), list(handles), loc="upper right", ncols=len(handles), borderaxespad=0.2)
+
+
+def _note_outcome(figure: Figure, result: Result) -> None:
+    """Say in the corner how a run ended that did not complete."""
+    if result.outcome != "completed":
+        text = f"{result.outcome.replace('_', ' ')} after {result.end_time:.4g} s"
+        figure.text(0.995, 0.012, text, ha="right", va="bottom", fontsize=7, fontweight="bold", color=_VERMILION)
+
+
+def _cell_text(value: float) -> str:
+    for term, centre in _TERMS.items():
+        if abs(value - centre) < 1e-9:
+            return term
+    return f"{value:.2g}"
+
+
+# ---- Numbers --------------------------------------------------------------------------------------------------------
+
+
+def _rotation_vector(quaternion: Array) -> Array:
+    """Give axis times angle of unit quaternions (n, 4), w x y z, as (n, 3) [rad]; of the two angles the one up to pi.
+
+    Accurate to rounding from 0 to pi: the angle comes from both parts of the quaternion.
+    """
+    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    unit = np.where(unit[:, :1] < 0, -unit, unit)
+    sine = np.linalg.norm(unit[:, 1:], axis=1, keepdims=True)
+    angle = 2 * np.arctan2(sine, unit[:, :1])
+    return np.asarray(unit[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0))
+
+
+def _extremes(values: Array) -> NDArray[np.intp]:
+    """Give the indices of the samples to draw: all, or first, last and the extremes of as many bins as print resolves.
+
+    Parameters
+    ----------
+    values
+        Samples of one line, (n,).
+    """
+    count = len(values)
+    if count <= _MAX_POINTS:
+        return np.arange(count)
+    size = -(-count // (_MAX_POINTS // 2))
+    bins = -(-count // size)
+    padded = np.pad(values, (0, bins * size - count), mode="edge").reshape(bins, size)
+    starts = size * np.arange(bins)
+    chosen = np.concatenate([starts + padded.argmin(axis=1), starts + padded.argmax(axis=1), [0, count - 1]])
+    return np.unique(np.minimum(chosen, count - 1))
+
+
+def _mean_samples(time: Array) -> int:
+    """Give the odd number of samples of the moving mean, about 7 ms; 1 for short or coarse runs."""
+    if len(time) < 3:
+        return 1
+    half = round(_MEAN_TIME / 2 / float(np.median(np.diff(time))))
+    return 2 * half + 1 if 2 <= half <= len(time) / 100 else 1
+
+
+def _moving_mean(values: Array, count: int) -> Array:
+    """Give the mean of the `count` (odd) samples about each of (n, k) samples; near the ends, of fewer."""
+    if count == 1:
+        return values
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    index = np.arange(len(values))
+    first, last = np.maximum(index - count // 2, 0), np.minimum(index + count // 2 + 1, len(values))
+    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
+
+
+# ---- Files ----------------------------------------------------------------------------------------------------------
+
+
+@_styled
+def _image(figure: Figure, extension: str) -> bytes:
+    """Give a figure as the bytes of a file, without a date."""
+    buffer = io.BytesIO()
+    if extension == "svg":
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    else:
+        figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 1})  # hardly larger, much faster
+    return buffer.getvalue()
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Write files under temporary names, then give all of them their own.
+
+    Raises
+    ------
+    OSError
+        Something could not be written; no temporary file is left.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    temporary = {folder / f".{name}.{os.getpid()}.part": folder / name for name in files}
+    try:
+        for path, content in zip(temporary, files.values(), strict=True):
+            path.write_bytes(content)
+        for path, final in temporary.items():
+            path.replace(final)
+    finally:
+        for path in temporary:
+            path.unlink(missing_ok=True)
+    return list(temporary.values())

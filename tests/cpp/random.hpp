@@ -5,8 +5,6 @@
 
 #include "hexservo/types.hpp"
 
-#include <Eigen/QR>
-
 #include <cmath>
 #include <cstdint>
 #include <random>
@@ -41,7 +39,7 @@ class Random {
   }
 
   /// Rotation by at most `angle` [rad] about a random axis, made by Eigen and not by the core.
-  Matrix3<double> rotation(double angle = EIGEN_PI) {
+  Matrix3<double> rotation(double angle = 3.14159265358979323846) {
     Vector3<double> axis;
     do axis = matrix<3>();
     while (axis.norm() < 0.1 || axis.norm() > 1.0);
@@ -59,11 +57,13 @@ class Random {
   /// Symmetric positive definite with eigenvalues between 1/condition and 1.
   template <int N>
   Eigen::Matrix<double, N, N> positive_definite(double condition) {
-    const Eigen::HouseholderQR<Eigen::Matrix<double, N, N>> qr(matrix<N, N>());
-    const Eigen::Matrix<double, N, N> Q = qr.householderQ();
-    Vector<double, N> eigenvalues;
-    for (int i = 0; i < N; ++i) eigenvalues(i) = std::pow(condition, -uniform(0.0, 1.0));
-    const Eigen::Matrix<double, N, N> A = Q * eigenvalues.asDiagonal() * Q.transpose();
+    Eigen::Matrix<double, N, N> A = Eigen::Matrix<double, N, N>::Zero();
+    for (int i = 0; i < N; ++i) A(i, i) = std::pow(condition, -uniform(0.0, 1.0));
+    for (int i = 0; i < N; ++i) {  // N reflections make generic axes
+      const Vector<double, N> v = matrix<N>().normalized();
+      A -= 2.0 * v * (v.transpose() * A);
+      A -= 2.0 * (A * v) * v.transpose();
+    }
     return (A + A.transpose()) / 2.0;
   }
 

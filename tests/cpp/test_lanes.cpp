@@ -4,10 +4,10 @@
 #include "compare.hpp"
 #include "random.hpp"
 
-#include <doctest/doctest.h>
-
+#include <algorithm>
 #include <bit>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 using namespace hexservo;

@@ -10,6 +10,9 @@
 #include "hexservo/metrics.hpp"
 #include "hexservo/runge_kutta.hpp"
 
+#include <new>
+#include <type_traits>
+
 namespace hexservo {
 
 /// How a run ended; where several apply at one instant the first of this list is reported.
@@ -98,62 +101,34 @@ class ClosedLoop {
               gravity_wrench(p_.body), p_.switching},
         body_(body_state<S>({p_.hexapod.home_position, Pose<S>{}.quaternion}, Vector6<S>::Zero())),
         law_state_(Law::initial_state(p_.gains)),
-        instant_(instant_at(body_, p_.initial_image, LawStage{&law_state_})),
-        sample_(sample_at(body_, instant_).sample),
+        now_(*this, body_, p_.initial_image, LawStage{&law_state_}),
+        sample_(sample_now().sample),
         metrics_(p_.metrics, p_.hexapod, task_.gravity_wrench, sample_) {
-    accept(sample_at(body_, instant_));
+    accept(sample_now());
   }
 
   ClosedLoop(const ClosedLoop&) = delete;  // refers into its parameters
   ClosedLoop& operator=(const ClosedLoop&) = delete;
 
   /// What the law sees now.
-  LawInput<S, N> observe() const noexcept { return input_at(body_, instant_.R_BE, instant_.image); }
+  LawInput<S, N> observe() const noexcept { return input_at(body_, now_.R_BE, now_.image); }
 
   /// One Runge-Kutta step; lanes that have stopped stay as they are.
   void advance() noexcept {
     const double h = p_.step;
-    const auto derivative_at = [this](double scale, const Rate& rate) {
-      const BodyState<S> body = body_ + S(scale) * rate.body;
+    const auto derivative_at = [this](double scale, const Instant& before) {
       Image<S, N> printed;
       if (printed_camera()) {
-        printed.features = instant_.image.features + S(scale) * rate.printed.features;
-        printed.depth = instant_.image.depth + S(scale) * rate.printed.depth;
+        printed.features = now_.image.features + S(scale) * before.printed_rate.features;
+        printed.depth = now_.image.depth + S(scale) * before.printed_rate.depth;
       }
-      return rate_of(body, instant_at(body, printed, LawStage{&law_state_, &rate.law, S(scale)}));
+      return Instant(*this, body_ + S(scale) * before.body_rate, printed,
+                     LawStage{&law_state_, &before.law.rate, S(scale)});
     };
-    const std::array<Rate, 4> k = runge_kutta_stages(h, rate_of(body_, instant_), derivative_at);
-
-    std::array<S, 4> scales;
-    std::array<const LawRate*, 4> law_rates;
-    BodyState<S> body = body_;
-    Image<S, N> image = instant_.image;
-    for (std::size_t i = 0; i < 4; ++i) {
-      scales[i] = S(h * kRungeKuttaWeights[i]);
-      law_rates[i] = &k[i].law;
-      body += scales[i] * k[i].body;
-      if (printed_camera()) {
-        image.features += scales[i] * k[i].printed.features;
-        image.depth += scales[i] * k[i].printed.depth;
-      }
-    }
-    normalise_quaternion(body);
-    if (!printed_camera()) image = image_of(body, rotation_matrix(quaternion_of(body)));
-
-    ++steps_;
-    stop(StopCause::not_finite, !(is_finite(body) & is_finite(image.features) & is_finite(image.depth)));
-    stop(StopCause::feature_error,
-         largest_abs<S, 2 * N, 1>(p_.desired_features - image.features) > S(kMaxFeatureError));
-    stop(StopCause::twist, largest_abs<S, 6, 1>(twist_of(body)) > S(kMaxTwist));
-    stop(StopCause::behind_camera, nearest_depth(image) >= S(0.0));
-
-    const Mask<S> active = running();
-    Law::advance(law_state_, law_rates, scales, active);
-    body_ = select(active, body, body_);
-    image.features = select(active, image.features, instant_.image.features);
-    image.depth = select(active, image.depth, instant_.image.depth);
-    instant_ = instant_at(body_, image, LawStage{&law_state_});
-    accept(sample_at(body_, instant_));
+    runge_kutta_step(h, now_, derivative_at, [this, h](const std::array<const Instant*, 4>& k) { commit(h, k); });
+    // Built in place: the object is large, and everything in it is trivially destructible.
+    ::new (&now_) Instant(*this, body_, true_image_, LawStage{&law_state_});
+    accept(sample_now());
   }
 
   /// Time that was last asked for [s]; lanes that have stopped are behind it.
@@ -174,19 +149,29 @@ class ClosedLoop {
   using LawRate = typename Law::template Rate<S>;
   using LawEvaluation = typename Law::template Evaluation<S>;
 
-  /// Everything that follows algebraically from a state.
+  /// Everything that follows from a state: what is seen, what the law does, and how all of it changes.
   struct Instant {
     Matrix3<S> R_BE;
     Image<S, N> image;  ///< true features and depth
     LawEvaluation law;
-  };
+    BodyState<S> body_rate;
+    Image<S, N> printed_rate;  ///< of the image as (12) and (6) print it; unused by a camera that projects
 
-  /// Time derivative of everything that integrates.
-  struct Rate {
-    BodyState<S> body;
-    Image<S, N> printed;  ///< of the image as (12) and (6) print it; unused by a camera that projects
-    LawRate law;
+    /// @param printed_image integrated image, the true one of a camera as printed
+    Instant(const ClosedLoop& loop, const BodyState<S>& body, const Image<S, N>& printed_image,
+            const LawStage& stage) noexcept
+        : R_BE(rotation_matrix(quaternion_of(body))),
+          image(loop.printed_camera() ? printed_image : loop.image_of(body, R_BE)),
+          law(Law::evaluate(loop.task_, loop.p_.gains, stage, loop.input_at(body, R_BE, image))),
+          body_rate(hexservo::body_rate(loop.p_.body, loop.p_.dynamics_error, body, R_BE, law.wrench)) {
+      if (loop.printed_camera()) {
+        const ImageJacobian<S, N> J(loop.task_.focal_pixels, S(plant_sign(loop.p_.convention)), image, R_BE);
+        printed_rate.features = J.push(twist_of(body));  // (12)
+        printed_rate.depth = printed_depth_rate(loop.task_.focal_pixels, image, R_BE, twist_of(body));
+      }
+    }
   };
+  static_assert(std::is_trivially_destructible_v<Instant>);
 
   struct JudgedSample {
     Sample<S, N> sample;
@@ -203,33 +188,44 @@ class ClosedLoop {
     return {measured_image(image, p_.depth_error), R_BE, twist_of(body)};
   }
 
-  /// @param printed_image integrated image, the true one of a camera as printed
-  Instant instant_at(const BodyState<S>& body, const Image<S, N>& printed_image, const LawStage& stage) const noexcept {
-    Instant instant;
-    instant.R_BE = rotation_matrix(quaternion_of(body));
-    instant.image = printed_camera() ? printed_image : image_of(body, instant.R_BE);
-    instant.law = Law::evaluate(task_, p_.gains, stage, input_at(body, instant.R_BE, instant.image));
-    return instant;
-  }
-
-  Rate rate_of(const BodyState<S>& body, const Instant& instant) const noexcept {
-    Rate rate;
-    rate.body = body_rate(p_.body, p_.dynamics_error, body, instant.R_BE, instant.law.wrench);
-    rate.law = instant.law.rate;
-    if (printed_camera()) {
-      const ImageJacobian<S, N> J(task_.focal_pixels, S(plant_sign(p_.convention)), instant.image, instant.R_BE);
-      rate.printed.features = J.push(twist_of(body));  // (12)
-      rate.printed.depth = printed_depth_rate(task_.focal_pixels, instant.image, instant.R_BE, twist_of(body));
+  /// Ends a step: the new state where it is good, the old one where the lane stops or has stopped.
+  void commit(double h, const std::array<const Instant*, 4>& k) noexcept {
+    std::array<S, 4> scales;
+    std::array<const LawRate*, 4> law_rates;
+    BodyState<S> body = body_;
+    Image<S, N> image = now_.image;
+    for (std::size_t i = 0; i < 4; ++i) {
+      scales[i] = S(h * kRungeKuttaWeights[i]);
+      law_rates[i] = &k[i]->law.rate;
+      body += scales[i] * k[i]->body_rate;
+      if (printed_camera()) {
+        image.features += scales[i] * k[i]->printed_rate.features;
+        image.depth += scales[i] * k[i]->printed_rate.depth;
+      }
     }
-    return rate;
+    normalise_quaternion(body);
+    if (!printed_camera()) image = image_of(body, rotation_matrix(quaternion_of(body)));
+
+    ++steps_;
+    stop(StopCause::not_finite, !(is_finite(body) & is_finite(image.features) & is_finite(image.depth)));
+    stop(StopCause::feature_error,
+         largest_abs<S, 2 * N, 1>(p_.desired_features - image.features) > S(kMaxFeatureError));
+    stop(StopCause::twist, largest_abs<S, 6, 1>(twist_of(body)) > S(kMaxTwist));
+    stop(StopCause::behind_camera, nearest_depth(image) >= S(0.0));
+
+    const Mask<S> active = running();
+    Law::advance(law_state_, law_rates, scales, active);
+    body_ = select(active, body, body_);
+    true_image_.features = select(active, image.features, now_.image.features);
+    true_image_.depth = select(active, image.depth, now_.image.depth);
   }
 
-  JudgedSample sample_at(const BodyState<S>& body, const Instant& instant) const noexcept {
-    const Legs<S> legs = inverse_kinematics(p_.hexapod, position_of(body), instant.R_BE);
+  JudgedSample sample_now() const noexcept {
+    const Legs<S> legs = inverse_kinematics(p_.hexapod, position_of(body_), now_.R_BE);
     const WrenchMapSolver<S> solver(p_.hexapod, legs);
-    return {{p_.desired_features - instant.image.features, instant.image.depth, position_of(body), quaternion_of(body),
-             twist_of(body), instant.law.wrench, instant.law.fuzzy_output, legs.lengths,
-             solver.leg_forces(instant.law.wrench)},
+    return {{p_.desired_features - now_.image.features, now_.image.depth, position_of(body_), quaternion_of(body_),
+             twist_of(body_), now_.law.wrench, now_.law.fuzzy_output, legs.lengths,
+             solver.leg_forces(now_.law.wrench)},
             solver.failed()};
   }
 
@@ -259,7 +255,8 @@ class ClosedLoop {
   ControlTask<S, N> task_;
   BodyState<S> body_;
   LawState law_state_;
-  Instant instant_;
+  Image<S, N> true_image_;
+  Instant now_;
   Sample<S, N> sample_;
   MetricsAccumulator<S, N> metrics_;
   S sample_time_{0.0};

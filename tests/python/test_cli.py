@@ -1,0 +1,467 @@
+"""The command line: what it prints, where, and with which exit code."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo import _core, cli
+
+SHORT = ["--set", "simulation.duration=0.02"]
+SINGULAR = ["--set", "uncertainty.gravity=0.5", "--set", "simulation.log_every=50"]  # ends paper-gravity early
+FIGURES = ["fig2a_rule_table", "fig2b_feature_errors", "fig3_feature_paths", "fig4_platform_motion", "fig5_wrench"]
+CODES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+@pytest.fixture
+def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write one small file in place of the figures."""
+
+    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+        path = Path(folder) / "fig3_feature_paths.svg"
+        path.write_text(result.scenario.name, encoding="utf-8")
+        return [path]
+
+    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+
+
+class Run:
+    """What one command line did."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.result = CliRunner().invoke(cli.app, list(arguments), prog_name="hexservo")
+        self.code = self.result.exit_code
+        self.out = self.result.stdout
+        self.lines = self.out.splitlines()
+        self.error = self.result.stderr
+        self.errors = self.error.splitlines()
+
+
+def environment(**changes: str) -> dict[str, str]:
+    """The environment without what changes colours and widths."""
+    silent = {"NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS", "LINES", "TERM"}
+    return {**{key: value for key, value in os.environ.items() if key not in silent}, "TERM": "xterm", **changes}
+
+
+def process(*arguments: str, cwd: Path, **changes: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "hexservo", *arguments],
+        cwd=cwd,
+        env=environment(**changes),
+        capture_output=True,
+        encoding="utf-8",
+        timeout=120,
+        check=False,
+    )
+
+
+def in_terminal(*arguments: str, columns: int, cwd: Path, **changes: str) -> tuple[int, str]:
+    """Exit code and output of a command in a terminal of that width."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    with subprocess.Popen(
+        [sys.executable, "-m", "hexservo", *arguments],
+        cwd=cwd,
+        env=environment(**changes),
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+    ) as running:
+        os.close(theirs)
+        blocks = []
+        while True:
+            try:
+                block = os.read(ours, 1 << 16)
+            except OSError:  # the other side is closed
+                break
+            if not block:
+                break
+            blocks.append(block)
+        code = running.wait(60)
+    os.close(ours)
+    return code, b"".join(blocks).decode().replace("\r\n", "\n")
+
+
+# ---- run ------------------------------------------------------------------------------------------------------------
+
+
+def test_run_prints_every_metric_in_units_people_read() -> None:
+    run = Run("run", "paper")
+    assert run.code == 0
+    assert run.error == ""
+    assert re.fullmatch(r"paper: completed, 5 s simulated in [0-9.e+]+ m?s", run.lines[0])
+    rows: dict[str, str] = {}
+    for line in run.lines[1:13]:
+        name, _, rest = line.partition("  ")
+        rows[name] = rest.strip()
+    assert [name.replace(" ", "_") for name in rows] == list(hs.METRICS)
+    metrics = hs.metrics(hs.simulate(hs.load_scenario("paper")))
+    readable = {"m": "mm", "rad": "mrad", "m/s": "mm/s", "rad/s": "mrad/s", "N m": "mN m"}
+    for name, (unit, meaning) in hs.METRICS.items():
+        value, shown, said = re.split(r"  +", rows[name.replace("_", " ")])
+        assert said == meaning
+        assert shown == readable.get(unit, unit)
+        assert float(value) == pytest.approx(metrics[name] * (1000 if unit in readable else 1), rel=5e-4)
+    assert run.lines[13:] == ["no files written; --out FOLDER writes figures and data"]
+
+
+def test_run_without_out_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert Run("run", "paper", *SHORT).code == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("quick_figures")
+def test_run_writes_refuses_and_replaces(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "out"
+    run = Run("run", "paper", *SHORT, "--out", str(folder))
+    assert run.code == 0
+    assert run.lines[-1] == f"figures, result.nc, metrics.json and scenario.yaml are in {folder}"
+    again = Run("run", "paper", *SHORT, "--set", "name=other", "--out", str(folder))
+    assert (again.code, again.out) == (2, "")
+    assert len(again.errors) == 1
+    assert "--force" in again.error
+    assert hs.load_scenario(folder / "scenario.yaml").name == "paper"
+    forced = Run("run", "paper", *SHORT, "--set", "name=other", "-o", str(folder), "--force")
+    assert (forced.code, forced.error) == (0, "")
+    assert hs.load_scenario(folder / "scenario.yaml").name == "other"
+
+
+def test_a_folder_that_is_refused_is_told_before_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def simulate(scenario: hs.Scenario) -> hs.Result:
+        raise AssertionError("simulated in vain")
+
+    monkeypatch.setattr(hs, "simulate", simulate)
+    (tmp_path / "notes.txt").touch()
+    run = Run("run", "paper", "--out", str(tmp_path), "--force")
+    assert run.code == 2
+    assert "not results of hexservo" in run.error
+
+
+def test_settings_change_the_scenario_in_order() -> None:
+    settings = [
+        "name=changed",
+        "uncertainty.depth=[0.1, -0.1, 0.2, -0.2]",
+        "controller={switching: {kind: tanh, width: 1}}",
+        "controller.switching.width=1e-2",
+        "description=a = b",
+        "simulation.duration=1",
+        "simulation.duration=2",
+    ]
+    run = Run("show", "paper", *(part for setting in settings for part in ("--set", setting)))
+    assert run.code == 0
+    assert hs.Scenario.from_yaml(run.out) == hs.load_scenario("paper").updated(
+        {
+            "name": "changed",
+            "uncertainty.depth": [0.1, -0.1, 0.2, -0.2],
+            "controller.switching": {"kind": "tanh", "width": 0.01},
+            "description": "a = b",
+            "simulation.duration": 2.0,
+        }
+    )
+
+
+@pytest.mark.parametrize("command", ["run", "show"])
+def test_all_bad_settings_are_told_together(command: str) -> None:
+    settings = ["name", "=1", "uncertainty.dept=0.1", "robot.mass=-1", "controller.law=[", "simulation.step=on"]
+    run = Run(command, "paper", *(part for setting in settings for part in ("--set", setting)))
+    assert (run.code, run.out) == (2, "")
+    assert all(line.startswith("Error: --set: ") for line in run.errors)
+    for said in (
+        'expected KEY=VALUE, as uncertainty.gravity=0.075, got "name"',
+        'got "=1"',
+        'uncertainty.dept: unknown key; did you mean "depth"?',
+        "robot.mass: expected a number > 0, got -1",
+        "controller.law: line 1, column 2: not valid YAML",
+        'simulation.step: expected a number > 0, got "on"',
+    ):
+        assert sum(said in line for line in run.errors) == 1, said
+    assert len(run.errors) == 6
+
+
+@pytest.mark.usefixtures("quick_figures")
+def test_a_run_that_ends_early_says_so_and_keeps_its_results(tmp_path: Path) -> None:
+    run = Run("run", "paper-gravity", *SINGULAR, "--out", str(tmp_path / "out"))
+    assert run.code == 3
+    ending = re.fullmatch(r"Ended early: (paper-gravity: singular at t = ([0-9.]+) s: .+)", run.errors[-1])
+    assert ending is not None
+    assert run.lines[0].startswith(ending[1])
+    assert "settling time" in run.out
+    assert "never" in run.out
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["outcome"] == "singular"
+    assert float(ending[2]) == pytest.approx(metrics["end_time"]["value"], rel=1e-5)
+    limits = [line for line in run.lines if line.startswith("limit passed: leg ")]
+    assert len(limits) == len(metrics["events"]) == 12
+
+
+def test_quiet_says_only_what_went_wrong() -> None:
+    run = Run("run", "paper", *SHORT, "--quiet")
+    assert (run.code, run.out, run.error) == (0, "", "")
+    run = Run("run", "paper-gravity", *SINGULAR, "-q")
+    assert (run.code, run.out) == (3, "")
+    assert len(run.errors) == 1
+    assert "singular" in run.error
+
+
+@pytest.mark.usefixtures("quick_figures")
+def test_ctrl_c_during_the_run_keeps_what_was_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulate = hs.simulate
+
+    def interrupted(scenario: hs.Scenario) -> hs.Result:
+        threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGINT]).start()
+        return simulate(scenario)
+
+    monkeypatch.setattr(hs, "simulate", interrupted)
+    long = ["--set", "simulation.duration=1e6", "--set", "simulation.log_every=100000"]
+    run = Run("run", "paper", *long, "--out", str(tmp_path / "out"))
+    assert run.code == 130
+    assert "interrupted at t = " in run.errors[-1]
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["outcome"] == "interrupted"
+    assert 0 < metrics["end_time"]["value"] < 1e6
+
+
+def test_ctrl_c_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+    run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "a" / "out"))
+    assert run.code == 130
+    assert run.errors == ["Interrupted: nothing more was written"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_that_cannot_be_written_are_still_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+    run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
+    assert run.code == 2
+    assert "final error" in run.out
+    assert "are in" not in run.out
+    assert len(run.errors) == 1
+    assert "No space left on device" in run.error
+
+
+def test_a_mistake_of_ours_is_not_taken_for_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mistake = ValueError("shapes do not match")
+
+    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+        raise mistake
+
+    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+    run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
+    assert run.result.exception is mistake
+    assert run.code == 1
+
+
+def test_what_the_core_refuses_is_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    def simulate(scenario: hs.Scenario) -> hs.Result:
+        raise ValueError("step: expected a divisor, got 3")
+
+    monkeypatch.setattr(hs, "simulate", simulate)
+    run = Run("run", "paper")
+    assert (run.code, run.errors) == (2, ["Error: paper: step: expected a divisor, got 3"])
+
+
+# ---- The other commands ---------------------------------------------------------------------------------------------
+
+
+def test_scenarios_lists_each_with_its_description() -> None:
+    run = Run("scenarios")
+    assert run.code == 0
+    expected = {name: hs.load_scenario(name).description for name in hs.scenario_names()}
+    assert dict(re.split(r"  +", line, maxsplit=1) for line in run.lines) == expected
+
+
+@pytest.mark.parametrize("name", hs.scenario_names())
+def test_show_prints_what_run_reads(name: str, tmp_path: Path) -> None:
+    run = Run("show", name)
+    assert run.code == 0
+    assert run.out == hs.load_scenario(name).to_yaml()
+    file = tmp_path / "my.yaml"
+    file.write_bytes(run.result.stdout_bytes)
+    assert hs.load_scenario(file) == hs.load_scenario(name)
+    assert Run("run", str(file), *SHORT).code == 0
+    assert Run("show", str(file)).out == run.out
+
+
+def test_show_leaves_text_as_it_is() -> None:
+    description = "[bold]ξ̃[/bold] :smile: https://example.org " + "x" * 100
+    run = Run("show", "paper", "--set", f"description='{description}'")
+    assert hs.Scenario.from_yaml(run.out).description == description
+
+
+def test_check_says_valid(tmp_path: Path) -> None:
+    file = tmp_path / "my.yaml"
+    file.write_text(Run("show", "paper").out, encoding="utf-8")
+    run = Run("check", str(file))
+    assert (run.code, run.error) == (0, "")
+    assert run.out == f'{file}: valid (scenario "paper", 5 s in steps of 1 ms)\n'
+
+
+def test_check_lists_every_problem(tmp_path: Path) -> None:
+    file = tmp_path / "my.yaml"
+    text = Run("show", "paper").out.replace("mass: 0.06", "mass: -1").replace("law: hybrid", "law: hybird")
+    file.write_text(text, encoding="utf-8")
+    run = Run("check", str(file))
+    assert (run.code, run.out) == (2, "")
+    assert len(run.errors) == 2
+    assert run.errors[0].startswith(f"Error: {file}: robot.mass: expected a number > 0, got -1")
+    assert run.errors[1].startswith(f'Error: {file}: controller.law: expected "hybrid", got "hybird"')
+
+
+@pytest.mark.parametrize("command", ["run", "show", "check"])
+def test_no_such_scenario(command: str) -> None:
+    run = Run(command, "papre")
+    assert (run.code, run.out) == (2, "")
+    assert run.errors == [line for line in run.errors if line.startswith("Error: expected a packaged scenario")]
+    assert 'did you mean "paper"?' in run.error
+
+
+def test_version() -> None:
+    facts = dict(re.split(r": +", line, maxsplit=1) for line in Run("version").lines)
+    build = _core.build_info()
+    assert {facts["hexservo"], facts["compiler"], facts["flags"], facts["Eigen"]} == set(build.values())
+    assert facts["Python"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.{sys.version_info.micro}")
+    assert set(facts) >= {"numpy", "platform"}
+    assert Run("--version").out == f"hexservo {hs.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments", [["run"], ["frobnicate"], ["run", "paper", "--fast"], ["run", "paper", "--out"], ["check", "a", "b"]]
+)
+def test_wrong_usage(arguments: list[str]) -> None:
+    run = Run(*arguments)
+    assert (run.code, run.out) == (2, "")
+    assert re.search(r"^Error: \S", run.error, re.MULTILINE)
+    assert "Traceback" not in run.error
+
+
+def test_help_names_every_command_and_is_not_cut() -> None:
+    for arguments in (["--help"], ["-h"]):
+        run = Run(*arguments)
+        assert run.code == 0
+        assert "..." not in run.out.replace("[ARGS]...", "")
+        for command in ("run", "scenarios", "show", "check", "version"):
+            assert re.search(rf"^  {command}  ", run.out, re.MULTILINE)
+    for option in ("--out", "--set", "--force", "--quiet"):
+        assert option in Run("run", "--help").out
+
+
+def test_main_is_the_console_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["hexservo", "check", "paper"])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.startswith("paper: valid")
+
+
+# ---- Processes, pipes and terminals ---------------------------------------------------------------------------------
+
+
+def test_the_paper_from_end_to_end(tmp_path: Path) -> None:
+    done = process("run", "paper", "--out", "out/paper", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith("are in out/paper\n")
+    files = {path.name: path.stat().st_size for path in (tmp_path / "out" / "paper").iterdir()}
+    figures = {f"{figure}.{suffix}" for figure in FIGURES for suffix in ("svg", "png")}
+    assert files.keys() == {"scenario.yaml", "metrics.json", "result.nc", ".hexservo-output"} | figures
+    assert min(files.values()) > 0
+    assert process("check", "out/paper/scenario.yaml", cwd=tmp_path).returncode == 0
+
+
+def test_output_into_a_pipe_is_plain_and_complete(tmp_path: Path) -> None:
+    done = process("run", "paper-gravity", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "\x1b" not in done.stdout
+    assert not re.search(r"[^\x20-\x7e\n]", done.stdout)
+    assert all(meaning in done.stdout for _, meaning in hs.METRICS.values())
+    assert max(map(len, done.stdout.splitlines())) > 80
+    assert not any(line != line.rstrip() for line in done.stdout.splitlines())
+
+
+@pytest.mark.parametrize("columns", [30, 50, 100])
+def test_output_fits_a_terminal(tmp_path: Path, columns: int) -> None:
+    code, out = in_terminal("run", "paper-gravity", columns=columns, cwd=tmp_path)
+    assert code == 0
+    assert "\x1b[" in out
+    lines = CODES.sub("", out).splitlines()
+    assert max(map(len, lines)) <= columns
+    words = set(" ".join(lines).split())
+    for name, (_, meaning) in hs.METRICS.items():
+        assert set(name.split("_")) <= words
+        assert columns < 100 or set(meaning.split()) <= words
+    assert {"never", "37.58", "mrad/s", "limit"} <= words
+    assert "…" not in out
+
+
+@pytest.mark.parametrize("changes", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])
+def test_a_terminal_without_colours(tmp_path: Path, changes: dict[str, str]) -> None:
+    code, out = in_terminal("run", "paper-gravity", *SINGULAR, columns=100, cwd=tmp_path, **changes)
+    assert code == 3
+    assert "\x1b" not in out
+    assert "Ended early: paper-gravity: singular" in out
+
+
+@pytest.mark.parametrize("command", ["show", "run", "scenarios", "version"])
+def test_a_reader_that_left(tmp_path: Path, command: str) -> None:
+    arguments = [command] if command in ("scenarios", "version") else [command, "paper"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "hexservo", *arguments],
+        cwd=tmp_path,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        error = running.stderr.read()
+        code = running.wait(60)
+    assert (code, error) == (141, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("arguments", [["show", "paper"], ["scenarios"]])
+def test_standard_output_on_a_full_disk(tmp_path: Path, arguments: list[str]) -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "hexservo", *arguments],
+            cwd=tmp_path,
+            env=environment(),
+            stdout=full,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            timeout=60,
+            check=False,
+        )
+    assert done.returncode == 2
+    assert done.stderr == "Error: standard output: cannot be written: No space left on device\n"
+
+
+def test_text_that_the_terminal_has_no_characters_for(tmp_path: Path) -> None:
+    shown = process("show", "paper", "--set", "description=ξ", cwd=tmp_path, PYTHONIOENCODING="ascii")
+    assert shown.returncode == 0
+    assert hs.Scenario.from_yaml(shown.stdout).description == "ξ"  # a file that is read as UTF-8
+    (tmp_path / "ξ.yaml").write_text(shown.stdout, encoding="utf-8")
+    checked = process("check", "ξ.yaml", cwd=tmp_path, PYTHONIOENCODING="ascii")
+    assert (checked.returncode, checked.stderr) == (0, "")
+    assert checked.stdout.startswith(r"\u03be.yaml: valid")
