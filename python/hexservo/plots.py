@@ -21,7 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
-from matplotlib.ticker import FixedLocator, MaxNLocator
+from matplotlib.ticker import EngFormatter, FixedLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from hexservo import _core
@@ -190,10 +190,10 @@ def feature_errors(result: Result) -> Figure:
     figure = Figure(figsize=(_PAGE, 2.48))
     parts = _parts(result)
     if len(parts) == 1:
-        boxes = [(0.62, 6.17)]
+        boxes = [(0.68, 6.11)]
         titles = [f"Feature errors (shaded: ±{_SETTLED:g} px)"]
     else:
-        boxes = [(0.62, 2.83), (4.16, 2.63)]
+        boxes = [(0.68, 2.75), (4.2, 2.59)]
         settled = metrics(result)["settling_time"]
         titles = [f"Within ±{_SETTLED:g} px (shaded) from {settled:.3g} s on", "The rest, magnified"]
     for part, (left, width), title in zip(parts, boxes, titles, strict=True):
@@ -219,8 +219,8 @@ def feature_paths(result: Result) -> Figure:
     """
     features = result.features.reshape(-1, 4, 2)
     goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
-    figure = Figure(figsize=(_COLUMN, 3.56))
-    axes = _axes(figure, 0.6, 0.48, 2.78, 2.78)
+    figure = Figure(figsize=(_COLUMN, 3.5))
+    axes = _axes(figure, 0.66, 0.48, 2.72, 2.72)
     everything = np.concatenate([features.reshape(-1, 2), goals])
     low, high = everything.min(axis=0), everything.max(axis=0)
     middle, half = (low + high) / 2, max(0.57 * float((high - low).max()), 1.0)
@@ -267,8 +267,8 @@ def platform_motion(result: Result) -> Figure:
     displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
     rotation = 1e3 * _rotation_vector(result.quaternion)
     figure = Figure(figsize=(_PAGE, 3.6))
-    upper = _panels(figure, result, (0.62, 2.01, 6.1, 1.3), [displacement])
-    lower = _panels(figure, result, (0.62, 0.48, 6.1, 1.3), [rotation])
+    upper = _panels(figure, result, (0.68, 2.01, 6.04, 1.3), [displacement])
+    lower = _panels(figure, result, (0.68, 0.48, 6.04, 1.3), [rotation])
     _fill(upper, result, displacement, ["x", "y", "z"], _AXES_INKS)
     _fill(lower, result, rotation, ["θx", "θy", "θz"], _AXES_INKS)
     _describe(upper, "displacement [mm]", "Position relative to home, in B (z points down)")
@@ -289,10 +289,10 @@ def control_wrench(result: Result) -> Figure:
     mean = _mean_samples(result.time)
     figure = Figure(figsize=(_PAGE, 4.68))
     rows = [
-        _panels(figure, result, (0.62, bottom, 2.55, 1.1), values)
+        _panels(figure, result, (0.68, bottom, 2.4, 1.1), values)
         for bottom, values in ((3.16, [horizontal]), (1.82, [vertical, np.array([weight])]), (0.48, [moment]))
     ]
-    legs = _panels(figure, result, (4.05, 0.48, 2.64, 3.78), [result.leg_forces])
+    legs = _panels(figure, result, (4.12, 0.48, 2.58, 3.78), [result.leg_forces])
     for axes, _ in rows[1]:
         axes.axhline(weight, color=_BLACK, linewidth=1, linestyle=":", gid="weight")
     _fill(rows[0], result, horizontal, ["fx", "fy"], _AXES_INKS[:2], mean)
@@ -431,16 +431,17 @@ def _break(first: Axes, second: Axes) -> None:
 
 
 def _set_limits(axes: Axes, time: Array, *values: Array) -> None:
-    """Let the x axis hold the time exactly, and the y axis the values with a margin."""
+    """Let the x axis hold the time exactly, and the y axis the values with a margin, rounding noise not magnified."""
     begin, end = float(time[0]), float(time[-1])
     axes.set_xlim(begin, end if end > begin else begin + 1e-3)
     low, high = min(float(part.min()) for part in values), max(float(part.max()) for part in values)
-    margin = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
-    axes.set_ylim(low - margin, high + margin)
+    largest = max(abs(low), abs(high))
+    middle, half = low / 2 + high / 2, max(0.56 * (high - low), 1e-3 * largest, 1e-4)
+    axes.set_ylim(middle - half, middle + half)
     axes.xaxis.set_major_locator(MaxNLocator(min(10, max(2, int(_size(axes)[0] / 0.36))), steps=[1, 2, 5, 10]))
-    for axis, largest in ((axes.xaxis, abs(end)), (axes.yaxis, max(abs(low), abs(high)))):
-        if not 1e-3 < largest < 1e5:
-            axis.set_major_formatter("{x:.4g}")  # without a common power of ten, which titles would cover
+    for axis, size in ((axes.xaxis, abs(end)), (axes.yaxis, largest)):
+        if not 1e-3 < size < 1e5:
+            axis.set_major_formatter(EngFormatter(sep=""))  # prefixes: room for powers of ten there is none
 
 
 def _size(axes: Axes) -> tuple[float, float]:
@@ -458,7 +459,7 @@ def _label(axes: Axes, which: Literal["x", "y"], text: str, along: float = 0.5) 
         axes.xaxis.set_label_coords(along, -0.21 / height)
     else:
         axes.set_ylabel(text)
-        axes.yaxis.set_label_coords(-0.45 / width, along)
+        axes.yaxis.set_label_coords(-0.5 / width, along)
 
 
 def _describe(panels: Sequence[_Panel], label: str, title: str, *, time: bool = False) -> None:

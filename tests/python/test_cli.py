@@ -52,8 +52,8 @@ class Run:
 
 
 def environment(**changes: str) -> dict[str, str]:
-    """The environment without what changes colours and widths."""
-    silent = {"NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS", "LINES", "TERM"}
+    """The environment without what changes colours, widths and buffers."""
+    silent = {"NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS", "LINES", "TERM", "PYTHONUNBUFFERED"}
     return {**{key: value for key, value in os.environ.items() if key not in silent}, "TERM": "xterm", **changes}
 
 
@@ -156,6 +156,7 @@ def test_settings_change_the_scenario_in_order() -> None:
     settings = [
         "name=changed",
         "uncertainty.depth=[0.1, -0.1, 0.2, -0.2]",
+        "controller.switching.width=2",
         "controller={switching: {kind: tanh, width: 1}}",
         "controller.switching.width=1e-2",
         "description=a = b",

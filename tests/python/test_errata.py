@@ -27,7 +27,7 @@ def gravity_wrench(scenario: hs.Scenario) -> Array:
     return np.array([0.0, 0.0, -9.8 * scenario.robot.mass, 0.0, 0.0, 0.0])
 
 
-def image_jacobian(scenario: hs.Scenario, result: hs.Result, sample: int, depth_error: Any) -> Array:
+def image_jacobian(result: hs.Result, sample: int, depth_error: Any) -> Array:
     """J at a sample of a run, with relative errors of the depth."""
     depth = (1 + np.broadcast_to(np.asarray(depth_error, dtype=float), 4)) * result.depth[sample]
     return _core.image_jacobian(CAMERA, result.features[sample], depth, result.quaternion[sample])
@@ -35,8 +35,8 @@ def image_jacobian(scenario: hs.Scenario, result: hs.Result, sample: int, depth_
 
 def image_wrench(scenario: hs.Scenario, result: hs.Result, sample: int, depth_error: Any) -> Array:
     """g of (15)."""
-    forces = np.broadcast_to(np.asarray(scenario.controller.hybrid.kp), 8) * result.feature_error[sample]
-    return image_jacobian(scenario, result, sample, depth_error).T @ forces
+    forces: Array = np.broadcast_to(np.asarray(scenario.controller.hybrid.kp), 8) * result.feature_error[sample]
+    return image_jacobian(result, sample, depth_error).T @ forces
 
 
 def final_error(scenario: hs.Scenario, changes: Mapping[str, Any]) -> float:
@@ -76,11 +76,9 @@ def test_erratum_1_the_projection_has_minus_the_printed_jacobian(seed: int) -> N
     def features_after(twist: Array) -> Array:
         """Features after unit time at a small constant twist in B; the rotation is exact."""
         angle = np.linalg.norm(twist[3:])
-        half = np.concatenate([[np.cos(angle / 2)], 0.5 * np.sinc(angle / (2 * np.pi)) * twist[3:]])
-        w, v = half[0], half[1:]
-        turned = np.concatenate(
-            [[w * quaternion[0] - v @ quaternion[1:]], w * quaternion[1:] + quaternion[0] * v + np.cross(v, quaternion[1:])]
-        )
+        w, v = np.cos(angle / 2), 0.5 * np.sinc(angle / (2 * np.pi)) * twist[3:]
+        scalar, vector = quaternion[0], quaternion[1:]
+        turned = np.concatenate([[w * scalar - v @ vector], w * vector + scalar * v + np.cross(v, vector)])
         return _core.take_image(CAMERA, position + twist[:3], turned, points)[0]
 
     # Sixth-order differences leave h^6/140 of the seventh derivative. The steepest one is that of x/Z, 7! x/Z^8: 36
@@ -128,7 +126,7 @@ def test_erratum_3_the_law_has_the_measured_depth_and_the_plant_the_true_one(pap
         np.testing.assert_allclose(result.wrench[0], wrench, rtol=0, atol=64 * ROUNDING)
         # The plant: the same four points, seen through (4) from every pose of the run.
         f = CAMERA.focal_pixels
-        xi = np.reshape(paper.target.initial_features, (4, 2))
+        xi = np.array(paper.target.initial_features, dtype=float).reshape(4, 2)
         points = np.column_stack([0.5 * xi / f, np.full(4, -0.5)]) + paper.robot.home_position
         for sample in range(0, len(result.time), 100):
             features, depth = _core.take_image(CAMERA, result.position[sample], result.quaternion[sample], points)
@@ -282,7 +280,7 @@ def test_erratum_7_each_fuzzy_system_has_two_inputs(paper: hs.Scenario) -> None:
     )
     result = hs.simulate(scenario)
     for sample in range(0, len(result.time), 20):
-        jacobian = image_jacobian(scenario, result, sample, 0.3)
+        jacobian = image_jacobian(result, sample, 0.3)
         g = image_wrench(scenario, result, sample, 0.3)
         g_rate = -jacobian.T @ (1e-6 * (jacobian @ result.twist[sample]))
         inputs = np.clip(a * g, -1, 1), np.clip(b * g_rate, -1, 1)
@@ -337,9 +335,12 @@ def test_erratum_9_what_the_paper_does_not_give_is_a_key(paper: hs.Scenario, key
     for name in key.split("."):
         value = value[name]
     np.testing.assert_array_equal(value, NOT_GIVEN[key])
-    before, after = hs.simulate(start), hs.simulate(changed)
-    last = np.concatenate([before.feature_error[-1], before.leg_lengths[-1], before.leg_forces[-1]])
-    assert np.abs(last - np.concatenate([after.feature_error[-1], after.leg_lengths[-1], after.leg_forces[-1]])).max() > 1e-6
+
+    def end(scenario: hs.Scenario) -> Array:
+        result = hs.simulate(scenario)
+        return np.concatenate([result.feature_error[-1], result.leg_lengths[-1], result.leg_forces[-1]])
+
+    assert np.abs(end(start) - end(changed)).max() > 1e-6  # px, m or N
 
 
 def test_erratum_9_the_rule_table_is_a_key(paper: hs.Scenario) -> None:

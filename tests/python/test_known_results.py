@@ -25,7 +25,8 @@ def run(scenario: hs.Scenario) -> tuple[hs.Result, dict[str, float]]:
 
 
 def test_the_start_is_four_parallel_shifts_of_the_goal(paper: hs.Scenario) -> None:
-    shifts = np.reshape(paper.target.desired_features, (4, 2)) - np.reshape(paper.target.initial_features, (4, 2))
+    desired, initial = np.array(paper.target.desired_features), np.array(paper.target.initial_features, dtype=float)
+    shifts = (desired - initial).reshape(4, 2)
     np.testing.assert_array_equal(shifts, np.tile([-20.0, -8.0], (4, 1)))
     result = hs.simulate(paper.updated({"simulation.duration": 1e-3}))
     # The points are lifted and projected again: a few roundings of numbers below 100 px.

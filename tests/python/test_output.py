@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import hashlib
 import json
 import os
@@ -558,3 +559,28 @@ def test_two_at_once(result: hs.Result, tmp_path: Path, monkeypatch: pytest.Monk
     assert (folder / FIGURE).read_text() == f"drawn for {name}"
     assert force or said[["one", "two"].index(name)] == "written"
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_nobody_renames_while_another_does(
+    result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: bool
+) -> None:
+    folder = tmp_path / "out"
+    if force:
+        write_results(result, folder)
+    before = contents(folder)
+    drawn = threading.Event()
+    draw_with(monkeypatch, drawn.set)
+    writer = threading.Thread(target=write_results, args=(result, folder), kwargs={"force": force})
+    other = os.open(tmp_path, os.O_RDONLY)
+    try:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        writer.start()
+        assert drawn.wait(60)
+        writer.join(0.5)
+        assert writer.is_alive()  # it waits for the other
+        assert contents(folder) == before
+    finally:
+        os.close(other)
+        writer.join(60)
+    assert_whole(folder)

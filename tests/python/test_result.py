@@ -103,7 +103,10 @@ def test_features(result: hs.Result) -> None:
     )
     scenario = result.scenario
     points = np.column_stack(
-        [0.5 * np.reshape(scenario.target.initial_features, (4, 2)) / _core.Camera().focal_pixels, np.full(4, -0.65)]
+        [
+            0.5 * np.array(scenario.target.initial_features, dtype=float).reshape(4, 2) / _core.Camera().focal_pixels,
+            np.full(4, -0.65),
+        ]
     )
     seen, depth = _core.take_image(_core.Camera(), result.position[-1], result.quaternion[-1], points)
     np.testing.assert_allclose(result.features[-1], seen, rtol=0, atol=1e-12)  # px
@@ -151,7 +154,7 @@ def test_arrays_outlive_the_run(paper: hs.Scenario) -> None:
 def test_a_result_is_frozen_and_compares_by_identity(result: hs.Result) -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         result.outcome = "diverged"  # type: ignore[misc]
-    assert result == result  # noqa: PLR0124  arrays would not tell
+    assert result == result
     assert result != hs.simulate(result.scenario)
     assert "streamed_metrics" not in repr(result)
 

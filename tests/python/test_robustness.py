@@ -35,7 +35,9 @@ ARRAYS = {
     "leg_forces": 6,
 }
 PAPER = hs.load_scenario("paper")
-POINTS = np.column_stack([0.5 * np.reshape(PAPER.target.initial_features, (4, 2)) / 581.816, np.full(4, -0.65)])
+POINTS = np.column_stack(
+    [0.5 * np.array(PAPER.target.initial_features, dtype=float).reshape(4, 2) / 581.816, np.full(4, -0.65)]
+)
 
 
 def refused(changes: dict[str, Any], key: str) -> str:
@@ -256,7 +258,7 @@ def test_a_run_too_long_is_refused_before_memory_is_asked_for(grid: dict[str, fl
     assert lines[0].startswith(key)
 
 
-def python(code: str, **options: Any) -> list[str]:
+def python(code: str) -> list[str]:
     """Lines that another Python prints; it has to end well."""
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code)],
@@ -264,7 +266,6 @@ def python(code: str, **options: Any) -> list[str]:
         text=True,
         check=False,
         timeout=120,  # only to stop what hangs
-        **options,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
@@ -289,11 +290,14 @@ def test_a_run_that_diverges_keeps_what_it_computed(log_every: int) -> None:
 
 
 def test_a_target_that_comes_behind_the_camera_ends_the_run() -> None:
-    """Without weight to carry, the platform rises through its target."""
-    result = hs.simulate(PAPER.updated({"target.depth": 0.02, "uncertainty.gravity": 0.9, "controller.hybrid.kp": 1e-12}))
+    """A platform a tenth as heavy as the law takes it for rises through its target."""
+    changes = {"target.depth": 0.02, "uncertainty.gravity": 0.9, "controller.hybrid.kp": 1e-12}
+    result = hs.simulate(PAPER.updated(changes))
     check(result)
-    assert result.outcome in ("behind_camera", "diverged")
-    assert result.end_time < 5.0
+    assert result.outcome == "behind_camera"
+    assert result.detail == f"a target point came behind the camera at t = {result.end_time + 1e-3:.6g} s"
+    # 1 ms before the event the points are in front, and as far as the platform moves within that step.
+    assert 0 < -result.depth[-1].max() < -result.twist[-1, 2] * 1e-3 * 1.1
 
 
 def test_ctrl_c_ends_a_run_and_keeps_what_it_computed() -> None:
@@ -303,11 +307,9 @@ def test_ctrl_c_ends_a_run_and_keeps_what_it_computed() -> None:
         import hexservo as hs
 
         scenario = hs.load_scenario("paper").updated({"simulation": {"duration": 1e6, "log_every": 1000}})
-        pressed = []
 
         def press():
             time.sleep(0.5)
-            pressed.append(time.monotonic())
             os.kill(os.getpid(), signal.SIGINT)
 
         threading.Thread(target=press).start()
@@ -539,11 +541,9 @@ SCENARIOS = st.fixed_dictionaries(
 def test_any_scenario_runs_or_is_refused(changes: dict[str, Any]) -> None:
     try:
         scenario = PAPER.updated(changes)
-    except hs.ScenarioError as error:
-        assert all(": expected " in line or " missing " in line for line in error.problems), error.problems
+    except hs.ScenarioError:
         return
-    result = hs.simulate(scenario)
-    check(result)
+    check(hs.simulate(scenario))
     assert hs.Scenario.from_yaml(scenario.to_yaml()) == scenario
 
 

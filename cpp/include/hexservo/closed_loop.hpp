@@ -224,8 +224,7 @@ class ClosedLoop {
     const Legs<S> legs = inverse_kinematics(p_.hexapod, position_of(body_), now_.R_BE);
     const WrenchMapSolver<S> solver(p_.hexapod, legs);
     return {{p_.desired_features - now_.image.features, now_.image.depth, position_of(body_), quaternion_of(body_),
-             twist_of(body_), now_.law.wrench, now_.law.fuzzy_output, legs.lengths,
-             solver.leg_forces(now_.law.wrench)},
+             twist_of(body_), now_.law.wrench, now_.law.fuzzy_output, legs.lengths, solver.leg_forces(now_.law.wrench)},
             solver.failed()};
   }
 

@@ -127,6 +127,15 @@ FuzzyBasis<S> fuzzy_basis(const FuzzyGains<S>& gains, const AxisVector<S>& u, co
           normalised_memberships(limited(u_rate), gains.bell_width, gains.bell_slope)};
 }
 
+/// The basis of systems that are switched off: no output and no adaptation.
+template <class S>
+FuzzyBasis<S> zero_basis() {
+  FuzzyBasis<S> basis;
+  basis.error.fill(AxisVector<S>::Zero());
+  basis.rate.fill(AxisVector<S>::Zero());
+  return basis;
+}
+
 /// Weights of the six systems, the law's state: entry `rule(row, column)` holds the rule's weight for each axis.
 template <class S>
 using FuzzyWeights = std::array<AxisVector<S>, kTerms * kTerms>;

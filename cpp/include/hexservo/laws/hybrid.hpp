@@ -45,9 +45,9 @@ struct Hybrid {
   /// Wrench and adaptation at one instant.
   template <class S>
   struct Evaluation {
-    Vector6<S> wrench;        ///< tau of (14), in B [N; N m]
-    Vector6<S> fuzzy_output;  ///< tau_f of (13) [N; N m]
     Rate<S> rate;             ///< omega-dot of (22)
+    Vector6<S> fuzzy_output;  ///< tau_f of (13) [N; N m]
+    Vector6<S> wrench;        ///< tau of (14), in B [N; N m]
   };
 
   template <class S>
@@ -63,19 +63,17 @@ struct Hybrid {
     const Vector<S, 2 * N> feature_error = task.desired_features - input.image.features;
     const Vector6<S> image_wrench = J.pull(gains.kp.cwiseProduct(feature_error));
 
-    Evaluation<S> out;
-    out.fuzzy_output.setZero();
-    if (gains.fuzzy.enabled) {
+    const auto basis = [&] {
       const Vector6<S> image_wrench_rate = -J.pull(gains.kp.cwiseProduct(J.push(input.twist)));
-      out.rate.basis = fuzzy_basis<S>(gains.fuzzy, gains.fuzzy.error_scale.cwiseProduct(image_wrench),
-                                      gains.fuzzy.rate_scale.cwiseProduct(image_wrench_rate));
-      out.rate.strength = input.twist.cwiseQuotient(gains.fuzzy.adaptation);  // (22)
-      out.fuzzy_output = weights.output(out.rate.basis);                      // (13)
-    } else {
-      out.rate.basis.error.fill(Vector6<S>::Zero());
-      out.rate.basis.rate.fill(Vector6<S>::Zero());
-      out.rate.strength.setZero();
-    }
+      return fuzzy_basis<S>(gains.fuzzy, gains.fuzzy.error_scale.cwiseProduct(image_wrench),
+                            gains.fuzzy.rate_scale.cwiseProduct(image_wrench_rate));
+    };
+    const bool fuzzy = gains.fuzzy.enabled;
+    // Initialised in place: the basis is 84 numbers.
+    Evaluation<S> out{{fuzzy ? basis() : zero_basis<S>(), input.twist.cwiseQuotient(gains.fuzzy.adaptation)},  // (22)
+                      Vector6<S>::Zero(),
+                      Vector6<S>::Zero()};
+    if (fuzzy) out.fuzzy_output = weights.output(out.rate.basis);  // (13)
     out.wrench =
         image_wrench - gains.kv.cwiseProduct(task.switching(input.twist)) + task.gravity_wrench - out.fuzzy_output;
     return out;
