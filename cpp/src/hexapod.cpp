@@ -38,12 +38,12 @@ void require_distinct_legs(const Hexapod<double>& hexapod, const RobotParameters
   for (int i = 0; i < 6; ++i) {
     if (!(hexapod.home_lengths(i) > 1e-9 * robot.platform_radius))
       refuse("robot.home_position", "legs of some length at home",
-             words("a length of ", hexapod.home_lengths(i), " m for leg ", i));
+             words("a length of ", hexapod.home_lengths(i), " m for leg ", i + 1));
     for (int k = 0; k < i; ++k) {
       const double platform = (hexapod.platform_joints_E.col(i) - hexapod.platform_joints_E.col(k)).norm();
       const double base = (hexapod.base_joints_B.col(i) - hexapod.base_joints_B.col(k)).norm();
       if (platform < 1e-9 * robot.platform_radius && base < 1e-9 * robot.base_radius)
-        refuse("robot.platform_angles", "six different legs", words("legs ", k, " and ", i, " that coincide"));
+        refuse("robot.platform_angles", "six different legs", words("legs ", k + 1, " and ", i + 1, " that coincide"));
     }
   }
 }

@@ -11,20 +11,26 @@ using detail::words;
 
 namespace {
 
-/// 1 - delta_D must keep D positive definite at every attitude: by Schur's product theorem it is enough that 1 -
-/// delta_D is symmetric and positive semidefinite with a positive diagonal.
-void validate_inertia_error(const Matrix6<double>& delta) {
+/// The actual inertia (1 - delta_D) o (R I R^T) must be positive definite at every attitude. Either of two conditions
+/// is enough: 1 - delta_D is positive semidefinite with a positive diagonal (Schur's product theorem), or the errors
+/// are small against the inertia's smallest principal moment (Weyl's inequality with the Frobenius norm, which no
+/// rotation changes).
+void validate_inertia_error(const Matrix6<double>& delta, const Matrix3<double>& inertia, double smallest_moment) {
   const std::string key = "uncertainty.inertia";
   if ((delta - delta.transpose()).cwiseAbs().maxCoeff() > 0.0) refuse(key, "a symmetric 6x6 array", "one that is not");
-  const Matrix6<double> kept = Matrix6<double>::Ones() - delta;
-  if (kept.diagonal().minCoeff() <= 0.0)
+  if (delta.diagonal().maxCoeff() >= 1.0)
     refuse(key, "entries below 1 on the diagonal (the actual inertia is (1 - error) times the estimate)",
            words(delta.diagonal().maxCoeff()));
-  const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(kept.bottomRightCorner<3, 3>(), Eigen::EigenvaluesOnly);
-  const double smallest = solver.eigenvalues()(0);
-  if (smallest < -1e-12)
-    refuse(key, "errors that leave a positive inertia at every attitude (1 - error positive semidefinite)",
-           words("smallest eigenvalue ", smallest, " of the angular block of 1 - error"));
+  const Matrix3<double> angular = delta.bottomRightCorner<3, 3>();
+  const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(Matrix3<double>::Ones() - angular,
+                                                              Eigen::EigenvaluesOnly);
+  const bool schur = solver.eigenvalues()(0) >= -1e-12;
+  const bool small = angular.cwiseAbs().maxCoeff() * inertia.norm() < smallest_moment;
+  if (!schur && !small)
+    refuse(key,
+           words("errors that surely leave a positive inertia at every attitude (angular entries below ",
+                 smallest_moment / inertia.norm(), " for this inertia, or 1 - error positive semidefinite)"),
+           words("entries up to ", angular.cwiseAbs().maxCoeff()));
 }
 
 }  // namespace
@@ -47,7 +53,7 @@ void validate(const RigidBody<double>& body, const DynamicsError<double>& error)
   detail::require_finite("uncertainty.inertia", error.inertia);
   detail::require_finite("uncertainty.coriolis", error.coriolis);
   detail::require_finite("uncertainty.gravity", error.gravity);
-  validate_inertia_error(error.inertia);
+  validate_inertia_error(error.inertia, I, principal(0));
 }
 
 }  // namespace hexservo

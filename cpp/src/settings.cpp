@@ -21,7 +21,7 @@ void require_apart(const std::string& key, const Features& features) {
   for (int i = 0; i < kPoints; ++i)
     for (int k = 0; k < i; ++k)
       if ((features.segment<2>(2 * i) - features.segment<2>(2 * k)).norm() < kCoincident)
-        refuse(key, "four different features", words("features ", k, " and ", i, " at the same place"));
+        refuse(key, "four different features", words("features ", k + 1, " and ", i + 1, " at the same place"));
 }
 
 /// Four features on one line, for example, leave a direction that no image shows.

@@ -21,7 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
-from matplotlib.ticker import EngFormatter, FixedLocator, MaxNLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from hexservo import _core
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 __all__ = ["control_wrench", "feature_errors", "feature_paths", "paper_figures", "platform_motion", "rule_table"]
 
 Array: TypeAlias = NDArray[np.float64]
-P = ParamSpec("P")
-T = TypeVar("T")
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 
 
 # ---- Style ----------------------------------------------------------------------------------------------------------
@@ -134,9 +134,9 @@ def _our_style() -> Iterator[None]:
         yield
 
 
-def _styled(function: Callable[P, T]) -> Callable[P, T]:
+def _styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
     @wraps(function)
-    def styled(*args: P.args, **kwargs: P.kwargs) -> T:
+    def styled(*args: _P.args, **kwargs: _P.kwargs) -> _T:
         with _our_style():
             return function(*args, **kwargs)
 
@@ -220,7 +220,7 @@ def feature_paths(result: Result) -> Figure:
     features = result.features.reshape(-1, 4, 2)
     goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
     figure = Figure(figsize=(_COLUMN, 3.5))
-    axes = _axes(figure, 0.66, 0.48, 2.72, 2.72)
+    axes = _axes(figure, 0.68, 0.48, 2.7, 2.7)
     everything = np.concatenate([features.reshape(-1, 2), goals])
     low, high = everything.min(axis=0), everything.max(axis=0)
     middle, half = (low + high) / 2, max(0.57 * float((high - low).max()), 1.0)
@@ -234,7 +234,7 @@ def feature_paths(result: Result) -> Figure:
         for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):
             looks = {"markerfacecolor": colour, **mark}
             axes.plot(*place, color=colour, linestyle="", zorder=4, gid=f"{name} {number}", **looks)
-        _point_the_way(axes, path, max(0.55 * float(np.hypot(*(goal - path[0]))), 0.1 * half), colour)
+        _point_the_way(axes, path, max(0.55 * float(np.hypot(*(goal - path[0]))), 0.1 * half), colour, number)
         named = path[corner]
         away = tuple(7 * np.where(named < goal, -1, 1))
         axes.annotate(
@@ -292,7 +292,7 @@ def control_wrench(result: Result) -> Figure:
         _panels(figure, result, (0.68, bottom, 2.4, 1.1), values)
         for bottom, values in ((3.16, [horizontal]), (1.82, [vertical, np.array([weight])]), (0.48, [moment]))
     ]
-    legs = _panels(figure, result, (4.12, 0.48, 2.58, 3.78), [result.leg_forces])
+    legs = _panels(figure, result, (4.16, 0.48, 2.54, 3.78), [result.leg_forces])
     for axes, _ in rows[1]:
         axes.axhline(weight, color=_BLACK, linewidth=1, linestyle=":", gid="weight")
     _fill(rows[0], result, horizontal, ["fx", "fy"], _AXES_INKS[:2], mean)
@@ -436,12 +436,12 @@ def _set_limits(axes: Axes, time: Array, *values: Array) -> None:
     axes.set_xlim(begin, end if end > begin else begin + 1e-3)
     low, high = min(float(part.min()) for part in values), max(float(part.max()) for part in values)
     largest = max(abs(low), abs(high))
-    middle, half = low / 2 + high / 2, max(0.56 * (high - low), 1e-3 * largest, 1e-4)
+    middle, half = low / 2 + high / 2, max(0.56 * (high - low), 4e-3 * largest, 1e-4)
     axes.set_ylim(middle - half, middle + half)
-    axes.xaxis.set_major_locator(MaxNLocator(min(10, max(2, int(_size(axes)[0] / 0.36))), steps=[1, 2, 5, 10]))
+    axes.xaxis.set_major_locator(MaxNLocator(min(10, max(2, int(_size(axes)[0] / 0.34))), steps=[1, 2, 5, 10]))
     for axis, size in ((axes.xaxis, abs(end)), (axes.yaxis, largest)):
         if not 1e-3 < size < 1e5:
-            axis.set_major_formatter(EngFormatter(sep=""))  # prefixes: room for powers of ten there is none
+            axis.set_major_formatter(FuncFormatter(_short))  # a common power of ten would lie below the title
 
 
 def _size(axes: Axes) -> tuple[float, float]:
@@ -459,7 +459,7 @@ def _label(axes: Axes, which: Literal["x", "y"], text: str, along: float = 0.5) 
         axes.xaxis.set_label_coords(along, -0.21 / height)
     else:
         axes.set_ylabel(text)
-        axes.yaxis.set_label_coords(-0.5 / width, along)
+        axes.yaxis.set_label_coords(-0.54 / width, along)
 
 
 def _describe(panels: Sequence[_Panel], label: str, title: str, *, time: bool = False) -> None:
@@ -553,7 +553,7 @@ def _farther_apart(starts: Array, ends: Array, enough: float) -> Literal[0, -1]:
     return 0 if nearest(starts) >= min(enough, nearest(ends)) else -1
 
 
-def _point_the_way(axes: Axes, path: Array, distance: float, colour: str) -> None:
+def _point_the_way(axes: Axes, path: Array, distance: float, colour: str, number: int) -> None:
     """Put an arrow head on a path at a distance along it."""
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     if not 0 < distance < travelled[-1]:
@@ -563,7 +563,7 @@ def _point_the_way(axes: Axes, path: Array, distance: float, colour: str) -> Non
     )
     direction = np.degrees(np.arctan2(*(head - tail)[::-1]))
     triangle = MarkerStyle(">").rotated(deg=float(direction))
-    axes.plot(*head, marker=triangle, markersize=5, markeredgewidth=0, color=colour)
+    axes.plot(*head, marker=triangle, markersize=5, markeredgewidth=0, color=colour, gid=f"direction {number}")
 
 
 def _explain(figure: Figure, handles: Mapping[str, Line2D]) -> None:
@@ -576,6 +576,12 @@ def _note_outcome(figure: Figure, result: Result) -> None:
     if result.outcome != "completed":
         text = f"{result.outcome.replace('_', ' ')} after {result.end_time:.4g} s"
         figure.text(0.995, 0.012, text, ha="right", va="bottom", fontsize=7, fontweight="bold", color=_VERMILION)
+
+
+def _short(value: float, _place: int | None = None) -> str:
+    """Write a very large or very small number in few characters, as 2.25e6."""
+    digits, _, power = f"{value:.4g}".partition("e")
+    return (f"{digits}e{int(power)}" if power else digits).replace("-", "−")
 
 
 def _cell_text(value: float) -> str:

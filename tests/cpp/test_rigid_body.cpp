@@ -143,9 +143,12 @@ TEST_CASE("energy and angular momentum are conserved without control: tumbling a
   CAPTURE(random.seed());
   for (int trial = 0; trial < 3; ++trial) {
     CAPTURE(trial);
-    const RigidBody<double> body = random_body(random);
+    const Matrix3<double> axes = random.rotation();
+    RigidBody<double> body;
+    body.inertia_E = axes * Vector3<double>(1.2e-4, 2.0e-4, 3.0e-4).asDiagonal() * axes.transpose();
     const Pose<double> pose{random.matrix<3>(0.1), random.quaternion()};
-    const BodyState<double> start = body_state(pose, random.six(0.5, 2.0));
+    BodyState<double> start = body_state(pose, random.six(0.5, 1.0));
+    start.tail<3>() *= 3.0 / start.tail<3>().norm();  // [rad/s]
     BodyState<double> end = start;
     double largest_turn = 0.0;  // of the angular velocity in B
     for (int part = 0; part < 100; ++part) {
@@ -171,7 +174,7 @@ TEST_CASE("energy and angular momentum are conserved without control: tumbling a
     CHECK(exchanged > 10.0);  // [J]: some 490 m
     CHECK(std::abs(energy(end) - energy(start)) <= 1e-10 * exchanged);
     // it really tumbled: the angular velocity is not constant in B
-    CHECK(largest_turn > 0.05 * twist_of(start).tail<3>().norm());
+    CHECK(largest_turn > 0.1 * twist_of(start).tail<3>().norm());
     // and the fall is the closed form, which RK4 integrates exactly
     const Vector3<double> expected = position_of(start) + 10.0 * twist_of(start).head<3>() + Vector3<double>(0.0, 0.0, 490.0);
     CHECK(relative_distance(position_of(end), expected) <= 1e-12);

@@ -4,6 +4,7 @@
 #include "compare.hpp"
 #include "random.hpp"
 
+#include <array>
 #include <cmath>
 #include <numeric>
 
@@ -81,7 +82,7 @@ TEST_CASE("a nonlinear equation is integrated with order four") {
   }
 }
 
-TEST_CASE("stages are asked for at 0, h/2, h/2 and h") {
+TEST_CASE("stages are asked for at h/2, h/2 and h, each from the one before") {
   std::array<double, 3> scales{};
   std::size_t count = 0;
   runge_kutta_step(

@@ -479,7 +479,7 @@ def test_integers_are_numbers(paper: hs.Scenario) -> None:
 
 def test_arrays_are_tuples(paper: hs.Scenario) -> None:
     delta = np.zeros((6, 6))
-    delta[2, 3] = 0.1
+    delta[2, 3] = delta[3, 2] = 0.1
     changed = paper.updated({"uncertainty.inertia": delta, "uncertainty.depth": [0.3, -0.3, 0.3, 0.3]})
     assert changed.uncertainty.inertia == tuple(map(tuple, delta.tolist()))
     assert changed.uncertainty.depth == (0.3, -0.3, 0.3, 0.3)

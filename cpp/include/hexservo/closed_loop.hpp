@@ -1,5 +1,6 @@
 /// @file
-/// The closed loop: plant, camera and law, in continuous time with the law inside every Runge-Kutta stage.
+/// The closed loop: plant, camera and law, in continuous time with the law inside every Runge-Kutta stage
+/// (docs/model.md, section 7), and how a run ends (docs/model.md, section 8).
 ///
 /// The only place where the parts meet. `ClosedLoop<S, Law>` is a stepper: parameters are const and shared, the state
 /// is a value, nothing is allocated, and nothing branches on data, so that the same source runs one scenario (`double`)
@@ -211,7 +212,9 @@ class ClosedLoop {
     stop(StopCause::feature_error,
          largest_abs<S, 2 * N, 1>(p_.desired_features - image.features) > S(kMaxFeatureError));
     stop(StopCause::twist, largest_abs<S, 6, 1>(twist_of(body)) > S(kMaxTwist));
-    stop(StopCause::behind_camera, nearest_depth(image) >= S(0.0));
+    S nearest = nearest_depth(image);
+    for (std::size_t i = 1; i < 4; ++i) nearest = max(nearest, nearest_depth(k[i]->image));  // a pole inside the step
+    stop(StopCause::behind_camera, nearest >= S(0.0));
 
     const Mask<S> active = running();
     Law::advance(law_state_, law_rates, scales, active);
@@ -230,7 +233,9 @@ class ClosedLoop {
 
   /// Takes over a sample where it is good, stops the lane where it is not.
   void accept(const JudgedSample& next) noexcept {
-    stop(StopCause::not_finite, !(is_finite(next.sample.wrench) & is_finite(next.sample.fuzzy_output)));
+    stop(StopCause::not_finite,
+         !(is_finite(next.sample.wrench) & is_finite(next.sample.fuzzy_output) & is_finite(next.sample.leg_forces)) &
+             !next.singular);
     stop(StopCause::singular, next.singular);
     const Mask<S> good = running();
     Sample<S, N>::visit([&good](auto& value, const auto& from) { value = select(good, from, value); }, sample_,

@@ -1,6 +1,6 @@
 /// @file
 /// Metrics of a run, streamed at every step, so that they do not depend on what is logged; and limits, reported on the
-/// way.
+/// way. Definitions: docs/model.md, section 8.
 #pragma once
 
 #include "hexservo/hexapod.hpp"

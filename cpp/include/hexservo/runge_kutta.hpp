@@ -1,5 +1,6 @@
 /// @file
-/// The classic fourth-order Runge-Kutta method, for states whose stages are never formed in full.
+/// The classic fourth-order Runge-Kutta method (docs/model.md, section 7), for states whose stages are never formed in
+/// full.
 #pragma once
 
 #include <array>

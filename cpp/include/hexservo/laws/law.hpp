@@ -1,5 +1,5 @@
 /// @file
-/// What every control law sees and gives, and the switching functions.
+/// What every control law sees and gives, and the switching functions (docs/model.md, sections 5 and 6).
 #pragma once
 
 #include "hexservo/camera.hpp"

@@ -1,0 +1,354 @@
+// The fuzzy systems of (13) and (22): memberships, factorised basis, rule table, rank-one stages.
+#include "hexservo/fuzzy.hpp"
+
+#include "compare.hpp"
+#include "random.hpp"
+
+#include <algorithm>
+
+using namespace hexservo;
+using namespace hexservo::test;
+
+namespace {
+
+/// The default design with a given bell; slopes that are not whole go through pow.
+FuzzyGains<double> design(double width = 1.0 / 6.0, double slope = 2.0) {
+  FuzzyGains<double> gains;
+  gains.bell_width = width;
+  gains.bell_slope = slope;
+  return gains;
+}
+
+/// A generalised bell, written out.
+double bell(double x, int term, double width, double slope) {
+  const double centre = -1.0 + term / 3.0;
+  return 1.0 / (1.0 + std::pow(std::abs((x - centre) / width), 2.0 * slope));
+}
+
+/// (13) of one system as the paper prints it: 49 rules, each a product of two bells, normalised by the sum of all.
+double literal_output(const Matrix7<double>& W, double u, double u_rate, double width, double slope) {
+  double weighted = 0.0, sum = 0.0;
+  for (int row = 0; row < 7; ++row)
+    for (int column = 0; column < 7; ++column) {
+      const double strength = bell(u, row, width, slope) * bell(u_rate, column, width, slope);
+      weighted += W(row, column) * strength;
+      sum += strength;
+    }
+  return weighted / sum;
+}
+
+FuzzyWeights<double> random_weights(Random& random) {
+  FuzzyWeights<double> weights;
+  for (AxisVector<double>& w : weights) w = random.matrix<6>();
+  return weights;
+}
+
+FuzzyRate<double> random_rate(const FuzzyGains<double>& gains, Random& random) {
+  return {fuzzy_basis<double>(gains, random.matrix<6>(), random.matrix<6>()), random.matrix<6>()};
+}
+
+/// Weights plus scale times a rate, rule by rule: what a stage never forms.
+void add(FuzzyWeights<double>& weights, const FuzzyRate<double>& rate, double scale) {
+  for (int row = 0; row < 7; ++row)
+    for (int column = 0; column < 7; ++column)
+      for (int axis = 0; axis < 6; ++axis)
+        weights[rule(row, column)](axis) += scale * rate.strength(axis) *
+                                            rate.basis.error[static_cast<std::size_t>(row)](axis) *
+                                            rate.basis.rate[static_cast<std::size_t>(column)](axis);
+}
+
+double distance(const FuzzyWeights<double>& a, const FuzzyWeights<double>& b) {
+  double largest = 0.0;
+  for (std::size_t i = 0; i < a.size(); ++i) largest = std::max(largest, hexservo::test::distance(a[i], b[i]));
+  return largest;
+}
+using hexservo::test::distance;
+
+struct Bell {
+  double width, slope;
+};
+constexpr Bell kBells[] = {{1.0 / 6.0, 2.0}, {0.25, 1.0}, {0.1, 3.0}, {0.3, 8.0}, {0.2, 1.5}, {0.2, 0.7}, {0.3, 9.0}};
+
+}  // namespace
+
+TEST_CASE("memberships are the bells, whole slopes by multiplication and others by pow") {
+  Random random(7601);
+  CAPTURE(random.seed());
+  for (const auto& [width, slope] : kBells)
+    for (int trial = 0; trial < 50; ++trial) {
+      CAPTURE(width);
+      CAPTURE(slope);
+      const AxisVector<double> x = random.matrix<6>(1.2);
+      const TermStrengths<double> mu = memberships(x, width, slope);
+      for (int k = 0; k < 7; ++k)
+        for (int j = 0; j < 6; ++j)
+          // a power of 2s amplifies a rounding of its argument 2s-fold, and pow and the product each add their own
+          CHECK(mu[static_cast<std::size_t>(k)](j) == doctest::Approx(bell(x(j), k, width, slope)).epsilon(10.0 * (slope + 1.0) * kEpsilon));
+    }
+}
+
+TEST_CASE("bell_power is x^s") {
+  Random random(7602);
+  CAPTURE(random.seed());
+  for (const double slope : {1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 0.5, 1.5, 2.25})
+    for (int trial = 0; trial < 50; ++trial) {
+      CAPTURE(slope);
+      const AxisVector<double> x = random.matrix<6>(10.0).cwiseAbs();
+      const AxisVector<double> power = bell_power(x, slope);
+      for (int j = 0; j < 6; ++j) CHECK(power(j) == doctest::Approx(std::pow(x(j), slope)).epsilon(10.0 * kEpsilon));
+    }
+}
+
+TEST_CASE("a bell is 1 at its own centre, 1/2 one width away, symmetric, and falls with the distance") {
+  for (int k = 0; k < 7; ++k) {
+    CAPTURE(k);
+    const auto term = static_cast<std::size_t>(k);
+    const auto at = [&](double x, const Bell& b) {
+      return memberships<double>(AxisVector<double>::Constant(x), b.width, b.slope)[term](0);
+    };
+    for (const Bell& b : kBells) {
+      CHECK(at(term_centre(k), b) == 1.0);
+      CHECK(at(term_centre(k) + b.width, b) == doctest::Approx(0.5).epsilon(1e-13));
+      CHECK(at(term_centre(k) - b.width, b) == doctest::Approx(0.5).epsilon(1e-13));
+      double previous = 1.0;
+      for (const double offset : {0.01, 0.1, 0.3, 0.7, 1.5}) {
+        CHECK(at(term_centre(k) + offset, b) == doctest::Approx(at(term_centre(k) - offset, b)).epsilon(1e-12));
+        CHECK(at(term_centre(k) + offset, b) <= previous);
+        previous = at(term_centre(k) + offset, b);
+      }
+    }
+    CHECK(term_centre(k) == doctest::Approx(-1.0 + k / 3.0).epsilon(kEpsilon));
+    CHECK(term_centre(k) == -term_centre(6 - k));
+  }
+}
+
+TEST_CASE("mirror symmetry: the term NB of x is the term PB of -x, and so on") {
+  Random random(7603);
+  CAPTURE(random.seed());
+  for (int trial = 0; trial < 50; ++trial) {
+    const AxisVector<double> x = random.matrix<6>();
+    const TermStrengths<double> here = normalised_memberships<double>(x, 1.0 / 6.0, 2.0);
+    const TermStrengths<double> there = normalised_memberships<double>(-x, 1.0 / 6.0, 2.0);
+    for (std::size_t k = 0; k < 7; ++k) CHECK(distance(here[k], there[6 - k]) <= 20.0 * kEpsilon);
+  }
+}
+
+TEST_CASE("partition of unity: the 49 rule strengths are positive and sum to one") {
+  Random random(7604);
+  CAPTURE(random.seed());
+  for (const auto& [width, slope] : kBells)
+    for (int trial = 0; trial < 50; ++trial) {
+      const FuzzyBasis<double> basis = fuzzy_basis<double>(design(width, slope), random.matrix<6>(1.5), random.matrix<6>(1.5));
+      AxisVector<double> sum = AxisVector<double>::Zero();
+      for (std::size_t row = 0; row < 7; ++row)
+        for (std::size_t column = 0; column < 7; ++column) {
+          const AxisVector<double> strength = basis.error[row].cwiseProduct(basis.rate[column]);
+          CHECK(strength.minCoeff() > 0.0);
+          sum += strength;
+        }
+      CHECK(distance(sum, AxisVector<double>::Ones()) <= 50.0 * kEpsilon);
+    }
+}
+
+TEST_CASE("the factorised output is the literal sum over 49 rules (13), for each of the six systems") {
+  Random random(7605);
+  CAPTURE(random.seed());
+  for (const auto& [width, slope] : kBells)
+    for (int trial = 0; trial < 50; ++trial) {
+      CAPTURE(width);
+      CAPTURE(slope);
+      const FuzzyWeights<double> weights = random_weights(random);
+      const AxisVector<double> u = random.matrix<6>(), u_rate = random.matrix<6>();
+      const FuzzyStage<double> stage{&weights};
+      const AxisVector<double> output = stage.output(fuzzy_basis<double>(design(width, slope), u, u_rate));
+      for (int axis = 0; axis < 6; ++axis) {
+        const double expected = literal_output(weight_matrix(weights, axis), u(axis), u_rate(axis), width, slope);
+        CHECK(std::abs(output(axis) - expected) <= 20.0 * (slope + 2.0) * kEpsilon);  // weights are at most 1
+      }
+    }
+}
+
+TEST_CASE("a system with equal weights gives that weight, whatever its inputs") {
+  Random random(7606);
+  CAPTURE(random.seed());
+  FuzzyWeights<double> weights;
+  const AxisVector<double> value = random.matrix<6>();
+  weights.fill(value);
+  for (int trial = 0; trial < 20; ++trial) {
+    const AxisVector<double> output =
+        FuzzyStage<double>{&weights}.output(fuzzy_basis<double>(design(), random.matrix<6>(3.0), random.matrix<6>(3.0)));
+    CHECK(distance(output, value) <= 50.0 * kEpsilon);
+  }
+}
+
+TEST_CASE("inputs beyond +-1 count as +-1, inputs within are not changed") {
+  Random random(7607);
+  CAPTURE(random.seed());
+  for (int trial = 0; trial < 50; ++trial) {
+    const AxisVector<double> u = random.matrix<6>(4.0), u_rate = random.matrix<6>(4.0);
+    const FuzzyBasis<double> basis = fuzzy_basis(design(), u, u_rate);
+    const FuzzyBasis<double> limited = fuzzy_basis<double>(design(), u.cwiseMax(-1.0).cwiseMin(1.0), u_rate.cwiseMax(-1.0).cwiseMin(1.0));
+    const TermStrengths<double> direct = normalised_memberships<double>(u.cwiseMax(-1.0).cwiseMin(1.0), 1.0 / 6.0, 2.0);
+    for (std::size_t k = 0; k < 7; ++k) {
+      CHECK(basis.error[k] == limited.error[k]);
+      CHECK(basis.rate[k] == limited.rate[k]);
+      CHECK(basis.error[k] == direct[k]);
+    }
+  }
+}
+
+TEST_CASE("the linear table is MacVicar-Whelan's: term numbers add up and stop at NB and PB") {
+  const Matrix7<double> table = linear_rule_table();
+  for (int row = -3; row <= 3; ++row)
+    for (int column = -3; column <= 3; ++column)
+      CHECK(table(row + 3, column + 3) == doctest::Approx(std::clamp(row + column, -3, 3) / 3.0).epsilon(kEpsilon));
+  CHECK(table == table.transpose());
+  CHECK(table.reverse() == -table);
+}
+
+TEST_CASE("a custom table is data: weights start at s_0 times it, for each system with its own s_0") {
+  Random random(7608);
+  CAPTURE(random.seed());
+  FuzzyGains<double> gains = design();
+  gains.table = random.matrix<7, 7>();
+  gains.initial_scale = random.matrix<6>();
+  const FuzzyWeights<double> weights = initial_weights(gains);
+  for (int axis = 0; axis < 6; ++axis) CHECK(weight_matrix(weights, axis) == gains.initial_scale(axis) * gains.table);
+  gains.initial_scale.setZero();
+  for (const AxisVector<double>& w : initial_weights(gains)) CHECK(w.isZero(0.0));
+}
+
+TEST_CASE("the default table makes tau_f an odd function that grows with both inputs") {
+  FuzzyGains<double> gains = design();
+  gains.initial_scale.setOnes();
+  const FuzzyWeights<double> weights = initial_weights(gains);
+  const auto output = [&](double u, double u_rate) {
+    return FuzzyStage<double>{&weights}.output(
+        fuzzy_basis<double>(gains, AxisVector<double>::Constant(u), AxisVector<double>::Constant(u_rate)))(2);
+  };
+  CHECK(std::abs(output(0.0, 0.0)) <= 10.0 * kEpsilon);
+  for (const double u : {0.1, 0.4, 0.9}) {
+    CHECK(output(u, 0.2) == doctest::Approx(-output(-u, -0.2)).epsilon(1e-13));
+    CHECK(output(u, 0.0) > 0.0);
+    CHECK(output(0.0, u) > 0.0);
+    CHECK(output(u, 0.0) == doctest::Approx(output(0.0, u)).epsilon(1e-13));
+  }
+  CHECK(output(0.6, 0.0) > output(0.3, 0.0));
+}
+
+TEST_CASE("rank-one stages: the output with a rate is the output of weights to which the rate was added") {
+  Random random(7609);
+  CAPTURE(random.seed());
+  const FuzzyGains<double> gains = design();
+  for (int trial = 0; trial < 100; ++trial) {
+    CAPTURE(trial);
+    const FuzzyWeights<double> weights = random_weights(random);
+    const FuzzyRate<double> rate = random_rate(gains, random);
+    const double scale = random.uniform(-1.0, 1.0);
+    FuzzyWeights<double> added = weights;
+    add(added, rate, scale);
+    const FuzzyBasis<double> basis = fuzzy_basis<double>(gains, random.matrix<6>(), random.matrix<6>());
+    const FuzzyStage<double> with_rate{&weights, &rate, scale}, explicit_weights{&added};
+    CHECK(distance(with_rate.output(basis), explicit_weights.output(basis)) <= 50.0 * kEpsilon);
+  }
+}
+
+TEST_CASE("advance_weights adds all rates, rule by rule, and nothing where a lane is not active") {
+  Random random(7610);
+  CAPTURE(random.seed());
+  const FuzzyGains<double> gains = design();
+  for (int trial = 0; trial < 50; ++trial) {
+    CAPTURE(trial);
+    FuzzyWeights<double> weights = random_weights(random);
+    const FuzzyWeights<double> before = weights;
+    std::array<FuzzyRate<double>, 4> rates = {random_rate(gains, random), random_rate(gains, random), random_rate(gains, random),
+                                              random_rate(gains, random)};
+    std::array<const FuzzyRate<double>*, 4> pointers;
+    std::array<double, 4> scales;
+    FuzzyWeights<double> expected = weights;
+    for (std::size_t i = 0; i < 4; ++i) {
+      pointers[i] = &rates[i];
+      scales[i] = random.uniform(-1.0, 1.0);
+      add(expected, rates[i], scales[i]);
+    }
+    advance_weights(weights, pointers, scales, true);
+    CHECK(distance(weights, expected) <= 20.0 * kEpsilon);
+
+    FuzzyWeights<double> still = before;
+    for (FuzzyRate<double>& rate : rates) rate.strength.setConstant(kNaN);
+    advance_weights(still, pointers, scales, false);
+    CHECK(distance(still, before) == 0.0);
+  }
+}
+
+TEST_CASE("in a pack each lane has its own weights, and a frozen lane keeps them even beside NaN") {
+  Random random(7611);
+  CAPTURE(random.seed());
+  using S = Lanes<4>;
+  const FuzzyGains<double> gains = design();
+  FuzzyWeights<S> pack;
+  std::array<FuzzyWeights<double>, 4> weights_of;
+  FuzzyRate<S> rate;
+  std::array<FuzzyRate<double>, 4> rate_of;
+  for (int lane = 0; lane < 4; ++lane) {
+    const auto i = static_cast<std::size_t>(lane);
+    weights_of[i] = random_weights(random);
+    rate_of[i] = random_rate(gains, random);
+    if (lane == 2) rate_of[i].strength.setConstant(kNaN);
+    for (std::size_t r = 0; r < pack.size(); ++r) set_lane(pack[r], lane, weights_of[i][r]);
+    set_lane(rate.strength, lane, rate_of[i].strength);
+    for (std::size_t k = 0; k < 7; ++k) {
+      set_lane(rate.basis.error[k], lane, rate_of[i].basis.error[k]);
+      set_lane(rate.basis.rate[k], lane, rate_of[i].basis.rate[k]);
+    }
+  }
+  S decider = 1.0;
+  decider.set(2, 0.0);
+  advance_weights(pack, std::array<const FuzzyRate<S>*, 1>{&rate}, std::array<S, 1>{S(0.3)}, decider > S(0.5));
+  for (int lane = 0; lane < 4; ++lane) {
+    CAPTURE(lane);
+    const auto i = static_cast<std::size_t>(lane);
+    if (lane != 2) add(weights_of[i], rate_of[i], 0.3);
+    for (std::size_t r = 0; r < pack.size(); ++r)
+      CHECK(distance(lane_of(pack[r], lane), weights_of[i][r]) <= (lane == 2 ? 0.0 : 4.0 * kEpsilon));
+  }
+}
+
+TEST_CASE("NaN in either input never comes out as a number, and stays in its own system") {
+  Random random(7612);
+  CAPTURE(random.seed());
+  const FuzzyWeights<double> weights = random_weights(random);
+  for (const auto& [width, slope] : kBells)
+    for (int axis = 0; axis < 6; ++axis)
+      for (const bool in_rate : {false, true}) {
+        AxisVector<double> u = random.matrix<6>(), u_rate = random.matrix<6>();
+        (in_rate ? u_rate : u)(axis) = kNaN;
+        const AxisVector<double> output = FuzzyStage<double>{&weights}.output(fuzzy_basis(design(width, slope), u, u_rate));
+        for (int j = 0; j < 6; ++j) CHECK(std::isnan(output(j)) == (j == axis));
+      }
+}
+
+TEST_CASE("designs that make no sense are refused, with the key and the place") {
+  const auto verdict = [](auto&& change) {
+    FuzzyGains<double> gains;
+    change(gains);
+    return refusal([&] { validate(gains); });
+  };
+  const std::string key = "controller.hybrid.fuzzy.";
+  CHECK(verdict([](FuzzyGains<double>&) {}) == "(accepted)");
+  for (const double bad : {kNaN, kInfinity, -kInfinity, 0.0, -1.0}) {
+    CAPTURE(bad);
+    for (int j = 0; j < 6; ++j)
+      CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.adaptation(j) = bad; }), key + "adaptation[" + std::to_string(j) + "]"));
+    CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.bell_width = bad; }), key + "bell_width"));
+    CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.bell_slope = bad; }), key + "bell_slope"));
+    if (std::isfinite(bad)) continue;
+    for (int j = 0; j < 6; ++j) {
+      const std::string place = "[" + std::to_string(j) + "]";
+      CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.error_scale(j) = bad; }), key + "error_scale" + place));
+      CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.rate_scale(j) = bad; }), key + "rate_scale" + place));
+      CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.initial_scale(j) = bad; }), key + "initial_scale" + place));
+      CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.table(j, 6) = bad; }), key + "table" + place + "[6]"));
+    }
+  }
+}

@@ -1,0 +1,217 @@
+// Metrics, streamed sample by sample, against their definitions over the whole record.
+#include "hexservo/metrics.hpp"
+
+#include "compare.hpp"
+#include "random.hpp"
+
+#include <algorithm>
+#include <vector>
+
+using namespace hexservo;
+using namespace hexservo::test;
+
+namespace {
+
+const Vector6<double> kGravity = gravity_wrench(RigidBody<double>{});
+
+/// A sample of ordinary size; feature errors are at most `error`.
+Sample<double> random_sample(Random& random, double error) {
+  Sample<double> s;
+  s.feature_error = random.matrix<8>(error);
+  s.depth = random.matrix<4>(0.1) - Vector<double, 4>::Constant(0.5);
+  s.position = random.matrix<3>(0.02) + Vector3<double>(0.0, 0.0, -0.15);
+  s.quaternion = random.quaternion();
+  s.twist = random.six(0.1, 1.0);
+  s.wrench = random.six(0.1, 0.01) + kGravity;
+  s.fuzzy_output = random.six(0.01, 0.001);
+  s.leg_lengths = make_hexapod({}).home_lengths + random.matrix<6>(0.03);
+  s.leg_forces = random.matrix<6>(2.0);
+  return s;
+}
+
+Metrics<double> metrics_of(const std::vector<Sample<double>>& samples, const MetricsSettings& settings, double step) {
+  MetricsAccumulator<double> accumulator(settings, make_hexapod({}), kGravity, samples.front());
+  for (std::size_t i = 0; i < samples.size(); ++i) accumulator.add(static_cast<double>(i) * step, samples[i], true);
+  return accumulator.metrics();
+}
+
+/// Samples whose largest error is the given one, in one component.
+std::vector<Sample<double>> with_errors(const std::vector<double>& errors) {
+  Random random(7801);
+  std::vector<Sample<double>> samples;
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    samples.push_back(random_sample(random, 0.0));
+    samples.back().feature_error(static_cast<int>(i % 8)) = (i % 2 == 0 ? 1.0 : -1.0) * errors[i];
+  }
+  return samples;
+}
+
+}  // namespace
+
+TEST_CASE("every metric is its definition over the whole record") {
+  Random random(7802);
+  CAPTURE(random.seed());
+  const Hexapod<double> hexapod = make_hexapod({});
+  for (int trial = 0; trial < 20; ++trial) {
+    CAPTURE(trial);
+    std::vector<Sample<double>> samples;
+    for (int i = 0; i <= 100; ++i) samples.push_back(random_sample(random, 5.0 * std::exp(-0.05 * i)));
+    const MetricsSettings settings{2.0, 0.05};
+    const Metrics<double> m = metrics_of(samples, settings, 1e-3);
+
+    double settling = 0.0, squares = 0.0, count = 0.0, peak_error = 0.0, displacement = 0.0, rotation = 0.0;
+    double force = 0.0, moment = 0.0, leg_force = 0.0, excursion = 0.0;
+    const Matrix3<double> R0 = rotation_matrix(samples.front().quaternion);
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      const Sample<double>& s = samples[i];
+      const double time = static_cast<double>(i) * 1e-3, error = s.feature_error.cwiseAbs().maxCoeff();
+      if (error > 2.0) settling = time;
+      if (i >= 50) {
+        squares += s.feature_error.squaredNorm();
+        count += 8.0;
+      }
+      peak_error = std::max(peak_error, error);
+      displacement = std::max(displacement, (s.position - samples.front().position).norm());
+      rotation = std::max(rotation, Eigen::AngleAxisd(rotation_matrix(s.quaternion) * R0.transpose()).angle());
+      force = std::max(force, (s.wrench - kGravity).head<3>().cwiseAbs().maxCoeff());
+      moment = std::max(moment, (s.wrench - kGravity).tail<3>().cwiseAbs().maxCoeff());
+      leg_force = std::max(leg_force, s.leg_forces.cwiseAbs().maxCoeff());
+      excursion = std::max(excursion, (s.leg_lengths - hexapod.home_lengths).cwiseAbs().maxCoeff());
+    }
+    const Sample<double>& last = samples.back();
+    REQUIRE(last.feature_error.cwiseAbs().maxCoeff() <= 2.0);
+    CHECK(m.settling_time == settling);
+    CHECK(m.final_error == last.feature_error.cwiseAbs().maxCoeff());
+    CHECK(m.rms_error == doctest::Approx(std::sqrt(squares / count)).epsilon(1e-13));
+    CHECK(m.peak_error == peak_error);
+    CHECK(m.peak_displacement == doctest::Approx(displacement).epsilon(1e-13));
+    CHECK(m.peak_rotation == doctest::Approx(rotation).epsilon(1e-6));  // near a half turn asin loses half the digits
+    CHECK(m.final_linear_speed == doctest::Approx(last.twist.head<3>().norm()).epsilon(1e-14));
+    CHECK(m.final_angular_speed == doctest::Approx(last.twist.tail<3>().norm()).epsilon(1e-14));
+    CHECK(m.peak_control_force == force);
+    CHECK(m.peak_control_moment == moment);
+    CHECK(m.peak_leg_force == leg_force);
+    CHECK(m.peak_leg_excursion == excursion);
+  }
+}
+
+TEST_CASE("rotation from the start is accurate for small angles and blind to the sign of the quaternion") {
+  Random random(7803);
+  CAPTURE(random.seed());
+  for (const double angle : {1e-12, 1e-8, 1e-3, 0.3, 2.0}) {
+    CAPTURE(angle);
+    std::vector<Sample<double>> samples = {random_sample(random, 1.0), random_sample(random, 1.0)};
+    const Vector4<double> q0 = samples[0].quaternion;
+    const Vector3<double> axis = random.matrix<3>().normalized();
+    const Eigen::Quaterniond q = Eigen::Quaterniond(Eigen::AngleAxisd(angle, axis)) * Eigen::Quaterniond(q0(0), q0(1), q0(2), q0(3));
+    for (const double sign : {1.0, -1.0}) {
+      samples[1].quaternion = sign * Vector4<double>(q.w(), q.x(), q.y(), q.z());
+      CHECK(std::abs(metrics_of(samples, {}, 1e-3).peak_rotation - angle) <= 20.0 * kEpsilon * std::max(1.0, angle));
+    }
+  }
+}
+
+TEST_CASE("settling time is the last time outside, 0 where never outside, NaN where the end is outside") {
+  const MetricsSettings settings{2.0, 0.0};
+  CHECK(metrics_of(with_errors({1.0, 1.5, 2.0, 0.5}), settings, 0.1).settling_time == 0.0);  // on the threshold is within
+  CHECK(metrics_of(with_errors({5.0, 1.0, 1.0}), settings, 0.1).settling_time == 0.0);
+  CHECK(metrics_of(with_errors({5.0, 3.0, 1.0, 2.5, 1.0, 0.1}), settings, 0.1).settling_time == doctest::Approx(0.3));
+  CHECK(std::isnan(metrics_of(with_errors({5.0, 1.0, 1.0, 2.1}), settings, 0.1).settling_time));
+  CHECK(std::isnan(metrics_of(with_errors({5.0}), settings, 0.1).settling_time));
+}
+
+TEST_CASE("the RMS error starts at rms_start, and is NaN where the run is shorter") {
+  const std::vector<Sample<double>> samples = with_errors({8.0, 4.0, 2.0, 1.0});
+  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).rms_error == doctest::Approx(std::sqrt((64.0 + 16.0 + 4.0 + 1.0) / 32.0)));
+  CHECK(metrics_of(samples, {2.0, -1.0}, 0.1).rms_error == metrics_of(samples, {2.0, 0.0}, 0.1).rms_error);
+  CHECK(metrics_of(samples, {2.0, 0.2}, 0.1).rms_error == doctest::Approx(std::sqrt(5.0 / 16.0)));
+  CHECK(metrics_of(samples, {2.0, 0.3}, 0.1).rms_error == doctest::Approx(std::sqrt(1.0 / 8.0)));  // 3 * 0.1 is not 0.3
+  CHECK(std::isnan(metrics_of(samples, {2.0, 0.31}, 0.1).rms_error));
+}
+
+TEST_CASE("limits are noted with their first time and their peak, for each leg alone") {
+  LegLimitMonitor<double> monitor;
+  const auto values = [](double leg1, double leg4) {
+    Vector6<double> v = Vector6<double>::Zero();
+    v(1) = leg1;
+    v(4) = leg4;
+    return v;
+  };
+  monitor.add(0.0, values(0.5, 0.0), 1.0, true);
+  monitor.add(0.1, values(1.0, -1.5), 1.0, true);  // on the limit is not beyond it
+  monitor.add(0.2, values(9.0, -9.0), 1.0, false);
+  monitor.add(0.3, values(-1.2, 0.0), 1.0, true);
+  monitor.add(0.4, values(-1.1, -3.0), 1.0, true);
+  CHECK(monitor.first_time(1) == 0.3);
+  CHECK(monitor.first_time(4) == 0.1);
+  CHECK(monitor.first_time(0) == kInfinity);
+  CHECK(monitor.peak(1) == 1.2);
+  CHECK(monitor.peak(4) == 3.0);
+  CHECK(monitor.peak(0) == 0.0);
+}
+
+TEST_CASE("in a pack each lane has its own metrics, and a lane that is not active keeps its own") {
+  Random random(7804);
+  CAPTURE(random.seed());
+  using S = Lanes<4>;
+  const Hexapod<double> hexapod = make_hexapod({});
+  const MetricsSettings settings{2.0, 0.01};
+  constexpr int kSamples = 60, kFrozenFrom = 30, kFrozenLane = 2;
+  Hexapod<S> pack_hexapod;
+  Vector6<S> gravity;
+  std::array<std::vector<Sample<double>>, 4> samples;
+  std::vector<Sample<S>> packs(kSamples);
+  for (int lane = 0; lane < 4; ++lane) {
+    const auto l = static_cast<std::size_t>(lane);
+    set_lane(pack_hexapod, lane, hexapod);
+    set_lane(gravity, lane, kGravity);
+    for (int i = 0; i < kSamples; ++i) {
+      samples[l].push_back(random_sample(random, lane == 1 ? 5.0 : 5.0 * std::exp(-0.1 * i)));
+      if (lane == kFrozenLane && i >= kFrozenFrom) samples[l].back().feature_error.setConstant(kNaN);
+      set_lane(packs[static_cast<std::size_t>(i)], lane, samples[l].back());
+    }
+    samples[l].resize(lane == kFrozenLane ? kFrozenFrom : kSamples);
+  }
+  MetricsAccumulator<S> accumulator(settings, pack_hexapod, gravity, packs.front());
+  S is_frozen = 0.0;
+  is_frozen.set(kFrozenLane, 1.0);
+  for (int i = 0; i < kSamples; ++i)
+    accumulator.add(i * 1e-3, packs[static_cast<std::size_t>(i)],
+                    i < kFrozenFrom ? Mask<S>(true) : is_frozen == S(0.0));
+  const Metrics<S> m = accumulator.metrics();
+  for (int lane = 0; lane < 4; ++lane) {
+    CAPTURE(lane);
+    const Metrics<double> single = metrics_of(samples[static_cast<std::size_t>(lane)], settings, 1e-3);
+    const auto agree = [&](const S& pack, double value) {
+      return std::isnan(value) ? std::isnan(pack[lane]) : std::abs(pack[lane] - value) <= 1e-13 * std::abs(value);
+    };
+    CHECK(agree(m.settling_time, single.settling_time));
+    CHECK(agree(m.final_error, single.final_error));
+    CHECK(agree(m.rms_error, single.rms_error));
+    CHECK(agree(m.peak_error, single.peak_error));
+    CHECK(agree(m.peak_displacement, single.peak_displacement));
+    CHECK(std::abs(m.peak_rotation[lane] - single.peak_rotation) <= 1e-6);
+    CHECK(agree(m.final_linear_speed, single.final_linear_speed));
+    CHECK(agree(m.final_angular_speed, single.final_angular_speed));
+    CHECK(agree(m.peak_control_force, single.peak_control_force));
+    CHECK(agree(m.peak_control_moment, single.peak_control_moment));
+    CHECK(agree(m.peak_leg_force, single.peak_leg_force));
+    CHECK(agree(m.peak_leg_excursion, single.peak_leg_excursion));
+  }
+}
+
+TEST_CASE("NaN in a sample is not swallowed by a peak") {
+  Random random(7805);
+  CAPTURE(random.seed());
+  std::vector<Sample<double>> samples = {random_sample(random, 1.0), random_sample(random, 1.0)};
+  samples[1].feature_error(3) = kNaN;
+  samples[1].leg_forces(2) = kNaN;
+  const Metrics<double> m = metrics_of(samples, {2.0, 0.0}, 1e-3);
+  CHECK(std::isnan(m.peak_error));
+  CHECK(std::isnan(m.final_error));
+  CHECK(std::isnan(m.rms_error));
+  CHECK(std::isnan(m.peak_leg_force));
+  CHECK(largest_abs(Vector3<double>(1.0, -3.0, 2.0)) == 3.0);
+  CHECK(std::isnan(largest_abs(Vector3<double>(kNaN, -3.0, 2.0))));
+  CHECK(std::isnan(largest_abs(Vector3<double>(1.0, -3.0, kNaN))));
+}

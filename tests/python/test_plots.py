@@ -1,0 +1,523 @@
+"""Figures: what they show is what the run holds, they can be read, and they leave the user's matplotlib alone."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from numpy.typing import NDArray
+
+import hexservo as hs
+from hexservo import plots
+
+Array = NDArray[np.float64]
+
+NAMES = ["fig2a_rule_table", "fig2b_feature_errors", "fig3_feature_paths", "fig4_platform_motion", "fig5_wrench"]
+TIME_FIGURES = [plots.feature_errors, plots.platform_motion, plots.control_wrench]
+
+
+def rule_table(result: hs.Result) -> Figure:
+    return plots.rule_table(result.scenario)
+
+
+ALL_FIGURES = [rule_table, plots.feature_paths, *TIME_FIGURES]
+TERMS = ["NB", "NM", "NS", "ZE", "PS", "PM", "PB"]
+SEED = 20260
+
+RUNS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "slow": {"controller.hybrid.fuzzy.enabled": False, "simulation.duration": 10.0},
+    "never settles": {"uncertainty.gravity": 0.075},
+    "diverges": {"controller.jacobian": "printed"},
+    "diverges at once": {"controller.hybrid.kp": 1e290},
+    "smooth": {"controller.switching.kind": "tanh", "simulation.step": 5e-4, "simulation.duration": 1.0},
+    "sparse": {"simulation.log_every": 50},
+    "two samples": {"simulation.log_every": 5000},
+    "one step": {"simulation.duration": 1e-3},
+    "at the goal": {
+        "target.desired_features": [30, 18, 65, -65, -44, 37, -10, -15],
+        "controller.hybrid.kv": 0.0,
+        "simulation.duration": 0.1,
+    },
+    "heavy": {"robot.mass": 1e6},
+}
+
+
+def run(**changes: Any) -> hs.Result:
+    return hs.simulate(hs.load_scenario("paper").updated(changes))
+
+
+@pytest.fixture(scope="module")
+def paper() -> hs.Result:
+    return run()
+
+
+@pytest.fixture(scope="module", params=RUNS)
+def result(request: pytest.FixtureRequest) -> hs.Result:
+    return run(**RUNS[request.param])
+
+
+def first(result: hs.Result, count: int) -> hs.Result:
+    """The first samples of a run."""
+    arrays = [name for name, value in vars(result).items() if isinstance(value, np.ndarray) and name != "fuzzy_weights"]
+    return replace(result, **{name: getattr(result, name)[:count] for name in arrays})
+
+
+def line(figure: Figure, name: str) -> Array:
+    """The points (n, 2) of the line of that name, through all panels that show a part of it."""
+    parts = [
+        np.column_stack([np.asarray(drawn.get_xdata(), float), np.asarray(drawn.get_ydata(), float)])
+        for axes in figure.axes
+        for drawn in axes.lines
+        if drawn.get_gid() == name
+    ]
+    assert parts, f"no line {name}"
+    for before, after in itertools.pairwise(parts):
+        np.testing.assert_array_equal(before[-1], after[0])  # panels share the sample at their border
+    return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
+
+
+def assert_shows(figure: Figure, names: list[str], time: Array, values: Array) -> None:
+    """Every drawn point is a sample; all are drawn where they are few, else at least the extremes and both ends."""
+    for name, column in zip(names, values.T, strict=True):
+        points = line(figure, name)
+        index = np.searchsorted(time, points[:, 0])
+        np.testing.assert_array_equal(points[:, 0], time[index])
+        np.testing.assert_array_equal(points[:, 1], column[index])
+        assert np.all(np.diff(index) > 0)
+        assert {0, len(time) - 1, int(column.argmin()), int(column.argmax())} <= set(index.tolist())
+        if len(time) <= 1200:
+            assert len(points) == len(time)
+
+
+def render(figure: Figure) -> None:
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+
+
+def labels(figure: Figure) -> set[str]:
+    return {text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text}
+
+
+# ---- Each figure shows the run --------------------------------------------------------------------------------------
+
+
+def test_rule_table_shows_terms_and_numbers() -> None:
+    table: list[list[Any]] = [[TERMS[max(0, min(6, row + column - 3))] for column in range(7)] for row in range(7)]
+    table[1][5] = 0.25
+    table[6][0] = -3
+    scenario = hs.load_scenario("paper").updated({"controller.hybrid.fuzzy.table": table})
+    figure = plots.rule_table(scenario)
+    axes, bar = figure.axes
+    (image,) = axes.images
+    numbers = [[TERMS.index(entry) / 3 - 1 if isinstance(entry, str) else entry for entry in row] for row in table]
+    np.testing.assert_allclose(np.asarray(image.get_array()), numbers, rtol=0, atol=1e-15)
+    assert image.get_clim() == (-3, 3)
+    shown = {(round(text.get_position()[1]), round(text.get_position()[0])): text.get_text() for text in axes.texts}
+    expected = {(row, column): str(table[row][column]) for row in range(7) for column in range(7)}
+    assert shown == {**expected, (6, 0): "-3"}
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == TERMS
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == TERMS
+    assert axes.get_ylim() == (6.5, -0.5)  # row NB above
+    assert labels(figure) == {"rate of u [1]", "u, the scaled image wrench [1]", "output [1]"}
+    assert bar.get_ylim() == (-3, 3)
+
+
+def test_rule_table_has_symmetric_limits_of_at_least_one() -> None:
+    scenario = hs.load_scenario("paper").updated({"controller.hybrid.fuzzy.table": np.full((7, 7), 0.1)})
+    assert plots.rule_table(scenario).axes[0].images[0].get_clim() == (-1, 1)
+
+
+def test_feature_errors_show_the_run(result: hs.Result) -> None:
+    figure = plots.feature_errors(result)
+    assert_shows(figure, ["x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄"], result.time, result.feature_error)
+    assert labels(figure) == {"time [s]", "feature error [px]"}
+
+
+def test_feature_errors_magnify_what_remains(paper: hs.Result) -> None:
+    approach, rest = plots.feature_errors(paper).axes
+    settled = hs.metrics(paper)["settling_time"]
+    assert f"{settled:.3g} s" in approach.get_title(loc="left")
+    assert settled < approach.get_xlim()[1] == rest.get_xlim()[0]
+    assert rest.get_xlim()[1] == paper.time[-1]
+    assert max(map(abs, rest.get_ylim())) < 0.1 < 20 < min(map(abs, approach.get_ylim()))
+    for axes in (approach, rest):
+        (band,) = axes.patches
+        extents = band.get_extents().transformed(axes.transData.inverted())
+        np.testing.assert_allclose([extents.y0, extents.y1], [-2, 2], rtol=0, atol=1e-12)
+
+
+def test_feature_paths_show_the_run(result: hs.Result) -> None:
+    figure = plots.feature_paths(result)
+    (axes,) = figure.axes
+    goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
+    for number in range(1, 5):
+        path = result.features[:, 2 * number - 2 : 2 * number]
+        drawn = line(figure, f"path {number}")
+        if len(path) <= 1200:
+            np.testing.assert_array_equal(drawn, path)
+        np.testing.assert_array_equal(drawn[[0, -1]], path[[0, -1]])
+        np.testing.assert_array_equal([drawn.min(axis=0), drawn.max(axis=0)], [path.min(axis=0), path.max(axis=0)])
+        np.testing.assert_array_equal(line(figure, f"start {number}"), path[:1])
+        np.testing.assert_array_equal(line(figure, f"end {number}"), path[-1:])
+        np.testing.assert_array_equal(line(figure, f"goal {number}"), goals[number - 1 : number])
+        everything = np.concatenate([path, goals])
+        for limits, low, high in zip(
+            (axes.get_xlim(), axes.get_ylim()), everything.min(0), everything.max(0), strict=True
+        ):
+            assert limits[0] < low <= high < limits[1]
+    assert labels(figure) == {"image x [px]", "image y [px]"}
+    assert {text.get_text() for text in axes.texts} == {"1", "2", "3", "4"}
+
+
+@pytest.mark.parametrize("changes", [{}, {"controller.jacobian": "printed"}], ids=["settles", "diverges"])
+def test_feature_paths_have_equal_axes_and_arrows_along_the_motion(changes: dict[str, Any]) -> None:
+    result = run(**changes)
+    figure = plots.feature_paths(result)
+    (axes,) = figure.axes
+    render(figure)
+    origin, right, up = axes.transData.transform([(0, 0), (1, 0), (0, 1)])
+    assert right[0] - origin[0] == pytest.approx(up[1] - origin[1], rel=1e-9)
+    arrows = [drawn for drawn in axes.lines if str(drawn.get_gid()).startswith("direction")]
+    assert len(arrows) == 4
+    for number, arrow in enumerate(arrows):
+        path = result.features[:, 2 * number : 2 * number + 2]
+        head = np.array([np.asarray(arrow.get_xdata())[0], np.asarray(arrow.get_ydata())[0]])
+        tip = vars(arrow)["_marker"].get_user_transform().transform((1, 0))
+        onward = path[np.argmax(np.hypot(*(path - path[0]).T) > np.hypot(*(head - path[0])))] - path[0]
+        assert tip @ onward > 0.95 * np.hypot(*tip) * np.hypot(*onward)
+
+
+def test_platform_motion_shows_the_run(result: hs.Result) -> None:
+    figure = plots.platform_motion(result)
+    home = np.asarray(result.scenario.robot.home_position)
+    assert_shows(figure, ["x", "y", "z"], result.time, 1e3 * (result.position - home))
+    turns = np.column_stack([line(figure, name)[[0, -1], 1] for name in ("θx", "θy", "θz")]) / 1e3
+    np.testing.assert_allclose(
+        [rotation_matrix(turn) for turn in turns],
+        [matrix_of_quaternion(quaternion) for quaternion in result.quaternion[[0, -1]]],
+        rtol=0,
+        atol=1e-12,
+    )
+    assert labels(figure) == {"time [s]", "displacement [mm]", "rotation vector [mrad]"}
+
+
+def test_control_wrench_shows_the_run(result: hs.Result) -> None:
+    figure = plots.control_wrench(result)
+    assert_shows(figure, ["fx", "fy", "fz"], result.time, result.wrench[:, :3])
+    assert_shows(figure, ["mx", "my", "mz"], result.time, 1e3 * result.wrench[:, 3:])
+    assert_shows(figure, [f"leg {leg}" for leg in range(1, 7)], result.time, result.leg_forces)
+    assert labels(figure) == {"time [s]", "force [N]", "moment [mN m]", "leg force [N]"}
+    weights = [drawn for axes in figure.axes for drawn in axes.lines if drawn.get_gid() == "weight"]
+    assert weights
+    for drawn in weights:
+        np.testing.assert_allclose(np.asarray(drawn.get_ydata()), -9.8 * result.scenario.robot.mass, rtol=1e-15)
+
+
+def test_control_wrench_says_what_it_averages_over(paper: hs.Result) -> None:
+    figure = plots.control_wrench(paper)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["samples", "mean over 7 ms"]
+    for name, column in (("fy", paper.wrench[:, 1]), ("leg 4", paper.leg_forces[:, 3])):
+        points = line(figure, f"mean {name}")
+        index = np.searchsorted(paper.time, points[:, 0])
+        expected = [column[max(0, centre - 3) : centre + 4].mean() for centre in index]
+        np.testing.assert_allclose(points[:, 1], expected, rtol=0, atol=1e-12 * np.abs(column).sum())
+
+
+def test_short_runs_are_not_averaged() -> None:
+    figure = plots.control_wrench(run(**{"controller.jacobian": "printed"}))
+    assert not figure.legends
+    assert not [drawn for axes in figure.axes for drawn in axes.lines if str(drawn.get_gid()).startswith("mean")]
+
+
+def test_a_long_run_is_thinned_without_loss_of_peaks() -> None:
+    result = run(**{"simulation.duration": 40.0})
+    wrench = result.wrench.copy()
+    wrench[23456, 0] = 0.9  # one sample among forty thousand
+    wrench[34567, 4] = -0.7
+    result = replace(result, wrench=wrench)
+    figure = plots.control_wrench(result)
+    assert line(figure, "fx")[:, 1].max() == 0.9
+    assert line(figure, "my")[:, 1].min() == -700
+    assert_shows(figure, ["fx", "fy", "fz"], result.time, wrench[:, :3])
+    assert max(len(np.asarray(drawn.get_xdata())) for axes in figure.axes for drawn in axes.lines) <= 1202
+
+
+@pytest.mark.parametrize("draw", ALL_FIGURES)
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_first_samples_can_be_drawn(draw: Callable[[hs.Result], Figure], count: int, paper: hs.Result) -> None:
+    figure = draw(first(paper, count))
+    render(figure)
+    assert labels(figure)
+
+
+@pytest.mark.parametrize("draw", [plots.feature_paths, *TIME_FIGURES])
+def test_a_run_that_did_not_complete_says_so(draw: Callable[[hs.Result], Figure], paper: hs.Result) -> None:
+    diverged = run(**{"controller.jacobian": "printed"})
+    assert [text.get_text() for text in draw(diverged).texts] == ["diverged after 0.04 s"]
+    assert not draw(paper).texts
+
+
+# ---- Figures can be read --------------------------------------------------------------------------------------------
+
+
+def texts(figure: Figure) -> list[Text]:
+    """All text that is seen."""
+    found: list[Text] = figure.findobj(lambda artist: isinstance(artist, Text))  # type: ignore[assignment]
+    hidden = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            for tick in axis.get_major_ticks():
+                if not low <= float(tick.get_loc()) <= high:
+                    hidden |= {id(tick.label1), id(tick.label2)}
+    return [text for text in found if text.get_visible() and text.get_text().strip() and id(text) not in hidden]
+
+
+@pytest.mark.parametrize("draw", ALL_FIGURES)
+def test_text_is_whole_and_does_not_overlap(draw: Callable[[hs.Result], Figure], result: hs.Result) -> None:
+    figure = draw(result)
+    render(figure)
+    boxes = [(text.get_text(), text.get_window_extent()) for text in texts(figure)]
+    assert len(boxes) > 10
+    page = figure.bbox
+    for text, box in boxes:
+        assert page.x0 <= box.x0 <= box.x1 <= page.x1, text
+        assert page.y0 <= box.y0 <= box.y1 <= page.y1, text
+    if draw is plots.feature_paths and result.outcome == "diverged":
+        return  # numbers of paths that end close together may touch
+    for (one, a), (other, b) in itertools.combinations(boxes, 2):
+        across, up = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
+        # A box has the height of a line, 20 dots and more; letters leave a fifth of it free.
+        assert across <= 0 or up <= 4, f"{one} and {other} overlap by {across:.0f} x {up:.0f} dots"
+
+
+@pytest.mark.parametrize("draw", ALL_FIGURES)
+def test_text_is_large_enough_for_print(draw: Callable[[hs.Result], Figure], paper: hs.Result) -> None:
+    figure = draw(paper)
+    assert min(float(text.get_fontsize()) for text in texts(figure)) >= 7
+    assert figure.get_size_inches()[0] in (3.5, 7.16)
+
+
+@pytest.mark.parametrize(
+    ("draw", "axes_names"),
+    [
+        (plots.platform_motion, [["x", "y", "z"], ["θx", "θy", "θz"]]),
+        (plots.control_wrench, [["mx", "my", "mz"]]),
+    ],
+)
+def test_lines_differ_in_colour_and_dashes(draw: Callable[[hs.Result], Figure], axes_names: list[list[str]]) -> None:
+    figure = draw(run(**{"simulation.log_every": 50}))  # no means: the samples carry the dashes
+    for names in axes_names:
+        drawn = {
+            str(curve.get_gid()): curve for axes in figure.axes for curve in axes.lines if curve.get_gid() in names
+        }
+        assert len({str(curve.get_color()) for curve in drawn.values()}) == len(names)
+        assert len({str(vars(curve)["_unscaled_dash_pattern"]) for curve in drawn.values()}) == len(names)
+
+
+# ---- The rotation vector --------------------------------------------------------------------------------------------
+
+
+def matrix_of_quaternion(quaternion: Array) -> Array:
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def rotation_matrix(vector: Array) -> Array:
+    """Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+def quaternion_of(axis: Array, angle: float) -> Array:
+    return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * axis)])
+
+
+AXIS = np.array([2.0, -3.0, 6.0]) / 7
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-200, 1e-16, 1e-8, 1e-3, 1.0, np.pi / 2, 3.0, np.pi - 1e-8, np.pi])
+@pytest.mark.parametrize("scale", [1.0, -1.0, 1.001])
+def test_rotation_vector_of_a_known_turn(angle: float, scale: float) -> None:
+    vector = plots._rotation_vector(scale * quaternion_of(AXIS, angle)[None])[0]
+    if angle == np.pi and vector @ AXIS < 0:  # half a turn either way is the same
+        vector = -vector
+    np.testing.assert_allclose(vector, angle * AXIS, rtol=4e-16 * 8, atol=0)
+
+
+def test_rotation_vector_takes_the_shorter_way() -> None:
+    vector = plots._rotation_vector(quaternion_of(AXIS, 1.5 * np.pi)[None])[0]
+    np.testing.assert_allclose(vector, -0.5 * np.pi * AXIS, rtol=1e-15 * 8)
+
+
+def test_rotation_vector_of_random_quaternions_gives_their_rotation() -> None:
+    print(f"seed {SEED}")
+    quaternions = np.random.default_rng(SEED).normal(size=(500, 4))
+    vectors = plots._rotation_vector(quaternions)
+    assert vectors.shape == (500, 3)
+    assert np.linalg.norm(vectors, axis=1).max() <= np.pi
+    for quaternion, vector in zip(quaternions, vectors, strict=True):
+        np.testing.assert_allclose(rotation_matrix(vector), matrix_of_quaternion(quaternion), rtol=0, atol=4e-15)
+
+
+# ---- Labels keep their distance -------------------------------------------------------------------------------------
+
+
+def test_spread_labels_keep_their_distance_and_their_order() -> None:
+    print(f"seed {SEED}")
+    generator = np.random.default_rng(SEED)
+    for _ in range(200):
+        places = generator.uniform(0, 1, size=generator.integers(1, 9)) ** 3
+        spread = plots._spread(places, 0.1)
+        order = np.argsort(places)
+        assert np.all(np.diff(spread[order]) >= 0.1 - 1e-12)
+        assert spread.min() >= 0
+        assert spread.max() <= 1 + 1e-12
+
+
+def test_spread_labels_stay_where_there_is_room_and_share_the_way_where_there_is_none() -> None:
+    np.testing.assert_array_equal(plots._spread(np.array([0.9, 0.1, 0.5]), 0.2), [0.9, 0.1, 0.5])
+    np.testing.assert_allclose(plots._spread(np.array([0.5, 0.5, 0.5]), 0.1), [0.4, 0.5, 0.6], rtol=1e-14)
+
+
+# ---- Files ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["paper", "slow", "diverges", "diverges at once", "one step"])
+def test_paper_figures_writes_ten_files(name: str, tmp_path: Path) -> None:
+    result = run(**RUNS[name])
+    paths = plots.paper_figures(result, tmp_path / "new" / "out")
+    assert paths == [tmp_path / "new" / "out" / f"{name}.{kind}" for name in NAMES for kind in ("svg", "png")]
+    assert sorted(paths) == sorted((tmp_path / "new" / "out").iterdir())
+    for path in paths:
+        assert path.stat().st_size < 1_000_000
+        if path.suffix == ".svg":
+            root = ElementTree.fromstring(path.read_bytes())
+            assert root.tag == "{http://www.w3.org/2000/svg}svg"
+            assert len(list(root.iter("{http://www.w3.org/2000/svg}path"))) > 20
+            assert not list(root.iter("{http://www.w3.org/2000/svg}text"))  # needs no font
+        else:
+            content = path.read_bytes()
+            assert content.startswith(b"\x89PNG\r\n\x1a\n")
+            assert content.endswith(b"IEND\xaeB`\x82")
+            width, height = (int.from_bytes(content[start : start + 4], "big") for start in (16, 20))
+            assert width in (700, 1432)  # a column or a page at 200 dpi
+            assert height > 400
+
+
+def test_paper_figures_are_the_same_bytes_for_the_same_run(paper: hs.Result, tmp_path: Path) -> None:
+    again = run()
+    for one, other in zip(
+        plots.paper_figures(paper, tmp_path / "one"), plots.paper_figures(again, tmp_path / "other"), strict=True
+    ):
+        assert one.read_bytes() == other.read_bytes(), one.name
+        assert b"dc:date" not in one.read_bytes()
+
+
+def test_paper_figures_replace_older_ones_and_leave_the_rest(paper: hs.Result, tmp_path: Path) -> None:
+    (tmp_path / "fig3_feature_paths.svg").write_text("old")
+    (tmp_path / "notes.txt").write_text("mine")
+    paths = plots.paper_figures(paper, str(tmp_path))
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in paths} | {"notes.txt"}
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert "<svg" in (tmp_path / "fig3_feature_paths.svg").read_text(encoding="utf-8")
+
+
+def test_files_have_ordinary_permissions(paper: hs.Result, tmp_path: Path) -> None:
+    (tmp_path / "plain").touch()
+    for path in plots.paper_figures(paper, tmp_path):
+        assert path.stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda folder: folder / "file",
+        lambda folder: folder / "file" / "below",
+        lambda folder: folder / "null\0character",
+        lambda folder: folder / ("x" * 300),
+    ],
+    ids=["a file", "below a file", "a null character", "a long name"],
+)
+def test_an_unusable_folder_is_refused_in_words(make: Callable[[Path], Path], paper: hs.Result, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(ValueError, match=r"^folder: expected a folder that exists or can be made.*, got .*\(.+\)$"):
+        plots.paper_figures(paper, make(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_nothing_appears_when_a_file_cannot_be_written(
+    paper: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = Path.write_bytes
+
+    def full_disk(path: Path, content: bytes) -> int:
+        if "fig4" in path.name:
+            write(path, content[:100])
+            raise OSError(28, "No space left on device")
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
+    with pytest.raises(ValueError, match="No space left on device"):
+        plots.paper_figures(paper, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+# ---- The user's matplotlib ------------------------------------------------------------------------------------------
+
+
+def test_settings_of_the_user_are_neither_changed_nor_used(paper: hs.Result, tmp_path: Path) -> None:
+    ours = [path.read_bytes() for path in plots.paper_figures(paper, tmp_path / "ours")]
+    theirs = {"font.size": 30, "svg.fonttype": "none", "savefig.dpi": 10, "savefig.bbox": "tight", "lines.linewidth": 9}
+    with matplotlib.rc_context(theirs):  # type: ignore[arg-type]
+        before = dict(matplotlib.rcParams)
+        again = [path.read_bytes() for path in plots.paper_figures(paper, tmp_path / "again")]
+        assert dict(matplotlib.rcParams) == before
+    assert again == ours
+
+
+def test_pyplot_is_never_imported_and_the_backend_is_not_chosen() -> None:
+    code = """
+import sys, tempfile
+import matplotlib
+before = dict.__getitem__(matplotlib.rcParams, "backend")
+import hexservo as hs
+result = hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.1}))
+with tempfile.TemporaryDirectory() as folder:
+    hs.plots.paper_figures(result, folder)
+assert "matplotlib.pyplot" not in sys.modules
+assert dict.__getitem__(matplotlib.rcParams, "backend") is before
+"""
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+def test_an_error_while_drawing_leaves_the_settings_alone() -> None:
+    before = dict(matplotlib.rcParams)
+    with pytest.raises(AttributeError):
+        plots.feature_errors(None)  # type: ignore[arg-type]
+    assert dict(matplotlib.rcParams) == before
