@@ -62,7 +62,8 @@ TEST_CASE("a run logs its whole grid, from home at rest to the end") {
   for (const auto* column : {&run.twist, &run.wrench, &run.fuzzy_output, &run.leg_lengths, &run.leg_forces})
     CHECK(column->size() == 201 * 6);
   for (std::size_t i = 0; i < run.time.size(); ++i) CHECK(run.time[i] == doctest::Approx(static_cast<double>(i) * 1e-3).epsilon(1e-14));
-  CHECK(row<8>(run.feature_error, 0) == Vector<double, 8>(settings.target.desired_features - settings.target.initial_features));
+  // the image is the projection of points that were lifted from it
+  CHECK(distance(row<8>(run.feature_error, 0), settings.target.desired_features - settings.target.initial_features) <= 1e-12);
   CHECK(row<3>(run.position, 0) == settings.robot.home_position);
   CHECK(row<4>(run.quaternion, 0) == Vector4<double>(1.0, 0.0, 0.0, 0.0));
   CHECK(row<6>(run.twist, 0) == Vector6<double>::Zero());

@@ -88,6 +88,13 @@ struct LoopParameters {
   }
 };
 
+/// What the law of a loop knows.
+template <class S, class Law, int N>
+ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
+  return {p.camera.focal_pixels(), S(controller_sign(p.convention, p.jacobian)), p.desired_features,
+          gravity_wrench(p.body), p.switching};
+}
+
 /// Plant and law in continuous time, from home, at rest.
 template <class S, class Law, int N = kPoints>
 class ClosedLoop {
@@ -98,8 +105,7 @@ class ClosedLoop {
   /// @param parameters shared, not copied: they must outlive the loop
   explicit ClosedLoop(const Parameters& parameters)
       : p_(parameters),
-        task_{p_.camera.focal_pixels(), S(controller_sign(p_.convention, p_.jacobian)), p_.desired_features,
-              gravity_wrench(p_.body), p_.switching},
+        task_(control_task(p_)),
         body_(body_state<S>({p_.hexapod.home_position, Pose<S>{}.quaternion}, Vector6<S>::Zero())),
         law_state_(Law::initial_state(p_.gains)),
         now_(*this, body_, p_.initial_image, LawStage{&law_state_}),
