@@ -5,6 +5,10 @@
 namespace hexservo::bindings {
 
 void bind_fuzzy(py::module_& m) {
+  py::tuple centres(kTerms);
+  for (int term = 0; term < kTerms; ++term) centres[static_cast<std::size_t>(term)] = term_centre(term);
+  m.attr("TERM_CENTRES") = centres;
+
   py::class_<FuzzyGains<double>>(m, "FuzzyGains", "Design of the six fuzzy systems, (13) and (22) of the paper.")
       .def(py::init<>())
       .def_readwrite("enabled", &FuzzyGains<double>::enabled, "false: no fuzzy output and no adaptation")

@@ -58,6 +58,8 @@ void bind_settings(py::module_& m) {
       .def_readwrite("duration", &SimulationSettings::duration, "[s], a whole number of steps")
       .def_readwrite("log_every", &SimulationSettings::log_every, "steps between logged samples");
 
+  m.def("step_count", &step_count, py::arg("simulation"), "Steps of a run; ValueError where they make no grid.");
+
   py::class_<MetricsSettings>(m, "MetricsSettings", "What is measured against what.")
       .def(py::init<>())
       .def_readwrite("settling_threshold", &MetricsSettings::settling_threshold, "[px]")

@@ -9,10 +9,10 @@ namespace hexservo::bindings {
 
 namespace {
 
-using Column = std::vector<double> Trajectory::*;
+using Member = Column Trajectory::*;
 
 /// A logged quantity as an (n, width) array that shares the trajectory's memory and keeps it alive.
-template <Column column, int width>
+template <Member column, int width>
 py::array_t<double> rows(const py::object& self) {
   const auto& values = self.cast<const Trajectory&>().*column;
   const auto n = static_cast<py::ssize_t>(values.size()) / width;

@@ -21,6 +21,7 @@ void bind_camera(py::module_& m);
 void bind_fuzzy(py::module_& m);
 void bind_settings(py::module_& m);
 void bind_simulation(py::module_& m);
+void bind_controller(py::module_& m);
 
 /// Passes on a fixed-size array whose entries are all finite.
 template <class Derived>
@@ -33,8 +34,9 @@ void require_finite(const char* name, const Eigen::MatrixBase<Derived>& value) {
 inline Pose<double> checked_pose(const Vector3<double>& position, const Vector4<double>& quaternion) {
   require_finite("position", position);
   require_finite("quaternion", quaternion);
-  if (!(quaternion.norm() > 0.0)) throw std::invalid_argument("quaternion: expected one that is not zero, got zero");
-  return {position, quaternion.normalized()};
+  const double norm = quaternion.stableNorm();
+  if (!(norm > 0.0)) throw std::invalid_argument("quaternion: expected one that is not zero, got zero");
+  return {position, quaternion / norm};
 }
 
 }  // namespace hexservo::bindings

@@ -13,6 +13,7 @@ PYBIND11_MODULE(_core, m) {
   bind_fuzzy(m);
   bind_settings(m);
   bind_simulation(m);
+  bind_controller(m);
   m.def(
       "build_info",
       [] {

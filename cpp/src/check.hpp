@@ -15,7 +15,7 @@ namespace hexservo::detail {
 template <class... Parts>
 std::string words(const Parts&... parts) {
   std::ostringstream out;
-  out.precision(9);
+  out.precision(12);
   (out << ... << parts);
   return out.str();
 }

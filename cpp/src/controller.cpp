@@ -6,11 +6,20 @@ namespace hexservo {
 
 namespace {
 
-/// Numbers that a law can be evaluated with.
-bool usable(const ControllerInput& input) noexcept {
-  return is_finite(input.image.features) & is_finite(input.image.depth) & is_finite(input.pose.position) &
-         is_finite(input.pose.quaternion) & is_finite(input.twist) & (input.pose.quaternion.squaredNorm() > 0.0) &
-         (input.image.depth.maxCoeff() < 0.0);
+/// Numbers that a law can be evaluated with: all finite, and within the limits where a run counts as diverged.
+bool usable(const ControllerInput& input, const ControlTask<double>& task) noexcept {
+  // A comparison with NaN is false, and so is each of these.
+  const double squared_length = input.pose.quaternion.squaredNorm();
+  return ((task.desired_features - input.image.features).array().abs() <= kMaxFeatureError).all() &
+         (input.image.depth.array() < 0.0).all() & is_finite(input.image.depth) & is_finite(input.pose.position) &
+         (squared_length > 0.0) & is_finite(squared_length) & (input.twist.array().abs() <= kMaxTwist).all();
+}
+
+/// Leg forces that give a wrench at a pose [N].
+Vector6<double> forces_at(const Hexapod<double>& hexapod, const Pose<double>& pose,
+                          const Vector6<double>& wrench) noexcept {
+  const Legs<double> legs = inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
+  return WrenchMapSolver<double>(hexapod, legs).leg_forces(wrench);
 }
 
 }  // namespace
@@ -24,39 +33,30 @@ ControllerGains<Law> controller_gains(const Settings<Law>& settings, double peri
 
 template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&, double);
 
+template <int alignment, int axis_width>
+void library_was_built_with_other_instruction_set_flags() noexcept {}
+
+template void library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES, kAxisWidth<double>>() noexcept;
+
 template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept {
-  // A tick with an unusable input does the same work on harmless numbers, and its results are then not chosen.
-  const bool usable_input = usable(input);
-  const Image<double> image{select(usable_input, input.image.features, gains.task.desired_features),
-                            select(usable_input, input.image.depth, Vector4<double>(Vector4<double>::Constant(-1.0)))};
-  Pose<double> pose{select(usable_input, input.pose.position, state.last_pose.position),
-                    select(usable_input, input.pose.quaternion, state.last_pose.quaternion)};
-  const Vector6<double> twist = select(usable_input, input.twist, Vector6<double>(Vector6<double>::Zero()));
-
-  const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
+  // Any number may go through this; what comes of unusable ones is not taken over.
+  const Matrix3<double> R_BE = rotation_matrix(input.pose.quaternion);
   const auto law = Law::evaluate(gains.task, gains.law, typename Law::template Stage<double>{&state.law},
-                                 LawInput<double>{image, R_BE, twist});
-  const WrenchMapSolver<double> solver(gains.hexapod, inverse_kinematics(gains.hexapod, pose.position, R_BE));
-  const bool valid = usable_input & !solver.failed() & is_finite(law.wrench);
+                                 LawInput<double>{input.image, R_BE, input.twist});
+  const WrenchMapSolver<double> solver(gains.hexapod, inverse_kinematics(gains.hexapod, input.pose.position, R_BE));
+  const Vector6<double> leg_forces = solver.leg_forces(law.wrench);
+  // Forces that are finite come of a wrench that is.
+  const bool valid = usable(input, gains.task) & !solver.failed() & is_finite(leg_forces);
 
-  ControllerOutput out;
-  out.wrench = select(valid, law.wrench, gains.task.gravity_wrench);
-  out.fuzzy_output = select(valid, law.fuzzy_output, Vector6<double>(Vector6<double>::Zero()));
-  out.invalid_input = !valid;
-  out.leg_forces = solver.leg_forces(out.wrench);
-  if (solver.failed()) {  // never in a workspace that keeps its distance from singular poses
-    const Matrix3<double> R_last = rotation_matrix(state.last_pose.quaternion);
-    out.leg_forces =
-        WrenchMapSolver<double>(gains.hexapod, inverse_kinematics(gains.hexapod, state.last_pose.position, R_last))
-            .leg_forces(out.wrench);
+  if (!valid) {
+    const Vector6<double>& wrench = gains.task.gravity_wrench;
+    return {wrench, forces_at(gains.hexapod, state.last_pose, wrench), Vector6<double>::Zero(), true};
   }
-
-  Law::advance(state.law, std::array{&law.rate}, std::array{gains.period}, valid);
-  state.last_pose.position = select(valid, pose.position, state.last_pose.position);
-  state.last_pose.quaternion = select(valid, pose.quaternion, state.last_pose.quaternion);
-  return out;
+  Law::advance(state.law, std::array{&law.rate}, std::array{gains.period}, true);
+  state.last_pose = input.pose;
+  return {law.wrench, leg_forces, law.fuzzy_output, false};
 }
 
 template ControllerOutput step(const ControllerGains<Hybrid>&, ControllerState<Hybrid>&,

@@ -61,9 +61,14 @@ void place_target(const Target& target, CameraConvention convention, double f, c
   }
 }
 
+/// The step and the durations nearest to a pair that makes no grid.
 std::string nearest_grid(double step, double duration) {
-  const double steps = std::max(1.0, std::round(duration / step));
-  return words("duration ", steps * step, " or step ", duration / steps);
+  const double ratio = duration / step;
+  const double below = std::floor(ratio), above = std::max(std::ceil(ratio), 1.0);
+  const bool both = below >= 1.0;
+  const double steps = both && std::abs(duration / below - step) < std::abs(duration / above - step) ? below : above;
+  return words("nearest: step ", duration / steps, ", or duration ", both ? words(below * step, " or ") : "",
+               above * step);
 }
 
 }  // namespace
@@ -77,10 +82,8 @@ long long step_count(const SimulationSettings& simulation) {
     refuse("simulation.duration", words("at most ", kMaxSteps, " steps"), words(ratio, " steps"));
   const double steps = std::round(ratio);
   if (steps < 1.0 || std::abs(ratio - steps) > 1e-9 * steps)
-    refuse(
-        "simulation.step",
-        words("a step that divides the duration (nearest: ", nearest_grid(simulation.step, simulation.duration), ")"),
-        words("step ", simulation.step, " and duration ", simulation.duration));
+    refuse("simulation.step", words("a step that divides the duration ", simulation.duration),
+           words(simulation.step, "; ", nearest_grid(simulation.step, simulation.duration)));
   return static_cast<long long>(steps);
 }
 

@@ -29,31 +29,31 @@ std::size_t sample_count(const SimulationSettings& simulation) {
 }
 
 template <int N>
-void append(std::vector<double>& column, const Vector<double, N>& row) {
-  column.insert(column.end(), row.data(), row.data() + N);
+void put(Column& column, std::size_t row, const Vector<double, N>& values) {
+  std::copy_n(values.data(), N, column.data() + row * N);
 }
 
-void reserve(Trajectory& log, std::size_t samples) {
-  log.time.reserve(samples);
-  log.feature_error.reserve(samples * 8);
-  log.depth.reserve(samples * 4);
-  log.position.reserve(samples * 3);
-  log.quaternion.reserve(samples * 4);
+void resize(Trajectory& log, std::size_t samples) {
+  log.time.resize(samples);
+  log.feature_error.resize(samples * 8);
+  log.depth.resize(samples * 4);
+  log.position.resize(samples * 3);
+  log.quaternion.resize(samples * 4);
   for (auto* column : {&log.twist, &log.wrench, &log.fuzzy_output, &log.leg_lengths, &log.leg_forces})
-    column->reserve(samples * 6);
+    column->resize(samples * 6);
 }
 
-void append(Trajectory& log, double time, const Sample<double>& sample) {
-  log.time.push_back(time);
-  append(log.feature_error, sample.feature_error);
-  append(log.depth, sample.depth);
-  append(log.position, sample.position);
-  append(log.quaternion, sample.quaternion);
-  append(log.twist, sample.twist);
-  append(log.wrench, sample.wrench);
-  append(log.fuzzy_output, sample.fuzzy_output);
-  append(log.leg_lengths, sample.leg_lengths);
-  append(log.leg_forces, sample.leg_forces);
+void put(Trajectory& log, std::size_t row, double time, const Sample<double>& sample) {
+  log.time[row] = time;
+  put(log.feature_error, row, sample.feature_error);
+  put(log.depth, row, sample.depth);
+  put(log.position, row, sample.position);
+  put(log.quaternion, row, sample.quaternion);
+  put(log.twist, row, sample.twist);
+  put(log.wrench, row, sample.wrench);
+  put(log.fuzzy_output, row, sample.fuzzy_output);
+  put(log.leg_lengths, row, sample.leg_lengths);
+  put(log.leg_forces, row, sample.leg_forces);
 }
 
 std::string describe(StopCause cause, double time) {
@@ -99,18 +99,23 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
   const long long log_every = settings.simulation.log_every;
 
   Trajectory log;
-  reserve(log, sample_count(settings.simulation));
+  resize(log, sample_count(settings.simulation));
   ClosedLoop<double, Law> loop(parameters);
-  append(log, 0.0, loop.sample());
+  put(log, 0, 0.0, loop.sample());
+  std::size_t rows = 1;
+  long long until_logged = log_every;
   while (loop.steps() < steps && loop.running()) {
     if (stop_requested && loop.steps() % kStepsBetweenQuestions == 0 && stop_requested()) {
       log.outcome = Outcome::interrupted;
       break;
     }
     loop.advance();
-    if (loop.running() && loop.steps() % log_every == 0) append(log, loop.time(), loop.sample());
+    if (--until_logged > 0) continue;
+    until_logged = log_every;
+    if (loop.running()) put(log, rows++, loop.time(), loop.sample());
   }
-  if (log.time.back() != loop.sample_time()) append(log, loop.sample_time(), loop.sample());
+  if (log.time[rows - 1] != loop.sample_time()) put(log, rows++, loop.sample_time(), loop.sample());
+  resize(log, rows);
 
   log.end_time = loop.sample_time();
   log.steps = loop.steps();

@@ -19,6 +19,7 @@ except ImportError as error:  # a source tree, or a wheel of another Python
         "(`pip install .` in the source tree) and import it from outside of python/"
     ) from error
 
+from hexservo._controller import Controller, ControllerOutput
 from hexservo._metrics import METRICS, metrics
 from hexservo._result import LimitEvent, Result
 from hexservo._scenario import Scenario, ScenarioError, load_scenario, scenario_names
@@ -26,6 +27,8 @@ from hexservo._simulation import simulate
 
 __all__ = [
     "METRICS",
+    "Controller",
+    "ControllerOutput",
     "LimitEvent",
     "Result",
     "Scenario",
@@ -46,3 +49,8 @@ def __getattr__(name: str) -> ModuleType:
     if name == "plots":
         return import_module("hexservo.plots")
     raise AttributeError(f"module 'hexservo' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Offer the public names, the plotting module among them."""
+    return sorted(__all__)

@@ -11,6 +11,7 @@ _Array = NDArray[np.float64]
 class _PybindType(type): ...
 
 ROBOT_PRESETS: tuple[str, ...]
+TERM_CENTRES: tuple[float, ...]
 
 class CameraConvention(enum.Enum):
     __pybind11_native_enum__: object
@@ -57,6 +58,8 @@ class RigidBody(metaclass=_PybindType):
     mass: float
     inertia: _Array
     gravity: float
+    @property
+    def gravity_wrench(self) -> _Array: ...
 
 class DynamicsError(metaclass=_PybindType):
     """Relative errors of the estimated dynamics, (3)."""
@@ -280,7 +283,21 @@ class Trajectory(metaclass=_PybindType):
     @property
     def metrics(self) -> Metrics: ...
 
+class Controller(metaclass=_PybindType):
+    """The servo tick of the law hybrid, with its state."""
+
+    def __init__(self, settings: HybridSettings, period: float) -> None: ...
+    def step(
+        self, features: object, depth: object, position: object, quaternion: object, twist: object
+    ) -> tuple[_Array, _Array, _Array, bool]: ...
+    def reset(self) -> None: ...
+    @property
+    def period(self) -> float: ...
+    @property
+    def fuzzy_weights(self) -> list[_Array]: ...
+
 def build_info() -> dict[str, str]: ...
+def step_count(simulation: SimulationSettings) -> int: ...
 def robot_preset(name: str) -> RobotParameters: ...
 def take_image(
     camera: Camera, position: ArrayLike, quaternion: ArrayLike, points: ArrayLike

@@ -47,9 +47,8 @@ Matrix: TypeAlias = tuple[Vector, ...]
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation"]
 
 _DEFAULT_PRESET = "micro"
-_DEFAULT_DEPTH = 0.5  # [m], docs/model.md section 4
-_MAX_STEPS = 1e15  # beyond it a double no longer tells one step from the next
-_TERMS = {term: (index - 3) / 3 for index, term in enumerate(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"))}
+_DEFAULT_DEPTH = float(_core.Target().depth[0])  # [m], docs/model.md section 4
+_TERMS = dict(zip(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"), _core.TERM_CENTRES, strict=True))
 
 
 # ---- What a value may be --------------------------------------------------------------------------------------------
@@ -568,21 +567,13 @@ class Simulation(_Block):
 
     @model_validator(mode="after")
     def _step_divides_duration(self) -> Simulation:
-        ratio = self.duration / self.step
-        if ratio > _MAX_STEPS:
-            raise _refusal((("step",), f"expected at most {_MAX_STEPS:g} steps, got {ratio:g}"))
-        steps = round(ratio)
-        if steps < 1 or abs(ratio - steps) > 1e-9 * steps:
-            counts = [count for count in (math.floor(ratio), max(math.ceil(ratio), 1)) if count]
-            nearest = min((self.duration / count for count in counts), key=lambda step: abs(step - self.step))
-            durations = " or ".join(f"{count * self.step:.12g}" for count in counts)
-            raise _refusal(
-                (
-                    ("step",),
-                    f"expected a step that divides the duration {self.duration:.12g}, got {self.step:.12g}; "
-                    f"nearest: step {nearest:.12g}, or duration {durations}",
-                )
-            )
+        settings = _core.SimulationSettings()
+        settings.step, settings.duration, settings.log_every = self.step, self.duration, self.log_every
+        try:
+            _core.step_count(settings)
+        except ValueError as error:  # "simulation.step: expected ..., got ..."
+            path, _, sentence = str(error).partition(": ")
+            raise _refusal(((path.removeprefix("simulation."),), sentence)) from None
         return self
 
 

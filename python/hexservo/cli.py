@@ -1,4 +1,4 @@
-"""The command line: ``hexservo run | scenarios | show | check | version``.
+"""The command line: ``hexservo run | scenarios | show | check | export | version``.
 
 Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
 numerical outcome; 130 interrupted; 141 the reader of the output left.
@@ -168,6 +168,32 @@ def check(
             f'{file}: valid (scenario "{scenario.name}", {simulation.duration:.6g} s in steps of '
             f"{simulation.step * 1e3:.6g} ms)\n"
         )
+
+
+@app.command()
+def export(
+    scenario: ScenarioArgument,
+    header: Annotated[str, typer.Option("--header", metavar="FILE", help="C++ header to write, a new file.")],
+    period: Annotated[float, typer.Option("--period", help="Time between two ticks of the controller [s].")] = 1e-3,
+    settings: SettingsOption = None,
+    force: Annotated[
+        bool, typer.Option("--force", "-f", help="Replace a header that an earlier export wrote.")
+    ] = False,
+) -> None:
+    """Write the gains of a scenario as a C++ header.
+
+    A robot's control program includes it, calls its controller_gains() once and hexservo::step at every period.
+    """
+    with _reporting():
+        from hexservo._export import gains_header, write_header
+
+        chosen = _load(scenario, settings or [])
+        try:
+            text = gains_header(chosen, period)
+        except ValueError as error:
+            raise hs.ScenarioError(str(error).splitlines()) from error
+        write_header(text, header, force=force)
+        _write(f'{header}: gains of the scenario "{chosen.name}" for a period of {period * 1e3:.6g} ms\n')
 
 
 @app.command()

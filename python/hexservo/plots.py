@@ -284,7 +284,9 @@ def control_wrench(result: Result) -> Figure:
     Thin lines are the samples; where there are enough of them, thick lines are their moving means: the switching term
     makes the samples chatter. The dotted line is the weight in Ḡ that the law feeds forward (1), (15).
     """
-    weight = -result.scenario.robot.mass * _core.RigidBody().gravity
+    body = _core.RigidBody()
+    body.mass = result.scenario.robot.mass
+    weight = float(body.gravity_wrench[2])
     horizontal, vertical, moment = result.wrench[:, :2], result.wrench[:, 2:3], 1e3 * result.wrench[:, 3:]
     mean = _mean_samples(result.time)
     figure = Figure(figsize=(_PAGE, 4.68))

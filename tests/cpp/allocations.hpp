@@ -1,6 +1,6 @@
 /// @file
-/// Counts heap allocations of the program that includes it (once): operator new everywhere, and malloc itself where the C
-/// library lets a program replace it, so that Eigen's own allocations count as well.
+/// Counts heap allocations of the program that includes it (once): operator new everywhere, and malloc itself where the
+/// C library lets a program replace it, so that Eigen's own allocations count as well.
 #pragma once
 
 #include <atomic>
@@ -35,7 +35,9 @@ void* malloc(std::size_t size) noexcept {
   if (void* memory = std::aligned_alloc(step, (size + step - 1) / step * step)) return memory;
   throw std::bad_alloc();
 }
-[[gnu::noinline]] void* operator new[](std::size_t size, std::align_val_t alignment) { return operator new(size, alignment); }
+[[gnu::noinline]] void* operator new[](std::size_t size, std::align_val_t alignment) {
+  return operator new(size, alignment);
+}
 [[gnu::noinline]] void operator delete(void* memory) noexcept { std::free(memory); }
 [[gnu::noinline]] void operator delete[](void* memory) noexcept { std::free(memory); }
 [[gnu::noinline]] void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }

@@ -58,7 +58,8 @@ Jacobian printed_jacobian(const Image<double>& image, const Matrix3<double>& R_B
   K.bottomRightCorner<3, 3>() = R_BE.transpose();
   Jacobian J;
   for (int i = 0; i < 4; ++i)
-    J.middleRows<2>(2 * i) = printed_jacobian(kFocal, image.features(2 * i), image.features(2 * i + 1), image.depth(i)) * K;
+    J.middleRows<2>(2 * i) =
+        printed_jacobian(kFocal, image.features(2 * i), image.features(2 * i + 1), image.depth(i)) * K;
   return J;
 }
 
@@ -122,7 +123,8 @@ TEST_CASE("the image Jacobian of real points is minus (8): central differences o
     // Image rates are of order f (v/Z + omega); every further derivative brings a factor (v/Z + omega) < 2/s, so that
     // h = 1e-5 s is off by (2 h)^2 ~ 4e-10 relative, and rounding adds eps 200 px/h = 4e-9 px/s of some 100 px/s.
     const double h = 1e-5;
-    const Features difference = (moved(view, twist, h).image().features - moved(view, twist, -h).image().features) / (2.0 * h);
+    const Features difference =
+        (moved(view, twist, h).image().features - moved(view, twist, -h).image().features) / (2.0 * h);
     CHECK(relative_distance(jacobian(-1.0, view.image(), view.R_BE).push(twist), difference) <= 1e-7);
     CHECK(relative_distance(-printed_jacobian(view.image(), view.R_BE) * twist, difference) <= 1e-7);
     // which is erratum 1: (8) as printed has the opposite sign
@@ -143,7 +145,8 @@ TEST_CASE("matrix, push and pull are one matrix: (8) as printed, entry by entry,
       CHECK(relative_distance(J.matrix(), literal) <= 20.0 * kEpsilon);
       const Vector6<double> twist = random.six(0.1, 0.5);
       const Features force = random.matrix<8>();
-      CHECK(distance(J.push(twist), literal * twist) <= 50.0 * kEpsilon * (literal.cwiseAbs() * twist.cwiseAbs()).maxCoeff());
+      CHECK(distance(J.push(twist), literal * twist) <=
+            50.0 * kEpsilon * (literal.cwiseAbs() * twist.cwiseAbs()).maxCoeff());
       CHECK(distance(J.pull(force), literal.transpose() * force) <=
             50.0 * kEpsilon * (literal.transpose().cwiseAbs() * force.cwiseAbs()).maxCoeff());
       // adjoint: force . (J twist) = (J^T force) . twist
@@ -169,7 +172,8 @@ TEST_CASE("measured Jacobian (9), (10), (12): J_m = J + Delta J, and only its tr
     const Depths error = random.matrix<4>(0.3);
     const Image<double> measured = measured_image(image, error);
     CHECK(measured.features == image.features);
-    for (int i = 0; i < 4; ++i) CHECK(measured.depth(i) == doctest::Approx((1.0 + error(i)) * image.depth(i)).epsilon(4.0 * kEpsilon));
+    for (int i = 0; i < 4; ++i)
+      CHECK(measured.depth(i) == doctest::Approx((1.0 + error(i)) * image.depth(i)).epsilon(4.0 * kEpsilon));
     for (const double sign : {1.0, -1.0}) {
       const Jacobian J = jacobian(sign, image, view.R_BE).matrix(), J_m = jacobian(sign, measured, view.R_BE).matrix();
       const Jacobian delta = image_jacobian_error(kFocal, sign, image, error, view.R_BE);

@@ -103,8 +103,8 @@ TEST_CASE("a pack solves each lane as double does, and a failing lane disturbs n
   using S = Lanes<4>;
   for (int trial = 0; trial < 50; ++trial) {
     CAPTURE(trial);
-    std::array<Matrix6<double>, 4> A_of = {random.positive_definite<6>(1e4), singular(random), random.positive_definite<6>(1e4),
-                                           Matrix6<double>::Constant(kNaN)};
+    std::array<Matrix6<double>, 4> A_of = {random.positive_definite<6>(1e4), singular(random),
+                                           random.positive_definite<6>(1e4), Matrix6<double>::Constant(kNaN)};
     Matrix6<S> A;
     Vector6<S> b;
     std::array<Vector6<double>, 4> b_of;
@@ -121,7 +121,8 @@ TEST_CASE("a pack solves each lane as double does, and a failing lane disturbs n
       CHECK(solver.failed()[lane] == single.failed());
       CHECK(solver.failed()[lane] == (lane % 2 == 1));
       if (lane % 2 == 0)
-        CHECK(relative_distance(lane_of(x, lane), single.solve(b_of[static_cast<std::size_t>(lane)])) <= 60.0 * kEpsilon * 1e4);
+        CHECK(relative_distance(lane_of(x, lane), single.solve(b_of[static_cast<std::size_t>(lane)])) <=
+              60.0 * kEpsilon * 1e4);
     }
   }
 }

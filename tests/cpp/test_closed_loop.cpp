@@ -11,6 +11,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 using namespace hexservo;
@@ -31,10 +32,12 @@ Settings<Hybrid> smooth_settings(double width) {
 }
 
 ControlTask<double> task_of(const Parameters& p) {
-  return {p.camera.focal_pixels(), controller_sign(p.convention, p.jacobian), p.desired_features, gravity_wrench(p.body), p.switching};
+  return {p.camera.focal_pixels(), controller_sign(p.convention, p.jacobian), p.desired_features,
+          gravity_wrench(p.body), p.switching};
 }
 
-// --- plain RK4 on one flat vector -------------------------------------------------------------------------------------
+// --- plain RK4 on one flat vector
+// -------------------------------------------------------------------------------------
 
 /// Body (13), then the weights of the six systems (6 x 49), and for a camera as printed the image (8 + 4).
 constexpr int kWeights = 6 * 49;
@@ -56,7 +59,8 @@ Flat flat_rate(const Parameters& p, const ControlTask<double>& task, const Flat&
                                       : take_image(task.focal_pixels, position_of(body), R_BE, p.points_B);
   const FuzzyWeights<double> weights = weights_of(y);
   const LawInput<double> input{measured_image(image, p.depth_error), R_BE, twist_of(body)};
-  const Hybrid::Evaluation<double> law = Hybrid::evaluate<double, 4>(task, p.gains, FuzzyStage<double>{&weights}, input);
+  const Hybrid::Evaluation<double> law =
+      Hybrid::evaluate<double, 4>(task, p.gains, FuzzyStage<double>{&weights}, input);
 
   Flat rate = Flat::Zero();
   rate.head<13>() = body_rate(p.body, p.dynamics_error, body, R_BE, law.wrench);
@@ -64,7 +68,8 @@ Flat flat_rate(const Parameters& p, const ControlTask<double>& task, const Flat&
     for (int column = 0; column < 7; ++column)
       for (int axis = 0; axis < 6; ++axis)
         rate(13 + 6 * static_cast<int>(rule(row, column)) + axis) =  // (22)
-            twist_of(body)(axis) / p.gains.fuzzy.adaptation(axis) * law.rate.basis.error[static_cast<std::size_t>(row)](axis) *
+            twist_of(body)(axis) / p.gains.fuzzy.adaptation(axis) *
+            law.rate.basis.error[static_cast<std::size_t>(row)](axis) *
             law.rate.basis.rate[static_cast<std::size_t>(column)](axis);
   if (printed) {
     rate.segment<8>(13 + kWeights) = ImageJacobian<double>(task.focal_pixels, 1.0, image, R_BE).push(twist_of(body));
@@ -94,7 +99,8 @@ void flat_step(const Parameters& p, const ControlTask<double>& task, Flat& y) {
   y.segment<4>(3).normalize();
 }
 
-// --- packs ------------------------------------------------------------------------------------------------------------
+// --- packs
+// ------------------------------------------------------------------------------------------------------------
 
 PackParameters pack_of(const std::array<Settings<Hybrid>, 4>& settings) {
   PackParameters pack;
@@ -123,13 +129,36 @@ std::array<Settings<Hybrid>, 4> four_scenarios(SwitchingKind kind) {
   return s;
 }
 
-/// Largest relative difference between one lane's sample and a single run's, over all quantities.
-double difference(const Sample<S>& pack, int lane, const Sample<double>& single) {
-  double largest = 0.0;
-  Sample<double>::visit(
-      [&](const auto& p, const auto& s) { largest = std::max(largest, relative_distance(lane_of(p, lane), s)); }, pack, single);
-  return largest;
-}
+/// Differences between one lane and a single run, in units of the largest value that a quantity has had so far in the
+/// run (velocities and the wrench's control part come down to nothing). Linear and angular halves count on their own.
+class Comparison {
+ public:
+  double operator()(const Sample<S>& pack, int lane, const Sample<double>& single) {
+    double largest = 0.0;
+    std::size_t place = 0;
+    const auto block = [&](const auto& a, const auto& b) {
+      double& size = sizes_.at(place++);
+      size = std::max(size, b.cwiseAbs().maxCoeff());
+      const double error = distance(a, b);
+      largest = std::max(largest, size > 0.0 ? error / size : error);
+    };
+    Sample<double>::visit(
+        [&](const auto& p, const auto& b) {
+          const auto a = lane_of(p, lane);
+          if constexpr (std::decay_t<decltype(b)>::RowsAtCompileTime == 6) {
+            block(a.template head<3>(), b.template head<3>());
+            block(a.template tail<3>(), b.template tail<3>());
+          } else {
+            block(a, b);
+          }
+        },
+        pack, single);
+    return largest;
+  }
+
+ private:
+  std::array<double, 14> sizes_{};
+};
 
 double difference(const FuzzyWeights<S>& pack, int lane, const FuzzyWeights<double>& single) {
   double error = 0.0, size = 0.0;
@@ -166,7 +195,8 @@ TEST_CASE("the loop starts at home, at rest, and sees the initial image with mea
   for (const AxisVector<double>& w : loop.law_state()) CHECK(w.isZero(0.0));
 }
 
-TEST_CASE("rank-one stages are plain RK4 on all 13 + 294 numbers, for either camera and with or without fuzzy systems") {
+TEST_CASE(
+    "rank-one stages are plain RK4 on all 13 + 294 numbers, for either camera and with or without fuzzy systems") {
   struct Case {
     CameraConvention camera;
     bool fuzzy;
@@ -191,27 +221,33 @@ TEST_CASE("rank-one stages are plain RK4 on all 13 + 294 numbers, for either cam
     const ControlTask<double> task = task_of(p);
     Single loop(p);
     Flat y = flat_start(p);
-    double largest_change = 0.0;
+    // Both make the same steps with other orders of summation. Each step adds some eps of a quantity's size, 300 steps
+    // 1e-13; sizes are the largest so far, since velocities come down to chatter where `sign` makes the platform stick.
+    constexpr double kBound = 1e-12;
+    double linear_size = 0.0, angular_size = 0.0, weight_size = 0.0, largest_change = 0.0;
+    const FuzzyWeights<double> start = weights_of(y);
     for (int i = 0; i < 300; ++i) {
+      CAPTURE(i);
       loop.advance();
       flat_step(p, task, y);
       const Sample<double>& sample = loop.sample();
-      // Both make the same 300 steps with other orders of summation. Rounding grows with the loop's own stiffness (95 rad/s
-      // times 0.3 s, damped): 1e-12 of each quantity's size leaves a factor of some hundreds above what one step adds.
-      REQUIRE(relative_distance(sample.position, y.head<3>()) <= 1e-12);
-      REQUIRE(relative_distance(sample.quaternion, y.segment<4>(3)) <= 1e-12);
-      REQUIRE(relative_distance(sample.twist.head<3>(), y.segment<3>(7)) <= 1e-12);
-      REQUIRE(relative_distance(sample.twist.tail<3>(), y.segment<3>(10)) <= 1e-12);
-      double error = 0.0, size = 0.0;
+      const FuzzyWeights<double> weights = weights_of(y);
+      linear_size = std::max(linear_size, y.segment<3>(7).cwiseAbs().maxCoeff());
+      angular_size = std::max(angular_size, y.segment<3>(10).cwiseAbs().maxCoeff());
+      double weight_error = 0.0;
       for (std::size_t r = 0; r < 49; ++r) {
-        error = std::max(error, distance(loop.law_state()[r], weights_of(y)[r]));
-        size = std::max(size, weights_of(y)[r].cwiseAbs().maxCoeff());
-        largest_change = std::max(largest_change, distance(weights_of(y)[r], weights_of(flat_start(p))[r]));
+        weight_error = std::max(weight_error, distance(loop.law_state()[r], weights[r]));
+        weight_size = std::max(weight_size, weights[r].cwiseAbs().maxCoeff());
+        largest_change = std::max(largest_change, distance(weights[r], start[r]));
       }
-      REQUIRE(error <= 1e-12 * size);
+      REQUIRE(relative_distance(sample.position, y.head<3>()) <= kBound);
+      REQUIRE(relative_distance(sample.quaternion, y.segment<4>(3)) <= kBound);
+      REQUIRE(distance(sample.twist.head<3>(), y.segment<3>(7)) <= kBound * linear_size);
+      REQUIRE(distance(sample.twist.tail<3>(), y.segment<3>(10)) <= kBound * angular_size);
+      REQUIRE(weight_error <= kBound * weight_size);
       if (c.camera == CameraConvention::as_printed) {
-        REQUIRE(relative_distance(p.desired_features - sample.feature_error, y.segment<8>(13 + kWeights)) <= 1e-12);
-        REQUIRE(relative_distance(sample.depth, y.tail<4>()) <= 1e-12);
+        REQUIRE(relative_distance(p.desired_features - sample.feature_error, y.segment<8>(13 + kWeights)) <= kBound);
+        REQUIRE(relative_distance(sample.depth, y.tail<4>()) <= kBound);
       }
     }
     CHECK((largest_change > 1e-4) == c.fuzzy);
@@ -254,7 +290,8 @@ TEST_CASE("the loop is of order four: errors fall 16-fold with half the step (ta
   for (const int divisions : {1, 2, 4, 8}) {
     CAPTURE(divisions);
     const End end = run(divisions);
-    const std::array<double, 3> error = {(end.feature_error - truth.feature_error).norm(), (end.body - truth.body).norm(),
+    const std::array<double, 3> error = {(end.feature_error - truth.feature_error).norm(),
+                                         (end.body - truth.body).norm(),
                                          (end.fuzzy_output - truth.fuzzy_output).norm()};
     for (std::size_t i = 0; i < 3; ++i) {
       CAPTURE(i);
@@ -284,6 +321,7 @@ TEST_CASE("a pack of four different scenarios agrees with four single runs to 1e
       for (const Settings<Hybrid>& s : settings) parameters.push_back(loop_parameters(s));
       std::vector<std::unique_ptr<Single>> singles;
       for (const Parameters& p : parameters) singles.push_back(std::make_unique<Single>(p));
+      std::array<Comparison, 4> difference_of;
       for (int step = 0; step < 400; ++step) {
         pack.advance();
         CAPTURE(step);
@@ -291,7 +329,7 @@ TEST_CASE("a pack of four different scenarios agrees with four single runs to 1e
           CAPTURE(lane);
           Single& single = *singles[static_cast<std::size_t>(lane)];
           single.advance();
-          REQUIRE(difference(pack.sample(), lane, single.sample()) <= 1e-12);
+          REQUIRE(difference_of[static_cast<std::size_t>(lane)](pack.sample(), lane, single.sample()) <= 1e-12);
           REQUIRE(difference(pack.law_state(), lane, single.law_state()) <= 1e-12);
         }
       }
@@ -309,21 +347,29 @@ TEST_CASE("a pack of four different scenarios agrees with four single runs to 1e
     }
 }
 
-TEST_CASE("a lane that fails is frozen with its cause and its last good sample, and disturbs no neighbour by a single bit") {
+TEST_CASE(
+    "a lane that fails is frozen with its cause and its last good sample, and disturbs no neighbour by a single bit") {
   struct Failure {
     std::string what;
     std::function<void(Settings<Hybrid>&)> change;
     StopCause cause;
   };
   const std::vector<Failure> failures = {
-      // over-supported far beyond its law, the platform runs up and away from the target
-      {"gains far too high", [](Settings<Hybrid>& s) { s.gains.kp *= 3e4; }, StopCause::none},
-      {"gains that explode", [](Settings<Hybrid>& s) { s.gains.kp *= 1e12; }, StopCause::none},
+      {"thirty weights of lift against a weak law, past points beside the optical axis",
+       [](Settings<Hybrid>& s) {
+         s.uncertainty.dynamics.gravity.setConstant(30.0);
+         s.gains.kp *= 1e-6;
+       },
+       StopCause::feature_error},
+      {"gains that spin the platform up", [](Settings<Hybrid>& s) { s.gains.kp *= 1e9; }, StopCause::twist},
       {"gains that overflow", [](Settings<Hybrid>& s) { s.gains.kp *= 1e200; }, StopCause::not_finite},
-      {"platform torn towards the points",
-       [](Settings<Hybrid>& s) { s.uncertainty.dynamics.gravity.setConstant(30.0); s.gains.kp *= 1e-6; }, StopCause::behind_camera},
-      {"platform spun up",
-       [](Settings<Hybrid>& s) { s.gains.kp *= 1e9; }, StopCause::twist},
+      {"thirty weights of lift, past points near the optical axis",
+       [](Settings<Hybrid>& s) {
+         s.uncertainty.dynamics.gravity.setConstant(30.0);
+         s.target.initial_features *= 0.01;
+         s.target.desired_features *= 0.01;
+       },
+       StopCause::behind_camera},
   };
   for (const Failure& failure : failures) {
     CAPTURE(failure.what);
@@ -358,8 +404,7 @@ TEST_CASE("a lane that fails is frozen with its cause and its last good sample, 
     REQUIRE(stopped_at > 0.0);
     const auto cause = static_cast<StopCause>(static_cast<int>(pack.cause()[2]));
     CAPTURE(static_cast<int>(cause));
-    CHECK(cause != StopCause::none);
-    if (failure.cause != StopCause::none) CHECK(cause == failure.cause);
+    CHECK(cause == failure.cause);
     CHECK(pack.cause()[2] == alone.cause());
     CHECK(pack.sample_time()[2] == doctest::Approx(stopped_at - 1e-3));
     CHECK(alone.sample_time() == pack.sample_time()[2]);
@@ -367,7 +412,8 @@ TEST_CASE("a lane that fails is frozen with its cause and its last good sample, 
     CHECK(lane_of(pack.sample().feature_error, 2) == last_good);
     for (std::size_t r = 0; r < 49; ++r) CHECK(lane_of(pack.law_state()[r], 2) == lane_of(last_weights[r], 2));
     bool finite = true;
-    Sample<S>::visit([&](const auto& x, const auto&) { finite = finite && is_finite(lane_of(x, 2)); }, pack.sample(), pack.sample());
+    Sample<S>::visit([&](const auto& x, const auto&) { finite = finite && is_finite(lane_of(x, 2)); }, pack.sample(),
+                     pack.sample());
     CHECK(finite);
   }
 }
@@ -379,8 +425,11 @@ TEST_CASE("a single loop that has stopped stays as it is") {
   Single loop(p);
   while (loop.running() && loop.steps() < 1000) loop.advance();
   REQUIRE_FALSE(loop.running());
-  CHECK(loop.time() <= 0.05);  // erratum 1: behind the camera within 0.05 s
-  CHECK(static_cast<StopCause>(static_cast<int>(loop.cause())) == StopCause::behind_camera);
+  CHECK(loop.time() <= 0.05);  // erratum 1
+  const auto why = static_cast<StopCause>(static_cast<int>(loop.cause()));
+  CHECK((why == StopCause::feature_error ||
+         why == StopCause::behind_camera));  // points leave the image before they pass the camera
+  CAPTURE(text(loop.sample().depth));
   const Sample<double> last = loop.sample();
   const double time = loop.sample_time(), cause = loop.cause();
   const Metrics<double> metrics = loop.metrics().metrics();
@@ -394,7 +443,9 @@ TEST_CASE("a single loop that has stopped stays as it is") {
   for (std::size_t r = 0; r < 49; ++r) CHECK(loop.law_state()[r] == weights[r]);
 }
 
-TEST_CASE("both cameras with the consistent sign bring the features to the goal; (8) as printed does so only over the printed one") {
+TEST_CASE(
+    "both cameras with the consistent sign bring the features to the goal; (8) as printed does so only over the "
+    "printed one") {
   struct Case {
     CameraConvention camera;
     JacobianConvention jacobian;
@@ -402,8 +453,8 @@ TEST_CASE("both cameras with the consistent sign bring the features to the goal;
   };
   using enum CameraConvention;
   using enum JacobianConvention;
-  for (const Case& c : {Case{eye_in_hand, consistent, true}, Case{eye_in_hand, printed, false}, Case{as_printed, consistent, true},
-                        Case{as_printed, printed, true}}) {
+  for (const Case& c : {Case{eye_in_hand, consistent, true}, Case{eye_in_hand, printed, false},
+                        Case{as_printed, consistent, true}, Case{as_printed, printed, true}}) {
     CAPTURE(static_cast<int>(c.camera));
     CAPTURE(static_cast<int>(c.jacobian));
     Settings<Hybrid> settings = paper_settings();
@@ -413,8 +464,10 @@ TEST_CASE("both cameras with the consistent sign bring the features to the goal;
     Single loop(p);
     for (int i = 0; i < 1000 && loop.running(); ++i) loop.advance();
     CHECK(loop.running() == c.works);
-    if (c.works) CHECK(loop.sample().feature_error.cwiseAbs().maxCoeff() < 1.0);
-    else CHECK(loop.time() <= 0.05);
+    if (c.works)
+      CHECK(loop.sample().feature_error.cwiseAbs().maxCoeff() < 1.0);
+    else
+      CHECK(loop.time() <= 0.05);
   }
 }
 
@@ -425,14 +478,17 @@ TEST_CASE("the camera as printed keeps its own image: its features and depths ar
   Single loop(p);
   for (int i = 0; i < 500; ++i) loop.advance();
   const Sample<double>& s = loop.sample();
-  const Image<double> projected = take_image(p.camera.focal_pixels(), s.position, rotation_matrix(s.quaternion), p.points_B);
+  const Image<double> projected =
+      take_image(p.camera.focal_pixels(), s.position, rotation_matrix(s.quaternion), p.points_B);
   CHECK(distance(p.desired_features - s.feature_error, projected.features) > 10.0);
 }
 
 TEST_CASE("without uncertainty the Lyapunov function (16) never grows, and what it loses the switching term takes") {
-  // V with omega* = 0 falls by K_v sw(chi-dot) . chi-dot (23); the loss is integrated by Simpson's rule over pairs of steps.
+  // V with omega* = 0 falls by K_v sw(chi-dot) . chi-dot (23); the loss is integrated by Simpson's rule over pairs of
+  // steps.
   Settings<Hybrid> settings = nominal_settings();
-  settings.switching = {SwitchingKind::tanh, 1e-2};
+  settings.switching = {SwitchingKind::tanh, 0.05};
+  settings.simulation = {2.5e-4, 1.0, 1};
   const Parameters p = loop_parameters(settings);
   Single loop(p);
   const auto lyapunov = [&] {
@@ -448,7 +504,7 @@ TEST_CASE("without uncertainty the Lyapunov function (16) never grows, and what 
   };
   const double start = lyapunov();
   double previous = start, lost = 0.0;
-  for (int i = 0; i < 500; ++i) {
+  for (int i = 0; i < 2000; ++i) {
     const double first = loss_rate();
     loop.advance();
     const double middle = loss_rate();
@@ -458,9 +514,10 @@ TEST_CASE("without uncertainty the Lyapunov function (16) never grows, and what 
     REQUIRE(now <= previous);
     previous = now;
   }
-  CHECK(start - previous > 0.5 * start);
-  // RK4 and Simpson's rule at 1 ms against the fastest motion of some 95 rad/s: (0.095)^4/180 of what oscillates at most
-  CHECK(std::abs(start - lost - previous) <= 1e-6 * start);
+  CHECK(lost > 0.01 * start);  // most of V stays in the weights, where the platform sticks
+  // RK4 and Simpson's rule at h = 0.25 ms against motion at up to 95 rad/s, whose fourth harmonics tanh brings in:
+  // (4 * 95 * h)^4 = 8e-5 of the loss, over the rule's 180
+  CHECK(std::abs(start - lost - previous) <= 8e-5 / 180.0 * lost);
 }
 
 TEST_CASE("smooth check: hybrid, `paper`, tanh of width 1e-3, at 1 s, to all digits of docs/model.md, section 8") {
@@ -469,7 +526,7 @@ TEST_CASE("smooth check: hybrid, `paper`, tanh of width 1e-3, at 1 s, to all dig
   while (loop.steps() < 1000) loop.advance();
   REQUIRE(loop.running());
   const Sample<double>& s = loop.sample();
-  const Vector3<double> error(-0.040221283006, 0.048431262388, 0.011688870190);    // [px]
+  const Vector3<double> error(-0.040221283006, 0.048431262388, 0.011688870190);       // [px]
   const Vector3<double> position(0.291648903158, 0.049231853813, -149.998341214122);  // [mm]
   CAPTURE(text(s.feature_error));
   CAPTURE(text(s.position));

@@ -5,6 +5,7 @@
 #include "random.hpp"
 
 #include <algorithm>
+#include <string>
 
 using namespace hexservo;
 using namespace hexservo::test;
@@ -83,7 +84,8 @@ TEST_CASE("memberships are the bells, whole slopes by multiplication and others 
       for (int k = 0; k < 7; ++k)
         for (int j = 0; j < 6; ++j)
           // a power of 2s amplifies a rounding of its argument 2s-fold, and pow and the product each add their own
-          CHECK(mu[static_cast<std::size_t>(k)](j) == doctest::Approx(bell(x(j), k, width, slope)).epsilon(10.0 * (slope + 1.0) * kEpsilon));
+          CHECK(mu[static_cast<std::size_t>(k)](j) ==
+                doctest::Approx(bell(x(j), k, width, slope)).epsilon(10.0 * (slope + 1.0) * kEpsilon));
     }
 }
 
@@ -138,7 +140,8 @@ TEST_CASE("partition of unity: the 49 rule strengths are positive and sum to one
   CAPTURE(random.seed());
   for (const auto& [width, slope] : kBells)
     for (int trial = 0; trial < 50; ++trial) {
-      const FuzzyBasis<double> basis = fuzzy_basis<double>(design(width, slope), random.matrix<6>(1.5), random.matrix<6>(1.5));
+      const FuzzyBasis<double> basis =
+          fuzzy_basis<double>(design(width, slope), random.matrix<6>(1.5), random.matrix<6>(1.5));
       AxisVector<double> sum = AxisVector<double>::Zero();
       for (std::size_t row = 0; row < 7; ++row)
         for (std::size_t column = 0; column < 7; ++column) {
@@ -175,8 +178,8 @@ TEST_CASE("a system with equal weights gives that weight, whatever its inputs") 
   const AxisVector<double> value = random.matrix<6>();
   weights.fill(value);
   for (int trial = 0; trial < 20; ++trial) {
-    const AxisVector<double> output =
-        FuzzyStage<double>{&weights}.output(fuzzy_basis<double>(design(), random.matrix<6>(3.0), random.matrix<6>(3.0)));
+    const AxisVector<double> output = FuzzyStage<double>{&weights}.output(
+        fuzzy_basis<double>(design(), random.matrix<6>(3.0), random.matrix<6>(3.0)));
     CHECK(distance(output, value) <= 50.0 * kEpsilon);
   }
 }
@@ -187,7 +190,8 @@ TEST_CASE("inputs beyond +-1 count as +-1, inputs within are not changed") {
   for (int trial = 0; trial < 50; ++trial) {
     const AxisVector<double> u = random.matrix<6>(4.0), u_rate = random.matrix<6>(4.0);
     const FuzzyBasis<double> basis = fuzzy_basis(design(), u, u_rate);
-    const FuzzyBasis<double> limited = fuzzy_basis<double>(design(), u.cwiseMax(-1.0).cwiseMin(1.0), u_rate.cwiseMax(-1.0).cwiseMin(1.0));
+    const FuzzyBasis<double> limited =
+        fuzzy_basis<double>(design(), u.cwiseMax(-1.0).cwiseMin(1.0), u_rate.cwiseMax(-1.0).cwiseMin(1.0));
     const TermStrengths<double> direct = normalised_memberships<double>(u.cwiseMax(-1.0).cwiseMin(1.0), 1.0 / 6.0, 2.0);
     for (std::size_t k = 0; k < 7; ++k) {
       CHECK(basis.error[k] == limited.error[k]);
@@ -261,8 +265,8 @@ TEST_CASE("advance_weights adds all rates, rule by rule, and nothing where a lan
     CAPTURE(trial);
     FuzzyWeights<double> weights = random_weights(random);
     const FuzzyWeights<double> before = weights;
-    std::array<FuzzyRate<double>, 4> rates = {random_rate(gains, random), random_rate(gains, random), random_rate(gains, random),
-                                              random_rate(gains, random)};
+    std::array<FuzzyRate<double>, 4> rates = {random_rate(gains, random), random_rate(gains, random),
+                                              random_rate(gains, random), random_rate(gains, random)};
     std::array<const FuzzyRate<double>*, 4> pointers;
     std::array<double, 4> scales;
     FuzzyWeights<double> expected = weights;
@@ -323,9 +327,40 @@ TEST_CASE("NaN in either input never comes out as a number, and stays in its own
       for (const bool in_rate : {false, true}) {
         AxisVector<double> u = random.matrix<6>(), u_rate = random.matrix<6>();
         (in_rate ? u_rate : u)(axis) = kNaN;
-        const AxisVector<double> output = FuzzyStage<double>{&weights}.output(fuzzy_basis(design(width, slope), u, u_rate));
+        const AxisVector<double> output =
+            FuzzyStage<double>{&weights}.output(fuzzy_basis(design(width, slope), u, u_rate));
         for (int j = 0; j < 6; ++j) CHECK(std::isnan(output(j)) == (j == axis));
       }
+}
+
+TEST_CASE("bells are either refused as too steep, or give a partition of unity everywhere, also between the centres") {
+  int refused = 0, accepted = 0;
+  for (const double slope : {0.5, 1.0, 2.0, 2.5, 8.0, 30.0})
+    for (double width = 10.0; width > 1e-12; width /= 3.0) {
+      CAPTURE(slope);
+      CAPTURE(width);
+      const FuzzyGains<double> gains = design(width, slope);
+      const std::string verdict = refusal([&] { validate(gains); });
+      if (verdict != "(accepted)") {
+        ++refused;
+        CHECK(is_about(verdict, "controller.hybrid.fuzzy.bell_width"));
+        continue;
+      }
+      ++accepted;
+      for (const double x : {-1.0, -0.5, 0.0, 1e-9, 1.0 / 6.0, 0.5, 0.99, 1.0}) {
+        const FuzzyBasis<double> basis =
+            fuzzy_basis<double>(gains, AxisVector<double>::Constant(x), AxisVector<double>::Constant(-x));
+        AxisVector<double> sum = AxisVector<double>::Zero(), sum_rate = sum;
+        for (std::size_t k = 0; k < 7; ++k) {
+          sum += basis.error[k];
+          sum_rate += basis.rate[k];
+        }
+        CHECK(distance(sum, AxisVector<double>::Ones()) <= 50.0 * kEpsilon);
+        CHECK(distance(sum_rate, AxisVector<double>::Ones()) <= 50.0 * kEpsilon);
+      }
+    }
+  CHECK(refused > 0);
+  CHECK(accepted > 20);
 }
 
 TEST_CASE("designs that make no sense are refused, with the key and the place") {
@@ -339,7 +374,8 @@ TEST_CASE("designs that make no sense are refused, with the key and the place") 
   for (const double bad : {kNaN, kInfinity, -kInfinity, 0.0, -1.0}) {
     CAPTURE(bad);
     for (int j = 0; j < 6; ++j)
-      CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.adaptation(j) = bad; }), key + "adaptation[" + std::to_string(j) + "]"));
+      CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.adaptation(j) = bad; }),
+                     key + "adaptation[" + std::to_string(j) + "]"));
     CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.bell_width = bad; }), key + "bell_width"));
     CHECK(is_about(verdict([&](FuzzyGains<double>& g) { g.bell_slope = bad; }), key + "bell_slope"));
     if (std::isfinite(bad)) continue;

@@ -141,7 +141,8 @@ TEST_CASE("forward after inverse kinematics: every pose within the stroke is fou
     for (int trial = 0; trial < 500; ++trial) {
       CAPTURE(trial);
       const Pose<double> pose = pose_within_stroke(hexapod, random);
-      const ForwardKinematics<double> found = forward_kinematics(hexapod, legs_at(hexapod, pose).lengths, home_of(hexapod));
+      const ForwardKinematics<double> found =
+          forward_kinematics(hexapod, legs_at(hexapod, pose).lengths, home_of(hexapod));
       CHECK(status(found) == KinematicsStatus::converged);
       CHECK(found.residual <= kKinematicsTolerance);
       // A residual of 1e-12 m in each of six legs is at most sqrt(6) 1e-12/sigma_min of pose, sigma_min > 0.5 here.
@@ -160,7 +161,8 @@ TEST_CASE("inverse after forward kinematics: all leg lengths within the stroke b
       CAPTURE(trial);
       Vector6<double> lengths = hexapod.home_lengths + random.matrix<6>(hexapod.stroke);
       if (trial < 64)  // all corners of the workspace first
-        for (int i = 0; i < 6; ++i) lengths(i) = hexapod.home_lengths(i) + ((trial >> i) % 2 == 0 ? 1.0 : -1.0) * hexapod.stroke;
+        for (int i = 0; i < 6; ++i)
+          lengths(i) = hexapod.home_lengths(i) + ((trial >> i) % 2 == 0 ? 1.0 : -1.0) * hexapod.stroke;
       const ForwardKinematics<double> found = forward_kinematics(hexapod, lengths, home_of(hexapod));
       CHECK(status(found) == KinematicsStatus::converged);
       CHECK(distance(legs_at(hexapod, found.pose).lengths, lengths) <= kKinematicsTolerance);
@@ -276,11 +278,13 @@ TEST_CASE("known numbers of the presets (docs/model.md, section 2)") {
     std::string preset;
     double length, force, largest, smallest;
   };
-  for (const Known& known : {Known{"micro", 0.204593, 0.1337, 1.7959, 0.9576}, Known{"cubic", 0.122474, 0.1697, 1.7321, 0.7962}}) {
+  for (const Known& known :
+       {Known{"micro", 0.204593, 0.1337, 1.7959, 0.9576}, Known{"cubic", 0.122474, 0.1697, 1.7321, 0.7962}}) {
     CAPTURE(known.preset);
     const RobotParameters robot = robot_preset(known.preset);
     const Hexapod<double> hexapod = make_hexapod(robot);
-    const Vector6<double> forces = forces_at_rest(robot, hexapod), sigma = wrench_map_singular_values(hexapod, home_of(hexapod));
+    const Vector6<double> forces = forces_at_rest(robot, hexapod),
+                          sigma = wrench_map_singular_values(hexapod, home_of(hexapod));
     // half a unit of the last printed digit
     CHECK(distance(hexapod.home_lengths, Vector6<double>::Constant(known.length)) <= 0.5e-6);
     CHECK(distance(forces, Vector6<double>::Constant(known.force)) <= 0.5e-4);
@@ -315,7 +319,8 @@ TEST_CASE("neighbouring legs of the cubic preset are orthogonal at home") {
   }
 }
 
-// --- what is refused --------------------------------------------------------------------------------------------------
+// --- what is refused
+// --------------------------------------------------------------------------------------------------
 
 namespace {
 
@@ -354,7 +359,8 @@ TEST_CASE("geometries that cannot hold a platform are refused") {
          r.base_angles = hexagon;
          r.platform_angles = hexagon + Vector6<double>::Constant(23.0 * kDegree);
        }},
-      {"platform similar to its base", "robot.platform_angles", [](RobotParameters& r) { r.platform_angles = r.base_angles; }},
+      {"platform similar to its base", "robot.platform_angles",
+       [](RobotParameters& r) { r.platform_angles = r.base_angles; }},
       {"platform similar to its base, turned", "robot.platform_angles",
        [](RobotParameters& r) { r.platform_angles = r.base_angles + Vector6<double>::Constant(30.0 * kDegree); }},
       {"legs that coincide", "robot.platform_angles",
@@ -367,8 +373,10 @@ TEST_CASE("geometries that cannot hold a platform are refused") {
          r.platform_angles(3) = r.platform_angles(2) + 360.0 * kDegree;
          r.base_angles(3) = r.base_angles(2) - 360.0 * kDegree;
        }},
-      {"all legs at one platform joint", "robot.platform_angles", [](RobotParameters& r) { r.platform_angles.setConstant(0.3); }},
-      {"a platform in the plane of its base", "robot.home_position", [](RobotParameters& r) { r.home_position.setZero(); }},
+      {"all legs at one platform joint", "robot.platform_angles",
+       [](RobotParameters& r) { r.platform_angles.setConstant(0.3); }},
+      {"a platform in the plane of its base", "robot.home_position",
+       [](RobotParameters& r) { r.home_position.setZero(); }},
       {"legs of no length", "robot.home_position",
        [](RobotParameters& r) {
          r.base_radius = r.platform_radius;
@@ -394,9 +402,12 @@ TEST_CASE("numbers that are not finite or not positive are refused, with the key
     if (std::isfinite(bad)) continue;
     for (int i = 0; i < 6; ++i) {
       const std::string place = "[" + std::to_string(i) + "]";
-      CHECK(is_about(verdict([bad, i](RobotParameters& r) { r.platform_angles(i) = bad; }), "robot.platform_angles" + place));
+      CHECK(is_about(verdict([bad, i](RobotParameters& r) { r.platform_angles(i) = bad; }),
+                     "robot.platform_angles" + place));
       CHECK(is_about(verdict([bad, i](RobotParameters& r) { r.base_angles(i) = bad; }), "robot.base_angles" + place));
-      if (i < 3) CHECK(is_about(verdict([bad, i](RobotParameters& r) { r.home_position(i) = bad; }), "robot.home_position" + place));
+      if (i < 3)
+        CHECK(is_about(verdict([bad, i](RobotParameters& r) { r.home_position(i) = bad; }),
+                       "robot.home_position" + place));
     }
   }
 }

@@ -1,4 +1,5 @@
-// The paper's law (14), (15), (22) at single instants: against the equations written out, and its Lyapunov identity (23).
+// The paper's law (14), (15), (22) at single instants: against the equations written out, and its Lyapunov identity
+// (23).
 #include "hexservo/laws/hybrid.hpp"
 #include "hexservo/rigid_body.hpp"
 
@@ -53,7 +54,8 @@ Eigen::Matrix<double, 8, 6> jacobian_of(const Situation& s) {
 
 }  // namespace
 
-TEST_CASE("tau = J^T K_p xi~ - K_v sgn(chi-dot) + G - tau_f (14), (15), with tau_f the 49-rule sum at u = a g, b g-dot") {
+TEST_CASE(
+    "tau = J^T K_p xi~ - K_v sgn(chi-dot) + G - tau_f (14), (15), with tau_f the 49-rule sum at u = a g, b g-dot") {
   Random random(7701);
   CAPTURE(random.seed());
   for (int trial = 0; trial < 100; ++trial) {
@@ -90,7 +92,8 @@ TEST_CASE("tau = J^T K_p xi~ - K_v sgn(chi-dot) + G - tau_f (14), (15), with tau
   }
 }
 
-TEST_CASE("adaptation (22): Psi_j omega-dot_j = chi-dot_j phi-bar_j, and tau_f = omega^T phi-bar with the same phi-bar") {
+TEST_CASE(
+    "adaptation (22): Psi_j omega-dot_j = chi-dot_j phi-bar_j, and tau_f = omega^T phi-bar with the same phi-bar") {
   Random random(7702);
   CAPTURE(random.seed());
   for (int trial = 0; trial < 50; ++trial) {
@@ -113,7 +116,9 @@ TEST_CASE("adaptation (22): Psi_j omega-dot_j = chi-dot_j phi-bar_j, and tau_f =
   }
 }
 
-TEST_CASE("Lyapunov identity (23): with a true Jacobian V falls by exactly K_v sgn(chi-dot) . chi-dot, whatever the weights") {
+TEST_CASE(
+    "Lyapunov identity (23): with a true Jacobian V falls by exactly K_v sgn(chi-dot) . chi-dot, whatever the "
+    "weights") {
   // V = 1/2 chi-dot^T D chi-dot + 1/2 xi~^T K_p xi~ + 1/2 sum_j Psi_j |omega_j|^2, the paper's (16) with omega* = 0.
   // Along (1): V-dot = chi-dot . (tau - G) - xi~^T K_p J chi-dot + sum_j Psi_j omega_j . omega-dot_j (Property 1 used).
   Random random(7703);
@@ -132,7 +137,8 @@ TEST_CASE("Lyapunov identity (23): with a true Jacobian V falls by exactly K_v s
       for (int j = 0; j < 6; ++j)
         for (std::size_t row = 0; row < 7; ++row)
           for (std::size_t column = 0; column < 7; ++column)
-            weights += s.gains.fuzzy.adaptation(j) * weight_matrix(s.weights, j)(static_cast<int>(row), static_cast<int>(column)) *
+            weights += s.gains.fuzzy.adaptation(j) *
+                       weight_matrix(s.weights, j)(static_cast<int>(row), static_cast<int>(column)) *
                        out.rate.strength(j) * out.rate.basis.error[row](j) * out.rate.basis.rate[column](j);
       const double dissipated = twist.dot(s.gains.kv.cwiseProduct(s.task.switching(twist)));
       CHECK(dissipated > 0.0);
@@ -168,7 +174,8 @@ TEST_CASE("without fuzzy systems there is no tau_f and no adaptation, and the re
     CHECK(without.fuzzy_output.isZero(0.0));
     CHECK(distance(without.wrench, with.wrench + with.fuzzy_output) <= 1e-15);
     FuzzyWeights<double> weights = s.weights;
-    Hybrid::advance<double>(weights, std::array<const FuzzyRate<double>*, 1>{&without.rate}, std::array<double, 1>{1.0}, true);
+    Hybrid::advance<double>(weights, std::array<const FuzzyRate<double>*, 1>{&without.rate}, std::array<double, 1>{1.0},
+                            true);
     for (std::size_t i = 0; i < weights.size(); ++i) CHECK(weights[i] == s.weights[i]);
   }
 }
@@ -271,9 +278,11 @@ TEST_CASE("gains that make no sense are refused, with the key and the place") {
   CHECK(verdict([](HybridGains<double>& g) { g.kv.setZero(); }) == "(accepted)");
   for (const double bad : {kNaN, kInfinity, 0.0, -1e-6})
     for (int i = 0; i < 8; ++i)
-      CHECK(is_about(verdict([&](HybridGains<double>& g) { g.kp(i) = bad; }), "controller.hybrid.kp[" + std::to_string(i) + "]"));
+      CHECK(is_about(verdict([&](HybridGains<double>& g) { g.kp(i) = bad; }),
+                     "controller.hybrid.kp[" + std::to_string(i) + "]"));
   for (const double bad : {kNaN, kInfinity, -1e-6})
     for (int j = 0; j < 6; ++j)
       CHECK(is_about(verdict([&](HybridGains<double>& g) { g.kv(j) = bad; }), "controller.hybrid.kv"));
-  CHECK(is_about(verdict([](HybridGains<double>& g) { g.fuzzy.bell_width = 0.0; }), "controller.hybrid.fuzzy.bell_width"));
+  CHECK(is_about(verdict([](HybridGains<double>& g) { g.fuzzy.bell_width = 0.0; }),
+                 "controller.hybrid.fuzzy.bell_width"));
 }

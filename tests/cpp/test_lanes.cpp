@@ -34,8 +34,8 @@ static_assert(std::is_trivially_copyable_v<Lanes<8>>);
 
 /// Values at which arithmetic is delicate, and a few ordinary ones.
 std::vector<double> delicate_values() {
-  std::vector<double> values = {0.0,  -0.0,  1.0,   -1.0,   0.5,       -2.0,      3.0,      1e-300, -1e-300,
-                                5e-324, 1e300, -1e300, kInfinity, -kInfinity, kNaN, 1.0 + kEpsilon};
+  std::vector<double> values = {0.0,     -0.0,   1.0,   -1.0,   0.5,       -2.0,       3.0,  1e-300,
+                                -1e-300, 5e-324, 1e300, -1e300, kInfinity, -kInfinity, kNaN, 1.0 + kEpsilon};
   Random random(7001);
   for (int i = 0; i < 8; ++i) values.push_back(random.uniform(-3.0, 3.0));
   return values;
@@ -66,28 +66,28 @@ void for_all_pairs(Check&& check) {
 }
 
 /// Compares a result per lane with the same expression on doubles.
-#define CHECK_LANES(pack, single)                            \
-  do {                                                       \
-    const auto result = (pack);                              \
-    for (int lane = 0; lane < S::width; ++lane) {            \
-      const double x = a[lane], y = b[lane];                 \
-      static_cast<void>(y);                                  \
-      CAPTURE(lane);                                         \
-      CAPTURE(x);                                            \
-      CAPTURE(y);                                            \
-      CHECK_MESSAGE(same(result[lane], (single)), #pack);    \
-    }                                                        \
+#define CHECK_LANES(pack, single)                         \
+  do {                                                    \
+    const auto result = (pack);                           \
+    for (int lane = 0; lane < S::width; ++lane) {         \
+      const double x = a[lane], y = b[lane];              \
+      static_cast<void>(y);                               \
+      CAPTURE(lane);                                      \
+      CAPTURE(x);                                         \
+      CAPTURE(y);                                         \
+      CHECK_MESSAGE(same(result[lane], (single)), #pack); \
+    }                                                     \
   } while (false)
-#define CHECK_MASK(pack, single)                             \
-  do {                                                       \
-    const auto result = (pack);                              \
-    for (int lane = 0; lane < S::width; ++lane) {            \
-      const double x = a[lane], y = b[lane];                 \
-      static_cast<void>(y);                                  \
-      CAPTURE(x);                                            \
-      CAPTURE(y);                                            \
-      CHECK_MESSAGE(result[lane] == (single), #pack);        \
-    }                                                        \
+#define CHECK_MASK(pack, single)                      \
+  do {                                                \
+    const auto result = (pack);                       \
+    for (int lane = 0; lane < S::width; ++lane) {     \
+      const double x = a[lane], y = b[lane];          \
+      static_cast<void>(y);                           \
+      CAPTURE(x);                                     \
+      CAPTURE(y);                                     \
+      CHECK_MESSAGE(result[lane] == (single), #pack); \
+    }                                                 \
   } while (false)
 
 #define ALL_WIDTHS Lanes<2>, Lanes<4>, Lanes<8>
@@ -257,7 +257,8 @@ TEST_CASE_TEMPLATE("Eigen's expressions on packs are those on doubles", S, ALL_W
   }
   const S dot = a.dot(b), norm = a.squaredNorm();
   const Vector3<S> cross = u.cross(v);
-  const Vector6<S> product = A * b, transposed = A.transpose() * b, combined = S(0.5) * a.cwiseProduct(b) - a.cwiseQuotient(b);
+  const Vector6<S> product = A * b, transposed = A.transpose() * b,
+                   combined = S(0.5) * a.cwiseProduct(b) - a.cwiseQuotient(b);
   const Matrix6<S> matrix = A * B.transpose();
   // Sums of n = 6 products of numbers <= 1 may be added in another order: n eps n on either side.
   const double bound = 2.0 * 36.0 * kEpsilon;

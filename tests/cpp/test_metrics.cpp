@@ -103,7 +103,8 @@ TEST_CASE("rotation from the start is accurate for small angles and blind to the
     std::vector<Sample<double>> samples = {random_sample(random, 1.0), random_sample(random, 1.0)};
     const Vector4<double> q0 = samples[0].quaternion;
     const Vector3<double> axis = random.matrix<3>().normalized();
-    const Eigen::Quaterniond q = Eigen::Quaterniond(Eigen::AngleAxisd(angle, axis)) * Eigen::Quaterniond(q0(0), q0(1), q0(2), q0(3));
+    const Eigen::Quaterniond q =
+        Eigen::Quaterniond(Eigen::AngleAxisd(angle, axis)) * Eigen::Quaterniond(q0(0), q0(1), q0(2), q0(3));
     for (const double sign : {1.0, -1.0}) {
       samples[1].quaternion = sign * Vector4<double>(q.w(), q.x(), q.y(), q.z());
       CHECK(std::abs(metrics_of(samples, {}, 1e-3).peak_rotation - angle) <= 20.0 * kEpsilon * std::max(1.0, angle));
@@ -113,7 +114,8 @@ TEST_CASE("rotation from the start is accurate for small angles and blind to the
 
 TEST_CASE("settling time is the last time outside, 0 where never outside, NaN where the end is outside") {
   const MetricsSettings settings{2.0, 0.0};
-  CHECK(metrics_of(with_errors({1.0, 1.5, 2.0, 0.5}), settings, 0.1).settling_time == 0.0);  // on the threshold is within
+  CHECK(metrics_of(with_errors({1.0, 1.5, 2.0, 0.5}), settings, 0.1).settling_time ==
+        0.0);  // on the threshold is within
   CHECK(metrics_of(with_errors({5.0, 1.0, 1.0}), settings, 0.1).settling_time == 0.0);
   CHECK(metrics_of(with_errors({5.0, 3.0, 1.0, 2.5, 1.0, 0.1}), settings, 0.1).settling_time == doctest::Approx(0.3));
   CHECK(std::isnan(metrics_of(with_errors({5.0, 1.0, 1.0, 2.1}), settings, 0.1).settling_time));
@@ -160,7 +162,7 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
   Hexapod<S> pack_hexapod;
   Vector6<S> gravity;
   std::array<std::vector<Sample<double>>, 4> samples;
-  std::vector<Sample<S>> packs(kSamples);
+  std::vector<Sample<S>> packs(std::size_t{kSamples});
   for (int lane = 0; lane < 4; ++lane) {
     const auto l = static_cast<std::size_t>(lane);
     set_lane(pack_hexapod, lane, hexapod);

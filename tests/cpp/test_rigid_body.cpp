@@ -33,8 +33,8 @@ DynamicsError<double> random_error(Random& random, double size) {
 }
 
 /// RK4 over `steps` steps of h [s] under a wrench that does not change.
-BodyState<double> integrate(const RigidBody<double>& body, BodyState<double> state, const Vector6<double>& wrench, double h,
-                            int steps) {
+BodyState<double> integrate(const RigidBody<double>& body, BodyState<double> state, const Vector6<double>& wrench,
+                            double h, int steps) {
   const auto rate_at = [&](const BodyState<double>& s) {
     return body_rate(body, DynamicsError<double>{}, s, rotation_matrix(quaternion_of(s)), wrench);
   };
@@ -58,11 +58,12 @@ TEST_CASE("Property 1 (2): y^T (D-dot - 2 C) y = 0, with D-dot by central differ
     const Vector3<double> omega = random.matrix<3>(5.0);
     const Vector6<double> y = random.matrix<6>();
     const double h = 1e-5 / omega.norm();
-    const Matrix6<double> D_rate = (mass_matrix<double>(body, turn(omega, h) * R_BE) -
-                                    mass_matrix<double>(body, turn(omega, -h) * R_BE)) / (2.0 * h);
+    const Matrix6<double> D_rate =
+        (mass_matrix<double>(body, turn(omega, h) * R_BE) - mass_matrix<double>(body, turn(omega, -h) * R_BE)) /
+        (2.0 * h);
     const Matrix6<double> C = coriolis_matrix(body, R_BE, omega);
-    // Each derivative of R I R^T brings at most a factor 2 |omega|, so the difference is off by (h |omega|)^2 8/6 = 1.3e-10
-    // of |omega| |I|, and rounding adds a few eps/(h |omega|) = 2e-11 of m, which D holds beside I.
+    // Each derivative of R I R^T brings at most a factor 2 |omega|, so the difference is off by (h |omega|)^2 8/6
+    // = 1.3e-10 of |omega| |I|, and rounding adds a few eps/(h |omega|) = 2e-11 of m, which D holds beside I.
     const double size = omega.norm() * body.inertia_E.norm() * y.squaredNorm();
     const double rounding = 8.0 * kEpsilon / 1e-5 * omega.norm() * y.squaredNorm() * body.inertia_E.norm();
     CHECK(std::abs(y.dot((D_rate - 2.0 * C) * y)) <= 2e-10 * size + rounding);
@@ -71,7 +72,8 @@ TEST_CASE("Property 1 (2): y^T (D-dot - 2 C) y = 0, with D-dot by central differ
   CHECK(largest_part > 0.05);  // the two terms that cancel are not small themselves
 }
 
-TEST_CASE("acceleration solves (3) with element-wise errors, against an independent solver of the assembled 6x6 equation") {
+TEST_CASE(
+    "acceleration solves (3) with element-wise errors, against an independent solver of the assembled 6x6 equation") {
   Random random(7102);
   CAPTURE(random.seed());
   for (int trial = 0; trial < 200; ++trial) {
@@ -83,7 +85,8 @@ TEST_CASE("acceleration solves (3) with element-wise errors, against an independ
 
     const Matrix6<double> ones = Matrix6<double>::Ones();
     const Matrix6<double> D = (ones - error.inertia).cwiseProduct(mass_matrix(body, R_BE));
-    const Matrix6<double> C = (ones - error.coriolis).cwiseProduct(coriolis_matrix<double>(body, R_BE, twist.tail<3>()));
+    const Matrix6<double> C =
+        (ones - error.coriolis).cwiseProduct(coriolis_matrix<double>(body, R_BE, twist.tail<3>()));
     const Vector6<double> G = (Vector6<double>::Ones() - error.gravity).cwiseProduct(gravity_wrench(body));
     const Vector6<double> expected = Eigen::FullPivLU<Matrix6<double>>(D).solve(wrench - C * twist - G);
     const Vector6<double> result = acceleration(body, error, R_BE, twist, wrench);
@@ -110,7 +113,8 @@ TEST_CASE("D and C are those of (1): blkdiag(m 1, R I R^T) and blkdiag(0, [omega
     CHECK(C.topRows<3>().isZero(0.0));
     CHECK(C.leftCols<3>().isZero(0.0));
     const Vector3<double> any = random.matrix<3>();
-    CHECK(relative_distance(C.bottomRightCorner<3, 3>() * any, omega.cross(D.bottomRightCorner<3, 3>() * any)) <= 50.0 * kEpsilon);
+    CHECK(relative_distance(C.bottomRightCorner<3, 3>() * any, omega.cross(D.bottomRightCorner<3, 3>() * any)) <=
+          50.0 * kEpsilon);
     // kinetic energy, written in E
     const Vector3<double> omega_E = R_BE.transpose() * twist.tail<3>();
     const double energy = 0.5 * body.mass * twist.head<3>().squaredNorm() + 0.5 * omega_E.dot(body.inertia_E * omega_E);
@@ -162,7 +166,8 @@ TEST_CASE("energy and angular momentum are conserved without control: tumbling a
       return kinetic_energy(body, rotation_matrix(quaternion_of(s)), spin);
     };
     const auto energy = [&](const BodyState<double>& s) {
-      return kinetic_energy(body, rotation_matrix(quaternion_of(s)), twist_of(s)) + potential_energy(body, position_of(s));
+      return kinetic_energy(body, rotation_matrix(quaternion_of(s)), twist_of(s)) +
+             potential_energy(body, position_of(s));
     };
     const auto spin = [&](const BodyState<double>& s) {
       return Vector3<double>(inertia_in_base(body, rotation_matrix(quaternion_of(s))) * twist_of(s).tail<3>());
@@ -176,7 +181,8 @@ TEST_CASE("energy and angular momentum are conserved without control: tumbling a
     // it really tumbled: the angular velocity is not constant in B
     CHECK(largest_turn > 0.1 * twist_of(start).tail<3>().norm());
     // and the fall is the closed form, which RK4 integrates exactly
-    const Vector3<double> expected = position_of(start) + 10.0 * twist_of(start).head<3>() + Vector3<double>(0.0, 0.0, 490.0);
+    const Vector3<double> expected =
+        position_of(start) + 10.0 * twist_of(start).head<3>() + Vector3<double>(0.0, 0.0, 490.0);
     CHECK(relative_distance(position_of(end), expected) <= 1e-12);
   }
 }
@@ -189,7 +195,8 @@ TEST_CASE("work of a constant wrench becomes energy") {
   BodyState<double> state = body_state<double>({random.matrix<3>(0.1), random.quaternion()}, random.six(0.1, 1.0));
   const Vector6<double> wrench = gravity_wrench(body) + random.six(0.05, 1e-3);
   const auto energy = [&] {
-    return kinetic_energy(body, rotation_matrix(quaternion_of(state)), twist_of(state)) + potential_energy(body, position_of(state));
+    return kinetic_energy(body, rotation_matrix(quaternion_of(state)), twist_of(state)) +
+           potential_energy(body, position_of(state));
   };
   const double h = 1e-3;
   const int steps = 400;
@@ -214,7 +221,8 @@ TEST_CASE("quaternion rate: d/dt R = [omega]x R by central differences, for quat
     const double h = 1e-5 / omega.norm();
     const Matrix3<double> derivative =
         (rotation_matrix<double>(q + h * rate) - rotation_matrix<double>(q - h * rate)) / (2.0 * h);
-    // q + h q-dot turns by 2 atan(h omega/2): off by (h omega)^2/12, beside (h omega)^2/6 of the difference; and rounding
+    // q + h q-dot turns by 2 atan(h omega/2): off by (h omega)^2/12, beside (h omega)^2/6 of the difference; and
+    // rounding
     CHECK(distance(derivative, skew(omega) * rotation_matrix(q)) <= (1e-10 + 10.0 * kEpsilon / 1e-5) * omega.norm());
     CHECK(std::abs(rate.dot(q)) <= 10.0 * kEpsilon * q.norm() * rate.norm());  // the length does not change
     CHECK(rate.norm() == doctest::Approx(0.5 * omega.norm() * q.norm()).epsilon(10.0 * kEpsilon));
@@ -267,7 +275,8 @@ TEST_CASE("state: parts go in and come out") {
   CHECK(twist_of(state) == twist);
 }
 
-// --- what is refused --------------------------------------------------------------------------------------------------
+// --- what is refused
+// --------------------------------------------------------------------------------------------------
 
 namespace {
 
@@ -275,7 +284,8 @@ std::string verdict(const RigidBody<double>& body, const DynamicsError<double>& 
   return refusal([&] { validate(body, error); });
 }
 
-RigidBody<double> body_with_moments(double a, double b, double c, const Matrix3<double>& R = Matrix3<double>::Identity()) {
+RigidBody<double> body_with_moments(double a, double b, double c,
+                                    const Matrix3<double>& R = Matrix3<double>::Identity()) {
   RigidBody<double> body;
   const Matrix3<double> I = R * Vector3<double>(a, b, c).asDiagonal() * R.transpose();
   body.inertia_E = (I + I.transpose()) / 2.0;
@@ -284,7 +294,9 @@ RigidBody<double> body_with_moments(double a, double b, double c, const Matrix3<
 
 }  // namespace
 
-TEST_CASE("a thin disc is exactly on the triangle inequality and accepted, in any axes; 1e-9 of the trace beyond is refused") {
+TEST_CASE(
+    "a thin disc is exactly on the triangle inequality and accepted, in any axes; 1e-9 of the trace beyond is "
+    "refused") {
   Random random(7111);
   CAPTURE(random.seed());
   CHECK(verdict({}) == "(accepted)");

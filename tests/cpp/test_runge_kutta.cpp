@@ -24,7 +24,8 @@ State step(const State& y, double h, Function&& rate_at) {
 }  // namespace
 
 TEST_CASE("the weights sum to one and are symmetric") {
-  CHECK(std::accumulate(kRungeKuttaWeights.begin(), kRungeKuttaWeights.end(), 0.0) == doctest::Approx(1.0).epsilon(kEpsilon));
+  CHECK(std::accumulate(kRungeKuttaWeights.begin(), kRungeKuttaWeights.end(), 0.0) ==
+        doctest::Approx(1.0).epsilon(kEpsilon));
   CHECK(kRungeKuttaWeights[0] == kRungeKuttaWeights[3]);
   CHECK(kRungeKuttaWeights[1] == kRungeKuttaWeights[2]);
 }
@@ -42,7 +43,8 @@ TEST_CASE("cubic polynomials of time are integrated exactly, quintic ones are no
       return State(1.0, c(0) + t * (c(1) + t * (c(2) + t * c(3))));
     });
     CHECK(std::abs(end(1) - (integral(t0 + h) - integral(t0))) <= 200.0 * kEpsilon);
-    const State quintic = step(State(0.0, 0.0), 1.0, [](const State& s) { return State(1.0, 5.0 * std::pow(s(0), 4)); });
+    const State quintic =
+        step(State(0.0, 0.0), 1.0, [](const State& s) { return State(1.0, 5.0 * std::pow(s(0), 4)); });
     CHECK(std::abs(quintic(1) - 1.0) > 1e-3);
   }
 }
@@ -57,7 +59,8 @@ TEST_CASE("a linear equation is integrated as the Taylor polynomial of degree fo
     const double h = random.uniform(0.05, 1.0);
     const Matrix3<double> Z = h * A, Z2 = Z * Z;
     const Vector3<double> expected = y0 + Z * y0 + Z2 * y0 / 2.0 + Z2 * Z * y0 / 6.0 + Z2 * Z2 * y0 / 24.0;
-    CHECK(distance(step(y0, h, [&A](const Vector3<double>& y) { return Vector3<double>(A * y); }), expected) <= 100.0 * kEpsilon);
+    CHECK(distance(step(y0, h, [&A](const Vector3<double>& y) { return Vector3<double>(A * y); }), expected) <=
+          100.0 * kEpsilon);
   }
 }
 

@@ -1,4 +1,5 @@
-// The one door into the core: every scenario that makes no sense is refused with its key, what was expected and what was got.
+// The one door into the core: every scenario that makes no sense is refused with its key, what was expected and what
+// was got.
 #include "hexservo/settings.hpp"
 #include "hexservo/simulation.hpp"
 
@@ -52,7 +53,8 @@ TEST_CASE("what is prepared is what was asked for") {
   CHECK(p.initial_image.features == settings.target.initial_features);
   CHECK(p.initial_image.depth == Vector<double, 4>::Constant(-0.5));
   const double f = settings.camera.focal_pixels();
-  const Image<double> seen = take_image(f, settings.robot.home_position, Matrix3<double>(Matrix3<double>::Identity()), p.points_B);
+  const Image<double> seen =
+      take_image(f, settings.robot.home_position, Matrix3<double>(Matrix3<double>::Identity()), p.points_B);
   CHECK(distance(seen.features, settings.target.initial_features) <= 1e-12);
   CHECK(distance(seen.depth, p.initial_image.depth) <= kEpsilon);
   CHECK(p.desired_features == settings.target.desired_features);
@@ -125,8 +127,10 @@ TEST_CASE("a number that is not finite is refused wherever it stands") {
       {"metrics.settling_threshold", [](PaperSettings& s) -> double& { return s.metrics.settling_threshold; }},
       {"metrics.rms_start", [](PaperSettings& s) -> double& { return s.metrics.rms_start; }},
   };
-  const auto add = [&places](const std::string& key, int count, const std::function<double&(PaperSettings&, int)>& number) {
-    for (int i = 0; i < count; ++i) places.push_back({key, [number, i](PaperSettings& s) -> double& { return number(s, i); }});
+  const auto add = [&places](const std::string& key, int count,
+                             const std::function<double&(PaperSettings&, int)>& number) {
+    for (int i = 0; i < count; ++i)
+      places.push_back({key, [number, i](PaperSettings& s) -> double& { return number(s, i); }});
   };
   add("robot.platform_angles", 6, [](PaperSettings& s, int i) -> double& { return s.robot.platform_angles(i); });
   add("robot.base_angles", 6, [](PaperSettings& s, int i) -> double& { return s.robot.base_angles(i); });
@@ -136,14 +140,18 @@ TEST_CASE("a number that is not finite is refused wherever it stands") {
   add("target.desired_features", 8, [](PaperSettings& s, int i) -> double& { return s.target.desired_features(i); });
   add("target.depth", 4, [](PaperSettings& s, int i) -> double& { return s.target.depth(i); });
   add("uncertainty.inertia", 36, [](PaperSettings& s, int i) -> double& { return s.uncertainty.dynamics.inertia(i); });
-  add("uncertainty.coriolis", 36, [](PaperSettings& s, int i) -> double& { return s.uncertainty.dynamics.coriolis(i); });
+  add("uncertainty.coriolis", 36,
+      [](PaperSettings& s, int i) -> double& { return s.uncertainty.dynamics.coriolis(i); });
   add("uncertainty.gravity", 6, [](PaperSettings& s, int i) -> double& { return s.uncertainty.dynamics.gravity(i); });
   add("uncertainty.depth", 4, [](PaperSettings& s, int i) -> double& { return s.uncertainty.depth(i); });
   add("controller.hybrid.kp", 8, [](PaperSettings& s, int i) -> double& { return s.gains.kp(i); });
   add("controller.hybrid.kv", 6, [](PaperSettings& s, int i) -> double& { return s.gains.kv(i); });
-  add("controller.hybrid.fuzzy.adaptation", 6, [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.adaptation(i); });
-  add("controller.hybrid.fuzzy.error_scale", 6, [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.error_scale(i); });
-  add("controller.hybrid.fuzzy.rate_scale", 6, [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.rate_scale(i); });
+  add("controller.hybrid.fuzzy.adaptation", 6,
+      [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.adaptation(i); });
+  add("controller.hybrid.fuzzy.error_scale", 6,
+      [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.error_scale(i); });
+  add("controller.hybrid.fuzzy.rate_scale", 6,
+      [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.rate_scale(i); });
   add("controller.hybrid.fuzzy.initial_scale", 6,
       [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.initial_scale(i); });
   add("controller.hybrid.fuzzy.table", 49, [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.table(i); });
@@ -199,7 +207,8 @@ TEST_CASE("numbers that must be positive, or within a range, are refused beyond 
     add("target.depth[3]", [](PaperSettings& s) -> double& { return s.target.depth(3); });
     add("controller.switching.width", [](PaperSettings& s) -> double& { return s.switching.width; });
     add("controller.hybrid.kp[6]", [](PaperSettings& s) -> double& { return s.gains.kp(6); });
-    add("controller.hybrid.fuzzy.adaptation[1]", [](PaperSettings& s) -> double& { return s.gains.fuzzy.adaptation(1); });
+    add("controller.hybrid.fuzzy.adaptation[1]",
+        [](PaperSettings& s) -> double& { return s.gains.fuzzy.adaptation(1); });
     add("simulation.step", [](PaperSettings& s) -> double& { return s.simulation.step; });
     add("simulation.duration", [](PaperSettings& s) -> double& { return s.simulation.duration; });
     add("metrics.settling_threshold", [](PaperSettings& s) -> double& { return s.metrics.settling_threshold; });

@@ -16,7 +16,7 @@ namespace {
 
 /// Row `i` of a logged quantity.
 template <int N>
-Vector<double, N> row(const std::vector<double>& column, std::size_t i) {
+Vector<double, N> row(const Column& column, std::size_t i) {
   REQUIRE(column.size() >= (i + 1) * N);
   return Eigen::Map<const Vector<double, N>>(column.data() + i * N);
 }
@@ -37,12 +37,12 @@ Settings<Hybrid> erratum(double duration) {
 
 bool same_metrics(const Metrics<double>& a, const Metrics<double>& b) {
   const auto same = [](double x, double y) { return x == y || (std::isnan(x) && std::isnan(y)); };
-  return same(a.settling_time, b.settling_time) && same(a.final_error, b.final_error) && same(a.rms_error, b.rms_error) &&
-         same(a.peak_error, b.peak_error) && same(a.peak_displacement, b.peak_displacement) &&
-         same(a.peak_rotation, b.peak_rotation) && same(a.final_linear_speed, b.final_linear_speed) &&
-         same(a.final_angular_speed, b.final_angular_speed) && same(a.peak_control_force, b.peak_control_force) &&
-         same(a.peak_control_moment, b.peak_control_moment) && same(a.peak_leg_force, b.peak_leg_force) &&
-         same(a.peak_leg_excursion, b.peak_leg_excursion);
+  return same(a.settling_time, b.settling_time) && same(a.final_error, b.final_error) &&
+         same(a.rms_error, b.rms_error) && same(a.peak_error, b.peak_error) &&
+         same(a.peak_displacement, b.peak_displacement) && same(a.peak_rotation, b.peak_rotation) &&
+         same(a.final_linear_speed, b.final_linear_speed) && same(a.final_angular_speed, b.final_angular_speed) &&
+         same(a.peak_control_force, b.peak_control_force) && same(a.peak_control_moment, b.peak_control_moment) &&
+         same(a.peak_leg_force, b.peak_leg_force) && same(a.peak_leg_excursion, b.peak_leg_excursion);
 }
 
 }  // namespace
@@ -61,9 +61,11 @@ TEST_CASE("a run logs its whole grid, from home at rest to the end") {
   CHECK(run.quaternion.size() == 201 * 4);
   for (const auto* column : {&run.twist, &run.wrench, &run.fuzzy_output, &run.leg_lengths, &run.leg_forces})
     CHECK(column->size() == 201 * 6);
-  for (std::size_t i = 0; i < run.time.size(); ++i) CHECK(run.time[i] == doctest::Approx(static_cast<double>(i) * 1e-3).epsilon(1e-14));
+  for (std::size_t i = 0; i < run.time.size(); ++i)
+    CHECK(run.time[i] == doctest::Approx(static_cast<double>(i) * 1e-3).epsilon(1e-14));
   // the image is the projection of points that were lifted from it
-  CHECK(distance(row<8>(run.feature_error, 0), settings.target.desired_features - settings.target.initial_features) <= 1e-12);
+  CHECK(distance(row<8>(run.feature_error, 0), settings.target.desired_features - settings.target.initial_features) <=
+        1e-12);
   CHECK(row<3>(run.position, 0) == settings.robot.home_position);
   CHECK(row<4>(run.quaternion, 0) == Vector4<double>(1.0, 0.0, 0.0, 0.0));
   CHECK(row<6>(run.twist, 0) == Vector6<double>::Zero());
@@ -117,11 +119,15 @@ TEST_CASE("streamed metrics are the metrics of the record") {
     const std::size_t last = run.time.size() - 1;
     const bool settled = row<8>(run.feature_error, last).cwiseAbs().maxCoeff() <= 2.0;
     CHECK(settled == (duration == 0.6));  // both cases occur
-    if (settled) CHECK(run.metrics.settling_time == settling);
-    else CHECK(std::isnan(run.metrics.settling_time));
+    if (settled)
+      CHECK(run.metrics.settling_time == settling);
+    else
+      CHECK(std::isnan(run.metrics.settling_time));
     CHECK(run.metrics.final_error == row<8>(run.feature_error, last).cwiseAbs().maxCoeff());
-    if (count > 0.0) CHECK(run.metrics.rms_error == doctest::Approx(std::sqrt(squares / count)).epsilon(1e-12));
-    else CHECK(std::isnan(run.metrics.rms_error));
+    if (count > 0.0)
+      CHECK(run.metrics.rms_error == doctest::Approx(std::sqrt(squares / count)).epsilon(1e-12));
+    else
+      CHECK(std::isnan(run.metrics.rms_error));
     CHECK(run.metrics.peak_error == peak);
     CHECK(run.metrics.peak_displacement == doctest::Approx(displacement).epsilon(1e-12));
     CHECK(run.metrics.peak_rotation == doctest::Approx(rotation).epsilon(1e-12));
@@ -172,8 +178,8 @@ TEST_CASE("a run that fails says how and when, keeps what it computed, and logs 
   CHECK(full.detail.find("t = ") != std::string::npos);
   CHECK(full.time.back() == full.end_time);
   CHECK(full.time.size() == static_cast<std::size_t>(full.steps));  // the step that failed is not logged
-  for (const auto* column : {&full.feature_error, &full.depth, &full.position, &full.quaternion, &full.twist, &full.wrench,
-                             &full.fuzzy_output, &full.leg_lengths, &full.leg_forces})
+  for (const auto* column : {&full.feature_error, &full.depth, &full.position, &full.quaternion, &full.twist,
+                             &full.wrench, &full.fuzzy_output, &full.leg_lengths, &full.leg_forces})
     for (const double value : *column) CHECK(std::isfinite(value));
   for (std::size_t i = 0; i < full.time.size(); ++i) {
     CHECK(row<4>(full.depth, i).maxCoeff() < 0.0);
@@ -269,7 +275,8 @@ TEST_CASE("legs beyond a limit are reported with time and peak, and the run goes
   CHECK(simulate(short_run(0.5)).feature_error == run.feature_error);
 }
 
-// --- the platform alone -----------------------------------------------------------------------------------------------
+// --- the platform alone
+// -----------------------------------------------------------------------------------------------
 
 namespace {
 
@@ -300,7 +307,8 @@ TEST_CASE("leg forces that carry the weight hold the platform at home, with the 
     DynamicsError<double> uncertainty;
     uncertainty.inertia.setConstant(error);
     uncertainty.gravity.setConstant(error);
-    const Vector6<double> forces = WrenchMapSolver<double>(hexapod, legs).leg_forces((1.0 - error) * gravity_wrench(body));
+    const Vector6<double> forces =
+        WrenchMapSolver<double>(hexapod, legs).leg_forces((1.0 - error) * gravity_wrench(body));
     const BodyState<double> end = drive_legs(hexapod, body, uncertainty, home_state(robot), forces, 1e-3, 100);
     // Standing on legs is unstable: rounding grows like exp(t sqrt(g/l)), less than tenfold in 0.1 s.
     CHECK(distance(end, home_state(robot)) <= 1e-12);
@@ -308,7 +316,8 @@ TEST_CASE("leg forces that carry the weight hold the platform at home, with the 
 }
 
 TEST_CASE("constant leg forces do work: energy gained is force times travel") {
-  // Each leg's force is constant along its own length, so the work of the legs is exactly sum f_i (l_i(end) - l_i(start)).
+  // Each leg's force is constant along its own length, so the work of the legs is exactly sum f_i (l_i(end) -
+  // l_i(start)).
   Random random(8002);
   CAPTURE(random.seed());
   const RobotParameters robot;

@@ -235,7 +235,7 @@ def test_a_step_divides_the_duration(step: float, duration: float) -> None:
         ({"step": 1e-3, "duration": 1e6}, "simulation.log_every"),  # 400 GB
         ({"step": 1e-3, "duration": 1e5, "log_every": 10}, "simulation.log_every"),
         ({"step": 1e-6, "duration": 1e4}, "simulation.duration"),
-        ({"step": 1e-12, "duration": 1e300}, "simulation.step"),
+        ({"step": 1e-12, "duration": 1e300}, "simulation.duration"),
     ],
 )
 def test_a_run_too_long_is_refused_before_memory_is_asked_for(grid: dict[str, float], key: str) -> None:

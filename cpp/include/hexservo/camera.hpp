@@ -75,7 +75,7 @@ Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_B
                        const Eigen::Matrix<S, 3, N>& points_B) {
   Image<S, N> image;
   for (int i = 0; i < N; ++i) {
-    const Vector3<S> p_E = R_BE.transpose() * (points_B.col(i) - p_BE);
+    const Vector3<S> p_E = rotate_back<S>(R_BE, points_B.col(i) - p_BE);
     image.features.template segment<2>(2 * i) = project(f, p_E);
     image.depth(i) = p_E(2);
   }
@@ -117,8 +117,8 @@ class ImageJacobian {
 
   /// J chi-dot [px/s] for a twist in B.
   Vector<S, 2 * N> push(const Vector6<S>& twist) const {
-    const Vector3<S> v_E = R_BE_.transpose() * twist.template head<3>();
-    const Vector3<S> w_E = R_BE_.transpose() * twist.template tail<3>();
+    const Vector3<S> v_E = rotate_back<S>(R_BE_, twist.template head<3>());
+    const Vector3<S> w_E = rotate_back<S>(R_BE_, twist.template tail<3>());
     Vector<S, 2 * N> rates;
     for (int i = 0; i < N; ++i)
       rates.template segment<2>(2 * i) =
@@ -133,9 +133,9 @@ class ImageJacobian {
       add_point_wrench<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), image_force(2 * i),
                           image_force(2 * i + 1), force_E, moment_E);
     Vector6<S> wrench;
-    wrench.template head<3>() = R_BE_ * force_E;
-    wrench.template tail<3>() = R_BE_ * moment_E;
-    return sign_ * wrench;
+    wrench.template head<3>() = rotate<S>(R_BE_, sign_ * force_E);
+    wrench.template tail<3>() = rotate<S>(R_BE_, sign_ * moment_E);
+    return wrench;
   }
 
   /// J as a 2N x 6 matrix: twist in B (m/s; rad/s) to image velocity [px/s].
@@ -169,8 +169,8 @@ Eigen::Matrix<S, 2 * N, 6> image_jacobian_error(const S& f, const S& sign, const
 /// Z-dot_i [m/s] of (6) as printed: (omega x P_i + v) along Z, in E, with P_i from (4).
 template <class S, int N>
 Vector<S, N> printed_depth_rate(const S& f, const Image<S, N>& image, const Matrix3<S>& R_BE, const Vector6<S>& twist) {
-  const Vector3<S> v_E = R_BE.transpose() * twist.template head<3>();
-  const Vector3<S> w_E = R_BE.transpose() * twist.template tail<3>();
+  const Vector3<S> v_E = rotate_back<S>(R_BE, twist.template head<3>());
+  const Vector3<S> w_E = rotate_back<S>(R_BE, twist.template tail<3>());
   Vector<S, N> rates;
   for (int i = 0; i < N; ++i) {
     const Vector2<S> feature = image.features.template segment<2>(2 * i);

@@ -20,15 +20,19 @@ class Cholesky {
     S largest = A(0, 0);
     for (int i = 1; i < N; ++i) largest = max(largest, A(i, i));
     failed_ = !(largest > S(0.0));
+#pragma GCC unroll 6
     for (int j = 0; j < N; ++j) {
       const S pivot = L_(j, j);
       const Mask<S> good = pivot > S(kPivotFloor) * largest;
       failed_ = failed_ | !good;
       inverse_D_(j) = S(1.0) / select(good, pivot, S(1.0));
+#pragma GCC unroll 6
       for (int i = j + 1; i < N; ++i) {
         const S factor = L_(i, j) * inverse_D_(j);
+#pragma GCC unroll 6
         for (int k = j + 1; k <= i; ++k) L_(i, k) -= factor * L_(k, j);
       }
+#pragma GCC unroll 6
       for (int i = j + 1; i < N; ++i) L_(i, j) *= inverse_D_(j);
     }
   }
@@ -38,10 +42,14 @@ class Cholesky {
 
   /// x with A x = b.
   Vector<S, N> solve(Vector<S, N> b) const {
+#pragma GCC unroll 6
     for (int i = 1; i < N; ++i)
+#pragma GCC unroll 6
       for (int k = 0; k < i; ++k) b(i) -= L_(i, k) * b(k);
     b = b.cwiseProduct(inverse_D_);
+#pragma GCC unroll 6
     for (int i = N - 2; i >= 0; --i)
+#pragma GCC unroll 6
       for (int k = i + 1; k < N; ++k) b(i) -= L_(k, i) * b(k);
     return b;
   }

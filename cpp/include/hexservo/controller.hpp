@@ -2,8 +2,9 @@
 /// The servo tick: what a robot's control computer calls at every period (docs/model.md, section 7).
 ///
 /// `step` is all of a law: image Jacobian, gradient and its rate, fuzzy systems and their adaptation, switching term,
-/// wrench and leg forces. Fixed size, no heap, no exceptions, no branch whose cost depends on data. Gains are const and
-/// shared, the state is a value, input and output are plain structs.
+/// wrench and leg forces. Fixed size, no heap, no exceptions; every valid tick is the same work, and an invalid one
+/// solves the legs once more in place of the adaptation. Gains are const and shared, the state is a value, input and
+/// output are plain structs.
 #pragma once
 
 #include "hexservo/settings.hpp"
@@ -26,7 +27,7 @@ struct ControllerState {
   Pose<double> last_pose;  ///< home before the first valid input
 };
 
-/// What the sensors give at a tick.
+/// What the sensors give at a tick; a number that is not known is NaN.
 struct ControllerInput {
   Image<double> image;    ///< measured features [px] and depths Z-hat, negative in front of the camera [m]
   Pose<double> pose;      ///< from the leg lengths, in B; the quaternion need not be of unit length
@@ -38,27 +39,36 @@ struct ControllerOutput {
   Vector6<double> wrench;        ///< tau, about E's origin, in B [N; N m]
   Vector6<double> leg_forces;    ///< f_c with H f_c = tau, positive where they push [N]
   Vector6<double> fuzzy_output;  ///< tau_f [N; N m]
-  /// The input, or what follows from it, was not usable: wrench G, leg forces at the last valid pose, state unchanged.
+  /// The input, or what follows from it, was not usable: the wrench is G, the leg forces give it at the last valid
+  /// pose, the fuzzy output is zero and the state is unchanged.
   bool invalid_input;
 };
 
-/// Prepares the controller of a scenario: estimates only, no plant.
+/// Prepares the controller of a scenario: estimates only, no plant (the errors in `settings.uncertainty` do not enter).
+/// @param period T_c, time between two ticks [s]
 /// @throws std::invalid_argument as `loop_parameters`, or for a period that is not positive
 template <class Law>
 ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period);
 
 extern template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&, double);
 
+/// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
+/// -march=native) lays out gains and state differently, and does not link: give both the same flags.
+template <int alignment, int axis_width>
+void library_was_built_with_other_instruction_set_flags() noexcept;
+
 /// State before the first tick.
 template <class Law>
 ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
+  library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES, kAxisWidth<double>>();
   return {Law::initial_state(gains.law), {gains.hexapod.home_position, Pose<double>{}.quaternion}};
 }
 
-/// One tick; weights advance by forward Euler over the period.
+/// One tick of (14), (15) with (13); the weights then advance by forward Euler over the period, (22).
 ///
-/// Inputs that are not finite, a quaternion of no length, a point that is not in front of the camera, a singular pose,
-/// or a wrench that overflows make the output safe: see `ControllerOutput::invalid_input`.
+/// Inputs that are not finite, features or twist beyond the limits at which a run counts as diverged
+/// (`kMaxFeatureError`, `kMaxTwist`), a quaternion without a length, a point that is not in front of the camera, a
+/// singular pose, or forces that overflow make the output safe: see `ControllerOutput::invalid_input`.
 template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept;

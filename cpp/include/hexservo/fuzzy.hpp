@@ -16,6 +16,7 @@
 #include "hexservo/types.hpp"
 
 #include <array>
+#include <type_traits>
 
 namespace hexservo {
 
@@ -54,9 +55,29 @@ struct FuzzyGains {
   }
 };
 
+/// Entries of an `AxisVector`: six, or eight where registers hold four doubles or more, with two idle systems.
+template <class S>
+inline constexpr int kAxisWidth = kAxes;
+#ifdef __AVX__
+template <>
+inline constexpr int kAxisWidth<double> = 8;
+#endif
+
 /// The six systems side by side: they have the same shape, so every line below works on all of them at once.
 template <class S>
-using AxisVector = Vector<S, kAxes>;
+using AxisVector = Vector<S, kAxisWidth<S>>;
+
+/// A wrench or twist as one entry for each system; idle systems get zero.
+template <class S>
+AxisVector<S> to_axes(const Vector6<S>& six) {
+  if constexpr (kAxisWidth<S> == kAxes) {
+    return six;
+  } else {
+    AxisVector<S> axes = AxisVector<S>::Zero();
+    axes.template head<kAxes>() = six;
+    return axes;
+  }
+}
 
 /// Strengths of the seven terms [1], each for the six systems.
 template <class S>
@@ -67,7 +88,7 @@ template <class S>
 AxisVector<S> bell_power(const AxisVector<S>& x, double slope) {
   using std::pow;
   AxisVector<S> result;
-  for (int j = 0; j < kAxes; ++j) result(j) = pow(x(j), slope);
+  for (int j = 0; j < kAxisWidth<S>; ++j) result(j) = pow(x(j), slope);
   return result;
 }
 /// x^s for a whole s by multiplication: the default slope never calls `pow`.
@@ -78,18 +99,18 @@ AxisVector<S> bell_power(const AxisVector<S>& x) {
   return result;
 }
 
-/// Generalised bells mu_k(x) = 1/(1 + |(x - c_k)/w|^(2s)) of the seven terms.
+/// 1/mu_k(x) = 1 + |(x - c_k)/w|^(2s): what the generalised bells of the seven terms divide by.
 template <class S>
-TermStrengths<S> memberships(const AxisVector<S>& x, const S& width, double slope) {
+TermStrengths<S> bell_denominators(const AxisVector<S>& x, const S& width, double slope) {
   const S inverse_width = S(1.0) / width;
   const auto bells = [&](auto power) {
-    TermStrengths<S> mu;
+    TermStrengths<S> d;
     for (int k = 0; k < kTerms; ++k) {
       const AxisVector<S> distance = (x.array() - S(term_centre(k))).matrix() * inverse_width;
       const AxisVector<S> raised = power(AxisVector<S>(distance.cwiseProduct(distance)));
-      mu[static_cast<std::size_t>(k)] = (raised.array() + S(1.0)).inverse().matrix();
+      d[static_cast<std::size_t>(k)] = (raised.array() + S(1.0)).matrix();
     }
-    return mu;
+    return d;
   };
   if (slope == 1.0) return bells([](const AxisVector<S>& x2) { return bell_power<1, S>(x2); });
   if (slope == 2.0) return bells([](const AxisVector<S>& x2) { return bell_power<2, S>(x2); });
@@ -97,13 +118,37 @@ TermStrengths<S> memberships(const AxisVector<S>& x, const S& width, double slop
   return bells([slope](const AxisVector<S>& x2) { return bell_power<S>(x2, slope); });
 }
 
+/// Generalised bells mu_k(x) = 1/(1 + |(x - c_k)/w|^(2s)) of the seven terms.
+template <class S>
+TermStrengths<S> memberships(const AxisVector<S>& x, const S& width, double slope) {
+  TermStrengths<S> mu = bell_denominators(x, width, slope);
+  for (AxisVector<S>& strength : mu) strength = strength.cwiseInverse();
+  return mu;
+}
+
 /// Memberships divided by their sum: one factor of phi-bar.
+///
+/// With d_k = 1/mu_k this is the product of the other six d over the sum of seven such products: one division in place
+/// of eight. `validate` keeps bells so steep that the products overflow out of the core.
 template <class S>
 TermStrengths<S> normalised_memberships(const AxisVector<S>& x, const S& width, double slope) {
-  TermStrengths<S> mu = memberships(x, width, slope);
-  AxisVector<S> sum = mu[0];
-  for (std::size_t k = 1; k < kTerms; ++k) sum += mu[k];
-  const AxisVector<S> inverse_sum = sum.cwiseInverse();
+  const TermStrengths<S> d = bell_denominators(x, width, slope);
+  TermStrengths<S> mu;
+  AxisVector<S> product = d[0];  // of the denominators before k
+  mu[1] = product;
+  for (std::size_t k = 2; k < kTerms; ++k) {
+    product = product.cwiseProduct(d[k - 1]);
+    mu[k] = product;
+  }
+  product = d[kTerms - 1];  // of the denominators after k
+  AxisVector<S> sum = mu[kTerms - 1];
+  for (std::size_t k = kTerms - 2; k > 0; --k) {
+    mu[k] = mu[k].cwiseProduct(product);
+    sum += mu[k];
+    product = product.cwiseProduct(d[k]);
+  }
+  mu[0] = product;
+  const AxisVector<S> inverse_sum = (sum + product).cwiseInverse();
   for (AxisVector<S>& strength : mu) strength = strength.cwiseProduct(inverse_sum);
   return mu;
 }
@@ -120,7 +165,7 @@ template <class S>
 FuzzyBasis<S> fuzzy_basis(const FuzzyGains<S>& gains, const AxisVector<S>& u, const AxisVector<S>& u_rate) {
   const auto limited = [](const AxisVector<S>& x) {
     AxisVector<S> out;
-    for (int j = 0; j < kAxes; ++j) out(j) = clip(x(j), S(-1.0), S(1.0));
+    for (int j = 0; j < kAxisWidth<S>; ++j) out(j) = clip(x(j), S(-1.0), S(1.0));
     return out;
   };
   return {normalised_memberships(limited(u), gains.bell_width, gains.bell_slope),
@@ -158,7 +203,7 @@ FuzzyWeights<S> initial_weights(const FuzzyGains<S>& gains) {
   FuzzyWeights<S> weights;
   for (int row = 0; row < kTerms; ++row)
     for (int column = 0; column < kTerms; ++column)
-      weights[rule(row, column)] = gains.initial_scale * gains.table(row, column);
+      weights[rule(row, column)] = to_axes(gains.initial_scale) * gains.table(row, column);
   return weights;
 }
 
@@ -206,26 +251,41 @@ struct FuzzyStage {
 template <class S, std::size_t K>
 void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*, K>& rates,
                      const std::array<S, K>& scales, const Mask<S>& active) {
-  const AxisVector<S> zero = AxisVector<S>::Zero();
-  std::array<TermStrengths<S>, K> left, right;
+  std::array<TermStrengths<S>, K> left;
+  std::array<const TermStrengths<S>*, K> right;
   for (std::size_t k = 0; k < K; ++k) {
     const AxisVector<S> factor = scales[k] * rates[k]->strength;
-    for (std::size_t term = 0; term < kTerms; ++term) {
-      left[k][term] = select(active, AxisVector<S>(factor.cwiseProduct(rates[k]->basis.error[term])), zero);
-      right[k][term] = select(active, rates[k]->basis.rate[term], zero);
+    for (std::size_t term = 0; term < kTerms; ++term) left[k][term] = factor.cwiseProduct(rates[k]->basis.error[term]);
+    right[k] = &rates[k]->basis.rate;
+  }
+  std::array<TermStrengths<S>, K> masked;
+  if constexpr (std::is_same_v<Mask<S>, bool>) {
+    if (!active) return;
+  } else {
+    const AxisVector<S> zero = AxisVector<S>::Zero();
+    for (std::size_t k = 0; k < K; ++k) {
+      for (std::size_t term = 0; term < kTerms; ++term) {
+        left[k][term] = select(active, left[k][term], zero);
+        masked[k][term] = select(active, (*right[k])[term], zero);
+      }
+      right[k] = &masked[k];
     }
   }
-  for (int column = 0; column < kTerms; ++column)
-    for (int row = 0; row < kTerms; ++row) {
-      const auto r = static_cast<std::size_t>(row), c = static_cast<std::size_t>(column);
-      AxisVector<S> sum = left[0][r].cwiseProduct(right[0][c]);
-      for (std::size_t k = 1; k < K; ++k) sum += left[k][r].cwiseProduct(right[k][c]);
-      weights[rule(row, column)] += sum;
+  for (std::size_t column = 0; column < kTerms; ++column) {
+    std::array<AxisVector<S>, K> rate;
+    for (std::size_t k = 0; k < K; ++k) rate[k] = (*right[k])[column];
+#pragma GCC unroll 7
+    for (std::size_t row = 0; row < kTerms; ++row) {
+      AxisVector<S> sum = left[0][row].cwiseProduct(rate[0]);
+      for (std::size_t k = 1; k < K; ++k) sum += left[k][row].cwiseProduct(rate[k]);
+      weights[rule(static_cast<int>(row), static_cast<int>(column))] += sum;
     }
+  }
 }
 
 /// Checks a design as a user gives it.
-/// @throws std::invalid_argument naming the scenario key: Psi, bell width or slope not positive, anything not finite
+/// @throws std::invalid_argument naming the scenario key: Psi, bell width or slope not positive, bells too steep to
+/// normalise, anything not finite
 void validate(const FuzzyGains<double>& gains);
 
 }  // namespace hexservo

@@ -79,10 +79,11 @@ struct Legs {
 
   /// H: leg forces [N], positive where they push, to the wrench [N; N m] about E's origin, in B. H^T: twist to leg
   /// rates.
-  Matrix6<S> wrench_map() const {
+  /// @param moment_scale factor of the moments, 1; 1/r_p makes them comparable with forces
+  Matrix6<S> wrench_map(const S& moment_scale = S(1.0)) const {
     Matrix6<S> H;
     for (int i = 0; i < 6; ++i) {
-      const Vector3<S> c = directions_B.col(i), arm = arms_B.col(i);
+      const Vector3<S> c = directions_B.col(i), arm = arms_B.col(i) * moment_scale;
       H.template block<3, 1>(0, i) = c;
       H.template block<3, 1>(3, i) = arm.cross(c);
     }
@@ -118,7 +119,7 @@ Legs<S> inverse_kinematics(const Hexapod<S>& hexapod, const Vector3<S>& p_BE, co
   using std::sqrt;
   Legs<S> legs;
   for (int i = 0; i < 6; ++i) {
-    const Vector3<S> arm = R_BE * hexapod.platform_joints_E.col(i);
+    const Vector3<S> arm = rotate<S>(R_BE, hexapod.platform_joints_E.col(i));
     const Vector3<S> leg = p_BE + arm - hexapod.base_joints_B.col(i);
     const S length = sqrt(leg.squaredNorm());
     legs.lengths(i) = length;
@@ -134,7 +135,7 @@ class WrenchMapSolver {
  public:
   WrenchMapSolver(const Hexapod<S>& hexapod, const Legs<S>& legs)
       : inverse_radius_(S(1.0) / hexapod.platform_radius),
-        H_(scaled(legs.wrench_map(), inverse_radius_)),
+        H_(legs.wrench_map(inverse_radius_)),
         gram_(H_ * H_.transpose()) {}
 
   /// Where the pose is singular (sigma_min/sigma_max of H near 1e-7 or below).
@@ -154,11 +155,6 @@ class WrenchMapSolver {
   }
 
  private:
-  static Matrix6<S> scaled(Matrix6<S> H, const S& inverse_radius) {
-    H.template bottomRows<3>() *= inverse_radius;
-    return H;
-  }
-
   S inverse_radius_;
   Matrix6<S> H_;
   Cholesky<S, 6> gram_;

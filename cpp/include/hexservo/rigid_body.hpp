@@ -112,7 +112,15 @@ void normalise_quaternion(BodyState<S>& state) {
 /// I' = R I R^T, the inertia in B [kg m^2].
 template <class S>
 Matrix3<S> inertia_in_base(const RigidBody<S>& body, const Matrix3<S>& R_BE) {
-  return R_BE * body.inertia_E * R_BE.transpose();
+  const Matrix3<S>& R = R_BE;
+  Matrix3<S> RI, I_B;
+  for (int j = 0; j < 3; ++j) RI.col(j) = rotate<S>(R, body.inertia_E.col(j));
+  for (int j = 0; j < 3; ++j)
+    for (int i = 0; i <= j; ++i) {
+      I_B(i, j) = RI(i, 0) * R(j, 0) + RI(i, 1) * R(j, 1) + RI(i, 2) * R(j, 2);
+      I_B(j, i) = I_B(i, j);
+    }
+  return I_B;
 }
 
 /// D of (1), 6x6: maps acceleration (m/s^2; rad/s^2, in B) to wrench.
@@ -158,15 +166,23 @@ Vector6<S> acceleration(const RigidBody<S>& body, const DynamicsError<S>& error,
                         const Vector6<S>& twist, const Vector6<S>& wrench) {
   const Vector3<S> omega = twist.template tail<3>();
   const Matrix3<S> I_B = inertia_in_base(body, R_BE);
-  const Matrix3<S> actual_inertia = I_B - error.inertia.template bottomRightCorner<3, 3>().cwiseProduct(I_B);
   const Vector6<S> G = gravity_wrench(body);
   const Vector6<S> driving = wrench - (G - error.gravity.cwiseProduct(G));
 
+  // (1 - delta_C) o ([omega]x I') omega, column by column, taken from the moment
+  Matrix3<S> actual_inertia;
+  Vector3<S> moment = driving.template tail<3>();
+  for (int j = 0; j < 3; ++j) {
+    const Vector3<S> inertia = I_B.col(j);
+    const Vector3<S> coriolis = omega.cross(inertia);
+    for (int i = 0; i < 3; ++i) {
+      actual_inertia(i, j) = inertia(i) - error.inertia(i + 3, j + 3) * inertia(i);
+      moment(i) -= (coriolis(i) - error.coriolis(i + 3, j + 3) * coriolis(i)) * omega(j);
+    }
+  }
   Vector6<S> result;
-  for (int i = 0; i < 3; ++i) result(i) = driving(i) / ((S(1.0) - error.inertia(i, i)) * body.mass);
-  const Matrix3<S> C_B = skew(omega) * I_B;
-  const Matrix3<S> actual_coriolis = C_B - error.coriolis.template bottomRightCorner<3, 3>().cwiseProduct(C_B);
-  result.template tail<3>() = solve3<S>(actual_inertia, driving.template tail<3>() - actual_coriolis * omega);
+  for (int i = 0; i < 3; ++i) result(i) = driving(i) / (body.mass - error.inertia(i, i) * body.mass);
+  result.template tail<3>() = solve3<S>(actual_inertia, moment);
   return result;
 }
 

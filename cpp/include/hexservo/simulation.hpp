@@ -5,6 +5,8 @@
 #include "hexservo/settings.hpp"
 
 #include <functional>
+#include <memory>
+#include <new>
 #include <string>
 #include <vector>
 
@@ -20,18 +22,34 @@ struct LimitEvent {
   double limit;       ///< [m] or [N]
 };
 
+/// Leaves new entries as they are: a log is sized once, and its pages are touched when they are written.
+template <class T>
+struct UninitialisedAllocator : std::allocator<T> {
+  template <class U>
+  struct rebind {
+    using other = UninitialisedAllocator<U>;
+  };
+  template <class U>
+  void construct(U* place) noexcept {
+    ::new (static_cast<void*>(place)) U;
+  }
+};
+
+/// One logged quantity, row after row.
+using Column = std::vector<double, UninitialisedAllocator<double>>;
+
 /// Logged samples of a run, row after row: `time` has n entries, a k-wide quantity n k.
 struct Trajectory {
-  std::vector<double> time;            ///< [s]
-  std::vector<double> feature_error;   ///< n x 8, xi_d - xi, true [px]
-  std::vector<double> depth;           ///< n x 4, true Z_i [m]
-  std::vector<double> position;        ///< n x 3, p_BE [m]
-  std::vector<double> quaternion;      ///< n x 4, (w, x, y, z)
-  std::vector<double> twist;           ///< n x 6, in B [m/s; rad/s]
-  std::vector<double> wrench;          ///< n x 6, in B [N; N m]
-  std::vector<double> fuzzy_output;    ///< n x 6 [N; N m]
-  std::vector<double> leg_lengths;     ///< n x 6 [m]
-  std::vector<double> leg_forces;      ///< n x 6 [N]
+  Column time;                         ///< [s]
+  Column feature_error;                ///< n x 8, xi_d - xi, true [px]
+  Column depth;                        ///< n x 4, true Z_i [m]
+  Column position;                     ///< n x 3, p_BE [m]
+  Column quaternion;                   ///< n x 4, (w, x, y, z)
+  Column twist;                        ///< n x 6, in B [m/s; rad/s]
+  Column wrench;                       ///< n x 6, in B [N; N m]
+  Column fuzzy_output;                 ///< n x 6 [N; N m]
+  Column leg_lengths;                  ///< n x 6 [m]
+  Column leg_forces;                   ///< n x 6 [N]
   FuzzyWeights<double> fuzzy_weights;  ///< at the end [N or N m]
 
   Outcome outcome = Outcome::completed;

@@ -55,4 +55,20 @@ Matrix3<S> skew(const Vector3<S>& a) {
   return m;
 }
 
+/// R v, coefficient by coefficient: Eigen's packets of two do not fit three rows.
+template <class S>
+Vector3<S> rotate(const Matrix3<S>& R, const Vector3<S>& v) {
+  return Vector3<S>(R(0, 0) * v(0) + R(0, 1) * v(1) + R(0, 2) * v(2),  //
+                    R(1, 0) * v(0) + R(1, 1) * v(1) + R(1, 2) * v(2),  //
+                    R(2, 0) * v(0) + R(2, 1) * v(1) + R(2, 2) * v(2));
+}
+
+/// R^T v.
+template <class S>
+Vector3<S> rotate_back(const Matrix3<S>& R, const Vector3<S>& v) {
+  return Vector3<S>(R(0, 0) * v(0) + R(1, 0) * v(1) + R(2, 0) * v(2),  //
+                    R(0, 1) * v(0) + R(1, 1) * v(1) + R(2, 1) * v(2),  //
+                    R(0, 2) * v(0) + R(1, 2) * v(1) + R(2, 2) * v(2));
+}
+
 }  // namespace hexservo

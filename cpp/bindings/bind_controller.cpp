@@ -1,0 +1,64 @@
+#include "bindings.hpp"
+
+#include "hexservo/controller.hpp"
+
+namespace hexservo::bindings {
+
+namespace {
+
+/// A vector of N numbers, of any values; ValueError where there are not N, or where they are no numbers.
+template <int N>
+Vector<double, N> numbers(const char* name, const py::object& value) {
+  const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(value);
+  const auto refuse = [&](const std::string& got) {
+    throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(N) + " numbers, got " + got);
+  };
+  if (!array) {
+    PyErr_Clear();
+    refuse("something else (" + std::string(py::str(py::type::of(value).attr("__name__"))) + ")");
+  }
+  if (array.ndim() != 1 || array.shape(0) != N) refuse("shape " + std::string(py::str(array.attr("shape"))));
+  return Eigen::Map<const Vector<double, N>>(array.data());
+}
+
+/// Gains with the state that belongs to them.
+struct Controller {
+  ControllerGains<Hybrid> gains;
+  ControllerState<Hybrid> state;
+
+  Controller(const Settings<Hybrid>& settings, double period)
+      : gains(controller_gains(settings, period)), state(initial_state(gains)) {}
+};
+
+std::array<Matrix7<double>, kAxes> weights(const Controller& controller) {
+  std::array<Matrix7<double>, kAxes> all;
+  for (int axis = 0; axis < kAxes; ++axis)
+    all[static_cast<std::size_t>(axis)] = weight_matrix(controller.state.law, axis);
+  return all;
+}
+
+py::tuple step_once(Controller& controller, const py::object& features, const py::object& depth,
+                    const py::object& position, const py::object& quaternion, const py::object& twist) {
+  const ControllerInput input{{numbers<2 * kPoints>("features", features), numbers<kPoints>("depth", depth)},
+                              {numbers<3>("position", position), numbers<4>("quaternion", quaternion)},
+                              numbers<6>("twist", twist)};
+  const ControllerOutput out = step(controller.gains, controller.state, input);
+  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.invalid_input);
+}
+
+}  // namespace
+
+void bind_controller(py::module_& m) {
+  py::class_<Controller>(m, "Controller", "The servo tick of the law hybrid, with its state.")
+      .def(py::init<const Settings<Hybrid>&, double>(), py::arg("settings"), py::arg("period"),
+           "ValueError('key: expected ..., got ...') for a bad scenario or period [s].")
+      .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
+           py::arg("twist"), "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), whether the input was invalid.")
+      .def(
+          "reset", [](Controller& c) { c.state = initial_state(c.gains); }, "Back to the state before the first tick.")
+      .def_property_readonly(
+          "period", [](const Controller& c) { return c.gains.period; }, "[s]")
+      .def_property_readonly("fuzzy_weights", &weights, "six of (7, 7) [N; N m]");
+}
+
+}  // namespace hexservo::bindings

@@ -1,0 +1,63 @@
+// hexservo gains, format 1
+// The controller of the scenario "paper", written by `hexservo export` of hexservo 0.1.0.
+// Not to be edited: change the scenario, and let `hexservo export --force` write this file anew.
+// clang-format off
+#pragma once
+
+#include <hexservo/controller.hpp>
+
+namespace hexservo_gains::paper {
+
+/// T_c, time between two ticks [s].
+inline constexpr double period = 0.001;
+
+/// Robot, camera, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.
+inline hexservo::Settings<hexservo::Hybrid> settings() {
+  hexservo::Settings<hexservo::Hybrid> s;
+  s.robot.platform_radius = 0.1;  // [m]
+  s.robot.base_radius = 0.2;  // [m]
+  s.robot.platform_angles << -0.8726646259971648, 0.8726646259971648, 1.2217304763960306, 2.9670597283903604, 3.3161255787892263, 5.061454830783555;  // [rad]
+  s.robot.base_angles << -0.17453292519943295, 0.17453292519943295, 1.9198621771937625, 2.2689280275926285, 4.014257279586958, 4.363323129985823;  // [rad]
+  s.robot.home_position << 0.0, 0.0, -0.15;  // [m]
+  s.robot.mass = 0.06;  // [kg]
+  s.robot.inertia <<  // [kg m^2]
+      0.00015, 0.0, 0.0,
+      0.0, 0.00015, 0.0,
+      0.0, 0.0, 0.0003;
+  s.robot.stroke = 0.017;  // [m]
+  s.robot.force_limit = 1.0;  // [N]
+  s.camera.focal_length = 0.008;  // [m]
+  s.camera.pixel_scale = 72727.0;  // [px/m]
+  s.convention = hexservo::CameraConvention::eye_in_hand;
+  s.jacobian = hexservo::JacobianConvention::consistent;
+  s.target.initial_features << 30.0, 18.0, 65.0, -65.0, -44.0, 37.0, -10.0, -15.0;  // [px]
+  s.target.depth << 0.5, 0.5, 0.5, 0.5;  // [m]
+  s.target.desired_features << 10.0, 10.0, 45.0, -73.0, -64.0, 29.0, -30.0, -23.0;  // [px]
+  s.switching.kind = hexservo::SwitchingKind::sign;
+  s.switching.width = 0.001;  // [m/s; rad/s]
+  s.gains.kp << 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06;  // [N m/px^2]
+  s.gains.kv << 0.002, 0.002, 0.002, 0.0001, 0.0001, 0.0001;  // [N; N m]
+  s.gains.fuzzy.enabled = true;
+  s.gains.fuzzy.adaptation << 10.0, 10.0, 10.0, 10.0, 10.0, 10.0;  // [m/N; rad/(N m)]
+  s.gains.fuzzy.error_scale << 5.0, 5.0, 5.0, 10.0, 10.0, 10.0;  // [1/N; 1/(N m)]
+  s.gains.fuzzy.rate_scale << 0.5, 0.5, 0.5, 0.5, 0.5, 0.5;  // [s/N; s/(N m)]
+  s.gains.fuzzy.initial_scale << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [N; N m]
+  s.gains.fuzzy.table <<  // [1]
+      -1.0, -1.0, -1.0, -1.0, -0.6666666666666666, -0.3333333333333333, 0.0,
+      -1.0, -1.0, -1.0, -0.6666666666666666, -0.3333333333333333, 0.0, 0.3333333333333333,
+      -1.0, -1.0, -0.6666666666666666, -0.3333333333333333, 0.0, 0.3333333333333333, 0.6666666666666666,
+      -1.0, -0.6666666666666666, -0.3333333333333333, 0.0, 0.3333333333333333, 0.6666666666666666, 1.0,
+      -0.6666666666666666, -0.3333333333333333, 0.0, 0.3333333333333333, 0.6666666666666666, 1.0, 1.0,
+      -0.3333333333333333, 0.0, 0.3333333333333333, 0.6666666666666666, 1.0, 1.0, 1.0,
+      0.0, 0.3333333333333333, 0.6666666666666666, 1.0, 1.0, 1.0, 1.0;
+  s.gains.fuzzy.bell_width = 0.16666666666666666;  // [1]
+  s.gains.fuzzy.bell_slope = 2.0;  // [1]
+  return s;
+}
+
+/// What `hexservo::step` needs.
+inline hexservo::ControllerGains<hexservo::Hybrid> controller_gains() {
+  return hexservo::controller_gains(settings(), period);
+}
+
+}  // namespace hexservo_gains::paper

@@ -1,0 +1,235 @@
+"""Writes the gains of a scenario as a C++ header, for a robot's control program."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from hexservo import _core
+from hexservo._output import OutputError, _beside, _locked, _shown, _synchronize
+from hexservo._parameters import core_parameters
+from hexservo._scenario import Scenario
+
+__all__ = ["gains_header", "write_header"]
+
+_TITLE = "// hexservo gains, format 1"
+"""First line of every header that we write: what tells it from a file of somebody else."""
+
+# alignas ... xor_eq: what no namespace may be called
+_KEYWORDS = frozenset(
+    "alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class compl "
+    "concept const consteval constexpr constinit const_cast continue co_await co_return co_yield decltype default "
+    "delete do double dynamic_cast else enum explicit export extern false float for friend goto if inline int long "
+    "mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public register "
+    "reinterpret_cast requires return short signed sizeof static static_assert static_cast struct switch template this "
+    "thread_local throw true try typedef typeid typename union unsigned using virtual void volatile wchar_t while xor "
+    "xor_eq".split()
+)
+
+# Member of hexservo::Settings and its unit; one block each. What is left out here belongs to the plant or to a run.
+_ROBOT = {
+    "robot.platform_radius": "m",
+    "robot.base_radius": "m",
+    "robot.platform_angles": "rad",
+    "robot.base_angles": "rad",
+    "robot.home_position": "m",
+    "robot.mass": "kg",
+    "robot.inertia": "kg m^2",
+    "robot.stroke": "m",
+    "robot.force_limit": "N",
+}
+_CAMERA = {"camera.focal_length": "m", "camera.pixel_scale": "px/m", "convention": "", "jacobian": ""}
+_SEEN_FROM_HOME = {"target.initial_features": "px", "target.depth": "m"}
+_GOAL = {"target.desired_features": "px"}
+_GAINS = {
+    "switching.kind": "",
+    "switching.width": "m/s; rad/s",
+    "gains.kp": "N m/px^2",
+    "gains.kv": "N; N m",
+    "gains.fuzzy.enabled": "",
+    "gains.fuzzy.adaptation": "m/N; rad/(N m)",
+    "gains.fuzzy.error_scale": "1/N; 1/(N m)",
+    "gains.fuzzy.rate_scale": "s/N; s/(N m)",
+    "gains.fuzzy.initial_scale": "N; N m",
+    "gains.fuzzy.table": "1",
+    "gains.fuzzy.bell_width": "1",
+    "gains.fuzzy.bell_slope": "1",
+}
+
+
+def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
+    """Give a C++ header with everything that the controller of a scenario knows, as constants.
+
+    The header defines ``settings()`` and ``controller_gains()`` in the namespace ``hexservo_gains::NAME``, where NAME is
+    the scenario's with "_" for what C++ does not allow in names. Numbers are the shortest that read back bit for bit.
+    The plant's errors (``uncertainty``) and the simulation's grid are no part of it (docs/model.md, section 7).
+
+    Parameters
+    ----------
+    scenario
+        What the robot shall do.
+    period
+        Time between two ticks [s].
+
+    Raises
+    ------
+    ValueError
+        For a period that is not a finite number > 0.
+    """
+    from hexservo import __version__
+
+    settings = core_parameters(scenario)
+    period = _core.Controller(settings, period).period  # the core's own check
+    blocks = [_ROBOT, _CAMERA, _SEEN_FROM_HOME, _GOAL, _GAINS]
+    if settings.target.points is not None:
+        blocks.remove(_SEEN_FROM_HOME)
+    lines = [
+        _TITLE,
+        f'// The controller of the scenario "{scenario.name}", written by `hexservo export` of hexservo {__version__}.',
+        "// Not to be edited: change the scenario, and let `hexservo export --force` write this file anew.",
+        "// clang-format off",
+        "#pragma once",
+        "",
+        "#include <hexservo/controller.hpp>",
+        "",
+        f"namespace hexservo_gains::{_identifier(scenario.name)} {{",
+        "",
+        "/// T_c, time between two ticks [s].",
+        f"inline constexpr double period = {period!r};",
+        "",
+        "/// Robot, camera, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.",
+        "inline hexservo::Settings<hexservo::Hybrid> settings() {",
+        "  hexservo::Settings<hexservo::Hybrid> s;",
+    ]
+    for block in blocks:
+        for member, unit in block.items():
+            lines += _assignment(member, _value(settings, member), unit)
+        if block is _CAMERA and settings.target.points is not None:
+            columns = np.asarray(settings.target.points).T
+            lines.append("  s.target.points_B.emplace();  // one column per point")
+            lines += _matrix("(*s.target.points_B)", columns, "m")
+    lines += [
+        "  return s;",
+        "}",
+        "",
+        "/// What `hexservo::step` needs.",
+        "inline hexservo::ControllerGains<hexservo::Hybrid> controller_gains() {",
+        "  return hexservo::controller_gains(settings(), period);",
+        "}",
+        "",
+        f"}}  // namespace hexservo_gains::{_identifier(scenario.name)}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _value(settings: _core.HybridSettings, member: str) -> Any:
+    value: Any = settings
+    for name in member.split("."):
+        value = getattr(value, name)
+    return value
+
+
+def _assignment(member: str, value: Any, unit: str) -> Iterator[str]:
+    if isinstance(value, np.ndarray):
+        yield from _matrix(f"s.{member}", np.atleast_2d(value) if value.ndim == 2 else value[None, :], unit)
+        return
+    if isinstance(value, bool):
+        text = "true" if value else "false"
+    elif isinstance(value, float):
+        text = repr(value)
+    else:  # an enumeration of the core, which has the same names on both sides
+        text = f"hexservo::{type(value).__name__}::{value.name}"
+    yield f"  s.{member} = {text};" + (f"  // [{unit}]" if unit else "")
+
+
+def _matrix(name: str, rows: Any, unit: str) -> Iterator[str]:
+    """Fill a fixed-size matrix or vector row by row."""
+    texts = [", ".join(repr(float(number)) for number in row) for row in rows]
+    if len(texts) == 1:
+        yield f"  {name} << {texts[0]};  // [{unit}]"
+        return
+    yield f"  {name} <<  // [{unit}]"
+    for index, text in enumerate(texts):
+        yield f"      {text}{',' if index < len(texts) - 1 else ';'}"
+
+
+def _identifier(name: str) -> str:
+    """Turn a scenario's name into a C++ name."""
+    plain = re.sub("[^A-Za-z0-9]+", "_", name).strip("_")
+    return f"scenario_{plain}".rstrip("_") if not plain or plain[0].isdigit() or plain in _KEYWORDS else plain
+
+
+# ---- The file -------------------------------------------------------------------------------------------------------
+
+
+def write_header(text: str, file: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write a header whole, or not at all.
+
+    Parameters
+    ----------
+    text
+        What `gains_header` gives.
+    file
+        A name in a folder that exists. A file of that name is kept.
+    force
+        Replace a header that we wrote earlier, which its first line tells; no other file is ever replaced.
+
+    Raises
+    ------
+    OutputError
+        The file exists, is not ours, or cannot be written.
+    """
+    path = Path(file)
+    try:
+        _check(path, force)
+        temporary = _beside(path, "writing")
+        try:
+            with temporary.open("x", encoding="utf-8") as opened:
+                opened.write(text)
+            _synchronize(temporary)
+            with _locked(path.parent):
+                _check(path, force)  # what stands there may have changed
+                if path.exists():
+                    temporary.chmod(stat.S_IMODE(path.stat().st_mode))
+                temporary.rename(path)
+        finally:
+            temporary.unlink(missing_ok=True)  # gone, if all went well
+    except (OSError, ValueError) as error:
+        if isinstance(error, OutputError):
+            raise
+        _refuse_unwritable(path, error)
+
+
+def _check(path: Path, force: bool) -> None:
+    if path.name in ("", ".."):
+        raise OutputError(f"{_shown(path)}: expected the name of a file, got a folder; name a file in it")
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        if not path.parent.is_dir():
+            raise OutputError(
+                f"{_shown(path)}: expected a folder that exists, got {_shown(path.parent)}; make it first"
+            ) from None
+        return
+    if not stat.S_ISREG(mode):
+        kind = "a symbolic link" if stat.S_ISLNK(mode) else "a folder" if stat.S_ISDIR(mode) else "something else"
+        raise OutputError(f"{_shown(path)}: expected a file or a new name, got {kind}; name another place")
+    with path.open("rb") as opened:
+        ours = opened.readline(len(_TITLE) + 2).rstrip(b"\r\n") == _TITLE.encode()
+    if not ours:
+        raise OutputError(f"{_shown(path)}: the file was not written by hexservo export, so it is kept; name another")
+    if not force:
+        raise OutputError(f"{_shown(path)}: the file exists; replace it with --force, or name another")
+
+
+def _refuse_unwritable(path: Path, error: OSError | ValueError) -> NoReturn:
+    reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    raise OutputError(
+        f"{_shown(path)}: expected a place that can be written, got: {reason}; nothing was written, name another"
+    ) from error

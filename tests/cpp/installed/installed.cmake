@@ -1,0 +1,56 @@
+# Installs the C++ package, builds examples/ against it as a project of its own, and runs what it built.
+#   cmake -DSOURCE=... -DBUILD=... -DGENERATOR=... [-D<variables that both builds must share>=...] -P installed.cmake
+set(work "${BUILD}/installed")
+file(REMOVE_RECURSE "${work}")
+
+function(run)
+  execute_process(COMMAND ${ARGV} RESULT_VARIABLE code OUTPUT_VARIABLE output ERROR_VARIABLE output)
+  message("${output}")
+  if(NOT code EQUAL 0)
+    message(FATAL_ERROR "failed with ${code}: ${ARGV}")
+  endif()
+endfunction()
+
+# Moved after the installation: nothing in the package may depend on where it was put, or on the source tree.
+run("${CMAKE_COMMAND}" --install "${BUILD}" --prefix "${work}/first")
+file(RENAME "${work}/first" "${work}/prefix")
+file(COPY "${SOURCE}/examples" DESTINATION "${work}")
+
+file(GLOB_RECURSE package_files "${work}/prefix/*.cmake")
+foreach(file IN LISTS package_files)
+  file(READ "${file}" text)
+  foreach(path "${SOURCE}" "${work}")
+    string(FIND "${text}" "${path}" found)
+    if(NOT found EQUAL -1)
+      message(FATAL_ERROR "${file} names ${path}")
+    endif()
+  endforeach()
+endforeach()
+
+set(shared "-DCMAKE_CXX_COMPILER=${CXX_COMPILER}" "-DCMAKE_BUILD_TYPE=${BUILD_TYPE}" "-DEigen3_DIR=${EIGEN3_DIR}"
+           "-DCMAKE_CXX_FLAGS_${BUILD_TYPE_UPPER}=${CXX_FLAGS_BUILD_TYPE}" "-DCMAKE_PREFIX_PATH=${work}/prefix")
+set(warnings "-Wall -Wextra -Werror")
+run("${CMAKE_COMMAND}" -S "${work}/examples" -B "${work}/build" -G "${GENERATOR}" ${shared}
+    "-DCMAKE_CXX_FLAGS=${CXX_FLAGS} ${warnings}")
+run("${CMAKE_COMMAND}" --build "${work}/build")
+run("${work}/build/servo" 0.6)
+
+# The memory layout is part of the interface: other instruction-set flags must not link.
+if(PROCESSOR MATCHES "^(x86_64|AMD64|amd64)$" AND NOT CXX_FLAGS MATCHES "-m(arch|avx)")
+  file(WRITE "${work}/other_flags/CMakeLists.txt"
+       "cmake_minimum_required(VERSION 3.22)\nproject(other_flags LANGUAGES CXX)\nfind_package(hexservo REQUIRED)\n"
+       "add_executable(other_flags main.cpp)\ntarget_link_libraries(other_flags PRIVATE hexservo::core)\n")
+  file(WRITE "${work}/other_flags/main.cpp"
+       "#include <hexservo/controller.hpp>\n"
+       "int main() {\n"
+       "  const auto gains = hexservo::controller_gains(hexservo::Settings<hexservo::Hybrid>{}, 1e-3);\n"
+       "  return hexservo::initial_state(gains).last_pose.position(0) > 0.0;\n"
+       "}\n")
+  run("${CMAKE_COMMAND}" -S "${work}/other_flags" -B "${work}/other_flags/build" -G "${GENERATOR}" ${shared}
+      "-DCMAKE_CXX_FLAGS=${CXX_FLAGS} -mavx")
+  execute_process(COMMAND "${CMAKE_COMMAND}" --build "${work}/other_flags/build" RESULT_VARIABLE code
+                  OUTPUT_VARIABLE output ERROR_VARIABLE output)
+  if(code EQUAL 0 OR NOT output MATCHES "library_was_built_with_other_instruction_set_flags")
+    message(FATAL_ERROR "expected a link error that tells of other flags, got ${code}:\n${output}")
+  endif()
+endif()

@@ -1,0 +1,469 @@
+// The servo tick: the law by other means, safe output for whatever comes in, no allocation, and the loop it closes.
+#include "hexservo/controller.hpp"
+
+#include "../../examples/gains.hpp"
+#include "allocations.hpp"
+#include "compare.hpp"
+#include "random.hpp"
+#include "scenarios.hpp"
+
+#include <Eigen/LU>
+
+#include <array>
+#include <bit>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+using namespace hexservo;
+using namespace hexservo::test;
+
+namespace {
+
+using Gains = ControllerGains<Hybrid>;
+using State = ControllerState<Hybrid>;
+
+static_assert(noexcept(step(std::declval<const Gains&>(), std::declval<State&>(),
+                            std::declval<const ControllerInput&>())));
+static_assert(std::is_trivially_destructible_v<State>);
+
+constexpr double kPeriod = 1e-3;
+#ifdef __SANITIZE_ADDRESS__
+constexpr std::size_t kTicks = 64'000;  // slow there, and the same code
+#else
+constexpr std::size_t kTicks = 1'024'000;
+#endif
+
+/// The paper's gains, with weights that start away from zero.
+Settings<Hybrid> settings_for(SwitchingKind kind, bool fuzzy = true) {
+  Settings<Hybrid> settings = paper_settings();
+  settings.switching = {kind, 1e-3};
+  settings.gains.fuzzy.enabled = fuzzy;
+  settings.gains.fuzzy.initial_scale << 0.01, -0.01, 0.02, -1e-3, 1e-3, 2e-3;  // also weights of -0
+  return settings;
+}
+
+/// A pose, twist and image of a robot at work.
+ControllerInput random_input(Random& random, const Gains& gains) {
+  ControllerInput input;
+  input.image.features = random.matrix<8>(80.0);
+  for (int i = 0; i < 4; ++i) input.image.depth(i) = -random.uniform(0.3, 0.8);
+  input.pose.position = gains.hexapod.home_position + random.matrix<3>(0.02);
+  input.pose.quaternion =
+      Vector4<double>(1.0, random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1)) *
+      random.uniform(0.5, 2.0);
+  input.twist = random.six(0.02, 0.2);
+  return input;
+}
+
+/// Every number that an input holds.
+std::array<double*, 25> entries(ControllerInput& input) {
+  std::array<double*, 25> all{};
+  std::size_t n = 0;
+  const auto add = [&](auto& m) {
+    for (Eigen::Index i = 0; i < m.size(); ++i) all[n++] = &m(i);
+  };
+  add(input.image.features);
+  add(input.image.depth);
+  add(input.pose.position);
+  add(input.pose.quaternion);
+  add(input.twist);
+  REQUIRE(n == all.size());
+  return all;
+}
+
+bool same_bits(double a, double b) { return std::bit_cast<std::uint64_t>(a) == std::bit_cast<std::uint64_t>(b); }
+
+template <class A, class B>
+bool same_bits(const Eigen::MatrixBase<A>& a, const Eigen::MatrixBase<B>& b) {
+  for (Eigen::Index i = 0; i < a.size(); ++i)
+    if (!same_bits(a(i), b(i))) return false;
+  return true;
+}
+
+bool same_bits(const State& a, const State& b) {
+  for (std::size_t r = 0; r < a.law.size(); ++r)
+    if (!same_bits(a.law[r], b.law[r])) return false;
+  return same_bits(a.last_pose.position, b.last_pose.position) &&
+         same_bits(a.last_pose.quaternion, b.last_pose.quaternion);
+}
+
+bool same_bits(const ControllerOutput& a, const ControllerOutput& b) {
+  return same_bits(a.wrench, b.wrench) && same_bits(a.leg_forces, b.leg_forces) &&
+         same_bits(a.fuzzy_output, b.fuzzy_output) && a.invalid_input == b.invalid_input;
+}
+
+/// Leg forces by Eigen's pivoted LU of H itself, with no help of the core's solver.
+Vector6<double> forces_by_lu(const Gains& gains, const Pose<double>& pose, const Vector6<double>& wrench) {
+  const Vector4<double> q = pose.quaternion.normalized();
+  const Matrix3<double> R_BE = Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
+  Matrix6<double> H;
+  for (int i = 0; i < 6; ++i) {
+    const Vector3<double> arm = R_BE * gains.hexapod.platform_joints_E.col(i);
+    const Vector3<double> c = (pose.position + arm - gains.hexapod.base_joints_B.col(i)).normalized();
+    H.col(i) << c, arm.cross(c);
+  }
+  return H.fullPivLu().solve(wrench);
+}
+
+/// Requires the safe output for `input`, and that the tick leaves no trace.
+void require_safe(const Gains& gains, const State& state, const ControllerInput& input, const Pose<double>& last_pose) {
+  State after = state;
+  const ControllerOutput out = step(gains, after, input);
+  REQUIRE(out.invalid_input);
+  REQUIRE(same_bits(out.wrench, gravity_wrench(RigidBody<double>{})));
+  REQUIRE(same_bits(out.fuzzy_output, Vector6<double>::Zero()));
+  // H H^T is solved, so that errors grow with the square of H's condition: (20)^2 at the worst of these poses
+  REQUIRE(relative_distance(out.leg_forces, forces_by_lu(gains, last_pose, out.wrench)) <= 1000.0 * kEpsilon);
+  REQUIRE(same_bits(after, state));
+}
+
+}  // namespace
+
+TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weights, and leg forces by H itself") {
+  for (const SwitchingKind kind : {SwitchingKind::sign, SwitchingKind::tanh, SwitchingKind::saturation})
+    for (const bool fuzzy : {true, false}) {
+      CAPTURE(static_cast<int>(kind));
+      CAPTURE(fuzzy);
+      const Settings<Hybrid> settings = settings_for(kind, fuzzy);
+      const Gains gains = controller_gains(settings, kPeriod);
+      const double f = settings.camera.focal_pixels();
+      State state = initial_state(gains);
+      Random random(71);
+      CAPTURE(random.seed());
+      double largest_change = 0.0;
+      for (int tick = 0; tick < 200; ++tick) {
+        CAPTURE(tick);
+        const ControllerInput input = random_input(random, gains);
+        const FuzzyWeights<double> weights = state.law;
+
+        // the gains as the scenario has them, not as `controller_gains` passed them on
+        const Vector4<double> q = input.pose.quaternion.normalized();
+        const Matrix3<double> R_BE = Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
+        const ControlTask<double> task{f, -1.0, settings.target.desired_features, gravity_wrench(RigidBody<double>{}),
+                                       settings.switching};
+        const auto law = Hybrid::evaluate(task, settings.gains, Hybrid::Stage<double>{&weights},
+                                          LawInput<double>{input.image, R_BE, input.twist});
+        const ControllerOutput out = step(gains, state, input);
+        REQUIRE_FALSE(out.invalid_input);
+        REQUIRE(relative_distance(out.wrench, law.wrench) <= 100.0 * kEpsilon);
+        REQUIRE(distance(out.fuzzy_output, law.fuzzy_output) <= 100.0 * kEpsilon);
+        REQUIRE(relative_distance(out.leg_forces, forces_by_lu(gains, input.pose, out.wrench)) <= 1000.0 * kEpsilon);
+        REQUIRE(same_bits(state.last_pose.position, input.pose.position));
+        REQUIRE(same_bits(state.last_pose.quaternion, input.pose.quaternion));
+
+        for (int axis = 0; axis < kAxes; ++axis) {
+          const Matrix7<double> before = weight_matrix(weights, axis), after = weight_matrix(state.law, axis);
+          Matrix7<double> expected = before;
+          if (fuzzy)
+            for (int r = 0; r < kTerms; ++r)
+              for (int c = 0; c < kTerms; ++c)
+                expected(r, c) += kPeriod * (input.twist(axis) / settings.gains.fuzzy.adaptation(axis)) *
+                                  law.rate.basis.error[static_cast<std::size_t>(r)](axis) *
+                                  law.rate.basis.rate[static_cast<std::size_t>(c)](axis);
+          REQUIRE(distance(after, expected) <= 4.0 * kEpsilon * expected.cwiseAbs().maxCoeff());
+          largest_change = std::max(largest_change, distance(after, before));
+        }
+      }
+      CHECK((largest_change > 1e-7) == fuzzy);
+    }
+}
+
+TEST_CASE("the length of the quaternion has no meaning") {
+  const Gains gains = controller_gains(settings_for(SwitchingKind::tanh), kPeriod);
+  Random random(72);
+  CAPTURE(random.seed());
+  for (int i = 0; i < 100; ++i) {
+    const ControllerInput input = random_input(random, gains);
+    State first = initial_state(gains);
+    const ControllerOutput expected = step(gains, first, input);
+    REQUIRE_FALSE(expected.invalid_input);
+    for (const double scale : {0x1p-400, 0x1p-1, -1.0, 0x1p+7, 0x1p+400}) {  // powers of two: not one bit changes
+      CAPTURE(scale);
+      ControllerInput scaled = input;
+      scaled.pose.quaternion *= scale;
+      State second = initial_state(gains);
+      const ControllerOutput out = step(gains, second, scaled);
+      REQUIRE(same_bits(out, expected));
+      REQUIRE(same_bits(second.law[17], first.law[17]));
+    }
+    ControllerInput scaled = input;
+    scaled.pose.quaternion *= random.uniform(0.01, 100.0);
+    State second = initial_state(gains);
+    REQUIRE(relative_distance(step(gains, second, scaled).leg_forces, expected.leg_forces) <= 1000.0 * kEpsilon);
+  }
+}
+
+TEST_CASE("NaN or infinity in any entry gives the safe output, by the last valid pose or home, and changes nothing") {
+  for (const bool fuzzy : {true, false}) {
+    CAPTURE(fuzzy);
+    const Gains gains = controller_gains(settings_for(SwitchingKind::sign, fuzzy), kPeriod);
+    Random random(73);
+    CAPTURE(random.seed());
+    const State fresh = initial_state(gains);
+    State used = fresh;
+    ControllerInput last;
+    for (int i = 0; i < 10; ++i) {
+      last = random_input(random, gains);
+      REQUIRE_FALSE(step(gains, used, last).invalid_input);
+    }
+    const ControllerInput good = random_input(random, gains);
+    for (std::size_t entry = 0; entry < 25; ++entry) {
+      CAPTURE(entry);
+      for (const double value : {kNaN, kInfinity, -kInfinity}) {
+        CAPTURE(value);
+        ControllerInput bad = good;
+        *entries(bad)[entry] = value;
+        require_safe(gains, fresh, bad, {gains.hexapod.home_position, {1.0, 0.0, 0.0, 0.0}});
+        require_safe(gains, used, bad, last.pose);
+      }
+    }
+    ControllerInput nothing = good;
+    for (double* entry : entries(nothing)) *entry = kNaN;
+    require_safe(gains, used, nothing, last.pose);
+  }
+}
+
+TEST_CASE("so do numbers that overflow, beyond the limits of divergence, or are no place in front of the camera") {
+  const Gains gains = controller_gains(settings_for(SwitchingKind::saturation), kPeriod);
+  Random random(74);
+  CAPTURE(random.seed());
+  State state = initial_state(gains);
+  const ControllerInput last = random_input(random, gains);
+  REQUIRE_FALSE(step(gains, state, last).invalid_input);
+  const ControllerInput good = random_input(random, gains);
+  const auto require_refused = [&](const std::string& what, auto&& change) {
+    CAPTURE(what);
+    ControllerInput bad = good;
+    change(bad);
+    require_safe(gains, state, bad, last.pose);
+  };
+
+  for (int i = 0; i < 8; ++i) {
+    CAPTURE(i);
+    const double goal = gains.task.desired_features(i);
+    for (const double value : {1e308, -1e308, goal + 1.001 * kMaxFeatureError, goal - 1.001 * kMaxFeatureError})
+      require_refused("feature", [&](ControllerInput& bad) { bad.image.features(i) = value; });
+  }
+  for (int i = 0; i < 6; ++i) {
+    CAPTURE(i);
+    for (const double value : {1e308, -1e308, 1.001 * kMaxTwist, -1.001 * kMaxTwist})
+      require_refused("twist", [&](ControllerInput& bad) { bad.twist(i) = value; });
+  }
+  for (int i = 0; i < 3; ++i) {
+    CAPTURE(i);
+    for (const double value : {1e308, -1e308, 1e150, 1e12})
+      require_refused("position", [&](ControllerInput& bad) { bad.pose.position(i) = value; });
+  }
+  for (int i = 0; i < 4; ++i) {
+    CAPTURE(i);
+    for (const double value : {1e308, 1.0, 1e-300, 0.0, -0.0, -1e-320, -1e-308})  // the last two: 1/Z overflows
+      require_refused("depth", [&](ControllerInput& bad) { bad.image.depth(i) = value; });
+    require_refused("quaternion", [&](ControllerInput& bad) { bad.pose.quaternion(i) = 1e308; });
+  }
+  require_refused("no quaternion", [](ControllerInput& bad) { bad.pose.quaternion.setZero(); });
+  require_refused("one without a length", [](ControllerInput& bad) { bad.pose.quaternion *= 1e-170; });
+  require_refused("one whose length overflows", [](ControllerInput& bad) {
+    bad.pose.quaternion << 1.2e154, 1.2e154, 0.0, 0.0;  // its squares do not
+  });
+
+  // a point far away is one
+  ControllerInput far = good;
+  far.image.depth(2) = -1e308;
+  CHECK_FALSE(step(gains, state, far).invalid_input);
+}
+
+TEST_CASE("so does a singular pose, and forces that overflow") {
+  Settings<Hybrid> settings = settings_for(SwitchingKind::sign);
+  Gains gains = controller_gains(settings, kPeriod);
+  Random random(75);
+  CAPTURE(random.seed());
+  const ControllerInput last = random_input(random, gains);
+  State state = initial_state(gains);
+  REQUIRE_FALSE(step(gains, state, last).invalid_input);
+
+  ControllerInput singular = last;
+  singular.pose.position << 0.0, 0.0, 0.0;  // platform in the plane of the base: no leg pushes along z
+  singular.pose.quaternion << 1.0, 0.0, 0.0, 0.0;
+  REQUIRE(wrench_map_singular_values(gains.hexapod, singular.pose)(5) < 1e-12);
+  require_safe(gains, state, singular, last.pose);
+
+  // a quarter turn about z, singular in another way
+  singular.pose.position = gains.hexapod.home_position;
+  singular.pose.quaternion << std::sqrt(0.5), 0.0, 0.0, std::sqrt(0.5);
+  REQUIRE(wrench_map_singular_values(gains.hexapod, singular.pose)(5) < 1e-12);
+  require_safe(gains, state, singular, last.pose);
+
+  int overflows = 0;
+  for (double exponent = 300.0; exponent < 308.0; exponent += 0.01) {  // up to wrench or leg forces, and beyond
+    CAPTURE(exponent);
+    gains.law.kp.setConstant(std::pow(10.0, exponent));
+    State after = state;
+    const ControllerOutput out = step(gains, after, last);
+    REQUIRE(is_finite(out.wrench));
+    REQUIRE(is_finite(out.leg_forces));
+    if (!out.invalid_input) continue;
+    require_safe(gains, state, last, last.pose);
+    ++overflows;
+  }
+  CHECK(overflows > 100);
+  CHECK(overflows < 700);
+}
+
+TEST_CASE("after bad ticks the next good one gives, bit for bit, what it would have given without them") {
+  for (const SwitchingKind kind : {SwitchingKind::sign, SwitchingKind::tanh, SwitchingKind::saturation}) {
+    CAPTURE(static_cast<int>(kind));
+    const Gains gains = controller_gains(settings_for(kind), kPeriod);
+    Random random(76);
+    CAPTURE(random.seed());
+    State clean = initial_state(gains), disturbed = clean;
+    int bad_ticks = 0;
+    for (int i = 0; i < 500; ++i) {
+      CAPTURE(i);
+      const ControllerInput input = random_input(random, gains);
+      while (random.uniform(0.0, 1.0) < 0.4) {
+        ControllerInput bad = random_input(random, gains);
+        *entries(bad)[static_cast<std::size_t>(random.uniform(0.0, 25.0))] =
+            random.uniform(0.0, 1.0) < 0.5 ? kNaN : 1e308;
+        bad.image.depth(0) = std::abs(bad.image.depth(0));  // also where 1e308 m of depth would do
+        REQUIRE(step(gains, disturbed, bad).invalid_input);
+        ++bad_ticks;
+      }
+      const ControllerOutput expected = step(gains, clean, input);
+      REQUIRE_FALSE(expected.invalid_input);
+      REQUIRE(same_bits(step(gains, disturbed, input), expected));
+      REQUIRE(same_bits(disturbed, clean));
+    }
+    CHECK(bad_ticks > 200);
+  }
+}
+
+TEST_CASE("a million ticks allocate nothing, valid or not, in every switching mode, with and without fuzzy systems") {
+  const long long at_start = allocations;
+  std::vector<int> probe(1);  // the counter counts
+  REQUIRE(allocations > at_start);
+  REQUIRE(probe.size() == 1);
+
+  struct Mode {
+    SwitchingKind switching;
+    bool fuzzy;
+    double slope;
+  };
+  using enum SwitchingKind;
+  for (const Mode& mode :
+       {Mode{sign, true, 2.0}, Mode{tanh, true, 2.0}, Mode{saturation, true, 2.0}, Mode{sign, false, 2.0},
+        Mode{tanh, false, 2.0}, Mode{saturation, false, 2.0}, Mode{sign, true, 1.5}}) {  // the last one with pow
+    Settings<Hybrid> settings = settings_for(mode.switching, mode.fuzzy);
+    settings.gains.fuzzy.bell_slope = mode.slope;
+    const Gains gains = controller_gains(settings, kPeriod);
+    Random random(77);
+    std::array<ControllerInput, 64> inputs;
+    for (ControllerInput& input : inputs) input = random_input(random, gains);
+    inputs[13].twist(4) = kNaN;
+    inputs[31].pose.position.setZero();
+    inputs[31].pose.quaternion << 1.0, 0.0, 0.0, 0.0;  // singular
+
+    std::size_t invalid = 0;
+    const long long before = allocations;
+    State state = initial_state(gains);
+    for (std::size_t i = 0; i < kTicks; ++i) invalid += step(gains, state, inputs[i % 64]).invalid_input ? 1U : 0U;
+    const long long made = allocations - before;
+    CAPTURE(static_cast<int>(mode.switching));
+    CAPTURE(mode.fuzzy);
+    CAPTURE(mode.slope);
+    CHECK(made == 0);
+    CHECK(invalid == 2 * kTicks / 64);
+  }
+}
+
+TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at first order in the period") {
+  constexpr double kDuration = 0.1;
+  Settings<Hybrid> settings = paper_settings();
+  settings.switching = {SwitchingKind::tanh, 1.0};  // smooth over a step, as in the loop's own test of order
+  settings.gains.fuzzy.error_scale *= 0.1;          // no input of a fuzzy system at its limit
+  settings.gains.fuzzy.rate_scale *= 0.1;
+  settings.simulation = {1e-4, kDuration, 1};
+  const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+  ClosedLoop<double, Hybrid> continuous(p);
+  for (int i = 0; i < 1000; ++i) continuous.advance();
+  REQUIRE(continuous.running());
+  const Sample<double>& truth = continuous.sample();
+  const BodyState<double> true_body = body_state<double>({truth.position, truth.quaternion}, truth.twist);
+
+  std::array<double, 2> previous{};
+  for (const int ticks : {200, 400, 800, 1600}) {
+    CAPTURE(ticks);
+    const double period = kDuration / ticks;
+    const Gains gains = controller_gains(settings, period);
+    State state = initial_state(gains);
+    BodyState<double> body =
+        body_state<double>({p.hexapod.home_position, {1.0, 0.0, 0.0, 0.0}}, Vector6<double>::Zero());
+    for (int tick = 0; tick < ticks; ++tick) {
+      const Matrix3<double> R_BE = rotation_matrix(quaternion_of(body));
+      const Image<double> image = take_image(p.camera.focal_pixels(), position_of(body), R_BE, p.points_B);
+      const ControllerInput input{
+          measured_image(image, p.depth_error), {position_of(body), quaternion_of(body)}, twist_of(body)};
+      const ControllerOutput out = step(gains, state, input);
+      REQUIRE_FALSE(out.invalid_input);
+      // the wrench of a tick holds until the next one, and is what the leg forces give
+      runge_kutta_step(period, body, [&](const BodyState<double>& b) {
+        return body_rate(p.body, p.dynamics_error, b, rotation_matrix(quaternion_of(b)), out.wrench);
+      });
+      normalise_quaternion(body);
+    }
+    double weight_error = 0.0;
+    for (std::size_t r = 0; r < state.law.size(); ++r)
+      weight_error = std::max(weight_error, distance(state.law[r], continuous.law_state()[r]));
+    const std::array<double, 2> error = {(body - true_body).norm(), weight_error};
+    for (std::size_t i = 0; i < 2; ++i) {
+      CAPTURE(i);
+      CAPTURE(error[i]);
+      if (ticks > 200) {
+        CHECK(previous[i] / error[i] > 1.8);
+        CHECK(previous[i] / error[i] < 2.2);
+      }
+      CHECK(error[i] > 0.0);
+    }
+    previous = error;
+  }
+}
+
+TEST_CASE("gains carry the estimates alone: errors between estimates and plant do not enter") {
+  Settings<Hybrid> settings = settings_for(SwitchingKind::sign);
+  const Gains gains = controller_gains(settings, kPeriod);
+  settings.uncertainty = {};
+  settings.uncertainty.dynamics.gravity.setConstant(0.2);
+  const Gains others = controller_gains(settings, kPeriod);
+  Random random(78);
+  CAPTURE(random.seed());
+  State first = initial_state(gains), second = initial_state(others);
+  for (int i = 0; i < 20; ++i) {
+    const ControllerInput input = random_input(random, gains);
+    REQUIRE(same_bits(step(gains, first, input), step(others, second, input)));
+  }
+}
+
+TEST_CASE("the exported gains of the example are those of the scenario, bit for bit") {
+  const Gains exported = hexservo_gains::paper::controller_gains();
+  CHECK(exported.period == 1e-3);
+  const Gains gains = controller_gains(paper_settings(), 1e-3);
+  CHECK(exported.hexapod.stroke == gains.hexapod.stroke);
+  CHECK(exported.hexapod.force_limit == gains.hexapod.force_limit);
+  Random random(79);
+  CAPTURE(random.seed());
+  State first = initial_state(exported), second = initial_state(gains);
+  CHECK(same_bits(first, second));
+  for (int i = 0; i < 100; ++i) {
+    const ControllerInput input = random_input(random, gains);
+    REQUIRE(same_bits(step(exported, first, input), step(gains, second, input)));
+  }
+  CHECK(same_bits(first, second));
+}
+
+TEST_CASE("misuse is refused where the gains are made") {
+  for (const double period : {0.0, -1e-3, kNaN, kInfinity})
+    CHECK(is_about(refusal([&] { controller_gains(paper_settings(), period); }), "period"));
+  Settings<Hybrid> settings = paper_settings();
+  settings.gains.kp(3) = -1.0;
+  CHECK(is_about(refusal([&] { controller_gains(settings, kPeriod); }), "controller.hybrid.kp"));
+}

@@ -1,0 +1,173 @@
+"""The servo tick from Python: the same numbers as the loop in the core, safe output, shapes, a loop that settles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hexservo as hs
+from hexservo import _core
+from hexservo._parameters import core_parameters
+
+GRAVITY = np.array([0.0, 0.0, -0.06 * 9.8, 0.0, 0.0, 0.0])
+ARGUMENTS = ("features", "depth", "position", "quaternion", "twist")
+
+
+@pytest.fixture
+def controller(paper: hs.Scenario) -> hs.Controller:
+    return hs.Controller(paper)
+
+
+def good_input(paper: hs.Scenario) -> dict[str, NDArray[np.float64]]:
+    """What the sensors of a robot say that moves near home."""
+    return {
+        "features": np.asarray(paper.target.initial_features, dtype=float) + 1.0,
+        "depth": np.full(4, -0.65),
+        "position": np.array([0.001, -0.002, -0.151]),
+        "quaternion": np.array([1.0, 0.01, -0.02, 0.03]),
+        "twist": np.array([0.01, -0.02, 0.005, 0.1, -0.05, 0.02]),
+    }
+
+
+@pytest.mark.parametrize("kind", ["sign", "tanh", "saturation"])
+@pytest.mark.parametrize("fuzzy", [True, False])
+def test_the_first_ticks_are_the_first_samples_of_a_run(paper: hs.Scenario, kind: str, fuzzy: bool) -> None:
+    """A run's logged wrench is the law at its logged state; fed with that state, a fresh tick gives the same."""
+    scenario = paper.updated(
+        {
+            "controller.switching.kind": kind,
+            "controller.hybrid.fuzzy.enabled": fuzzy,
+            "controller.hybrid.fuzzy.initial_scale": 0.02,
+            "controller.hybrid.fuzzy.adaptation": 1e12,  # the weights stay as they start
+            "simulation.duration": 0.05,
+        }
+    )
+    run = hs.simulate(scenario)
+    controller = hs.Controller(scenario)
+    desired = np.asarray(scenario.target.desired_features)
+    for k in range(len(run.time)):
+        out = controller.step(
+            desired - run.feature_error[k], 1.3 * run.depth[k], run.position[k], run.quaternion[k], run.twist[k]
+        )
+        assert not out.invalid_input
+        # the weights move by less than 1e-13, features carry the rounding of desired - (desired - xi)
+        np.testing.assert_allclose(out.wrench, run.wrench[k], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(out.leg_forces, run.leg_forces[k], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(out.fuzzy_output, run.fuzzy_output[k], rtol=0, atol=1e-12)
+    assert bool(np.any(run.fuzzy_output)) == fuzzy
+
+
+def test_weights_adapt_by_one_euler_step(paper: hs.Scenario) -> None:
+    """(22) over a period: each system's weights change by period chi-dot_j/Psi_j times strengths that sum to one."""
+    scenario = paper.updated({"controller.hybrid.fuzzy.initial_scale": 0.01})
+    controller = hs.Controller(scenario, period=2e-3)
+    before = controller.fuzzy_weights
+    assert before.shape == (6, 7, 7)
+    np.testing.assert_array_equal(before, np.broadcast_to(0.01 * _core.FuzzyGains().table, (6, 7, 7)))
+    given = good_input(paper)
+    controller.step(**given)
+    change = controller.fuzzy_weights - before
+    np.testing.assert_allclose(change.sum(axis=(1, 2)), 2e-3 * given["twist"] / 10.0, rtol=1e-12)
+    assert np.all(change * given["twist"][:, None, None] > 0)
+
+
+def test_reset_brings_the_first_state_back(paper: hs.Scenario, controller: hs.Controller) -> None:
+    given = good_input(paper)
+    first = controller.step(**given)
+    second = controller.step(**given)
+    assert np.any(first.wrench != second.wrench)
+    controller.reset()
+    assert not np.any(controller.fuzzy_weights)
+    for again, expected in zip(controller.step(**given), first, strict=True):
+        np.testing.assert_array_equal(again, expected)
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
+def test_what_is_no_measurement_gives_safe_output(
+    paper: hs.Scenario, controller: hs.Controller, name: str, value: float
+) -> None:
+    robot = _core.Hexapod(core_parameters(paper).robot)
+    given = good_input(paper)
+    poses = [((0.0, 0.0, -0.15), (1.0, 0.0, 0.0, 0.0)), (given["position"], given["quaternion"])]
+    for position, quaternion in poses:  # no valid input yet: home; later the last valid pose
+        weights = controller.fuzzy_weights
+        for entry in range(given[name].size):
+            bad = {**given, name: given[name].copy()}
+            bad[name][entry] = value
+            out = controller.step(**bad)
+            assert out.invalid_input is True
+            np.testing.assert_array_equal(out.wrench, GRAVITY)
+            np.testing.assert_array_equal(out.fuzzy_output, np.zeros(6))
+            np.testing.assert_allclose(robot.wrench_map(position, quaternion) @ out.leg_forces, GRAVITY, atol=1e-14)
+        np.testing.assert_array_equal(controller.fuzzy_weights, weights)
+        assert controller.step(**given).invalid_input is False
+
+
+def test_a_loop_in_python_settles(paper: hs.Scenario) -> None:
+    """The tick drives the platform of the core through its legs, and the features reach their goal."""
+    scenario = paper.updated({"controller.switching.kind": "tanh", "controller.switching.width": 0.02})
+    settings = core_parameters(scenario)
+    robot = _core.Hexapod(settings.robot)
+    body = _core.RigidBody()
+    f = settings.camera.focal_pixels
+    features, depth = np.asarray(scenario.target.initial_features).reshape(4, 2), 0.5
+    points = np.column_stack([features * depth / f, np.full(4, -depth)]) + [0.0, 0.0, -0.15]  # (4), from home
+    goal = np.asarray(scenario.target.desired_features)
+    controller = hs.Controller(scenario)
+    position, quaternion, twist = np.array([0.0, 0.0, -0.15]), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(6)
+    errors = []
+    for _ in range(1000):
+        seen, z = _core.take_image(settings.camera, position, quaternion, points)
+        errors.append(np.abs(goal - seen.ravel()).max())
+        out = controller.step(seen.ravel(), 1.3 * z, position, quaternion, twist)
+        assert not out.invalid_input
+        position, quaternion, twist = _core.drive_legs(
+            robot, body, settings.uncertainty.dynamics, position, quaternion, twist, out.leg_forces, 1e-3, 1
+        )
+    assert errors[0] == pytest.approx(20.0)
+    assert max(errors[800:]) < 2.0
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_shapes_are_checked(paper: hs.Scenario, controller: hs.Controller, name: str) -> None:
+    given: dict[str, Any] = dict(good_input(paper))
+    size = given[name].size
+    weights = controller.fuzzy_weights
+    for wrong, got in [
+        (given[name][:-1], rf"\({size - 1},\)"),
+        (given[name][None, :], rf"\(1, {size}\)"),
+        (0.5, r"\(\)"),
+        ("abc", "str"),
+        (None, "None"),
+        ([[1.0], [1.0, 2.0]], "list"),
+    ]:
+        with pytest.raises(ValueError, match=rf"^{name}: expected {size} numbers, got .*{got}"):
+            controller.step(**{**given, name: wrong})
+    np.testing.assert_array_equal(controller.fuzzy_weights, weights)
+
+
+def test_lists_integers_and_strided_arrays_will_do(paper: hs.Scenario) -> None:
+    given = good_input(paper)
+    expected = hs.Controller(paper).step(**given)
+    strided = {name: np.repeat(value, 2)[::2] for name, value in given.items()}
+    lists = {name: value.tolist() for name, value in given.items()}
+    for form in (strided, lists):
+        np.testing.assert_array_equal(hs.Controller(paper).step(**form).wrench, expected.wrench)
+    whole = {**given, "features": [31, 19, 66, -64, -43, 38, -9, -14]}
+    np.testing.assert_array_equal(hs.Controller(paper).step(**whole).wrench, expected.wrench)
+
+
+def test_construction_is_checked(paper: hs.Scenario) -> None:
+    for period in (0.0, -1e-3, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"^period: expected a finite number > 0, got"):
+            hs.Controller(paper, period)
+    with pytest.raises(TypeError, match="expected a Scenario"):
+        hs.Controller("paper")  # type: ignore[arg-type]
+    controller = hs.Controller(paper, period=5e-4)
+    assert controller.period == 5e-4
+    assert controller.scenario is paper
+    assert repr(controller) == "Controller('paper', period=0.0005)"
