@@ -6,7 +6,7 @@
 
 #include <hexservo/controller.hpp>
 
-namespace hexservo_gains::paper {
+namespace hexservo_paper {
 
 /// T_c, time between two ticks [s].
 inline constexpr double period = 0.001;
@@ -60,4 +60,4 @@ inline hexservo::ControllerGains<hexservo::Hybrid> controller_gains() {
   return hexservo::controller_gains(settings(), period);
 }
 
-}  // namespace hexservo_gains::paper
+}  // namespace hexservo_paper

@@ -25,7 +25,7 @@ using hexservo::Hybrid;
 /// The scenario's robot, with the paper's errors: inertia and depths are not what the controller believes.
 class Robot {
  public:
-  Robot() : Robot(hexservo::loop_parameters(hexservo_gains::paper::settings())) {}
+  Robot() : Robot(hexservo::loop_parameters(hexservo_paper::settings())) {}
 
   /// What camera and joint sensors say now.
   ControllerInput read_sensors() const {
@@ -86,7 +86,7 @@ int main(int argc, char** argv) {
     return 2;
   }
 
-  const auto gains = hexservo_gains::paper::controller_gains();  // may throw: before the loop, never in it
+  const auto gains = hexservo_paper::controller_gains();  // may throw: before the loop, never in it
   auto state = hexservo::initial_state(gains);
   Robot robot;
 

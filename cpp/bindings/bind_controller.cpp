@@ -53,7 +53,8 @@ void bind_controller(py::module_& m) {
       .def(py::init<const Settings<Hybrid>&, double>(), py::arg("settings"), py::arg("period"),
            "ValueError('key: expected ..., got ...') for a bad scenario or period [s].")
       .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
-           py::arg("twist"), "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), whether the input was invalid.")
+           py::arg("twist"),
+           "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), whether the input was invalid.")
       .def(
           "reset", [](Controller& c) { c.state = initial_state(c.gains); }, "Back to the state before the first tick.")
       .def_property_readonly(

@@ -33,10 +33,10 @@ ControllerGains<Law> controller_gains(const Settings<Law>& settings, double peri
 
 template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&, double);
 
-template <int alignment, int axis_width>
+template <int alignment>
 void library_was_built_with_other_instruction_set_flags() noexcept {}
 
-template void library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES, kAxisWidth<double>>() noexcept;
+template void library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>() noexcept;
 
 template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,

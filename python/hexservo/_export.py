@@ -21,17 +21,6 @@ __all__ = ["gains_header", "write_header"]
 _TITLE = "// hexservo gains, format 1"
 """First line of every header that we write: what tells it from a file of somebody else."""
 
-# alignas ... xor_eq: what no namespace may be called
-_KEYWORDS = frozenset(
-    "alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class compl "
-    "concept const consteval constexpr constinit const_cast continue co_await co_return co_yield decltype default "
-    "delete do double dynamic_cast else enum explicit export extern false float for friend goto if inline int long "
-    "mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public register "
-    "reinterpret_cast requires return short signed sizeof static static_assert static_cast struct switch template this "
-    "thread_local throw true try typedef typeid typename union unsigned using virtual void volatile wchar_t while xor "
-    "xor_eq".split()
-)
-
 # Member of hexservo::Settings and its unit; one block each. What is left out here belongs to the plant or to a run.
 _ROBOT = {
     "robot.platform_radius": "m",
@@ -66,8 +55,8 @@ _GAINS = {
 def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
     """Give a C++ header with everything that the controller of a scenario knows, as constants.
 
-    The header defines ``settings()`` and ``controller_gains()`` in the namespace ``hexservo_gains::NAME``, where NAME is
-    the scenario's with "_" for what C++ does not allow in names. Numbers are the shortest that read back bit for bit.
+    The header defines ``period``, ``settings()`` and ``controller_gains()`` in the namespace ``hexservo_NAME``, where
+    NAME is the scenario's, with "_" for what is neither letter nor digit. Numbers read back bit for bit.
     The plant's errors (``uncertainty``) and the simulation's grid are no part of it (docs/model.md, section 7).
 
     Parameters
@@ -98,7 +87,7 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
         "",
         "#include <hexservo/controller.hpp>",
         "",
-        f"namespace hexservo_gains::{_identifier(scenario.name)} {{",
+        f"namespace {_namespace(scenario.name)} {{",
         "",
         "/// T_c, time between two ticks [s].",
         f"inline constexpr double period = {period!r};",
@@ -123,7 +112,7 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
         "  return hexservo::controller_gains(settings(), period);",
         "}",
         "",
-        f"}}  // namespace hexservo_gains::{_identifier(scenario.name)}",
+        f"}}  // namespace {_namespace(scenario.name)}",
     ]
     return "\n".join(lines) + "\n"
 
@@ -159,10 +148,9 @@ def _matrix(name: str, rows: Any, unit: str) -> Iterator[str]:
         yield f"      {text}{',' if index < len(texts) - 1 else ';'}"
 
 
-def _identifier(name: str) -> str:
-    """Turn a scenario's name into a C++ name."""
-    plain = re.sub("[^A-Za-z0-9]+", "_", name).strip("_")
-    return f"scenario_{plain}".rstrip("_") if not plain or plain[0].isdigit() or plain in _KEYWORDS else plain
+def _namespace(name: str) -> str:
+    """Turn a scenario's name into a C++ name; what comes first keeps it apart from keywords and digits."""
+    return "_".join(["hexservo", *re.findall("[A-Za-z0-9]+", name)])
 
 
 # ---- The file -------------------------------------------------------------------------------------------------------

@@ -538,7 +538,7 @@ TEST_CASE("smooth check: hybrid, `paper`, tanh of width 1e-3, at 1 s, to all dig
 }
 
 TEST_CASE("advance allocates nothing, in a single loop and in a pack") {
-  // the counter works, for new and for what Eigen allocates
+  // the counter works
   long long before = allocations;
   std::unique_ptr<int> probe = std::make_unique<int>(1);
   CHECK(allocations > before);

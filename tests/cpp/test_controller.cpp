@@ -444,7 +444,7 @@ TEST_CASE("gains carry the estimates alone: errors between estimates and plant d
 }
 
 TEST_CASE("the exported gains of the example are those of the scenario, bit for bit") {
-  const Gains exported = hexservo_gains::paper::controller_gains();
+  const Gains exported = hexservo_paper::controller_gains();
   CHECK(exported.period == 1e-3);
   const Gains gains = controller_gains(paper_settings(), 1e-3);
   CHECK(exported.hexapod.stroke == gains.hexapod.stroke);

@@ -70,7 +70,8 @@ def test_weights_adapt_by_one_euler_step(paper: hs.Scenario) -> None:
     given = good_input(paper)
     controller.step(**given)
     change = controller.fuzzy_weights - before
-    np.testing.assert_allclose(change.sum(axis=(1, 2)), 2e-3 * given["twist"] / 10.0, rtol=1e-12)
+    rounding = 49 * 0.01 * np.finfo(float).eps  # of 49 weights no larger than 0.01
+    np.testing.assert_allclose(change.sum(axis=(1, 2)), 2e-3 * given["twist"] / 10.0, rtol=0, atol=rounding)
     assert np.all(change * given["twist"][:, None, None] > 0)
 
 
@@ -115,7 +116,7 @@ def test_a_loop_in_python_settles(paper: hs.Scenario) -> None:
     body = _core.RigidBody()
     f = settings.camera.focal_pixels
     features, depth = np.asarray(scenario.target.initial_features).reshape(4, 2), 0.5
-    points = np.column_stack([features * depth / f, np.full(4, -depth)]) + [0.0, 0.0, -0.15]  # (4), from home
+    points = np.column_stack([features * depth / f, np.full(4, -0.15 - depth)])  # (4), from home
     goal = np.asarray(scenario.target.desired_features)
     controller = hs.Controller(scenario)
     position, quaternion, twist = np.array([0.0, 0.0, -0.15]), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(6)
@@ -142,7 +143,7 @@ def test_shapes_are_checked(paper: hs.Scenario, controller: hs.Controller, name:
         (given[name][None, :], rf"\(1, {size}\)"),
         (0.5, r"\(\)"),
         ("abc", "str"),
-        (None, "None"),
+        (None, r"\(\)"),
         ([[1.0], [1.0, 2.0]], "list"),
     ]:
         with pytest.raises(ValueError, match=rf"^{name}: expected {size} numbers, got .*{got}"):

@@ -239,9 +239,10 @@ class ClosedLoop {
 
   /// Takes over a sample where it is good, stops the lane where it is not.
   void accept(const JudgedSample& next) noexcept {
-    stop(StopCause::not_finite,
-         !(is_finite(next.sample.wrench) & is_finite(next.sample.fuzzy_output) & is_finite(next.sample.leg_forces)) &
-             !next.singular);
+    const Mask<S> finite =
+        is_finite(next.sample.wrench) & is_finite(next.sample.fuzzy_output) & is_finite(next.sample.leg_forces);
+    const Mask<S> regular = !next.singular;  // leg forces of a singular pose have no meaning
+    stop(StopCause::not_finite, (!finite) & regular);
     stop(StopCause::singular, next.singular);
     const Mask<S> good = running();
     Sample<S, N>::visit([&good](auto& value, const auto& from) { value = select(good, from, value); }, sample_,

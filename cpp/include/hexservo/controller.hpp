@@ -54,13 +54,13 @@ extern template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&
 
 /// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
 /// -march=native) lays out gains and state differently, and does not link: give both the same flags.
-template <int alignment, int axis_width>
+template <int alignment>
 void library_was_built_with_other_instruction_set_flags() noexcept;
 
 /// State before the first tick.
 template <class Law>
 ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
-  library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES, kAxisWidth<double>>();
+  library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
   return {Law::initial_state(gains.law), {gains.hexapod.home_position, Pose<double>{}.quaternion}};
 }
 

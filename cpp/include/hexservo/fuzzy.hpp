@@ -55,29 +55,9 @@ struct FuzzyGains {
   }
 };
 
-/// Entries of an `AxisVector`: six, or eight where registers hold four doubles or more, with two idle systems.
-template <class S>
-inline constexpr int kAxisWidth = kAxes;
-#ifdef __AVX__
-template <>
-inline constexpr int kAxisWidth<double> = 8;
-#endif
-
 /// The six systems side by side: they have the same shape, so every line below works on all of them at once.
 template <class S>
-using AxisVector = Vector<S, kAxisWidth<S>>;
-
-/// A wrench or twist as one entry for each system; idle systems get zero.
-template <class S>
-AxisVector<S> to_axes(const Vector6<S>& six) {
-  if constexpr (kAxisWidth<S> == kAxes) {
-    return six;
-  } else {
-    AxisVector<S> axes = AxisVector<S>::Zero();
-    axes.template head<kAxes>() = six;
-    return axes;
-  }
-}
+using AxisVector = Vector<S, kAxes>;
 
 /// Strengths of the seven terms [1], each for the six systems.
 template <class S>
@@ -88,7 +68,7 @@ template <class S>
 AxisVector<S> bell_power(const AxisVector<S>& x, double slope) {
   using std::pow;
   AxisVector<S> result;
-  for (int j = 0; j < kAxisWidth<S>; ++j) result(j) = pow(x(j), slope);
+  for (int j = 0; j < kAxes; ++j) result(j) = pow(x(j), slope);
   return result;
 }
 /// x^s for a whole s by multiplication: the default slope never calls `pow`.
@@ -165,7 +145,7 @@ template <class S>
 FuzzyBasis<S> fuzzy_basis(const FuzzyGains<S>& gains, const AxisVector<S>& u, const AxisVector<S>& u_rate) {
   const auto limited = [](const AxisVector<S>& x) {
     AxisVector<S> out;
-    for (int j = 0; j < kAxisWidth<S>; ++j) out(j) = clip(x(j), S(-1.0), S(1.0));
+    for (int j = 0; j < kAxes; ++j) out(j) = clip(x(j), S(-1.0), S(1.0));
     return out;
   };
   return {normalised_memberships(limited(u), gains.bell_width, gains.bell_slope),
@@ -203,7 +183,7 @@ FuzzyWeights<S> initial_weights(const FuzzyGains<S>& gains) {
   FuzzyWeights<S> weights;
   for (int row = 0; row < kTerms; ++row)
     for (int column = 0; column < kTerms; ++column)
-      weights[rule(row, column)] = to_axes(gains.initial_scale) * gains.table(row, column);
+      weights[rule(row, column)] = gains.initial_scale * gains.table(row, column);
   return weights;
 }
 

@@ -195,7 +195,7 @@ Mask<S> is_finite(const Eigen::Matrix<S, R, C>& m) {
 
 /// Copies the scenario `source` (all doubles) into one lane of the pack `target`.
 ///
-/// Works on numbers, fixed-size matrices, arrays of these, and on parameter structs, which name their members once in a
+/// Works on numbers, fixed-size matrices, and on parameter structs, which name their members once in a
 /// static `visit`. A member that has the same type on both sides (a flag, a mode, a time grid) must be uniform in a
 /// pack.
 template <class T>

@@ -101,7 +101,7 @@ class MetricsAccumulator {
     const auto peak = [&keep](S& value, const S& next) { keep(value, max(value, next)); };
 
     const S error = largest_abs(sample.feature_error);
-    const Mask<S> outside = error > S(settings_.settling_threshold);
+    const Mask<S> outside = !(error <= S(settings_.settling_threshold));  // NaN is outside
     keep(last_outside_, select(outside, S(time), last_outside_));
     keep(ends_outside_, select(outside, S(1.0), S(0.0)));
     keep(final_error_, error);

@@ -65,16 +65,15 @@ struct Hybrid {
 
     const auto basis = [&] {
       const Vector6<S> image_wrench_rate = -J.pull(gains.kp.cwiseProduct(J.push(input.twist)));
-      return fuzzy_basis<S>(gains.fuzzy, to_axes<S>(gains.fuzzy.error_scale.cwiseProduct(image_wrench)),
-                            to_axes<S>(gains.fuzzy.rate_scale.cwiseProduct(image_wrench_rate)));
+      return fuzzy_basis<S>(gains.fuzzy, gains.fuzzy.error_scale.cwiseProduct(image_wrench),
+                            gains.fuzzy.rate_scale.cwiseProduct(image_wrench_rate));
     };
     const bool fuzzy = gains.fuzzy.enabled;
     // Initialised in place: the basis is 84 numbers.
-    Evaluation<S> out{
-        {fuzzy ? basis() : zero_basis<S>(), to_axes<S>(input.twist.cwiseQuotient(gains.fuzzy.adaptation))},  // (22)
-        Vector6<S>::Zero(),
-        Vector6<S>::Zero()};
-    if (fuzzy) out.fuzzy_output = weights.output(out.rate.basis).template head<kAxes>();  // (13)
+    Evaluation<S> out{{fuzzy ? basis() : zero_basis<S>(), input.twist.cwiseQuotient(gains.fuzzy.adaptation)},  // (22)
+                      Vector6<S>::Zero(),
+                      Vector6<S>::Zero()};
+    if (fuzzy) out.fuzzy_output = weights.output(out.rate.basis);  // (13)
     out.wrench =
         image_wrench - gains.kv.cwiseProduct(task.switching(input.twist)) + task.gravity_wrench - out.fuzzy_output;
     return out;

@@ -1,0 +1,291 @@
+"""Gains as a C++ header: what is in it, bit for bit, and that a file is written whole, or not at all, over nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import shutil
+import stat
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo import cli
+from hexservo._export import gains_header, write_header
+from hexservo._output import OutputError
+from hexservo._parameters import core_parameters
+
+ROOT = Path(__file__).resolve().parents[2]
+EIGEN = next((path for path in map(Path, ("/usr/include/eigen3", "/usr/local/include/eigen3")) if path.exists()), None)
+
+# What the header has to bring to C++: everything but the plant's errors and the run's grid.
+MEMBERS = [
+    *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
+    *(f"robot.{name}" for name in ("home_position", "mass", "inertia", "stroke", "force_limit")),
+    *("camera.focal_length", "camera.pixel_scale", "convention", "jacobian", "target.desired_features"),
+    *("switching.kind", "switching.width", "gains.kp", "gains.kv"),
+    *(f"gains.fuzzy.{name}" for name in ("enabled", "adaptation", "error_scale", "rate_scale", "initial_scale")),
+    *(f"gains.fuzzy.{name}" for name in ("table", "bell_width", "bell_slope")),
+]
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    result = CliRunner().invoke(cli.app, ["export", *arguments], prog_name="hexservo")
+    return result.exit_code, result.stdout, result.stderr
+
+
+def uncommon(paper: hs.Scenario) -> hs.Scenario:
+    """No number of it is a default or has few digits."""
+    random = np.random.default_rng(20)
+
+    def about(*values: float) -> list[float]:
+        return [float(value * random.uniform(0.9, 1.1)) for value in values]
+
+    (radius, mass, stroke, limit, focal, scale, width, bell, slope) = about(0.1, 0.06, 0.02, 2, 0.01, 7e4, 0.02, 0.2, 3)
+    return paper.updated(
+        {
+            "name": "2nd-one..ü",
+            "robot.platform_radius": radius,
+            "robot.base_radius": 2.1 * radius,
+            "robot.platform_angles": about(-0.8, 0.9, 1.2, 3.0, 3.3, 5.0),
+            "robot.base_angles": about(-0.2, 0.2, 1.9, 2.3, 4.0, 4.4),
+            "robot.home_position": [0.001, -1 / 3e3, -0.16],
+            "robot.mass": mass,
+            "robot.inertia": [[1.5e-4, 1e-6, 2e-6 / 3], [1e-6, 1.6e-4, -1e-6], [2e-6 / 3, -1e-6, 2.9e-4]],
+            "robot.stroke": stroke,
+            "robot.force_limit": limit,
+            "camera.focal_length": focal,
+            "camera.pixel_scale": scale,
+            "camera.convention": "as_printed",
+            "target.initial_features": about(30, 18, 65, -65, -44, 37, -10, -15),
+            "target.desired_features": about(10, 10, 45, -73, -64, 29, -30, -23),
+            "target.depth": about(0.5, 0.6, 0.5, 0.4),
+            "controller.jacobian": "printed",
+            "controller.switching": {"kind": "saturation", "width": width},
+            "controller.hybrid.kp": about(*[1e-6] * 8),
+            "controller.hybrid.kv": about(*[2e-3] * 3, *[1e-4] * 3),
+            "controller.hybrid.fuzzy": {
+                "enabled": False,
+                "adaptation": about(*[10] * 6),
+                "error_scale": about(*[5] * 6),
+                "rate_scale": about(*[0.5] * 6),
+                "initial_scale": about(*[-0.1] * 6),
+                "table": [about(*[1] * 7) for _ in range(7)],
+                "bell_width": bell,
+                "bell_slope": slope,
+            },
+        }
+    )
+
+
+# ---- What is in it --------------------------------------------------------------------------------------------------
+
+
+def test_the_example_has_what_the_command_writes_today(paper: hs.Scenario) -> None:
+    checked_in = (ROOT / "examples" / "gains.hpp").read_text(encoding="utf-8")
+    assert checked_in == gains_header(paper), "run: hexservo export paper --header examples/gains.hpp --force"
+
+
+def test_the_head_says_what_it_is_and_no_date(paper: hs.Scenario) -> None:
+    first, second, *_ = gains_header(paper, 5e-4).splitlines()
+    assert first == "// hexservo gains, format 1"
+    assert f'"{paper.name}"' in second
+    assert hs.__version__ in second
+    assert gains_header(paper) == gains_header(hs.load_scenario("paper"))
+    assert "inline constexpr double period = 0.0005;" in gains_header(paper, 5e-4)
+
+
+def test_every_assignment_says_its_unit(paper: hs.Scenario) -> None:
+    assigned = [line for line in gains_header(paper).splitlines() if line.startswith("  s.")]
+    assert len(assigned) == len(MEMBERS) + 2  # and what is seen from home
+    for line in assigned:
+        plain = "hexservo::" in line or line.endswith((" = true;", " = false;"))
+        assert plain or re.search(r"// \[[^\]]+\]$", line), line
+
+
+@pytest.mark.parametrize(
+    ("name", "identifier"),
+    [
+        ("paper", "hexservo_paper"),
+        ("paper-no-fuzzy", "hexservo_paper_no_fuzzy"),
+        ("a--b__c.-d", "hexservo_a_b_c_d"),
+        ("2nd", "hexservo_2nd"),
+        ("double", "hexservo_double"),
+        ("ü", "hexservo"),
+    ],
+)
+def test_the_namespace_is_the_scenario_as_cpp_allows_it(paper: hs.Scenario, name: str, identifier: str) -> None:
+    text = gains_header(paper.updated({"name": name}))
+    assert f"\nnamespace {identifier} {{\n" in text
+
+
+@pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
+@pytest.mark.parametrize("points", [False, True])
+def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: Path, points: bool) -> None:
+    scenario = uncommon(paper)
+    seen = ["target.initial_features", "target.depth"]
+    if points:
+        where = [[0.03, 0.02, -0.61], [0.05, -1 / 17, -0.65], [-0.04, 0.03, -0.7], [-0.01, -0.02, -0.6]]
+        changes: dict[str, Any] = {"target.initial_features": None, "target.depth": None, "target.points": where}
+        scenario = scenario.updated({**changes, "camera.convention": "eye_in_hand"})
+        seen = ["target.points"]
+    write_header(gains_header(scenario, 1 / 1700), tmp_path / "gains.hpp")
+    place = {"target.points": "target.points_B->transpose()"}
+    shows = "".join(f'  show("{member}", s.{place.get(member, member)});\n' for member in MEMBERS + seen)
+    (tmp_path / "main.cpp").write_text(
+        f"""#include "gains.hpp"
+#include <cstdio>
+template <class T>
+void show(const char* name, const T& value) {{
+  std::printf("%s", name);
+  if constexpr (requires {{ value.rows(); }}) {{
+    for (Eigen::Index i = 0; i < value.rows(); ++i)
+      for (Eigen::Index k = 0; k < value.cols(); ++k) std::printf(" %a", double(value(i, k)));
+  }} else {{
+    std::printf(" %a", double(value));
+  }}
+  std::printf("\\n");
+}}
+int main() {{
+  const auto s = hexservo_2nd_one::settings();
+  show("period", hexservo_2nd_one::period);
+{shows}}}
+""",
+        encoding="utf-8",
+    )
+    core = ROOT / "cpp"
+    headers = ["-I", str(core / "include"), "-isystem", str(EIGEN)]
+    warnings = ["-Wall", "-Wextra", "-Werror", "-Wno-psabi"]
+    command = ["g++", "-std=c++20", *warnings, *headers, "main.cpp", str(core / "src" / "fuzzy.cpp"), "-o", "main"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    output = subprocess.run([tmp_path / "main"], check=True, capture_output=True, text=True).stdout
+    read = {name: [float.fromhex(text) for text in texts] for name, *texts in map(str.split, output.splitlines())}
+    settings = core_parameters(scenario)
+    assert read.pop("period") == [1 / 1700]
+    assert set(read) == {*MEMBERS, *seen}
+    for member, numbers in read.items():
+        value: Any = settings
+        for name in member.split("."):
+            value = getattr(value, name)
+        value = value.value if hasattr(value, "value") else value
+        assert numbers == np.ravel(value).tolist(), member
+
+
+# ---- The command ----------------------------------------------------------------------------------------------------
+
+
+def test_export_writes_refuses_and_replaces(paper: hs.Scenario, tmp_path: Path) -> None:
+    header = tmp_path / "gains.hpp"
+    code, out, error = run("paper", "--header", str(header))
+    assert (code, error) == (0, "")
+    assert out == f'{header}: gains of the scenario "paper" for a period of 1 ms\n'
+    assert header.read_text(encoding="utf-8") == gains_header(paper)
+
+    changed = ("paper", "--header", str(header), "--set", "controller.hybrid.kp=2e-6", "--period", "5e-4")
+    code, out, error = run(*changed)
+    assert (code, out) == (2, "")
+    assert error.startswith("Error: ")
+    assert "--force" in error
+    assert header.read_text(encoding="utf-8") == gains_header(paper)
+
+    header.chmod(0o640)
+    code, out, error = run(*changed, "--force")
+    assert (code, error) == (0, "")
+    assert header.read_text(encoding="utf-8") == gains_header(paper.updated({"controller.hybrid.kp": 2e-6}), 5e-4)
+    assert stat.S_IMODE(header.stat().st_mode) == 0o640
+    assert list(tmp_path.iterdir()) == [header]
+
+
+@pytest.mark.parametrize("content", [b"", b"int main() {}\n", b"// hexservo gains, format 12\n", b"\xff" * 5000])
+def test_force_keeps_what_export_did_not_write(tmp_path: Path, content: bytes) -> None:
+    header = tmp_path / "gains.hpp"
+    header.write_bytes(content)
+    for force in ([], ["--force"]):
+        code, _, error = run("paper", "--header", str(header), *force)
+        assert code == 2
+        assert "not written by hexservo export, so it is kept" in error
+        assert header.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [header]
+
+
+def test_places_where_no_header_can_be(paper: hs.Scenario, tmp_path: Path) -> None:
+    text = gains_header(paper)
+    (tmp_path / "folder").mkdir()
+    write_header(text, tmp_path / "other.hpp")
+    (tmp_path / "link.hpp").symlink_to("other.hpp")
+    (tmp_path / "dangling.hpp").symlink_to("nowhere")
+    os.mkfifo(tmp_path / "pipe")
+    for name, words in [
+        ("folder", "got a folder"),
+        ("link.hpp", "got a symbolic link"),
+        ("dangling.hpp", "got a symbolic link"),
+        ("pipe", "got something else"),
+        ("missing/gains.hpp", "expected a folder that exists"),
+        ("other.hpp/gains.hpp", "cannot|Not a directory"),
+        ("..", "expected the name of a file"),
+        ("x" * 300, "File name too long"),
+        ("a\0b", "null"),
+    ]:
+        with pytest.raises(OutputError, match=words) as caught:
+            write_header(text, tmp_path / name, force=True)
+        assert len(str(caught.value).splitlines()) == 1
+    with pytest.raises(OutputError, match="expected the name of a file"):
+        write_header(text, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "dangling.hpp",
+        "folder",
+        "link.hpp",
+        "other.hpp",
+        "pipe",
+    ]
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_nothing_is_left_of_a_full_disk(paper: hs.Scenario, tmp_path: Path, force: bool) -> None:
+    header = tmp_path / "gains.hpp"
+    if force:
+        write_header(gains_header(paper, 0.5), header)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(OutputError, match="File too large; nothing was written"):
+            write_header(gains_header(paper), header, force=force)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [path.read_text(encoding="utf-8") for path in tmp_path.iterdir()] == [gains_header(paper, 0.5)] * force
+
+
+def test_nothing_is_left_of_ctrl_c(paper: hs.Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(source: Path, target: Path) -> Path:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "rename", interrupt)
+    code, out, error = run("paper", "--header", str(tmp_path / "gains.hpp"))
+    assert (code, out) == (130, "")
+    assert "Interrupted" in error
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["paper"], "--header"),
+        (["papre", "--header", "g.hpp"], "paper"),
+        (["paper", "--header", "g.hpp", "--set", "controller.hybrid.kp=-1"], "controller.hybrid.kp"),
+        (["paper", "--header", "g.hpp", "--period", "0"], "period: expected a finite number > 0, got 0"),
+        (["paper", "--header", "g.hpp", "--period", "nan"], "period: expected a finite number > 0, got nan"),
+        (["paper", "--header", "g.hpp", "--period", "fast"], "--period"),
+    ],
+)
+def test_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, error = run(*arguments)
+    assert (code, out) == (2, "")
+    assert words in error
+    assert list(tmp_path.iterdir()) == []
