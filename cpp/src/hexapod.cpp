@@ -55,8 +55,8 @@ RobotParameters robot_preset(std::string_view name) {
   if (name == "cubic") {
     RobotParameters robot;
     robot.platform_radius = robot.base_radius = 0.1;
-    robot.base_angles = (Vector6<double>() << 0, 0, 120, 120, 240, 240).finished() * EIGEN_PI / 180.0;
-    robot.platform_angles = (Vector6<double>() << -60, 60, 60, 180, 180, 300).finished() * EIGEN_PI / 180.0;
+    robot.base_angles = degrees(0, 0, 120, 120, 240, 240);
+    robot.platform_angles = degrees(-60, 60, 60, 180, 180, 300);
     robot.home_position = {0.0, 0.0, -robot.platform_radius / std::sqrt(2.0)};
     return robot;
   }

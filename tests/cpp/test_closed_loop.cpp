@@ -31,13 +31,7 @@ Settings<Hybrid> smooth_settings(double width) {
   return settings;
 }
 
-ControlTask<double> task_of(const Parameters& p) {
-  return {p.camera.focal_pixels(), controller_sign(p.convention, p.jacobian), p.desired_features,
-          gravity_wrench(p.body), p.switching};
-}
-
-// --- plain RK4 on one flat vector
-// -------------------------------------------------------------------------------------
+// --- plain RK4 on one flat vector ---
 
 /// Body (13), then the weights of the six systems (6 x 49), and for a camera as printed the image (8 + 4).
 constexpr int kWeights = 6 * 49;
@@ -218,7 +212,7 @@ TEST_CASE(
     settings.uncertainty.depth << 0.3, -0.1, 0.2, 0.0;
     settings.uncertainty.dynamics.gravity.setConstant(0.001);
     const Parameters p = loop_parameters(settings);
-    const ControlTask<double> task = task_of(p);
+    const ControlTask<double> task = control_task(p);
     Single loop(p);
     Flat y = flat_start(p);
     // Both make the same steps with other orders of summation. Each step adds some eps of a quantity's size, 300 steps
@@ -269,7 +263,7 @@ TEST_CASE("the loop is of order four: errors fall 16-fold with half the step (ta
   const auto run = [&](int divisions) {
     settings.simulation = {1e-3 / divisions, kDuration, 1};
     const Parameters p = loop_parameters(settings);
-    const ControlTask<double> task = task_of(p);
+    const ControlTask<double> task = control_task(p);
     Single loop(p);
     for (int i = 0; i < 100 * divisions; ++i) {
       loop.advance();

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 import hexservo as hs
 from hexservo import _core
@@ -93,7 +93,10 @@ def test_what_is_no_measurement_gives_safe_output(
 ) -> None:
     robot = _core.Hexapod(core_parameters(paper).robot)
     given = good_input(paper)
-    poses = [((0.0, 0.0, -0.15), (1.0, 0.0, 0.0, 0.0)), (given["position"], given["quaternion"])]
+    poses: list[tuple[ArrayLike, ArrayLike]] = [
+        ((0.0, 0.0, -0.15), (1.0, 0.0, 0.0, 0.0)),
+        (given["position"], given["quaternion"]),
+    ]
     for position, quaternion in poses:  # no valid input yet: home; later the last valid pose
         weights = controller.fuzzy_weights
         for entry in range(given[name].size):
@@ -156,7 +159,8 @@ def test_lists_integers_and_strided_arrays_will_do(paper: hs.Scenario) -> None:
     expected = hs.Controller(paper).step(**given)
     strided = {name: np.repeat(value, 2)[::2] for name, value in given.items()}
     lists = {name: value.tolist() for name, value in given.items()}
-    for form in (strided, lists):
+    forms: list[dict[str, Any]] = [strided, lists]
+    for form in forms:
         np.testing.assert_array_equal(hs.Controller(paper).step(**form).wrench, expected.wrench)
     whole = {**given, "features": [31, 19, 66, -64, -43, 38, -9, -14]}
     np.testing.assert_array_equal(hs.Controller(paper).step(**whole).wrench, expected.wrench)

@@ -61,7 +61,7 @@ struct LoopParameters {
   CameraConvention convention = CameraConvention::eye_in_hand;
   JacobianConvention jacobian = JacobianConvention::consistent;
   Eigen::Matrix<S, 3, N> points_B;    ///< target points [m]; not used by `as_printed`
-  Image<S, N> initial_image;          ///< seen from home
+  Image<S, N> initial_image;          ///< seen from home [px; m]
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
   Vector<S, N> depth_error;           ///< delta_Z,i [1]
   Switching<S> switching;

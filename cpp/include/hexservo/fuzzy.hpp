@@ -32,10 +32,9 @@ Matrix7<double> linear_rule_table();
 /// Design of the six fuzzy systems.
 template <class S>
 struct FuzzyGains {
-  bool enabled = true;                                    ///< false: no fuzzy output and no adaptation
-  Vector6<S> adaptation = Vector6<S>::Constant(S(10.0));  ///< Psi_j [m/N; rad/(N m)], 10; small adapts fast
-  Vector6<S> error_scale = (Vector6<S>() << S(5.0), S(5.0), S(5.0), S(10.0), S(10.0), S(10.0)).finished();
-  ///< a_j [1/N; 1/(N m)], (5, 5, 5, 10, 10, 10)
+  bool enabled = true;                                        ///< false: no fuzzy output and no adaptation
+  Vector6<S> adaptation = Vector6<S>::Constant(S(10.0));      ///< Psi_j [m/N; rad/(N m)], 10; small adapts fast
+  Vector6<S> error_scale = linear_angular<S>(5.0, 10.0);      ///< a_j [1/N; 1/(N m)], 5 x3, 10 x3
   Vector6<S> rate_scale = Vector6<S>::Constant(S(0.5));       ///< b_j [s/N; s/(N m)], 0.5
   Vector6<S> initial_scale = Vector6<S>::Zero();              ///< s_0: weights start at s_0 times the table [N; N m], 0
   Matrix7<S> table = linear_rule_table().template cast<S>();  ///< rule table, row: u, column: u-dot [1], linear

@@ -18,17 +18,20 @@
 
 namespace hexservo {
 
+/// Six angles, given in degrees [rad].
+inline Vector6<double> degrees(double a, double b, double c, double d, double e, double f) {
+  return (Vector6<double>() << a, b, c, d, e, f).finished() * EIGEN_PI / 180.0;
+}
+
 /// A robot as a user describes it: symmetric leg geometry, mass properties and limits. The defaults are the preset
 /// `micro`.
 struct RobotParameters {
-  double platform_radius = 0.1;  ///< r_p [m], 0.1 (paper)
-  double base_radius = 0.2;      ///< r_b [m], 0.2 (paper)
-  /// phi_i, joints on the platform about z of E [rad], -50, 50, 70, 170, 190, 290 deg
-  Vector6<double> platform_angles = (Vector6<double>() << -50, 50, 70, 170, 190, 290).finished() * EIGEN_PI / 180.0;
-  /// beta_i, joints on the base about z of B [rad], -10, 10, 110, 130, 230, 250 deg
-  Vector6<double> base_angles = (Vector6<double>() << -10, 10, 110, 130, 230, 250).finished() * EIGEN_PI / 180.0;
-  Vector3<double> home_position = {0.0, 0.0, -0.15};        ///< p_BE at home, where R = I [m], (0, 0, -0.15)
-  double mass = RigidBody<double>{}.mass;                   ///< platform with camera [kg], 0.06 (paper)
+  double platform_radius = 0.1;                                           ///< r_p [m], 0.1 (paper)
+  double base_radius = 0.2;                                               ///< r_b [m], 0.2 (paper)
+  Vector6<double> platform_angles = degrees(-50, 50, 70, 170, 190, 290);  ///< phi_i about z of E [rad], -50 ... 290 deg
+  Vector6<double> base_angles = degrees(-10, 10, 110, 130, 230, 250);  ///< beta_i about z of B [rad], -10 ... 250 deg
+  Vector3<double> home_position = {0.0, 0.0, -0.15};                   ///< p_BE at home, where R = I [m], (0, 0, -0.15)
+  double mass = RigidBody<double>{}.mass;                              ///< platform with camera [kg], 0.06 (paper)
   Matrix3<double> inertia = RigidBody<double>{}.inertia_E;  ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
   double stroke = 0.017;                                    ///< leg travel about the home length, each way [m], 0.017
   double force_limit = 1.0;                                 ///< of each leg, each way [N], 1

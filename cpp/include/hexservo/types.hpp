@@ -42,6 +42,15 @@ using Matrix7 = Eigen::Matrix<S, 7, 7>;
 template <class S>
 using Matrix36 = Eigen::Matrix<S, 3, 6>;
 
+/// (linear x3, angular x3): one value for each half of a wrench, twist or their gains.
+template <class S>
+Vector6<S> linear_angular(double linear, double angular) {
+  Vector6<S> six;
+  six.template head<3>().setConstant(S(linear));
+  six.template tail<3>().setConstant(S(angular));
+  return six;
+}
+
 /// Number of feature points of the paper, and the only one that is instantiated for now.
 inline constexpr int kPoints = 4;
 

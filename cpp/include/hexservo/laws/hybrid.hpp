@@ -19,8 +19,7 @@ namespace hexservo {
 template <class S, int N = kPoints>
 struct HybridGains {
   Vector<S, 2 * N> kp = Vector<S, 2 * N>::Constant(S(1e-6));  ///< diagonal of K_p [N m/px^2], 1e-6
-  Vector6<S> kv = (Vector6<S>() << S(2e-3), S(2e-3), S(2e-3), S(1e-4), S(1e-4), S(1e-4)).finished();
-  ///< diagonal of K_v [N; N m], (2e-3 x3, 1e-4 x3)
+  Vector6<S> kv = linear_angular<S>(2e-3, 1e-4);              ///< diagonal of K_v [N; N m], 2e-3 x3, 1e-4 x3
   FuzzyGains<S> fuzzy;
 
   template <class F, class A, class B>
