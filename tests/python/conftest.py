@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 from hypothesis import settings
 
 import hexservo as hs
+
+# A run in the background (nohup, `&` in a script) ignores Ctrl-C, and so would every test of it and its subprocesses.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The same examples in every run; a failure prints the line that repeats it. No time limits: machines differ.
 settings.register_profile("hexservo", derandomize=True, print_blob=True, deadline=None)
