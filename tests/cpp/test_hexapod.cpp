@@ -324,10 +324,6 @@ TEST_CASE("neighbouring legs of the cubic preset are orthogonal at home") {
 
 namespace {
 
-Vector6<double> degrees(double a, double b, double c, double d, double e, double f) {
-  return (Vector6<double>() << a, b, c, d, e, f).finished() * kDegree;
-}
-
 std::string verdict(const std::function<void(RobotParameters&)>& change) {
   RobotParameters robot;
   change(robot);

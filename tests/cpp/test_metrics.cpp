@@ -172,7 +172,7 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
       if (lane == kFrozenLane && i >= kFrozenFrom) samples[l].back().feature_error.setConstant(kNaN);
       set_lane(packs[static_cast<std::size_t>(i)], lane, samples[l].back());
     }
-    samples[l].resize(lane == kFrozenLane ? kFrozenFrom : kSamples);
+    samples[l].resize(static_cast<std::size_t>(lane == kFrozenLane ? kFrozenFrom : kSamples));
   }
   MetricsAccumulator<S> accumulator(settings, pack_hexapod, gravity, packs.front());
   S is_frozen = 0.0;
