@@ -30,13 +30,6 @@ struct Controller {
       : gains(controller_gains(settings, period)), state(initial_state(gains)) {}
 };
 
-std::array<Matrix7<double>, kAxes> weights(const Controller& controller) {
-  std::array<Matrix7<double>, kAxes> all;
-  for (int axis = 0; axis < kAxes; ++axis)
-    all[static_cast<std::size_t>(axis)] = weight_matrix(controller.state.law, axis);
-  return all;
-}
-
 py::tuple step_once(Controller& controller, const py::object& features, const py::object& depth,
                     const py::object& position, const py::object& quaternion, const py::object& twist) {
   const ControllerInput input{{numbers<2 * kPoints>("features", features), numbers<kPoints>("depth", depth)},
@@ -59,7 +52,8 @@ void bind_controller(py::module_& m) {
           "reset", [](Controller& c) { c.state = initial_state(c.gains); }, "Back to the state before the first tick.")
       .def_property_readonly(
           "period", [](const Controller& c) { return c.gains.period; }, "[s]")
-      .def_property_readonly("fuzzy_weights", &weights, "six of (7, 7) [N; N m]");
+      .def_property_readonly(
+          "fuzzy_weights", [](const Controller& c) { return weight_array(c.state.law); }, "(6, 7, 7) [N; N m]");
 }
 
 }  // namespace hexservo::bindings

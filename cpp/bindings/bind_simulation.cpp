@@ -20,17 +20,6 @@ py::array_t<double> rows(const py::object& self) {
   return py::array_t<double>({n, static_cast<py::ssize_t>(width)}, values.data(), self);
 }
 
-py::array_t<double> weights(const Trajectory& log) {
-  py::array_t<double> out({kAxes, kTerms, kTerms});
-  auto view = out.mutable_unchecked<3>();
-  for (int axis = 0; axis < kAxes; ++axis) {
-    const Matrix7<double> W = weight_matrix(log.fuzzy_weights, axis);
-    for (int row = 0; row < kTerms; ++row)
-      for (int column = 0; column < kTerms; ++column) view(axis, row, column) = W(row, column);
-  }
-  return out;
-}
-
 /// True where Ctrl-C was pressed; anything else that a signal handler raises goes on to the caller.
 bool interrupt_requested() {
   const py::gil_scoped_acquire gil;
@@ -92,7 +81,9 @@ void bind_simulation(py::module_& m) {
       .def_property_readonly("fuzzy_output", &rows<&Trajectory::fuzzy_output, 6>, "(n, 6) [N; N m]")
       .def_property_readonly("leg_lengths", &rows<&Trajectory::leg_lengths, 6>, "(n, 6) [m]")
       .def_property_readonly("leg_forces", &rows<&Trajectory::leg_forces, 6>, "(n, 6) [N]")
-      .def_property_readonly("fuzzy_weights", &weights, "(6, 7, 7) at the end [N; N m]")
+      .def_property_readonly(
+          "fuzzy_weights", [](const Trajectory& log) { return weight_array(log.fuzzy_weights); },
+          "(6, 7, 7) at the end [N; N m]")
       .def_readonly("outcome", &Trajectory::outcome)
       .def_readonly("detail", &Trajectory::detail)
       .def_readonly("end_time", &Trajectory::end_time, "time of the last good sample [s]")

@@ -2,9 +2,11 @@
 /// What the binding files share. Bindings convert and check shapes; they compute nothing.
 #pragma once
 
+#include "hexservo/fuzzy.hpp"
 #include "hexservo/rigid_body.hpp"
 
 #include <pybind11/eigen.h>
+#include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
@@ -37,6 +39,18 @@ inline Pose<double> checked_pose(const Vector3<double>& position, const Vector4<
   const double norm = quaternion.stableNorm();
   if (!(norm > 0.0)) throw std::invalid_argument("quaternion: expected one that is not zero, got zero");
   return {position, quaternion / norm};
+}
+
+/// Weights of the six systems as a (6, 7, 7) array, row: term of u, column: term of u-dot.
+inline py::array_t<double> weight_array(const FuzzyWeights<double>& weights) {
+  py::array_t<double> out({kAxes, kTerms, kTerms});
+  auto view = out.mutable_unchecked<3>();
+  for (int axis = 0; axis < kAxes; ++axis) {
+    const Matrix7<double> W = weight_matrix(weights, axis);
+    for (int row = 0; row < kTerms; ++row)
+      for (int column = 0; column < kTerms; ++column) view(axis, row, column) = W(row, column);
+  }
+  return out;
 }
 
 }  // namespace hexservo::bindings

@@ -76,7 +76,7 @@ class Controller:
     @property
     def fuzzy_weights(self) -> NDArray[np.float64]:
         """Weights of the six fuzzy systems now, (6, 7, 7), row: term of u, column: term of its rate [N; N m]."""
-        return np.array(self._core.fuzzy_weights)
+        return self._core.fuzzy_weights
 
     def reset(self) -> None:
         """Go back to the state before the first tick."""

@@ -126,7 +126,7 @@ def _value(settings: _core.HybridSettings, member: str) -> Any:
 
 def _assignment(member: str, value: Any, unit: str) -> Iterator[str]:
     if isinstance(value, np.ndarray):
-        yield from _matrix(f"s.{member}", np.atleast_2d(value) if value.ndim == 2 else value[None, :], unit)
+        yield from _matrix(f"s.{member}", np.atleast_2d(value), unit)
         return
     if isinstance(value, bool):
         text = "true" if value else "false"

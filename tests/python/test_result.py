@@ -14,18 +14,8 @@ import xarray
 
 import hexservo as hs
 from hexservo import _core
+from widths import WIDTHS
 
-WIDTHS = {
-    "feature_error": 8,
-    "depth": 4,
-    "position": 3,
-    "quaternion": 4,
-    "twist": 6,
-    "wrench": 6,
-    "fuzzy_output": 6,
-    "leg_lengths": 6,
-    "leg_forces": 6,
-}
 DIMENSIONS = {
     "feature_error": "feature",
     "depth": "point",

@@ -21,19 +21,9 @@ from hypothesis import strategies as st
 
 import hexservo as hs
 from hexservo._result import Outcome
+from widths import WIDTHS
 
 INF, NAN = math.inf, math.nan
-ARRAYS = {
-    "feature_error": 8,
-    "depth": 4,
-    "position": 3,
-    "quaternion": 4,
-    "twist": 6,
-    "wrench": 6,
-    "fuzzy_output": 6,
-    "leg_lengths": 6,
-    "leg_forces": 6,
-}
 PAPER = hs.load_scenario("paper")
 POINTS = np.column_stack(
     [0.5 * np.array(PAPER.target.initial_features, dtype=float).reshape(4, 2) / 581.816, np.full(4, -0.65)]
@@ -368,7 +358,7 @@ def assert_same(one: hs.Result, other: hs.Result) -> None:
         other.detail,
         other.events,
     )
-    for name in ("time", "fuzzy_weights", *ARRAYS):
+    for name in ("time", "fuzzy_weights", *WIDTHS):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes(), name
     assert same_metrics(one, other)
 
@@ -422,7 +412,7 @@ def check(result: hs.Result) -> None:
     assert result.time[0] == 0.0
     assert np.all(np.diff(result.time) > 0)
     assert result.end_time == result.time[-1]
-    for name, width in ARRAYS.items():
+    for name, width in WIDTHS.items():
         array = getattr(result, name)
         assert array.shape == (n, width), name
         assert np.isfinite(array).all(), name

@@ -108,7 +108,9 @@ class ClosedLoop {
         task_(control_task(p_)),
         body_(body_state<S>({p_.hexapod.home_position, Pose<S>{}.quaternion}, Vector6<S>::Zero())),
         law_state_(Law::initial_state(p_.gains)),
-        now_(*this, body_, p_.initial_image, LawStage{&law_state_}),
+        attitude_(rotation_matrix(quaternion_of(body_))),
+        true_image_(printed_camera() ? p_.initial_image : image_of(body_, attitude_)),
+        now_(*this, body_, attitude_, true_image_, LawStage{&law_state_}),
         sample_(sample_now().sample),
         metrics_(p_.metrics, p_.hexapod, task_.gravity_wrench, sample_) {
     accept(sample_now());
@@ -124,17 +126,20 @@ class ClosedLoop {
   void advance() noexcept {
     const double h = p_.step;
     const auto derivative_at = [this](double scale, const Instant& before) {
-      Image<S, N> printed;
+      const BodyState<S> body = body_ + S(scale) * before.body_rate;
+      const Matrix3<S> R_BE = rotation_matrix(quaternion_of(body));
+      Image<S, N> image;
       if (printed_camera()) {
-        printed.features = now_.image.features + S(scale) * before.printed_rate.features;
-        printed.depth = now_.image.depth + S(scale) * before.printed_rate.depth;
+        image.features = now_.image.features + S(scale) * before.printed_rate.features;
+        image.depth = now_.image.depth + S(scale) * before.printed_rate.depth;
+      } else {
+        image = image_of(body, R_BE);
       }
-      return Instant(*this, body_ + S(scale) * before.body_rate, printed,
-                     LawStage{&law_state_, &before.law.rate, S(scale)});
+      return Instant(*this, body, R_BE, image, LawStage{&law_state_, &before.law.rate, S(scale)});
     };
     runge_kutta_step(h, now_, derivative_at, [this, h](const std::array<const Instant*, 4>& k) { commit(h, k); });
     // Built in place: the object is large, and everything in it is trivially destructible.
-    ::new (&now_) Instant(*this, body_, true_image_, LawStage{&law_state_});
+    ::new (&now_) Instant(*this, body_, attitude_, true_image_, LawStage{&law_state_});
     accept(sample_now());
   }
 
@@ -164,11 +169,12 @@ class ClosedLoop {
     BodyState<S> body_rate;
     Image<S, N> printed_rate;  ///< of the image as (12) and (6) print it; unused by a camera that projects
 
-    /// @param printed_image integrated image, the true one of a camera as printed
-    Instant(const ClosedLoop& loop, const BodyState<S>& body, const Image<S, N>& printed_image,
+    /// @param attitude R_BE of the body
+    /// @param true_image projected, or integrated where the camera is as printed
+    Instant(const ClosedLoop& loop, const BodyState<S>& body, const Matrix3<S>& attitude, const Image<S, N>& true_image,
             const LawStage& stage) noexcept
-        : R_BE(rotation_matrix(quaternion_of(body))),
-          image(loop.printed_camera() ? printed_image : loop.image_of(body, R_BE)),
+        : R_BE(attitude),
+          image(true_image),
           law(Law::evaluate(loop.task_, loop.p_.gains, stage, loop.input_at(body, R_BE, image))),
           body_rate(hexservo::body_rate(loop.p_.body, loop.p_.dynamics_error, body, R_BE, law.wrench)) {
       if (loop.printed_camera()) {
@@ -211,7 +217,8 @@ class ClosedLoop {
       }
     }
     normalise_quaternion(body);
-    if (!printed_camera()) image = image_of(body, rotation_matrix(quaternion_of(body)));
+    const Matrix3<S> R_BE = rotation_matrix(quaternion_of(body));
+    if (!printed_camera()) image = image_of(body, R_BE);
 
     ++steps_;
     stop(StopCause::not_finite, !(is_finite(body) & is_finite(image.features) & is_finite(image.depth)));
@@ -225,6 +232,7 @@ class ClosedLoop {
     const Mask<S> active = running();
     Law::advance(law_state_, law_rates, scales, active);
     body_ = select(active, body, body_);
+    attitude_ = select(active, R_BE, attitude_);
     true_image_.features = select(active, image.features, now_.image.features);
     true_image_.depth = select(active, image.depth, now_.image.depth);
   }
@@ -266,7 +274,8 @@ class ClosedLoop {
   ControlTask<S, N> task_;
   BodyState<S> body_;
   LawState law_state_;
-  Image<S, N> true_image_;
+  Matrix3<S> attitude_;     ///< R_BE of the body
+  Image<S, N> true_image_;  ///< what the camera sees there
   Instant now_;
   Sample<S, N> sample_;
   MetricsAccumulator<S, N> metrics_;

@@ -32,7 +32,7 @@ struct RigidBody {
 /// entry.
 template <class S>
 struct DynamicsError {
-  Matrix6<S> inertia = Matrix6<S>::Zero();   ///< delta_D [1], 0; symmetric, and 1 - delta_D positive semidefinite
+  Matrix6<S> inertia = Matrix6<S>::Zero();   ///< delta_D [1], 0; symmetric, leaves a positive inertia
   Matrix6<S> coriolis = Matrix6<S>::Zero();  ///< delta_C [1], 0
   Vector6<S> gravity = Vector6<S>::Zero();   ///< delta_G [1], 0
 
