@@ -44,4 +44,17 @@ void require_finite(const std::string& key, const Eigen::MatrixBase<Derived>& m)
     }
 }
 
+/// Names the first entry of a vector that is not positive, counted from 0.
+template <int N>
+void require_positive(const std::string& key, const Eigen::Matrix<double, N, 1>& v) {
+  for (int i = 0; i < N; ++i) require_positive(words(key, "[", i, "]"), v(i));
+}
+
+template <int N>
+void require_not_negative(const std::string& key, const Eigen::Matrix<double, N, 1>& v) {
+  require_finite(key, v);
+  for (int i = 0; i < N; ++i)
+    if (v(i) < 0.0) refuse(words(key, "[", i, "]"), "a number >= 0", words(v(i)));
+}
+
 }  // namespace hexservo::detail

@@ -3,5 +3,6 @@
 namespace hexservo {
 
 template class ClosedLoop<double, Hybrid>;
+template class ClosedLoop<double, Composite>;
 
 }  // namespace hexservo

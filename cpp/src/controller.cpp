@@ -32,6 +32,7 @@ ControllerGains<Law> controller_gains(const Settings<Law>& settings, double peri
 }
 
 template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&, double);
+template ControllerGains<Composite> controller_gains(const Settings<Composite>&, double);
 
 template <int alignment>
 void library_was_built_with_other_instruction_set_flags() noexcept {}
@@ -44,7 +45,7 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
   // Any number may go through this; what comes of unusable ones is not taken over.
   const Matrix3<double> R_BE = rotation_matrix(input.pose.quaternion);
   const auto law = Law::evaluate(gains.task, gains.law, typename Law::template Stage<double>{&state.law},
-                                 LawInput<double>{input.image, R_BE, input.twist});
+                                 LawInput<double>{input.image, R_BE, input.twist, input.pose});
   const WrenchMapSolver<double> solver(gains.hexapod, inverse_kinematics(gains.hexapod, input.pose.position, R_BE));
   const Vector6<double> leg_forces = solver.leg_forces(law.wrench);
   // Forces that are finite come of a wrench that is.
@@ -60,6 +61,8 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
 }
 
 template ControllerOutput step(const ControllerGains<Hybrid>&, ControllerState<Hybrid>&,
+                               const ControllerInput&) noexcept;
+template ControllerOutput step(const ControllerGains<Composite>&, ControllerState<Composite>&,
                                const ControllerInput&) noexcept;
 
 }  // namespace hexservo

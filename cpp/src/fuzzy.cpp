@@ -21,10 +21,8 @@ Matrix7<double> linear_rule_table() {
   return table;
 }
 
-void validate(const FuzzyGains<double>& gains) {
-  const std::string key = "controller.hybrid.fuzzy.";
-  for (int j = 0; j < kAxes; ++j)
-    detail::require_positive(detail::words(key, "adaptation[", j, "]"), gains.adaptation(j));
+void validate(const FuzzyGains<double>& gains, const std::string& key) {
+  detail::require_positive(key + "adaptation", gains.adaptation);
   detail::require_finite(key + "error_scale", gains.error_scale);
   detail::require_finite(key + "rate_scale", gains.rate_scale);
   detail::require_finite(key + "initial_scale", gains.initial_scale);

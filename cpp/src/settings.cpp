@@ -139,5 +139,6 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
 }
 
 template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&);
+template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&);
 
 }  // namespace hexservo

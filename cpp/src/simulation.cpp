@@ -91,6 +91,7 @@ void check_settings(const Settings<Law>& settings) {
 }
 
 template void check_settings(const Settings<Hybrid>&);
+template void check_settings(const Settings<Composite>&);
 
 template <class Law>
 Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested) {
@@ -136,6 +137,7 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
 }
 
 template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&);
+template Trajectory simulate(const Settings<Composite>&, const std::function<bool()>&);
 
 BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body,
                              const DynamicsError<double>& error, const BodyState<double>& start,

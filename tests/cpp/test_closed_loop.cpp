@@ -52,7 +52,7 @@ Flat flat_rate(const Parameters& p, const ControlTask<double>& task, const Flat&
   const Image<double> image = printed ? Image<double>{y.segment<8>(13 + kWeights), y.tail<4>()}
                                       : take_image(task.focal_pixels, position_of(body), R_BE, p.points_B);
   const FuzzyWeights<double> weights = weights_of(y);
-  const LawInput<double> input{measured_image(image, p.depth_error), R_BE, twist_of(body)};
+  const LawInput<double> input{measured_image(image, p.depth_error), R_BE, twist_of(body), {}};
   const Hybrid::Evaluation<double> law =
       Hybrid::evaluate<double, 4>(task, p.gains, FuzzyStage<double>{&weights}, input);
 

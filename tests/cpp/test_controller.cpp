@@ -141,9 +141,9 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
         const Vector4<double> q = input.pose.quaternion.normalized();
         const Matrix3<double> R_BE = Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
         const ControlTask<double> task{f, -1.0, settings.target.desired_features, gravity_wrench(RigidBody<double>{}),
-                                       settings.switching};
+                                       settings.switching, {}};
         const auto law = Hybrid::evaluate(task, settings.gains, Hybrid::Stage<double>{&weights},
-                                          LawInput<double>{input.image, R_BE, input.twist});
+                                          LawInput<double>{input.image, R_BE, input.twist, input.pose});
         const ControllerOutput out = step(gains, state, input);
         REQUIRE_FALSE(out.invalid_input);
         REQUIRE(relative_distance(out.wrench, law.wrench) <= 100.0 * kEpsilon);

@@ -340,7 +340,7 @@ TEST_CASE("bells are either refused as too steep, or give a partition of unity e
       CAPTURE(slope);
       CAPTURE(width);
       const FuzzyGains<double> gains = design(width, slope);
-      const std::string verdict = refusal([&] { validate(gains); });
+      const std::string verdict = refusal([&] { validate(gains, "controller.hybrid.fuzzy."); });
       if (verdict != "(accepted)") {
         ++refused;
         CHECK(is_about(verdict, "controller.hybrid.fuzzy.bell_width"));
@@ -367,7 +367,7 @@ TEST_CASE("designs that make no sense are refused, with the key and the place") 
   const auto verdict = [](auto&& change) {
     FuzzyGains<double> gains;
     change(gains);
-    return refusal([&] { validate(gains); });
+    return refusal([&] { validate(gains, "controller.hybrid.fuzzy."); });
   };
   const std::string key = "controller.hybrid.fuzzy.";
   CHECK(verdict([](FuzzyGains<double>&) {}) == "(accepted)");

@@ -132,20 +132,44 @@ class ImageJacobian {
     for (int i = 0; i < N; ++i)
       add_point_wrench<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), image_force(2 * i),
                           image_force(2 * i + 1), force_E, moment_E);
+    return signed_in_base(force_E, moment_E);
+  }
+
+  /// J as a 2N x 6 matrix: twist in B (m/s; rad/s) to image velocity [px/s].
+  Eigen::Matrix<S, 2 * N, 6> matrix() const {
+    Eigen::Matrix<S, 2 * N, 6> J;
+    for (int i = 0; i < N; ++i) {
+      J.row(2 * i) = row(i, S(1.0), S(0.0)).transpose();
+      J.row(2 * i + 1) = row(i, S(0.0), S(1.0)).transpose();
+    }
+    return J;
+  }
+
+  /// J^T J, 6 x 6: what the image tells of a displacement in B [px^2/m^2 ... px^2/rad^2]; J is not formed.
+  Matrix6<S> normal_matrix() const {
+    Matrix6<S> sum = Matrix6<S>::Zero();
+    for (int i = 0; i < N; ++i) {
+      const Vector6<S> x = row(i, S(1.0), S(0.0)), y = row(i, S(0.0), S(1.0));
+      for (int column = 0; column < 6; ++column) sum.col(column) += x * x(column) + y * y(column);
+    }
+    return sum;
+  }
+
+ private:
+  /// fx times the row of J for the x of point i, plus fy times that for its y.
+  Vector6<S> row(int i, const S& fx, const S& fy) const {
+    Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
+    add_point_wrench<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), fx, fy, force_E, moment_E);
+    return signed_in_base(force_E, moment_E);
+  }
+
+  Vector6<S> signed_in_base(const Vector3<S>& force_E, const Vector3<S>& moment_E) const {
     Vector6<S> wrench;
     wrench.template head<3>() = rotate<S>(R_BE_, sign_ * force_E);
     wrench.template tail<3>() = rotate<S>(R_BE_, sign_ * moment_E);
     return wrench;
   }
 
-  /// J as a 2N x 6 matrix: twist in B (m/s; rad/s) to image velocity [px/s].
-  Eigen::Matrix<S, 2 * N, 6> matrix() const {
-    Eigen::Matrix<S, 2 * N, 6> J;
-    for (int row = 0; row < 2 * N; ++row) J.row(row) = pull(Vector<S, 2 * N>::Unit(row)).transpose();
-    return J;
-  }
-
- private:
   S f_, sign_;
   Vector<S, 2 * N> features_;
   Vector<S, N> inverse_depth_;

@@ -91,8 +91,12 @@ struct LoopParameters {
 /// What the law of a loop knows.
 template <class S, class Law, int N>
 ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
-  return {p.camera.focal_pixels(), S(controller_sign(p.convention, p.jacobian)), p.desired_features,
-          gravity_wrench(p.body), p.switching};
+  return {p.camera.focal_pixels(),
+          S(controller_sign(p.convention, p.jacobian)),
+          p.desired_features,
+          gravity_wrench(p.body),
+          p.switching,
+          home_pose(p.hexapod)};
 }
 
 /// Plant and law in continuous time, from home, at rest.
@@ -106,7 +110,7 @@ class ClosedLoop {
   explicit ClosedLoop(const Parameters& parameters)
       : p_(parameters),
         task_(control_task(p_)),
-        body_(body_state<S>({p_.hexapod.home_position, Pose<S>{}.quaternion}, Vector6<S>::Zero())),
+        body_(body_state<S>(home_pose(p_.hexapod), Vector6<S>::Zero())),
         law_state_(Law::initial_state(p_.gains)),
         attitude_(rotation_matrix(quaternion_of(body_))),
         true_image_(printed_camera() ? p_.initial_image : image_of(body_, attitude_)),
@@ -198,7 +202,7 @@ class ClosedLoop {
   }
 
   LawInput<S, N> input_at(const BodyState<S>& body, const Matrix3<S>& R_BE, const Image<S, N>& image) const noexcept {
-    return {measured_image(image, p_.depth_error), R_BE, twist_of(body)};
+    return {measured_image(image, p_.depth_error), R_BE, twist_of(body), {position_of(body), quaternion_of(body)}};
   }
 
   /// Ends a step: the new state where it is good, the old one where the lane stops or has stopped.

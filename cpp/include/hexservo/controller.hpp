@@ -51,6 +51,7 @@ template <class Law>
 ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period);
 
 extern template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&, double);
+extern template ControllerGains<Composite> controller_gains(const Settings<Composite>&, double);
 
 /// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
 /// -march=native) lays out gains and state differently, and does not link: give both the same flags.
@@ -61,7 +62,7 @@ void library_was_built_with_other_instruction_set_flags() noexcept;
 template <class Law>
 ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
   library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
-  return {Law::initial_state(gains.law), {gains.hexapod.home_position, Pose<double>{}.quaternion}};
+  return {Law::initial_state(gains.law), home_pose(gains.hexapod)};
 }
 
 /// One tick of (14), (15) with (13); the weights then advance by forward Euler over the period, (22).
@@ -74,6 +75,8 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
                       const ControllerInput& input) noexcept;
 
 extern template ControllerOutput step(const ControllerGains<Hybrid>&, ControllerState<Hybrid>&,
+                                      const ControllerInput&) noexcept;
+extern template ControllerOutput step(const ControllerGains<Composite>&, ControllerState<Composite>&,
                                       const ControllerInput&) noexcept;
 
 }  // namespace hexservo

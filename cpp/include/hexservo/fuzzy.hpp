@@ -16,6 +16,7 @@
 #include "hexservo/types.hpp"
 
 #include <array>
+#include <string>
 #include <type_traits>
 
 namespace hexservo {
@@ -263,8 +264,9 @@ void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<
 }
 
 /// Checks a design as a user gives it.
+/// @param key what the scenario's keys start with, "controller.hybrid.fuzzy."
 /// @throws std::invalid_argument naming the scenario key: Psi, bell width or slope not positive, bells too steep to
 /// normalise, anything not finite
-void validate(const FuzzyGains<double>& gains);
+void validate(const FuzzyGains<double>& gains, const std::string& key);
 
 }  // namespace hexservo

@@ -67,6 +67,12 @@ struct Hexapod {
   }
 };
 
+/// Where a run starts, and where R = I.
+template <class S>
+Pose<S> home_pose(const Hexapod<S>& hexapod) {
+  return {hexapod.home_position, Pose<S>{}.quaternion};
+}
+
 /// Builds the legs and checks that they can hold a platform.
 /// @throws std::invalid_argument naming the scenario key: radii, stroke or force limit not positive, coinciding joints,
 /// a leg of no length, or a geometry whose wrench map is singular at home or at generic poses (sigma_min/sigma_max

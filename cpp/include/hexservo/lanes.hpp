@@ -151,6 +151,10 @@ Lanes<W> tanh(Lanes<W> x) {
   return detail::map_lanes(x, [](double v) { return std::tanh(v); });
 }
 template <int W>
+Lanes<W> atan(Lanes<W> x) {
+  return detail::map_lanes(x, [](double v) { return std::atan(v); });
+}
+template <int W>
 Lanes<W> pow(Lanes<W> x, double exponent) {
   return detail::map_lanes(x, [exponent](double v) { return std::pow(v, exponent); });
 }

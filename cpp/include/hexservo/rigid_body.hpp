@@ -69,6 +69,35 @@ Matrix3<S> rotation_matrix(const Vector4<S>& q) {
   return R_BE;
 }
 
+/// Rotation vector of q: axis times angle [rad], at most pi long, for a quaternion of any length.
+template <class S>
+Vector3<S> rotation_vector(const Vector4<S>& q) {
+  using std::abs;
+  using std::atan;
+  using std::sqrt;
+  const Vector3<S> v = q.template tail<3>();
+  const S cosine = abs(q(0)), squared_sine = v.squaredNorm();  // of half the angle, times |q|
+  const S sine = sqrt(squared_sine);
+  // 2 atan(x)/x is 2 to rounding for small x, where its quotient would be 0/0.
+  const S scale =
+      select(squared_sine > S(1e-16) * cosine * cosine, S(S(2.0) * atan(S(sine / cosine)) / sine), S(S(2.0) / cosine));
+  return select(q(0) < S(0.0), S(-scale), scale) * v;
+}
+
+/// How to get from one pose to another: difference of the positions, then the rotation vector of R_to R_from^T, both in
+/// B [m; rad].
+template <class S>
+Vector6<S> pose_difference(const Pose<S>& to, const Pose<S>& from) {
+  const Vector3<S> v = from.quaternion.template tail<3>(), v_to = to.quaternion.template tail<3>();
+  Vector4<S> turn;  // q_to (x) conj(q_from)
+  turn(0) = to.quaternion.dot(from.quaternion);
+  turn.template tail<3>() = from.quaternion(0) * v_to - to.quaternion(0) * v + v.cross(v_to);
+  Vector6<S> difference;
+  difference.template head<3>() = to.position - from.position;
+  difference.template tail<3>() = rotation_vector(turn);
+  return difference;
+}
+
 /// q-dot = 1/2 (0, omega) (x) q with omega in B [rad/s] and q as it stands (docs/model.md, section 1).
 template <class S>
 Vector4<S> quaternion_rate(const Vector4<S>& q, const Vector3<S>& omega_B) {

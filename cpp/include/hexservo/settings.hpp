@@ -3,6 +3,7 @@
 #pragma once
 
 #include "hexservo/closed_loop.hpp"
+#include "hexservo/laws/composite.hpp"
 #include "hexservo/laws/hybrid.hpp"
 
 #include <optional>
@@ -56,6 +57,8 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings);
 
 // One translation unit compiles each loop (closed_loop.cpp).
 extern template class ClosedLoop<double, Hybrid>;
+extern template class ClosedLoop<double, Composite>;
 extern template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&);
+extern template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&);
 
 }  // namespace hexservo

@@ -69,6 +69,7 @@ template <class Law>
 void check_settings(const Settings<Law>& settings);
 
 extern template void check_settings(const Settings<Hybrid>&);
+extern template void check_settings(const Settings<Composite>&);
 
 /// Runs a scenario from home, at rest. The last good sample is always logged.
 /// @param stop_requested asked every few milliseconds; true ends the run with `Outcome::interrupted`
@@ -77,6 +78,7 @@ template <class Law>
 Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested = {});
 
 extern template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&);
+extern template Trajectory simulate(const Settings<Composite>&, const std::function<bool()>&);
 
 /// The platform alone under constant leg forces, without camera or controller (RK4).
 /// @param leg_forces [N], positive where they push

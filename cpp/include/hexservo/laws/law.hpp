@@ -3,6 +3,7 @@
 #pragma once
 
 #include "hexservo/camera.hpp"
+#include "hexservo/rigid_body.hpp"
 
 namespace hexservo {
 
@@ -54,6 +55,7 @@ struct ControlTask {
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
   Vector6<S> gravity_wrench;          ///< G of (1) [N; N m], in B
   Switching<S> switching;
+  Pose<S> reference;  ///< chi_ref, the pose that the prior of `composite` expects: home
 };
 
 /// What the sensors give a law.
@@ -62,6 +64,7 @@ struct LawInput {
   Image<S, N> image;  ///< measured features [px] and depth Z-hat [m]
   Matrix3<S> R_BE;    ///< attitude from the joint sensors
   Vector6<S> twist;   ///< chi-dot from the joint sensors, in B [m/s; rad/s]
+  Pose<S> pose;       ///< from the joint sensors; its attitude is R_BE
 };
 
 }  // namespace hexservo

@@ -1,0 +1,139 @@
+/// @file
+/// The law of this project: regulates the most probable pose error and adapts on it (docs/model.md, section 6).
+///
+/// The adaptation of the paper's law is driven by velocity alone: it stops wherever the platform sticks. Here it is
+/// driven by the pose error as well, so that the fuzzy systems integrate until the error is gone. Image and joint
+/// sensors both tell of that error, and in the directions that the image hardly shows the joint sensors' pose decides.
+///
+/// | symbol      | here           |                                                                              |
+/// | ----------- | -------------- | ---------------------------------------------------------------------------- |
+/// | xi-tilde    | feature_error  | xi_d - xi [px]                                                               |
+/// | e           | pose_error     | most probable displacement to the goal, in B [m; rad]                        |
+/// | chi_ref     | task.reference | pose that the prior expects: home                                            |
+/// | M           | prior          | diagonal, (sigma of a feature/sigma of a pose component)^2 [px^2/m^2; px^2/rad^2] |
+/// | Lambda      | drive          | how fast the pose error drives the adaptation [1/s]                          |
+/// | tau_f       | fuzzy_output   | [N; N m]                                                                     |
+#pragma once
+
+#include "hexservo/cholesky.hpp"
+#include "hexservo/fuzzy.hpp"
+#include "hexservo/laws/law.hpp"
+
+#include <limits>
+
+namespace hexservo {
+
+/// Design of the fuzzy systems of `composite`: their inputs are a pose error and its rate, so the scales differ.
+template <class S>
+FuzzyGains<S> composite_fuzzy_gains() {
+  FuzzyGains<S> gains;
+  gains.adaptation = linear_angular<S>(0.01, 3.0);
+  gains.error_scale = linear_angular<S>(20.0, 10.0);
+  gains.rate_scale.setConstant(S(1.0));
+  return gains;
+}
+
+/// Gains of the law `composite`.
+template <class S, int N = kPoints>
+struct CompositeGains {
+  Vector<S, 2 * N> kp = Vector<S, 2 * N>::Constant(S(1e-9));  ///< diagonal of K_p [N m/px^2], 1e-9
+  Vector6<S> kv = linear_angular<S>(2e-3, 1e-4);              ///< diagonal of K_v [N; N m], 2e-3 x3, 1e-4 x3
+  Vector6<S> kt{S(6.0),   S(6.0),   S(6.0),
+                S(0.015), S(0.015), S(0.03)};  ///< diagonal of K_t [N/m; N m/rad], 6 x3, 0.015 x2, 0.03
+  Vector6<S> kd{S(1.2),  S(1.2),  S(1.2),
+                S(3e-3), S(3e-3), S(6e-3)};           ///< diagonal of K_d [N s/m; N m s/rad], 1.2 x3, 3e-3 x2, 6e-3
+  Vector6<S> drive = Vector6<S>::Constant(S(4.0));    ///< diagonal of Lambda [1/s], 4
+  Vector6<S> prior = linear_angular<S>(1e4, 1600.0);  ///< diagonal of M [px^2/m^2; px^2/rad^2], 1e4 x3, 1600 x3
+  FuzzyGains<S> fuzzy = composite_fuzzy_gains<S>();   ///< a [1/m; 1/rad], b [s/m; s/rad]: 20 x3, 10 x3; 1
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.kp, b.kp);
+    f(a.kv, b.kv);
+    f(a.kt, b.kt);
+    f(a.kd, b.kd);
+    f(a.drive, b.drive);
+    f(a.prior, b.prior);
+    f(a.fuzzy, b.fuzzy);
+  }
+};
+
+/// e = (J^T J + M)^-1 (J^T xi-tilde + M (chi_ref - chi)): the most probable pose error, in B [m; rad].
+///
+/// The maximum a-posteriori estimate from the image (J e = xi-tilde, with noise) and from the prior (e = chi_ref - chi,
+/// with noise); M holds the ratio of the two variances. All NaN where J^T J + M is not positive definite.
+/// @param expected chi_ref - chi as `pose_difference` gives it [m; rad]
+template <class S, int N>
+Vector6<S> most_probable_pose_error(const ImageJacobian<S, N>& J, const Vector<S, 2 * N>& feature_error,
+                                    const Vector6<S>& prior, const Vector6<S>& expected) {
+  Matrix6<S> information = J.normal_matrix();
+  for (int j = 0; j < 6; ++j) information(j, j) += prior(j);
+  const Cholesky<S, 6> solver(information);
+  const Vector6<S> error = solver.solve(J.pull(feature_error) + prior.cwiseProduct(expected));
+  const Vector6<S> unknown = Vector6<S>::Constant(S(std::numeric_limits<double>::quiet_NaN()));
+  return select(solver.failed(), unknown, error);
+}
+
+/// The law as a policy of the loop: types of its gains and state, its evaluation, and how its state integrates.
+struct Composite {
+  template <class S>
+  using Gains = CompositeGains<S>;
+  template <class S>
+  using State = FuzzyWeights<S>;  ///< W_j, omega of (13)
+  template <class S>
+  using Stage = FuzzyStage<S>;
+  template <class S>
+  using Rate = FuzzyRate<S>;
+
+  /// Wrench and adaptation at one instant.
+  template <class S>
+  struct Evaluation {
+    Rate<S> rate;             ///< omega-dot
+    Vector6<S> fuzzy_output;  ///< tau_f of (13) [N; N m]
+    Vector6<S> wrench;        ///< tau, in B [N; N m]
+  };
+
+  template <class S>
+  static State<S> initial_state(const Gains<S>& gains) {
+    return initial_weights(gains.fuzzy);
+  }
+
+  /// tau = J^T K_p xi-tilde + K_t e - K_d chi-dot - K_v sw(chi-dot) + G - tau_f.
+  template <class S, int N>
+  static Evaluation<S> evaluate(const ControlTask<S, N>& task, const Gains<S>& gains, const Stage<S>& weights,
+                                const LawInput<S, N>& input) noexcept {
+    const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.image, input.R_BE);
+    const Vector<S, 2 * N> feature_error = task.desired_features - input.image.features;
+    const Vector6<S> pose_error =
+        most_probable_pose_error(J, feature_error, gains.prior, pose_difference(task.reference, input.pose));
+
+    const FuzzyGains<S>& fuzzy = gains.fuzzy;
+    const Vector6<S> driver = input.twist - gains.drive.cwiseProduct(pose_error);
+    // The goal stands still: the pose error's rate is minus the twist.
+    const auto basis = [&] {
+      return fuzzy_basis<S>(fuzzy, fuzzy.error_scale.cwiseProduct(pose_error),
+                            -fuzzy.rate_scale.cwiseProduct(input.twist));
+    };
+    // Initialised in place: the basis is 84 numbers.
+    Evaluation<S> out{{fuzzy.enabled ? basis() : zero_basis<S>(), driver.cwiseQuotient(fuzzy.adaptation)},
+                      Vector6<S>::Zero(),
+                      Vector6<S>::Zero()};
+    if (fuzzy.enabled) out.fuzzy_output = weights.output(out.rate.basis);  // (13)
+    out.wrench = J.pull(gains.kp.cwiseProduct(feature_error)) + gains.kt.cwiseProduct(pose_error) -
+                 gains.kd.cwiseProduct(input.twist) - gains.kv.cwiseProduct(task.switching(input.twist)) +
+                 task.gravity_wrench - out.fuzzy_output;
+    return out;
+  }
+
+  template <class S, std::size_t K>
+  static void advance(State<S>& state, const std::array<const Rate<S>*, K>& rates, const std::array<S, K>& scales,
+                      const Mask<S>& active) noexcept {
+    advance_weights(state, rates, scales, active);
+  }
+};
+
+/// Checks gains as a user gives them.
+/// @throws std::invalid_argument naming the scenario key
+void validate(const CompositeGains<double>& gains);
+
+}  // namespace hexservo
