@@ -3,6 +3,5 @@
 namespace hexservo {
 
 template class ClosedLoop<double, Hybrid>;
-template class ClosedLoop<double, Composite>;
 
 }  // namespace hexservo
