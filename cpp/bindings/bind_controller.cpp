@@ -2,6 +2,8 @@
 
 #include "hexservo/controller.hpp"
 
+#include <variant>
+
 namespace hexservo::bindings {
 
 namespace {
@@ -21,39 +23,57 @@ Vector<double, N> numbers(const char* name, const py::object& value) {
   return Eigen::Map<const Vector<double, N>>(array.data());
 }
 
-/// Gains with the state that belongs to them.
-struct Controller {
-  ControllerGains<Hybrid> gains;
-  ControllerState<Hybrid> state;
+/// Gains of a law with the state that belongs to them.
+template <class Law>
+struct LawController {
+  ControllerGains<Law> gains;
+  ControllerState<Law> state;
 
-  Controller(const Settings<Hybrid>& settings, double period)
+  LawController(const Settings<Law>& settings, double period)
       : gains(controller_gains(settings, period)), state(initial_state(gains)) {}
 };
+
+/// The controller of any law.
+using Controller = std::variant<LawController<Hybrid>, LawController<Composite>>;
+
+template <class Law>
+Controller make_controller(const Settings<Law>& settings, double period) {
+  return LawController<Law>(settings, period);
+}
 
 py::tuple step_once(Controller& controller, const py::object& features, const py::object& depth,
                     const py::object& position, const py::object& quaternion, const py::object& twist) {
   const ControllerInput input{{numbers<2 * kPoints>("features", features), numbers<kPoints>("depth", depth)},
                               {numbers<3>("position", position), numbers<4>("quaternion", quaternion)},
                               numbers<6>("twist", twist)};
-  const ControllerOutput out = step(controller.gains, controller.state, input);
+  const ControllerOutput out = std::visit([&](auto& c) { return step(c.gains, c.state, input); }, controller);
   return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.invalid_input);
 }
 
 }  // namespace
 
 void bind_controller(py::module_& m) {
-  py::class_<Controller>(m, "Controller", "The servo tick of the law hybrid, with its state.")
-      .def(py::init<const Settings<Hybrid>&, double>(), py::arg("settings"), py::arg("period"),
-           "ValueError('key: expected ..., got ...') for a bad scenario or period [s].")
+  constexpr auto text = "ValueError('key: expected ..., got ...') for a bad scenario or period [s].";
+  py::class_<Controller>(m, "Controller", "The servo tick of a law, with its state.")
+      .def(py::init(&make_controller<Hybrid>), py::arg("settings"), py::arg("period"), text)
+      .def(py::init(&make_controller<Composite>), py::arg("settings"), py::arg("period"), text)
       .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
            py::arg("twist"),
            "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), whether the input was invalid.")
       .def(
-          "reset", [](Controller& c) { c.state = initial_state(c.gains); }, "Back to the state before the first tick.")
+          "reset",
+          [](Controller& controller) { std::visit([](auto& c) { c.state = initial_state(c.gains); }, controller); },
+          "Back to the state before the first tick.")
       .def_property_readonly(
-          "period", [](const Controller& c) { return c.gains.period; }, "[s]")
+          "period",
+          [](const Controller& controller) { return std::visit([](auto& c) { return c.gains.period; }, controller); },
+          "[s]")
       .def_property_readonly(
-          "fuzzy_weights", [](const Controller& c) { return weight_array(c.state.law); }, "(6, 7, 7) [N; N m]");
+          "fuzzy_weights",
+          [](const Controller& controller) {
+            return std::visit([](auto& c) { return weight_array(c.state.law); }, controller);
+          },
+          "(6, 7, 7) [N; N m]");
 }
 
 }  // namespace hexservo::bindings

@@ -20,6 +20,26 @@ void set_points(Target& target, const std::optional<Points>& points) {
   if (points) target.points_B = points->transpose();
 }
 
+template <class Law>
+void bind_settings_of(py::module_& m, const char* name, const char* text) {
+  using S = Settings<Law>;
+  py::class_<S>(m, name, text)
+      .def(py::init<>())
+      .def_readwrite("robot", &S::robot)
+      .def_readwrite("camera", &S::camera)
+      .def_readwrite("convention", &S::convention)
+      .def_readwrite("jacobian", &S::jacobian)
+      .def_readwrite("target", &S::target)
+      .def_readwrite("uncertainty", &S::uncertainty)
+      .def_readwrite("switching", &S::switching)
+      .def_readwrite("gains", &S::gains)
+      .def_readwrite("simulation", &S::simulation)
+      .def_readwrite("metrics", &S::metrics)
+      .def(
+          "validate", [](const S& s) { check_settings(s); },
+          "ValueError('key: expected ..., got ...') for the first thing that is wrong.");
+}
+
 }  // namespace
 
 void bind_settings(py::module_& m) {
@@ -39,6 +59,17 @@ void bind_settings(py::module_& m) {
       .def_readwrite("kp", &HybridGains<double>::kp, "(8,) diagonal of K_p [N m/px^2]")
       .def_readwrite("kv", &HybridGains<double>::kv, "(6,) diagonal of K_v [N; N m]")
       .def_readwrite("fuzzy", &HybridGains<double>::fuzzy);
+
+  using Composed = CompositeGains<double>;
+  py::class_<Composed>(m, "CompositeGains", "Gains of the law composite.")
+      .def(py::init<>())
+      .def_readwrite("kp", &Composed::kp, "(8,) diagonal of K_p [N m/px^2]")
+      .def_readwrite("kv", &Composed::kv, "(6,) diagonal of K_v [N; N m]")
+      .def_readwrite("kt", &Composed::kt, "(6,) diagonal of K_t [N/m; N m/rad]")
+      .def_readwrite("kd", &Composed::kd, "(6,) diagonal of K_d [N s/m; N m s/rad]")
+      .def_readwrite("drive", &Composed::drive, "(6,) diagonal of Lambda [1/s]")
+      .def_readwrite("prior", &Composed::prior, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]")
+      .def_readwrite("fuzzy", &Composed::fuzzy, "error_scale [1/m; 1/rad], rate_scale [s/m; s/rad]");
 
   py::class_<Target>(m, "Target", "Four points to look at, and where they shall appear.")
       .def(py::init<>())
@@ -65,21 +96,8 @@ void bind_settings(py::module_& m) {
       .def_readwrite("settling_threshold", &MetricsSettings::settling_threshold, "[px]")
       .def_readwrite("rms_start", &MetricsSettings::rms_start, "[s]");
 
-  py::class_<Settings<Hybrid>>(m, "HybridSettings", "A scenario for the law hybrid, as numbers.")
-      .def(py::init<>())
-      .def_readwrite("robot", &Settings<Hybrid>::robot)
-      .def_readwrite("camera", &Settings<Hybrid>::camera)
-      .def_readwrite("convention", &Settings<Hybrid>::convention)
-      .def_readwrite("jacobian", &Settings<Hybrid>::jacobian)
-      .def_readwrite("target", &Settings<Hybrid>::target)
-      .def_readwrite("uncertainty", &Settings<Hybrid>::uncertainty)
-      .def_readwrite("switching", &Settings<Hybrid>::switching)
-      .def_readwrite("gains", &Settings<Hybrid>::gains)
-      .def_readwrite("simulation", &Settings<Hybrid>::simulation)
-      .def_readwrite("metrics", &Settings<Hybrid>::metrics)
-      .def(
-          "validate", [](const Settings<Hybrid>& s) { check_settings(s); },
-          "ValueError('key: expected ..., got ...') for the first thing that is wrong.");
+  bind_settings_of<Hybrid>(m, "HybridSettings", "A scenario for the law hybrid, as numbers.");
+  bind_settings_of<Composite>(m, "CompositeSettings", "A scenario for the law composite, as numbers.");
 }
 
 }  // namespace hexservo::bindings

@@ -29,6 +29,15 @@ bool interrupt_requested() {
   return true;
 }
 
+template <class Law>
+void bind_simulate(py::module_& m) {
+  m.def(
+      "simulate", [](const Settings<Law>& settings) { return simulate(settings, interrupt_requested); },
+      py::arg("settings"), py::call_guard<py::gil_scoped_release>(),
+      "Runs a scenario; ValueError for a bad one, a trajectory with its outcome otherwise. Ctrl-C ends it with "
+      "`interrupted`.");
+}
+
 }  // namespace
 
 void bind_simulation(py::module_& m) {
@@ -91,11 +100,8 @@ void bind_simulation(py::module_& m) {
       .def_readonly("events", &Trajectory::events)
       .def_readonly("metrics", &Trajectory::metrics);
 
-  m.def(
-      "simulate", [](const Settings<Hybrid>& settings) { return simulate(settings, interrupt_requested); },
-      py::arg("settings"), py::call_guard<py::gil_scoped_release>(),
-      "Runs a scenario; ValueError for a bad one, a trajectory with its outcome otherwise. Ctrl-C ends it with "
-      "`interrupted`.");
+  bind_simulate<Hybrid>(m);
+  bind_simulate<Composite>(m);
 
   m.def(
       "drive_legs",

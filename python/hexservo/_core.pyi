@@ -146,6 +146,18 @@ class HybridGains(metaclass=_PybindType):
     kv: _Array
     fuzzy: FuzzyGains
 
+class CompositeGains(metaclass=_PybindType):
+    """Gains of the law composite."""
+
+    def __init__(self) -> None: ...
+    kp: _Array
+    kv: _Array
+    kt: _Array
+    kd: _Array
+    drive: _Array
+    prior: _Array
+    fuzzy: FuzzyGains
+
 class Switching(metaclass=_PybindType):
     """Stand-in for sgn in (15)."""
 
@@ -196,6 +208,22 @@ class HybridSettings(metaclass=_PybindType):
     uncertainty: Uncertainty
     switching: Switching
     gains: HybridGains
+    simulation: SimulationSettings
+    metrics: MetricsSettings
+    def validate(self) -> None: ...
+
+class CompositeSettings(metaclass=_PybindType):
+    """A scenario for the law composite, as numbers."""
+
+    def __init__(self) -> None: ...
+    robot: RobotParameters
+    camera: Camera
+    convention: CameraConvention
+    jacobian: JacobianConvention
+    target: Target
+    uncertainty: Uncertainty
+    switching: Switching
+    gains: CompositeGains
     simulation: SimulationSettings
     metrics: MetricsSettings
     def validate(self) -> None: ...
@@ -284,9 +312,9 @@ class Trajectory(metaclass=_PybindType):
     def metrics(self) -> Metrics: ...
 
 class Controller(metaclass=_PybindType):
-    """The servo tick of the law hybrid, with its state."""
+    """The servo tick of a law, with its state."""
 
-    def __init__(self, settings: HybridSettings, period: float) -> None: ...
+    def __init__(self, settings: HybridSettings | CompositeSettings, period: float) -> None: ...
     def step(
         self, features: object, depth: object, position: object, quaternion: object, twist: object
     ) -> tuple[_Array, _Array, _Array, bool]: ...
@@ -309,7 +337,7 @@ def image_jacobian(
     quaternion: ArrayLike,
     convention: CameraConvention = CameraConvention.eye_in_hand,
 ) -> _Array: ...
-def simulate(settings: HybridSettings) -> Trajectory: ...
+def simulate(settings: HybridSettings | CompositeSettings) -> Trajectory: ...
 def drive_legs(
     hexapod: Hexapod,
     body: RigidBody,

@@ -13,7 +13,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo._output import OutputError, _beside, _locked, _shown, _synchronize
-from hexservo._parameters import core_parameters
+from hexservo._parameters import Settings, core_parameters
 from hexservo._scenario import Scenario
 
 __all__ = ["gains_header", "write_header"]
@@ -36,11 +36,8 @@ _ROBOT = {
 _CAMERA = {"camera.focal_length": "m", "camera.pixel_scale": "px/m", "convention": "", "jacobian": ""}
 _SEEN_FROM_HOME = {"target.initial_features": "px", "target.depth": "m"}
 _GOAL = {"target.desired_features": "px"}
-_GAINS = {
-    "switching.kind": "",
-    "switching.width": "m/s; rad/s",
-    "gains.kp": "N m/px^2",
-    "gains.kv": "N; N m",
+_SWITCHING = {"switching.kind": "", "switching.width": "m/s; rad/s"}
+_FUZZY = {
     "gains.fuzzy.enabled": "",
     "gains.fuzzy.adaptation": "m/N; rad/(N m)",
     "gains.fuzzy.error_scale": "1/N; 1/(N m)",
@@ -49,6 +46,18 @@ _GAINS = {
     "gains.fuzzy.table": "1",
     "gains.fuzzy.bell_width": "1",
     "gains.fuzzy.bell_slope": "1",
+}
+_HYBRID = {"gains.kp": "N m/px^2", "gains.kv": "N; N m", **_FUZZY}
+_COMPOSITE = {
+    "gains.kp": "N m/px^2",
+    "gains.kv": "N; N m",
+    "gains.kt": "N/m; N m/rad",
+    "gains.kd": "N s/m; N m s/rad",
+    "gains.drive": "1/s",
+    "gains.prior": "px^2/m^2; px^2/rad^2",
+    **_FUZZY,
+    "gains.fuzzy.error_scale": "1/m; 1/rad",
+    "gains.fuzzy.rate_scale": "s/m; s/rad",
 }
 
 
@@ -75,7 +84,9 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
 
     settings = core_parameters(scenario)
     period = _core.Controller(settings, period).period  # the core's own check
-    blocks = [_ROBOT, _CAMERA, _SEEN_FROM_HOME, _GOAL, _GAINS]
+    gains = _HYBRID if isinstance(settings, _core.HybridSettings) else _COMPOSITE
+    law = f"hexservo::{type(settings).__name__.removesuffix('Settings')}"
+    blocks = [_ROBOT, _CAMERA, _SEEN_FROM_HOME, _GOAL, _SWITCHING, gains]
     if settings.target.points is not None:
         blocks.remove(_SEEN_FROM_HOME)
     lines = [
@@ -93,8 +104,8 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
         f"inline constexpr double period = {period!r};",
         "",
         "/// Robot, camera, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.",
-        "inline hexservo::Settings<hexservo::Hybrid> settings() {",
-        "  hexservo::Settings<hexservo::Hybrid> s;",
+        f"inline hexservo::Settings<{law}> settings() {{",
+        f"  hexservo::Settings<{law}> s;",
     ]
     for block in blocks:
         for member, unit in block.items():
@@ -108,7 +119,7 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
         "}",
         "",
         "/// What `hexservo::step` needs.",
-        "inline hexservo::ControllerGains<hexservo::Hybrid> controller_gains() {",
+        f"inline hexservo::ControllerGains<{law}> controller_gains() {{",
         "  return hexservo::controller_gains(settings(), period);",
         "}",
         "",
@@ -117,7 +128,7 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _value(settings: _core.HybridSettings, member: str) -> Any:
+def _value(settings: Settings, member: str) -> Any:
     value: Any = settings
     for name in member.split("."):
         value = getattr(value, name)

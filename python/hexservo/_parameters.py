@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from hexservo import _core
 
 if TYPE_CHECKING:
-    from hexservo._scenario import Fuzzy, Scenario
+    from hexservo._scenario import Composite, Fuzzy, Hybrid, Scenario
 
-__all__ = ["core_parameters"]
+__all__ = ["Settings", "core_parameters"]
+
+Settings: TypeAlias = _core.HybridSettings | _core.CompositeSettings
+"""A scenario in the core: one type for each law."""
 
 
-def core_parameters(scenario: Scenario) -> _core.HybridSettings:
+def core_parameters(scenario: Scenario) -> Settings:
     """Give the core's settings of a scenario, checked by the core.
 
     Raises
@@ -24,7 +27,7 @@ def core_parameters(scenario: Scenario) -> _core.HybridSettings:
         Text "key: expected ..., got ..." for what only the maths can tell: an inertia that no body has, legs that
         cannot hold a platform, a target behind the camera, features that coincide, a log that does not fit.
     """
-    settings = _core.HybridSettings()
+    settings = _of_law(scenario)
     settings.robot = _robot(scenario)
     settings.camera.focal_length = scenario.camera.focal_length
     settings.camera.pixel_scale = scenario.camera.pixel_scale
@@ -34,14 +37,29 @@ def core_parameters(scenario: Scenario) -> _core.HybridSettings:
     settings.uncertainty = _uncertainty(scenario)
     settings.switching.kind = _core.SwitchingKind[scenario.controller.switching.kind]
     settings.switching.width = scenario.controller.switching.width
-    settings.gains.kp = _filled(scenario.controller.hybrid.kp, 8)
-    settings.gains.kv = _filled(scenario.controller.hybrid.kv, 6)
-    settings.gains.fuzzy = _fuzzy(scenario.controller.hybrid.fuzzy)
     settings.simulation.step = scenario.simulation.step
     settings.simulation.duration = scenario.simulation.duration
     settings.simulation.log_every = scenario.simulation.log_every
     settings.validate()
     return settings
+
+
+def _of_law(scenario: Scenario) -> Settings:
+    """Give settings for the scenario's law, with its gains."""
+    if scenario.controller.law == "hybrid":
+        hybrid = _core.HybridSettings()
+        _set_gains(hybrid.gains, scenario.controller.hybrid)
+        return hybrid
+    composite = _core.CompositeSettings()
+    _set_gains(composite.gains, scenario.controller.composite)
+    return composite
+
+
+def _set_gains(gains: _core.HybridGains | _core.CompositeGains, law: Hybrid | Composite) -> None:
+    """Copy a law's block; each of its keys has the core's name."""
+    for key in type(law).model_fields:
+        value = getattr(law, key)
+        setattr(gains, key, _fuzzy(value) if key == "fuzzy" else _filled(value, *getattr(gains, key).shape))
 
 
 def _filled(value: Any, *shape: int) -> NDArray[np.float64]:

@@ -26,6 +26,7 @@ from hexservo._yaml import MAX_DEPTH, ScenarioError, dump_yaml, load_yaml, read_
 
 __all__ = [
     "Camera",
+    "Composite",
     "Controller",
     "Fuzzy",
     "Hybrid",
@@ -495,7 +496,8 @@ class Switching(_Block):
 class Fuzzy(_Block):
     """The six fuzzy systems and their adaptation, (13) and (22); docs/model.md section 5.
 
-    Where six numbers are allowed they are for x, y, z (N) and about x, y, z (N m).
+    Where six numbers are allowed they are for x, y, z (N) and about x, y, z (N m). In the block of `composite` the
+    inputs are a pose error and its rate: a [1/m, 1/rad], b [s/m, s/rad], with defaults of their own.
     """
 
     enabled: Annotated[bool, _Flag()] = Field(default_factory=lambda: _core.FuzzyGains().enabled)
@@ -544,14 +546,55 @@ class Hybrid(_Block):
     fuzzy: Fuzzy = Field(default_factory=Fuzzy)
 
 
+class Composite(_Block):
+    """Gains of the law that regulates the most probable pose error; docs/model.md section 6.
+
+    Its fuzzy systems see that error and its rate, so their scales have other units and other defaults.
+    """
+
+    # K_p, diagonal, one entry per feature coordinate [N m/px^2]
+    kp: Annotated[float | Vector, _Array((8,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.CompositeGains().kp)
+    )
+    # K_v, diagonal, [N] x3, [N m] x3
+    kv: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.CompositeGains().kv)
+    )
+    # K_t, diagonal, stiffness against the pose error [N/m] x3, [N m/rad] x3
+    kt: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.CompositeGains().kt)
+    )
+    # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
+    kd: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.CompositeGains().kd)
+    )
+    # Lambda, diagonal: how fast the pose error drives the adaptation [1/s]
+    drive: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.CompositeGains().drive)
+    )
+    # M, diagonal: weight of the start pose against the image [px^2/m^2] x3, [px^2/rad^2] x3
+    prior: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.CompositeGains().prior)
+    )
+    fuzzy: Fuzzy = Field(default_factory=lambda: Fuzzy(**_composite_fuzzy()))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("fuzzy"), dict):
+            return {**data, "fuzzy": {**_composite_fuzzy(), **data["fuzzy"]}}
+        return data
+
+
 class Controller(_Block):
     """The control law. Each law has a block of its own, and only the selected one acts."""
 
-    law: Annotated[Literal["hybrid"], _Choice()] = "hybrid"
+    law: Annotated[Literal["hybrid", "composite"], _Choice()] = "hybrid"
     # consistent: the sign of the plant; printed: (8) as it stands
     jacobian: Annotated[Literal["consistent", "printed"], _Choice()] = "consistent"
     switching: Switching = Field(default_factory=Switching)
     hybrid: Hybrid = Field(default_factory=Hybrid)
+    composite: Composite = Field(default_factory=Composite)
 
 
 class Simulation(_Block):
@@ -735,6 +778,14 @@ def _preset_values(preset: str) -> dict[str, Any]:
         if key not in ("preset", "inertia")
     }
     return {**values, "inertia": _map_lists(_diagonal_if_diagonal(_tupled(robot.inertia)), list)}
+
+
+@cache
+def _composite_fuzzy() -> dict[str, Any]:
+    """Return the defaults of the fuzzy systems that are not those of `Fuzzy`, as plain data (not to be changed)."""
+    gains = _core.CompositeGains().fuzzy
+    keys = ("adaptation", "error_scale", "rate_scale")
+    return {key: _map_lists(_collapsed(getattr(gains, key)), list) for key in keys}
 
 
 def _plain(value: Any, place: str = "", depth: int = 0) -> Any:

@@ -53,7 +53,7 @@ Matrix3<double> rotation_of(const Vector4<double>& quaternion) {
 
 /// Quaternion (w, x, y, z) of a rotation vector [rad].
 Vector4<double> quaternion_by(const Vector3<double>& turn) {
-  const double angle = turn.norm();
+  const double angle = turn.stableNorm();
   const double half = 0.5 * angle;
   Vector4<double> q;
   q(0) = std::cos(half);
@@ -579,7 +579,7 @@ TEST_CASE("the drift's cause: eigenvalues of (J-hat^T J-hat)^-1 J-hat^T J below 
       }
       CHECK(negative == (at_goal ? 13 : 11));
       CHECK(worst > 0.0);
-      MESSAGE(worst);
+      if (size == 0.3 && !at_goal) CHECK(worst == doctest::Approx(0.0055).epsilon(0.01));
     }
   }
 }
