@@ -2,6 +2,7 @@
 
 #include "hexservo/controller.hpp"
 
+#include <utility>
 #include <variant>
 
 namespace hexservo::bindings {
@@ -34,19 +35,24 @@ struct LawController {
 };
 
 /// The controller of any law.
-using Controller = std::variant<LawController<Hybrid>, LawController<Composite>>;
+struct Controller {
+  std::variant<LawController<Hybrid>, LawController<Composite>> of_law;
 
-template <class Law>
-Controller make_controller(const Settings<Law>& settings, double period) {
-  return LawController<Law>(settings, period);
-}
+  template <class Law>
+  Controller(const Settings<Law>& settings, double period) : of_law(LawController<Law>(settings, period)) {}
+
+  template <class F>
+  auto visit(F&& function) {
+    return std::visit(std::forward<F>(function), of_law);
+  }
+};
 
 py::tuple step_once(Controller& controller, const py::object& features, const py::object& depth,
                     const py::object& position, const py::object& quaternion, const py::object& twist) {
   const ControllerInput input{{numbers<2 * kPoints>("features", features), numbers<kPoints>("depth", depth)},
                               {numbers<3>("position", position), numbers<4>("quaternion", quaternion)},
                               numbers<6>("twist", twist)};
-  const ControllerOutput out = std::visit([&](auto& c) { return step(c.gains, c.state, input); }, controller);
+  const ControllerOutput out = controller.visit([&](auto& c) { return step(c.gains, c.state, input); });
   return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.invalid_input);
 }
 
@@ -55,24 +61,20 @@ py::tuple step_once(Controller& controller, const py::object& features, const py
 void bind_controller(py::module_& m) {
   constexpr auto text = "ValueError('key: expected ..., got ...') for a bad scenario or period [s].";
   py::class_<Controller>(m, "Controller", "The servo tick of a law, with its state.")
-      .def(py::init(&make_controller<Hybrid>), py::arg("settings"), py::arg("period"), text)
-      .def(py::init(&make_controller<Composite>), py::arg("settings"), py::arg("period"), text)
+      .def(py::init<const Settings<Hybrid>&, double>(), py::arg("settings"), py::arg("period"), text)
+      .def(py::init<const Settings<Composite>&, double>(), py::arg("settings"), py::arg("period"), text)
       .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
            py::arg("twist"),
            "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), whether the input was invalid.")
       .def(
-          "reset",
-          [](Controller& controller) { std::visit([](auto& c) { c.state = initial_state(c.gains); }, controller); },
+          "reset", [](Controller& controller) { controller.visit([](auto& c) { c.state = initial_state(c.gains); }); },
           "Back to the state before the first tick.")
       .def_property_readonly(
-          "period",
-          [](const Controller& controller) { return std::visit([](auto& c) { return c.gains.period; }, controller); },
+          "period", [](Controller& controller) { return controller.visit([](auto& c) { return c.gains.period; }); },
           "[s]")
       .def_property_readonly(
           "fuzzy_weights",
-          [](const Controller& controller) {
-            return std::visit([](auto& c) { return weight_array(c.state.law); }, controller);
-          },
+          [](Controller& controller) { return controller.visit([](auto& c) { return weight_array(c.state.law); }); },
           "(6, 7, 7) [N; N m]");
 }
 

@@ -546,6 +546,14 @@ class Hybrid(_Block):
     fuzzy: Fuzzy = Field(default_factory=Fuzzy)
 
 
+@cache
+def _composite_fuzzy() -> dict[str, Any]:
+    """Return the defaults of the fuzzy systems that are not those of `Fuzzy`, as plain data (not to be changed)."""
+    gains = _core.CompositeGains().fuzzy
+    keys = ("adaptation", "error_scale", "rate_scale")
+    return {key: _map_lists(_collapsed(getattr(gains, key)), list) for key in keys}
+
+
 class Composite(_Block):
     """Gains of the law that regulates the most probable pose error; docs/model.md section 6.
 
@@ -778,14 +786,6 @@ def _preset_values(preset: str) -> dict[str, Any]:
         if key not in ("preset", "inertia")
     }
     return {**values, "inertia": _map_lists(_diagonal_if_diagonal(_tupled(robot.inertia)), list)}
-
-
-@cache
-def _composite_fuzzy() -> dict[str, Any]:
-    """Return the defaults of the fuzzy systems that are not those of `Fuzzy`, as plain data (not to be changed)."""
-    gains = _core.CompositeGains().fuzzy
-    keys = ("adaptation", "error_scale", "rate_scale")
-    return {key: _map_lists(_collapsed(getattr(gains, key)), list) for key in keys}
 
 
 def _plain(value: Any, place: str = "", depth: int = 0) -> Any:

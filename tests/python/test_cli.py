@@ -326,7 +326,9 @@ def test_check_lists_every_problem(tmp_path: Path) -> None:
     assert (run.code, run.out) == (2, "")
     assert len(run.errors) == 2
     assert run.errors[0].startswith(f"Error: {file}: robot.mass: expected a number > 0, got -1")
-    assert run.errors[1].startswith(f'Error: {file}: controller.law: expected "hybrid", got "hybird"')
+    assert run.errors[1].startswith(
+        f'Error: {file}: controller.law: expected one of "hybrid", "composite", got "hybird"'
+    )
 
 
 @pytest.mark.parametrize("command", ["run", "show", "check"])

@@ -34,14 +34,16 @@ def good_input(paper: hs.Scenario) -> dict[str, NDArray[np.float64]]:
 
 @pytest.mark.parametrize("kind", ["sign", "tanh", "saturation"])
 @pytest.mark.parametrize("fuzzy", [True, False])
-def test_the_first_ticks_are_the_first_samples_of_a_run(paper: hs.Scenario, kind: str, fuzzy: bool) -> None:
+@pytest.mark.parametrize("law", ["hybrid", "composite"])
+def test_the_first_ticks_are_the_first_samples_of_a_run(paper: hs.Scenario, law: str, kind: str, fuzzy: bool) -> None:
     """A run's logged wrench is the law at its logged state; fed with that state, a fresh tick gives the same."""
     scenario = paper.updated(
         {
+            "controller.law": law,
             "controller.switching.kind": kind,
-            "controller.hybrid.fuzzy.enabled": fuzzy,
-            "controller.hybrid.fuzzy.initial_scale": 0.02,
-            "controller.hybrid.fuzzy.adaptation": 1e12,  # the weights stay as they start
+            f"controller.{law}.fuzzy.enabled": fuzzy,
+            f"controller.{law}.fuzzy.initial_scale": 0.02,
+            f"controller.{law}.fuzzy.adaptation": 1e12,  # the weights stay as they start
             "simulation.duration": 0.05,
         }
     )

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EIGEN = next((path for path in map(Path, ("/usr/include/eigen3", "/usr/local/include/eigen3")) if path.exists()), None)
 
 # What the header has to bring to C++: everything but the plant's errors and the run's grid.
-MEMBERS = [
+SHARED = [
     *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
     *(f"robot.{name}" for name in ("home_position", "mass", "inertia", "stroke", "force_limit")),
     *("camera.focal_length", "camera.pixel_scale", "convention", "jacobian", "target.desired_features"),
@@ -33,6 +33,7 @@ MEMBERS = [
     *(f"gains.fuzzy.{name}" for name in ("enabled", "adaptation", "error_scale", "rate_scale", "initial_scale")),
     *(f"gains.fuzzy.{name}" for name in ("table", "bell_width", "bell_slope")),
 ]
+MEMBERS = {"hybrid": SHARED, "composite": [*SHARED, "gains.kt", "gains.kd", "gains.drive", "gains.prior"]}
 
 
 def run(*arguments: str) -> tuple[int, str, str]:
@@ -40,7 +41,7 @@ def run(*arguments: str) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-def uncommon(paper: hs.Scenario) -> hs.Scenario:
+def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
     """No number of it is a default or has few digits."""
     random = np.random.default_rng(20)
 
@@ -66,11 +67,12 @@ def uncommon(paper: hs.Scenario) -> hs.Scenario:
             "target.initial_features": about(30, 18, 65, -65, -44, 37, -10, -15),
             "target.desired_features": about(10, 10, 45, -73, -64, 29, -30, -23),
             "target.depth": about(0.5, 0.6, 0.5, 0.4),
+            "controller.law": law,
             "controller.jacobian": "printed",
             "controller.switching": {"kind": "saturation", "width": width},
-            "controller.hybrid.kp": about(*[1e-6] * 8),
-            "controller.hybrid.kv": about(*[2e-3] * 3, *[1e-4] * 3),
-            "controller.hybrid.fuzzy": {
+            f"controller.{law}.kp": about(*[1e-6] * 8),
+            f"controller.{law}.kv": about(*[2e-3] * 3, *[1e-4] * 3),
+            f"controller.{law}.fuzzy": {
                 "enabled": False,
                 "adaptation": about(*[10] * 6),
                 "error_scale": about(*[5] * 6),
@@ -80,6 +82,10 @@ def uncommon(paper: hs.Scenario) -> hs.Scenario:
                 "bell_width": bell,
                 "bell_slope": slope,
             },
+            "controller.composite.kt": about(*[6] * 3, *[0.02] * 3),
+            "controller.composite.kd": about(*[1] * 3, *[3e-3] * 3),
+            "controller.composite.drive": about(*[4] * 6),
+            "controller.composite.prior": about(*[1e4] * 3, *[1600] * 3),
         }
     )
 
@@ -101,9 +107,11 @@ def test_the_head_says_what_it_is_and_no_date(paper: hs.Scenario) -> None:
     assert "inline constexpr double period = 0.0005;" in gains_header(paper, 5e-4)
 
 
-def test_every_assignment_says_its_unit(paper: hs.Scenario) -> None:
-    assigned = [line for line in gains_header(paper).splitlines() if line.startswith("  s.")]
-    assert len(assigned) == len(MEMBERS) + 2  # and what is seen from home
+@pytest.mark.parametrize("law", MEMBERS)
+def test_every_assignment_says_its_unit(paper: hs.Scenario, law: str) -> None:
+    header = gains_header(paper.updated({"controller.law": law}))
+    assigned = [line for line in header.splitlines() if line.startswith("  s.")]
+    assert len(assigned) == len(MEMBERS[law]) + 2  # and what is seen from home
     for line in assigned:
         plain = "hexservo::" in line or line.endswith((" = true;", " = false;"))
         assert plain or re.search(r"// \[[^\]]+\]$", line), line
@@ -126,9 +134,9 @@ def test_the_namespace_is_the_scenario_as_cpp_allows_it(paper: hs.Scenario, name
 
 
 @pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
-@pytest.mark.parametrize("points", [False, True])
-def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: Path, points: bool) -> None:
-    scenario = uncommon(paper)
+@pytest.mark.parametrize(("law", "points"), [("hybrid", False), ("hybrid", True), ("composite", False)])
+def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: Path, law: str, points: bool) -> None:
+    scenario = uncommon(paper, law)
     seen = ["target.initial_features", "target.depth"]
     if points:
         where = [[0.03, 0.02, -0.61], [0.05, -1 / 17, -0.65], [-0.04, 0.03, -0.7], [-0.01, -0.02, -0.6]]
@@ -137,7 +145,7 @@ def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: P
         seen = ["target.points"]
     write_header(gains_header(scenario, 1 / 1700), tmp_path / "gains.hpp")
     place = {"target.points": "target.points_B->transpose()"}
-    shows = "".join(f'  show("{member}", s.{place.get(member, member)});\n' for member in MEMBERS + seen)
+    shows = "".join(f'  show("{member}", s.{place.get(member, member)});\n' for member in MEMBERS[law] + seen)
     (tmp_path / "main.cpp").write_text(
         f"""#include "gains.hpp"
 #include <cstdio>
@@ -168,7 +176,7 @@ int main() {{
     read = {name: [float.fromhex(text) for text in texts] for name, *texts in map(str.split, output.splitlines())}
     settings = core_parameters(scenario)
     assert read.pop("period") == [1 / 1700]
-    assert set(read) == {*MEMBERS, *seen}
+    assert set(read) == {*MEMBERS[law], *seen}
     for member, numbers in read.items():
         value: Any = settings
         for name in member.split("."):

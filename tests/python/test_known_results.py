@@ -1,4 +1,4 @@
-"""The numbers that any implementation of docs/model.md has to reproduce: section 8, law hybrid, continuous time.
+"""The numbers that any implementation of docs/model.md has to reproduce: section 9, both laws, continuous time.
 
 The runs with `sgn` chatter, so their residuals are those of one step size: a residual is checked to 0.02 px and a time
 to 2 %, as far apart as runs of other step sizes are; smooth runs are checked to 1e-9 of each printed number.
@@ -6,6 +6,7 @@ to 2 %, as far apart as runs of other step sizes are; smooth runs are checked to
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -79,6 +80,76 @@ def test_smooth_check(paper: hs.Scenario) -> None:
     np.testing.assert_allclose(
         1e3 * result.position[-1], [0.291648903158, 0.049231853813, -149.998341214122], rtol=1e-9, atol=0
     )
+
+
+GRAVITY = {"inertia": 0.075, "coriolis": 0.125, "gravity": 0.075, "depth": 0.3}
+
+
+@pytest.fixture
+def composite() -> hs.Scenario:
+    """Give the law `composite` against the gravity error that the paper's law does not hold."""
+    return hs.load_scenario("paper-composite").updated({"uncertainty": GRAVITY})
+
+
+def test_composite_holds_a_gravity_error(composite: hs.Scenario) -> None:
+    result, metrics = run(composite)
+    assert metrics["settling_time"] == pytest.approx(0.552, rel=TIME)
+    assert metrics["final_error"] == pytest.approx(0.05, abs=RESIDUAL)
+    assert metrics["rms_error"] == pytest.approx(0.058, abs=RESIDUAL)
+    assert not result.events
+
+
+def test_composite_smooth_check(composite: hs.Scenario) -> None:
+    smooth = {"controller.switching": {"kind": "tanh", "width": 1e-3}, "simulation.duration": 1.0}
+    result, _ = run(composite.updated(smooth))
+    np.testing.assert_allclose(
+        result.feature_error[-1, :3], [-0.331601404127, -0.038900078109, -0.275536217976], rtol=1e-9, atol=0
+    )
+    np.testing.assert_allclose(
+        1e3 * result.position[-1], [5.629599067145, 2.192302430583, -149.949519788991], rtol=1e-9, atol=0
+    )
+
+
+def depth_errors(signs: str, size: float) -> list[float]:
+    return [size if sign == "+" else -size for sign in signs]
+
+
+WORST = "+--+"
+SIGNS = ["".join(signs) for signs in itertools.product("+-", repeat=4)]
+
+
+def creep(scenario: hs.Scenario, signs: str, duration: float) -> tuple[hs.Result, dict[str, float]]:
+    """Run for a minute or more with depth errors of 30 %, one sign per point."""
+    return run(
+        scenario.updated(
+            {
+                "uncertainty.depth": depth_errors(signs, 0.3),
+                "simulation": {"duration": duration, "log_every": 1000},
+            }
+        )
+    )
+
+
+@pytest.mark.parametrize("signs", SIGNS)
+@pytest.mark.parametrize("mass_error", [0.075, -0.075])
+def test_the_prior_bounds_the_drift(signs: str, mass_error: float, composite: hs.Scenario) -> None:
+    heavier = composite.updated({"uncertainty.inertia": mass_error, "uncertainty.gravity": mass_error})
+    result, metrics = creep(heavier, signs, 60.0)
+    assert metrics["final_error"] < 0.22
+    assert metrics["peak_displacement"] < (0.015 if signs == WORST else 0.009)
+    assert not result.events  # within stroke and force
+
+
+def test_the_worst_creep(composite: hs.Scenario) -> None:
+    """(+,-,-,+) creeps to 20.1 mm, 0.285 px and 15.7 mm of stroke, most of the way in the first 45 s."""
+    result, metrics = creep(composite, WORST, 300.0)
+    away = np.linalg.norm(result.position - result.position[0], axis=1)
+    settled = away[1]
+    time = np.interp(settled + (1 - math.exp(-1)) * (away[-1] - settled), away, result.time)
+    assert time == pytest.approx(43.0, rel=TIME)
+    assert away[-1] == pytest.approx(0.0201, rel=0.01)
+    assert metrics["final_error"] == pytest.approx(0.285, abs=RESIDUAL)
+    assert metrics["peak_leg_excursion"] == pytest.approx(0.0157, rel=0.01)
 
 
 def test_the_metrics_are_those_of_the_samples(paper: hs.Scenario) -> None:

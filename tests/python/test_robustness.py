@@ -74,6 +74,8 @@ def resolved(form: str) -> dict[str, Any]:
             f"controller.hybrid.fuzzy.{key}": np.linspace(1, 2, 6)
             for key in ("adaptation", "error_scale", "rate_scale", "initial_scale")
         },
+        "controller.composite.kp": np.linspace(1e-9, 2e-9, 8),
+        **{f"controller.composite.{key}": np.linspace(1, 2, 6) for key in ("kv", "kt", "kd", "drive", "prior")},
         "controller.hybrid.fuzzy.table": np.linspace(-1, 1, 49).reshape(7, 7),
     }
     if form == "features":
@@ -498,10 +500,17 @@ FUZZY = block(
     bell_width=st.none() | decades(-9, 6),
     bell_slope=decades(-3, math.log10(16)) | st.sampled_from([1, 2, 16]),
 )
+GAINS = numbers(st.just(0.0) | decades(-12, 9), 6)
 CONTROLLERS = block(
+    law=st.sampled_from(["hybrid", "composite"]),
     jacobian=st.sampled_from(["consistent", "printed"]),
     switching=block(kind=st.sampled_from(["sign", "tanh", "saturation"]), width=decades(-15, 6)),
     hybrid=block(kp=numbers(decades(-15, 3), 8), kv=numbers(st.just(0.0) | decades(-12, 3), 6), fuzzy=FUZZY),
+    composite=block(
+        kp=numbers(st.just(0.0) | decades(-15, 3), 8),
+        **dict.fromkeys(("kv", "kt", "kd", "drive", "prior"), GAINS),
+        fuzzy=FUZZY,
+    ),
 )
 UNCERTAINTIES = block(
     inertia=ERROR | SYMMETRIC,

@@ -81,6 +81,15 @@ def test_defaults_come_from_the_core() -> None:
     assert hybrid.fuzzy.table == "linear"
     assert (hybrid.fuzzy.bell_width, hybrid.fuzzy.bell_slope) == (fuzzy.bell_width, fuzzy.bell_slope)
     assert hybrid.fuzzy.bell_width == 1 / 6
+    composed, composite = _core.CompositeGains(), scenario.controller.composite
+    np.testing.assert_array_equal(np.broadcast_to(composite.kp, 8), composed.kp)
+    for key in ("kv", "kt", "kd", "drive", "prior"):
+        np.testing.assert_array_equal(np.broadcast_to(getattr(composite, key), 6), getattr(composed, key))
+    for key in ("adaptation", "error_scale", "rate_scale", "initial_scale"):
+        expected = getattr(composed.fuzzy, key)
+        np.testing.assert_array_equal(np.broadcast_to(getattr(composite.fuzzy, key), 6), expected)
+        assert np.array_equal(expected, getattr(fuzzy, key)) == (key == "initial_scale")
+    assert (composite.fuzzy.table, composite.fuzzy.bell_width) == ("linear", composed.fuzzy.bell_width)
     simulation = _core.SimulationSettings()
     for key in ("step", "duration", "log_every"):
         assert getattr(scenario.simulation, key) == getattr(simulation, key)
@@ -126,6 +135,7 @@ def test_the_paper_names_every_key(paper: hs.Scenario) -> None:
         ("paper-minus", {"uncertainty": {"inertia": -0.075, "coriolis": -0.125, "gravity": 0, "depth": -0.3}}),
         ("paper-gravity", {"uncertainty.gravity": 0.075}),
         ("paper-no-fuzzy", {"controller.hybrid.fuzzy.enabled": False, "simulation.duration": 10}),
+        ("paper-composite", {"controller.law": "composite"}),
     ],
 )
 def test_variants_differ_from_the_paper_as_named(name: str, changes: dict[str, Any], paper: hs.Scenario) -> None:
@@ -138,7 +148,7 @@ def test_variants_differ_from_the_paper_as_named(name: str, changes: dict[str, A
 def test_names_are_those_of_the_files() -> None:
     names = hs.scenario_names()
     assert names == tuple(sorted(names))
-    assert set(names) >= {"paper", "paper-nominal", "paper-minus", "paper-gravity", "paper-no-fuzzy"}
+    assert set(names) >= {"paper", "paper-nominal", "paper-minus", "paper-gravity", "paper-no-fuzzy", "paper-composite"}
     for name in names:
         assert hs.load_scenario(name).name == name
 
@@ -225,7 +235,7 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("uncertainty.gravity", NAN, "expected a finite number, got nan"),
     ("uncertainty.depth", [0.1] * 8, "expected a number > -1 and < 1 or 4 of them, got a list of 8"),
     ("uncertainty.depth", None, "got null"),
-    ("controller.law", "composite", 'expected "hybrid", got "composite"'),
+    ("controller.law", "kelly", 'expected one of "hybrid", "composite", got "kelly"'),
     ("controller.jacobian", "print", 'one of "consistent", "printed", got "print"; did you mean "printed"?'),
     (
         "controller.switching.kind",
@@ -286,10 +296,14 @@ def test_refused(path: str, value: Any, words: str) -> None:
         ("uncertainty.depht", 'unknown key; did you mean "depth"? known keys: inertia, coriolis, gravity, depth'),
         ("controler", 'unknown key; did you mean "controller"? known keys: name, description, seed, robot, '),
         ("depth", 'unknown key; did you mean "target.depth" or "uncertainty.depth"? known keys: '),
-        ("bell_slop", 'did you mean "controller.hybrid.fuzzy.bell_slope"?'),
+        (
+            "bell_slop",
+            'did you mean "controller.hybrid.fuzzy.bell_slope" or "controller.composite.fuzzy.bell_slope"?',
+        ),
         ("camera.Focal_Length", 'did you mean "focal_length"?'),
         ("controller.hybrid.zzz", "unknown key; known keys: kp, kv, fuzzy"),
-        ("controller.composite", "unknown key; known keys: law, jacobian, switching, hybrid"),
+        ("controller.kelly", "unknown key; known keys: law, jacobian, switching, hybrid, composite"),
+        ("controller.composite.kz", 'unknown key; did you mean "kt"?'),
         ("uncertainty.depth.first", "unknown key; uncertainty.depth is a value and holds no keys"),
         ("target.points.x", "unknown key; target.points is a value and holds no keys"),
         ("", "unknown key; known keys: name"),
@@ -667,6 +681,7 @@ def number_or(count: int, element: st.SearchStrategy[float]) -> st.SearchStrateg
     return element | st.lists(element, min_size=count, max_size=count)
 
 
+GOAL = (10, 10, 45, -73, -64, 29, -30, -23)
 DELTA = st.floats(-0.99, 0.99)
 GAIN = st.floats(1e-12, 1e3)
 CHANGES = st.fixed_dictionaries(
@@ -678,7 +693,9 @@ CHANGES = st.fixed_dictionaries(
         | st.sampled_from(["a: b", "# c", "- d", "{", "true", "~", "1e-6", "'", '"', " x "]),
         "seed": st.integers(0, 2**63 - 1),
         "camera.convention": st.sampled_from(["eye_in_hand", "as_printed"]),
-        "target.desired_features": st.lists(st.floats(-1e3, 1e3), min_size=8, max_size=8),
+        "target.desired_features": st.lists(st.floats(-5, 5), min_size=8, max_size=8).map(
+            lambda shifts: [goal + shift for goal, shift in zip(GOAL, shifts, strict=True)]  # four points apart
+        ),
         "target.depth": number_or(4, st.floats(0.1, 2)),
         "uncertainty.inertia": DELTA,
         "uncertainty.coriolis": st.lists(st.lists(DELTA, min_size=6, max_size=6), min_size=6, max_size=6) | DELTA,
@@ -688,6 +705,13 @@ CHANGES = st.fixed_dictionaries(
         "controller.switching": st.fixed_dictionaries(
             {"kind": st.sampled_from(["sign", "tanh", "saturation"]), "width": st.floats(1e-9, 1)}
         ),
+        "controller.law": st.sampled_from(["hybrid", "composite"]),
+        "controller.composite.kp": number_or(8, st.just(0.0) | GAIN),
+        "controller.composite.kt": number_or(6, st.just(0.0) | GAIN),
+        "controller.composite.drive": number_or(6, st.just(0.0) | GAIN),
+        "controller.composite.prior": number_or(6, GAIN),
+        "controller.composite.fuzzy.adaptation": number_or(6, GAIN),
+        "controller.composite.fuzzy.bell_width": st.none() | st.floats(0.01, 1),
         "controller.hybrid.kp": number_or(8, GAIN),
         "controller.hybrid.kv": number_or(6, st.just(0.0) | GAIN),
         "controller.hybrid.fuzzy.enabled": st.booleans(),
