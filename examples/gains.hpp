@@ -6,6 +6,8 @@
 
 #include <hexservo/controller.hpp>
 
+#include <limits>
+
 namespace hexservo_paper {
 
 /// T_c, time between two ticks [s].
@@ -52,6 +54,9 @@ inline hexservo::Settings<hexservo::Hybrid> settings() {
       0.0, 0.3333333333333333, 0.6666666666666666, 1.0, 1.0, 1.0, 1.0;
   s.gains.fuzzy.bell_width = 0.16666666666666666;  // [1]
   s.gains.fuzzy.bell_slope = 2.0;  // [1]
+  s.gains.fuzzy.leakage << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [1/s]
+  s.gains.fuzzy.weight_limit << std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity();  // [N; N m]
+  s.gains.fuzzy.dead_zone << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [m/s; rad/s]
   return s;
 }
 

@@ -18,7 +18,10 @@ void bind_fuzzy(py::module_& m) {
       .def_readwrite("initial_scale", &FuzzyGains<double>::initial_scale, "(6,) s_0 [N; N m]")
       .def_readwrite("table", &FuzzyGains<double>::table, "(7, 7) rule table, row: u, column: u-dot [1]")
       .def_readwrite("bell_width", &FuzzyGains<double>::bell_width, "w [1]")
-      .def_readwrite("bell_slope", &FuzzyGains<double>::bell_slope, "s, exponent 2s [1]");
+      .def_readwrite("bell_slope", &FuzzyGains<double>::bell_slope, "s, exponent 2s [1]")
+      .def_readwrite("leakage", &FuzzyGains<double>::leakage, "(6,) sigma [1/s]")
+      .def_readwrite("weight_limit", &FuzzyGains<double>::weight_limit, "(6,) [N; N m], infinite: none")
+      .def_readwrite("dead_zone", &FuzzyGains<double>::dead_zone, "(6,) of what drives the adaptation [m/s; rad/s]");
 }
 
 }  // namespace hexservo::bindings

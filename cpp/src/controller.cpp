@@ -28,6 +28,8 @@ template <class Law>
 ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period) {
   detail::require_positive("period", period);
   const LoopParameters<double, Law> p = loop_parameters(settings);
+  if constexpr (requires { p.gains.fuzzy; })
+    require_resolved(p.gains.fuzzy, detail::words("controller.", Law::name, ".fuzzy."), period);
   return {p.hexapod, control_task(p), p.gains, period};
 }
 
@@ -55,7 +57,7 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
     const Vector6<double>& wrench = gains.task.gravity_wrench;
     return {wrench, forces_at(gains.hexapod, state.last_pose, wrench), Vector6<double>::Zero(), true};
   }
-  Law::advance(state.law, std::array{&law.rate}, std::array{gains.period}, true);
+  Law::advance(gains.law, state.law, std::array{&law.rate}, std::array{gains.period}, true);
   state.last_pose = input.pose;
   return {law.wrench, leg_forces, law.fuzzy_output, false};
 }

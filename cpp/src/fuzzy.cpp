@@ -10,6 +10,7 @@ namespace hexservo {
 namespace {
 
 constexpr double kMaxProductDigits = 290.0;  // decimal exponent that products of bell denominators may reach
+constexpr double kMaxLeakagePerStep = 1.0;   // sigma h; the method's error grows with its fourth power
 
 }  // namespace
 
@@ -21,12 +22,25 @@ Matrix7<double> linear_rule_table() {
   return table;
 }
 
+void require_resolved(const FuzzyGains<double>& gains, const std::string& key, double step) {
+  const double fastest = gains.leakage.maxCoeff();
+  if (fastest * step > kMaxLeakagePerStep)
+    detail::refuse(key + "leakage",
+                   detail::words("at most ", kMaxLeakagePerStep / step, " 1/s for a step of ", step, " s"),
+                   detail::words(fastest));
+}
+
 void validate(const FuzzyGains<double>& gains, const std::string& key) {
   detail::require_positive(key + "adaptation", gains.adaptation);
   detail::require_finite(key + "error_scale", gains.error_scale);
   detail::require_finite(key + "rate_scale", gains.rate_scale);
   detail::require_finite(key + "initial_scale", gains.initial_scale);
   detail::require_finite(key + "table", gains.table);
+  detail::require_not_negative(key + "leakage", gains.leakage);
+  for (int j = 0; j < kAxes; ++j)
+    if (!(gains.weight_limit(j) > 0.0))
+      detail::refuse(detail::words(key, "weight_limit[", j, "]"), "a number > 0", detail::words(gains.weight_limit(j)));
+  detail::require_not_negative(key + "dead_zone", gains.dead_zone);
   detail::require_positive(key + "bell_width", gains.bell_width);
   detail::require_positive(key + "bell_slope", gains.bell_slope);
   // Six denominators of at most 1 + (2/w)^(2s) are multiplied; far from 1e308 the sum of seven products is safe as

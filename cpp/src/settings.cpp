@@ -128,6 +128,10 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
   p.gains = settings.gains;
   validate(p.gains);
   p.step = settings.simulation.step;
+  if constexpr (requires { p.gains.fuzzy; }) {
+    require_resolved(p.gains.fuzzy, words("controller.", Law::name, ".fuzzy."), p.step);
+    p.gains.fuzzy.restrained = has_restraint(p.gains.fuzzy);
+  }
   detail::require_positive("metrics.settling_threshold", settings.metrics.settling_threshold);
   detail::require_finite("metrics.rms_start", settings.metrics.rms_start);
   p.metrics = settings.metrics;

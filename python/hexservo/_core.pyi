@@ -137,6 +137,9 @@ class FuzzyGains(metaclass=_PybindType):
     table: _Array
     bell_width: float
     bell_slope: float
+    leakage: _Array
+    weight_limit: _Array
+    dead_zone: _Array
 
 class HybridGains(metaclass=_PybindType):
     """Gains of the law hybrid, (14) and (15)."""

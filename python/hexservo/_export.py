@@ -46,6 +46,9 @@ _FUZZY = {
     "gains.fuzzy.table": "1",
     "gains.fuzzy.bell_width": "1",
     "gains.fuzzy.bell_slope": "1",
+    "gains.fuzzy.leakage": "1/s",
+    "gains.fuzzy.weight_limit": "N; N m",
+    "gains.fuzzy.dead_zone": "m/s; rad/s",
 }
 _HYBRID = {"gains.kp": "N m/px^2", "gains.kv": "N; N m", **_FUZZY}
 _COMPOSITE = {
@@ -97,6 +100,8 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
         "#pragma once",
         "",
         "#include <hexservo/controller.hpp>",
+        "",
+        "#include <limits>",
         "",
         f"namespace {_namespace(scenario.name)} {{",
         "",
@@ -150,13 +155,17 @@ def _assignment(member: str, value: Any, unit: str) -> Iterator[str]:
 
 def _matrix(name: str, rows: Any, unit: str) -> Iterator[str]:
     """Fill a fixed-size matrix or vector row by row."""
-    texts = [", ".join(repr(float(number)) for number in row) for row in rows]
+    texts = [", ".join(_number(float(number)) for number in row) for row in rows]
     if len(texts) == 1:
         yield f"  {name} << {texts[0]};  // [{unit}]"
         return
     yield f"  {name} <<  // [{unit}]"
     for index, text in enumerate(texts):
         yield f"      {text}{',' if index < len(texts) - 1 else ';'}"
+
+
+def _number(value: float) -> str:
+    return repr(value) if np.isfinite(value) else "std::numeric_limits<double>::infinity()"
 
 
 def _namespace(name: str) -> str:

@@ -116,4 +116,8 @@ def _fuzzy(fuzzy: Fuzzy) -> _core.FuzzyGains:
         gains.table = np.asarray(fuzzy.table)
     gains.bell_width = fuzzy.bell_width
     gains.bell_slope = fuzzy.bell_slope
+    gains.leakage = _filled(fuzzy.leakage, 6)
+    if fuzzy.weight_limit is not None:  # none is the core's default
+        gains.weight_limit = _filled(fuzzy.weight_limit, 6)
+    gains.dead_zone = _filled(fuzzy.dead_zone, 6)
     return gains

@@ -523,6 +523,16 @@ class Fuzzy(_Block):
     bell_slope: Annotated[float, _Number(above=0, at_most=16)] = Field(
         default_factory=lambda: _core.FuzzyGains().bell_slope
     )
+    # sigma, how fast the weights are forgotten [1/s]; at most one over the step
+    leakage: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.FuzzyGains().leakage)
+    )
+    # no weight, and so no output, is larger [N, N m]; null: no limit
+    weight_limit: Annotated[float | Vector | None, _Array((6,), _POSITIVE, or_number=True, or_null=True)] = None
+    # what drives the adaptation teaches nothing within this [m/s, rad/s]
+    dead_zone: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.FuzzyGains().dead_zone)
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -555,7 +565,7 @@ def _composite_fuzzy() -> dict[str, Any]:
 
 
 class Composite(_Block):
-    """Gains of the law that regulates the most probable pose error; docs/model.md section 6.
+    """Gains of the law that regulates the most probable pose error; docs/model.md section 5.
 
     Its fuzzy systems see that error and its rate, so their scales have other units and other defaults.
     """

@@ -1,4 +1,4 @@
-// The law `composite` (docs/model.md, section 6): its pose error as the solution of a least-squares problem, its
+// The law `composite` (docs/model.md, section 5): its pose error as the solution of a least-squares problem, its
 // equations written out, and what its prior is for.
 #include "hexservo/controller.hpp"
 
@@ -606,4 +606,49 @@ TEST_CASE("four scenarios in the lanes of a pack run in the loop of `composite` 
     CHECK(distance(lane_of(lanes.sample().position, lane), loop.sample().position) <= 1e-12);
     CHECK(distance(lane_of(lanes.sample().fuzzy_output, lane), loop.sample().fuzzy_output) <= 1e-10);
   }
+}
+
+TEST_CASE("options of the weights in the loop: bounded by their limit, forgotten by leakage, untaught in a dead zone") {
+  const auto largest_weight = [](const Settings<Composite>& settings, int axis) {
+    const LoopParameters<double, Composite> p = loop_parameters(settings);
+    ClosedLoop<double, Composite> loop(p);
+    while (loop.running() && loop.time() < 2.0) loop.advance();
+    REQUIRE(loop.running());
+    return weight_matrix(loop.law_state(), axis).cwiseAbs().maxCoeff();
+  };
+  const Settings<Composite> settings = gravity_settings();  // the vertical system carries the missing weight
+  const double free = largest_weight(settings, 2);
+  CHECK(free > 0.02);
+  Settings<Composite> limited = settings;
+  limited.gains.fuzzy.weight_limit(2) = 0.01;
+  CHECK(largest_weight(limited, 2) == 0.01);
+  Settings<Composite> leaking = settings;
+  leaking.gains.fuzzy.leakage(2) = 20.0;
+  CHECK(largest_weight(leaking, 2) < 0.7 * free);
+  Settings<Composite> deaf = settings;
+  deaf.gains.fuzzy.dead_zone.setConstant(10.0);
+  CHECK(largest_weight(deaf, 2) == 0.0);
+  Settings<Composite> too_fast = settings;
+  too_fast.gains.fuzzy.leakage(0) = 1001.0;
+  CHECK(is_about(refusal([&] { loop_parameters(too_fast); }), "controller.composite.fuzzy.leakage"));
+  CHECK(is_about(refusal([&] { controller_gains(leaking, 0.1); }), "controller.composite.fuzzy.leakage"));
+}
+
+TEST_CASE("with leakage the loop keeps its fourth order") {
+  Settings<Composite> settings = gravity_settings();
+  settings.switching = {SwitchingKind::tanh, 0.05};  // wide: smooth at these steps
+  settings.gains.fuzzy.leakage << 1.0, 2.0, 5.0, 1.0, 2.0, 5.0;
+  const auto end = [&](double step) {
+    settings.simulation.step = step;
+    const LoopParameters<double, Composite> p = loop_parameters(settings);
+    ClosedLoop<double, Composite> loop(p);
+    const long long steps = std::llround(0.2 / step);
+    for (long long i = 0; i < steps; ++i) loop.advance();
+    return loop.sample().feature_error;
+  };
+  const Vector<double, 8> reference = end(6.25e-5);
+  const double coarse = distance(end(1e-3), reference), fine = distance(end(5e-4), reference);
+  CAPTURE(coarse);
+  CAPTURE(fine);
+  CHECK(std::log2(coarse / fine) == doctest::Approx(4.0).epsilon(0.08));
 }

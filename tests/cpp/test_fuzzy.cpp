@@ -388,3 +388,207 @@ TEST_CASE("designs that make no sense are refused, with the key and the place") 
     }
   }
 }
+
+// ---- Options of the adaptation --------------------------------------------------------------------------------------
+
+namespace {
+
+/// One Runge-Kutta step of W-dot = strength phi-bar - sigma W with a driver that depends on time, as a loop takes it.
+template <class Driver>
+void restrained_step(const FuzzyGains<double>& gains, const FuzzyBasis<double>& basis, double t, double h,
+                     Driver&& driver, FuzzyWeights<double>& weights) {
+  std::array<FuzzyRate<double>, 4> k;
+  const std::array<double, 4> times = {0.0, 0.5 * h, 0.5 * h, h};
+  for (std::size_t i = 0; i < 4; ++i) {
+    k[i].basis = basis;
+    AxisVector<double> output = AxisVector<double>::Zero();
+    restrain(gains, times[i], Vector6<double>(driver(t + times[i])), k[i], output);
+  }
+  advance_weights<double, 4>(weights, {&k[0], &k[1], &k[2], &k[3]}, {h / 6.0, h / 3.0, h / 3.0, h / 6.0}, true);
+  restrain(gains, h, weights, true);
+}
+
+}  // namespace
+
+TEST_CASE("leakage: weights follow W-dot = d(driver) phi-bar/Psi - sigma W to fourth order, and decay exactly alone") {
+  Random random(4410);
+  CAPTURE(random.seed());
+  FuzzyGains<double> gains;
+  gains.adaptation = random.matrix<6>(4.0) + Vector6<double>::Constant(5.0);
+  gains.leakage << 0.0, 0.5, 1.0, 2.0, 5.0, 10.0;
+  const FuzzyBasis<double> basis = fuzzy_basis<double>(gains, random.matrix<6>(), random.matrix<6>());
+  FuzzyWeights<double> start;
+  for (auto& w : start) w = random.six(1e-2, 1e-3);
+
+  FuzzyWeights<double> alone = start;
+  for (int i = 0; i < 10; ++i)
+    restrained_step(gains, basis, 0.0, 0.1, [](double) { return Vector6<double>::Zero(); }, alone);
+  for (std::size_t r = 0; r < start.size(); ++r)
+    for (int j = 0; j < 6; ++j)
+      CHECK(alone[r](j) == doctest::Approx(start[r](j) * std::exp(-gains.leakage(j))).epsilon(1e-13));
+
+  // driver cos(3 t): W(1) = e^-s W(0) + strength (s cos 3 + 3 sin 3 - s e^-s)/(s^2 + 9)
+  const auto error_of = [&](int steps) {
+    FuzzyWeights<double> weights = start;
+    const double h = 1.0 / steps;
+    for (int i = 0; i < steps; ++i)
+      restrained_step(
+          gains, basis, i * h, h, [](double t) { return Vector6<double>::Constant(std::cos(3.0 * t)); }, weights);
+    double error = 0.0;
+    for (int row = 0; row < 7; ++row)
+      for (int column = 0; column < 7; ++column)
+        for (int j = 0; j < 6; ++j) {
+          const double s = gains.leakage(j), decay = std::exp(-s);
+          const double phi = basis.error[static_cast<std::size_t>(row)](j) *
+                             basis.rate[static_cast<std::size_t>(column)](j) / gains.adaptation(j);
+          const double exact = decay * start[rule(row, column)](j) +
+                               phi * (s * std::cos(3.0) + 3.0 * std::sin(3.0) - s * decay) / (s * s + 9.0);
+          error = std::max(error, std::abs(weights[rule(row, column)](j) - exact));
+        }
+    return error;
+  };
+  const double coarse = error_of(20), fine = error_of(40);
+  CHECK(fine < 1e-7);
+  CHECK(std::log2(coarse / fine) == doctest::Approx(4.0).epsilon(0.05));
+}
+
+TEST_CASE("leakage inside a stage: the output is that of weights that have decayed since the start of the step") {
+  Random random(4411);
+  CAPTURE(random.seed());
+  FuzzyGains<double> gains;
+  gains.leakage = random.matrix<6>(2.0).cwiseAbs();
+  FuzzyWeights<double> weights;
+  for (auto& w : weights) w = random.six(1e-2, 1e-3);
+  const FuzzyBasis<double> before = fuzzy_basis<double>(gains, random.matrix<6>(), random.matrix<6>());
+  const FuzzyBasis<double> basis = fuzzy_basis<double>(gains, random.matrix<6>(), random.matrix<6>());
+  const Vector6<double> driver = random.six(0.02, 0.1);
+  const double since = 0.05, elapsed = 0.1;  // the previous stage, and this one
+
+  FuzzyRate<double> rate{before, {}};
+  AxisVector<double> ignored = AxisVector<double>::Zero();
+  restrain(gains, since, driver, rate, ignored);
+  FuzzyRate<double> own{basis, {}};
+  AxisVector<double> output = FuzzyStage<double>{&weights, &rate, elapsed}.output(basis);
+  restrain(gains, elapsed, driver, own, output);
+
+  for (int j = 0; j < 6; ++j) {
+    const double decay = std::exp(-gains.leakage(j) * elapsed);
+    const double decay_of_rate = std::exp(-gains.leakage(j) * (elapsed - since));
+    double expected = 0.0;
+    for (int row = 0; row < 7; ++row)
+      for (int column = 0; column < 7; ++column) {
+        const auto r = static_cast<std::size_t>(row), c = static_cast<std::size_t>(column);
+        const double weight = decay * weights[rule(row, column)](j) + elapsed * decay_of_rate * driver(j) /
+                                                                          gains.adaptation(j) * before.error[r](j) *
+                                                                          before.rate[c](j);
+        expected += weight * basis.error[r](j) * basis.rate[c](j);
+      }
+    CHECK(output(j) == doctest::Approx(expected).epsilon(1e-12));
+  }
+}
+
+TEST_CASE("dead zone: a driver within it teaches nothing, one beyond it by what is beyond, without a jump") {
+  FuzzyGains<double> gains;
+  gains.dead_zone << 0.01, 0.02, 0.03, 0.1, 0.2, 0.0;
+  const auto strength = [&](const Vector6<double>& driver) {
+    FuzzyRate<double> rate{};
+    AxisVector<double> output = AxisVector<double>::Zero();
+    restrain(gains, 1e-3, driver, rate, output);
+    return AxisVector<double>(rate.strength.cwiseProduct(gains.adaptation));
+  };
+  for (const double sign : {-1.0, 1.0}) {
+    CHECK(strength(sign * gains.dead_zone).isZero(0.0));
+    CHECK(strength(sign * 0.5 * gains.dead_zone).isZero(0.0));
+    CHECK(distance(strength(sign * 3.0 * gains.dead_zone), sign * 2.0 * gains.dead_zone) <= 1e-16);
+    CHECK(strength(Vector6<double>::Constant(sign))(5) == sign);  // no zone
+  }
+  CHECK(strength(Vector6<double>::Constant(kNaN)).array().isNaN().all());
+}
+
+TEST_CASE("projection: no weight, and so no output, is beyond its limit after a step; the others are untouched") {
+  Random random(4412);
+  CAPTURE(random.seed());
+  FuzzyGains<double> gains;
+  CHECK_FALSE(has_restraint(gains));
+  gains.weight_limit << 1e-3, 2e-3, 3e-3, 1e-4, 2e-4, kInfinity;
+  CHECK(has_restraint(gains));
+  FuzzyWeights<double> weights;
+  for (auto& w : weights) w = random.six(5e-3, 5e-4);
+  FuzzyWeights<double> limited = weights;
+  restrain(gains, 1e-3, limited, true);
+  for (std::size_t r = 0; r < weights.size(); ++r)
+    for (int j = 0; j < 6; ++j)
+      CHECK(limited[r](j) == std::clamp(weights[r](j), -gains.weight_limit(j), gains.weight_limit(j)));
+  const FuzzyBasis<double> basis = fuzzy_basis<double>(gains, random.matrix<6>(), random.matrix<6>());
+  CHECK(((FuzzyStage<double>{&limited}.output(basis).cwiseAbs() - gains.weight_limit).array() <= 0.0).all());
+  FuzzyWeights<double> idle = weights;
+  restrain(gains, 1e-3, idle, false);
+  CHECK(idle == weights);
+}
+
+TEST_CASE(
+    "options of the adaptation in the lanes of a pack: each lane has its own, and an idle one keeps its weights") {
+  Random random(4413);
+  CAPTURE(random.seed());
+  using S = Lanes<4>;
+  FuzzyGains<S> pack;
+  std::array<FuzzyGains<double>, 4> single;
+  FuzzyWeights<S> weights;
+  std::array<FuzzyWeights<double>, 4> start;
+  LaneMask<4> active(true);
+  for (int lane = 0; lane < 4; ++lane) {
+    auto& gains = single[static_cast<std::size_t>(lane)];
+    if (lane > 0) {  // the first has none
+      gains.leakage = random.matrix<6>(2.0).cwiseAbs();
+      gains.weight_limit = random.six(5e-3, 5e-4).cwiseAbs();
+      gains.dead_zone = random.six(0.01, 0.05).cwiseAbs();
+    }
+    set_lane(pack, lane, gains);
+    for (std::size_t r = 0; r < 49; ++r) {
+      start[static_cast<std::size_t>(lane)][r] = random.six(1e-2, 1e-3);
+      set_lane(weights[r], lane, start[static_cast<std::size_t>(lane)][r]);
+    }
+  }
+  S idle(0.0);
+  idle.set(2, 1.0);
+  active = idle == S(0.0);
+  CHECK(has_restraint(pack));
+  const Vector6<double> driver = random.six(0.02, 0.1), output = random.six(1e-2, 1e-3);
+  FuzzyRate<S> rate{};
+  AxisVector<S> outputs = output.cast<S>();
+  restrain(pack, S(0.01), Vector6<S>(driver.cast<S>()), rate, outputs);
+  restrain(pack, S(0.02), weights, active);
+  for (int lane = 0; lane < 4; ++lane) {
+    CAPTURE(lane);
+    const auto l = static_cast<std::size_t>(lane);
+    FuzzyRate<double> one{};
+    AxisVector<double> its_output = output;
+    restrain(single[l], 0.01, driver, one, its_output);
+    FuzzyWeights<double> expected = start[l];
+    restrain(single[l], 0.02, expected, lane != 2);
+    CHECK(distance(lane_of(rate.strength, lane), one.strength) <= 1e-17);
+    CHECK(distance(lane_of(outputs, lane), its_output) <= 1e-17);
+    for (std::size_t r = 0; r < 49; ++r) CHECK(distance(lane_of(weights[r], lane), expected[r]) <= 1e-17);
+  }
+}
+
+TEST_CASE("options of the adaptation that make no sense are refused, with their key") {
+  const auto verdict = [](auto&& change) {
+    FuzzyGains<double> gains;
+    change(gains);
+    return refusal([&] { validate(gains, "controller.composite.fuzzy."); });
+  };
+  using Gains = FuzzyGains<double>;
+  CHECK(verdict([](Gains& g) { g.weight_limit.setConstant(1e-3); }) == "(accepted)");
+  for (const double bad : {kNaN, kInfinity, -1e-3}) {
+    CHECK(is_about(verdict([&](Gains& g) { g.leakage(2) = bad; }), "controller.composite.fuzzy.leakage[2]"));
+    CHECK(is_about(verdict([&](Gains& g) { g.dead_zone(5) = bad; }), "controller.composite.fuzzy.dead_zone[5]"));
+  }
+  for (const double bad : {kNaN, 0.0, -1e-3})
+    CHECK(is_about(verdict([&](Gains& g) { g.weight_limit(1) = bad; }), "controller.composite.fuzzy.weight_limit[1]"));
+  Gains gains;
+  gains.leakage(4) = 100.0;
+  CHECK(refusal([&] { require_resolved(gains, "controller.hybrid.fuzzy.", 0.01); }) == "(accepted)");
+  CHECK(is_about(refusal([&] { require_resolved(gains, "controller.hybrid.fuzzy.", 0.0101); }),
+                 "controller.hybrid.fuzzy.leakage"));
+}

@@ -32,6 +32,7 @@ SHARED = [
     *("switching.kind", "switching.width", "gains.kp", "gains.kv"),
     *(f"gains.fuzzy.{name}" for name in ("enabled", "adaptation", "error_scale", "rate_scale", "initial_scale")),
     *(f"gains.fuzzy.{name}" for name in ("table", "bell_width", "bell_slope")),
+    *(f"gains.fuzzy.{name}" for name in ("leakage", "weight_limit", "dead_zone")),
 ]
 MEMBERS = {"hybrid": SHARED, "composite": [*SHARED, "gains.kt", "gains.kd", "gains.drive", "gains.prior"]}
 
@@ -81,6 +82,9 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
                 "table": [about(*[1] * 7) for _ in range(7)],
                 "bell_width": bell,
                 "bell_slope": slope,
+                "leakage": about(*[0.1] * 6),
+                "weight_limit": about(*[0.5] * 6),
+                "dead_zone": about(*[1e-3] * 6),
             },
             "controller.composite.kt": about(*[6] * 3, *[0.02] * 3),
             "controller.composite.kd": about(*[1] * 3, *[3e-3] * 3),

@@ -1,4 +1,4 @@
-"""The numbers that any implementation of docs/model.md has to reproduce: section 9, both laws, continuous time.
+"""The numbers that any implementation of docs/model.md has to reproduce: section 8, both laws, continuous time.
 
 The runs with `sgn` chatter, so their residuals are those of one step size: a residual is checked to 0.02 px and a time
 to 2 %, as far apart as runs of other step sizes are; smooth runs are checked to 1e-9 of each printed number.

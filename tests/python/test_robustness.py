@@ -74,6 +74,10 @@ def resolved(form: str) -> dict[str, Any]:
             f"controller.hybrid.fuzzy.{key}": np.linspace(1, 2, 6)
             for key in ("adaptation", "error_scale", "rate_scale", "initial_scale")
         },
+        **{
+            f"controller.composite.fuzzy.{key}": np.linspace(1, 2, 6)
+            for key in ("leakage", "weight_limit", "dead_zone")
+        },
         "controller.composite.kp": np.linspace(1e-9, 2e-9, 8),
         **{f"controller.composite.{key}": np.linspace(1, 2, 6) for key in ("kv", "kt", "kd", "drive", "prior")},
         "controller.hybrid.fuzzy.table": np.linspace(-1, 1, 49).reshape(7, 7),
@@ -499,6 +503,9 @@ FUZZY = block(
     table=st.just("linear") | exactly(7, exactly(7, RULES)),
     bell_width=st.none() | decades(-9, 6),
     bell_slope=decades(-3, math.log10(16)) | st.sampled_from([1, 2, 16]),
+    leakage=numbers(st.just(0.0) | decades(-9, 3), 6),
+    weight_limit=st.none() | numbers(decades(-9, 9), 6),
+    dead_zone=numbers(st.just(0.0) | decades(-9, 3), 6),
 )
 GAINS = numbers(st.just(0.0) | decades(-12, 9), 6)
 CONTROLLERS = block(

@@ -234,7 +234,7 @@ class ClosedLoop {
     stop(StopCause::behind_camera, nearest >= S(0.0));
 
     const Mask<S> active = running();
-    Law::advance(law_state_, law_rates, scales, active);
+    Law::advance(p_.gains, law_state_, law_rates, scales, active);
     body_ = select(active, body, body_);
     attitude_ = select(active, R_BE, attitude_);
     true_image_.features = select(active, image.features, now_.image.features);

@@ -16,6 +16,7 @@
 #include "hexservo/types.hpp"
 
 #include <array>
+#include <limits>
 #include <string>
 #include <type_traits>
 
@@ -30,6 +31,12 @@ constexpr double term_centre(int term) { return (term - 3) / 3.0; }
 /// The linear (MacVicar-Whelan) table: centre of the output term clamp(row + column, -3, 3) [1].
 Matrix7<double> linear_rule_table();
 
+/// Weights may be of any size.
+template <class S>
+Vector6<S> no_limit() {
+  return Vector6<S>::Constant(S(std::numeric_limits<double>::infinity()));
+}
+
 /// Design of the six fuzzy systems.
 template <class S>
 struct FuzzyGains {
@@ -41,6 +48,10 @@ struct FuzzyGains {
   Matrix7<S> table = linear_rule_table().template cast<S>();  ///< rule table, row: u, column: u-dot [1], linear
   S bell_width{1.0 / 6.0};                                    ///< w, half width of the bells at 1/2 [1], 1/6
   double bell_slope = 2.0;                                    ///< s, exponent 2s of the bells [1], 2
+  Vector6<S> leakage = Vector6<S>::Zero();                    ///< sigma_j [1/s], 0: no weight is forgotten
+  Vector6<S> weight_limit = no_limit<S>();                    ///< largest |omega_j| [N; N m], infinite: none
+  Vector6<S> dead_zone = Vector6<S>::Zero();                  ///< drivers within +- this teach nothing [m/s; rad/s], 0
+  bool restrained = false;  ///< whether these three act: found out by `loop_parameters`, not to be set
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
@@ -52,6 +63,10 @@ struct FuzzyGains {
     f(a.table, b.table);
     f(a.bell_width, b.bell_width);
     f(a.bell_slope, b.bell_slope);
+    f(a.leakage, b.leakage);
+    f(a.weight_limit, b.weight_limit);
+    f(a.dead_zone, b.dead_zone);
+    f(a.restrained, b.restrained);
   }
 };
 
@@ -262,6 +277,55 @@ void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<
     }
   }
 }
+
+/// True where leakage, limit or dead zone act in some lane; otherwise (22) stands as printed, to the last bit.
+template <class S>
+bool has_restraint(const FuzzyGains<S>& gains) {
+  Mask<S> some = gains.leakage(0) > S(0.0);
+  for (int j = 0; j < kAxes; ++j)
+    some = some | (gains.leakage(j) > S(0.0)) | (gains.dead_zone(j) > S(0.0)) |
+           (gains.weight_limit(j) < S(std::numeric_limits<double>::infinity()));
+  return any(some);
+}
+
+/// Leakage and dead zone inside a stage: omega-dot_j = d(driver_j) phi-bar_j/Psi_j - sigma_j omega_j.
+///
+/// With V = exp(sigma t) W, t from the start of the step, V-dot = exp(sigma t) (rank one): the stage stays of rank one.
+/// So `rate` becomes that of V, and the output that of W = exp(-sigma t) V.
+/// @param elapsed t [s]
+/// @param driver what drives the adaptation, chi-dot in (22) [m/s; rad/s]
+template <class S>
+void restrain(const FuzzyGains<S>& gains, const S& elapsed, const Vector6<S>& driver, FuzzyRate<S>& rate,
+              AxisVector<S>& output) {
+  using std::exp;
+  for (int j = 0; j < kAxes; ++j) {
+    const S growth = exp(S(gains.leakage(j) * elapsed));
+    const S driven = driver(j) - clip(driver(j), S(-gains.dead_zone(j)), gains.dead_zone(j));
+    rate.strength(j) = driven / gains.adaptation(j) * growth;
+    output(j) /= growth;
+  }
+}
+
+/// Leakage and limit at the end of a step: from V back to W, each weight then projected on its interval.
+/// @param step length of the step [s]
+/// @param active lanes that take part; the others keep their weights
+template <class S>
+void restrain(const FuzzyGains<S>& gains, const S& step, FuzzyWeights<S>& weights, const Mask<S>& active) {
+  using std::exp;
+  AxisVector<S> growth;
+  for (int j = 0; j < kAxes; ++j) growth(j) = exp(S(gains.leakage(j) * step));
+  for (AxisVector<S>& weight : weights)
+    for (int j = 0; j < kAxes; ++j) {
+      const S& limit = gains.weight_limit(j);
+      weight(j) = select(active, clip(S(weight(j) / growth(j)), S(-limit), limit), weight(j));
+    }
+}
+
+/// Checks that leakage is slow enough for a step to resolve it.
+/// @param key what the scenario's keys start with, "controller.hybrid.fuzzy."
+/// @param step of the integration, or period of the servo tick [s]
+/// @throws std::invalid_argument naming the scenario key
+void require_resolved(const FuzzyGains<double>& gains, const std::string& key, double step);
 
 /// Checks a design as a user gives it.
 /// @param key what the scenario's keys start with, "controller.hybrid.fuzzy."

@@ -155,6 +155,10 @@ Lanes<W> atan(Lanes<W> x) {
   return detail::map_lanes(x, [](double v) { return std::atan(v); });
 }
 template <int W>
+Lanes<W> exp(Lanes<W> x) {
+  return detail::map_lanes(x, [](double v) { return std::exp(v); });
+}
+template <int W>
 Lanes<W> pow(Lanes<W> x, double exponent) {
   return detail::map_lanes(x, [exponent](double v) { return std::pow(v, exponent); });
 }

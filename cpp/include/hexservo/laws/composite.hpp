@@ -1,5 +1,5 @@
 /// @file
-/// The law of this project: regulates the most probable pose error and adapts on it (docs/model.md, section 6).
+/// The law of this project: regulates the most probable pose error and adapts on it (docs/model.md, section 5).
 ///
 /// The adaptation of the paper's law is driven by velocity alone: it stops wherever the platform sticks. Here it is
 /// driven by the pose error as well, so that the fuzzy systems integrate until the error is gone. Image and joint
@@ -76,6 +76,8 @@ Vector6<S> most_probable_pose_error(const ImageJacobian<S, N>& J, const Vector<S
 
 /// The law as a policy of the loop: types of its gains and state, its evaluation, and how its state integrates.
 struct Composite {
+  static constexpr const char* name = "composite";
+
   template <class S>
   using Gains = CompositeGains<S>;
   template <class S>
@@ -119,6 +121,7 @@ struct Composite {
                       Vector6<S>::Zero(),
                       Vector6<S>::Zero()};
     if (fuzzy.enabled) out.fuzzy_output = weights.output(out.rate.basis);  // (13)
+    if (fuzzy.restrained) restrain(fuzzy, weights.scale, driver, out.rate, out.fuzzy_output);
     out.wrench = J.pull(gains.kp.cwiseProduct(feature_error)) + gains.kt.cwiseProduct(pose_error) -
                  gains.kd.cwiseProduct(input.twist) - gains.kv.cwiseProduct(task.switching(input.twist)) +
                  task.gravity_wrench - out.fuzzy_output;
@@ -126,9 +129,14 @@ struct Composite {
   }
 
   template <class S, std::size_t K>
-  static void advance(State<S>& state, const std::array<const Rate<S>*, K>& rates, const std::array<S, K>& scales,
-                      const Mask<S>& active) noexcept {
+  static void advance(const Gains<S>& gains, State<S>& state, const std::array<const Rate<S>*, K>& rates,
+                      const std::array<S, K>& scales, const Mask<S>& active) noexcept {
     advance_weights(state, rates, scales, active);
+    if (gains.fuzzy.restrained) {
+      S step{0.0};
+      for (const S& scale : scales) step += scale;
+      restrain(gains.fuzzy, step, state, active);
+    }
   }
 };
 

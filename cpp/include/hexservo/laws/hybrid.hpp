@@ -32,6 +32,8 @@ struct HybridGains {
 
 /// The law as a policy of the loop: types of its gains and state, its evaluation, and how its state integrates.
 struct Hybrid {
+  static constexpr const char* name = "hybrid";
+
   template <class S>
   using Gains = HybridGains<S>;
   template <class S>
@@ -73,15 +75,21 @@ struct Hybrid {
                       Vector6<S>::Zero(),
                       Vector6<S>::Zero()};
     if (fuzzy) out.fuzzy_output = weights.output(out.rate.basis);  // (13)
+    if (gains.fuzzy.restrained) restrain(gains.fuzzy, weights.scale, input.twist, out.rate, out.fuzzy_output);
     out.wrench =
         image_wrench - gains.kv.cwiseProduct(task.switching(input.twist)) + task.gravity_wrench - out.fuzzy_output;
     return out;
   }
 
   template <class S, std::size_t K>
-  static void advance(State<S>& state, const std::array<const Rate<S>*, K>& rates, const std::array<S, K>& scales,
-                      const Mask<S>& active) noexcept {
+  static void advance(const Gains<S>& gains, State<S>& state, const std::array<const Rate<S>*, K>& rates,
+                      const std::array<S, K>& scales, const Mask<S>& active) noexcept {
     advance_weights(state, rates, scales, active);
+    if (gains.fuzzy.restrained) {
+      S step{0.0};
+      for (const S& scale : scales) step += scale;
+      restrain(gains.fuzzy, step, state, active);
+    }
   }
 };
 
