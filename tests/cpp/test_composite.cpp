@@ -378,7 +378,7 @@ TEST_CASE("NaN in any sensor value or gain of `composite` comes out as NaN, neve
   }
 }
 
-TEST_CASE("a pack evaluates `composite` as double does, lane by lane, and a lane without a solution harms no other") {
+TEST_CASE("a pack evaluates the law as double does, lane by lane, and a lane without a solution harms no other") {
   Random random(8813);
   CAPTURE(random.seed());
   using S = Lanes<4>;
