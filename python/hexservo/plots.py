@@ -150,7 +150,7 @@ def _styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
 def rule_table(scenario: Scenario) -> Figure:
     """Draw the rule table of the fuzzy systems, figure 2(a) (docs/model.md section 5).
 
-    Rows are the terms of the first input u (the scaled image wrench g), columns those of its rate. A cell shows the
+    Rows are the terms of the first input u (the scaled image wrench g, or pose error e of `composite`), columns those of its rate. A cell shows the
     output's term, or the number where it is no term's centre.
     """
     table = np.asarray(core_parameters(scenario).gains.fuzzy.table)
@@ -173,7 +173,8 @@ def rule_table(scenario: Scenario) -> Figure:
     axes.xaxis.set_label_position("top")
     axes.spines[:].set_visible(False)
     axes.set_xlabel("rate of u [1]")
-    axes.set_ylabel("u, the scaled image wrench [1]")
+    meaning = "image wrench" if scenario.controller.law == "hybrid" else "pose error"
+    axes.set_ylabel(f"u, the scaled {meaning} [1]")
     bar = figure.colorbar(image, cax=_axes(figure, 2.82, 0.12, 0.1, 2.2), ticks=MaxNLocator(4))
     bar.outline.set_visible(False)
     bar.set_label("output [1]")

@@ -140,8 +140,8 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
         // the gains as the scenario has them, not as `controller_gains` passed them on
         const Vector4<double> q = input.pose.quaternion.normalized();
         const Matrix3<double> R_BE = Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
-        const ControlTask<double> task{f, -1.0, settings.target.desired_features, gravity_wrench(RigidBody<double>{}),
-                                       settings.switching, {}};
+        const ControlTask<double> task{
+            f, -1.0, settings.target.desired_features, gravity_wrench(RigidBody<double>{}), settings.switching, {}};
         const auto law = Hybrid::evaluate(task, settings.gains, Hybrid::Stage<double>{&weights},
                                           LawInput<double>{input.image, R_BE, input.twist, input.pose});
         const ControllerOutput out = step(gains, state, input);

@@ -133,6 +133,9 @@ def test_rule_table_shows_terms_and_numbers() -> None:
     assert axes.get_ylim() == (6.5, -0.5)  # row NB above
     assert labels(figure) == {"rate of u [1]", "u, the scaled image wrench [1]", "output [1]"}
     assert bar.get_ylim() == (-3, 3)
+    composite = plots.rule_table(scenario.updated({"controller.law": "composite"}))
+    assert "u, the scaled pose error [1]" in labels(composite)
+    assert np.asarray(composite.axes[0].images[0].get_array()).min() == -1  # the table of its own block
 
 
 def test_rule_table_has_symmetric_limits_of_at_least_one() -> None:
