@@ -150,8 +150,8 @@ def _styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
 def rule_table(scenario: Scenario) -> Figure:
     """Draw the rule table of the fuzzy systems, figure 2(a) (docs/model.md section 5).
 
-    Rows are the terms of the first input u (the scaled image wrench g, or pose error e of `composite`), columns those of its rate. A cell shows the
-    output's term, or the number where it is no term's centre.
+    Rows are the terms of the first input u (the scaled image wrench g of `hybrid`, pose error e of `composite`),
+    columns those of its rate. A cell shows the output's term, or the number where it is no term's centre.
     """
     table = np.asarray(core_parameters(scenario).gains.fuzzy.table)
     terms = list(_TERMS)
