@@ -149,9 +149,10 @@ BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<dou
 
   BodyState<double> state = start;
   normalise_quaternion(state);
+  const Plant<double> plant(body, error);
   const auto rate_at = [&](const BodyState<double>& s) {
     const Matrix3<double> R_BE = rotation_matrix(quaternion_of(s));
-    return body_rate(body, error, s, R_BE, inverse_kinematics(hexapod, position_of(s), R_BE).wrench(leg_forces));
+    return body_rate(plant, s, R_BE, inverse_kinematics(hexapod, position_of(s), R_BE).wrench(leg_forces));
   };
   for (long long i = 0; i < steps; ++i) {
     runge_kutta_step(step, state, rate_at);
