@@ -36,9 +36,9 @@ py::object code_array(const py::object& self) {
 
 /// Quantities of `Sample` by name: (n, k), or (n, m, k) of trajectories.
 py::dict samples(const py::object& self) {
-  constexpr std::array<const char*, kQuantities> kNames = {
-      "feature_error", "depth", "position", "quaternion", "twist", "wrench", "fuzzy_output", "leg_lengths",
-      "leg_forces"};
+  constexpr std::array<const char*, kQuantities> kNames = {"feature_error", "depth",       "position",
+                                                           "quaternion",    "twist",       "wrench",
+                                                           "fuzzy_output",  "leg_lengths", "leg_forces"};
   const auto& result = self.cast<const BatchResult&>();
   py::dict out;
   for (std::size_t q = 0; q < kNames.size(); ++q) {
@@ -55,18 +55,23 @@ BatchResult run(const Settings<Hybrid>& settings, const std::vector<std::pair<st
   std::vector<Variation> rows;
   for (const auto& [key, values] : variations) {
     if (values.ndim() != 2) throw std::invalid_argument(key + ": expected rows of numbers, got another shape");
-    rows.push_back({key,
-                    {values.data(), static_cast<std::size_t>(values.size())},
-                    static_cast<std::size_t>(values.shape(1))});
+    rows.push_back(
+        {key, {values.data(), static_cast<std::size_t>(values.size())}, static_cast<std::size_t>(values.shape(1))});
   }
   BatchOptions options;
   options.log = log;
   options.threads = threads;
-  options.stop_requested = interrupt_requested;
+  bool interrupted = false;
+  options.stop_requested = [&interrupted] { return interrupted || interrupt_requested(); };
   if (!progress.is_none())
-    options.progress = [&progress](const BatchProgress& p) {
+    options.progress = [&progress, &interrupted](const BatchProgress& p) {
       const py::gil_scoped_acquire gil;
-      progress(p.done, p.count, p.steps, p.total_steps);
+      try {
+        progress(p.done, p.count, p.steps, p.total_steps);
+      } catch (const py::error_already_set& error) {
+        if (!error.matches(PyExc_KeyboardInterrupt)) throw;
+        interrupted = true;  // Ctrl-C while the function ran
+      }
     };
   const py::gil_scoped_release no_gil;
   return simulate_batch(settings, rows, count, options, kernel.table());
@@ -94,7 +99,8 @@ void bind_batch(py::module_& m) {
       .def_property_readonly("outcome", &code_array<&BatchResult::outcome>, "(n,) values of Outcome")
       .def_property_readonly("cause", &code_array<&BatchResult::cause>, "(n,) values of StopCause")
       .def_property_readonly("end_time", &numbers<&BatchResult::end_time>, "(n,) of the last good sample [s]")
-      .def_property_readonly("stop_time", &numbers<&BatchResult::stop_time>, "(n,) of the step that stopped the run [s]")
+      .def_property_readonly("stop_time", &numbers<&BatchResult::stop_time>,
+                             "(n,) of the step that stopped the run [s]")
       .def_property_readonly(
           "metrics",
           [](const py::object& self) {
@@ -123,10 +129,11 @@ void bind_batch(py::module_& m) {
       },
       "Keys that may vary, each with the numbers per scenario that it takes.");
 
-  m.def("simulate_batch", &run, py::arg("settings"), py::arg("variations"), py::arg("count"), py::arg("log"),
-        py::arg("threads"), py::arg("kernel"), py::arg("progress") = py::none(),
-        "Runs `count` scenarios: variations are (key, (n or 1, width) array). progress(done, count, steps, total_steps) "
-        "is called every 50 ms. ValueError for a bad scenario; Ctrl-C ends it and keeps what is finished.");
+  m.def(
+      "simulate_batch", &run, py::arg("settings"), py::arg("variations"), py::arg("count"), py::arg("log"),
+      py::arg("threads"), py::arg("kernel"), py::arg("progress") = py::none(),
+      "Runs `count` scenarios: variations are (key, (n or 1, width) array). progress(done, count, steps, total_steps) "
+      "is called every 50 ms. ValueError for a bad scenario; Ctrl-C ends it and keeps what is finished.");
 
   m.def("describe", &describe, py::arg("cause"), py::arg("time"), "One sentence on how a run ended.");
 }

@@ -18,7 +18,7 @@ using detail::words;
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-constexpr std::size_t kCheckedTogether = 64;               // scenarios that a thread checks at a time
+constexpr std::size_t kCheckedTogether = 64;              // scenarios that a thread checks at a time
 constexpr double kMaxPreparedBytes = 64.0 * 1024 * 1024;  // of parameters that are kept from the check to the run
 
 /// The scenarios of a batch: the base with one row of each variation.
@@ -344,9 +344,7 @@ class Batch {
     return time;
   }
 
-  BatchProgress progress() const {
-    return {done_, scenarios_.count(), steps_, total_steps_ - skipped_steps_};
-  }
+  BatchProgress progress() const { return {done_, scenarios_.count(), steps_, total_steps_ - skipped_steps_}; }
 
   bool watch() const {
     if (options_.progress) options_.progress(progress());

@@ -192,9 +192,9 @@ double fma_peak(double seconds) noexcept {
   using Register = LaneRegister<kWidth>::Values;
   constexpr std::size_t kChains = 10;  // two units with a latency of four or five cycles, within 16 registers
   constexpr int kRounds = 20000;
-  const Register factor = Lanes<kWidth>(0.999).values(), term = Lanes<kWidth>(0.001).values();
+  const Register factor = Lanes<kWidth>(0.999).values(), term = Lanes<kWidth>(0.0037).values();
   std::array<Register, kChains> chains;
-  for (std::size_t i = 0; i < kChains; ++i) chains[i] = Lanes<kWidth>(static_cast<double>(i)).values();
+  for (std::size_t i = 0; i < kChains; ++i) chains[i] = Lanes<kWidth>(0.1 + static_cast<double>(i)).values();
 
   double best = 0.0;
   const auto start = Clock::now();
@@ -217,13 +217,9 @@ double fma_peak(double seconds) noexcept {
 }  // namespace
 
 const Kernel& built_in_kernel() noexcept {
-  static constexpr Kernel kernel = {kKernelAbi,
-                                    kWidth,
-                                    HEXSERVO_KERNEL_NAME,
-                                    HEXSERVO_KERNEL_FLAGS,
-                                    run_law<double>,
-                                    run_law<Lanes<kWidth>>,
-                                    fma_peak};
+  static constexpr Kernel kernel = {
+      kKernelAbi, kWidth, HEXSERVO_KERNEL_NAME, HEXSERVO_KERNEL_FLAGS, run_law<double>, run_law<Lanes<kWidth>>,
+      fma_peak};
   return kernel;
 }
 

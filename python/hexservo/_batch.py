@@ -7,7 +7,7 @@ import difflib
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -168,7 +168,7 @@ def simulate_batch(
     """
     if not isinstance(scenario, Scenario):
         raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
-    if not isinstance(log, str) or log not in _LOGS:
+    if log not in tuple(_LOGS):  # a tuple: what was given may have no hash
         raise ValueError(f"log: expected one of {', '.join(_LOGS)}, got {log!r}")
     kernel = chosen_kernel()
     arrays = _checked(scenario, variations)
@@ -240,7 +240,9 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> Array:
     except ValueError:  # ragged, or no numbers
         raise ValueError(f"{key}: expected an array of numbers, got {_kind(given)}") from None
     if values.ndim == 0 or values.shape[1:] not in rule.shapes or len(values) == 0:
-        shapes = " or ".join(f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes)
+        shapes = " or ".join(
+            f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes
+        )
         raise ValueError(f"{key}: expected shape {shapes}, n scenarios, got {values.shape}")
     numbers = values.astype(np.float64)
     allowed = rule.within(numbers)

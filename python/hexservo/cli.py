@@ -209,11 +209,12 @@ def version() -> None:
 
         build = _core.build_info()
         kernel = chosen_kernel()
+        available = ", ".join(available_variants())
         facts = {
             "hexservo": build["hexservo"],
             "compiler": build["compiler"],
             "flags": build["flags"],
-            "variant": f"{kernel.name}, {kernel.lanes} scenarios per vector (available: {', '.join(available_variants())})",
+            "variant": f"{kernel.name}, {kernel.lanes} scenarios per vector (available: {available})",
             "its flags": kernel.flags,
             "Eigen": build["eigen"],
             "Python": f"{platform.python_version()} ({platform.python_implementation()})",
