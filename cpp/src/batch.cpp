@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <map>
 #include <mutex>
-#include <numeric>
+#include <optional>
 
 namespace hexservo {
 
@@ -19,6 +19,7 @@ namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr std::size_t kCheckedTogether = 64;              // scenarios that a thread checks at a time
+constexpr std::size_t kClearedTogether = 1024;            // scenarios that a thread clears at a time
 constexpr double kMaxPreparedBytes = 64.0 * 1024 * 1024;  // of parameters that are kept from the check to the run
 
 /// The scenarios of a batch: the base with one row of each variation.
@@ -43,11 +44,16 @@ class Scenarios {
   std::vector<double> shared(std::size_t i) const {
     std::vector<double> numbers;
     for (const Item& item : items_)
-      if (item.key->shared) numbers.insert(numbers.end(), item.row(i).begin(), item.row(i).end());
+      if (item.key->reach == detail::Reach::pack) numbers.insert(numbers.end(), item.row(i).begin(), item.row(i).end());
     return numbers;
   }
   bool all_alike() const {
-    return std::ranges::none_of(items_, [](const Item& item) { return item.key->shared && !item.for_all; });
+    return std::ranges::none_of(
+        items_, [](const Item& item) { return item.key->reach == detail::Reach::pack && !item.for_all; });
+  }
+  /// The legs of every scenario are those of the base.
+  bool same_legs() const {
+    return std::ranges::none_of(items_, [](const Item& item) { return item.key->reach == detail::Reach::legs; });
   }
 
  private:
@@ -175,6 +181,7 @@ class Batch {
     LoopParameters<double, Law> parameters;
     numbers_ = static_cast<std::size_t>(detail::flat_size(parameters));
     const double bytes = static_cast<double>(scenarios.count()) * static_cast<double>(numbers_) * 8.0;
+    if (scenarios.same_legs()) legs_ = make_hexapod(scenarios.base().robot);
     if (bytes <= kMaxPreparedBytes) prepared_ = Buffer(scenarios.count() * numbers_);
   }
 
@@ -257,7 +264,7 @@ class Batch {
 
   void prepare(Settings<Law>& settings, std::size_t i, double* to) const {
     scenarios_.set(settings, i);
-    const LoopParameters<double, Law> parameters = loop_parameters(settings);
+    const LoopParameters<double, Law> parameters = loop_parameters(settings, legs_ ? &*legs_ : nullptr);
     if (to != nullptr) detail::flatten(parameters, to);
   }
 
@@ -322,13 +329,21 @@ class Batch {
   /// Nothing of a run that did not end stays.
   void finish(BatchResult& result) const {
     if (options_.progress) options_.progress(progress());
-    if (options_.log == BatchLog::metrics) return;
-    for (std::size_t i = 0; i < result.count; ++i) {
-      if (result.outcome[i] != static_cast<std::uint8_t>(Outcome::interrupted)) continue;
-      for (std::size_t q = 0; q < result.samples.size(); ++q)
-        std::fill_n(result.samples[q].data() + i * stride(result, q), stride(result, q), kNaN);
-      std::fill_n(result.fuzzy_weights.data() + i * kWeightNumbers, kWeightNumbers, kNaN);
-    }
+    if (options_.log == BatchLog::metrics || done_ == result.count) return;
+    const auto clear_block = [&](std::size_t block) {
+      const std::size_t end = std::min((block + 1) * kClearedTogether, result.count);
+      for (std::size_t i = block * kClearedTogether; i < end; ++i)
+        if (result.outcome[i] == static_cast<std::uint8_t>(Outcome::interrupted)) clear(i, result);
+    };
+    detail::StopFlag never = false;
+    detail::run_blocks((result.count + kClearedTogether - 1) / kClearedTogether, options_.threads, never, clear_block,
+                       [] { return false; });
+  }
+
+  void clear(std::size_t i, BatchResult& result) const {
+    for (std::size_t q = 0; q < result.samples.size(); ++q)
+      std::fill_n(result.samples[q].data() + i * stride(result, q), stride(result, q), kNaN);
+    std::fill_n(result.fuzzy_weights.data() + i * kWeightNumbers, kWeightNumbers, kNaN);
   }
 
   /// Numbers of quantity `q` per scenario.
@@ -354,8 +369,9 @@ class Batch {
   const Scenarios<Law>& scenarios_;
   const BatchOptions& options_;
   const Kernel& kernel_;
-  std::size_t numbers_ = 0;  // of a flattened scenario
-  Buffer prepared_;          // all flattened scenarios, or empty where they would take too much
+  std::optional<Hexapod<double>> legs_;  // of all scenarios, where they share them
+  std::size_t numbers_ = 0;              // of a flattened scenario
+  Buffer prepared_;                      // all flattened scenarios, or empty where they would take too much
   detail::StopFlag no_further_ = false;
   std::atomic<std::size_t> done_ = 0;
   std::atomic<long long> steps_ = 0, skipped_steps_ = 0;

@@ -11,12 +11,19 @@
 
 namespace hexservo::detail {
 
+/// What a key changes beside numbers of its own lane.
+enum class Reach {
+  lane,  ///< nothing
+  pack,  ///< what must agree in all lanes of a pack
+  legs   ///< what `make_hexapod` makes
+};
+
 /// One key of a scenario file.
 template <class Law>
 struct KeySetter {
   std::string_view key;
   std::array<std::size_t, 2> widths;  ///< numbers that it takes, in either form; 0: there is no second form
-  bool shared;                        ///< must agree in all lanes of a pack
+  Reach reach;
   /// @throws std::invalid_argument for numbers that the settings cannot hold
   void (*set)(Settings<Law>&, std::span<const double>);
 
