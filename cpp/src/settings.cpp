@@ -88,10 +88,10 @@ long long step_count(const SimulationSettings& simulation) {
 }
 
 template <class Law>
-LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
+LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const Hexapod<double>* legs) {
   LoopParameters<double, Law> p;
   step_count(settings.simulation);
-  p.hexapod = make_hexapod(settings.robot);
+  p.hexapod = legs != nullptr ? *legs : make_hexapod(settings.robot);
   p.body = {settings.robot.mass, settings.robot.inertia, RigidBody<double>{}.gravity};
   p.dynamics_error = settings.uncertainty.dynamics;
   validate(p.body, p.dynamics_error);
@@ -138,6 +138,6 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
   return p;
 }
 
-template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&);
+template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&, const Hexapod<double>*);
 
 }  // namespace hexservo
