@@ -2,11 +2,16 @@
 
 Double precision on the processor. Array expressions that XLA fuses (products and sums rather than small matrix
 products), both inputs of the six fuzzy systems together, rank-one stages. Compilation is not part of any timing.
+
+A batch is `vmap` over eight scenarios, `lax.map` over such packs, and one thread per processor: of the packs tried (8 to
+512) the smallest is the fastest, since larger ones leave the cache and XLA then spends its time on sharing out work that
+is too small. An array layout with the scenario as last axis, written out in place of `vmap`, was within 20 % of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -14,6 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from problem import CENTRES, Answer, Array, Problem
+
+_PACK = 8
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_platforms", "cpu")
@@ -133,13 +140,24 @@ class JaxLoop:
     def __init__(self, problem: Problem) -> None:
         self._p = problem
         self._simulate = jax.jit(_simulation(problem))
-        self._simulate_batch = jax.jit(jax.vmap(lambda depth_error: _simulation(problem)(depth_error)[0][-1]))
+
+        def last_error(depth_error: Any) -> Any:
+            return _simulation(problem)(depth_error)[0][-1]
+
+        self._simulate_batch = jax.jit(lambda depth_errors: lax.map(last_error, depth_errors, batch_size=_PACK))
 
     def run(self) -> Answer:
         """Integrate the problem once."""
         errors, positions, weights = jax.block_until_ready(self._simulate(self._p.depth_error))
         return Answer(np.asarray(errors), np.asarray(positions), np.asarray(weights))
 
-    def run_batch(self, depth_errors: Array) -> Array:
-        """Integrate once per depth error; feature error at the end of each (n, 8) [px]."""
-        return np.asarray(jax.block_until_ready(self._simulate_batch(depth_errors)))
+    def run_batch(self, depth_errors: Array, threads: int) -> Array:
+        """Integrate once per depth error; feature error at the end of each (n, 8) [px].
+
+        Every thread takes the same number of scenarios, so that one compilation serves all.
+        """
+        if len(depth_errors) % (threads * _PACK):
+            raise ValueError(f"depth_errors: expected a multiple of {threads * _PACK}, got {len(depth_errors)}")
+        with ThreadPoolExecutor(threads) as pool:
+            parts = pool.map(lambda part: np.asarray(self._simulate_batch(part)), np.split(depth_errors, threads))
+            return np.concatenate(list(parts))

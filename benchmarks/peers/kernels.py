@@ -14,6 +14,7 @@ from timing import Block
 
 FOLDER = Path(__file__).resolve().parent
 BUILD = FOLDER.parents[1] / "build" / "peers"
+PROGRAMS = ("hexservo_kernels", "fuzzylite_system", "visp_law")
 
 
 class MissingError(Exception):
@@ -26,15 +27,17 @@ def build() -> None:
     Raises
     ------
     MissingError
-        Without CMake, a compiler or Eigen, with the last lines of what they said.
+        Where not all of them could be built, with the last lines of what CMake or the compiler said.
     """
     if shutil.which("cmake") is None:
         raise MissingError("no cmake: make bench-peers installs it")
-    generator = ["-G", "Ninja"] if shutil.which("ninja") and not (BUILD / "Makefile").exists() else []
+    for program in PROGRAMS:  # what cannot be built now must not run either
+        (BUILD / program).unlink(missing_ok=True)
+    generator, keep_going = ("Ninja", ["-k", "0"]) if shutil.which("ninja") else ("Unix Makefiles", ["-k"])
     for command in (
         # The libraries are looked for anew each time: they may have come or gone.
-        ["cmake", "-S", str(FOLDER), "-B", str(BUILD), "-U", "*_LIBRARY", "-U", "*_INCLUDE_DIR", *generator],
-        ["cmake", "--build", str(BUILD)],
+        ["cmake", "-S", str(FOLDER), "-B", str(BUILD), "-U", "*_LIBRARY", "-U", "*_INCLUDE_DIR", "-G", generator],
+        ["cmake", "--build", str(BUILD), "--", *keep_going],
     ):
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
@@ -48,7 +51,7 @@ class Kernel:
     def __init__(self, program: str, mode: str | None, parameters: Array, inputs: Array, how_to_get: str) -> None:
         path = BUILD / program
         if not path.exists():
-            raise MissingError(how_to_get)
+            raise MissingError(f"{program} was not built: {how_to_get}")
         self._process = subprocess.Popen(
             [str(path), *([mode] if mode else [])], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -72,8 +75,8 @@ class Kernel:
 
     def answers(self) -> Array:
         """Give one row of numbers per row of input."""
-        first = self._ask("answers")
-        return np.array([[float(word) for word in line.split()] for line in [first, *map(self._line, range(1, self._rows))]])
+        self._send("answers")
+        return np.array([[float(word) for word in self._line().split()] for _ in range(self._rows)])
 
     def block(self, minimum: float, units_per_row: int = 1) -> Callable[[], Block]:
         """Give a timed block of about `minimum` seconds; per unit."""
@@ -83,10 +86,13 @@ class Kernel:
 
     def _send(self, text: str) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.write(text + "\n")
-        self._process.stdin.flush()
+        try:
+            self._process.stdin.write(text + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise RuntimeError(f"{self._name} ended with code {self._process.wait()}") from None
 
-    def _line(self, _row: int = 0) -> str:
+    def _line(self) -> str:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:

@@ -218,8 +218,9 @@ class NumbaLoop:
         weights = _integrate(self._numbers, *self._rest, errors, positions)
         return Answer(errors, positions, weights[:, :, :7].copy())
 
-    def run_batch(self, depth_errors: Array) -> Array:
+    def run_batch(self, depth_errors: Array, threads: int) -> Array:
         """Integrate once per depth error; feature error at the end of each (n, 8) [px]."""
+        numba.set_num_threads(threads)
         count = len(depth_errors)
         errors, positions = np.empty((count, self._p.samples, 8)), np.empty((count, self._p.samples, 3))
         _integrate_batch(self._numbers, depth_errors, *self._rest, errors, positions)

@@ -175,8 +175,8 @@ class ScipyLoop:
             raise ValueError(f"controller.switching.kind: expected 'tanh', got {problem.switching!r}")
         self._p = problem
         self._loop = NumpyLoop(problem)
-        self._method = method
-        self._tolerance = tolerance
+        self.method = method
+        self.tolerance = tolerance
         self.evaluations = 0  # of the right-hand side in the last run
 
     def _rate(self, _time: float, state: Array) -> Array:
@@ -200,13 +200,13 @@ class ScipyLoop:
             self._rate,
             (0.0, times[-1]),
             start,
-            method=self._method,
+            method=self.method,
             t_eval=times,
-            rtol=self._tolerance,
-            atol=self._tolerance * 1e-2,
+            rtol=self.tolerance,
+            atol=self.tolerance * 1e-2,
         )
         if not solution.success:
-            raise RuntimeError(f"solve_ivp ({self._method}): {solution.message}")
+            raise RuntimeError(f"solve_ivp ({self.method}): {solution.message}")
         self.evaluations = int(solution.nfev)
         states = solution.y.T
         errors = np.array([p.desired - self._loop.features(state[:13]) for state in states])

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["Block", "Comparison", "alternate", "python_block"]
+__all__ = ["Block", "Comparison", "alternate", "core_count", "python_block"]
 
 
 @dataclass(frozen=True)
@@ -21,12 +21,15 @@ class Block:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Medians over the rounds; `ratio` is the median of the rounds' own ratios, `spread` their quartiles."""
+    """Medians over the rounds; `ratio` is the median of the rounds' own ratios, `spread` their quartiles.
+
+    What belongs to hexservo is None where it has nothing to compare with.
+    """
 
     peer: float  # [s] per unit
-    hexservo: float  # [s] per unit
-    ratio: float
-    spread: tuple[float, float]
+    hexservo: float | None  # [s] per unit
+    ratio: float | None
+    spread: tuple[float, float] | None
     peer_cores: float | None
     hexservo_cores: float | None
     rounds: int
@@ -52,8 +55,12 @@ def python_block(function: Callable[[], object], units: int, minimum: float) -> 
     return block
 
 
-def alternate(peer: Callable[[], Block], hexservo: Callable[[], Block], rounds: int) -> Comparison:
+def alternate(peer: Callable[[], Block], hexservo: Callable[[], Block] | None, rounds: int) -> Comparison:
     """Time both in turns, the order changing from round to round; the first round only warms up."""
+    if hexservo is None:
+        alone = [peer() for _ in range(rounds + 1)][1:]
+        middle = statistics.median(block.seconds for block in alone)
+        return Comparison(middle, None, None, None, _cores(alone), None, rounds)
     peers: list[Block] = []
     own: list[Block] = []
     for turn in range(rounds + 1):

@@ -33,7 +33,8 @@ int main(int count, char** arguments) {
     for (std::size_t i = 0; i < 4; ++i) seen[i].set_xyZ(row[3 * i], row[3 * i + 1], row[3 * i + 2]);
   };
 
-  const std::string version = "ViSP " VISP_VERSION;
+  const std::string version = "ViSP " + std::to_string(VISP_VERSION_MAJOR) + "." + std::to_string(VISP_VERSION_MINOR) +
+                              "." + std::to_string(VISP_VERSION_PATCH);
   int status = 0;
   if (answer == "jacobian") {
     status = peers::serve(
