@@ -3,9 +3,9 @@
 Double precision on the processor. Array expressions that XLA fuses (products and sums rather than small matrix
 products), both inputs of the six fuzzy systems together, rank-one stages. Compilation is not part of any timing.
 
-A batch is `vmap` over eight scenarios, `lax.map` over such packs, and one thread per processor: of the packs tried (8 to
-512) the smallest is the fastest, since larger ones leave the cache and XLA then spends its time on sharing out work that
-is too small. An array layout with the scenario as last axis, written out in place of `vmap`, was within 20 % of it.
+A batch is `vmap` over eight scenarios, `lax.map` over such packs, and one thread per processor: of the packs tried (8
+to 512) the smallest is the fastest, since larger ones leave the cache and XLA then spends its time on sharing out work
+that is too small. A layout with the scenario as last axis, written out in place of `vmap`, was within 20 % of it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+
 from problem import CENTRES, Answer, Array, Problem
 
 _PACK = 8

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
+
 from problem import Array
 from timing import Block
 
@@ -60,12 +61,8 @@ class Kernel:
         self._send(_text(parameters))
         self._send(f"inputs {self._rows} {_text(inputs)}")
 
-    def __enter__(self) -> Kernel:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Let the program end."""
         self._process.communicate()
 
     @property
@@ -102,6 +99,22 @@ class Kernel:
     def _ask(self, command: str) -> str:
         self._send(command)
         return self._line().strip()
+
+
+@contextmanager
+def running(program: str, mode: str | None, parameters: Array, inputs: Array, how_to_get: str) -> Iterator[Kernel]:
+    """Start a kernel program, and end it afterwards.
+
+    Raises
+    ------
+    MissingError
+        Where it was not built; `how_to_get` says more.
+    """
+    kernel = Kernel(program, mode, parameters, inputs, how_to_get)
+    try:
+        yield kernel
+    finally:
+        kernel.close()
 
 
 def _text(numbers: Array) -> str:

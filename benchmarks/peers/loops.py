@@ -7,11 +7,11 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
+
+import hexservo as hs
 from problem import Array, ClosedLoopPeer, Problem, loop_scenario, problem_of
 from rows import Row, attempt, largest_difference, require, version_of
 from timing import Block, alternate, core_count, python_block
-
-import hexservo as hs
 
 STRIDE = 50  # steps between two samples
 SMOOTH_TOLERANCE = 1e-9  # [px]
@@ -88,7 +88,7 @@ def _compiled_row(package: str, make: Callable[[Problem], ClosedLoopPeer], form:
 
 
 def _scipy(row: Row, rounds: int) -> None:
-    """The cheapest method and tolerance whose answer is as near to the exact one as that of the core at 1 ms."""
+    """Take the cheapest method and tolerance whose answer is as near to the exact one as the core's at 1 ms."""
     from numpy_loop import ScipyLoop
 
     scenario = loop_scenario("tanh", 1.0, STRIDE)
@@ -162,9 +162,7 @@ def _batch(package: str, make: Callable[[Problem], BatchPeer], row: Row, threads
     own = _own_batch(scenario, depth_errors, expected, threads, units)
     if own is None:
         row.hexservo = "not available: this version has no hs.simulate_batch"
-    row.comparison = alternate(
-        python_block(lambda: peer.run_batch(depth_errors, threads), units, 0.1), own, rounds
-    )
+    row.comparison = alternate(python_block(lambda: peer.run_batch(depth_errors, threads), units, 0.1), own, rounds)
 
 
 def batch_rows(rounds: int) -> Iterator[Row]:

@@ -8,9 +8,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from timing import core_count
-
 from hexservo import _core
+from timing import core_count
 
 
 def _cpu_model() -> str:

@@ -10,9 +10,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from problem import Array
 
 from hexservo import _core
+from problem import Array
 
 
 def _text(numbers: Any) -> str:

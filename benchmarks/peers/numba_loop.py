@@ -1,9 +1,10 @@
 """The closed loop compiled by numba; written from docs/model.md.
 
-The form that is fastest in numba of those tried: scalar loops over arrays that are allocated once a run, compiled for
-this very processor; the six fuzzy systems innermost and padded to eight, so that LLVM can put them side by side into
-vector registers; rank-one stages; bells of slope 2 by squaring, and one division for the seven of a system; products and
-sums may be fused (`contract`). A batch runs scenario by scenario under `prange`.
+The form that is fastest in numba of those tried: scalar code, compiled for this very processor with `fastmath`, over
+arrays that are allocated once a run. The seven terms of a system are padded to eight, innermost, and summed in loops
+that store nothing, or written out store by store: LLVM then uses vector registers, which possible overlaps of arrays
+otherwise keep it from. Rank-one stages; bells of slope 2 by squaring. The six systems innermost was slower (by half),
+and so was one division in place of seven. A batch runs scenario by scenario under `prange`.
 """
 
 from __future__ import annotations
@@ -12,17 +13,18 @@ import math
 
 import numba
 import numpy as np
+
 from problem import Answer, Array, Problem
 
 _PAD = 8  # seven terms and one that is always zero
-_CENTRES = np.append((np.arange(7) - 3) / 3.0, 1e60)
+_CENTRES = np.append((np.arange(7) - 3) / 3.0, 1e60)  # finite, as `fastmath` wants it
 _FLAGS = {"error_model": "numpy", "fastmath": True, "boundscheck": False}
 _compiled = numba.njit(**_FLAGS)
 _inlined = numba.njit(inline="always", **_FLAGS)
 
 
 @_inlined
-def _bells(x, inverse_width, mu):  # type: ignore[no-untyped-def]
+def _bells(x, inverse_width, mu):
     """Write the normalised memberships of x into `mu` (8); the eighth term is far away and stays zero."""
     total = 0.0
     for k in range(_PAD):
@@ -37,7 +39,7 @@ def _bells(x, inverse_width, mu):  # type: ignore[no-untyped-def]
 
 
 @_inlined
-def _stage(numbers, points, desired, kp, kv, inertia, psi, a, b, smooth, body, W, scale, before, now, m, n, r, rate, s):  # type: ignore[no-untyped-def]  # noqa: N803
+def _stage(numbers, points, desired, kp, kv, inertia, psi, a, b, smooth, body, W, scale, before, now, m, n, r, rate, s):
     """Rates of stage `now` at `body`; the weights are W plus `scale` times the adaptation of stage `before`."""
     focal, depth_error, mass_push, gravity_z, weight_z, delta_d, delta_c, width, switching_width = numbers
     qw, qx, qy, qz = body[3], body[4], body[5], body[6]
@@ -130,7 +132,7 @@ def _stage(numbers, points, desired, kp, kv, inertia, psi, a, b, smooth, body, W
 
 
 @_compiled
-def _features(body, points, focal, out):  # type: ignore[no-untyped-def]
+def _features(body, points, focal, out):
     qw, qx, qy, qz = body[3], body[4], body[5], body[6]
     for i in range(4):
         dx, dy, dz = points[i, 0] - body[0], points[i, 1] - body[1], points[i, 2] - body[2]
@@ -142,9 +144,9 @@ def _features(body, points, focal, out):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _integrate(numbers, h, stride, home, points, desired, kp, kv, inertia, psi, a, b, smooth, errors, positions):  # type: ignore[no-untyped-def]
+def _integrate(numbers, h, stride, home, points, desired, kp, kv, inertia, psi, a, b, smooth, errors, positions):
     """Run one scenario; the samples go to `errors` and `positions`, the weights (7, 7, 8) are returned."""
-    W = np.zeros((6, 7, _PAD))  # noqa: N806
+    W = np.zeros((6, 7, _PAD))
     m, n, r = np.zeros((4, 6, _PAD)), np.zeros((4, 6, _PAD)), np.zeros((4, 6))
     rate, s = np.zeros((4, 13)), np.zeros((3, 6))
     body, stage_body, seen = np.zeros(13), np.zeros(13), np.zeros(8)
@@ -189,7 +191,9 @@ def _integrate(numbers, h, stride, home, points, desired, kp, kv, inertia, psi, 
 
 
 @numba.njit(parallel=True, **_FLAGS)
-def _integrate_batch(numbers, depth_errors, h, stride, home, points, desired, kp, kv, inertia, psi, a, b, smooth, errors, positions):  # type: ignore[no-untyped-def]
+def _integrate_batch(
+    numbers, depth_errors, h, stride, home, points, desired, kp, kv, inertia, psi, a, b, smooth, errors, positions
+):
     for i in numba.prange(depth_errors.shape[0]):
         focal, _, push, gravity_z, weight_z, delta_d, delta_c, width, switching_width = numbers
         own = (focal, depth_errors[i], push, gravity_z, weight_z, delta_d, delta_c, width, switching_width)

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+
 from problem import CENTRES, Answer, Array, Problem
 
 

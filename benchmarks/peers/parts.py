@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-from kernels import Kernel
-from problem import Array
-from rows import Row, attempt, largest_difference, require, version_of
-from timing import alternate, python_block
 
 import hexservo as hs
 from hexservo import _core
 from hexservo._parameters import core_parameters
+from kernels import running
+from problem import Array
+from rows import Row, attempt, largest_difference, require, version_of
+from timing import alternate, python_block
 
 MINIMUM = 0.05  # [s] of a timed block
 BUILT = "see what CMake said at the start"
@@ -43,8 +43,8 @@ def _fuzzy(row: Row, rounds: int) -> None:
     inputs = random.uniform(-1, 1, (960, 2))
     bells = np.array([1 / 6, 2.0])
     with (
-        Kernel("fuzzylite_system", None, np.concatenate([bells, weights]), inputs, FUZZYLITE) as peer,
-        Kernel("hexservo_kernels", "fuzzy", weights, inputs.reshape(160, 12), BUILT) as own,
+        running("fuzzylite_system", None, np.concatenate([bells, weights]), inputs, FUZZYLITE) as peer,
+        running("hexservo_kernels", "fuzzy", weights, inputs.reshape(160, 12), BUILT) as own,
     ):
         row.version = peer.version
         difference = largest_difference(peer.answers().ravel(), own.answers().ravel())
@@ -59,8 +59,8 @@ def _images(scenario: hs.Scenario, count: int) -> tuple[Array, Array]:
     return start + random.uniform(-10, 10, (count, 4, 2)), random.uniform(-0.55, -0.45, (count, 4))
 
 
-# ViSP's camera looks along +z. Turning E by half a turn about x gives it: (X, Y, Z) -> (X, -Y, -Z), so that its normalised
-# coordinates are (x, -y)/f, its depth -Z, and its twists have four signs changed.
+# ViSP's camera looks along +z. Turning E by half a turn about x gives it: (X, Y, Z) -> (X, -Y, -Z), so that its
+# normalised coordinates are (x, -y)/f, its depth -Z, and its twists have four signs changed.
 IMAGE_SIGNS = np.array([1.0, -1.0])
 TWIST_SIGNS = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
 GAIN = 0.5  # lambda [1/s]
@@ -82,8 +82,10 @@ def _jacobian(row: Row, rounds: int) -> None:
     desired = np.broadcast_to(np.asarray(scenario.target.desired_features, dtype=float), (len(rows), 8))
     own_rows = np.concatenate([features, depth[:, :, None]], axis=2).reshape(len(rows), 12)
     with (
-        Kernel("visp_law", "jacobian", parameters, rows, VISP) as peer,
-        Kernel("hexservo_kernels", "jacobian", np.array([focal]), np.concatenate([own_rows, desired], axis=1), BUILT) as own,
+        running("visp_law", "jacobian", parameters, rows, VISP) as peer,
+        running(
+            "hexservo_kernels", "jacobian", np.array([focal]), np.concatenate([own_rows, desired], axis=1), BUILT
+        ) as own,
     ):
         row.version = peer.version
         theirs, ours = peer.answers(), own.answers()
@@ -109,8 +111,8 @@ def _law(row: Row, rounds: int) -> None:
     seen = features.reshape(count, 8)
     goals = np.concatenate([settings.target.desired_features, settings.target.initial_features])
     with (
-        Kernel("visp_law", "velocity", parameters, rows, VISP) as peer,
-        Kernel(
+        running("visp_law", "velocity", parameters, rows, VISP) as peer,
+        running(
             "hexservo_kernels", "tick", goals, np.concatenate([seen, depth, position, quaternion, twist], axis=1), BUILT
         ) as own,
     ):
@@ -129,10 +131,7 @@ def _law(row: Row, rounds: int) -> None:
         require(row, difference, 1e-9, "of the largest velocity, from pinv(J) of our J")
         controller = _core.Controller(settings, 1e-3)
         wrenches = np.array(
-            [
-                controller.step(*numbers)[0]
-                for numbers in zip(seen, depth, position, quaternion, twist, strict=True)
-            ]
+            [controller.step(*numbers)[0] for numbers in zip(seen, depth, position, quaternion, twist, strict=True)]
         )
         if not largest_difference(own.answers(), wrenches) <= 1e-12:
             raise RuntimeError("the timed tick and hs.Controller differ")
@@ -147,12 +146,24 @@ def part_rows(rounds: int) -> Iterator[Row]:
         "make bench-peers installs it (pip install --group peers)",
     )
     yield attempt(
-        Row("one fuzzy system, 49 rules", "system", "fuzzylite", "Engine::process", "fuzzy_basis and output, six at once, / 6"),
+        Row(
+            "one fuzzy system, 49 rules",
+            "system",
+            "fuzzylite",
+            "Engine::process",
+            "fuzzy_basis and output, six at once, / 6",
+        ),
         partial(_fuzzy, rounds=rounds),
         BUILT,
     )
     yield attempt(
-        Row("image Jacobian and error", "evaluation", "ViSP", "computeInteractionMatrix, computeError", "ImageJacobian::matrix"),
+        Row(
+            "image Jacobian and error",
+            "evaluation",
+            "ViSP",
+            "computeInteractionMatrix, computeError",
+            "ImageJacobian::matrix",
+        ),
         partial(_jacobian, rounds=rounds),
         BUILT,
     )

@@ -54,8 +54,8 @@ def markdown(machine: dict[str, Any], rows: Sequence[Row]) -> str:
     """Give the table, what it was measured on, and what is missing."""
     core = machine["core"]
     lines = [
-        f"{machine['date'][:10]}; {machine['cpu']}, {machine['processors']} processors, {machine['system']}; load average "
-        f"at the start {machine['load_average']:.1f}.",
+        f"{machine['date'][:10]}; {machine['cpu']}, {machine['processors']} processors, {machine['system']}; "
+        f"load average at the start {machine['load_average']:.1f}.",
         f"hexservo {core['hexservo']}, {core['compiler']}, `{core['flags']}`; Python {machine['python']}.",
         "",
         "| work | per | peer | its form | peer | hexservo | ratio (quartiles) | answers differ by (allowed) |",

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+
 from kernels import MissingError
 from problem import Array
 from timing import Comparison

@@ -36,7 +36,8 @@ inline std::vector<double> read_numbers(std::size_t count) {
 /// @param restart brings the evaluation back to its first state
 /// @param evaluate (const double* row, double* out): evaluates one row
 template <class Restart, class Evaluate>
-int serve(const std::string& version, std::size_t columns, std::size_t answers, Restart&& restart, Evaluate&& evaluate) {
+int serve(const std::string& version, std::size_t columns, std::size_t answers, Restart&& restart,
+          Evaluate&& evaluate) {
   std::vector<double> inputs, out(answers);
   std::size_t rows = 0;
   std::cout << std::setprecision(17);

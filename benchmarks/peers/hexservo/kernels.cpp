@@ -1,13 +1,13 @@
 // hexservo's own side of the comparisons with fuzzylite and ViSP: the core's functions, timed in the same way.
 //
-//   kernels fuzzy      parameters: 49 weights, row by row (row: term of u); row: six pairs (u, u-dot); answer: 6 outputs
-//   kernels jacobian   parameters: f; row: 4 x (x, y, Z), desired features (8); answer: J at R = I, row by row, then xi~
-//   kernels tick       parameters: desired features (8), then those seen from home (8); row: features (8), depth (4),
+//   kernels fuzzy      parameters: 49 weights, row by row (row: term of u); row: six pairs (u, u-dot); answer: 6
+//   outputs kernels jacobian   parameters: f; row: 4 x (x, y, Z), desired features (8); answer: J at R = I, row by row,
+//   then xi~ kernels tick       parameters: desired features (8), then those seen from home (8); row: features (8),
+//   depth (4),
 //                      position (3), quaternion (4), twist (6); answer: wrench (6)
 #include "hexservo/controller.hpp"
 
 #include "../serve.hpp"
-
 
 namespace {
 
