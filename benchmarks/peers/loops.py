@@ -10,7 +10,7 @@ import numpy as np
 
 import hexservo as hs
 from problem import Array, ClosedLoopPeer, Problem, loop_scenario, problem_of
-from rows import Row, attempt, largest_difference, require, version_of
+from rows import Row, WrongAnswerError, attempt, largest_difference, require, version_of
 from timing import Block, alternate, core_count, python_block
 
 STRIDE = 50  # steps between two samples
@@ -142,7 +142,7 @@ def _own_batch(
     final = np.asarray(run().metrics["final_error"])
     difference = largest_difference(final, np.abs(expected).max(axis=1))
     if not difference <= SIGN_TOLERANCE:
-        raise RuntimeError(f"hs.simulate_batch differs by {difference:.2g} px from hs.simulate")
+        raise WrongAnswerError(f"hs.simulate_batch differs by {difference:.2g} px from hs.simulate")
     return python_block(run, units, 0.1)
 
 

@@ -12,7 +12,7 @@ from hexservo import _core
 from hexservo._parameters import core_parameters
 from kernels import running
 from problem import Array
-from rows import Row, attempt, largest_difference, require, version_of
+from rows import Row, WrongAnswerError, attempt, largest_difference, require, version_of
 from timing import alternate, python_block
 
 MINIMUM = 0.05  # [s] of a timed block
@@ -134,7 +134,7 @@ def _law(row: Row, rounds: int) -> None:
             [controller.step(*numbers)[0] for numbers in zip(seen, depth, position, quaternion, twist, strict=True)]
         )
         if not largest_difference(own.answers(), wrenches) <= 1e-12:
-            raise RuntimeError("the timed tick and hs.Controller differ")
+            raise WrongAnswerError("the timed tick and hs.Controller differ")
         row.comparison = alternate(peer.block(MINIMUM), own.block(MINIMUM), rounds)
 
 

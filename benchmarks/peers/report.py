@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,8 +17,17 @@ BEGIN, END = "<!-- peers:begin -->", "<!-- peers:end -->"
 def write_json(path: Path, machine: dict[str, Any], rows: Sequence[Row]) -> None:
     """Write everything that was measured; times in seconds."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    document = {"machine": machine, "rows": [asdict(row) for row in rows]}
-    path.write_text(json.dumps(document, indent=2, default=float) + "\n")
+    document = _finite({"machine": machine, "rows": [asdict(row) for row in rows]})
+    path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    """Give null for numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _time(seconds: float | None) -> str:

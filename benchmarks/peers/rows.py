@@ -82,6 +82,6 @@ def attempt(row: Row, fill: Callable[[Row], None], how_to_get: str) -> Row:
         row.status, row.detail = "missing", str(error)
     except WrongAnswerError as error:
         row.status, row.detail = "wrong answer", str(error)
-    except Exception as error:  # a peer's own failure, of whatever kind, is not ours
+    except Exception as error:  # of whatever kind: the other rows are still wanted
         row.status, row.detail = "failed", f"{type(error).__name__}: {error}"
     return row
