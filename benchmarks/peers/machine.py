@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import os
 import platform
 from datetime import datetime, timezone
@@ -21,6 +23,14 @@ def _cpu_model() -> str:
     return names[0] if names else platform.machine()
 
 
+def _run_loop() -> dict[str, str]:
+    """Name and flags of the compiled run loop that this process uses, where there is a choice of several."""
+    if importlib.util.find_spec("hexservo._variant") is None:
+        return {}
+    kernel = importlib.import_module("hexservo._variant").chosen_kernel()
+    return {"variant": kernel.name, "flags": kernel.flags}
+
+
 def describe_machine() -> dict[str, Any]:
     """Processor, system, interpreter, compiler and flags of the core, and how busy the machine is as we start."""
     return {
@@ -30,5 +40,5 @@ def describe_machine() -> dict[str, Any]:
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "python": platform.python_version(),
         "load_average": os.getloadavg()[0],
-        "core": dict(_core.build_info()),
+        "core": {"variant": "baseline", **_core.build_info(), **_run_loop()},
     }

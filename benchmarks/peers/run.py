@@ -1,7 +1,7 @@
 """Entry of `make bench-peers`: hexservo and its peers, in the same run, on the same work, with the answers compared.
 
-The method is in BENCHMARKS.md, section "Peers". A peer that is not installed is reported, and the run goes on. Exit code
-1 where a peer breaks or its answer is wrong, or where the ratio to NumPy is below what is asserted.
+The method is in BENCHMARKS.md, section "Peers". A peer that is not installed is reported, and the run goes on.
+Exit code 1 where a peer breaks or its answer is wrong, or where the ratio to NumPy is below what is asserted.
 """
 
 from __future__ import annotations
