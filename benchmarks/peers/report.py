@@ -66,8 +66,8 @@ def markdown(machine: dict[str, Any], rows: Sequence[Row]) -> str:
     lines = [
         f"{machine['date'][:10]}; {machine['cpu']}, {machine['processors']} processors, {machine['system']}; "
         f"load average at the start {machine['load_average']:.1f}.",
-        f"hexservo {core['hexservo']}, variant {core['variant']}, {core['compiler']}, `{core['flags']}`; the kernels of the "
-        f"last three rows: baseline; Python {machine['python']}.",
+        f"hexservo {core['hexservo']}, variant {core['variant']}, {core['compiler']}, `{core['flags']}`; "
+        f"the C++ functions of the rows with fuzzylite and ViSP: baseline; Python {machine['python']}.",
         "",
         "| work | per | peer | its form | peer | hexservo | ratio (quartiles) | answers differ by (allowed) |",
         "| --- | --- | --- | --- | ---: | ---: | ---: | --- |",
