@@ -19,9 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from problem import CENTRES, Answer, Array, Problem
-
-_PACK = 8
+from problem import CENTRES, PACK, Answer, Array, Problem
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_platforms", "cpu")
@@ -145,7 +143,7 @@ class JaxLoop:
         def last_error(depth_error: Any) -> Any:
             return _simulation(problem)(depth_error)[0][-1]
 
-        self._simulate_batch = jax.jit(lambda depth_errors: lax.map(last_error, depth_errors, batch_size=_PACK))
+        self._simulate_batch = jax.jit(lambda depth_errors: lax.map(last_error, depth_errors, batch_size=PACK))
 
     def run(self) -> Answer:
         """Integrate the problem once."""
@@ -157,8 +155,8 @@ class JaxLoop:
 
         Every thread takes the same number of scenarios, so that one compilation serves all.
         """
-        if len(depth_errors) % (threads * _PACK):
-            raise ValueError(f"depth_errors: expected a multiple of {threads * _PACK}, got {len(depth_errors)}")
+        if len(depth_errors) % (threads * PACK):
+            raise ValueError(f"depth_errors: expected a multiple of {threads * PACK}, got {len(depth_errors)}")
         with ThreadPoolExecutor(threads) as pool:
             parts = pool.map(lambda part: np.asarray(self._simulate_batch(part)), np.split(depth_errors, threads))
             return np.concatenate(list(parts))

@@ -9,11 +9,12 @@ from typing import Any, Protocol
 import numpy as np
 
 import hexservo as hs
-from problem import Array, ClosedLoopPeer, Problem, loop_scenario, problem_of
+from problem import PACK, Array, ClosedLoopPeer, Problem, loop_scenario, problem_of
 from rows import Row, WrongAnswerError, attempt, largest_difference, require, version_of
 from timing import Block, alternate, core_count, python_block
 
 STRIDE = 50  # steps between two samples
+BATCH = 64  # scenarios, or as many as every thread gets a pack of
 SMOOTH_TOLERANCE = 1e-9  # [px]
 # Runs that differ in rounding only part where the velocity chatters about zero, by what runs of other steps differ.
 SIGN_TOLERANCE = 0.02  # [px]
@@ -146,18 +147,18 @@ def _own_batch(
     return python_block(run, units, 0.1)
 
 
-def _batch(package: str, make: Callable[[Problem], BatchPeer], row: Row, threads: int, rounds: int) -> None:
+def _batch(package: str, make: Callable[[Problem], BatchPeer], row: Row, threads: int, count: int, rounds: int) -> None:
     _check(row, make)
-    scenario = loop_scenario("sign", 0.5, STRIDE)
+    scenario = loop_scenario("sign", 5.0, STRIDE)
     problem = problem_of(scenario)
     peer = make(problem)
     row.version = version_of(package)
-    depth_errors = np.linspace(-0.3, 0.3, 256)
+    depth_errors = np.linspace(-0.3, 0.3, count)
     expected = np.array(
         [hs.simulate(scenario.updated({"uncertainty.depth": float(d)})).feature_error[-1] for d in depth_errors]
     )
     answer = peer.run_batch(depth_errors, threads)
-    require(row, largest_difference(answer, expected), SIGN_TOLERANCE, "px (sign, end of all 256)")
+    require(row, largest_difference(answer, expected), SIGN_TOLERANCE, f"px (sign, end of all {count})")
     units = len(depth_errors) * problem.steps
     own = _own_batch(scenario, depth_errors, expected, threads, units)
     if own is None:
@@ -166,20 +167,22 @@ def _batch(package: str, make: Callable[[Problem], BatchPeer], row: Row, threads
 
 
 def batch_rows(rounds: int) -> Iterator[Row]:
-    """Compare batches of 256 scenarios that differ in the depth error: on one processor, and on all."""
+    """Compare batches of runs of `paper` that differ in the depth error: on one processor, and on all."""
     for threads in dict.fromkeys((1, core_count())):
+        count = max(BATCH, PACK * threads) // (PACK * threads) * PACK * threads
+        named = f"{threads} thread{'s'[: threads - 1]}"
         for package, make, form in (
-            ("numba", _numba, f"prange over the single run, {threads} thread{'s'[: threads - 1]}"),
-            ("jax", _jax, f"vmap in packs of 8, {threads} thread{'s'[: threads - 1]}"),
+            ("numba", _numba, f"prange over the single run, {named}"),
+            ("jax", _jax, f"vmap in packs of {PACK}, {named}"),
         ):
             yield attempt(
                 Row(
-                    f"closed loop, batch of 256, {threads} thread{'s'[: threads - 1]}",
+                    f"closed loop, batch of {count}, {named}",
                     "scenario-step",
                     package,
                     form,
                     f'hs.simulate_batch(log="metrics", threads={threads})',
                 ),
-                partial(_batch, package, make, threads=threads, rounds=rounds),
+                partial(_batch, package, make, threads=threads, count=count, rounds=rounds),
                 PIP,
             )

@@ -16,6 +16,7 @@ import hexservo as hs
 Array = NDArray[np.float64]
 
 CENTRES: Array = (np.arange(7) - 3) / 3.0
+PACK = 8  # scenarios that JAX maps at once
 SWITCHING_KINDS = ("sign", "tanh")
 
 
