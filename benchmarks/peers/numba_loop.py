@@ -3,8 +3,8 @@
 The form that is fastest in numba of those tried: scalar code, compiled for this very processor with `fastmath`, over
 arrays that are allocated once a run. The seven terms of a system are padded to eight, innermost, and summed in loops
 that store nothing, or written out store by store: LLVM then uses vector registers, which possible overlaps of arrays
-otherwise keep it from. Rank-one stages; bells of slope 2 by squaring. The six systems innermost was slower (by half),
-and so was one division in place of seven. A batch runs scenario by scenario under `prange`.
+otherwise keep it from. Rank-one stages; bells of slope 2 by squaring. The six systems innermost, with one division in
+place of seven, took twice as long. A batch runs scenario by scenario under `prange`.
 """
 
 from __future__ import annotations
