@@ -85,7 +85,7 @@ FuzzyWeights<double> weights_from(const double* numbers) {
   FuzzyWeights<double> weights;
   for (int axis = 0; axis < kAxes; ++axis)
     for (int row = 0; row < kTerms; ++row)
-      for (int column = 0; column < kTerms; ++column) weights[rule(row, column)](axis) = *numbers++;
+      for (int column = 0; column < kTerms; ++column) weights[rule(row, column)].set(axis, *numbers++);
   return weights;
 }
 
