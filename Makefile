@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test asan format clean setup test-setup system FORCE
+.PHONY: help paper test asan bench-peers format clean setup test-setup peer-setup system FORCE
 
 PYTHON ?= python3
 # The tools are those of the environment, whatever else the machine or an active shell offers.
@@ -26,6 +26,7 @@ help:
 	@cat <<'END'
 	make paper    set up, run the paper's experiment, write out/paper and print the table of results
 	make test     set up, run every test and check; the last line says passed or failed
+	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
 	make format   format the C++ and Python files
 	make clean    remove what the others built (.venv, build, caches), not the results in out
@@ -70,6 +71,24 @@ test:
 asan: $(BUILD_TOOLS)
 	@cmake --workflow --preset asan
 
+bench-peers: $(PACKAGE) peer-setup
+	@python benchmarks/peers/run.py --markdown BENCHMARKS.md
+
+# The peers are wanted and not needed: whatever cannot be installed is left out, and the benchmark says so.
+APT ?= yes
+peer-setup: $(BUILD_TOOLS)
+	@if [ ! -e .venv/.stamp-peers ] || [ pyproject.toml -nt .venv/.stamp-peers ]; then
+	  echo "Installing the Python peers into .venv"
+	  if python -m pip install --quiet --group peers; then
+	    touch .venv/.stamp-peers
+	  else
+	    for peer in scipy numba jax mujoco; do python -m pip install --quiet "$$peer" || true; done
+	  fi
+	fi
+	if [ "$(APT)" = no ]; then exit 0; fi
+	$(SETUP) system PEER=libfuzzylite-dev PEER_FILE=fl/Headers.h || echo "Going on without fuzzylite."
+	$(SETUP) system PEER=libvisp-vs-dev PEER_FILE=visp3/vs/vpServo.h || echo "Going on without ViSP."
+
 format: $(ALL_TOOLS)
 	@ruff check --fix-only --exit-zero
 	ruff format
@@ -83,7 +102,8 @@ setup: $(PACKAGE)
 
 test-setup: $(PACKAGE) $(ALL_TOOLS)
 
-# What only the system can give: checked each time, installed through apt where it is missing.
+# What only the system can give: checked each time, installed through apt where it is missing. PEER is one package more,
+# whose header is PEER_FILE.
 system:
 	@python=$$(command -v .venv/bin/python || command -v "$(PYTHON)" || true)
 	if [ -z "$$python" ] || ! "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 10))'; then
@@ -107,6 +127,9 @@ system:
 	  has_headers || echo "python$$version-dev"
 	  has_file share/eigen3/cmake/Eigen3Config.cmake || echo libeigen3-dev
 	  has_file include/doctest/doctest.h || echo doctest-dev
+	  if [ -n "$(PEER)" ]; then
+	    has_file "include/$(PEER_FILE)" || has_file "include/$$($(CXX) -print-multiarch)/$(PEER_FILE)" || echo "$(PEER)"
+	  fi
 	}
 	packages=$$(missing | paste -s -d ' ')
 	if [ -z "$$packages" ]; then exit 0; fi

@@ -39,7 +39,7 @@ class Robot {
     hexservo::runge_kutta_step(time, body_, [&](const hexservo::BodyState<double>& body) {
       const auto R_BE = hexservo::rotation_matrix(hexservo::quaternion_of(body));
       const auto legs = hexservo::inverse_kinematics(hexapod_, hexservo::position_of(body), R_BE);
-      return hexservo::body_rate(platform_, error_, body, R_BE, legs.wrench(leg_forces));
+      return hexservo::body_rate(plant_, body, R_BE, legs.wrench(leg_forces));
     });
     hexservo::normalise_quaternion(body_);
   }
@@ -54,12 +54,17 @@ class Robot {
       : focal_pixels_(p.camera.focal_pixels()),
         points_B_(p.points_B),
         hexapod_(p.hexapod),
-        platform_(p.body),
+        plant_(p.body, errors()),
         body_(hexservo::body_state<double>({p.hexapod.home_position, {1.0, 0.0, 0.0, 0.0}},
                                            hexservo::Vector6<double>::Zero())) {
-    error_.inertia.setConstant(0.075);
-    error_.coriolis.setConstant(0.125);
     depth_error_.setConstant(0.3);
+  }
+
+  static hexservo::DynamicsError<double> errors() {
+    hexservo::DynamicsError<double> errors;
+    errors.inertia.setConstant(0.075);
+    errors.coriolis.setConstant(0.125);
+    return errors;
   }
 
   hexservo::Image<double> image() const {
@@ -70,8 +75,7 @@ class Robot {
   double focal_pixels_;
   Eigen::Matrix<double, 3, 4> points_B_;
   hexservo::Hexapod<double> hexapod_;
-  hexservo::RigidBody<double> platform_;
-  hexservo::DynamicsError<double> error_;
+  hexservo::Plant<double> plant_;
   hexservo::Vector4<double> depth_error_;
   hexservo::BodyState<double> body_;
 };

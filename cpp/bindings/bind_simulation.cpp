@@ -1,4 +1,4 @@
-#include "bindings.hpp"
+#include "kernel_handle.hpp"
 
 #include "hexservo/simulation.hpp"
 
@@ -14,13 +14,14 @@ using Member = Column Trajectory::*;
 /// A logged quantity as an (n, width) array that shares the trajectory's memory and keeps it alive.
 template <Member column, int width>
 py::array_t<double> rows(const py::object& self) {
-  const auto& values = self.cast<const Trajectory&>().*column;
+  const Column values = self.cast<const Trajectory&>().*column;
   const auto n = static_cast<py::ssize_t>(values.size()) / width;
   if constexpr (width == 1) return py::array_t<double>({n}, values.data(), self);
   return py::array_t<double>({n, static_cast<py::ssize_t>(width)}, values.data(), self);
 }
 
-/// True where Ctrl-C was pressed; anything else that a signal handler raises goes on to the caller.
+}  // namespace
+
 bool interrupt_requested() {
   const py::gil_scoped_acquire gil;
   if (PyErr_CheckSignals() == 0) return false;
@@ -32,13 +33,14 @@ bool interrupt_requested() {
 template <class Law>
 void bind_simulate(py::module_& m) {
   m.def(
-      "simulate", [](const Settings<Law>& settings) { return simulate(settings, interrupt_requested); },
-      py::arg("settings"), py::call_guard<py::gil_scoped_release>(),
+      "simulate",
+      [](const Settings<Law>& settings, const KernelHandle& kernel) {
+        return simulate(settings, interrupt_requested, kernel.table());
+      },
+      py::arg("settings"), py::arg("kernel"), py::call_guard<py::gil_scoped_release>(),
       "Runs a scenario; ValueError for a bad one, a trajectory with its outcome otherwise. Ctrl-C ends it with "
       "`interrupted`.");
 }
-
-}  // namespace
 
 void bind_simulation(py::module_& m) {
   py::native_enum<Outcome>(m, "Outcome", "enum.Enum")

@@ -24,6 +24,11 @@ void bind_fuzzy(py::module_& m);
 void bind_settings(py::module_& m);
 void bind_simulation(py::module_& m);
 void bind_controller(py::module_& m);
+void bind_kernel(py::module_& m);
+void bind_batch(py::module_& m);
+
+/// True where Ctrl-C was pressed; anything else that a signal handler raises goes on to the caller. Takes the GIL.
+bool interrupt_requested();
 
 /// Passes on a fixed-size array whose entries are all finite.
 template <class Derived>

@@ -12,7 +12,9 @@ PYBIND11_MODULE(_core, m) {
   bind_camera(m);
   bind_fuzzy(m);
   bind_settings(m);
+  bind_kernel(m);
   bind_simulation(m);
+  bind_batch(m);
   bind_controller(m);
   m.def(
       "build_info",

@@ -30,7 +30,8 @@ ControllerGains<Law> controller_gains(const Settings<Law>& settings, double peri
   const LoopParameters<double, Law> p = loop_parameters(settings);
   if constexpr (requires { p.gains.fuzzy; })
     require_resolved(p.gains.fuzzy, detail::words("controller.", Law::name, ".fuzzy."), period);
-  return {p.hexapod, control_task(p), p.gains, period};
+  return {p.hexapod, control_task(p), typename Law::template Constants<double>(p.gains), Law::initial_state(p.gains),
+          period};
 }
 
 template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&, double);
@@ -46,8 +47,10 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
                       const ControllerInput& input) noexcept {
   // Any number may go through this; what comes of unusable ones is not taken over.
   const Matrix3<double> R_BE = rotation_matrix(input.pose.quaternion);
-  const auto law = Law::evaluate(gains.task, gains.law, typename Law::template Stage<double>{&state.law},
-                                 LawInput<double>{input.image, R_BE, input.twist, input.pose});
+  const Vector<double, kPoints> inverse_depth = input.image.depth.cwiseInverse();
+  typename Law::template Evaluation<double> law;
+  Law::evaluate(gains.task, gains.law, typename Law::template Stage<double>{&state.law},
+                LawInput<double>{input.image.features, inverse_depth, R_BE, input.twist, input.pose}, law);
   const WrenchMapSolver<double> solver(gains.hexapod, inverse_kinematics(gains.hexapod, input.pose.position, R_BE));
   const Vector6<double> leg_forces = solver.leg_forces(law.wrench);
   // Forces that are finite come of a wrench that is.
@@ -57,7 +60,8 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
     const Vector6<double>& wrench = gains.task.gravity_wrench;
     return {wrench, forces_at(gains.hexapod, state.last_pose, wrench), Vector6<double>::Zero(), true};
   }
-  Law::advance(gains.law, state.law, std::array{&law.rate}, std::array{gains.period}, true);
+  Law::advance(gains.law, state.law, std::array<const typename Law::template Rate<double>*, 1>{&law.rate},
+               std::array{gains.period}, true);
   state.last_pose = input.pose;
   return {law.wrench, leg_forces, law.fuzzy_output, false};
 }

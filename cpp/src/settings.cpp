@@ -88,10 +88,10 @@ long long step_count(const SimulationSettings& simulation) {
 }
 
 template <class Law>
-LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
+LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const Hexapod<double>* legs) {
   LoopParameters<double, Law> p;
   step_count(settings.simulation);
-  p.hexapod = make_hexapod(settings.robot);
+  p.hexapod = legs != nullptr ? *legs : make_hexapod(settings.robot);
   p.body = {settings.robot.mass, settings.robot.inertia, RigidBody<double>{}.gravity};
   p.dynamics_error = settings.uncertainty.dynamics;
   validate(p.body, p.dynamics_error);
@@ -128,10 +128,8 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
   p.gains = settings.gains;
   validate(p.gains);
   p.step = settings.simulation.step;
-  if constexpr (requires { p.gains.fuzzy; }) {
+  if constexpr (requires { p.gains.fuzzy; })
     require_resolved(p.gains.fuzzy, words("controller.", Law::name, ".fuzzy."), p.step);
-    p.gains.fuzzy.restrained = has_restraint(p.gains.fuzzy);
-  }
   detail::require_positive("metrics.settling_threshold", settings.metrics.settling_threshold);
   detail::require_finite("metrics.rms_start", settings.metrics.rms_start);
   p.metrics = settings.metrics;
@@ -142,7 +140,7 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings) {
   return p;
 }
 
-template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&);
-template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&);
+template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&, const Hexapod<double>*);
+template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&, const Hexapod<double>*);
 
 }  // namespace hexservo

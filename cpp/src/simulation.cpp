@@ -1,8 +1,10 @@
 #include "hexservo/simulation.hpp"
 
 #include "check.hpp"
+#include "run_request.hpp"
 
 #include <algorithm>
+#include <exception>
 
 namespace hexservo {
 
@@ -11,15 +13,16 @@ using detail::words;
 
 namespace {
 
-constexpr long long kStepsBetweenQuestions = 2048;            // a few milliseconds of work between two looks at Ctrl-C
-constexpr double kLoggedNumbers = 1 + 8 + 4 + 3 + 4 + 5 * 6;  // per sample: time, features, depth, pose, five 6-vectors
+constexpr long long kStepsBetweenQuestions = 2048;  // a few milliseconds of work between two looks at Ctrl-C
+static_assert(kStepsBetweenQuestions % kQuestionEvery == 0);
+constexpr int kLoggedNumbers = 1 + kSampleNumbers;  // per row
 
 /// Samples that a run logs at most.
 std::size_t sample_count(const SimulationSettings& simulation) {
   const auto every = static_cast<double>(simulation.log_every);
   const double samples =
       std::floor(static_cast<double>(step_count(simulation)) / every) + 2.0;  // the first, and the last good one
-  const double bytes = samples * kLoggedNumbers * sizeof(double);
+  const double bytes = samples * kLoggedNumbers * static_cast<double>(sizeof(double));
   if (bytes > kMaxLogBytes)
     refuse("simulation.log_every",
            words("a log of at most ", kMaxLogBytes / (1 << 30), " GiB (log_every of ",
@@ -28,33 +31,65 @@ std::size_t sample_count(const SimulationSettings& simulation) {
   return static_cast<std::size_t>(samples);
 }
 
-template <int N>
-void put(Column& column, std::size_t row, const Vector<double, N>& values) {
-  std::copy_n(values.data(), N, column.data() + row * N);
+/// The columns of a log, in the order of `Sample::visit`.
+std::array<Column*, kQuantities> columns_of(Trajectory& log) {
+  return {&log.feature_error, &log.depth,        &log.position,    &log.quaternion, &log.twist,
+          &log.wrench,        &log.fuzzy_output, &log.leg_lengths, &log.leg_forces};
 }
 
-void resize(Trajectory& log, std::size_t samples) {
-  log.time.resize(samples);
-  log.feature_error.resize(samples * 8);
-  log.depth.resize(samples * 4);
-  log.position.resize(samples * 3);
-  log.quaternion.resize(samples * 4);
-  for (auto* column : {&log.twist, &log.wrench, &log.fuzzy_output, &log.leg_lengths, &log.leg_forces})
-    column->resize(samples * 6);
+/// Lays out the columns for `samples` rows, one after another.
+void allocate(Trajectory& log, std::size_t samples) {
+  log.block = Buffer(samples * kLoggedNumbers);
+  double* next = log.block.data();
+  log.time = {next, samples};
+  next += samples;
+  const auto columns = columns_of(log);
+  for (std::size_t i = 0; i < columns.size(); ++i) {
+    *columns[i] = {next, samples * static_cast<std::size_t>(kSampleWidths[i])};
+    next += columns[i]->size();
+  }
 }
 
-void put(Trajectory& log, std::size_t row, double time, const Sample<double>& sample) {
-  log.time[row] = time;
-  put(log.feature_error, row, sample.feature_error);
-  put(log.depth, row, sample.depth);
-  put(log.position, row, sample.position);
-  put(log.quaternion, row, sample.quaternion);
-  put(log.twist, row, sample.twist);
-  put(log.wrench, row, sample.wrench);
-  put(log.fuzzy_output, row, sample.fuzzy_output);
-  put(log.leg_lengths, row, sample.leg_lengths);
-  put(log.leg_forces, row, sample.leg_forces);
+void shorten(Trajectory& log, std::size_t rows) {
+  log.time = log.time.first(rows);
+  const auto columns = columns_of(log);
+  for (std::size_t i = 0; i < columns.size(); ++i)
+    *columns[i] = columns[i]->first(rows * static_cast<std::size_t>(kSampleWidths[i]));
 }
+
+/// Asks the caller between steps; what that throws waits until the kernel has returned.
+struct Question {
+  const std::function<bool()>& stop_requested;
+  std::exception_ptr error;
+
+  static bool ask(void* context, long long steps) {
+    auto& question = *static_cast<Question*>(context);
+    if (steps % kStepsBetweenQuestions != 0) return false;
+    try {
+      return question.stop_requested();
+    } catch (...) {
+      question.error = std::current_exception();
+      return true;
+    }
+  }
+};
+
+void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const double (&first_time)[6],
+                const double (&peak)[6], double limit) {
+  for (std::size_t leg = 0; leg < 6; ++leg)
+    if (std::isfinite(first_time[leg]))
+      events.push_back({kind, static_cast<int>(leg), first_time[leg], peak[leg], limit});
+}
+
+FuzzyWeights<double> weights_from(const double* numbers) {
+  FuzzyWeights<double> weights;
+  for (int axis = 0; axis < kAxes; ++axis)
+    for (int row = 0; row < kTerms; ++row)
+      for (int column = 0; column < kTerms; ++column) weights[rule(row, column)].set(axis, *numbers++);
+  return weights;
+}
+
+}  // namespace
 
 std::string describe(StopCause cause, double time) {
   const std::string at = words(" at t = ", time, " s");
@@ -75,15 +110,6 @@ std::string describe(StopCause cause, double time) {
   return "ran to the end";
 }
 
-void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const LegLimitMonitor<double>& monitor,
-                double limit) {
-  for (int leg = 0; leg < 6; ++leg)
-    if (std::isfinite(monitor.first_time(leg)))
-      events.push_back({kind, leg, monitor.first_time(leg), monitor.peak(leg), limit});
-}
-
-}  // namespace
-
 template <class Law>
 void check_settings(const Settings<Law>& settings) {
   loop_parameters(settings);
@@ -94,50 +120,59 @@ template void check_settings(const Settings<Hybrid>&);
 template void check_settings(const Settings<Composite>&);
 
 template <class Law>
-Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested) {
+Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested, const Kernel& kernel) {
   const LoopParameters<double, Law> parameters = loop_parameters(settings);
-  const long long steps = step_count(settings.simulation);
-  const long long log_every = settings.simulation.log_every;
-
   Trajectory log;
-  resize(log, sample_count(settings.simulation));
-  ClosedLoop<double, Law> loop(parameters);
-  put(log, 0, 0.0, loop.sample());
-  std::size_t rows = 1;
-  long long until_logged = log_every;
-  while (loop.steps() < steps && loop.running()) {
-    if (stop_requested && loop.steps() % kStepsBetweenQuestions == 0 && stop_requested()) {
-      log.outcome = Outcome::interrupted;
-      break;
-    }
-    loop.advance();
-    if (--until_logged > 0) continue;
-    until_logged = log_every;
-    if (loop.running()) put(log, rows++, loop.time(), loop.sample());
-  }
-  if (log.time[rows - 1] != loop.sample_time()) put(log, rows++, loop.sample_time(), loop.sample());
-  resize(log, rows);
+  allocate(log, sample_count(settings.simulation));
 
-  log.end_time = loop.sample_time();
-  log.steps = loop.steps();
-  if (log.outcome == Outcome::interrupted) {
+  std::array<double, kWeightNumbers> weights;
+  RunAnswer answer{};
+  answer.time = log.time.data();
+  const auto columns = columns_of(log);
+  for (std::size_t i = 0; i < columns.size(); ++i) answer.columns[i] = columns[i]->data();
+  answer.weights = weights.data();
+
+  const std::vector<double> numbers = detail::flattened(parameters);
+  const double* scenario = numbers.data();
+  Question question{stop_requested, nullptr};
+  RunRequest request = detail::run_request<Law>(settings.simulation, numbers.size());
+  request.count = 1;
+  request.parameters = &scenario;
+  request.log_every = settings.simulation.log_every;
+  request.log_end = true;
+  if (stop_requested) {
+    request.stop = Question::ask;
+    request.context = &question;
+  }
+  request.answers = &answer;
+  detail::require_done(kernel.run_single(request));
+  if (question.error) std::rethrow_exception(question.error);
+  shorten(log, static_cast<std::size_t>(answer.rows));
+
+  log.end_time = answer.end_time;
+  log.steps = answer.steps;
+  if (answer.interrupted) {
+    log.outcome = Outcome::interrupted;
     log.detail = words("stopped on request at t = ", log.end_time, " s");
   } else {
-    const auto cause = static_cast<StopCause>(static_cast<int>(loop.cause()));
+    const auto cause = static_cast<StopCause>(answer.cause);
     log.outcome = outcome_of(cause);
-    log.detail = describe(cause, loop.time());
+    log.detail = describe(cause, static_cast<double>(log.steps) * parameters.step);
   }
-  log.fuzzy_weights = loop.law_state();
-  log.metrics = loop.metrics().metrics();
-  add_events(log.events, LimitEvent::Kind::stroke, loop.metrics().stroke(), parameters.hexapod.stroke);
-  add_events(log.events, LimitEvent::Kind::force, loop.metrics().force(), parameters.hexapod.force_limit);
+  log.fuzzy_weights = weights_from(weights.data());
+  const double* metric = answer.metrics;
+  Metrics<double>::visit([&metric](double& value, const double&) { value = *metric++; }, log.metrics, log.metrics);
+  add_events(log.events, LimitEvent::Kind::stroke, answer.stroke_first_time, answer.stroke_peak,
+             parameters.hexapod.stroke);
+  add_events(log.events, LimitEvent::Kind::force, answer.force_first_time, answer.force_peak,
+             parameters.hexapod.force_limit);
   std::stable_sort(log.events.begin(), log.events.end(),
                    [](const LimitEvent& a, const LimitEvent& b) { return a.first_time < b.first_time; });
   return log;
 }
 
-template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&);
-template Trajectory simulate(const Settings<Composite>&, const std::function<bool()>&);
+template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&, const Kernel&);
+template Trajectory simulate(const Settings<Composite>&, const std::function<bool()>&, const Kernel&);
 
 BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body,
                              const DynamicsError<double>& error, const BodyState<double>& start,
@@ -151,9 +186,10 @@ BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<dou
 
   BodyState<double> state = start;
   normalise_quaternion(state);
+  const Plant<double> plant(body, error);
   const auto rate_at = [&](const BodyState<double>& s) {
     const Matrix3<double> R_BE = rotation_matrix(quaternion_of(s));
-    return body_rate(body, error, s, R_BE, inverse_kinematics(hexapod, position_of(s), R_BE).wrench(leg_forces));
+    return body_rate(plant, s, R_BE, inverse_kinematics(hexapod, position_of(s), R_BE).wrench(leg_forces));
   };
   for (long long i = 0; i < steps; ++i) {
     runge_kutta_step(step, state, rate_at);

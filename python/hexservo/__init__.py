@@ -19,26 +19,31 @@ except ImportError as error:  # a source tree, or a wheel of another Python
         "(`pip install .` in the source tree) and import it from outside of python/"
     ) from error
 
+from hexservo._batch import BatchResult, simulate_batch
 from hexservo._controller import Controller, ControllerOutput
 from hexservo._metrics import METRICS, metrics
 from hexservo._result import LimitEvent, Result
 from hexservo._scenario import Scenario, ScenarioError, load_scenario, scenario_names
 from hexservo._simulation import simulate
+from hexservo._variant import VariantError
 
 __all__ = [
     "METRICS",
+    "BatchResult",
     "Controller",
     "ControllerOutput",
     "LimitEvent",
     "Result",
     "Scenario",
     "ScenarioError",
+    "VariantError",
     "__version__",
     "load_scenario",
     "metrics",
     "plots",
     "scenario_names",
     "simulate",
+    "simulate_batch",
 ]
 
 __version__: str = _core.build_info()["hexservo"]

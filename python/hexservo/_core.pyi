@@ -1,6 +1,7 @@
 """Compiled core of hexservo; private. Units and frames: the core's own docstrings and docs/model.md, section 1."""
 
 import enum
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -12,6 +13,21 @@ class _PybindType(type): ...
 
 ROBOT_PRESETS: tuple[str, ...]
 TERM_CENTRES: tuple[float, ...]
+
+class BatchLog(enum.Enum):
+    __pybind11_native_enum__: object
+    metrics = 0
+    last_sample = 1
+    trajectory = 2
+
+class StopCause(enum.Enum):
+    __pybind11_native_enum__: object
+    none = 0
+    not_finite = 1
+    feature_error = 2
+    twist = 3
+    behind_camera = 4
+    singular = 5
 
 class CameraConvention(enum.Enum):
     __pybind11_native_enum__: object
@@ -314,6 +330,39 @@ class Trajectory(metaclass=_PybindType):
     @property
     def metrics(self) -> Metrics: ...
 
+class BatchResult(metaclass=_PybindType):
+    """What a batch gives back; arrays share its memory. The scenario is axis 0."""
+
+    def __init__(self, *args: NoReturn, **kwargs: NoReturn) -> None: ...
+    @property
+    def outcome(self) -> NDArray[np.uint8]: ...
+    @property
+    def cause(self) -> NDArray[np.uint8]: ...
+    @property
+    def end_time(self) -> _Array: ...
+    @property
+    def stop_time(self) -> _Array: ...
+    @property
+    def metrics(self) -> _Array: ...
+    @property
+    def time(self) -> _Array | None: ...
+    @property
+    def samples(self) -> dict[str, _Array]: ...
+    @property
+    def fuzzy_weights(self) -> _Array | None: ...
+
+class Kernel(metaclass=_PybindType):
+    """The run loop compiled for one instruction set."""
+
+    def __init__(self, capsule: object) -> None: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def lanes(self) -> int: ...
+    @property
+    def flags(self) -> str: ...
+    def fma_peak(self, seconds: float = 0.1) -> float: ...
+
 class Controller(metaclass=_PybindType):
     """The servo tick of a law, with its state."""
 
@@ -340,7 +389,19 @@ def image_jacobian(
     quaternion: ArrayLike,
     convention: CameraConvention = CameraConvention.eye_in_hand,
 ) -> _Array: ...
-def simulate(settings: HybridSettings | CompositeSettings) -> Trajectory: ...
+def simulate(settings: HybridSettings | CompositeSettings, kernel: Kernel) -> Trajectory: ...
+def processor_features() -> dict[str, bool]: ...
+def numeric_keys(settings: HybridSettings | CompositeSettings) -> dict[str, list[int]]: ...
+def simulate_batch(
+    settings: HybridSettings | CompositeSettings,
+    variations: Sequence[tuple[str, _Array]],
+    count: int,
+    log: BatchLog,
+    threads: int,
+    kernel: Kernel,
+    progress: Callable[[int, int, int, int], object] | None = None,
+) -> BatchResult: ...
+def describe(cause: StopCause, time: float) -> str: ...
 def drive_legs(
     hexapod: Hexapod,
     body: RigidBody,

@@ -18,6 +18,7 @@ from importlib import resources
 from typing import Annotated, Any, Literal, NoReturn, TypeAlias, cast, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
@@ -25,12 +26,14 @@ from hexservo import _core
 from hexservo._yaml import MAX_DEPTH, ScenarioError, dump_yaml, load_yaml, read_yaml
 
 __all__ = [
+    "LAWS",
     "Camera",
     "Composite",
     "Controller",
     "Fuzzy",
     "Hybrid",
     "Matrix",
+    "NumericKey",
     "Robot",
     "Scenario",
     "ScenarioError",
@@ -40,12 +43,15 @@ __all__ = [
     "Uncertainty",
     "Vector",
     "load_scenario",
+    "numeric_keys",
     "scenario_names",
 ]
 
 Vector: TypeAlias = tuple[float, ...]
 Matrix: TypeAlias = tuple[Vector, ...]
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation"]
+Law: TypeAlias = Literal["hybrid", "composite"]
+LAWS: tuple[str, ...] = get_args(Law)
 
 _DEFAULT_PRESET = "micro"
 _DEFAULT_DEPTH = float(_core.Target().depth[0])  # [m], docs/model.md section 4
@@ -385,6 +391,68 @@ def _did_you_mean(value: Any, names: Iterable[str]) -> str:
     return f'; did you mean "{nearest[0]}"?' if nearest else ""
 
 
+# ---- Keys that hold numbers -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class NumericKey:
+    """What a key takes that holds numbers: the form of a batch's variations of it."""
+
+    shapes: tuple[tuple[int, ...], ...]  # the key's own shape, in each form it may have; () is a number
+    element: _Number
+    whole: bool = False  # only integers
+    symmetric: bool = False  # where it is a matrix
+
+    @property
+    def expected(self) -> str:
+        """What each number is expected to be."""
+        return f"an integer {self.element.bounds}" if self.whole else self.element.expected
+
+    def within(self, numbers: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which numbers are allowed; NaN is not."""
+        allowed = numbers == np.floor(numbers) if self.whole else numbers == numbers
+        for limit, holds in (
+            (self.element.above, np.greater),
+            (self.element.at_least, np.greater_equal),
+            (self.element.below, np.less),
+            (self.element.at_most, np.less_equal),
+        ):
+            if limit is not None:
+                allowed = allowed & holds(numbers, limit)
+        return np.asarray(allowed & np.isfinite(numbers))
+
+
+@cache
+def numeric_keys(law: str) -> dict[str, NumericKey]:
+    """Return the dotted keys that hold numbers, in the order of a scenario file (not to be changed).
+
+    The gains of other laws than `law` have no effect and are not among them.
+    """
+    keys = {}
+    others = tuple(f"controller.{name}." for name in LAWS if name != law)
+    for path, rule in _rules(Scenario):
+        if path.startswith(others):
+            continue
+        if isinstance(rule, _Number):
+            keys[path] = NumericKey(((),), rule)
+        elif isinstance(rule, _Integer):
+            keys[path] = NumericKey(((),), _Number(at_least=rule.at_least, at_most=rule.at_most), whole=True)
+        elif isinstance(rule, _Array):
+            keys[path] = NumericKey(((), rule.shape) if rule.or_number else (rule.shape,), rule.element)
+        elif isinstance(rule, _Inertia):
+            keys[path] = NumericKey(((3,), (3, 3)), _Number(), symmetric=True)
+        elif isinstance(rule, _Table):
+            keys[path] = NumericKey(((7, 7),), _Number())
+    return keys
+
+
+def _rules(block: type[BaseModel], head: str = "") -> Iterator[tuple[str, _Rule]]:
+    for key, field in block.model_fields.items():
+        yield from ((head + key, rule) for rule in field.metadata if isinstance(rule, _Rule))
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from _rules(field.annotation, f"{head}{key}.")
+
+
 # ---- The blocks of a scenario ---------------------------------------------------------------------------------------
 
 _POSITIVE = _Number(above=0)
@@ -607,7 +675,7 @@ class Composite(_Block):
 class Controller(_Block):
     """The control law. Each law has a block of its own, and only the selected one acts."""
 
-    law: Annotated[Literal["hybrid", "composite"], _Choice()] = "hybrid"
+    law: Annotated[Law, _Choice()] = "hybrid"
     # consistent: the sign of the plant; printed: (8) as it stands
     jacobian: Annotated[Literal["consistent", "printed"], _Choice()] = "consistent"
     switching: Switching = Field(default_factory=Switching)

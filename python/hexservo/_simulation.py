@@ -9,6 +9,7 @@ from hexservo._metrics import METRICS
 from hexservo._parameters import core_parameters
 from hexservo._result import LimitEvent, LimitKind, Outcome, Result
 from hexservo._scenario import Scenario
+from hexservo._variant import chosen_kernel
 
 __all__ = ["simulate"]
 
@@ -26,10 +27,12 @@ def simulate(scenario: Scenario) -> Result:
         For anything but a `Scenario`.
     ValueError
         For a scenario that the core refuses; a `Scenario` is checked when it is made, so this is rare.
+    VariantError
+        Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """
     if not isinstance(scenario, Scenario):
         raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
-    run = _core.simulate(core_parameters(scenario))
+    run = _core.simulate(core_parameters(scenario), chosen_kernel())
     return Result(
         scenario=scenario,
         outcome=cast("Outcome", run.outcome.name),

@@ -205,18 +205,23 @@ def version() -> None:
         import numpy as np
 
         from hexservo import _core
+        from hexservo._variant import available_variants, chosen_kernel
 
         build = _core.build_info()
+        kernel = chosen_kernel()
+        available = ", ".join(available_variants())
         facts = {
             "hexservo": build["hexservo"],
             "compiler": build["compiler"],
             "flags": build["flags"],
+            "variant": f"{kernel.name}, {kernel.lanes} scenarios per vector (available: {available})",
+            "its flags": kernel.flags,
             "Eigen": build["eigen"],
             "Python": f"{platform.python_version()} ({platform.python_implementation()})",
             "numpy": np.__version__,
             "platform": platform.platform(),
         }
-        _write("".join(f"{name + ':':<10}{value}\n" for name, value in facts.items()))
+        _write("".join(f"{name + ':':<11}{value}\n" for name, value in facts.items()))
 
 
 # ---- Input ----------------------------------------------------------------------------------------------------------
@@ -259,7 +264,7 @@ def _reporting() -> Iterator[None]:
 
     try:
         yield
-    except (hs.ScenarioError, OutputError) as error:
+    except (hs.ScenarioError, hs.VariantError, OutputError) as error:
         _complain(*str(error).splitlines())
         raise typer.Exit(BAD_INPUT) from None
     except KeyboardInterrupt:

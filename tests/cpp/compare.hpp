@@ -2,7 +2,7 @@
 /// Distances between arrays, and words for messages.
 #pragma once
 
-#include "hexservo/types.hpp"
+#include "hexservo/side_by_side.hpp"
 
 #define DOCTEST_CONFIG_SUPER_FAST_ASSERTS  // assertions as function calls: they compile in half the time
 #include <doctest/doctest.h>
@@ -45,6 +45,17 @@ Eigen::Matrix<double, R, C> lane_of(const Eigen::Matrix<S, R, C>& m, int lane) {
   Eigen::Matrix<double, R, C> out;
   for (int i = 0; i < R * C; ++i) out(i) = lane_of(m(i), lane);
   return out;
+}
+
+template <class S, int K>
+Vector<double, K> lane_of(const SideBySide<S, K>& numbers, int lane) {
+  return lane_of(numbers.vector(), lane);
+}
+
+/// max |a - b| of numbers that lie side by side.
+template <int K>
+double distance(const SideBySide<double, K>& a, const SideBySide<double, K>& b) {
+  return distance(a.vector(), b.vector());
 }
 
 /// A matrix for a message.

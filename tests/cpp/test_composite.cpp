@@ -4,6 +4,7 @@
 
 #include "allocations.hpp"
 #include "compare.hpp"
+#include "laws.hpp"
 #include "random.hpp"
 #include "scenarios.hpp"
 
@@ -34,10 +35,10 @@ struct Situation {
   ControlTask<double> task;
   CompositeGains<double> gains;
   FuzzyWeights<double> weights;
-  LawInput<double> input;
+  Sensed<double> input;
 
   Composite::Evaluation<double> evaluate() const {
-    return Composite::evaluate<double, 4>(task, gains, FuzzyStage<double>{&weights}, input);
+    return evaluate_law<Composite, double>(task, gains, weights, input);
   }
   ImageJacobian<double> jacobian() const {
     return ImageJacobian<double>(task.focal_pixels, task.jacobian_sign, input.image, input.R_BE);
@@ -80,7 +81,7 @@ Situation random_situation(Random& random) {
   s.gains.drive = random.six(4.0, 4.0).cwiseAbs();
   s.gains.prior = random.six(5e3, 800.0) + linear_angular<double>(1e4, 1600.0);
   s.gains.fuzzy.adaptation = random.matrix<6>(4.0) + Vector6<double>::Constant(5.0);
-  for (AxisVector<double>& w : s.weights) w = random.six(1e-2, 1e-3);
+  for (AxisVector<double>& w : s.weights) w = Vector6<double>(random.six(1e-2, 1e-3));
   s.input.image.features = random.matrix<8>(100.0);
   for (int i = 0; i < 4; ++i) s.input.image.depth(i) = random.uniform(-0.8, -0.3);
   s.input.pose = random_pose(random);
@@ -330,10 +331,10 @@ TEST_CASE("at the goal, at home, at rest, with empty weights the law only holds 
   s.task.reference = s.input.pose = {s.input.pose.position, {1.0, 0.0, 0.0, 0.0}};
   s.input.R_BE.setIdentity();
   s.input.twist.setZero();
-  s.weights.fill(Vector6<double>::Zero());
+  s.weights.fill(Vector6<double>(Vector6<double>::Zero()));
   const Composite::Evaluation<double> out = s.evaluate();
   CHECK(out.wrench == s.task.gravity_wrench);
-  CHECK(out.rate.strength.isZero(0.0));
+  CHECK(out.rate.strength.vector().isZero(0.0));
 }
 
 TEST_CASE("the fuzzy systems of `composite` are off where they are switched off, and start at s_0 times the table") {
@@ -362,7 +363,7 @@ TEST_CASE("NaN in any sensor value or gain of `composite` comes out as NaN, neve
       {"reference", [](Situation& s) { s.task.reference.position(0) = kNaN; }},
       {"twist", [](Situation& s) { s.input.twist(4) = kNaN; }},
       {"desired feature", [](Situation& s) { s.task.desired_features(7) = kNaN; }},
-      {"weight", [](Situation& s) { s.weights[11](5) = kNaN; }},
+      {"weight", [](Situation& s) { s.weights[11].set(5, kNaN); }},
       {"kp", [](Situation& s) { s.gains.kp(0) = kNaN; }},
       {"kt", [](Situation& s) { s.gains.kt(1) = kNaN; }},
       {"kd", [](Situation& s) { s.gains.kd(5) = kNaN; }},
@@ -385,7 +386,7 @@ TEST_CASE("a pack evaluates the law as double does, lane by lane, and a lane wit
   ControlTask<S> task;
   CompositeGains<S> gains;
   FuzzyWeights<S> weights;
-  LawInput<S> input;
+  Sensed<S> input;
   std::array<Situation, 4> situations;
   for (int lane = 0; lane < 4; ++lane) {
     Situation& s = situations[static_cast<std::size_t>(lane)];
@@ -403,20 +404,20 @@ TEST_CASE("a pack evaluates the law as double does, lane by lane, and a lane wit
     set_lane(task.reference.position, lane, s.task.reference.position);
     set_lane(task.reference.quaternion, lane, s.task.reference.quaternion);
     set_lane(gains, lane, s.gains);
-    for (std::size_t r = 0; r < weights.size(); ++r) set_lane(weights[r], lane, s.weights[r]);
+    for (std::size_t r = 0; r < weights.size(); ++r) put_lane(weights[r], lane, s.weights[r]);
     set_lane(input.image, lane, s.input.image);
     set_lane(input.R_BE, lane, s.input.R_BE);
     set_lane(input.twist, lane, s.input.twist);
     set_lane(input.pose.position, lane, s.input.pose.position);
     set_lane(input.pose.quaternion, lane, s.input.pose.quaternion);
   }
-  const Composite::Evaluation<S> out = Composite::evaluate<S, 4>(task, gains, FuzzyStage<S>{&weights}, input);
+  const Composite::Evaluation<S> out = evaluate_law<Composite, S>(task, gains, weights, input);
   for (int lane = 0; lane < 3; ++lane) {
     CAPTURE(lane);
     const Composite::Evaluation<double> single = situations[static_cast<std::size_t>(lane)].evaluate();
     CHECK(relative_distance(lane_of(out.wrench, lane), single.wrench) <= 1e-11);
     CHECK(relative_distance(lane_of(out.fuzzy_output, lane), single.fuzzy_output) <= 1e-11);
-    CHECK(relative_distance(lane_of(out.rate.strength, lane), single.rate.strength) <= 1e-11);
+    CHECK(relative_distance(lane_of(out.rate.strength, lane), single.rate.strength.vector()) <= 1e-11);
   }
   CHECK(lane_of(out.wrench, 3).hasNaN());
 }
@@ -473,8 +474,8 @@ TEST_CASE("a tick of `composite` is the law at its input, and allocates nothing,
       for (std::size_t column = 0; column < 7; ++column) {
         const std::size_t r = rule(static_cast<int>(row), static_cast<int>(column));
         const Vector6<double> change =
-            1e-3 * law.rate.strength.cwiseProduct(law.rate.basis.error[row]).cwiseProduct(law.rate.basis.rate[column]);
-        REQUIRE(distance(state.law[r], s.weights[r] + change) <= 1e-11);
+            1e-3 * (law.rate.strength * law.rate.basis.error[row] * law.rate.basis.rate[column]).vector();
+        REQUIRE(distance(state.law[r].vector(), s.weights[r].vector() + change) <= 1e-11);
       }
   }
   inputs[7].twist(2) = kNaN;
@@ -504,7 +505,7 @@ TEST_CASE("NaN in any entry gives the safe output of `composite`, and changes no
       REQUIRE(out.wrench == gravity_wrench(RigidBody<double>{}));
       REQUIRE(out.fuzzy_output.isZero(0.0));
       REQUIRE(is_finite(out.leg_forces));
-      REQUIRE(after.law == state.law);
+      for (std::size_t r = 0; r < state.law.size(); ++r) REQUIRE(distance(after.law[r], state.law[r]) == 0.0);
     }
   };
   for (int i = 0; i < 8; ++i) require_safe([i](ControllerInput& in) -> double& { return in.image.features(i); });
@@ -521,11 +522,10 @@ namespace {
 /// The law without its prior's expectation: M stays in the inverse, M (chi_ref - chi) is zero.
 struct WithoutExpectation : Composite {
   template <class S, int N>
-  static Evaluation<S> evaluate(const ControlTask<S, N>& task, const Gains<S>& gains, const Stage<S>& weights,
-                                const LawInput<S, N>& input) noexcept {
-    LawInput<S, N> at_reference = input;
-    at_reference.pose = task.reference;
-    return Composite::evaluate(task, gains, weights, at_reference);
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
+                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+    const LawInput<S, N> at_reference{input.features, input.inverse_depth, input.R_BE, input.twist, task.reference};
+    Composite::evaluate(task, constants, weights, at_reference, out);
   }
 };
 

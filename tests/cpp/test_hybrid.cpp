@@ -4,6 +4,7 @@
 #include "hexservo/rigid_body.hpp"
 
 #include "compare.hpp"
+#include "laws.hpp"
 #include "random.hpp"
 
 #include <algorithm>
@@ -22,11 +23,9 @@ struct Situation {
   ControlTask<double> task;
   HybridGains<double> gains;
   FuzzyWeights<double> weights;
-  LawInput<double> input;
+  Sensed<double> input;
 
-  Hybrid::Evaluation<double> evaluate() const {
-    return Hybrid::evaluate<double, 4>(task, gains, FuzzyStage<double>{&weights}, input);
-  }
+  Hybrid::Evaluation<double> evaluate() const { return evaluate_hybrid(task, gains, weights, input); }
 };
 
 Situation random_situation(Random& random) {
@@ -39,7 +38,7 @@ Situation random_situation(Random& random) {
   s.gains.kp = 1e-6 * (random.matrix<8>(0.5) + Vector<double, 8>::Ones());
   s.gains.kv = random.six(1e-3, 5e-5).cwiseAbs();
   s.gains.fuzzy.adaptation = random.matrix<6>(4.0) + Vector6<double>::Constant(5.0);
-  for (AxisVector<double>& w : s.weights) w = random.six(1e-2, 1e-3);
+  for (AxisVector<double>& w : s.weights) w = Vector6<double>(random.six(1e-2, 1e-3));
   s.input.image.features = random.matrix<8>(100.0);
   for (int i = 0; i < 4; ++i) s.input.image.depth(i) = random.uniform(-0.8, -0.3);
   s.input.R_BE = random.rotation();
@@ -154,12 +153,12 @@ TEST_CASE("at the goal, at rest, with empty weights the law only holds the weigh
   Situation s = random_situation(random);
   s.task.desired_features = s.input.image.features;
   s.input.twist.setZero();
-  s.weights.fill(Vector6<double>::Zero());
+  s.weights.fill(Vector6<double>(Vector6<double>::Zero()));
   for (const SwitchingKind kind : {SwitchingKind::sign, SwitchingKind::tanh, SwitchingKind::saturation}) {
     s.task.switching.kind = kind;
     const Hybrid::Evaluation<double> out = s.evaluate();
     CHECK(out.wrench == s.task.gravity_wrench);
-    CHECK(out.rate.strength.isZero(0.0));
+    CHECK(out.rate.strength.vector().isZero(0.0));
   }
 }
 
@@ -174,9 +173,9 @@ TEST_CASE("without fuzzy systems there is no tau_f and no adaptation, and the re
     CHECK(without.fuzzy_output.isZero(0.0));
     CHECK(distance(without.wrench, with.wrench + with.fuzzy_output) <= 1e-15);
     FuzzyWeights<double> weights = s.weights;
-    Hybrid::advance<double>(s.gains, weights, std::array<const FuzzyRate<double>*, 1>{&without.rate},
-                            std::array<double, 1>{1.0}, true);
-    for (std::size_t i = 0; i < weights.size(); ++i) CHECK(weights[i] == s.weights[i]);
+    Hybrid::advance<double>(HybridConstants<double>(s.gains), weights,
+                            std::array<const FuzzyRate<double>*, 1>{&without.rate}, std::array<double, 1>{1.0}, true);
+    for (std::size_t i = 0; i < weights.size(); ++i) CHECK(distance(weights[i], s.weights[i]) == 0.0);
   }
 }
 
@@ -196,7 +195,7 @@ TEST_CASE("NaN in any sensor value or gain comes out as NaN, never as a plausibl
       {"attitude", [](Situation& s) { s.input.R_BE(1, 2) = kNaN; }},
       {"twist", [](Situation& s) { s.input.twist(4) = kNaN; }},
       {"desired feature", [](Situation& s) { s.task.desired_features(7) = kNaN; }},
-      {"weight", [](Situation& s) { s.weights[11](5) = kNaN; }},
+      {"weight", [](Situation& s) { s.weights[11].set(5, kNaN); }},
       {"kp", [](Situation& s) { s.gains.kp(0) = kNaN; }},
       {"kv", [](Situation& s) { s.gains.kv(1) = kNaN; }},
   };
@@ -242,7 +241,7 @@ TEST_CASE("a pack evaluates each lane as double does") {
   ControlTask<S> task;
   HybridGains<S> gains;
   FuzzyWeights<S> weights;
-  LawInput<S> input;
+  Sensed<S> input;
   std::array<Situation, 4> situations;
   for (int lane = 0; lane < 4; ++lane) {
     Situation& s = situations[static_cast<std::size_t>(lane)];
@@ -253,18 +252,19 @@ TEST_CASE("a pack evaluates each lane as double does") {
     set_lane(task.gravity_wrench, lane, s.task.gravity_wrench);
     set_lane(task.switching, lane, s.task.switching);
     set_lane(gains, lane, s.gains);
-    for (std::size_t r = 0; r < weights.size(); ++r) set_lane(weights[r], lane, s.weights[r]);
+    for (std::size_t r = 0; r < weights.size(); ++r)
+      for (int j = 0; j < 6; ++j) weights[r].part[static_cast<std::size_t>(j)].set(lane, s.weights[r](j));
     set_lane(input.image, lane, s.input.image);
     set_lane(input.R_BE, lane, s.input.R_BE);
     set_lane(input.twist, lane, s.input.twist);
   }
-  const Hybrid::Evaluation<S> out = Hybrid::evaluate<S, 4>(task, gains, FuzzyStage<S>{&weights}, input);
+  const Hybrid::Evaluation<S> out = evaluate_hybrid(task, gains, weights, input);
   for (int lane = 0; lane < 4; ++lane) {
     CAPTURE(lane);
     const Hybrid::Evaluation<double> single = situations[static_cast<std::size_t>(lane)].evaluate();
     CHECK(distance(lane_of(out.wrench, lane), single.wrench) <= 1e-14);
     CHECK(distance(lane_of(out.fuzzy_output, lane), single.fuzzy_output) <= 1e-15);
-    CHECK(distance(lane_of(out.rate.strength, lane), single.rate.strength) <= 1e-16);
+    CHECK(distance(lane_of(out.rate.strength, lane), single.rate.strength.vector()) <= 1e-16);
   }
 }
 

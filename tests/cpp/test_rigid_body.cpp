@@ -35,8 +35,9 @@ DynamicsError<double> random_error(Random& random, double size) {
 /// RK4 over `steps` steps of h [s] under a wrench that does not change.
 BodyState<double> integrate(const RigidBody<double>& body, BodyState<double> state, const Vector6<double>& wrench,
                             double h, int steps) {
+  const Plant<double> plant(body, {});
   const auto rate_at = [&](const BodyState<double>& s) {
-    return body_rate(body, DynamicsError<double>{}, s, rotation_matrix(quaternion_of(s)), wrench);
+    return body_rate(plant, s, rotation_matrix(quaternion_of(s)), wrench);
   };
   for (int i = 0; i < steps; ++i) {
     runge_kutta_step(h, state, rate_at);
@@ -89,7 +90,7 @@ TEST_CASE(
         (ones - error.coriolis).cwiseProduct(coriolis_matrix<double>(body, R_BE, twist.tail<3>()));
     const Vector6<double> G = (Vector6<double>::Ones() - error.gravity).cwiseProduct(gravity_wrench(body));
     const Vector6<double> expected = Eigen::FullPivLU<Matrix6<double>>(D).solve(wrench - C * twist - G);
-    const Vector6<double> result = acceleration(body, error, R_BE, twist, wrench);
+    const Vector6<double> result = acceleration(Plant<double>(body, error), R_BE, twist, wrench);
     // Both blocks are well conditioned on their own (inertias differ by less than 20, errors leave more than 0.6).
     CHECK(relative_distance(result.head<3>(), expected.head<3>()) <= 100.0 * kEpsilon);
     CHECK(relative_distance(result.tail<3>(), expected.tail<3>()) <= 1000.0 * kEpsilon);
@@ -131,8 +132,9 @@ TEST_CASE("z points down: a platform without actuators falls with +9.8 m/s^2 alo
     const Vector6<double> rest = Vector6<double>::Zero();
     Vector6<double> fall = rest;
     fall(2) = 9.8;
-    CHECK(distance(acceleration(body, {}, R_BE, rest, rest), fall) <= 10.0 * kEpsilon * 9.8);
-    CHECK(acceleration(body, {}, R_BE, rest, gravity_wrench(body)).isZero(0.0));
+    const Plant<double> plant(body, {});
+    CHECK(distance(acceleration(plant, R_BE, rest, rest), fall) <= 10.0 * kEpsilon * 9.8);
+    CHECK(acceleration(plant, R_BE, rest, gravity_wrench(body)).isZero(0.0));
     Vector6<double> printed = rest;  // m (0, 0, -9.8, 0, 0, 0) of (1)
     printed(2) = body.mass * -9.8;
     CHECK(gravity_wrench(body) == printed);

@@ -1,4 +1,4 @@
-"""The README's example runs as it stands and says what the README says."""
+"""The examples of README and docs/batch.md run as they stand and say what is written beside them."""
 
 from __future__ import annotations
 
@@ -7,14 +7,34 @@ import subprocess
 import sys
 from pathlib import Path
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "README.md"
 
 
-def test_the_example_runs(tmp_path: Path) -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    run = subprocess.run([sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True, check=False)
+def examples(page: Path) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def output_of(example: str, folder: Path) -> str:
+    run = subprocess.run([sys.executable, "-c", example], cwd=folder, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
-    outcome, settled, drift = run.stdout.splitlines()
+    return run.stdout
+
+
+def test_the_examples_of_batches_run(tmp_path: Path) -> None:
+    (_, of_readme), (of_page,) = examples(README), examples(ROOT / "docs" / "batch.md")
+    runs, worst = output_of(of_readme, tmp_path).splitlines()
+    assert runs == "1000 runs: 1000 completed"
+    assert re.fullmatch(r"worst error at 5 s: \d+\.\d px, at a mass error of -?\d+\.\d%", worst)
+    completed, settling_time = map(float, output_of(of_page, tmp_path).split())
+    assert completed == 1.0
+    assert 0.3 < settling_time < 1.0
+
+
+def test_the_first_example_runs(tmp_path: Path) -> None:
+    example, _ = examples(README)
+    output = output_of(example, tmp_path)
+    outcome, settled, drift = output.splitlines()
     assert outcome.startswith("completed")
     claims = README.read_text(encoding="utf-8")
     (settling_time,) = re.findall(r"(\d\.\d{3}) s$", settled)

@@ -55,10 +55,15 @@ struct Image {
 };
 
 /// (4): xi = -f (X, Y)/Z of a point in E [m].
+/// @param inverse_depth 1/Z [1/m]
+template <class S>
+Vector2<S> project(const S& f, const Vector3<S>& p_E, const S& inverse_depth) {
+  const S scale = -f * inverse_depth;
+  return Vector2<S>(scale * p_E(0), scale * p_E(1));
+}
 template <class S>
 Vector2<S> project(const S& f, const Vector3<S>& p_E) {
-  const S scale = -f / p_E(2);
-  return Vector2<S>(scale * p_E(0), scale * p_E(1));
+  return project<S>(f, p_E, S(1.0) / p_E(2));
 }
 
 /// Inverse of (4): the point in E [m] seen at (x, y) [px] with depth Z [m].
@@ -70,33 +75,44 @@ Vector3<S> back_project(const S& f, const Vector2<S>& feature, const S& depth) {
 
 /// What the camera at a pose sees of points fixed in B: P_i = R^T (P_i^B - x_p), then (4).
 /// @param points_B 3xN, one column per point [m]
+/// @param inverse_depth 1/Z_i [1/m], which falls off on the way
 template <class S, int N>
 Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
-                       const Eigen::Matrix<S, 3, N>& points_B) {
+                       const Eigen::Matrix<S, 3, N>& points_B, Vector<S, N>& inverse_depth) {
   Image<S, N> image;
   for (int i = 0; i < N; ++i) {
     const Vector3<S> p_E = rotate_back<S>(R_BE, points_B.col(i) - p_BE);
-    image.features.template segment<2>(2 * i) = project(f, p_E);
+    inverse_depth(i) = S(1.0) / p_E(2);
+    const Vector2<S> feature = project<S>(f, p_E, inverse_depth(i));
+    image.features(2 * i) = feature(0);
+    image.features(2 * i + 1) = feature(1);
     image.depth(i) = p_E(2);
   }
   return image;
 }
+/// The same, for image and depth alone.
+template <class S, int N>
+Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
+                       const Eigen::Matrix<S, 3, N>& points_B) {
+  Vector<S, N> inverse_depth;
+  return take_image(f, p_BE, R_BE, points_B, inverse_depth);
+}
 
 /// (8) applied to one point: image velocity [px/s] for the camera's velocity v and angular velocity w, both in E.
 template <class S>
-Vector2<S> point_rate(const S& f, const S& x, const S& y, const S& inverse_depth, const Vector3<S>& v,
-                      const Vector3<S>& w) {
-  const S roll = (x * w(1) - y * w(0)) / f;  // the terms xy/f, x^2/f and y^2/f of (8) share this factor
+Vector2<S> point_rate(const S& f, const S& inverse_f, const S& x, const S& y, const S& inverse_depth,
+                      const Vector3<S>& v, const Vector3<S>& w) {
+  const S roll = (x * w(1) - y * w(0)) * inverse_f;  // the terms xy/f, x^2/f and y^2/f of (8) share this factor
   return Vector2<S>(-(f * v(0) + x * v(2)) * inverse_depth - x * roll - f * w(1) - y * w(2),
                     -(f * v(1) + y * v(2)) * inverse_depth - y * roll + f * w(0) + x * w(2));
 }
 
 /// Transpose of (8) for one point: adds force on E's origin and moment, both in E, for an image force (fx, fy).
 template <class S>
-void add_point_wrench(const S& f, const S& x, const S& y, const S& inverse_depth, const S& fx, const S& fy,
-                      Vector3<S>& force, Vector3<S>& moment) {
+void add_point_wrench(const S& f, const S& inverse_f, const S& x, const S& y, const S& inverse_depth, const S& fx,
+                      const S& fy, Vector3<S>& force, Vector3<S>& moment) {
   const S along = x * fx + y * fy;
-  const S bend = along / f;
+  const S bend = along * inverse_f;
   force(0) -= f * fx * inverse_depth;
   force(1) -= f * fy * inverse_depth;
   force(2) -= along * inverse_depth;
@@ -111,26 +127,35 @@ void add_point_wrench(const S& f, const S& x, const S& y, const S& inverse_depth
 template <class S, int N = kPoints>
 class ImageJacobian {
  public:
+  /// @param features [px], shared: they must outlive this, and so must `R_BE`
+  /// @param inverse_depth 1/Z_i [1/m], measured or true
+  ImageJacobian(const S& f, const S& sign, const Vector<S, 2 * N>& features, const Vector<S, N>& inverse_depth,
+                const Matrix3<S>& R_BE)
+      : f_(f), inverse_f_(S(1.0) / f), sign_(sign), features_(features), inverse_depth_(inverse_depth), R_BE_(R_BE) {}
+
   /// @param image features [px] and depth [m], measured or true; depth must not be zero
   ImageJacobian(const S& f, const S& sign, const Image<S, N>& image, const Matrix3<S>& R_BE)
-      : f_(f), sign_(sign), features_(image.features), inverse_depth_(image.depth.cwiseInverse()), R_BE_(R_BE) {}
+      : ImageJacobian(f, sign, image.features, image.depth.cwiseInverse(), R_BE) {}
 
   /// J chi-dot [px/s] for a twist in B.
   Vector<S, 2 * N> push(const Vector6<S>& twist) const {
     const Vector3<S> v_E = rotate_back<S>(R_BE_, twist.template head<3>());
     const Vector3<S> w_E = rotate_back<S>(R_BE_, twist.template tail<3>());
     Vector<S, 2 * N> rates;
-    for (int i = 0; i < N; ++i)
-      rates.template segment<2>(2 * i) =
-          point_rate<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), v_E, w_E);
-    return sign_ * rates;
+    for (int i = 0; i < N; ++i) {
+      const Vector2<S> rate =
+          point_rate<S>(f_, inverse_f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), v_E, w_E);
+      rates(2 * i) = sign_ * rate(0);
+      rates(2 * i + 1) = sign_ * rate(1);
+    }
+    return rates;
   }
 
   /// J^T p, a wrench in B, for an image force p (2N).
   Vector6<S> pull(const Vector<S, 2 * N>& image_force) const {
     Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
     for (int i = 0; i < N; ++i)
-      add_point_wrench<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), image_force(2 * i),
+      add_point_wrench<S>(f_, inverse_f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), image_force(2 * i),
                           image_force(2 * i + 1), force_E, moment_E);
     return signed_in_base(force_E, moment_E);
   }
@@ -159,21 +184,25 @@ class ImageJacobian {
   /// fx times the row of J for the x of point i, plus fy times that for its y.
   Vector6<S> row(int i, const S& fx, const S& fy) const {
     Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
-    add_point_wrench<S>(f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), fx, fy, force_E, moment_E);
+    add_point_wrench<S>(f_, inverse_f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), fx, fy, force_E,
+                        moment_E);
     return signed_in_base(force_E, moment_E);
   }
 
   Vector6<S> signed_in_base(const Vector3<S>& force_E, const Vector3<S>& moment_E) const {
+    const Vector3<S> force_B = rotate<S>(R_BE_, force_E), moment_B = rotate<S>(R_BE_, moment_E);
     Vector6<S> wrench;
-    wrench.template head<3>() = rotate<S>(R_BE_, sign_ * force_E);
-    wrench.template tail<3>() = rotate<S>(R_BE_, sign_ * moment_E);
+    for (int i = 0; i < 3; ++i) {
+      wrench(i) = sign_ * force_B(i);
+      wrench(i + 3) = sign_ * moment_B(i);
+    }
     return wrench;
   }
 
-  S f_, sign_;
-  Vector<S, 2 * N> features_;
+  S f_, inverse_f_, sign_;
+  const Vector<S, 2 * N>& features_;
   Vector<S, N> inverse_depth_;
-  Matrix3<S> R_BE_;
+  const Matrix3<S>& R_BE_;
 };
 
 /// The depths that the controller knows, Z-hat_i = (1 + delta_Z,i) Z_i (docs/model.md, section 4) [m].

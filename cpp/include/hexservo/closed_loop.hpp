@@ -11,9 +11,6 @@
 #include "hexservo/metrics.hpp"
 #include "hexservo/runge_kutta.hpp"
 
-#include <new>
-#include <type_traits>
-
 namespace hexservo {
 
 /// How a run ended; where several apply at one instant the first of this list is reported.
@@ -88,7 +85,7 @@ struct LoopParameters {
   }
 };
 
-/// What the law of a loop knows.
+/// What the law of a loop knows of its task.
 template <class S, class Law, int N>
 ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
   return {p.camera.focal_pixels(),
@@ -110,11 +107,13 @@ class ClosedLoop {
   explicit ClosedLoop(const Parameters& parameters)
       : p_(parameters),
         task_(control_task(p_)),
+        law_(p_.gains),
+        plant_(p_.body, p_.dynamics_error),
+        inverse_depth_share_((Vector<S, N>::Ones() + p_.depth_error).cwiseInverse()),
         body_(body_state<S>(home_pose(p_.hexapod), Vector6<S>::Zero())),
         law_state_(Law::initial_state(p_.gains)),
-        attitude_(rotation_matrix(quaternion_of(body_))),
-        true_image_(printed_camera() ? p_.initial_image : image_of(body_, attitude_)),
-        now_(*this, body_, attitude_, true_image_, LawStage{&law_state_}),
+        view_(printed_camera() ? View(p_.initial_image, rotation_matrix(quaternion_of(body_))) : view_of(body_)),
+        now_(first_instant()),
         sample_(sample_now().sample),
         metrics_(p_.metrics, p_.hexapod, task_.gravity_wrench, sample_) {
     accept(sample_now());
@@ -123,27 +122,29 @@ class ClosedLoop {
   ClosedLoop(const ClosedLoop&) = delete;  // refers into its parameters
   ClosedLoop& operator=(const ClosedLoop&) = delete;
 
-  /// What the law sees now.
-  LawInput<S, N> observe() const noexcept { return input_at(body_, now_.R_BE, now_.image); }
+  /// What the sensors give now.
+  Measurement<S, N> observe() const noexcept {
+    return {measured_image(view_.image, p_.depth_error), {position_of(body_), quaternion_of(body_)}, twist_of(body_)};
+  }
 
   /// One Runge-Kutta step; lanes that have stopped stay as they are.
   void advance() noexcept {
     const double h = p_.step;
     const auto derivative_at = [this](double scale, const Instant& before) {
       const BodyState<S> body = body_ + S(scale) * before.body_rate;
-      const Matrix3<S> R_BE = rotation_matrix(quaternion_of(body));
-      Image<S, N> image;
+      Instant instant;
       if (printed_camera()) {
-        image.features = now_.image.features + S(scale) * before.printed_rate.features;
-        image.depth = now_.image.depth + S(scale) * before.printed_rate.depth;
+        const Image<S, N> image{view_.image.features + S(scale) * before.printed_rate.features,
+                                view_.image.depth + S(scale) * before.printed_rate.depth};
+        evaluate(body, View(image, rotation_matrix(quaternion_of(body))),
+                 LawStage{&law_state_, &before.law.rate, S(scale)}, instant);
       } else {
-        image = image_of(body, R_BE);
+        evaluate(body, view_of(body), LawStage{&law_state_, &before.law.rate, S(scale)}, instant);
       }
-      return Instant(*this, body, R_BE, image, LawStage{&law_state_, &before.law.rate, S(scale)});
+      return instant;
     };
     runge_kutta_step(h, now_, derivative_at, [this, h](const std::array<const Instant*, 4>& k) { commit(h, k); });
-    // Built in place: the object is large, and everything in it is trivially destructible.
-    ::new (&now_) Instant(*this, body_, attitude_, true_image_, LawStage{&law_state_});
+    evaluate(body_, view_, LawStage{&law_state_}, now_);
     accept(sample_now());
   }
 
@@ -165,30 +166,24 @@ class ClosedLoop {
   using LawRate = typename Law::template Rate<S>;
   using LawEvaluation = typename Law::template Evaluation<S>;
 
-  /// Everything that follows from a state: what is seen, what the law does, and how all of it changes.
-  struct Instant {
+  /// Attitude, and what the camera sees there.
+  struct View {
+    View() = default;
+    View(const Image<S, N>& true_image, const Matrix3<S>& attitude)
+        : R_BE(attitude), image(true_image), inverse_depth(true_image.depth.cwiseInverse()) {}
+
     Matrix3<S> R_BE;
-    Image<S, N> image;  ///< true features and depth
+    Image<S, N> image;           ///< true features and depth; integrated where the camera is as printed
+    Vector<S, N> inverse_depth;  ///< [1/m]
+  };
+
+  /// How everything changes at one instant, and what the law does.
+  struct Instant {
     LawEvaluation law;
     BodyState<S> body_rate;
     Image<S, N> printed_rate;  ///< of the image as (12) and (6) print it; unused by a camera that projects
-
-    /// @param attitude R_BE of the body
-    /// @param true_image projected, or integrated where the camera is as printed
-    Instant(const ClosedLoop& loop, const BodyState<S>& body, const Matrix3<S>& attitude, const Image<S, N>& true_image,
-            const LawStage& stage) noexcept
-        : R_BE(attitude),
-          image(true_image),
-          law(Law::evaluate(loop.task_, loop.p_.gains, stage, loop.input_at(body, R_BE, image))),
-          body_rate(hexservo::body_rate(loop.p_.body, loop.p_.dynamics_error, body, R_BE, law.wrench)) {
-      if (loop.printed_camera()) {
-        const ImageJacobian<S, N> J(loop.task_.focal_pixels, S(plant_sign(loop.p_.convention)), image, R_BE);
-        printed_rate.features = J.push(twist_of(body));  // (12)
-        printed_rate.depth = printed_depth_rate(loop.task_.focal_pixels, image, R_BE, twist_of(body));
-      }
-    }
+    S nearest_depth;           ///< largest Z_i [m]
   };
-  static_assert(std::is_trivially_destructible_v<Instant>);
 
   struct JudgedSample {
     Sample<S, N> sample;
@@ -197,12 +192,32 @@ class ClosedLoop {
 
   bool printed_camera() const noexcept { return p_.convention == CameraConvention::as_printed; }
 
-  Image<S, N> image_of(const BodyState<S>& body, const Matrix3<S>& R_BE) const noexcept {
-    return take_image(task_.focal_pixels, position_of(body), R_BE, p_.points_B);
+  View view_of(const BodyState<S>& body) const noexcept {
+    View view;
+    view.R_BE = rotation_matrix(quaternion_of(body));
+    view.image = take_image(task_.focal_pixels, position_of(body), view.R_BE, p_.points_B, view.inverse_depth);
+    return view;
   }
 
-  LawInput<S, N> input_at(const BodyState<S>& body, const Matrix3<S>& R_BE, const Image<S, N>& image) const noexcept {
-    return {measured_image(image, p_.depth_error), R_BE, twist_of(body), {position_of(body), quaternion_of(body)}};
+  void evaluate(const BodyState<S>& body, const View& view, const LawStage& stage, Instant& out) const noexcept {
+    const Vector6<S> twist = twist_of(body);
+    const Vector<S, N> inverse_depth = inverse_depth_share_.cwiseProduct(view.inverse_depth);  // of (1 + delta_Z) Z
+    const Pose<S> pose{position_of(body), quaternion_of(body)};
+    Law::evaluate(task_, law_, stage, LawInput<S, N>{view.image.features, inverse_depth, view.R_BE, twist, pose},
+                  out.law);
+    out.body_rate = body_rate(plant_, body, view.R_BE, out.law.wrench);
+    out.nearest_depth = nearest_depth(view.image);
+    if (printed_camera()) {
+      const ImageJacobian<S, N> J(task_.focal_pixels, S(plant_sign(p_.convention)), view.image, view.R_BE);
+      out.printed_rate.features = J.push(twist);  // (12)
+      out.printed_rate.depth = printed_depth_rate(task_.focal_pixels, view.image, view.R_BE, twist);
+    }
+  }
+
+  Instant first_instant() const noexcept {
+    Instant instant;
+    evaluate(body_, view_, LawStage{&law_state_}, instant);
+    return instant;
   }
 
   /// Ends a step: the new state where it is good, the old one where the lane stops or has stopped.
@@ -210,41 +225,51 @@ class ClosedLoop {
     std::array<S, 4> scales;
     std::array<const LawRate*, 4> law_rates;
     BodyState<S> body = body_;
-    Image<S, N> image = now_.image;
     for (std::size_t i = 0; i < 4; ++i) {
       scales[i] = S(h * kRungeKuttaWeights[i]);
       law_rates[i] = &k[i]->law.rate;
       body += scales[i] * k[i]->body_rate;
-      if (printed_camera()) {
+    }
+    normalise_quaternion(body);
+    View view;
+    if (printed_camera()) {
+      Image<S, N> image = view_.image;
+      for (std::size_t i = 0; i < 4; ++i) {
         image.features += scales[i] * k[i]->printed_rate.features;
         image.depth += scales[i] * k[i]->printed_rate.depth;
       }
+      view = View(image, rotation_matrix(quaternion_of(body)));
+    } else {
+      view = view_of(body);
     }
-    normalise_quaternion(body);
-    const Matrix3<S> R_BE = rotation_matrix(quaternion_of(body));
-    if (!printed_camera()) image = image_of(body, R_BE);
 
     ++steps_;
-    stop(StopCause::not_finite, !(is_finite(body) & is_finite(image.features) & is_finite(image.depth)));
+    stop(StopCause::not_finite, !(is_finite(body) & is_finite(view.image.features) & is_finite(view.image.depth)));
     stop(StopCause::feature_error,
-         largest_abs<S, 2 * N, 1>(p_.desired_features - image.features) > S(kMaxFeatureError));
+         largest_abs<S, 2 * N, 1>(p_.desired_features - view.image.features) > S(kMaxFeatureError));
     stop(StopCause::twist, largest_abs<S, 6, 1>(twist_of(body)) > S(kMaxTwist));
-    S nearest = nearest_depth(image);
-    for (std::size_t i = 1; i < 4; ++i) nearest = max(nearest, nearest_depth(k[i]->image));  // a pole inside the step
+    S nearest = nearest_depth(view.image);
+    for (std::size_t i = 1; i < 4; ++i) nearest = max(nearest, k[i]->nearest_depth);  // a pole inside the step
     stop(StopCause::behind_camera, nearest >= S(0.0));
 
     const Mask<S> active = running();
-    Law::advance(p_.gains, law_state_, law_rates, scales, active);
-    body_ = select(active, body, body_);
-    attitude_ = select(active, R_BE, attitude_);
-    true_image_.features = select(active, image.features, now_.image.features);
-    true_image_.depth = select(active, image.depth, now_.image.depth);
+    Law::advance(law_, law_state_, law_rates, scales, active);
+    if (all(active)) {
+      body_ = body;
+      view_ = view;
+    } else {
+      body_ = select(active, body, body_);
+      view_.R_BE = select(active, view.R_BE, view_.R_BE);
+      view_.image.features = select(active, view.image.features, view_.image.features);
+      view_.image.depth = select(active, view.image.depth, view_.image.depth);
+      view_.inverse_depth = select(active, view.inverse_depth, view_.inverse_depth);
+    }
   }
 
   JudgedSample sample_now() const noexcept {
-    const Legs<S> legs = inverse_kinematics(p_.hexapod, position_of(body_), now_.R_BE);
+    const Legs<S> legs = inverse_kinematics(p_.hexapod, position_of(body_), view_.R_BE);
     const WrenchMapSolver<S> solver(p_.hexapod, legs);
-    return {{p_.desired_features - now_.image.features, now_.image.depth, position_of(body_), quaternion_of(body_),
+    return {{p_.desired_features - view_.image.features, view_.image.depth, position_of(body_), quaternion_of(body_),
              twist_of(body_), now_.law.wrench, now_.law.fuzzy_output, legs.lengths, solver.leg_forces(now_.law.wrench)},
             solver.failed()};
   }
@@ -276,10 +301,12 @@ class ClosedLoop {
 
   const Parameters& p_;
   ControlTask<S, N> task_;
+  typename Law::template Constants<S> law_;
+  Plant<S> plant_;
+  Vector<S, N> inverse_depth_share_;  ///< 1/(1 + delta_Z,i) [1]
   BodyState<S> body_;
   LawState law_state_;
-  Matrix3<S> attitude_;     ///< R_BE of the body
-  Image<S, N> true_image_;  ///< what the camera sees there
+  View view_;
   Instant now_;
   Sample<S, N> sample_;
   MetricsAccumulator<S, N> metrics_;

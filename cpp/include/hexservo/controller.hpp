@@ -16,8 +16,9 @@ template <class Law>
 struct ControllerGains {
   Hexapod<double> hexapod;
   ControlTask<double> task;
-  typename Law::template Gains<double> law;
-  double period = 1e-3;  ///< T_c, time between two ticks [s], 1e-3
+  typename Law::template Constants<double> law;
+  typename Law::template State<double> initial_law_state;
+  double period;  ///< T_c, time between two ticks [s]
 };
 
 /// What changes from tick to tick: the law's weights, and the last pose at which the legs could be solved.
@@ -28,11 +29,7 @@ struct ControllerState {
 };
 
 /// What the sensors give at a tick; a number that is not known is NaN.
-struct ControllerInput {
-  Image<double> image;    ///< measured features [px] and depths Z-hat, negative in front of the camera [m]
-  Pose<double> pose;      ///< from the leg lengths, in B; the quaternion need not be of unit length
-  Vector6<double> twist;  ///< chi-dot from the leg rates, in B [m/s; rad/s]
-};
+using ControllerInput = Measurement<double>;
 
 /// What a tick gives back.
 struct ControllerOutput {
@@ -62,7 +59,7 @@ void library_was_built_with_other_instruction_set_flags() noexcept;
 template <class Law>
 ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
   library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
-  return {Law::initial_state(gains.law), home_pose(gains.hexapod)};
+  return {gains.initial_law_state, home_pose(gains.hexapod)};
 }
 
 /// One tick of (14), (15) with (13); the weights then advance by forward Euler over the period, (22).

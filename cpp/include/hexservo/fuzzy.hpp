@@ -13,9 +13,10 @@
 /// numbers (docs/model.md, section 5).
 #pragma once
 
-#include "hexservo/types.hpp"
+#include "hexservo/side_by_side.hpp"
 
 #include <array>
+#include <cmath>
 #include <limits>
 #include <string>
 #include <type_traits>
@@ -51,7 +52,6 @@ struct FuzzyGains {
   Vector6<S> leakage = Vector6<S>::Zero();                    ///< sigma_j [1/s], 0: no weight is forgotten
   Vector6<S> weight_limit = no_limit<S>();                    ///< largest |omega_j| [N; N m], infinite: none
   Vector6<S> dead_zone = Vector6<S>::Zero();                  ///< drivers within +- this teach nothing [m/s; rad/s], 0
-  bool restrained = false;  ///< whether these three act: found out by `loop_parameters`, not to be set
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
@@ -66,87 +66,148 @@ struct FuzzyGains {
     f(a.leakage, b.leakage);
     f(a.weight_limit, b.weight_limit);
     f(a.dead_zone, b.dead_zone);
-    f(a.restrained, b.restrained);
   }
 };
 
 /// The six systems side by side: they have the same shape, so every line below works on all of them at once.
 template <class S>
-using AxisVector = Vector<S, kAxes>;
+using AxisVector = SideBySide<S, kAxes>;
+
+/// One number for each of the seven terms; `R` is a register of systems.
+template <class R>
+using Terms = std::array<R, kTerms>;
 
 /// Strengths of the seven terms [1], each for the six systems.
 template <class S>
 using TermStrengths = std::array<AxisVector<S>, kTerms>;
 
-/// x^s for x >= 0.
+/// The seven bells of an input: 1/mu_k(x) = 1 + |(x - c_k)/w|^(2s) for term k.
 template <class S>
-AxisVector<S> bell_power(const AxisVector<S>& x, double slope) {
-  using std::pow;
-  AxisVector<S> result;
-  for (int j = 0; j < kAxes; ++j) result(j) = pow(x(j), slope);
-  return result;
-}
-/// x^s for a whole s by multiplication: the default slope never calls `pow`.
-template <int slope, class S>
-AxisVector<S> bell_power(const AxisVector<S>& x) {
-  AxisVector<S> result = x;
-  for (int i = 1; i < slope; ++i) result = result.cwiseProduct(x);
-  return result;
-}
+struct Bells {
+  using Register = RegisterOf<S>;
 
-/// 1/mu_k(x) = 1 + |(x - c_k)/w|^(2s): what the generalised bells of the seven terms divide by.
-template <class S>
-TermStrengths<S> bell_denominators(const AxisVector<S>& x, const S& width, double slope) {
-  const S inverse_width = S(1.0) / width;
-  const auto bells = [&](auto power) {
-    TermStrengths<S> d;
-    for (int k = 0; k < kTerms; ++k) {
-      const AxisVector<S> distance = (x.array() - S(term_centre(k))).matrix() * inverse_width;
-      const AxisVector<S> raised = power(AxisVector<S>(distance.cwiseProduct(distance)));
-      d[static_cast<std::size_t>(k)] = (raised.array() + S(1.0)).matrix();
+  Bells(const S& width, double bell_slope)
+      : inverse_width(S(1.0) / width),
+        slope(bell_slope),
+        whole_slope(bell_slope <= 64.0 && bell_slope == std::floor(bell_slope) ? static_cast<int>(bell_slope) : 0) {
+    for (int k = 0; k < kTerms; ++k)
+      scaled_centres[static_cast<std::size_t>(k)] = Register(term_centre(k)) * inverse_width;
+  }
+
+  /// 1/mu_k, what the bells divide by, at x/w. A whole slope never calls `pow`.
+  Terms<Register> denominators(const Register& scaled) const {
+    if (whole_slope == 2) return denominators(scaled, [](const Register& x2) { return x2 * x2; });
+    if (whole_slope > 0)
+      return denominators(scaled, [this](const Register& x2) {
+        Register power = x2;
+        for (int i = 1; i < whole_slope; ++i) power *= x2;
+        return power;
+      });
+    return denominators(scaled, [this](const Register& x2) { return pow(x2, slope); });
+  }
+
+  Register inverse_width;          ///< 1/w [1]
+  Terms<Register> scaled_centres;  ///< c_k/w [1]
+  double slope;                    ///< s [1]
+  int whole_slope;                 ///< s where it is a whole number up to 64, else 0 [1]
+
+ private:
+  template <class Power>
+  Terms<Register> denominators(const Register& scaled, Power&& power) const {
+    Terms<Register> d;
+#pragma GCC unroll 7
+    for (std::size_t k = 0; k < kTerms; ++k) {
+      const Register distance = scaled - scaled_centres[k];
+      d[k] = power(distance * distance) + Register(1.0);
     }
     return d;
-  };
-  if (slope == 1.0) return bells([](const AxisVector<S>& x2) { return bell_power<1, S>(x2); });
-  if (slope == 2.0) return bells([](const AxisVector<S>& x2) { return bell_power<2, S>(x2); });
-  if (slope == 3.0) return bells([](const AxisVector<S>& x2) { return bell_power<3, S>(x2); });
-  return bells([slope](const AxisVector<S>& x2) { return bell_power<S>(x2, slope); });
-}
+  }
+};
 
 /// Generalised bells mu_k(x) = 1/(1 + |(x - c_k)/w|^(2s)) of the seven terms.
 template <class S>
-TermStrengths<S> memberships(const AxisVector<S>& x, const S& width, double slope) {
-  TermStrengths<S> mu = bell_denominators(x, width, slope);
-  for (AxisVector<S>& strength : mu) strength = strength.cwiseInverse();
+TermStrengths<S> memberships(const AxisVector<S>& x, const Bells<S>& bells) {
+  TermStrengths<S> mu;
+  for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
+    const Terms<RegisterOf<S>> d = bells.denominators(x.part[r] * bells.inverse_width);
+    for (std::size_t k = 0; k < kTerms; ++k) mu[k].part[r] = RegisterOf<S>(1.0) / d[k];
+  }
   return mu;
 }
 
-/// Memberships divided by their sum: one factor of phi-bar.
+/// Memberships divided by their sum, from the denominators d_k = 1/mu_k: one factor of phi-bar.
 ///
-/// With d_k = 1/mu_k this is the product of the other six d over the sum of seven such products: one division in place
-/// of eight. `validate` keeps bells so steep that the products overflow out of the core.
-template <class S>
-TermStrengths<S> normalised_memberships(const AxisVector<S>& x, const S& width, double slope) {
-  const TermStrengths<S> d = bell_denominators(x, width, slope);
-  TermStrengths<S> mu;
-  AxisVector<S> product = d[0];  // of the denominators before k
-  mu[1] = product;
-  for (std::size_t k = 2; k < kTerms; ++k) {
-    product = product.cwiseProduct(d[k - 1]);
-    mu[k] = product;
-  }
-  product = d[kTerms - 1];  // of the denominators after k
-  AxisVector<S> sum = mu[kTerms - 1];
-  for (std::size_t k = kTerms - 2; k > 0; --k) {
-    mu[k] = mu[k].cwiseProduct(product);
-    sum += mu[k];
-    product = product.cwiseProduct(d[k]);
-  }
-  mu[0] = product;
-  const AxisVector<S> inverse_sum = (sum + product).cwiseInverse();
-  for (AxisVector<S>& strength : mu) strength = strength.cwiseProduct(inverse_sum);
+/// This is the product of the other six d over the sum of seven such products: one division in place of eight. The
+/// products go by pairs of mirrored terms, so that no chain of them is long. `validate` keeps bells so steep that the
+/// products overflow out of the core.
+template <class R>
+Terms<R> normalised(const Terms<R>& d) {
+  static_assert(kTerms == 7);
+  const R outer = d[0] * d[6], middle = d[1] * d[5], inner = d[2] * d[4];
+  const R without_outer = d[3] * (middle * inner), without_middle = d[3] * (outer * inner),
+          without_inner = d[3] * (outer * middle);
+  Terms<R> mu;
+  mu[0] = without_outer * d[6];
+  mu[6] = without_outer * d[0];
+  mu[1] = without_middle * d[5];
+  mu[5] = without_middle * d[1];
+  mu[2] = without_inner * d[4];
+  mu[4] = without_inner * d[2];
+  mu[3] = (outer * middle) * inner;
+  const R sum = ((mu[0] + mu[6]) + (mu[1] + mu[5])) + ((mu[2] + mu[4]) + mu[3]);
+  const R inverse_sum = R(1.0) / sum;
+#pragma GCC unroll 7
+  for (std::size_t k = 0; k < kTerms; ++k) mu[k] = mu[k] * inverse_sum;
   return mu;
 }
+
+/// Normalised memberships of x, which is limited to [-1, 1].
+/// @param mu what is worked out; filled in place
+template <class S>
+void normalised_memberships(const AxisVector<S>& x, const Bells<S>& bells, TermStrengths<S>& mu) {
+  using R = RegisterOf<S>;
+  for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
+    const R limited = clip(x.part[r] * bells.inverse_width, -bells.inverse_width, bells.inverse_width);
+    const Terms<R> terms = normalised(bells.denominators(limited));
+#pragma GCC unroll 7
+    for (std::size_t k = 0; k < kTerms; ++k) mu[k].part[r] = terms[k];
+  }
+}
+
+/// True where leakage, limit or dead zone act in some lane; otherwise (22) stands as printed, to the last bit.
+template <class S>
+bool has_restraint(const FuzzyGains<S>& gains) {
+  Mask<S> some = gains.leakage(0) > S(0.0);
+  for (int j = 0; j < kAxes; ++j)
+    some = some | (gains.leakage(j) > S(0.0)) | (gains.dead_zone(j) > S(0.0)) |
+           (gains.weight_limit(j) < S(std::numeric_limits<double>::infinity()));
+  return any(some);
+}
+
+/// The six systems of a design, ready for the loop.
+template <class S>
+struct FuzzySystems {
+  explicit FuzzySystems(const FuzzyGains<S>& gains)
+      : enabled(gains.enabled),
+        bells(gains.bell_width, gains.bell_slope),
+        inverse_adaptation(Vector6<S>(gains.adaptation.cwiseInverse())),
+        error_scale(gains.error_scale),
+        rate_scale(gains.rate_scale),
+        restrained(has_restraint(gains)),
+        leakage(gains.leakage),
+        weight_limit(gains.weight_limit),
+        dead_zone(gains.dead_zone) {}
+
+  bool enabled;
+  Bells<S> bells;
+  AxisVector<S> inverse_adaptation;  ///< 1/Psi_j [N/m; N m/rad]
+  AxisVector<S> error_scale;         ///< a_j [1/N; 1/(N m)]
+  AxisVector<S> rate_scale;          ///< b_j [s/N; s/(N m)]
+  bool restrained;                   ///< whether the next three act
+  AxisVector<S> leakage;             ///< sigma_j [1/s]
+  AxisVector<S> weight_limit;        ///< largest |omega_j| [N; N m]
+  AxisVector<S> dead_zone;           ///< [m/s; rad/s]
+};
 
 /// phi-bar of the six systems, as the two factors of its outer product.
 template <class S>
@@ -156,24 +217,11 @@ struct FuzzyBasis {
 };
 
 /// phi-bar at the scaled inputs u, u-dot, which are limited to [-1, 1].
+/// @param basis what is worked out; filled in place, since it is 84 numbers
 template <class S>
-FuzzyBasis<S> fuzzy_basis(const FuzzyGains<S>& gains, const AxisVector<S>& u, const AxisVector<S>& u_rate) {
-  const auto limited = [](const AxisVector<S>& x) {
-    AxisVector<S> out;
-    for (int j = 0; j < kAxes; ++j) out(j) = clip(x(j), S(-1.0), S(1.0));
-    return out;
-  };
-  return {normalised_memberships(limited(u), gains.bell_width, gains.bell_slope),
-          normalised_memberships(limited(u_rate), gains.bell_width, gains.bell_slope)};
-}
-
-/// The basis of systems that are switched off: no output and no adaptation.
-template <class S>
-FuzzyBasis<S> zero_basis() {
-  FuzzyBasis<S> basis;
-  basis.error.fill(AxisVector<S>::Zero());
-  basis.rate.fill(AxisVector<S>::Zero());
-  return basis;
+void fuzzy_basis(const Bells<S>& bells, const AxisVector<S>& u, const AxisVector<S>& u_rate, FuzzyBasis<S>& basis) {
+  normalised_memberships(u, bells, basis.error);
+  normalised_memberships(u_rate, bells, basis.rate);
 }
 
 /// Weights of the six systems, the law's state: entry `rule(row, column)` holds the rule's weight for each axis.
@@ -198,14 +246,14 @@ FuzzyWeights<S> initial_weights(const FuzzyGains<S>& gains) {
   FuzzyWeights<S> weights;
   for (int row = 0; row < kTerms; ++row)
     for (int column = 0; column < kTerms; ++column)
-      weights[rule(row, column)] = gains.initial_scale * gains.table(row, column);
+      weights[rule(row, column)] = AxisVector<S>(Vector6<S>(gains.initial_scale * gains.table(row, column)));
   return weights;
 }
 
 /// Time derivative of the weights, of rank one for each axis: strength * basis.error * basis.rate^T.
 template <class S>
 struct FuzzyRate {
-  FuzzyBasis<S> basis;
+  FuzzyBasis<S> basis;     ///< of no meaning where the systems are switched off
   AxisVector<S> strength;  ///< chi-dot_j/Psi_j of (22)
 };
 
@@ -218,74 +266,98 @@ struct FuzzyStage {
 
   /// tau_f = mu(u)^T W mu(u-dot) of the six systems, (13) [N; N m].
   AxisVector<S> output(const FuzzyBasis<S>& basis) const {
-    AxisVector<S> result = AxisVector<S>::Zero();
-    for (int column = 0; column < kTerms; ++column) {
-      AxisVector<S> sum = AxisVector<S>::Zero();
-      for (int row = 0; row < kTerms; ++row)
-        sum += basis.error[static_cast<std::size_t>(row)].cwiseProduct((*weights)[rule(row, column)]);
-      result += sum.cwiseProduct(basis.rate[static_cast<std::size_t>(column)]);
-    }
-    if (rate != nullptr) {
-      const AxisVector<S> overlap =
-          inner(basis.error, rate->basis.error).cwiseProduct(inner(basis.rate, rate->basis.rate));
-      result += scale * rate->strength.cwiseProduct(overlap);
+    using R = RegisterOf<S>;
+    AxisVector<S> result;
+#pragma GCC unroll 6
+    for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
+      R total(0.0);
+#pragma GCC unroll 7
+      for (std::size_t column = 0; column < kTerms; ++column) {
+        const auto weight = [&](std::size_t row) {
+          return (*weights)[rule(static_cast<int>(row), static_cast<int>(column))].part[r];
+        };
+        R sum = basis.error[0].part[r] * weight(0);
+#pragma GCC unroll 7
+        for (std::size_t row = 1; row < kTerms; ++row) sum += basis.error[row].part[r] * weight(row);
+        total += sum * basis.rate[column].part[r];
+      }
+      if (rate != nullptr) {
+        const R overlap = inner(basis.error, rate->basis.error, r) * inner(basis.rate, rate->basis.rate, r);
+        total += R(scale) * rate->strength.part[r] * overlap;
+      }
+      result.part[r] = total;
     }
     return result;
   }
 
  private:
-  static AxisVector<S> inner(const TermStrengths<S>& a, const TermStrengths<S>& b) {
-    AxisVector<S> sum = a[0].cwiseProduct(b[0]);
-    for (std::size_t k = 1; k < kTerms; ++k) sum += a[k].cwiseProduct(b[k]);
+  static RegisterOf<S> inner(const TermStrengths<S>& a, const TermStrengths<S>& b, std::size_t r) {
+    RegisterOf<S> sum = a[0].part[r] * b[0].part[r];
+#pragma GCC unroll 7
+    for (std::size_t k = 1; k < kTerms; ++k) sum += a[k].part[r] * b[k].part[r];
     return sum;
   }
 };
 
+namespace detail {
+/// Adds to `rows` rows of one register of systems: the factors of several rows stay in registers for all columns.
+template <std::size_t rows, class S, std::size_t K>
+void advance_rows(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*, K>& rates,
+                  const std::array<RegisterOf<S>, K>& factor, std::size_t first_row, std::size_t r) {
+  using R = RegisterOf<S>;
+  std::array<std::array<R, rows>, K> left;
+  std::array<const FuzzyBasis<S>*, K> basis;  // read once: for all the compiler knows, a weight may lie over a pointer
+#pragma GCC unroll 4
+  for (std::size_t k = 0; k < K; ++k) {
+    basis[k] = &rates[k]->basis;
+#pragma GCC unroll 4
+    for (std::size_t i = 0; i < rows; ++i) left[k][i] = factor[k] * basis[k]->error[first_row + i].part[r];
+  }
+#pragma GCC unroll 7
+  for (std::size_t column = 0; column < kTerms; ++column) {
+    std::array<R, rows> sum;
+#pragma GCC unroll 4
+    for (std::size_t i = 0; i < rows; ++i)
+      sum[i] = weights[rule(static_cast<int>(first_row + i), static_cast<int>(column))].part[r];
+#pragma GCC unroll 4
+    for (std::size_t k = 0; k < K; ++k) {
+      const R right = basis[k]->rate[column].part[r];
+#pragma GCC unroll 4
+      for (std::size_t i = 0; i < rows; ++i) sum[i] += left[k][i] * right;
+    }
+#pragma GCC unroll 4
+    for (std::size_t i = 0; i < rows; ++i)
+      weights[rule(static_cast<int>(first_row + i), static_cast<int>(column))].part[r] = sum[i];
+  }
+}
+}  // namespace detail
+
 /// W += sum over stages of scale_k * rate_k: the end of a step, one update of rank K.
-/// @param active lanes that take part; the others keep their weights
 template <class S, std::size_t K>
 void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*, K>& rates,
-                     const std::array<S, K>& scales, const Mask<S>& active) {
-  std::array<TermStrengths<S>, K> left;
-  std::array<const TermStrengths<S>*, K> right;
-  for (std::size_t k = 0; k < K; ++k) {
-    const AxisVector<S> factor = scales[k] * rates[k]->strength;
-    for (std::size_t term = 0; term < kTerms; ++term) left[k][term] = factor.cwiseProduct(rates[k]->basis.error[term]);
-    right[k] = &rates[k]->basis.rate;
-  }
-  std::array<TermStrengths<S>, K> masked;
-  if constexpr (std::is_same_v<Mask<S>, bool>) {
-    if (!active) return;
-  } else {
-    const AxisVector<S> zero = AxisVector<S>::Zero();
-    for (std::size_t k = 0; k < K; ++k) {
-      for (std::size_t term = 0; term < kTerms; ++term) {
-        left[k][term] = select(active, left[k][term], zero);
-        masked[k][term] = select(active, (*right[k])[term], zero);
-      }
-      right[k] = &masked[k];
-    }
-  }
-  for (std::size_t column = 0; column < kTerms; ++column) {
-    std::array<AxisVector<S>, K> rate;
-    for (std::size_t k = 0; k < K; ++k) rate[k] = (*right[k])[column];
-#pragma GCC unroll 7
-    for (std::size_t row = 0; row < kTerms; ++row) {
-      AxisVector<S> sum = left[0][row].cwiseProduct(rate[0]);
-      for (std::size_t k = 1; k < K; ++k) sum += left[k][row].cwiseProduct(rate[k]);
-      weights[rule(static_cast<int>(row), static_cast<int>(column))] += sum;
-    }
+                     const std::array<S, K>& scales) {
+  using R = RegisterOf<S>;
+  for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
+    std::array<R, K> factor;
+    for (std::size_t k = 0; k < K; ++k) factor[k] = R(scales[k]) * rates[k]->strength.part[r];
+    detail::advance_rows<2, S, K>(weights, rates, factor, 0, r);
+    detail::advance_rows<2, S, K>(weights, rates, factor, 2, r);
+    detail::advance_rows<3, S, K>(weights, rates, factor, 4, r);
   }
 }
 
-/// True where leakage, limit or dead zone act in some lane; otherwise (22) stands as printed, to the last bit.
-template <class S>
-bool has_restraint(const FuzzyGains<S>& gains) {
-  Mask<S> some = gains.leakage(0) > S(0.0);
-  for (int j = 0; j < kAxes; ++j)
-    some = some | (gains.leakage(j) > S(0.0)) | (gains.dead_zone(j) > S(0.0)) |
-           (gains.weight_limit(j) < S(std::numeric_limits<double>::infinity()));
-  return any(some);
+/// The same where only some lanes take part: the others keep their weights, whatever their rates are.
+template <class S, std::size_t K>
+void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*, K>& rates,
+                     const std::array<S, K>& scales, const Mask<S>& active) {
+  if (all(active)) return advance_weights(weights, rates, scales);
+  if (!any(active)) return;
+  const FuzzyWeights<S> before = weights;
+  advance_weights(weights, rates, scales);
+  if constexpr (!std::is_same_v<Mask<S>, bool>)
+    for (std::size_t i = 0; i < before.size(); ++i)
+      for (std::size_t r = 0; r < AxisVector<S>::registers; ++r)
+        weights[i].part[r] = select(active, weights[i].part[r], before[i].part[r]);
 }
 
 /// Leakage and dead zone inside a stage: omega-dot_j = d(driver_j) phi-bar_j/Psi_j - sigma_j omega_j.
@@ -295,30 +367,67 @@ bool has_restraint(const FuzzyGains<S>& gains) {
 /// @param elapsed t [s]
 /// @param driver what drives the adaptation, chi-dot in (22) [m/s; rad/s]
 template <class S>
-void restrain(const FuzzyGains<S>& gains, const S& elapsed, const Vector6<S>& driver, FuzzyRate<S>& rate,
-              AxisVector<S>& output) {
+void restrain(const FuzzySystems<S>& systems, const S& elapsed, const AxisVector<S>& driver, FuzzyRate<S>& rate,
+              Vector6<S>& output) {
+  using R = RegisterOf<S>;
   using std::exp;
-  for (int j = 0; j < kAxes; ++j) {
-    const S growth = exp(S(gains.leakage(j) * elapsed));
-    const S driven = driver(j) - clip(driver(j), S(-gains.dead_zone(j)), gains.dead_zone(j));
-    rate.strength(j) = driven / gains.adaptation(j) * growth;
-    output(j) /= growth;
+  AxisVector<S> decayed(output);
+  for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
+    const R growth = exp(R(systems.leakage.part[r] * R(elapsed)));
+    const R zone = systems.dead_zone.part[r];
+    const R driven = driver.part[r] - clip(driver.part[r], -zone, zone);
+    rate.strength.part[r] = systems.inverse_adaptation.part[r] * driven * growth;
+    decayed.part[r] = decayed.part[r] / growth;
   }
+  output = decayed.vector();
 }
 
 /// Leakage and limit at the end of a step: from V back to W, each weight then projected on its interval.
 /// @param step length of the step [s]
 /// @param active lanes that take part; the others keep their weights
 template <class S>
-void restrain(const FuzzyGains<S>& gains, const S& step, FuzzyWeights<S>& weights, const Mask<S>& active) {
+void restrain(const FuzzySystems<S>& systems, const S& step, FuzzyWeights<S>& weights, const Mask<S>& active) {
+  using R = RegisterOf<S>;
   using std::exp;
-  AxisVector<S> growth;
-  for (int j = 0; j < kAxes; ++j) growth(j) = exp(S(gains.leakage(j) * step));
-  for (AxisVector<S>& weight : weights)
-    for (int j = 0; j < kAxes; ++j) {
-      const S& limit = gains.weight_limit(j);
-      weight(j) = select(active, clip(S(weight(j) / growth(j)), S(-limit), limit), weight(j));
+  if (!any(active)) return;
+  for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
+    const R growth = exp(R(systems.leakage.part[r] * R(step))), limit = systems.weight_limit.part[r];
+    for (AxisVector<S>& weight : weights) {
+      const R limited = clip(R(weight.part[r] / growth), -limit, limit);
+      if constexpr (std::is_same_v<Mask<S>, bool>)
+        weight.part[r] = limited;
+      else
+        weight.part[r] = select(active, limited, weight.part[r]);
     }
+  }
+}
+
+/// Output and adaptation at one instant, from a basis that stands in `rate`: (13), and (22) with another driver.
+///
+/// Inline, since a law is evaluated in every stage.
+/// @param driver what drives the adaptation, chi-dot in (22) [m/s; rad/s]
+/// @param rate its strength is filled in
+/// @param output tau_f [N; N m]; filled in
+template <class S>
+[[gnu::always_inline]] inline void respond(const FuzzySystems<S>& systems, const FuzzyStage<S>& weights,
+                                           const AxisVector<S>& driver, FuzzyRate<S>& rate, Vector6<S>& output) {
+  rate.strength = systems.inverse_adaptation * driver;
+  output = weights.output(rate.basis).vector();
+  if (systems.restrained) restrain(systems, weights.scale, driver, rate, output);
+}
+
+/// The end of a step: the weights advance by its stages, then leakage and limit act.
+template <class S, std::size_t K>
+void advance_systems(const FuzzySystems<S>& systems, FuzzyWeights<S>& weights,
+                     const std::array<const FuzzyRate<S>*, K>& rates, const std::array<S, K>& scales,
+                     const Mask<S>& active) {
+  if (!systems.enabled) return;
+  advance_weights(weights, rates, scales, active);
+  if (systems.restrained) {
+    S step{0.0};
+    for (const S& scale : scales) step += scale;
+    restrain(systems, step, weights, active);
+  }
 }
 
 /// Checks that leakage is slow enough for a step to resolve it.

@@ -132,7 +132,7 @@ Legs<S> inverse_kinematics(const Hexapod<S>& hexapod, const Vector3<S>& p_BE, co
     const Vector3<S> leg = p_BE + arm - hexapod.base_joints_B.col(i);
     const S length = sqrt(leg.squaredNorm());
     legs.lengths(i) = length;
-    legs.directions_B.col(i) = leg / length;
+    legs.directions_B.col(i) = leg * (S(1.0) / length);
     legs.arms_B.col(i) = arm;
   }
   return legs;
@@ -143,9 +143,7 @@ template <class S>
 class WrenchMapSolver {
  public:
   WrenchMapSolver(const Hexapod<S>& hexapod, const Legs<S>& legs)
-      : inverse_radius_(S(1.0) / hexapod.platform_radius),
-        H_(legs.wrench_map(inverse_radius_)),
-        gram_(H_ * H_.transpose()) {}
+      : inverse_radius_(S(1.0) / hexapod.platform_radius), H_(legs.wrench_map(inverse_radius_)), gram_(gram(H_)) {}
 
   /// Where the pose is singular (sigma_min/sigma_max of H near 1e-7 or below).
   Mask<S> failed() const { return gram_.failed(); }
@@ -164,6 +162,19 @@ class WrenchMapSolver {
   }
 
  private:
+  /// H H^T; the solver reads its lower triangle alone.
+  static Matrix6<S> gram(const Matrix6<S>& H) {
+    Matrix6<S> G;
+    for (int j = 0; j < 6; ++j)
+      for (int i = j; i < 6; ++i) {
+        S sum = H(i, 0) * H(j, 0);
+        for (int k = 1; k < 6; ++k) sum += H(i, k) * H(j, k);
+        G(i, j) = sum;
+        G(j, i) = sum;
+      }
+    return G;
+  }
+
   S inverse_radius_;
   Matrix6<S> H_;
   Cholesky<S, 6> gram_;

@@ -9,13 +9,18 @@
 
 #include <Eigen/Core>
 
-#include <array>
+#if defined(__SSE2__)
+#include <immintrin.h>
+#endif
+
+#include <bit>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <stdexcept>
 #include <type_traits>
+#include <utility>
 
 namespace hexservo {
 
@@ -123,6 +128,18 @@ inline bool any(bool mask) { return mask; }
 inline bool all(bool mask) { return mask; }
 template <int W>
 bool any(LaneMask<W> mask) {
+#if defined(__SSE2__)
+  if constexpr (W == 2) return _mm_movemask_pd(std::bit_cast<__m128d>(mask.bits())) != 0;
+#endif
+#if defined(__AVX__)
+  if constexpr (W == 4) return _mm256_movemask_pd(std::bit_cast<__m256d>(mask.bits())) != 0;
+#endif
+#if defined(__AVX512F__)
+  if constexpr (W == 8) {
+    const __m512i bits = std::bit_cast<__m512i>(mask.bits());
+    return _mm512_test_epi64_mask(bits, bits) != 0;
+  }
+#endif
   bool result = false;
   for (int i = 0; i < W; ++i) result = result || mask[i];
   return result;
@@ -142,13 +159,22 @@ Lanes<W> map_lanes(Lanes<W> x, F&& function) {
 }
 }  // namespace detail
 
+/// Square root of a register: one instruction where the instruction set has it.
 template <int W>
 Lanes<W> sqrt(Lanes<W> x) {
+#if defined(__SSE2__)
+  if constexpr (W == 2)
+    return Lanes<W>(std::bit_cast<typename Lanes<W>::Register>(_mm_sqrt_pd(std::bit_cast<__m128d>(x.values()))));
+#endif
+#if defined(__AVX__)
+  if constexpr (W == 4)
+    return Lanes<W>(std::bit_cast<typename Lanes<W>::Register>(_mm256_sqrt_pd(std::bit_cast<__m256d>(x.values()))));
+#endif
+#if defined(__AVX512F__)
+  if constexpr (W == 8)
+    return Lanes<W>(std::bit_cast<typename Lanes<W>::Register>(_mm512_sqrt_pd(std::bit_cast<__m512d>(x.values()))));
+#endif
   return detail::map_lanes(x, [](double v) { return std::sqrt(v); });
-}
-template <int W>
-Lanes<W> tanh(Lanes<W> x) {
-  return detail::map_lanes(x, [](double v) { return std::tanh(v); });
 }
 template <int W>
 Lanes<W> atan(Lanes<W> x) {
@@ -164,7 +190,9 @@ Lanes<W> pow(Lanes<W> x, double exponent) {
 }
 template <int W>
 Lanes<W> abs(Lanes<W> x) {
-  return detail::map_lanes(x, [](double v) { return std::fabs(v); });
+  constexpr std::int64_t kAllButTheSign = std::numeric_limits<std::int64_t>::max();
+  using Bits = typename LaneRegister<W>::Bits;
+  return Lanes<W>(std::bit_cast<typename Lanes<W>::Register>(std::bit_cast<Bits>(x.values()) & kAllButTheSign));
 }
 
 /// Larger of two; NaN if either is NaN.

@@ -13,6 +13,12 @@ struct MetricsSettings {
   double rms_start = 1.0;           ///< the RMS error is taken from here to the end [s], 1
 
   bool operator==(const MetricsSettings&) const = default;
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.settling_threshold, b.settling_threshold);
+    f(a.rms_start, b.rms_start);
+  }
 };
 
 /// One sample of the closed loop at a grid time.
@@ -66,6 +72,22 @@ struct Metrics {
   S peak_control_moment{0.0};  ///< max |tau_j - G_j| of the moment [N m]
   S peak_leg_force{0.0};       ///< max |f_c,i| [N]
   S peak_leg_excursion{0.0};   ///< max |l_i - home length| [m]
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.settling_time, b.settling_time);
+    f(a.final_error, b.final_error);
+    f(a.rms_error, b.rms_error);
+    f(a.peak_error, b.peak_error);
+    f(a.peak_displacement, b.peak_displacement);
+    f(a.peak_rotation, b.peak_rotation);
+    f(a.final_linear_speed, b.final_linear_speed);
+    f(a.final_angular_speed, b.final_angular_speed);
+    f(a.peak_control_force, b.peak_control_force);
+    f(a.peak_control_moment, b.peak_control_moment);
+    f(a.peak_leg_force, b.peak_leg_force);
+    f(a.peak_leg_excursion, b.peak_leg_excursion);
+  }
 };
 
 /// First time each leg passed a limit (infinity: never) and its largest value.

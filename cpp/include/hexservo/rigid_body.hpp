@@ -186,44 +186,68 @@ Vector3<S> solve3(const Matrix3<S>& A, const Vector3<S>& b) {
   return Vector3<S>(b.dot(a1xa2), a0.dot(b.cross(a2)), a0.dot(a1.cross(b))) * inverse_det;
 }
 
+/// The actual platform (3), with what does not change in a run worked out.
+template <class S>
+struct Plant {
+  Plant(const RigidBody<S>& estimate, const DynamicsError<S>& error) : body(estimate) {
+    const Vector6<S> G = gravity_wrench(estimate);
+    for (int i = 0; i < 3; ++i) {
+      inverse_mass(i) = S(1.0) / (body.mass - error.inertia(i, i) * body.mass);
+      for (int j = 0; j < 3; ++j) {
+        inertia_share(i, j) = S(1.0) - error.inertia(i + 3, j + 3);
+        coriolis_share(i, j) = S(1.0) - error.coriolis(i + 3, j + 3);
+      }
+    }
+    weight = G - error.gravity.cwiseProduct(G);
+  }
+
+  RigidBody<S> body;          ///< as estimated
+  Vector3<S> inverse_mass;    ///< of the three linear directions [1/kg]
+  Matrix3<S> inertia_share;   ///< 1 - delta_D of the angular block, D being block-diagonal [1]
+  Matrix3<S> coriolis_share;  ///< 1 - delta_C of the angular block, the only one of C that is not zero [1]
+  Vector6<S> weight;          ///< (1 - delta_G) G [N; N m]
+};
+
 /// chi-ddot of the actual dynamics (3): (1 - delta_D) D chi-ddot + (1 - delta_C) C chi-dot + (1 - delta_G) G = tau.
-///
-/// D and C are block-diagonal, so only the diagonal of the linear block and the angular blocks of the errors act.
 /// @return (m/s^2; rad/s^2), in B
 template <class S>
-Vector6<S> acceleration(const RigidBody<S>& body, const DynamicsError<S>& error, const Matrix3<S>& R_BE,
-                        const Vector6<S>& twist, const Vector6<S>& wrench) {
-  const Vector3<S> omega = twist.template tail<3>();
-  const Matrix3<S> I_B = inertia_in_base(body, R_BE);
-  const Vector6<S> G = gravity_wrench(body);
-  const Vector6<S> driving = wrench - (G - error.gravity.cwiseProduct(G));
+Vector6<S> acceleration(const Plant<S>& plant, const Matrix3<S>& R_BE, const Vector6<S>& twist,
+                        const Vector6<S>& wrench) {
+  const Vector3<S> omega(twist(3), twist(4), twist(5));
+  const Matrix3<S> I_B = inertia_in_base(plant.body, R_BE);
 
   // (1 - delta_C) o ([omega]x I') omega, column by column, taken from the moment
   Matrix3<S> actual_inertia;
-  Vector3<S> moment = driving.template tail<3>();
+  Vector3<S> moment;
+  for (int i = 0; i < 3; ++i) moment(i) = wrench(i + 3) - plant.weight(i + 3);
   for (int j = 0; j < 3; ++j) {
     const Vector3<S> inertia = I_B.col(j);
     const Vector3<S> coriolis = omega.cross(inertia);
     for (int i = 0; i < 3; ++i) {
-      actual_inertia(i, j) = inertia(i) - error.inertia(i + 3, j + 3) * inertia(i);
-      moment(i) -= (coriolis(i) - error.coriolis(i + 3, j + 3) * coriolis(i)) * omega(j);
+      actual_inertia(i, j) = plant.inertia_share(i, j) * inertia(i);
+      moment(i) -= plant.coriolis_share(i, j) * coriolis(i) * omega(j);
     }
   }
+  const Vector3<S> angular = solve3<S>(actual_inertia, moment);
   Vector6<S> result;
-  for (int i = 0; i < 3; ++i) result(i) = driving(i) / (body.mass - error.inertia(i, i) * body.mass);
-  result.template tail<3>() = solve3<S>(actual_inertia, moment);
+  for (int i = 0; i < 3; ++i) {
+    result(i) = (wrench(i) - plant.weight(i)) * plant.inverse_mass(i);
+    result(i + 3) = angular(i);
+  }
   return result;
 }
 
-/// Time derivative of the body's state under a wrench.
+/// Time derivative of the platform's state under a wrench in B [N; N m].
 template <class S>
-BodyState<S> body_rate(const RigidBody<S>& body, const DynamicsError<S>& error, const BodyState<S>& state,
-                       const Matrix3<S>& R_BE, const Vector6<S>& wrench) {
+BodyState<S> body_rate(const Plant<S>& plant, const BodyState<S>& state, const Matrix3<S>& R_BE,
+                       const Vector6<S>& wrench) {
   const Vector6<S> twist = twist_of(state);
+  const Vector4<S> turning = quaternion_rate<S>(quaternion_of(state), Vector3<S>(twist(3), twist(4), twist(5)));
+  const Vector6<S> gain = acceleration(plant, R_BE, twist, wrench);
   BodyState<S> rate;
-  rate.template head<3>() = twist.template head<3>();
-  rate.template segment<4>(3) = quaternion_rate<S>(quaternion_of(state), twist.template tail<3>());
-  rate.template tail<6>() = acceleration(body, error, R_BE, twist, wrench);
+  for (int i = 0; i < 3; ++i) rate(i) = twist(i);
+  for (int i = 0; i < 4; ++i) rate(i + 3) = turning(i);
+  for (int i = 0; i < 6; ++i) rate(i + 7) = gain(i);
   return rate;
 }
 

@@ -51,14 +51,15 @@ struct Settings {
 long long step_count(const SimulationSettings& simulation);
 
 /// Validates a scenario and prepares it for the loop: joints, target points, initial image.
+/// @param legs what `make_hexapod` made of `settings.robot`, where the caller has it: most of the work is there
 /// @throws std::invalid_argument("key: expected ..., got ...") for the first thing that is wrong
 template <class Law>
-LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings);
+LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const Hexapod<double>* legs = nullptr);
 
 // One translation unit compiles each loop (closed_loop.cpp).
 extern template class ClosedLoop<double, Hybrid>;
 extern template class ClosedLoop<double, Composite>;
-extern template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&);
-extern template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&);
+extern template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&, const Hexapod<double>*);
+extern template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&, const Hexapod<double>*);
 
 }  // namespace hexservo

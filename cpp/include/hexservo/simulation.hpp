@@ -2,15 +2,19 @@
 /// Runs one scenario and logs it.
 #pragma once
 
+#include "hexservo/buffer.hpp"
 #include "hexservo/settings.hpp"
 
 #include <functional>
-#include <memory>
-#include <new>
+#include <span>
 #include <string>
 #include <vector>
 
 namespace hexservo {
+
+struct Kernel;
+/// The run loop that was compiled into this library; hexservo's Python package has others (docs/batch.md).
+const Kernel& built_in_kernel() noexcept;
 
 /// A leg beyond one of its limits, reported and not enforced.
 struct LimitEvent {
@@ -22,24 +26,12 @@ struct LimitEvent {
   double limit;       ///< [m] or [N]
 };
 
-/// Leaves new entries as they are: a log is sized once, and its pages are touched when they are written.
-template <class T>
-struct UninitialisedAllocator : std::allocator<T> {
-  template <class U>
-  struct rebind {
-    using other = UninitialisedAllocator<U>;
-  };
-  template <class U>
-  void construct(U* place) noexcept {
-    ::new (static_cast<void*>(place)) U;
-  }
-};
-
 /// One logged quantity, row after row.
-using Column = std::vector<double, UninitialisedAllocator<double>>;
+using Column = std::span<double>;
 
-/// Logged samples of a run, row after row: `time` has n entries, a k-wide quantity n k.
+/// Logged samples of a run, row after row: `time` has n entries, a k-wide quantity n k. All columns lie in one block.
 struct Trajectory {
+  Buffer block;
   Column time;                         ///< [s]
   Column feature_error;                ///< n x 8, xi_d - xi, true [px]
   Column depth;                        ///< n x 4, true Z_i [m]
@@ -73,12 +65,18 @@ extern template void check_settings(const Settings<Composite>&);
 
 /// Runs a scenario from home, at rest. The last good sample is always logged.
 /// @param stop_requested asked every few milliseconds; true ends the run with `Outcome::interrupted`
+/// @param kernel the instruction set to run with
 /// @throws std::invalid_argument as `loop_parameters`, or where the log would not fit into `kMaxLogBytes`
 template <class Law>
-Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested = {});
+Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested = {},
+                    const Kernel& kernel = built_in_kernel());
 
-extern template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&);
-extern template Trajectory simulate(const Settings<Composite>&, const std::function<bool()>&);
+extern template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&, const Kernel&);
+extern template Trajectory simulate(const Settings<Composite>&, const std::function<bool()>&, const Kernel&);
+
+/// One sentence on how a run that was not interrupted ended.
+/// @param time of the step at which it stopped [s]
+std::string describe(StopCause cause, double time);
 
 /// The platform alone under constant leg forces, without camera or controller (RK4).
 /// @param leg_forces [N], positive where they push

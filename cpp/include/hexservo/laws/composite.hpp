@@ -58,6 +58,23 @@ struct CompositeGains {
   }
 };
 
+/// The same gains, prepared for evaluation.
+template <class S, int N = kPoints>
+struct CompositeConstants {
+  explicit CompositeConstants(const CompositeGains<S, N>& gains)
+      : kp(gains.kp),
+        kv(gains.kv),
+        kt(gains.kt),
+        kd(gains.kd),
+        drive(gains.drive),
+        prior(gains.prior),
+        fuzzy(gains.fuzzy) {}
+
+  Vector<S, 2 * N> kp;
+  Vector6<S> kv, kt, kd, drive, prior;
+  FuzzySystems<S> fuzzy;
+};
+
 /// e = (J^T J + M)^-1 (J^T xi-tilde + M (chi_ref - chi)): the most probable pose error, in B [m; rad].
 ///
 /// The maximum a-posteriori estimate from the image (J e = xi-tilde, with noise) and from the prior (e = chi_ref - chi,
@@ -81,6 +98,8 @@ struct Composite {
   template <class S>
   using Gains = CompositeGains<S>;
   template <class S>
+  using Constants = CompositeConstants<S>;
+  template <class S>
   using State = FuzzyWeights<S>;  ///< W_j, omega of (13)
   template <class S>
   using Stage = FuzzyStage<S>;
@@ -101,42 +120,33 @@ struct Composite {
   }
 
   /// tau = J^T K_p xi-tilde + K_t e - K_d chi-dot - K_v sw(chi-dot) + G - tau_f.
+  /// @param out what the law gives; filled in place, since the basis is 84 numbers
   template <class S, int N>
-  static Evaluation<S> evaluate(const ControlTask<S, N>& task, const Gains<S>& gains, const Stage<S>& weights,
-                                const LawInput<S, N>& input) noexcept {
-    const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.image, input.R_BE);
-    const Vector<S, 2 * N> feature_error = task.desired_features - input.image.features;
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
+                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+    const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
+    const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
     const Vector6<S> pose_error =
-        most_probable_pose_error(J, feature_error, gains.prior, pose_difference(task.reference, input.pose));
-
-    const FuzzyGains<S>& fuzzy = gains.fuzzy;
-    const Vector6<S> driver = input.twist - gains.drive.cwiseProduct(pose_error);
-    // The goal stands still: the pose error's rate is minus the twist.
-    const auto basis = [&] {
-      return fuzzy_basis<S>(fuzzy, fuzzy.error_scale.cwiseProduct(pose_error),
-                            -fuzzy.rate_scale.cwiseProduct(input.twist));
-    };
-    // Initialised in place: the basis is 84 numbers.
-    Evaluation<S> out{{fuzzy.enabled ? basis() : zero_basis<S>(), driver.cwiseQuotient(fuzzy.adaptation)},
-                      Vector6<S>::Zero(),
-                      Vector6<S>::Zero()};
-    if (fuzzy.enabled) out.fuzzy_output = weights.output(out.rate.basis);  // (13)
-    if (fuzzy.restrained) restrain(fuzzy, weights.scale, driver, out.rate, out.fuzzy_output);
-    out.wrench = J.pull(gains.kp.cwiseProduct(feature_error)) + gains.kt.cwiseProduct(pose_error) -
-                 gains.kd.cwiseProduct(input.twist) - gains.kv.cwiseProduct(task.switching(input.twist)) +
+        most_probable_pose_error(J, feature_error, constants.prior, pose_difference(task.reference, input.pose));
+    if (constants.fuzzy.enabled) {
+      const FuzzySystems<S>& systems = constants.fuzzy;
+      // The goal stands still: the pose error's rate is minus the twist.
+      fuzzy_basis(systems.bells, systems.error_scale * AxisVector<S>(pose_error),
+                  systems.rate_scale * AxisVector<S>(Vector6<S>(-input.twist)), out.rate.basis);
+      const Vector6<S> driver = input.twist - constants.drive.cwiseProduct(pose_error);
+      respond(systems, weights, AxisVector<S>(driver), out.rate, out.fuzzy_output);
+    } else {
+      out.fuzzy_output.setConstant(S(0.0));
+    }
+    out.wrench = J.pull(constants.kp.cwiseProduct(feature_error)) + constants.kt.cwiseProduct(pose_error) -
+                 constants.kd.cwiseProduct(input.twist) - constants.kv.cwiseProduct(task.switching(input.twist)) +
                  task.gravity_wrench - out.fuzzy_output;
-    return out;
   }
 
   template <class S, std::size_t K>
-  static void advance(const Gains<S>& gains, State<S>& state, const std::array<const Rate<S>*, K>& rates,
+  static void advance(const Constants<S>& constants, State<S>& state, const std::array<const Rate<S>*, K>& rates,
                       const std::array<S, K>& scales, const Mask<S>& active) noexcept {
-    advance_weights(state, rates, scales, active);
-    if (gains.fuzzy.restrained) {
-      S step{0.0};
-      for (const S& scale : scales) step += scale;
-      restrain(gains.fuzzy, step, state, active);
-    }
+    advance_systems(constants.fuzzy, state, rates, scales, active);
   }
 };
 

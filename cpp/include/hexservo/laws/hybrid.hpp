@@ -30,12 +30,24 @@ struct HybridGains {
   }
 };
 
+/// The same gains, prepared for evaluation.
+template <class S, int N = kPoints>
+struct HybridConstants {
+  explicit HybridConstants(const HybridGains<S, N>& gains) : kp(gains.kp), kv(gains.kv), fuzzy(gains.fuzzy) {}
+
+  Vector<S, 2 * N> kp;
+  Vector6<S> kv;
+  FuzzySystems<S> fuzzy;
+};
+
 /// The law as a policy of the loop: types of its gains and state, its evaluation, and how its state integrates.
 struct Hybrid {
   static constexpr const char* name = "hybrid";
 
   template <class S>
   using Gains = HybridGains<S>;
+  template <class S>
+  using Constants = HybridConstants<S>;
   template <class S>
   using State = FuzzyWeights<S>;  ///< W_j, omega of (13)
   template <class S>
@@ -57,39 +69,34 @@ struct Hybrid {
   }
 
   /// (14), (15) with (13) and (22): tau = g - K_v sgn(chi-dot) + G - tau_f.
+  /// @param out what the law gives; filled in place, since the basis is 84 numbers
   template <class S, int N>
-  static Evaluation<S> evaluate(const ControlTask<S, N>& task, const Gains<S>& gains, const Stage<S>& weights,
-                                const LawInput<S, N>& input) noexcept {
-    const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.image, input.R_BE);
-    const Vector<S, 2 * N> feature_error = task.desired_features - input.image.features;
-    const Vector6<S> image_wrench = J.pull(gains.kp.cwiseProduct(feature_error));
-
-    const auto basis = [&] {
-      const Vector6<S> image_wrench_rate = -J.pull(gains.kp.cwiseProduct(J.push(input.twist)));
-      return fuzzy_basis<S>(gains.fuzzy, gains.fuzzy.error_scale.cwiseProduct(image_wrench),
-                            gains.fuzzy.rate_scale.cwiseProduct(image_wrench_rate));
-    };
-    const bool fuzzy = gains.fuzzy.enabled;
-    // Initialised in place: the basis is 84 numbers.
-    Evaluation<S> out{{fuzzy ? basis() : zero_basis<S>(), input.twist.cwiseQuotient(gains.fuzzy.adaptation)},  // (22)
-                      Vector6<S>::Zero(),
-                      Vector6<S>::Zero()};
-    if (fuzzy) out.fuzzy_output = weights.output(out.rate.basis);  // (13)
-    if (gains.fuzzy.restrained) restrain(gains.fuzzy, weights.scale, input.twist, out.rate, out.fuzzy_output);
-    out.wrench =
-        image_wrench - gains.kv.cwiseProduct(task.switching(input.twist)) + task.gravity_wrench - out.fuzzy_output;
-    return out;
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
+                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+    const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
+    Vector<S, 2 * N> weighted;
+    for (int i = 0; i < 2 * N; ++i) weighted(i) = constants.kp(i) * (task.desired_features(i) - input.features(i));
+    const Vector6<S> image_wrench = J.pull(weighted);
+    if (constants.fuzzy.enabled) {
+      const FuzzySystems<S>& systems = constants.fuzzy;
+      const Vector<S, 2 * N> rate = J.push(input.twist);
+      for (int i = 0; i < 2 * N; ++i) weighted(i) = -constants.kp(i) * rate(i);
+      const Vector6<S> image_wrench_rate = J.pull(weighted);
+      fuzzy_basis(systems.bells, systems.error_scale * AxisVector<S>(image_wrench),
+                  systems.rate_scale * AxisVector<S>(image_wrench_rate), out.rate.basis);
+      respond(systems, weights, AxisVector<S>(input.twist), out.rate, out.fuzzy_output);  // (13), (22)
+    } else {
+      for (int j = 0; j < 6; ++j) out.fuzzy_output(j) = S(0.0);
+    }
+    const Vector6<S> switched = task.switching(input.twist);
+    for (int j = 0; j < 6; ++j)
+      out.wrench(j) = image_wrench(j) - constants.kv(j) * switched(j) + task.gravity_wrench(j) - out.fuzzy_output(j);
   }
 
   template <class S, std::size_t K>
-  static void advance(const Gains<S>& gains, State<S>& state, const std::array<const Rate<S>*, K>& rates,
+  static void advance(const Constants<S>& constants, State<S>& state, const std::array<const Rate<S>*, K>& rates,
                       const std::array<S, K>& scales, const Mask<S>& active) noexcept {
-    advance_weights(state, rates, scales, active);
-    if (gains.fuzzy.restrained) {
-      S step{0.0};
-      for (const S& scale : scales) step += scale;
-      restrain(gains.fuzzy, step, state, active);
-    }
+    advance_systems(constants.fuzzy, state, rates, scales, active);
   }
 };
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "hexservo/camera.hpp"
+#include "hexservo/elementary.hpp"
 #include "hexservo/rigid_body.hpp"
 
 namespace hexservo {
@@ -22,22 +23,20 @@ struct Switching {
 
   /// sgn of the paper, or what replaces it, for each component of a twist.
   Vector6<S> operator()(const Vector6<S>& twist) const {
-    using std::tanh;
-    Vector6<S> out;
-    for (int j = 0; j < 6; ++j) {
-      switch (kind) {
-        case SwitchingKind::sign:
-          out(j) = sign(twist(j));
-          break;
-        case SwitchingKind::tanh:
-          out(j) = tanh(S(twist(j) / width));
-          break;
-        case SwitchingKind::saturation:
-          out(j) = clip(S(twist(j) / width), S(-1.0), S(1.0));
-          break;
-      }
+    const auto each = [&twist](auto&& function) {
+      Vector6<S> out;
+      for (int j = 0; j < 6; ++j) out(j) = function(twist(j));
+      return out;
+    };
+    switch (kind) {
+      case SwitchingKind::tanh:
+        return each([this](const S& x) { return hyperbolic_tangent(S(x / width)); });
+      case SwitchingKind::saturation:
+        return each([this](const S& x) { return clip(S(x / width), S(-1.0), S(1.0)); });
+      case SwitchingKind::sign:
+        break;
     }
-    return out;
+    return each([](const S& x) { return sign(x); });
   }
 
   template <class F, class A, class B>
@@ -58,13 +57,22 @@ struct ControlTask {
   Pose<S> reference;  ///< chi_ref, the pose that the prior of `composite` expects: home
 };
 
-/// What the sensors give a law.
+/// What the sensors give at one instant; a number that is not known is NaN.
+template <class S, int N = kPoints>
+struct Measurement {
+  Image<S, N> image;  ///< measured features [px] and depths Z-hat, negative in front of the camera [m]
+  Pose<S> pose;       ///< from the leg lengths, in B; the quaternion need not be of unit length
+  Vector6<S> twist;   ///< chi-dot from the leg rates, in B [m/s; rad/s]
+};
+
+/// The same, prepared for a law's evaluation: it refers to its numbers, which must outlive it.
 template <class S, int N = kPoints>
 struct LawInput {
-  Image<S, N> image;  ///< measured features [px] and depth Z-hat [m]
-  Matrix3<S> R_BE;    ///< attitude from the joint sensors
-  Vector6<S> twist;   ///< chi-dot from the joint sensors, in B [m/s; rad/s]
-  Pose<S> pose;       ///< from the joint sensors; its attitude is R_BE
+  const Vector<S, 2 * N>& features;   ///< measured [px]
+  const Vector<S, N>& inverse_depth;  ///< 1/Z-hat_i [1/m]
+  const Matrix3<S>& R_BE;             ///< attitude of `pose`
+  const Vector6<S>& twist;            ///< in B [m/s; rad/s]
+  const Pose<S>& pose;                ///< in B
 };
 
 }  // namespace hexservo

@@ -1,0 +1,84 @@
+// hexservo's own side of the comparisons with fuzzylite and ViSP: the core's functions, timed in the same way.
+//
+//   kernels fuzzy      parameters: 49 weights, row by row (row: term of u); row: six pairs (u, u-dot); answer: 6
+//   outputs kernels jacobian   parameters: f; row: 4 x (x, y, Z), desired features (8); answer: J at R = I, row by row,
+//   then xi~ kernels tick       parameters: desired features (8), then those seen from home (8); row: features (8),
+//   depth (4),
+//                      position (3), quaternion (4), twist (6); answer: wrench (6)
+#include "hexservo/controller.hpp"
+
+#include "../serve.hpp"
+
+namespace {
+
+using namespace hexservo;
+
+const auto stateless = [] {};
+
+template <int N>
+Vector<double, N> vector_at(const double* numbers) {
+  return Eigen::Map<const Vector<double, N>>(numbers);
+}
+
+int fuzzy() {
+  const std::vector<double> table = peers::read_numbers(kTerms * kTerms);
+  const FuzzyGains<double> gains;
+  FuzzyGains<double> start = gains;
+  start.initial_scale.setOnes();
+  for (int row = 0; row < kTerms; ++row)
+    for (int column = 0; column < kTerms; ++column)
+      start.table(row, column) = table[static_cast<std::size_t>(row * kTerms + column)];
+  const FuzzyWeights<double> weights = initial_weights(start);
+  return peers::serve("hexservo", 12, kAxes, stateless, [&](const double* row, double* out) {
+    Vector6<double> u, u_rate;
+    for (int j = 0; j < kAxes; ++j) {
+      u(j) = row[2 * j];
+      u_rate(j) = row[2 * j + 1];
+    }
+    const FuzzyStage<double> stage{&weights};
+    Eigen::Map<Vector6<double>>{out} = stage.output(fuzzy_basis<double>(gains, u, u_rate));
+  });
+}
+
+int jacobian() {
+  const double focal = peers::read_numbers(1)[0];
+  return peers::serve("hexservo", 20, 56, stateless, [&](const double* row, double* out) {
+    Image<double> image;
+    for (int i = 0; i < kPoints; ++i) {
+      image.features(2 * i) = row[3 * i];
+      image.features(2 * i + 1) = row[3 * i + 1];
+      image.depth(i) = row[3 * i + 2];
+    }
+    const ImageJacobian<double> J(focal, -1.0, image, Matrix3<double>::Identity());
+    Eigen::Map<Eigen::Matrix<double, 8, 6, Eigen::RowMajor>>{out} = J.matrix();
+    Eigen::Map<Vector<double, 8>>{out + 48} = vector_at<8>(row + 12) - image.features;
+  });
+}
+
+int tick() {
+  const std::vector<double> features = peers::read_numbers(16);
+  Settings<Hybrid> settings;
+  settings.target.desired_features = vector_at<8>(features.data());
+  settings.target.initial_features = vector_at<8>(features.data() + 8);
+  const ControllerGains<Hybrid> gains = controller_gains(settings, 1e-3);
+  ControllerState<Hybrid> state = initial_state(gains);
+  const auto restart = [&] { state = initial_state(gains); };
+  return peers::serve("hexservo", 25, 6, restart, [&](const double* row, double* out) {
+    ControllerInput input;
+    input.image = {vector_at<8>(row), vector_at<4>(row + 8)};
+    input.pose = {vector_at<3>(row + 12), vector_at<4>(row + 15)};
+    input.twist = vector_at<6>(row + 19);
+    Eigen::Map<Vector6<double>>{out} = step(gains, state, input).wrench;
+  });
+}
+
+}  // namespace
+
+int main(int count, char** arguments) {
+  const std::string kernel = count == 2 ? arguments[1] : "";
+  if (kernel == "fuzzy") return fuzzy();
+  if (kernel == "jacobian") return jacobian();
+  if (kernel == "tick") return tick();
+  std::cerr << "kernel: expected fuzzy, jacobian or tick, got " << (kernel.empty() ? "none" : kernel) << '\n';
+  return 2;
+}

@@ -1,0 +1,87 @@
+/// @file
+/// Many scenarios at once: one per lane of a vector register, packs of lanes on all cores (docs/batch.md).
+#pragma once
+
+#include "hexservo/simulation.hpp"
+
+#include <array>
+#include <cstdint>
+
+namespace hexservo {
+
+/// A scenario key with its values: `width` numbers per scenario, or `width` numbers that hold for all of them.
+struct Variation {
+  std::string key;                 ///< dotted, as in a scenario file: "uncertainty.depth"
+  std::span<const double> values;  ///< row after row
+  std::size_t width;               ///< 1 where a number stands for a whole array
+};
+
+/// A key that may vary.
+struct NumericKey {
+  std::string key;
+  std::vector<std::size_t> widths;  ///< numbers that it takes: one, or of one of these forms
+};
+
+/// The keys that may vary, with their widths.
+template <class Law>
+std::vector<NumericKey> numeric_keys();
+
+extern template std::vector<NumericKey> numeric_keys<Hybrid>();
+extern template std::vector<NumericKey> numeric_keys<Composite>();
+
+/// What is kept of each run; outcome, times and metrics always are.
+enum class BatchLog {
+  metrics,      ///< nothing more
+  last_sample,  ///< the last good sample and the weights
+  trajectory    ///< every `log_every`-th sample on one time grid, and the weights at the end
+};
+
+/// How far a batch is.
+struct BatchProgress {
+  std::size_t done, count;       ///< scenarios
+  long long steps, total_steps;  ///< steps of scenarios taken and to be taken; those of runs that stop early are not
+};
+
+/// How a batch is to run.
+struct BatchOptions {
+  BatchLog log = BatchLog::last_sample;
+  int threads = 1;
+  std::function<bool()> stop_requested;                ///< asked every 50 ms by the calling thread; true ends the batch
+  std::function<void(const BatchProgress&)> progress;  ///< told every 50 ms, and at the end, by the calling thread
+};
+
+/// What a batch gives back; the scenario is the first axis of everything but `metrics` and `time`.
+struct BatchResult {
+  std::size_t count = 0;              ///< n
+  std::size_t rows = 0;               ///< m, samples of each trajectory
+  std::vector<std::uint8_t> outcome;  ///< n, Outcome
+  std::vector<std::uint8_t> cause;    ///< n, StopCause
+  Buffer end_time;                    ///< n, of the last good sample; NaN where interrupted [s]
+  Buffer stop_time;                   ///< n, of the step at which the run stopped; NaN where interrupted [s]
+  Buffer metrics;                     ///< 12 x n, in the order of `Metrics`; NaN where interrupted
+  Buffer time;                        ///< m, of the trajectories [s]
+  /// In the order of `Sample`: n x k, or n x m x k with NaN where a run had stopped; NaN where interrupted.
+  std::array<Buffer, 9> samples;
+  Buffer fuzzy_weights;  ///< n x 6 x 7 x 7 at the end; NaN where interrupted [N; N m]
+};
+
+/// Bytes that the result of one batch may take; more is refused before it is allocated.
+inline constexpr double kMaxBatchBytes = kMaxLogBytes;
+
+/// Runs `count` scenarios, each the base with its row of every variation.
+///
+/// All scenarios are checked before the first one runs. A run depends on its own scenario and on the kernel alone: not
+/// on the other scenarios, their number or order, or on the number of threads.
+/// @throws std::invalid_argument("scenario 17: key: expected ..., got ...") for the first bad one, without "scenario"
+/// for keys, widths and counts; where the result would not fit into `kMaxBatchBytes`; for trajectories on different
+/// time grids
+template <class Law>
+BatchResult simulate_batch(const Settings<Law>& base, std::span<const Variation> variations, std::size_t count,
+                           const BatchOptions& options, const Kernel& kernel = built_in_kernel());
+
+extern template BatchResult simulate_batch(const Settings<Hybrid>&, std::span<const Variation>, std::size_t,
+                                           const BatchOptions&, const Kernel&);
+extern template BatchResult simulate_batch(const Settings<Composite>&, std::span<const Variation>, std::size_t,
+                                           const BatchOptions&, const Kernel&);
+
+}  // namespace hexservo

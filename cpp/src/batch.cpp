@@ -1,0 +1,412 @@
+#include "hexservo/batch.hpp"
+
+#include "check.hpp"
+#include "key_setters.hpp"
+#include "run_request.hpp"
+#include "workers.hpp"
+
+#include <algorithm>
+#include <map>
+#include <mutex>
+#include <optional>
+
+namespace hexservo {
+
+using detail::refuse;
+using detail::words;
+
+namespace {
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr std::size_t kCheckedTogether = 64;              // scenarios that a thread checks at a time
+constexpr std::size_t kClearedTogether = 1024;            // scenarios that a thread clears at a time
+constexpr double kMaxPreparedBytes = 64.0 * 1024 * 1024;  // of parameters that are kept from the check to the run
+
+/// The scenarios of a batch: the base with one row of each variation.
+template <class Law>
+class Scenarios {
+ public:
+  Scenarios(const Settings<Law>& base, std::span<const Variation> variations, std::size_t count)
+      : base_(base), count_(count) {
+    if (count == 0) refuse("variations", "at least one scenario", "none");
+    for (const Variation& variation : variations) add(variation);
+  }
+
+  std::size_t count() const { return count_; }
+  const Settings<Law>& base() const { return base_; }
+
+  /// Puts scenario `i` into settings that started as the base.
+  void set(Settings<Law>& settings, std::size_t i) const {
+    for (const Item& item : items_) item.key->set(settings, item.row(i));
+  }
+
+  /// What the scenarios of a pack must have in common, as numbers.
+  std::vector<double> shared(std::size_t i) const {
+    std::vector<double> numbers;
+    for (const Item& item : items_)
+      if (item.key->reach == detail::Reach::pack) numbers.insert(numbers.end(), item.row(i).begin(), item.row(i).end());
+    return numbers;
+  }
+  bool all_alike() const {
+    return std::ranges::none_of(
+        items_, [](const Item& item) { return item.key->reach == detail::Reach::pack && !item.for_all; });
+  }
+  /// The legs of every scenario are those of the base.
+  bool same_legs() const {
+    return std::ranges::none_of(items_, [](const Item& item) { return item.key->reach == detail::Reach::legs; });
+  }
+
+ private:
+  struct Item {
+    const detail::KeySetter<Law>* key;
+    std::span<const double> values;
+    std::size_t width;
+    bool for_all;
+
+    std::span<const double> row(std::size_t i) const { return values.subspan(for_all ? 0 : i * width, width); }
+  };
+
+  void add(const Variation& variation) {
+    const auto keys = detail::key_setters<Law>();
+    const auto key = std::ranges::find(keys, variation.key, &detail::KeySetter<Law>::key);
+    if (key == keys.end()) refuse(variation.key, "a key that holds numbers", "one that does not");
+    if (std::ranges::any_of(items_, [&](const Item& item) { return item.key == &*key; }))
+      refuse(variation.key, "a key once", "it twice");
+    if (!key->takes(variation.width))
+      refuse(variation.key,
+             key->widths[1] == 0 ? words(key->widths[0], " per scenario")
+                                 : words(key->widths[0], " or ", key->widths[1], " per scenario"),
+             words(variation.width));
+    const std::size_t rows = variation.values.size() / variation.width;
+    if (rows * variation.width != variation.values.size() || (rows != 1 && rows != count_))
+      refuse(variation.key, words("1 or ", count_, " rows of ", variation.width),
+             words(variation.values.size(), " numbers"));
+    items_.push_back({&*key, variation.values, variation.width, rows == 1});
+  }
+
+  const Settings<Law>& base_;
+  std::size_t count_;
+  std::vector<Item> items_;
+};
+
+/// Steps and logging that a group of scenarios shares.
+struct Grid {
+  SimulationSettings simulation;
+  long long steps;
+};
+
+/// Scenarios that may share a pack, by what they have in common; each group in the order of its scenarios.
+struct Group {
+  Grid grid;
+  std::vector<std::size_t> members;
+};
+
+template <class Law>
+std::vector<Group> grouped(const Scenarios<Law>& scenarios) {
+  std::map<std::vector<double>, std::size_t> places;
+  std::vector<Group> groups;
+  for (std::size_t i = 0; i < scenarios.count(); ++i) {
+    std::size_t place = 0;
+    if (!scenarios.all_alike()) place = places.try_emplace(scenarios.shared(i), groups.size()).first->second;
+    if (place == groups.size()) {
+      Settings<Law> settings = scenarios.base();
+      scenarios.set(settings, i);
+      groups.push_back({{settings.simulation, step_count(settings.simulation)}, {}});
+    }
+    groups[place].members.push_back(i);
+  }
+  return groups;
+}
+
+/// Samples on the grid: every `log_every`-th step, and the end.
+std::size_t grid_rows(const Grid& grid) {
+  const long long every = grid.simulation.log_every;
+  return static_cast<std::size_t>(grid.steps / every + 1 + (grid.steps % every != 0 ? 1 : 0));
+}
+
+std::string described(const Grid& grid) {
+  return words(grid.steps, " steps of ", grid.simulation.step, " s with log_every ", grid.simulation.log_every);
+}
+
+void require_one_grid(const std::vector<Group>& groups) {
+  const Grid& first = groups.front().grid;
+  for (const Group& group : groups) {
+    const Grid& grid = group.grid;
+    if (grid.steps != first.steps || grid.simulation.step != first.simulation.step ||
+        grid.simulation.log_every != first.simulation.log_every)
+      refuse("log", "one time grid for all trajectories",
+             words(described(first), " of scenario 0 and ", described(grid), " of scenario ", group.members.front()));
+  }
+}
+
+void require_memory(std::size_t count, std::size_t rows, BatchLog log) {
+  const double per_scenario = 2.0 + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * kSampleNumbers +
+                                           (log == BatchLog::metrics ? 0.0 : kWeightNumbers));
+  const double bytes = per_scenario * static_cast<double>(count);
+  if (bytes <= kMaxBatchBytes) return;
+  const double gib = 1024.0 * 1024.0 * 1024.0;
+  refuse("log",
+         words("a result of at most ", kMaxBatchBytes / gib, " GiB",
+               log == BatchLog::metrics      ? ""
+               : log == BatchLog::trajectory ? " (fewer scenarios, a larger simulation.log_every, or log \"metrics\")"
+                                             : " (fewer scenarios, or log \"metrics\")"),
+         words(count, " scenarios of ", per_scenario, " bytes, which make ", std::ceil(bytes / gib * 100.0) / 100.0,
+               " GiB"));
+}
+
+BatchResult allocate(std::size_t count, std::size_t rows, BatchLog log) {
+  BatchResult result;
+  result.count = count;
+  result.outcome.assign(count, static_cast<std::uint8_t>(Outcome::interrupted));
+  result.cause.assign(count, static_cast<std::uint8_t>(StopCause::none));
+  result.end_time = Buffer(count);
+  result.stop_time = Buffer(count);
+  result.metrics = Buffer(count * kMetricNumbers);
+  for (const Buffer& buffer : {result.end_time, result.stop_time, result.metrics})
+    std::ranges::fill(buffer.span(), kNaN);
+  if (log == BatchLog::metrics) return result;
+  result.rows = log == BatchLog::trajectory ? rows : 0;
+  for (std::size_t q = 0; q < result.samples.size(); ++q)
+    result.samples[q] = Buffer(count * rows * static_cast<std::size_t>(kSampleWidths[q]));
+  result.fuzzy_weights = Buffer(count * kWeightNumbers);
+  return result;
+}
+
+/// One batch under way.
+template <class Law>
+class Batch {
+ public:
+  Batch(const Scenarios<Law>& scenarios, const BatchOptions& options, const Kernel& kernel)
+      : scenarios_(scenarios), options_(options), kernel_(kernel) {
+    LoopParameters<double, Law> parameters;
+    numbers_ = static_cast<std::size_t>(detail::flat_size(parameters));
+    const double bytes = static_cast<double>(scenarios.count()) * static_cast<double>(numbers_) * 8.0;
+    if (scenarios.same_legs()) legs_ = make_hexapod(scenarios.base().robot);
+    if (bytes <= kMaxPreparedBytes) prepared_ = Buffer(scenarios.count() * numbers_);
+  }
+
+  /// Checks every scenario; the first bad one in their order is reported, whichever thread finds it.
+  void check() {
+    std::mutex mutex;
+    std::size_t first_bad = scenarios_.count();
+    std::string problem;
+    const std::size_t blocks = (scenarios_.count() + kCheckedTogether - 1) / kCheckedTogether;
+    const auto check_block = [&](std::size_t block) {
+      Settings<Law> settings = scenarios_.base();
+      const std::size_t end = std::min((block + 1) * kCheckedTogether, scenarios_.count());
+      for (std::size_t i = block * kCheckedTogether; i < end; ++i) {
+        try {
+          prepare(settings, i, prepared_.empty() ? nullptr : prepared_.data() + i * numbers_);
+        } catch (const std::invalid_argument& error) {
+          const std::lock_guard lock(mutex);
+          if (i < first_bad) {
+            first_bad = i;
+            problem = error.what();
+          }
+          no_further_ = true;
+          return;
+        }
+      }
+    };
+    // Blocks start in their order, so that every block before a bad one has started when the flag is set.
+    detail::run_blocks(blocks, options_.threads, no_further_, check_block, [this] { return watch(); });
+    if (first_bad < scenarios_.count()) throw std::invalid_argument(words("scenario ", first_bad, ": ", problem));
+  }
+
+  BatchResult run() {
+    const std::vector<Group> groups = grouped(scenarios_);
+    if (options_.log == BatchLog::trajectory) require_one_grid(groups);
+    const std::size_t rows = options_.log == BatchLog::metrics       ? 0
+                             : options_.log == BatchLog::last_sample ? 1
+                                                                     : grid_rows(groups.front().grid);
+    require_memory(scenarios_.count(), rows, options_.log);
+    BatchResult result = allocate(scenarios_.count(), rows, options_.log);
+    if (options_.log == BatchLog::trajectory) result.time = grid_times(groups.front().grid, rows);
+
+    std::vector<Pack> packs;
+    const auto width = static_cast<std::size_t>(kernel_.lanes);
+    for (const Group& group : groups) {
+      total_steps_ += static_cast<long long>(group.members.size()) * group.grid.steps;
+      const std::span<const std::size_t> members = group.members;
+      for (std::size_t i = 0; i < members.size(); i += width)
+        packs.push_back({&group.grid, members.subspan(i, std::min(width, members.size() - i))});
+    }
+    if (!no_further_)
+      detail::run_blocks(
+          packs.size(), options_.threads, no_further_, [&](std::size_t i) { run_pack(packs[i], result); },
+          [this] { return watch(); });
+    finish(result);
+    return result;
+  }
+
+ private:
+  struct Pack {
+    const Grid* grid;
+    std::span<const std::size_t> members;
+  };
+
+  /// What a kernel tells of its pack while it runs.
+  struct Witness {
+    Batch* batch;
+    long long scenarios;
+    long long counted = 0;  // steps of scenarios
+
+    static bool ask(void* context, long long steps) {
+      auto& witness = *static_cast<Witness*>(context);
+      witness.count(steps * witness.scenarios);
+      return witness.batch->no_further_;
+    }
+    void count(long long steps) {
+      batch->steps_ += steps - counted;
+      counted = steps;
+    }
+  };
+
+  void prepare(Settings<Law>& settings, std::size_t i, double* to) const {
+    scenarios_.set(settings, i);
+    const LoopParameters<double, Law> parameters = loop_parameters(settings, legs_ ? &*legs_ : nullptr);
+    if (to != nullptr) detail::flatten(parameters, to);
+  }
+
+  void run_pack(const Pack& pack, BatchResult& result) {
+    const std::size_t n = pack.members.size();
+    std::vector<double> own;
+    if (prepared_.empty()) {
+      own.resize(n * numbers_);
+      Settings<Law> settings = scenarios_.base();
+      for (std::size_t k = 0; k < n; ++k) prepare(settings, pack.members[k], own.data() + k * numbers_);
+    }
+    std::vector<const double*> parameters(n);
+    std::vector<RunAnswer> answers(n);
+    for (std::size_t k = 0; k < n; ++k) {
+      const std::size_t i = pack.members[k];
+      parameters[k] = prepared_.empty() ? own.data() + k * numbers_ : prepared_.data() + i * numbers_;
+      answers[k] = {};
+      if (options_.log == BatchLog::metrics) continue;
+      answers[k].weights = result.fuzzy_weights.data() + i * kWeightNumbers;
+      for (std::size_t q = 0; q < result.samples.size(); ++q)
+        answers[k].columns[q] = result.samples[q].data() + i * stride(result, q);
+    }
+    Witness witness{this, static_cast<long long>(n)};
+    RunRequest request = detail::run_request<Law>(pack.grid->simulation, numbers_);
+    request.count = static_cast<int>(n);
+    request.parameters = parameters.data();
+    request.log_every = options_.log == BatchLog::trajectory ? pack.grid->simulation.log_every : 0;
+    request.stop = Witness::ask;
+    request.context = &witness;
+    request.answers = answers.data();
+    detail::require_done(kernel_.run_pack(request));
+
+    long long steps = 0;
+    std::size_t finished = 0;
+    for (std::size_t k = 0; k < n; ++k) {
+      steps += answers[k].steps;
+      if (answers[k].interrupted) continue;
+      ++finished;
+      skipped_steps_ += request.steps - answers[k].steps;
+      keep(answers[k], pack.members[k], pack.grid->simulation.step, result);
+    }
+    witness.count(steps);
+    done_ += finished;
+  }
+
+  void keep(const RunAnswer& answer, std::size_t i, double step, BatchResult& result) const {
+    const auto cause = static_cast<StopCause>(answer.cause);
+    result.outcome[i] = static_cast<std::uint8_t>(outcome_of(cause));
+    result.cause[i] = static_cast<std::uint8_t>(cause);
+    result.end_time[i] = answer.end_time;
+    result.stop_time[i] = static_cast<double>(answer.steps) * step;
+    for (std::size_t m = 0; m < kMetricNumbers; ++m) result.metrics[m * result.count + i] = answer.metrics[m];
+    const double* sample = answer.sample;
+    for (std::size_t q = 0; options_.log == BatchLog::last_sample && q < result.samples.size(); ++q) {
+      std::copy_n(sample, kSampleWidths[q], answer.columns[q]);
+      sample += kSampleWidths[q];
+    }
+    for (std::size_t q = 0; options_.log == BatchLog::trajectory && q < result.samples.size(); ++q)
+      std::fill(answer.columns[q] + answer.rows * kSampleWidths[q], answer.columns[q] + stride(result, q), kNaN);
+  }
+
+  /// Nothing of a run that did not end stays.
+  void finish(BatchResult& result) const {
+    if (options_.progress) options_.progress(progress());
+    if (options_.log == BatchLog::metrics || done_ == result.count) return;
+    const auto clear_block = [&](std::size_t block) {
+      const std::size_t end = std::min((block + 1) * kClearedTogether, result.count);
+      for (std::size_t i = block * kClearedTogether; i < end; ++i)
+        if (result.outcome[i] == static_cast<std::uint8_t>(Outcome::interrupted)) clear(i, result);
+    };
+    detail::StopFlag never = false;
+    detail::run_blocks((result.count + kClearedTogether - 1) / kClearedTogether, options_.threads, never, clear_block,
+                       [] { return false; });
+  }
+
+  void clear(std::size_t i, BatchResult& result) const {
+    for (std::size_t q = 0; q < result.samples.size(); ++q)
+      std::fill_n(result.samples[q].data() + i * stride(result, q), stride(result, q), kNaN);
+    std::fill_n(result.fuzzy_weights.data() + i * kWeightNumbers, kWeightNumbers, kNaN);
+  }
+
+  /// Numbers of quantity `q` per scenario.
+  std::size_t stride(const BatchResult& result, std::size_t q) const {
+    return std::max<std::size_t>(result.rows, 1) * static_cast<std::size_t>(kSampleWidths[q]);
+  }
+
+  static Buffer grid_times(const Grid& grid, std::size_t rows) {
+    Buffer time(rows);
+    for (std::size_t row = 0; row < rows; ++row)
+      time[row] = static_cast<double>(std::min(static_cast<long long>(row) * grid.simulation.log_every, grid.steps)) *
+                  grid.simulation.step;
+    return time;
+  }
+
+  BatchProgress progress() const { return {done_, scenarios_.count(), steps_, total_steps_ - skipped_steps_}; }
+
+  bool watch() const {
+    if (options_.progress) options_.progress(progress());
+    return options_.stop_requested && options_.stop_requested();
+  }
+
+  const Scenarios<Law>& scenarios_;
+  const BatchOptions& options_;
+  const Kernel& kernel_;
+  std::optional<Hexapod<double>> legs_;  // of all scenarios, where they share them
+  std::size_t numbers_ = 0;              // of a flattened scenario
+  Buffer prepared_;                      // all flattened scenarios, or empty where they would take too much
+  detail::StopFlag no_further_ = false;
+  std::atomic<std::size_t> done_ = 0;
+  std::atomic<long long> steps_ = 0, skipped_steps_ = 0;
+  long long total_steps_ = 0;
+};
+
+}  // namespace
+
+template <class Law>
+std::vector<NumericKey> numeric_keys() {
+  std::vector<NumericKey> keys;
+  for (const auto& setter : detail::key_setters<Law>()) {
+    keys.push_back({std::string(setter.key), {setter.widths[0]}});
+    if (setter.widths[1] != 0) keys.back().widths.push_back(setter.widths[1]);
+  }
+  return keys;
+}
+
+template std::vector<NumericKey> numeric_keys<Hybrid>();
+template std::vector<NumericKey> numeric_keys<Composite>();
+
+template <class Law>
+BatchResult simulate_batch(const Settings<Law>& base, std::span<const Variation> variations, std::size_t count,
+                           const BatchOptions& options, const Kernel& kernel) {
+  if (options.threads < 1) refuse("threads", "a whole number >= 1", words(options.threads));
+  const Scenarios<Law> scenarios(base, variations, count);
+  require_memory(count, options.log == BatchLog::metrics ? 0 : 1, options.log);  // before anything takes long
+  Batch<Law> batch(scenarios, options, kernel);
+  batch.check();
+  return batch.run();
+}
+
+template BatchResult simulate_batch(const Settings<Hybrid>&, std::span<const Variation>, std::size_t,
+                                    const BatchOptions&, const Kernel&);
+template BatchResult simulate_batch(const Settings<Composite>&, std::span<const Variation>, std::size_t,
+                                    const BatchOptions&, const Kernel&);
+
+}  // namespace hexservo

@@ -1,0 +1,69 @@
+#include "kernel.hpp"
+
+#include "kernel_lanes.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cstddef>
+
+#ifndef HEXSERVO_KERNEL_FLAGS
+#define HEXSERVO_KERNEL_FLAGS "unknown"
+#endif
+
+namespace hexservo {
+
+struct Hybrid;
+struct Composite;
+
+namespace {
+
+template <class S>
+RunStatus run_law(const RunRequest& request) noexcept {
+  switch (request.law) {
+    case LawId::hybrid:
+      return detail::run_loop<S, Hybrid>(request);
+    case LawId::composite:
+      return detail::run_loop<S, Composite>(request);
+  }
+  return RunStatus::unknown_law;
+}
+
+using detail::kWidth;
+
+double fma_peak(double seconds) noexcept {
+  using Clock = std::chrono::steady_clock;
+  using Register = LaneRegister<kWidth>::Values;
+  constexpr std::size_t kChains = 10;  // two units with a latency of four or five cycles, within 16 registers
+  constexpr int kRounds = 20000;
+  const Register factor = Lanes<kWidth>(0.999).values(), term = Lanes<kWidth>(0.0037).values();
+  std::array<Register, kChains> chains;
+  for (std::size_t i = 0; i < kChains; ++i) chains[i] = Lanes<kWidth>(0.1 + static_cast<double>(i)).values();
+
+  double best = 0.0;
+  const auto start = Clock::now();
+  for (auto now = start; now - start < std::chrono::duration<double>(seconds);) {
+    const auto begin = Clock::now();
+    for (int round = 0; round < kRounds; ++round)
+#pragma GCC unroll 10
+      for (std::size_t i = 0; i < kChains; ++i) chains[i] = chains[i] * factor + term;
+    now = Clock::now();
+    const double operations = 2.0 * kRounds * kChains * kWidth;
+    best = std::max(best, operations / std::chrono::duration<double>(now - begin).count());
+  }
+  Register sum = chains[0];
+  for (std::size_t i = 1; i < kChains; ++i) sum += chains[i];
+  volatile double used = sum[0];  // the chains must be worked out
+  static_cast<void>(used);
+  return best * 1e-9;
+}
+
+}  // namespace
+
+const Kernel& built_in_kernel() noexcept {
+  static constexpr Kernel kernel = {
+      kKernelAbi, kWidth, HEXSERVO_KERNEL_NAME, HEXSERVO_KERNEL_FLAGS, run_law<double>, run_law<Lanes<kWidth>>,
+      fma_peak};
+  return kernel;
+}
+
+}  // namespace hexservo

@@ -1,0 +1,75 @@
+/// @file
+/// The border between baseline code and a kernel, the run loop compiled for one instruction set.
+///
+/// A kernel may live in a module of its own that was compiled with other flags (docs/batch.md). The same templates
+/// compiled with different flags share weak symbols and differ in alignment, so nothing but the plain data below
+/// crosses the border, and no kernel is ever linked with another.
+#pragma once
+
+#include <array>
+
+namespace hexservo {
+
+inline constexpr int kKernelAbi = 2;                         ///< changes with everything below
+inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
+
+inline constexpr int kMetricNumbers = 12;         ///< of `Metrics`, in the order of its `visit`
+inline constexpr int kWeightNumbers = 6 * 7 * 7;  ///< axis, term of u, term of u-dot
+inline constexpr int kQuantities = 9;             ///< of `Sample`, in the order of its `visit`
+inline constexpr int kSampleNumbers = 49;         ///< all of them
+inline constexpr long long kQuestionEvery = 256;  ///< steps between two looks at `RunRequest::stop`
+/// Numbers of each quantity of a sample.
+inline constexpr std::array<int, kQuantities> kSampleWidths = {8, 4, 3, 4, 6, 6, 6, 6, 6};
+
+/// Laws that a kernel knows.
+enum class LawId : int { hybrid, composite };
+
+/// What a run gives back, for one scenario; the pointers are the caller's.
+struct RunAnswer {
+  double* time;                              ///< in: a row of the log takes one [s]; null: not asked for
+  std::array<double*, kQuantities> columns;  ///< in: a row takes `kSampleWidths`; null: not asked for
+  double* weights;                           ///< in: `kWeightNumbers` at the end; null: not asked for
+
+  double sample[kSampleNumbers];                ///< the last good one
+  double metrics[kMetricNumbers];               ///< of the whole run
+  double stroke_first_time[6], stroke_peak[6];  ///< per leg, infinity: never passed [s]; [m]
+  double force_first_time[6], force_peak[6];    ///< [s]; [N]
+  double end_time;                              ///< of the last good sample [s]
+  long long steps;                              ///< steps taken; the one that failed counts
+  long long rows;                               ///< of the log
+  int cause;                                    ///< StopCause as a number
+  bool interrupted;                             ///< stopped on request before its end
+};
+
+/// Scenarios that run together, at most one per lane.
+struct RunRequest {
+  LawId law;
+  int count;                        ///< of scenarios
+  const double* const* parameters;  ///< one flattened LoopParameters (flatten.hpp) each
+  long long numbers;                ///< of each of them, as a check
+  long long steps;
+  long long log_every;  ///< steps between two rows of the log; 0: no log
+  bool log_end;         ///< also log the last good sample of a run that stops early, off the grid
+  /// Asked every `kQuestionEvery` steps with the steps taken so far; true stops the run. May be null; does not throw.
+  bool (*stop)(void* context, long long steps);
+  void* context;
+  RunAnswer* answers;  ///< `count` of them
+};
+
+enum class RunStatus : int { done, unknown_law, other_layout, not_uniform };
+
+/// One instruction set's run loop.
+struct Kernel {
+  int abi;                                              ///< kKernelAbi
+  int lanes;                                            ///< scenarios that `run_pack` takes
+  const char* name;                                     ///< baseline, avx2 or avx512
+  const char* flags;                                    ///< of the compiler
+  RunStatus (*run_single)(const RunRequest&) noexcept;  ///< one scenario, in plain doubles
+  RunStatus (*run_pack)(const RunRequest&) noexcept;    ///< one scenario per lane; missing ones repeat the last
+  double (*fma_peak)(double seconds) noexcept;          ///< GFLOP/s of one core: independent chains of vector a b + c
+};
+
+/// The kernel that was compiled together with the caller.
+const Kernel& built_in_kernel() noexcept;
+
+}  // namespace hexservo

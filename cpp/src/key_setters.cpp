@@ -1,0 +1,151 @@
+#include "key_setters.hpp"
+
+#include "check.hpp"
+
+#include <initializer_list>
+#include <vector>
+
+namespace hexservo::detail {
+
+namespace {
+
+using Numbers = std::span<const double>;
+
+/// A number stands for every entry; an array is given row by row.
+template <int R, int C>
+void fill(Eigen::Matrix<double, R, C>& to, Numbers from) {
+  if (from.size() == 1) {
+    to.setConstant(from[0]);
+    return;
+  }
+  for (int row = 0; row < R; ++row)
+    for (int column = 0; column < C; ++column) to(row, column) = from[static_cast<std::size_t>(row * C + column)];
+}
+
+void fill_inertia(Matrix3<double>& to, Numbers from) {
+  if (from.size() == 3)
+    to = Vector3<double>(from[0], from[1], from[2]).asDiagonal();
+  else
+    fill(to, from);
+}
+
+void fill_points(Target& target, Numbers from) {
+  Eigen::Matrix<double, kPoints, 3> points;
+  fill(points, from);
+  target.points_B = points.transpose();
+}
+
+long long whole_number(const char* key, double value) {
+  if (!(value >= 1.0 && value <= 1e15) || value != std::floor(value)) refuse(key, "a whole number >= 1", words(value));
+  return static_cast<long long>(value);
+}
+
+using V = Numbers;
+
+template <class Law>
+using Keys = std::vector<KeySetter<Law>>;
+
+template <class Law>
+Keys<Law> joined(std::initializer_list<Keys<Law>> parts) {
+  Keys<Law> all;
+  for (const Keys<Law>& part : parts) all.insert(all.end(), part.begin(), part.end());
+  return all;
+}
+
+// clang-format off
+template <class Law>
+Keys<Law> scene_keys() {
+  using S = Settings<Law>;
+  return {
+      {"robot.platform_radius", {1}, Reach::legs, [](S& s, V v) { s.robot.platform_radius = v[0]; }},
+      {"robot.base_radius", {1}, Reach::legs, [](S& s, V v) { s.robot.base_radius = v[0]; }},
+      {"robot.platform_angles", {6}, Reach::legs, [](S& s, V v) { fill(s.robot.platform_angles, v); }},
+      {"robot.base_angles", {6}, Reach::legs, [](S& s, V v) { fill(s.robot.base_angles, v); }},
+      {"robot.home_position", {3}, Reach::legs, [](S& s, V v) { fill(s.robot.home_position, v); }},
+      {"robot.mass", {1}, Reach::lane, [](S& s, V v) { s.robot.mass = v[0]; }},
+      {"robot.inertia", {3, 9}, Reach::lane, [](S& s, V v) { fill_inertia(s.robot.inertia, v); }},
+      {"robot.stroke", {1}, Reach::legs, [](S& s, V v) { s.robot.stroke = v[0]; }},
+      {"robot.force_limit", {1}, Reach::legs, [](S& s, V v) { s.robot.force_limit = v[0]; }},
+      {"camera.focal_length", {1}, Reach::lane, [](S& s, V v) { s.camera.focal_length = v[0]; }},
+      {"camera.pixel_scale", {1}, Reach::lane, [](S& s, V v) { s.camera.pixel_scale = v[0]; }},
+      {"target.initial_features", {8}, Reach::lane, [](S& s, V v) { fill(s.target.initial_features, v); }},
+      {"target.desired_features", {8}, Reach::lane, [](S& s, V v) { fill(s.target.desired_features, v); }},
+      {"target.depth", {1, 4}, Reach::lane, [](S& s, V v) { fill(s.target.depth, v); }},
+      {"target.points", {12}, Reach::lane, [](S& s, V v) { fill_points(s.target, v); }},
+      {"uncertainty.inertia", {1, 36}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.dynamics.inertia, v); }},
+      {"uncertainty.coriolis", {1, 36}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.dynamics.coriolis, v); }},
+      {"uncertainty.gravity", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.dynamics.gravity, v); }},
+      {"uncertainty.depth", {1, 4}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.depth, v); }},
+      {"controller.switching.width", {1}, Reach::lane, [](S& s, V v) { s.switching.width = v[0]; }},
+  };
+}
+
+template <class Law>
+Keys<Law> gain_keys() {
+  using S = Settings<Law>;
+  const std::string gains = std::string("controller.") + Law::name + ".";
+  return {
+      {gains + "kp", {1, 8}, Reach::lane, [](S& s, V v) { fill(s.gains.kp, v); }},
+      {gains + "kv", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.kv, v); }},
+  };
+}
+
+/// Gains that `composite` alone has.
+Keys<Composite> composite_keys() {
+  using S = Settings<Composite>;
+  const std::string gains = "controller.composite.";
+  return {
+      {gains + "kt", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.kt, v); }},
+      {gains + "kd", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.kd, v); }},
+      {gains + "drive", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.drive, v); }},
+      {gains + "prior", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.prior, v); }},
+  };
+}
+
+template <class Law>
+Keys<Law> fuzzy_keys() {
+  using S = Settings<Law>;
+  const std::string fuzzy = std::string("controller.") + Law::name + ".fuzzy.";
+  return {
+      {fuzzy + "adaptation", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.fuzzy.adaptation, v); }},
+      {fuzzy + "error_scale", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.fuzzy.error_scale, v); }},
+      {fuzzy + "rate_scale", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.fuzzy.rate_scale, v); }},
+      {fuzzy + "initial_scale", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.fuzzy.initial_scale, v); }},
+      {fuzzy + "table", {49}, Reach::lane, [](S& s, V v) { fill(s.gains.fuzzy.table, v); }},
+      {fuzzy + "bell_width", {1}, Reach::lane, [](S& s, V v) { s.gains.fuzzy.bell_width = v[0]; }},
+      {fuzzy + "bell_slope", {1}, Reach::pack, [](S& s, V v) { s.gains.fuzzy.bell_slope = v[0]; }},
+      {fuzzy + "leakage", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.fuzzy.leakage, v); }},
+      {fuzzy + "weight_limit", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.fuzzy.weight_limit, v); }},
+      {fuzzy + "dead_zone", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.fuzzy.dead_zone, v); }},
+  };
+}
+
+template <class Law>
+Keys<Law> simulation_keys() {
+  using S = Settings<Law>;
+  return {
+      {"simulation.step", {1}, Reach::pack, [](S& s, V v) { s.simulation.step = v[0]; }},
+      {"simulation.duration", {1}, Reach::pack, [](S& s, V v) { s.simulation.duration = v[0]; }},
+      {"simulation.log_every", {1}, Reach::pack, [](S& s, V v) { s.simulation.log_every = whole_number("simulation.log_every", v[0]); }},
+  };
+}
+// clang-format on
+
+}  // namespace
+
+template <>
+std::span<const KeySetter<Hybrid>> key_setters<Hybrid>() {
+  static const Keys<Hybrid> keys =
+      joined<Hybrid>({scene_keys<Hybrid>(), gain_keys<Hybrid>(), fuzzy_keys<Hybrid>(), simulation_keys<Hybrid>()});
+  return keys;
+}
+
+template <>
+std::span<const KeySetter<Composite>> key_setters<Composite>() {
+  static const Keys<Composite> keys =
+      joined<Composite>({scene_keys<Composite>(), gain_keys<Composite>(), composite_keys(), fuzzy_keys<Composite>(),
+                         simulation_keys<Composite>()});
+  return keys;
+}
+
+}  // namespace hexservo::detail

@@ -1,0 +1,42 @@
+/// @file
+/// The scenario keys that hold numbers, and where each goes in the settings.
+#pragma once
+
+#include "hexservo/settings.hpp"
+
+#include <array>
+#include <cstddef>
+#include <span>
+#include <string>
+
+namespace hexservo::detail {
+
+/// What a key changes beside numbers of its own lane.
+enum class Reach {
+  lane,  ///< nothing
+  pack,  ///< what must agree in all lanes of a pack
+  legs   ///< what `make_hexapod` makes
+};
+
+/// One key of a scenario file.
+template <class Law>
+struct KeySetter {
+  std::string key;
+  std::array<std::size_t, 2> widths;  ///< numbers that it takes, in either form; 0: there is no second form
+  Reach reach;
+  /// @throws std::invalid_argument for numbers that the settings cannot hold
+  void (*set)(Settings<Law>&, std::span<const double>);
+
+  bool takes(std::size_t width) const { return width != 0 && (width == widths[0] || width == widths[1]); }
+};
+
+/// All keys of a law's settings, in the order of the scenario file.
+template <class Law>
+std::span<const KeySetter<Law>> key_setters();
+
+template <>
+std::span<const KeySetter<Hybrid>> key_setters<Hybrid>();
+template <>
+std::span<const KeySetter<Composite>> key_setters<Composite>();
+
+}  // namespace hexservo::detail

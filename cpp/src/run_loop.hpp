@@ -1,0 +1,172 @@
+/// @file
+/// The run loop of a kernel, for one law. Each law is compiled in a file of its own: with two in one the compiler
+/// inlines less of each, and two files compile side by side.
+#pragma once
+
+#include "flatten.hpp"
+#include "hexservo/closed_loop.hpp"
+#include "kernel_lanes.hpp"
+
+#include <algorithm>
+#include <cstddef>
+#include <optional>
+#include <stdexcept>
+
+namespace hexservo::detail {
+
+template <class S>
+constexpr int kLanes = 1;
+template <int W>
+constexpr int kLanes<Lanes<W>> = W;
+
+inline double of_lane(double value, int) { return value; }
+inline bool of_lane(bool value, int) { return value; }
+template <int W>
+double of_lane(Lanes<W> value, int lane) {
+  return value[lane];
+}
+template <int W>
+bool of_lane(LaneMask<W> mask, int lane) {
+  return mask[lane];
+}
+
+template <class S, int N>
+void write(const Vector<S, N>& values, int lane, double* to) {
+  for (int i = 0; i < N; ++i) to[i] = of_lane(values(i), lane);
+}
+
+/// Writes each quantity of one lane's sample to a place of its own.
+template <class S, class Place>
+void write_sample(const Sample<S>& sample, int lane, Place&& place) {
+  std::size_t quantity = 0;
+  Sample<S>::visit([&](const auto& values, const auto&) { write(values, lane, place(quantity++)); }, sample, sample);
+}
+
+/// Weights of one lane: axis, term of u, term of u-dot.
+template <class S>
+void write_weights(const FuzzyWeights<S>& weights, int lane, double* to) {
+  for (int axis = 0; axis < kAxes; ++axis)
+    for (int row = 0; row < kTerms; ++row)
+      for (int column = 0; column < kTerms; ++column) *to++ = of_lane(weights[rule(row, column)](axis), lane);
+}
+
+/// The parameters of all lanes; those without a scenario repeat the last one.
+/// @throws std::invalid_argument where scenarios differ in what a pack shares
+template <class S, class Law>
+void read_parameters(LoopParameters<S, Law>& parameters, const RunRequest& request) {
+  if constexpr (kLanes<S> == 1) {
+    unflatten(parameters, request.parameters[0]);
+  } else {
+    LoopParameters<double, Law> scenario;
+    for (int lane = 0; lane < kLanes<S>; ++lane) {
+      unflatten(scenario, request.parameters[std::min(lane, request.count - 1)]);
+      set_lane(parameters, lane, scenario);
+    }
+  }
+}
+
+/// Rows of the logs of all lanes; a lane that has stopped adds none.
+template <class S, class Law>
+class Log {
+ public:
+  Log(const RunRequest& request, const ClosedLoop<S, Law>& loop) : request_(request), loop_(loop) {
+    for (int lane = 0; lane < request.count; ++lane) answer(lane).rows = 0;
+    add();
+  }
+
+  /// The sample of now, of the lanes that run.
+  void add() {
+    const Mask<S> running = loop_.running();
+    for (int lane = 0; lane < request_.count; ++lane)
+      if (of_lane(running, lane)) add(lane);
+  }
+
+  /// The last good sample, where it is not the last row already.
+  void end(int lane) {
+    const RunAnswer& a = answer(lane);
+    if (a.rows == 0 || last_time_[static_cast<std::size_t>(lane)] != of_lane(loop_.sample_time(), lane)) add(lane);
+  }
+
+ private:
+  RunAnswer& answer(int lane) { return request_.answers[lane]; }
+
+  void add(int lane) {
+    RunAnswer& a = answer(lane);
+    const double time = of_lane(loop_.sample_time(), lane);
+    if (a.time != nullptr) a.time[a.rows] = time;
+    write_sample(loop_.sample(), lane,
+                 [&a](std::size_t quantity) { return a.columns[quantity] + a.rows * kSampleWidths[quantity]; });
+    last_time_[static_cast<std::size_t>(lane)] = time;
+    ++a.rows;
+  }
+
+  const RunRequest& request_;
+  const ClosedLoop<S, Law>& loop_;
+  std::array<double, static_cast<std::size_t>(kLanes<S>)> last_time_{};
+};
+
+template <class S, class Law>
+void answer(const ClosedLoop<S, Law>& loop, const S& steps, bool stopped, int lane, const RunRequest& request) {
+  RunAnswer& a = request.answers[lane];
+  double* next = a.sample;
+  write_sample(loop.sample(), lane, [&next](std::size_t quantity) {
+    double* place = next;
+    next += kSampleWidths[quantity];
+    return place;
+  });
+  const Metrics<S> metrics = loop.metrics().metrics();
+  next = a.metrics;
+  Metrics<S>::visit([&](const S& value, const S&) { *next++ = of_lane(value, lane); }, metrics, metrics);
+  write(loop.metrics().stroke().first_time, lane, a.stroke_first_time);
+  write(loop.metrics().stroke().peak, lane, a.stroke_peak);
+  write(loop.metrics().force().first_time, lane, a.force_first_time);
+  write(loop.metrics().force().peak, lane, a.force_peak);
+  if (a.weights != nullptr) write_weights(loop.law_state(), lane, a.weights);
+  a.end_time = of_lane(loop.sample_time(), lane);
+  a.steps = static_cast<long long>(of_lane(steps, lane));
+  a.cause = static_cast<int>(of_lane(loop.cause(), lane));
+  a.interrupted = stopped && a.cause == static_cast<int>(StopCause::none) && a.steps < request.steps;
+}
+
+/// The one run loop: all lanes to their end, each stopping by itself.
+template <class S, class Law>
+RunStatus run_loop(const RunRequest& request) {
+  LoopParameters<S, Law> parameters;
+  if (request.numbers != flat_size(LoopParameters<double, Law>{})) return RunStatus::other_layout;
+  try {
+    read_parameters(parameters, request);
+  } catch (const std::invalid_argument&) {
+    return RunStatus::not_uniform;
+  }
+
+  ClosedLoop<S, Law> loop(parameters);
+  const bool logging = request.log_every > 0;
+  std::optional<Log<S, Law>> log;
+  if (logging) log.emplace(request, loop);
+  S steps(0.0);  // that each lane has taken
+  bool stopped = false;
+  long long until_logged = request.log_every;
+  while (loop.steps() < request.steps) {
+    const Mask<S> running = loop.running();
+    if (!any(running)) break;
+    if (loop.steps() % kQuestionEvery == 0 && request.stop != nullptr && request.stop(request.context, loop.steps())) {
+      stopped = true;
+      break;
+    }
+    loop.advance();
+    steps = select(running, S(static_cast<double>(loop.steps())), steps);
+    if (logging && --until_logged == 0) {
+      until_logged = request.log_every;
+      log->add();
+    }
+  }
+  for (int lane = 0; lane < request.count; ++lane) {
+    answer(loop, steps, stopped, lane, request);
+    const RunAnswer& a = request.answers[lane];
+    const bool completed = a.cause == static_cast<int>(StopCause::none) && !a.interrupted;
+    if (logging && (request.log_end || completed)) log->end(lane);
+  }
+  return RunStatus::done;
+}
+
+}  // namespace hexservo::detail

@@ -1,0 +1,326 @@
+"""Runs many variations of a scenario at once, one per lane of the processor's vector registers."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexservo import _core
+from hexservo._metrics import METRICS
+from hexservo._parameters import core_parameters
+from hexservo._result import _QUANTITIES, _TERMS, _WRENCH
+from hexservo._scenario import LAWS, NumericKey, Scenario, ScenarioError, numeric_keys
+from hexservo._variant import chosen_kernel
+
+if TYPE_CHECKING:
+    import xarray
+
+__all__ = ["BatchResult", "simulate_batch"]
+
+Array: TypeAlias = NDArray[np.float64]
+Log: TypeAlias = Literal["final", "metrics", "trajectory"]
+ProgressCallback: TypeAlias = Callable[[int, int], object]
+
+_LOGS = {
+    "final": _core.BatchLog.last_sample,
+    "metrics": _core.BatchLog.metrics,
+    "trajectory": _core.BatchLog.trajectory,
+}
+_OUTCOMES = np.array([outcome.name for outcome in sorted(_core.Outcome, key=lambda outcome: outcome.value)])
+_CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda cause: cause.value)])
+_MAX_THREADS = 1024
+_WITHOUT_EFFECT = "seed"  # nothing in the continuous loop is random
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """What n scenarios gave, in the order of their variations. Axis 0 of every array is the scenario.
+
+    Frames and orders: docs/model.md section 1. Arrays share the batch's memory.
+    """
+
+    scenario: Scenario  # what the variations vary
+    variations: Mapping[str, Array] = field(repr=False)  # as given, each (n or 1, ...) in the key's own shape
+    outcome: NDArray[np.str_] = field(repr=False)  # (n,) as Result.outcome
+    cause: NDArray[np.str_] = field(repr=False)  # (n,) why a run stopped early: none, not_finite, feature_error, ...
+    end_time: Array = field(repr=False)  # (n,) [s], time of the last good sample; NaN where interrupted
+    stop_time: Array = field(repr=False)  # (n,) [s], time of the step that failed, else of the end; NaN likewise
+    metrics: Mapping[str, Array] = field(repr=False)  # name of hs.METRICS -> (n,); NaN where interrupted
+    # log "final": the last good sample, each (n, k); log "trajectory": (n, m, k), NaN from where a run stopped; names,
+    # units and orders as in Result; fuzzy_weights (n, 6, 7, 7) at the end. log "metrics": empty. NaN where interrupted.
+    samples: Mapping[str, Array] = field(repr=False)
+    time: Array | None = field(repr=False)  # (m,) [s], of trajectories
+
+    def __len__(self) -> int:
+        """Give the number of scenarios."""
+        return len(self.outcome)
+
+    def detail(self, index: int) -> str:
+        """Say in one sentence how the run of one scenario ended.
+
+        Raises
+        ------
+        IndexError
+            For an index that no scenario has.
+        """
+        if self.outcome[index] == "interrupted":
+            return "interrupted before its end"
+        return _core.describe(_core.StopCause[str(self.cause[index])], float(self.stop_time[index]))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Give the batch as a dataset with the dimension ``scenario``, labelled, with units.
+
+        Variations are variables named after their dotted keys, metrics ``metric_...``. Attributes hold text and
+        numbers only, the base scenario as one YAML string (``scenario``).
+        """
+        import xarray
+
+        from hexservo import __version__
+
+        data: dict[str, Any] = {
+            "outcome": ("scenario", self.outcome, {"long_name": "how the run ended"}),
+            "cause": ("scenario", self.cause, {"long_name": "why the run stopped early"}),
+            "end_time": ("scenario", self.end_time, {"units": "s", "long_name": "time of the last good sample"}),
+        }
+        for name, values in self.metrics.items():
+            unit, meaning = METRICS[name]
+            data[f"metric_{name}"] = ("scenario", values, {"units": unit, "long_name": meaning})
+        for key, values in self.variations.items():
+            whole = np.broadcast_to(values, (len(self), *values.shape[1:]))
+            axes = [f"{key}_{axis}" for axis in range(1, values.ndim)]
+            data[key] = (["scenario", *axes], whole, {"long_name": f"varied {key}"})
+        coords: dict[str, Any] = {"scenario": np.arange(len(self))}
+        middle = [] if self.time is None else ["time"]
+        if self.time is not None:
+            coords["time"] = ("time", self.time, {"units": "s", "long_name": "time"})
+        for name, values in self.samples.items():
+            if name == "fuzzy_weights":
+                attributes = {"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"}
+                data[name] = (["scenario", "wrench_component", "error_term", "rate_term"], values, attributes)
+                coords |= {"wrench_component": _WRENCH, "error_term": _TERMS, "rate_term": _TERMS}
+            else:
+                dimension, labels, unit, meaning = _QUANTITIES[name]
+                data[name] = (["scenario", *middle, dimension], values, {"units": unit, "long_name": meaning})
+                coords[dimension] = labels
+        return xarray.Dataset(
+            data,
+            coords=coords,
+            attrs={
+                "title": f"hexservo batch of {self.scenario.name}",
+                "hexservo_version": __version__,
+                "scenario": self.scenario.to_yaml(),
+            },
+        )
+
+
+def simulate_batch(
+    scenario: Scenario,
+    variations: Mapping[str, ArrayLike],
+    log: Log = "final",
+    threads: int | None = None,
+    progress: bool | ProgressCallback | None = None,
+) -> BatchResult:
+    """Run many variations of a scenario (docs/batch.md).
+
+    Each run is the scenario with one row of every variation, as ``simulate(scenario.updated({key: row}))`` is, one per
+    lane of the processor's vector registers, on all cores. A run depends on its own scenario only: not on the other
+    ones, their number or order, nor on the number of threads, bit for bit. It agrees with `simulate` to rounding.
+
+    Parameters
+    ----------
+    scenario
+        What the variations vary.
+    variations
+        Values by dotted key, ``{"uncertainty.depth": array}``; every key that holds numbers may vary, of the gains
+        those of the scenario's law, in SI units and pixels. Axis 0 is the scenario, the others are the key's own shape:
+        (8,) on ``controller.hybrid.kp`` are eight scenarios, (n, 8) are n scenarios of eight gains. A length of 1 holds
+        for all: (1, 8).
+    log
+        What is kept beside outcome, times and metrics: "final", the last good sample and the fuzzy weights; "metrics",
+        nothing; "trajectory", every ``simulation.log_every``-th sample, on one time grid, and the final weights.
+    threads
+        Threads to use, at least 1; None: as many as the process has cores.
+    progress
+        True draws a bar on standard error; a function is called with (scenarios done, scenarios in all) every 50 ms
+        and at the end, in this thread.
+
+    Returns
+    -------
+    BatchResult
+        A run that diverges is a result, with its outcome and time, and disturbs no other. Ctrl-C ends the batch within
+        0.2 s and keeps what is finished; the others are ``interrupted``, with NaN for numbers.
+
+    Raises
+    ------
+    TypeError
+        For anything but a `Scenario`, a mapping and the types above.
+    ValueError
+        Text "key: expected ..., got ..." for unknown keys, shapes and lengths, "scenario 17: key: ..." for the first
+        bad scenario, before any runs; for a result of more than 2 GiB; for trajectories that differ in their times.
+    VariantError
+        Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
+    """
+    if not isinstance(scenario, Scenario):
+        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+    if log not in tuple(_LOGS):  # a tuple: what was given may have no hash
+        raise ValueError(f"log: expected one of {', '.join(_LOGS)}, got {log!r}")
+    kernel = chosen_kernel()
+    arrays = _checked(scenario, variations)
+    count = max(len(values) for values in arrays.values())
+    rows = [
+        (key, np.ascontiguousarray(values.reshape(len(values), -1)))
+        for key, values in arrays.items()
+        if key != _WITHOUT_EFFECT
+    ]
+    with _reporting(progress) as report:
+        run = _core.simulate_batch(
+            core_parameters(scenario), rows, count, _LOGS[log], _thread_count(threads), kernel, report
+        )
+    samples = dict(run.samples)
+    if run.fuzzy_weights is not None:
+        samples["fuzzy_weights"] = run.fuzzy_weights
+    return BatchResult(
+        scenario=scenario,
+        variations=arrays,
+        outcome=_OUTCOMES[run.outcome],
+        cause=_CAUSES[run.cause],
+        end_time=run.end_time,
+        stop_time=run.stop_time,
+        metrics=dict(zip(METRICS, run.metrics, strict=True)),
+        samples=samples,
+        time=run.time,
+    )
+
+
+# ---- Variations -----------------------------------------------------------------------------------------------------
+
+
+def _checked(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Give the variations as arrays of allowed shapes, lengths and values."""
+    if not isinstance(variations, Mapping):
+        raise TypeError(f"variations: expected a mapping of keys to arrays, got {type(variations).__name__}")
+    if not variations:
+        raise ValueError("variations: expected at least one key, got none")
+    law = scenario.controller.law
+    arrays = {key: _array(key, _known(key, law), values) for key, values in variations.items()}
+    lengths = {key: len(values) for key, values in arrays.items()}
+    count = max(lengths.values())
+    for key, length in lengths.items():
+        if length not in (1, count):
+            longest = max(lengths, key=lambda name: lengths[name])
+            raise ValueError(f"{key}: expected 1 or {count} scenarios, as {longest} has, got {length}")
+    # The first scenario, checked as a whole: what the other keys of its block allow.
+    try:
+        scenario.updated({key: _plain_row(_known(key, law), values[0]) for key, values in arrays.items()})
+    except ScenarioError as error:
+        raise ScenarioError([f"scenario 0: {problem}" for problem in error.problems]) from None
+    return arrays
+
+
+def _known(key: object, law: str) -> NumericKey:
+    known = numeric_keys(law)
+    if isinstance(key, str) and key in known:
+        return known[key]
+    if any(key in numeric_keys(other) for other in LAWS):
+        raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got one of another law")
+    nearest = difflib.get_close_matches(key.lower(), list(known), 1) if isinstance(key, str) else []
+    hint = f'; did you mean "{nearest[0]}"?' if nearest else ""
+    raise ValueError(f"{key}: expected a key that holds numbers, got another one{hint}")
+
+
+def _array(key: str, rule: NumericKey, given: ArrayLike) -> Array:
+    """Check shape and values against the scenario's own rules for the key."""
+    try:
+        values = np.asarray(given)
+        if values.dtype.kind not in "iuf":
+            raise ValueError
+    except ValueError:  # ragged, or no numbers
+        raise ValueError(f"{key}: expected an array of numbers, got {_kind(given)}") from None
+    if values.ndim == 0 or values.shape[1:] not in rule.shapes or len(values) == 0:
+        shapes = " or ".join(
+            f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes
+        )
+        raise ValueError(f"{key}: expected shape {shapes}, n scenarios, got {values.shape}")
+    numbers = values.astype(np.float64)
+    allowed = rule.within(numbers)
+    if not allowed.all():
+        place = tuple(int(index) for index in np.argwhere(~allowed)[0])
+        entry = "".join(f"[{index}]" for index in place[1:])
+        raise ValueError(f"scenario {place[0]}: {key}{entry}: expected {rule.expected}, got {numbers[place]:.12g}")
+    if rule.symmetric and numbers.ndim == 3:
+        numbers = _symmetric(key, numbers)
+    return numbers
+
+
+def _symmetric(key: str, matrices: Array) -> Array:
+    """Make nearly symmetric matrices symmetric, as a scenario does."""
+    turned = matrices.transpose(0, 2, 1)
+    uneven = np.abs(matrices - turned).max(axis=(1, 2)) > 1e-9 * np.abs(matrices).max(axis=(1, 2))
+    if uneven.any():
+        raise ValueError(f"scenario {int(np.argmax(uneven))}: {key}: expected a symmetric matrix, got one that is not")
+    return np.asarray(matrices / 2 + turned / 2)
+
+
+def _plain_row(rule: NumericKey, row: Array) -> Any:
+    return int(row) if rule.whole else row.tolist()
+
+
+def _kind(value: object) -> str:
+    dtype = getattr(value, "dtype", None)
+    return f"an array of {dtype}" if dtype is not None else f"something else ({type(value).__name__})"
+
+
+# ---- Threads and progress -------------------------------------------------------------------------------------------
+
+
+def _thread_count(threads: int | None) -> int:
+    if threads is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if isinstance(threads, bool) or not isinstance(threads, int):
+        raise TypeError(f"threads: expected an integer or None, got {type(threads).__name__}")
+    if not 1 <= threads <= _MAX_THREADS:
+        raise ValueError(f"threads: expected an integer from 1 to {_MAX_THREADS}, got {threads}")
+    return threads
+
+
+@contextlib.contextmanager
+def _reporting(progress: bool | ProgressCallback | None) -> Iterator[Callable[[int, int, int, int], object] | None]:
+    if progress is None or progress is False:
+        yield None
+    elif callable(progress):
+        yield lambda done, count, steps, total_steps: progress(done, count)
+    elif progress is True:
+        with _bar() as report:
+            yield report
+    else:
+        raise TypeError(f"progress: expected True, a function or None, got {type(progress).__name__}")
+
+
+@contextlib.contextmanager
+def _bar() -> Iterator[Callable[[int, int, int, int], object]]:
+    """Draw a bar with scenarios, rate and time left on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.fields[done]} of {task.fields[count]} scenarios"),
+        BarColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=False) as bar:
+        task = bar.add_task("batch", total=None, done=0, count="?", rate="")
+
+        def report(done: int, count: int, steps: int, total_steps: int) -> None:
+            elapsed = bar.tasks[0].elapsed
+            rate = f"{steps / elapsed / 1e6:.3g} million steps/s" if elapsed and steps else "checking"
+            bar.update(task, completed=steps, total=total_steps or None, done=done, count=count, rate=rate)
+
+        yield report

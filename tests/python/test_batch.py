@@ -1,0 +1,372 @@
+"""Batches: each scenario against the single run, what may vary, what is refused, progress, Ctrl-C and memory."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hexservo as hs
+from hexservo import _core
+from hexservo._batch import Log
+from hexservo._parameters import core_parameters
+from hexservo._scenario import LAWS, numeric_keys
+
+CONSTANTS = {"simulation.duration": 0.1, "controller.switching": {"kind": "tanh", "width": 0.01}}
+
+
+@pytest.fixture(scope="module")
+def smooth(paper: hs.Scenario) -> hs.Scenario:
+    """A tenth of a second without the sign function, which would make differences of rounding grow."""
+    return paper.updated(CONSTANTS)
+
+
+def assert_same(batch: hs.BatchResult, index: int, single: hs.Result, tolerance: float = 1e-11) -> None:
+    assert batch.outcome[index] == single.outcome
+    assert batch.end_time[index] == single.end_time
+    assert batch.detail(index) == single.detail
+    for name, value in hs.metrics(single).items():
+        assert batch.metrics[name][index] == pytest.approx(value, rel=tolerance, abs=0, nan_ok=True), name
+    for name, values in batch.samples.items():
+        expected = getattr(single, name)
+        size = np.abs(expected).max()
+        last = expected if name == "fuzzy_weights" else expected[-1]
+        np.testing.assert_allclose(values[index], last, rtol=0, atol=tolerance * size, err_msg=name)
+
+
+# ---- Every key ------------------------------------------------------------------------------------------------------
+
+
+def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
+    """Three rows for a key, in each form that it may have: what the scenario has, and two others."""
+    value: Any = scenario
+    for part in key.split("."):
+        value = getattr(value, part)
+    if key.endswith(".fuzzy.table"):
+        value = _core.FuzzyGains().table
+    if key.endswith(".fuzzy.weight_limit"):
+        value = 1e-5  # null would be no limit
+    if key == "target.points":
+        points = np.array([[0.02, 0.03, -0.65], [0.05, -0.05, -0.66], [-0.04, 0.03, -0.64], [-0.01, -0.02, -0.65]])
+        return [np.stack([points, points + 0.001, points * 1.01])]
+    arrays = []
+    for shape in numeric_keys(scenario.controller.law)[key].shapes:
+        if key == "robot.inertia" and shape == (3, 3):
+            base = np.diag([1.5e-4, 1.6e-4, 2.5e-4]) + 2e-6 * (np.ones((3, 3)) - np.eye(3))
+        elif np.ndim(value) <= len(shape):
+            base = np.broadcast_to(np.asarray(value, dtype=float), shape)
+        else:
+            base = np.full(shape, np.ravel(value)[0])
+        steps = {
+            "simulation.step": [1.0, 0.5, 2.0],
+            "simulation.duration": [1.0, 0.5, 2.0],
+            "simulation.log_every": [1.0, 2.0, 3.0],
+            "controller.hybrid.fuzzy.bell_slope": [1.0, 1.5, 0.75],
+            "controller.composite.fuzzy.bell_slope": [1.0, 1.5, 0.75],
+        }.get(key, [1.0, 1.01, 0.98])
+        rows = np.stack([base * step for step in steps])
+        if key == "seed":
+            rows = np.array([0.0, 1.0, 2.0])
+        elif key.endswith((".leakage", ".dead_zone")):
+            rows[1], rows[2] = 0.01, 0.02
+        elif not rows.any():  # relative errors and initial scales that are zero
+            rows[1], rows[2] = 0.01, -0.02
+        if key == "target.initial_features" or key == "target.desired_features":
+            rows[1] += np.arange(8)
+        arrays.append(rows)
+    return arrays
+
+
+@pytest.mark.parametrize(("law", "key"), [(law, key) for law in LAWS for key in numeric_keys(law)])
+def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, law: str, key: str) -> None:
+    base = smooth = smooth.updated({"controller.law": law})
+    if key == "target.points":
+        base = smooth.updated(
+            {"target": {"initial_features": None, "depth": None, "points": rows_of(smooth, key)[0][0]}}
+        )
+    if key.endswith((".fuzzy.table", ".fuzzy.initial_scale", ".fuzzy.leakage")):
+        base = base.updated({f"controller.{law}.fuzzy.initial_scale": 1e-4})
+    for rows in rows_of(base, key):
+        batch = hs.simulate_batch(base, {key: rows})
+        assert len(batch) == 3
+        for index, row in enumerate(rows):
+            value = int(row) if key in ("seed", "simulation.log_every") else row.tolist()
+            assert_same(batch, index, hs.simulate(base.updated({key: value})))
+        everything = np.column_stack(
+            [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
+        )
+        without_effect = ("seed", "simulation.log_every", "robot.stroke", "robot.force_limit")
+        assert np.array_equal(everything[0], everything[1], equal_nan=True) == (key in without_effect), key
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_core_knows_the_keys_of_the_schema(paper: hs.Scenario, law: str) -> None:
+    known = numeric_keys(law)
+    core = _core.numeric_keys(core_parameters(paper.updated({"controller.law": law})))
+    assert set(known) - set(core) == {"seed"}
+    assert not set(core) - set(known)
+    for key, widths in core.items():
+        assert sorted(widths) == sorted(int(np.prod(shape)) for shape in known[key].shapes)
+
+
+def test_one_row_holds_for_all_and_shapes_say_what_is_meant(smooth: hs.Scenario) -> None:
+    gains = np.linspace(0.5e-6, 2e-6, 8)
+    each = hs.simulate_batch(smooth, {"controller.hybrid.kp": gains})
+    assert len(each) == 8
+    one = hs.simulate_batch(smooth, {"controller.hybrid.kp": gains[None]})
+    assert len(one) == 1
+    assert_same(one, 0, hs.simulate(smooth.updated({"controller.hybrid.kp": gains.tolist()})))
+    both = hs.simulate_batch(smooth, {"controller.hybrid.kp": gains[None], "uncertainty.depth": [0.1, -0.2, 0.3]})
+    assert len(both) == 3
+    assert_same(
+        both, 2, hs.simulate(smooth.updated({"controller.hybrid.kp": gains.tolist(), "uncertainty.depth": 0.3}))
+    )
+
+
+def test_inertia_is_made_symmetric_as_a_scenario_does(smooth: hs.Scenario) -> None:
+    matrix = np.diag([1.5e-4, 1.6e-4, 3e-4])
+    matrix[0, 1] = 1e-6
+    matrix[1, 0] = 1e-6 * (1 + 1e-10)
+    batch = hs.simulate_batch(smooth, {"robot.inertia": matrix[None]})
+    assert_same(batch, 0, hs.simulate(smooth.updated({"robot.inertia": matrix})))
+    matrix[1, 0] = 2e-6
+    with pytest.raises(
+        ValueError, match=r"^scenario 0: robot.inertia: expected a symmetric matrix, got one that is not$"
+    ):
+        hs.simulate_batch(smooth, {"robot.inertia": matrix[None]})
+
+
+# ---- Results --------------------------------------------------------------------------------------------------------
+
+
+def test_results_do_not_depend_on_threads_number_or_order(paper: hs.Scenario) -> None:
+    base = paper.updated({"simulation.duration": 0.1})
+    depth = np.linspace(-0.5, 0.5, 21)
+    kp = np.where(np.arange(21) % 5 == 2, 1.0, 1e-6)  # some diverge beside others
+    reference = hs.simulate_batch(base, {"uncertainty.depth": depth, "controller.hybrid.kp": kp}, threads=1)
+    assert set(reference.outcome) == {"completed", "diverged"}
+    order = np.random.default_rng(1).permutation(21)
+    for which in (np.arange(21), order, order[:5], order[:1]):
+        for threads in (1, 2, 7):
+            batch = hs.simulate_batch(
+                base, {"uncertainty.depth": depth[which], "controller.hybrid.kp": kp[which]}, threads=threads
+            )
+            for name, values in (dict(batch.metrics) | dict(batch.samples)).items():
+                expected = (dict(reference.metrics) | dict(reference.samples))[name][which]
+                assert values.tobytes() == expected.tobytes(), name
+            assert (batch.outcome == reference.outcome[which]).all()
+            assert (batch.end_time == reference.end_time[which]).all()
+
+
+def test_a_diverged_scenario_says_when_and_why(smooth: hs.Scenario) -> None:
+    batch = hs.simulate_batch(smooth, {"controller.hybrid.kp": [1e-6, 1.0]})
+    single = hs.simulate(smooth.updated({"controller.hybrid.kp": 1.0}))
+    assert single.outcome == "diverged"
+    assert batch.outcome.tolist() == ["completed", "diverged"]
+    assert batch.detail(1) == single.detail
+    assert batch.end_time[1] == single.end_time < batch.stop_time[1]
+    assert batch.cause[0] == "none"
+    assert batch.cause[1] in ("feature_error", "twist", "not_finite")
+    with pytest.raises(IndexError):
+        batch.detail(2)
+
+
+def test_trajectories(smooth: hs.Scenario) -> None:
+    base = smooth.updated({"simulation.log_every": 30})
+    batch = hs.simulate_batch(base, {"controller.hybrid.kp": [1e-6, 1.0]}, log="trajectory")
+    single = hs.simulate(base)
+    assert batch.time is not None
+    np.testing.assert_allclose(batch.time, single.time, rtol=1e-15)
+    for name, values in batch.samples.items():
+        expected = getattr(single, name)
+        assert values[0].shape == expected.shape
+        np.testing.assert_allclose(values[0], expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    ran = batch.time <= batch.end_time[1]
+    assert 0 < ran.sum() < len(ran)
+    assert (np.isfinite(batch.samples["position"][1]).all(axis=1) == ran).all()
+    with pytest.raises(ValueError, match=r"^log: expected one time grid for all trajectories, got 100 steps"):
+        hs.simulate_batch(base, {"simulation.step": [1e-3, 5e-4]}, log="trajectory")
+
+
+def test_a_log_of_metrics_keeps_nothing_else(smooth: hs.Scenario) -> None:
+    batch = hs.simulate_batch(smooth, {"uncertainty.depth": [0.1, 0.2]}, log="metrics")
+    assert batch.samples == {}
+    assert batch.time is None
+    assert list(batch.metrics) == list(hs.METRICS)
+    whole = hs.simulate_batch(smooth, {"uncertainty.depth": [0.1, 0.2]}, log="final")
+    for name, values in batch.metrics.items():
+        assert values.tobytes() == whole.metrics[name].tobytes()
+
+
+@pytest.mark.parametrize("log", ["metrics", "final", "trajectory"])
+def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
+    import xarray
+
+    variations = {"uncertainty.depth": np.array([0.1, 0.2, 0.3]), "controller.hybrid.kp": np.full((1, 8), 1e-6)}
+    batch = hs.simulate_batch(smooth, variations, log=log)
+    batch.to_xarray().to_netcdf(tmp_path / "batch.nc", engine="h5netcdf")
+    with xarray.open_dataset(tmp_path / "batch.nc", engine="h5netcdf") as data:
+        assert data.sizes["scenario"] == 3
+        assert data["uncertainty.depth"].dims == ("scenario",)
+        assert data["controller.hybrid.kp"].shape == (3, 8)
+        assert data["outcome"].values.tolist() == ["completed"] * 3
+        np.testing.assert_array_equal(data["metric_final_error"], batch.metrics["final_error"])
+        assert data["metric_final_error"].attrs["units"] == "px"
+        assert hs.Scenario.from_yaml(data.attrs["scenario"]) == smooth
+        for name, values in batch.samples.items():
+            np.testing.assert_array_equal(data[name], values)
+            assert data[name].dims[0] == "scenario"
+            assert (log == "trajectory" and name != "fuzzy_weights") == ("time" in data[name].dims)
+            assert data[name].attrs["units"]
+
+
+# ---- Refusals -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("variations", "message"),
+    [
+        ({}, r"^variations: expected at least one key, got none$"),
+        ({"uncertainty.dept": [0.1]}, r'^uncertainty.dept: .*did you mean "uncertainty.depth"\?$'),
+        ({"robot": [0.1]}, r"^robot: expected a key that holds numbers"),
+        ({"controller.law": [0.1]}, r"^controller.law: expected a key that holds numbers"),
+        (
+            {"controller.hybrid.fuzzy.enabled": [True]},
+            r"^controller.hybrid.fuzzy.enabled: expected a key that holds num",
+        ),
+        ({3: [0.1]}, r"^3: expected a key that holds numbers"),
+        (
+            {"controller.composite.kt": [6.0]},
+            r"^controller.composite.kt: expected a key of the scenario's law, hybrid, got one of another law$",
+        ),
+        ({"controller.hybrid.fuzzy.leakage": [0.0, -1.0]}, r"^scenario 1: controller.hybrid.fuzzy.leakage: expected"),
+        ({"controller.hybrid.fuzzy.weight_limit": [np.inf]}, r"^scenario 0: controller.hybrid.fuzzy.weight_limit: ex"),
+        ({"uncertainty.depth": 0.1}, r"^uncertainty.depth: expected shape \(n,\) or \(n, 4\), n scenarios, got \(\)$"),
+        ({"uncertainty.depth": []}, r"^uncertainty.depth: expected shape"),
+        ({"uncertainty.depth": np.zeros((2, 5))}, r"^uncertainty.depth: expected shape .* got \(2, 5\)$"),
+        (
+            {"robot.inertia": np.ones(3)},
+            r"^robot.inertia: expected shape \(n, 3\) or \(n, 3, 3\), n scen.* got \(3,\)$",
+        ),
+        ({"uncertainty.depth": [[0.1], [0.2, 0.3]]}, r"^uncertainty.depth: expected an array of numbers, got"),
+        ({"uncertainty.depth": ["0.1"]}, r"^uncertainty.depth: expected an array of numbers, got"),
+        ({"uncertainty.depth": [True]}, r"^uncertainty.depth: expected an array of numbers, got"),
+        ({"uncertainty.depth": [0.1, np.nan]}, r"^scenario 1: uncertainty.depth: expected a number .*, got nan$"),
+        ({"uncertainty.depth": [0.1, 0.2, -1.0]}, r"^scenario 2: uncertainty.depth: expected a number > -1 .* got -1$"),
+        (
+            {"uncertainty.gravity": np.full((2, 6), [0, 0, 0, 2, 0, 0])},
+            r"^scenario 0: uncertainty.gravity\[3\]: expected",
+        ),
+        ({"simulation.log_every": [1, 2.5]}, r"^scenario 1: simulation.log_every: expected an integer .* got 2.5$"),
+        ({"simulation.step": [1e-3, 3e-4]}, r"^scenario 1: simulation.step: expected a step that divides"),
+        ({"robot.mass": [0.1, 0.1, 0.1], "camera.focal_length": [0.008, 0.008]}, r"^camera.focal_length: .* got 2$"),
+        ({"target.points": np.zeros((1, 4, 3))}, r"^scenario 0: target: expected either initial_features"),
+        (
+            {"robot.inertia": [[1e-4, 1e-4, 1e-4], [1e-4, 1e-4, 9e-4]]},
+            r"^scenario 1: robot.inertia: expected principal",
+        ),
+        ({"robot.mass": np.full(3_000_000, 0.06)}, r"^log: expected a result of at most 2 GiB .*log \"metrics\""),
+    ],
+)
+def test_bad_variations_are_refused_in_words(paper: hs.Scenario, variations: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        hs.simulate_batch(paper, variations)
+
+
+def test_bad_arguments_are_refused_in_words(paper: hs.Scenario) -> None:
+    variations = {"uncertainty.depth": [0.1]}
+    with pytest.raises(TypeError, match=r"^scenario: expected a Scenario .* got str$"):
+        hs.simulate_batch("paper", variations)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"^variations: expected a mapping"):
+        hs.simulate_batch(paper, [("uncertainty.depth", [0.1])])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^log: expected one of final, metrics, trajectory, got 'all'$"):
+        hs.simulate_batch(paper, variations, log="all")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^threads: expected an integer from 1 to 1024, got 0$"):
+        hs.simulate_batch(paper, variations, threads=0)
+    with pytest.raises(TypeError, match=r"^threads: expected an integer or None, got float$"):
+        hs.simulate_batch(paper, variations, threads=2.0)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"^progress: expected True, a function or None, got str$"):
+        hs.simulate_batch(paper, variations, progress="yes")  # type: ignore[arg-type]
+
+
+# ---- Progress, Ctrl-C, memory ---------------------------------------------------------------------------------------
+
+
+def test_progress_is_told_to_a_function(smooth: hs.Scenario) -> None:
+    told: list[tuple[int, int]] = []
+    hs.simulate_batch(smooth, {"uncertainty.depth": np.full(2000, 0.1)}, progress=lambda *at: told.append(at))
+    assert told[-1] == (2000, 2000)
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    with pytest.raises(ZeroDivisionError):
+        hs.simulate_batch(smooth, {"uncertainty.depth": [0.1]}, progress=lambda *_: 1 / 0)
+
+
+def test_progress_may_be_a_bar_on_standard_error(smooth: hs.Scenario, capfd: pytest.CaptureFixture[str]) -> None:
+    hs.simulate_batch(smooth, {"uncertainty.depth": np.full(500, 0.1)}, progress=True)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert re.search(r"500 of 500 scenarios .* million steps/s", " ".join(err.split()))
+
+
+@pytest.mark.parametrize("inside", [False, True], ids=["in the core", "in the function that is told of progress"])
+def test_ctrl_c_stops_at_once_and_keeps_what_is_finished(smooth: hs.Scenario, inside: bool) -> None:
+    count = 4000
+    pressed: list[float] = []
+    timers: list[threading.Timer] = []
+
+    def press() -> None:
+        pressed.append(time.perf_counter())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def report(done: int, total: int) -> None:
+        if done >= 100 and inside and not pressed:
+            press()
+        elif done >= 100 and not inside and not timers:
+            timers.append(threading.Timer(0.02, press))  # between two calls
+            timers[0].start()
+
+    scenario = smooth.updated({"simulation.duration": 5.0})
+    batch = hs.simulate_batch(scenario, {"uncertainty.depth": np.full(count, 0.1)}, progress=report)
+    elapsed = time.perf_counter() - pressed[0]
+    assert elapsed < 0.2
+    finished = batch.outcome == "completed"
+    assert 100 <= finished.sum() < count
+    assert set(batch.outcome[~finished]) == {"interrupted"}
+    for values in (*batch.metrics.values(), batch.end_time):
+        assert np.isnan(values[~finished]).all()
+    assert np.isfinite(batch.metrics["final_error"][finished]).all()
+    assert np.isnan(batch.samples["position"][~finished]).all()
+    assert np.isfinite(batch.samples["fuzzy_weights"][finished]).all()
+    assert batch.detail(int(np.argmin(finished))) == "interrupted before its end"
+
+
+def test_memory_of_a_million_scenarios() -> None:
+    """200 000 scenarios of five steps with three varied keys; a million may take 1 GB with the interpreter."""
+    program = """
+import resource, numpy as np, hexservo as hs
+paper = hs.load_scenario("paper").updated({"simulation.duration": 0.005})
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+def run(n):
+    depth = np.linspace(-0.5, 0.5, n)
+    batch = hs.simulate_batch(paper, {"uncertainty.depth": depth, "uncertainty.gravity": depth / 10,
+                                      "controller.hybrid.kp": np.full(n, 1e-6)}, log="metrics")
+    assert (batch.outcome == "completed").all()
+run(1000)
+before = peak()
+run(200_000)
+print(before, (peak() - before) / 200_000)
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    before, each = map(float, run.stdout.split())
+    assert before + 1e6 * each < 1e9, f"{before:.3g} bytes to begin with, {each:.0f} per scenario"
