@@ -1,6 +1,7 @@
 /// @file
 /// Functions of one number that the standard library has for `double` alone, and with branches on data: here without a
-/// branch, on any scalar, so that a servo tick takes the same time for all twists and a pack needs no scalar call.
+/// branch, on any scalar, so that a servo tick takes the same time for all twists and a pack needs no scalar call
+/// (`tanh` of the switching term: docs/model.md, section 6).
 #pragma once
 
 #include "hexservo/lanes.hpp"
