@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test asan bench-peers format clean setup test-setup peer-setup system FORCE
+.PHONY: help paper test asan bench bench-peers format clean setup test-setup peer-setup system FORCE
 
 PYTHON ?= python3
 # The tools are those of the environment, whatever else the machine or an active shell offers.
@@ -26,6 +26,7 @@ help:
 	@cat <<'END'
 	make paper    set up, run the paper's experiment, write out/paper and print the table of results
 	make test     set up, run every test and check; the last line says passed or failed
+	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
 	make format   format the C++ and Python files
@@ -70,6 +71,25 @@ test:
 
 asan: $(BUILD_TOOLS)
 	@cmake --workflow --preset asan
+
+# The parts of the core need Google Benchmark, which is wanted and not needed: APT=no goes without it where it is missing.
+KERNELS := build/benchmarks
+bench: $(PACKAGE)
+	@if [ "$(APT)" != no ]; then
+	  $(SETUP) system PEER=libbenchmark-dev PEER_FILE=benchmark/benchmark.h || echo "Going on without the parts."
+	fi
+	hexservo bench --out out/bench --force
+	mkdir -p out/bench-kernels build
+	rm -f out/bench-kernels/kernels.json
+	if cmake -S . -B $(KERNELS) -G Ninja -DCMAKE_BUILD_TYPE=Release -DHEXSERVO_BENCHMARKS=ON >$(KERNELS).log 2>&1; then
+	  cmake --build $(KERNELS) --target hexservo_kernels
+	  $(KERNELS)/hexservo_kernels --benchmark_min_time=0.1 --benchmark_repetitions=7 \
+	    --benchmark_enable_random_interleaving=true --benchmark_report_aggregates_only=true \
+	    --benchmark_out=out/bench-kernels/kernels.json --benchmark_out_format=json
+	else
+	  echo "The parts are not measured: $$(grep -m 1 -i 'need' $(KERNELS).log || echo "see $(KERNELS).log")"
+	fi
+	python benchmarks/tables.py
 
 bench-peers: $(PACKAGE) peer-setup
 	@python benchmarks/peers/run.py --markdown BENCHMARKS.md

@@ -37,7 +37,7 @@ FLOPS_PER_STEP = 10_000.0
 """Additions and multiplications of one Runge-Kutta step of the closed loop with its fuzzy systems, about."""
 
 TICK_RATES = (1000.0, 2000.0, 4000.0, 10000.0)  # of the paced ticks [Hz]
-_BINS_PER_DECADE = 16
+_BINS_PER_DECADE = 8
 _EDGES = np.round(10.0 ** (np.arange(_BINS_PER_DECADE, 10 * _BINS_PER_DECADE + 1) / _BINS_PER_DECADE), 3)  # [ns]
 _KNOWN = {"settling_time": (0.353, 0.02 * 0.353), "final_error": (0.080, 0.02)}  # paper, docs/model.md section 8
 _LANE_TOLERANCE = 1e-9  # between a lane and a single run on the smooth loop [px]
@@ -214,7 +214,10 @@ def _distribution(nanoseconds: NDArray[np.uint32]) -> Distribution:
     used = np.flatnonzero(counts)
     first, last = used[0], used[-1] + 1
     return Distribution(
-        *map(float, (median, p99, p999, largest)),
+        median=float(median),
+        percentile_99=float(p99),
+        percentile_99_9=float(p999),
+        maximum=float(largest),
         edges=tuple(float(f"{edge:.6g}") for edge in _EDGES[first : last + 1] * 1e-9),
         counts=tuple(map(int, counts[first:last])),
     )

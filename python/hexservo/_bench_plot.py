@@ -28,7 +28,8 @@ def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
     latency, lateness = figure.subplots(1, 2, sharey=True)
     for timing, ink in zip(ticks, _INKS, strict=False):
         name = "one after another" if timing.rate is None else f"at {timing.rate / 1e3:g} kHz"
-        _draw(latency, timing.latency, ink, f"{name}, {timing.ticks:,} ticks".replace(",", "\N{THIN SPACE}"))
+        count = f"{timing.ticks:,}".replace(",", "\N{THIN SPACE}")
+        _draw(latency, timing.latency, ink, f"{name}, {count} ticks")
         if timing.lateness is not None:
             _draw(lateness, timing.lateness, ink, name)
     smallest = min(1.0 / timing.ticks for timing in ticks)
@@ -52,12 +53,12 @@ def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
 
 
 def _draw(axes: Axes, times: Distribution, ink: _Ink, name: str) -> None:
-    """Draw a histogram as steps; a bin without ticks is a gap down to the axis."""
+    """Draw a histogram as steps; a bin without ticks is a gap."""
     counts = np.array(times.counts, dtype=float)
     axes.stairs(
-        np.where(counts > 0, counts / counts.sum(), 1e-30),
+        np.where(counts > 0, counts / counts.sum(), np.nan),
         np.array(times.edges) * 1e6,
-        baseline=1e-30,
+        baseline=None,
         color=ink.colour,
         linestyle=ink.dashes,
         linewidth=1.1,
@@ -66,4 +67,4 @@ def _draw(axes: Axes, times: Distribution, ink: _Ink, name: str) -> None:
 
 
 def _bins_per_decade(times: Distribution) -> int:
-    return round(1.0 / np.log10(times.edges[-1] / times.edges[-2]))
+    return int(1.0 / np.log10(times.edges[-1] / times.edges[-2]) + 0.5)
