@@ -82,8 +82,8 @@ bench: $(PACKAGE)
 	mkdir -p out/bench-kernels build
 	rm -f out/bench-kernels/kernels.json
 	if cmake -S . -B $(KERNELS) -G Ninja -DCMAKE_BUILD_TYPE=Release -DHEXSERVO_BENCHMARKS=ON >$(KERNELS).log 2>&1; then
-	  cmake --build $(KERNELS) --target hexservo_kernels
-	  $(KERNELS)/hexservo_kernels --benchmark_min_time=0.1 --benchmark_repetitions=7 \
+	  cmake --build $(KERNELS) --target hexservo_parts
+	  $(KERNELS)/hexservo_parts --benchmark_min_time=0.1 --benchmark_repetitions=7 \
 	    --benchmark_enable_random_interleaving=true --benchmark_report_aggregates_only=true \
 	    --benchmark_out=out/bench-kernels/kernels.json --benchmark_out_format=json
 	else
