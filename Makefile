@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test asan bench bench-peers format clean setup test-setup peer-setup system FORCE
+.PHONY: help paper test asan bench bench-peers format clean setup test-setup benchmark-setup peer-setup system FORCE
 
 PYTHON ?= python3
 # The tools are those of the environment, whatever else the machine or an active shell offers.
@@ -72,13 +72,14 @@ test:
 asan: $(BUILD_TOOLS)
 	@cmake --workflow --preset asan
 
-# The parts of the core need Google Benchmark, which is wanted and not needed: APT=no goes without it where it is missing.
+# Google Benchmark is wanted, for the parts of the core, and not needed; APT=no goes without it where it is missing.
+benchmark-setup:
+	@if [ "$(APT)" = no ]; then exit 0; fi
+	$(SETUP) system PEER=libbenchmark-dev PEER_FILE=benchmark/benchmark.h || echo "Going on without Google Benchmark."
+
 KERNELS := build/benchmarks
-bench: $(PACKAGE)
-	@if [ "$(APT)" != no ]; then
-	  $(SETUP) system PEER=libbenchmark-dev PEER_FILE=benchmark/benchmark.h || echo "Going on without the parts."
-	fi
-	hexservo bench --out out/bench --force
+bench: $(PACKAGE) benchmark-setup
+	@hexservo bench --out out/bench --force
 	mkdir -p out/bench-kernels build
 	rm -f out/bench-kernels/kernels.json
 	if cmake -S . -B $(KERNELS) -G Ninja -DCMAKE_BUILD_TYPE=Release -DHEXSERVO_BENCHMARKS=ON >$(KERNELS).log 2>&1; then
@@ -120,7 +121,7 @@ clean:
 
 setup: $(PACKAGE)
 
-test-setup: $(PACKAGE) $(ALL_TOOLS)
+test-setup: $(PACKAGE) $(ALL_TOOLS) benchmark-setup
 
 # What only the system can give: checked each time, installed through apt where it is missing. PEER is one package more,
 # whose header is PEER_FILE.
