@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test asan bench-peers format clean setup test-setup peer-setup system FORCE
+.PHONY: help paper test asan bench bench-peers format clean setup test-setup benchmark-setup peer-setup system FORCE
 
 PYTHON ?= python3
 # The tools are those of the environment, whatever else the machine or an active shell offers.
@@ -26,6 +26,7 @@ help:
 	@cat <<'END'
 	make paper    set up, run the paper's experiment, write out/paper and print the table of results
 	make test     set up, run every test and check; the last line says passed or failed
+	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
 	make format   format the C++ and Python files
@@ -71,6 +72,26 @@ test:
 asan: $(BUILD_TOOLS)
 	@cmake --workflow --preset asan
 
+# Google Benchmark is wanted, for the parts of the core, and not needed; APT=no goes without it where it is missing.
+benchmark-setup:
+	@if [ "$(APT)" = no ]; then exit 0; fi
+	$(SETUP) system PEER=libbenchmark-dev PEER_FILE=benchmark/benchmark.h || echo "Going on without Google Benchmark."
+
+KERNELS := build/benchmarks
+bench: $(PACKAGE) benchmark-setup
+	@hexservo bench --out out/bench --force
+	mkdir -p out/bench-kernels build
+	rm -f out/bench-kernels/kernels.json
+	if cmake -S . -B $(KERNELS) -G Ninja -DCMAKE_BUILD_TYPE=Release -DHEXSERVO_BENCHMARKS=ON >$(KERNELS).log 2>&1; then
+	  cmake --build $(KERNELS) --target hexservo_parts
+	  $(KERNELS)/hexservo_parts --benchmark_min_time=0.1 --benchmark_repetitions=7 \
+	    --benchmark_enable_random_interleaving=true --benchmark_report_aggregates_only=true \
+	    --benchmark_out=out/bench-kernels/kernels.json --benchmark_out_format=json
+	else
+	  echo "The parts are not measured: $$(grep -m 1 -i 'need' $(KERNELS).log || echo "see $(KERNELS).log")"
+	fi
+	python benchmarks/tables.py
+
 bench-peers: $(PACKAGE) peer-setup
 	@python benchmarks/peers/run.py --markdown BENCHMARKS.md
 
@@ -100,7 +121,7 @@ clean:
 
 setup: $(PACKAGE)
 
-test-setup: $(PACKAGE) $(ALL_TOOLS)
+test-setup: $(PACKAGE) $(ALL_TOOLS) benchmark-setup
 
 # What only the system can give: checked each time, installed through apt where it is missing. PEER is one package more,
 # whose header is PEER_FILE.

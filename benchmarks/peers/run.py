@@ -12,8 +12,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import kernels
+from hexservo._machine import describe_machine
 from loops import batch_rows, numpy_row, single_rows
-from machine import describe_machine
 from parts import part_rows
 from report import markdown, sentence, update_block, write_json
 from rows import Row
@@ -45,7 +45,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="hexservo and its peers: same run, same work, answers compared")
     parser.add_argument("--quick", action="store_true", help=f"NumPy alone; fails below {NUMPY_RATIO:g} x")
     parser.add_argument("--rounds", type=int, default=9, help="timed rounds of each comparison (9)")
-    parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench" / "peers.json")
+    parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-peers" / "peers.json")
     parser.add_argument("--markdown", type=Path, help="a file whose block between the peers markers is replaced")
     arguments = parser.parse_args()
     if arguments.rounds < 2:

@@ -26,6 +26,7 @@ void bind_simulation(py::module_& m);
 void bind_controller(py::module_& m);
 void bind_kernel(py::module_& m);
 void bind_batch(py::module_& m);
+void bind_bench(py::module_& m);
 
 /// True where Ctrl-C was pressed; anything else that a signal handler raises goes on to the caller. Takes the GIL.
 bool interrupt_requested();

@@ -16,6 +16,7 @@ PYBIND11_MODULE(_core, m) {
   bind_simulation(m);
   bind_batch(m);
   bind_controller(m);
+  bind_bench(m);
   m.def(
       "build_info",
       [] {

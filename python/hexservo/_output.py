@@ -13,14 +13,14 @@ import re
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
     from hexservo._result import Result
 
-__all__ = ["MARKER", "OutputError", "check_folder", "write_results"]
+__all__ = ["MARKER", "OutputError", "check_folder", "write_folder", "write_results"]
 
 MARKER = ".hexservo-output"
 """Name of the file that tells a folder of results from any other; it lists the other files with their SHA-256."""
@@ -48,18 +48,36 @@ def check_folder(folder: str | os.PathLike[str], *, force: bool = False) -> None
 def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool = False) -> Path:
     """Write a run into a folder: scenario.yaml, metrics.json, result.nc, the paper's figures and `MARKER`.
 
+    Parameters
+    ----------
+    result
+        The run; its outcome does not matter.
+    folder, force
+        As for `write_folder`, which also says what is returned and raised.
+    """
+    contents = f'one run of the scenario "{result.scenario.name}"'
+    return write_folder(folder, lambda temporary: _write_files(result, temporary), contents, force=force)
+
+
+def write_folder(
+    folder: str | os.PathLike[str], fill: Callable[[Path], None], contents: str, *, force: bool = False
+) -> Path:
+    """Have files written into a folder, and `MARKER` beside them.
+
     The files are written into a new folder beside the final one, which is then renamed: the results appear whole or,
     after an error or Ctrl-C, not at all. Missing parents are made.
 
     Parameters
     ----------
-    result
-        The run; its outcome does not matter.
     folder
         A folder that does not exist or is empty; it keeps its permissions. Not a symbolic link, not the current folder.
+    fill
+        Writes files, and no folders, into the folder that it is given.
+    contents
+        What the files are, for the marker.
     force
-        Replace the results of an earlier run. Only a folder that carries `MARKER` and holds nothing but the files
-        listed there, unchanged, is ever replaced; until the new results are in place the old ones are kept.
+        Replace earlier results. Only a folder that carries `MARKER` and holds nothing but the files listed there,
+        unchanged, is ever replaced; until the new results are in place the old ones are kept.
 
     Returns
     -------
@@ -79,7 +97,11 @@ def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.mkdir()
-        _write_files(result, temporary)
+        fill(temporary)
+        _write_marker(contents, temporary)
+        for file in temporary.iterdir():
+            _synchronize(file)
+        _synchronize(temporary)
         _put_in_place(temporary, path, force)
     except BaseException as error:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -211,10 +233,6 @@ def _write_files(result: Result, folder: Path) -> None:
     (folder / "metrics.json").write_text(_metrics_json(result), encoding="utf-8")
     _write_netcdf(result, folder / "result.nc")
     paper_figures(result, folder)
-    _write_marker(result, folder)
-    for path in folder.iterdir():
-        _synchronize(path)
-    _synchronize(folder)
 
 
 def _write_netcdf(result: Result, path: Path) -> None:
@@ -261,13 +279,13 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _write_marker(result: Result, folder: Path) -> None:
+def _write_marker(contents: str, folder: Path) -> None:
     from hexservo import __version__
 
     lines = [
         _TITLE,
-        f'# The files of one run of the scenario "{result.scenario.name}", written by hexservo {__version__}.',
-        "# hexservo run --force may replace this folder while it holds only these files, unchanged.",
+        f"# The files of {contents}, written by hexservo {__version__}.",
+        "# hexservo with --force may replace this folder while it holds only these files, unchanged.",
         *(f"{_digest(path)}  {path.name}" for path in sorted(folder.iterdir())),
     ]
     (folder / MARKER).write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The command line: ``hexservo run | scenarios | show | check | export | version``.
+"""The command line: ``hexservo run | scenarios | show | check | export | bench | version``.
 
 Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
 numerical outcome; 130 interrupted; 141 the reader of the output left.
@@ -197,6 +197,50 @@ def export(
 
 
 @app.command()
+def bench(
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", metavar="FOLDER", help="Write bench.json and a picture there."),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
+    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A rougher measurement, in less than 15 s.")] = False,
+    ticks: Annotated[
+        int | None,
+        typer.Option("--ticks", min=1000, max=100_000_000, help="Ticks one after another.  [default: 1000000]"),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=0.01, max=86400.0, help="Of ticks at every rate.  [default: 3]")
+    ] = None,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Ask for SCHED_FIFO and locked memory; the table says what was granted.")
+    ] = False,
+) -> None:
+    """Measure how fast this machine is.
+
+    Latency of the servo tick, one after another and paced by a clock, and the rates of single runs and batches by
+    variant and threads, beside the measured peak of the vector units. Answers are checked.
+    """
+    with _reporting():
+        from dataclasses import replace
+
+        from hexservo import _bench
+        from hexservo._output import check_folder, write_folder
+
+        plan = replace(_bench.QUICK if quick else _bench.Plan(), realtime=realtime)
+        plan = replace(plan, ticks=ticks or plan.ticks, seconds=seconds or plan.seconds)
+        if out is not None:
+            check_folder(out, force=force)
+        result = _bench.benchmark(plan, _whisper)
+        if out is not None:
+            write_folder(out, result.write, "a benchmark", force=force)
+        _print(*_bench.report(result))
+        if out is not None:
+            _write(f"bench.json, bench.png and bench.svg are in {out}\n")
+
+
+@app.command()
 def version() -> None:
     """Tell what was built and runs here."""
     with _reporting():
@@ -358,6 +402,12 @@ def _write(text: str, encoding: str | None = None) -> None:
     except OSError as error:
         _complain(f"standard output: cannot be written: {error.strerror}")
         _give_up_output(BAD_INPUT)
+
+
+def _whisper(text: str) -> None:
+    """Say what is going on, where somebody is looking."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(f"measuring: {text}", file=sys.stderr, flush=True)
 
 
 def _give_up_output(code: int) -> NoReturn:
