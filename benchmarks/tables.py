@@ -88,7 +88,7 @@ def part_lines(kernels: dict[str, Any] | None) -> list[str]:
     if kernels is None:
         return ["Parts: not measured, since Google Benchmark was not there."]
     medians: dict[str, dict[str, float]] = {}
-    for entry in kernels["benchmarks"]:
+    for entry in sorted(kernels["benchmarks"], key=lambda entry: int(entry["family_index"])):
         if entry.get("error_occurred"):
             raise ValueError(f"{entry['name']}: expected a time, got: {entry['error_message']}")
         if entry.get("aggregate_name") == "median":
@@ -111,10 +111,16 @@ def benchmarks_block(bench: dict[str, Any], kernels: dict[str, Any] | None) -> s
     head = "closed loop | variant | threads: | wall: | processor: | × real time: | peak of a core [GFLOP/s]: | share:"
     lines += [*table(head, speed_rows(bench)), ""]
     ratios = [
-        [r["name"], r["clock"], f"{r['value']:.2f}", "{:.2f} to {:.2f}".format(*r["quartiles"])]
+        [
+            r["name"],
+            r["clock"],
+            f"{r['value']:.2f}",
+            "{:.2f} to {:.2f}".format(*r["quartiles"]),
+            f"{r['load_average']:.1f}",
+        ]
         for r in bench["ratios"]
     ]
-    lines += [*table("ratio of | time | median: | quartiles:", ratios), ""]
+    lines += [*table("ratio of | time | median: | quartiles: | load:", ratios), ""]
     lines += part_lines(kernels)
     lines += ["", "Flags:", ""]
     lines += [f"- {name}: `{variant['flags']}`" for name, variant in bench["variants"].items()]

@@ -118,6 +118,7 @@ class Ratio:
     clock: Literal["processor", "wall"]
     value: float
     quartiles: tuple[float, float]
+    load_average: float  # after the last round: a busy machine has no second core to give
 
 
 @dataclass(frozen=True)
@@ -330,7 +331,7 @@ def _time_runs(
                 timed((name, "batch", threads), together, count * steps, keep)
 
     speeds = []
-    for (name, work, threads), taken in sorted(rounds.items(), key=lambda item: item[0][1:], reverse=False):
+    for (name, work, threads), taken in rounds.items():
         peak, processor = statistics.median(peaks[name]), statistics.median(taken.processor)
         wall = statistics.median(taken.wall)
         speeds.append(
@@ -348,7 +349,9 @@ def _time_runs(
                 share=FLOPS_PER_STEP / processor / (peak * 1e9),
             )
         )
-    return tuple(sorted(speeds, key=lambda s: (s.work != "single", s.threads))), tuple(_ratios(rounds, processors))
+    order = list(kernels)
+    speeds.sort(key=lambda speed: (speed.work != "single", speed.threads, order.index(speed.variant)))
+    return tuple(speeds), tuple(_ratios(rounds, processors))
 
 
 def _ratios(rounds: dict[tuple[str, Work, int], _Rounds], processors: int) -> Iterable[Ratio]:
@@ -366,7 +369,7 @@ def _ratios(rounds: dict[tuple[str, Work, int], _Rounds], processors: int) -> It
 
 def _ratio(name: str, clock: Literal["processor", "wall"], slow: list[float], fast: list[float]) -> Ratio:
     values = [a / b for a, b in zip(slow, fast, strict=True)]
-    return Ratio(name, clock, statistics.median(values), _quartiles(values))
+    return Ratio(name, clock, statistics.median(values), _quartiles(values), os.getloadavg()[0])
 
 
 def _quartiles(values: list[float]) -> tuple[float, float]:
@@ -402,8 +405,12 @@ def report(result: Benchmark) -> Iterable[RenderableType]:
     yield _table(head, map(_speed_row, result.speeds))
     yield Text(f"share of the peak by a count of {FLOPS_PER_STEP:.0f} operations a step", style="dim")
     yield Text("\nratios, medians with quartiles", style="bold")
-    rows = ((r.name, r.clock, f"{r.value:.2f}", f"{r.quartiles[0]:.2f} to {r.quartiles[1]:.2f}") for r in result.ratios)
-    yield _table(("of", "time", "", ""), rows)
+    yield _table(("of", "time", "", "", "load"), map(_ratio_row, result.ratios))
+
+
+def _ratio_row(ratio: Ratio) -> tuple[str, ...]:
+    first, third = ratio.quartiles
+    return ratio.name, ratio.clock, f"{ratio.value:.2f}", f"{first:.2f} to {third:.2f}", f"{ratio.load_average:.1f}"
 
 
 def _tick_rows(first: TickTiming, paced: list[TickTiming]) -> Iterable[tuple[str, ...]]:

@@ -223,9 +223,21 @@ def test_one_run_outruns_numpy(tmp_path: Path) -> None:
 def test_the_tables_hold_what_was_measured(tables: ModuleType, document: dict[str, Any], tmp_path: Path) -> None:
     kernels = {
         "benchmarks": [
-            {"aggregate_name": "median", "run_name": "dynamics<double>", "name": "", "cpu_time": 40.0},
-            {"aggregate_name": "median", "run_name": "dynamics<Lanes<2>>", "name": "", "cpu_time": 60.0},
-            {"aggregate_name": "median", "run_name": "servo_tick", "name": "", "cpu_time": 400.0},
+            {
+                "family_index": 2,
+                "aggregate_name": "median",
+                "run_name": "dynamics<double>",
+                "name": "",
+                "cpu_time": 40.0,
+            },
+            {
+                "family_index": 1,
+                "aggregate_name": "median",
+                "run_name": "dynamics<Lanes<2>>",
+                "name": "",
+                "cpu_time": 60.0,
+            },
+            {"family_index": 0, "aggregate_name": "median", "run_name": "servo_tick", "name": "", "cpu_time": 400.0},
         ]
     }
     text = tables.benchmarks_block(document, kernels)
