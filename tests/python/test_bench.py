@@ -178,7 +178,7 @@ def test_a_run_that_stops_cannot_be_replayed(paper: hs.Scenario) -> None:
 @pytest.mark.parametrize("variant", available_variants())
 def test_a_wrong_answer_is_not_timed(paper: hs.Scenario, variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
     _bench._check_answers(paper, _load(variant))
-    with pytest.raises(_bench.BenchmarkError, match="_time of paper|_error of paper"):
+    with pytest.raises(_bench.BenchmarkError, match=r"_time of paper|_error of paper"):
         _bench._check_answers(paper.updated({"uncertainty.gravity": 0.01}), _load(variant))
     monkeypatch.setattr(_bench, "_LANE_TOLERANCE", -1.0)
     with pytest.raises(_bench.BenchmarkError, match="of a batch"):
