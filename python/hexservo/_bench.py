@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo._batch import _thread_count
 from hexservo._machine import describe_machine
-from hexservo._parameters import core_parameters
+from hexservo._parameters import Settings, core_parameters
 from hexservo._scenario import Scenario, load_scenario
 from hexservo._variant import _load, available_variants
 
@@ -183,9 +183,17 @@ def benchmark(plan: Plan, say: Say = lambda text: None) -> Benchmark:
 # ---- Ticks ----------------------------------------------------------------------------------------------------------
 
 
+def _tick_parameters(scenario: Scenario) -> _core.HybridSettings:
+    """Give the settings of a scenario whose tick is timed: the paper's law."""
+    parameters = core_parameters(scenario)
+    if not isinstance(parameters, _core.HybridSettings):
+        raise ValueError(f"controller.law: expected hybrid, whose tick is timed, got {scenario.controller.law}")
+    return parameters
+
+
 def _time_ticks(scenario: Scenario, rate: float | None, plan: Plan) -> TickTiming:
     periods = plan.ticks if rate is None else max(1, round(plan.seconds * rate))
-    times = _core.time_ticks(core_parameters(scenario), periods, rate or 0.0, plan.realtime)
+    times = _core.time_ticks(_tick_parameters(scenario), periods, rate or 0.0, plan.realtime)
     if times.interrupted:
         raise KeyboardInterrupt
     what = "ticks, one after another" if rate is None else f"ticks at {rate:g} Hz"
@@ -229,7 +237,7 @@ def _distribution(nanoseconds: NDArray[np.uint32]) -> Distribution:
 _DEPTH = "uncertainty.depth"  # what varies in a batch
 
 
-def _single(parameters: _core.HybridSettings, kernel: _core.Kernel) -> _core.Trajectory:
+def _single(parameters: Settings, kernel: _core.Kernel) -> _core.Trajectory:
     run = _core.simulate(parameters, kernel)
     if run.outcome is _core.Outcome.interrupted:
         raise KeyboardInterrupt
@@ -237,9 +245,7 @@ def _single(parameters: _core.HybridSettings, kernel: _core.Kernel) -> _core.Tra
     return run
 
 
-def _batch(
-    parameters: _core.HybridSettings, depth_errors: Array, threads: int, kernel: _core.Kernel
-) -> _core.BatchResult:
+def _batch(parameters: Settings, depth_errors: Array, threads: int, kernel: _core.Kernel) -> _core.BatchResult:
     rows = [(_DEPTH, depth_errors.reshape(-1, 1))]
     batch = _core.simulate_batch(parameters, rows, len(depth_errors), _core.BatchLog.metrics, threads, kernel)
     if (batch.outcome == _core.Outcome.interrupted.value).any():

@@ -1,10 +1,11 @@
 // hexservo's own side of the comparisons with fuzzylite and ViSP: the core's functions, timed in the same way.
 //
-//   kernels fuzzy      parameters: 49 weights, row by row (row: term of u); row: six pairs (u, u-dot); answer: 6
-//   outputs kernels jacobian   parameters: f; row: 4 x (x, y, Z), desired features (8); answer: J at R = I, row by row,
-//   then xi~ kernels tick       parameters: desired features (8), then those seen from home (8); row: features (8),
-//   depth (4),
-//                      position (3), quaternion (4), twist (6); answer: wrench (6)
+// kernels fuzzy: parameters 49 weights, row by row (row: term of u); row: six pairs (u, u-dot); answer: 6 outputs.
+//
+// kernels jacobian: parameter f; row: 4 x (x, y, Z), desired features (8); answer: J at R = I, row by row, then xi~.
+//
+// kernels tick: parameters desired features (8), then those seen from home (8); row: features (8), depth (4), position
+// (3), quaternion (4), twist (6); answer: wrench (6).
 #include "hexservo/controller.hpp"
 
 #include "../serve.hpp"
@@ -29,14 +30,16 @@ int fuzzy() {
     for (int column = 0; column < kTerms; ++column)
       start.table(row, column) = table[static_cast<std::size_t>(row * kTerms + column)];
   const FuzzyWeights<double> weights = initial_weights(start);
+  const Bells<double> bells(gains.bell_width, gains.bell_slope);
   return peers::serve("hexservo", 12, kAxes, stateless, [&](const double* row, double* out) {
     Vector6<double> u, u_rate;
     for (int j = 0; j < kAxes; ++j) {
       u(j) = row[2 * j];
       u_rate(j) = row[2 * j + 1];
     }
-    const FuzzyStage<double> stage{&weights};
-    Eigen::Map<Vector6<double>>{out} = stage.output(fuzzy_basis<double>(gains, u, u_rate));
+    FuzzyBasis<double> basis;
+    fuzzy_basis<double>(bells, u, u_rate, basis);
+    Eigen::Map<Vector6<double>>{out} = FuzzyStage<double>{&weights}.output(basis).vector();
   });
 }
 
