@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo._batch import _thread_count
 from hexservo._machine import describe_machine
-from hexservo._parameters import Settings, core_parameters
+from hexservo._parameters import core_parameters
 from hexservo._scenario import Scenario, load_scenario
 from hexservo._variant import _load, available_variants
 
@@ -180,20 +180,20 @@ def benchmark(plan: Plan, say: Say = lambda text: None) -> Benchmark:
     return Benchmark(machine, variants, plan, tuple(ticks), speeds, ratios)
 
 
-# ---- Ticks ----------------------------------------------------------------------------------------------------------
-
-
-def _tick_parameters(scenario: Scenario) -> _core.HybridSettings:
-    """Give the settings of a scenario whose tick is timed: the paper's law."""
+def _parameters(scenario: Scenario) -> _core.HybridSettings:
+    """Give a scenario of the law that is measured as the core's numbers."""
     parameters = core_parameters(scenario)
     if not isinstance(parameters, _core.HybridSettings):
-        raise ValueError(f"controller.law: expected hybrid, whose tick is timed, got {scenario.controller.law}")
+        raise ValueError(f"controller.law: expected hybrid, got {scenario.controller.law}")
     return parameters
+
+
+# ---- Ticks ----------------------------------------------------------------------------------------------------------
 
 
 def _time_ticks(scenario: Scenario, rate: float | None, plan: Plan) -> TickTiming:
     periods = plan.ticks if rate is None else max(1, round(plan.seconds * rate))
-    times = _core.time_ticks(_tick_parameters(scenario), periods, rate or 0.0, plan.realtime)
+    times = _core.time_ticks(_parameters(scenario), periods, rate or 0.0, plan.realtime)
     if times.interrupted:
         raise KeyboardInterrupt
     what = "ticks, one after another" if rate is None else f"ticks at {rate:g} Hz"
@@ -237,7 +237,7 @@ def _distribution(nanoseconds: NDArray[np.uint32]) -> Distribution:
 _DEPTH = "uncertainty.depth"  # what varies in a batch
 
 
-def _single(parameters: Settings, kernel: _core.Kernel) -> _core.Trajectory:
+def _single(parameters: _core.HybridSettings, kernel: _core.Kernel) -> _core.Trajectory:
     run = _core.simulate(parameters, kernel)
     if run.outcome is _core.Outcome.interrupted:
         raise KeyboardInterrupt
@@ -245,7 +245,9 @@ def _single(parameters: Settings, kernel: _core.Kernel) -> _core.Trajectory:
     return run
 
 
-def _batch(parameters: Settings, depth_errors: Array, threads: int, kernel: _core.Kernel) -> _core.BatchResult:
+def _batch(
+    parameters: _core.HybridSettings, depth_errors: Array, threads: int, kernel: _core.Kernel
+) -> _core.BatchResult:
     rows = [(_DEPTH, depth_errors.reshape(-1, 1))]
     batch = _core.simulate_batch(parameters, rows, len(depth_errors), _core.BatchLog.metrics, threads, kernel)
     if (batch.outcome == _core.Outcome.interrupted.value).any():
@@ -269,7 +271,7 @@ _METRIC_ROWS = (1, 3, 10)  # of a batch's metrics
 
 def _check_answers(scenario: Scenario, kernel: _core.Kernel) -> None:
     """Compare a variant's run of ``paper`` with the known results, and lanes with single runs."""
-    run = _single(core_parameters(scenario), kernel)
+    run = _single(_parameters(scenario), kernel)
     for name, (expected, allowed) in _KNOWN.items():
         value = getattr(run.metrics, name)
         what = f"{name} of paper ({kernel.name})"
@@ -277,9 +279,9 @@ def _check_answers(scenario: Scenario, kernel: _core.Kernel) -> None:
     for kind, tolerance in (("tanh", _LANE_TOLERANCE), ("sign", _SIGN_TOLERANCE)):
         changed = scenario.updated({"controller.switching.kind": kind, "simulation.duration": 0.5})
         depth_errors = _depth_errors(2 * kernel.lanes + 1)  # packs that are not full, too
-        batch = _batch(core_parameters(changed), depth_errors, 2, kernel)
+        batch = _batch(_parameters(changed), depth_errors, 2, kernel)
         for lane, depth in enumerate(depth_errors):
-            alone = _metrics(_single(core_parameters(changed.updated({_DEPTH: float(depth)})), kernel))
+            alone = _metrics(_single(_parameters(changed.updated({_DEPTH: float(depth)})), kernel))
             difference = np.abs(batch.metrics[list(_METRIC_ROWS), lane] - alone).max()
             what = f"scenario {lane} of a batch ({kernel.name}, {kind})"
             _require(difference <= tolerance, what, f"the single run to {tolerance:g}", f"{difference:.2g} off")
@@ -298,7 +300,7 @@ def _time_runs(
 ) -> tuple[tuple[Speed, ...], tuple[Ratio, ...]]:
     """Take turns: in every round each variant runs alone, in a batch on one thread and on all, and at its peak."""
     scenario = scenario.updated({"simulation.duration": plan.duration, "simulation.log_every": 50})
-    parameters = core_parameters(scenario)
+    parameters = _parameters(scenario)
     steps = _core.step_count(parameters.simulation)
     processors = _thread_count(None)
     thread_counts = tuple(dict.fromkeys((1, processors)))

@@ -125,7 +125,7 @@ def test_numbers_out_of_range_are_refused(tmp_path: Path, arguments: list[str]) 
 
 
 def test_ticks_repeat_the_run_that_they_replay(paper: hs.Scenario) -> None:
-    short = _bench._tick_parameters(paper.updated({"simulation.duration": 0.25}))
+    short = _bench._parameters(paper.updated({"simulation.duration": 0.25}))
     times = _core.time_ticks(short, 2600)
     assert len(times.latency) == times.periods == 2600
     assert len(times.lateness) == 0
@@ -137,7 +137,7 @@ def test_ticks_repeat_the_run_that_they_replay(paper: hs.Scenario) -> None:
 
 
 def test_a_clock_that_is_too_fast_is_missed(paper: hs.Scenario) -> None:
-    times = _core.time_ticks(_bench._tick_parameters(paper), 20_000, 1e6)
+    times = _core.time_ticks(_bench._parameters(paper), 20_000, 1e6)
     assert len(times.latency) == len(times.lateness) <= times.periods == 20_000
     assert times.missed >= times.periods - len(times.latency)
     assert times.missed > 0
@@ -145,7 +145,7 @@ def test_a_clock_that_is_too_fast_is_missed(paper: hs.Scenario) -> None:
 
 def test_a_pace_takes_the_time_that_it_should(paper: hs.Scenario) -> None:
     started = time.monotonic()
-    times = _core.time_ticks(_bench._tick_parameters(paper), 100, 500.0)
+    times = _core.time_ticks(_bench._parameters(paper), 100, 500.0)
     assert time.monotonic() - started >= 99 / 500.0
     assert times.periods == 100
 
@@ -162,11 +162,11 @@ def test_a_pace_takes_the_time_that_it_should(paper: hs.Scenario) -> None:
 )
 def test_ticks_out_of_range_are_refused(paper: hs.Scenario, periods: int, rate: float, expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
-        _core.time_ticks(_bench._tick_parameters(paper), periods, rate)
+        _core.time_ticks(_bench._parameters(paper), periods, rate)
 
 
 def test_a_run_that_stops_cannot_be_replayed(paper: hs.Scenario) -> None:
-    diverging = _bench._tick_parameters(paper.updated({"controller.jacobian": "printed"}))
+    diverging = _bench._parameters(paper.updated({"controller.jacobian": "printed"}))
     with pytest.raises(ValueError, match="scenario: expected a run that goes to its end"):
         _core.time_ticks(diverging, 10)
 
