@@ -44,7 +44,8 @@ void bind_camera(py::module_& m) {
         if ((depth.array() == 0.0).any())
           throw std::invalid_argument("depth: expected numbers that are not zero, got zero");
         const Matrix3<double> R_BE = rotation_matrix(checked_pose(Vector3<double>::Zero(), quaternion).quaternion);
-        return ImageJacobian<double>(camera.focal_pixels(), plant_sign(convention), {features, depth}, R_BE).matrix();
+        const Image<double> image{features, depth};
+        return ImageJacobian<double>(camera.focal_pixels(), plant_sign(convention), image, R_BE).matrix();
       },
       py::arg("camera"), py::arg("features"), py::arg("depth"), py::arg("quaternion"),
       py::arg("convention") = CameraConvention::eye_in_hand,

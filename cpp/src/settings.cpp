@@ -26,7 +26,8 @@ void require_apart(const std::string& key, const Features& features) {
 
 /// Four features on one line, for example, leave a direction that no image shows.
 void require_full_rank(const std::string& key, double f, const Image<double>& image) {
-  Eigen::Matrix<double, 2 * kPoints, 6> J = ImageJacobian<double>(f, -1.0, image, Matrix3<double>::Identity()).matrix();
+  const Matrix3<double> R_BE = Matrix3<double>::Identity();
+  Eigen::Matrix<double, 2 * kPoints, 6> J = ImageJacobian<double>(f, -1.0, image, R_BE).matrix();
   J.leftCols<3>() *= image.depth.cwiseAbs().mean();
   const auto sigma = Eigen::JacobiSVD<Eigen::Matrix<double, 2 * kPoints, 6>>(J).singularValues();
   if (!(sigma(5) > kRankDeficient * sigma(0)))

@@ -7,6 +7,8 @@
 
 #include <Eigen/SVD>
 
+#include <type_traits>
+
 using namespace hexservo;
 using namespace hexservo::test;
 
@@ -78,6 +80,12 @@ double condition_number(const Features& features, double depth) {
 }
 
 }  // namespace
+
+// A Jacobian refers to its image and attitude: temporaries, which would be gone before it is used, do not compile.
+static_assert(
+    std::is_constructible_v<ImageJacobian<double>, double, double, const Image<double>&, const Matrix3<double>&>);
+static_assert(!std::is_constructible_v<ImageJacobian<double>, double, double, Image<double>, const Matrix3<double>&>);
+static_assert(!std::is_constructible_v<ImageJacobian<double>, double, double, const Image<double>&, Matrix3<double>>);
 
 TEST_CASE("projection (4) and back projection are inverses, both ways") {
   Random random(7501);

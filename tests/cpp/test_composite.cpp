@@ -573,7 +573,8 @@ TEST_CASE("the drift's cause: eigenvalues of (J-hat^T J-hat)^-1 J-hat^T J below 
       for (int pattern = 1; pattern < 15; ++pattern) {  // 0 and 15 have one sign
         Vector<double, 4> error;
         for (int i = 0; i < 4; ++i) error(i) = (pattern >> i & 1) == 1 ? -size : size;
-        const Jacobian known = ImageJacobian<double>(f, -1.0, measured_image(image, error), R_BE).matrix();
+        const Image<double> measured = measured_image(image, error);
+        const Jacobian known = ImageJacobian<double>(f, -1.0, measured, R_BE).matrix();
         negative += smallest((known.transpose() * known).ldlt().solve(known.transpose() * J)) < 0.0 ? 1 : 0;
         worst = std::min(worst, smallest((known.transpose() * known + M).ldlt().solve(known.transpose() * J + M)));
       }

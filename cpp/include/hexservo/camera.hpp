@@ -137,6 +137,12 @@ class ImageJacobian {
   ImageJacobian(const S& f, const S& sign, const Image<S, N>& image, const Matrix3<S>& R_BE)
       : ImageJacobian(f, sign, image.features, image.depth.cwiseInverse(), R_BE) {}
 
+  // What is shared must have a name: a temporary is gone before the Jacobian is used.
+  ImageJacobian(const S&, const S&, Vector<S, 2 * N>&&, const Vector<S, N>&, const Matrix3<S>&) = delete;
+  ImageJacobian(const S&, const S&, const Vector<S, 2 * N>&, const Vector<S, N>&, Matrix3<S>&&) = delete;
+  ImageJacobian(const S&, const S&, Image<S, N>&&, const Matrix3<S>&) = delete;
+  ImageJacobian(const S&, const S&, const Image<S, N>&, Matrix3<S>&&) = delete;
+
   /// J chi-dot [px/s] for a twist in B.
   Vector<S, 2 * N> push(const Vector6<S>& twist) const {
     const Vector3<S> v_E = rotate_back<S>(R_BE_, twist.template head<3>());
@@ -215,8 +221,8 @@ Image<S, N> measured_image(const Image<S, N>& image, const Vector<S, N>& depth_e
 template <class S, int N>
 Eigen::Matrix<S, 2 * N, 6> image_jacobian_error(const S& f, const S& sign, const Image<S, N>& image,
                                                 const Vector<S, N>& depth_error, const Matrix3<S>& R_BE) {
-  return ImageJacobian<S, N>(f, sign, measured_image(image, depth_error), R_BE).matrix() -
-         ImageJacobian<S, N>(f, sign, image, R_BE).matrix();
+  const Image<S, N> measured = measured_image(image, depth_error);
+  return ImageJacobian<S, N>(f, sign, measured, R_BE).matrix() - ImageJacobian<S, N>(f, sign, image, R_BE).matrix();
 }
 
 /// Z-dot_i [m/s] of (6) as printed: (omega x P_i + v) along Z, in E, with P_i from (4).
