@@ -73,8 +73,8 @@ inline std::vector<Instant<double>> recorded() {
     at.position = seen.pose.position;
     at.body = body_state<double>(seen.pose, seen.twist);
     at.twist = seen.twist;
-    at.wrench = loop.sample().wrench;
-    at.error = p.gains.kp.cwiseProduct(loop.sample().feature_error);
+    at.wrench = loop.record().sample().wrench;
+    at.error = p.gains.kp.cwiseProduct(loop.record().sample().feature_error);
     const ImageJacobian<double> J(task.focal_pixels, task.jacobian_sign, at.image, at.R_BE);
     const Vector<double, 2 * kPoints> rate = -p.gains.kp.cwiseProduct(J.push(at.twist));
     at.u = AxisVector<double>(Vector6<double>(p.gains.fuzzy.error_scale.cwiseProduct(J.pull(at.error))));

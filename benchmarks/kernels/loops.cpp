@@ -36,7 +36,7 @@ void runge_kutta(benchmark::State& state) {
     loop->advance();
     benchmark::DoNotOptimize(*loop);
   }
-  if (!all(loop->running())) state.SkipWithError("the run stopped");
+  if (!all(loop->record().running())) state.SkipWithError("the run stopped");
   state.SetItemsProcessed(state.iterations() * kLanes<S>);
 }
 

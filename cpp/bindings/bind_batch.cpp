@@ -112,6 +112,7 @@ void bind_batch(py::module_& m) {
       .value("feature_error", StopCause::feature_error)
       .value("twist", StopCause::twist)
       .value("behind_camera", StopCause::behind_camera)
+      .value("feature_lost", StopCause::feature_lost)
       .value("singular", StopCause::singular)
       .finalize();
 

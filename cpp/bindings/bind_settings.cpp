@@ -28,6 +28,7 @@ void bind_settings_of(py::module_& m, const char* name, const char* text) {
       .def_readwrite("robot", &S::robot)
       .def_readwrite("camera", &S::camera)
       .def_readwrite("convention", &S::convention)
+      .def_readwrite("sampling", &S::sampling)
       .def_readwrite("jacobian", &S::jacobian)
       .def_readwrite("target", &S::target)
       .def_readwrite("uncertainty", &S::uncertainty)
@@ -35,6 +36,7 @@ void bind_settings_of(py::module_& m, const char* name, const char* text) {
       .def_readwrite("gains", &S::gains)
       .def_readwrite("simulation", &S::simulation)
       .def_readwrite("metrics", &S::metrics)
+      .def_readwrite("seed", &S::seed)
       .def(
           "validate", [](const S& s) { check_settings(s); },
           "ValueError('key: expected ..., got ...') for the first thing that is wrong.");
@@ -47,7 +49,41 @@ void bind_settings(py::module_& m) {
       .value("sign", SwitchingKind::sign)
       .value("tanh", SwitchingKind::tanh)
       .value("saturation", SwitchingKind::saturation)
+      .value("implicit", SwitchingKind::implicit)
+      .value("implicit_coupled", SwitchingKind::implicit_coupled)
       .finalize();
+  py::native_enum<LoopMode>(m, "LoopMode", "enum.Enum")
+      .value("continuous", LoopMode::continuous)
+      .value("sampled", LoopMode::sampled)
+      .finalize();
+  py::native_enum<Prediction>(m, "Prediction", "enum.Enum")
+      .value("none", Prediction::none)
+      .value("encoder", Prediction::encoder)
+      .finalize();
+  py::native_enum<LostFeature>(m, "LostFeature", "enum.Enum")
+      .value("hold", LostFeature::hold)
+      .value("predict", LostFeature::predict)
+      .value("stop", LostFeature::stop)
+      .finalize();
+
+  using Faults = FrameSettings<double>;
+  py::class_<Faults>(m, "FrameSettings", "Faults of the camera in sampled mode, and what stands in for missing images.")
+      .def(py::init<>())
+      .def_readwrite("prediction", &Faults::prediction)
+      .def_readwrite("on_lost", &Faults::on_lost)
+      .def_readwrite("noise", &Faults::noise, "standard deviation [px]")
+      .def_readwrite("quantisation", &Faults::quantisation, "[px]; 0: none")
+      .def_readwrite("dropout", &Faults::dropout, "probability [1]")
+      .def_readwrite("outlier_probability", &Faults::outlier_probability, "[1]")
+      .def_readwrite("outlier_size", &Faults::outlier_size, "standard deviation [px]")
+      .def_readwrite("image_size", &Faults::image_size, "(2,) width and height [px]; infinite: no border");
+
+  py::class_<CameraSampling>(m, "CameraSampling", "The camera in sampled mode.")
+      .def(py::init<>())
+      .def_readwrite("period", &CameraSampling::period, "between two exposures [s]")
+      .def_readwrite("latency", &CameraSampling::latency, "from exposure to first use [s]")
+      .def_readwrite("latency_jitter", &CameraSampling::latency_jitter, "most that it is longer [s]")
+      .def_readwrite("faults", &CameraSampling::faults);
 
   py::class_<Switching<double>>(m, "Switching", "Stand-in for sgn in (15) of the paper.")
       .def(py::init<>())
@@ -85,7 +121,9 @@ void bind_settings(py::module_& m) {
 
   py::class_<SimulationSettings>(m, "SimulationSettings", "Time grid and logging.")
       .def(py::init<>())
-      .def_readwrite("step", &SimulationSettings::step, "[s]")
+      .def_readwrite("mode", &SimulationSettings::mode)
+      .def_readwrite("step", &SimulationSettings::step, "of the integration, or in sampled mode the servo period [s]")
+      .def_readwrite("substeps", &SimulationSettings::substeps, "Runge-Kutta steps in a servo period")
       .def_readwrite("duration", &SimulationSettings::duration, "[s], a whole number of steps")
       .def_readwrite("log_every", &SimulationSettings::log_every, "steps between logged samples");
 

@@ -17,13 +17,18 @@ struct Composite;
 
 namespace {
 
+template <class S, class Law>
+RunStatus run_mode(const RunRequest& request) {
+  return request.sampled ? detail::run_sampled<S, Law>(request) : detail::run_continuous<S, Law>(request);
+}
+
 template <class S>
 RunStatus run_law(const RunRequest& request) noexcept {
   switch (request.law) {
     case LawId::hybrid:
-      return detail::run_loop<S, Hybrid>(request);
+      return run_mode<S, Hybrid>(request);
     case LawId::composite:
-      return detail::run_loop<S, Composite>(request);
+      return run_mode<S, Composite>(request);
   }
   return RunStatus::unknown_law;
 }

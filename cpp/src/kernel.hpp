@@ -10,7 +10,7 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 2;                         ///< changes with everything below
+inline constexpr int kKernelAbi = 3;                         ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 12;         ///< of `Metrics`, in the order of its `visit`
@@ -44,6 +44,7 @@ struct RunAnswer {
 /// Scenarios that run together, at most one per lane.
 struct RunRequest {
   LawId law;
+  bool sampled;                     ///< mode of the scenarios
   int count;                        ///< of scenarios
   const double* const* parameters;  ///< one flattened LoopParameters (flatten.hpp) each
   long long numbers;                ///< of each of them, as a check

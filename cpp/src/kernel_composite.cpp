@@ -3,7 +3,7 @@
 
 namespace hexservo::detail {
 
-template RunStatus run_loop<double, Composite>(const RunRequest&);
-template RunStatus run_loop<Lanes<kWidth>, Composite>(const RunRequest&);
+template RunStatus run_continuous<double, Composite>(const RunRequest&);
+template RunStatus run_continuous<Lanes<kWidth>, Composite>(const RunRequest&);
 
 }  // namespace hexservo::detail

@@ -3,7 +3,7 @@
 
 namespace hexservo::detail {
 
-template RunStatus run_loop<double, Hybrid>(const RunRequest&);
-template RunStatus run_loop<Lanes<kWidth>, Hybrid>(const RunRequest&);
+template RunStatus run_continuous<double, Hybrid>(const RunRequest&);
+template RunStatus run_continuous<Lanes<kWidth>, Hybrid>(const RunRequest&);
 
 }  // namespace hexservo::detail

@@ -14,8 +14,11 @@ namespace hexservo::detail {
 
 inline constexpr int kWidth = HEXSERVO_KERNEL_LANES;
 
-/// Runs all lanes to their end, each stopping by itself; defined in run_loop.hpp, compiled in kernel_<law>.cpp.
+/// Run all lanes to their end, each stopping by itself; defined in run_loop.hpp, compiled in kernel_<law>.cpp and
+/// kernel_<law>_sampled.cpp.
 template <class S, class Law>
-RunStatus run_loop(const RunRequest& request);
+RunStatus run_continuous(const RunRequest& request);
+template <class S, class Law>
+RunStatus run_sampled(const RunRequest& request);
 
 }  // namespace hexservo::detail

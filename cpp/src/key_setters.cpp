@@ -40,6 +40,13 @@ long long whole_number(const char* key, double value) {
   return static_cast<long long>(value);
 }
 
+/// Seeds that vary are doubles, which hold whole numbers up to 2^53.
+std::uint64_t seed_number(double value) {
+  if (!(value >= 0.0 && value <= 0x1p53) || value != std::floor(value))
+    refuse("seed", "a whole number from 0 to 2^53", words(value));
+  return static_cast<std::uint64_t>(value);
+}
+
 using V = Numbers;
 
 template <class Law>
@@ -68,6 +75,15 @@ Keys<Law> scene_keys() {
       {"robot.force_limit", {1}, Reach::legs, [](S& s, V v) { s.robot.force_limit = v[0]; }},
       {"camera.focal_length", {1}, Reach::lane, [](S& s, V v) { s.camera.focal_length = v[0]; }},
       {"camera.pixel_scale", {1}, Reach::lane, [](S& s, V v) { s.camera.pixel_scale = v[0]; }},
+      {"camera.period", {1}, Reach::pack, [](S& s, V v) { s.sampling.period = v[0]; }},
+      {"camera.latency", {1}, Reach::pack, [](S& s, V v) { s.sampling.latency = v[0]; }},
+      {"camera.latency_jitter", {1}, Reach::pack, [](S& s, V v) { s.sampling.latency_jitter = v[0]; }},
+      {"camera.noise", {1}, Reach::lane, [](S& s, V v) { s.sampling.faults.noise = v[0]; }},
+      {"camera.quantisation", {1}, Reach::lane, [](S& s, V v) { s.sampling.faults.quantisation = v[0]; }},
+      {"camera.dropout", {1}, Reach::lane, [](S& s, V v) { s.sampling.faults.dropout = v[0]; }},
+      {"camera.outlier_probability", {1}, Reach::lane, [](S& s, V v) { s.sampling.faults.outlier_probability = v[0]; }},
+      {"camera.outlier_size", {1}, Reach::lane, [](S& s, V v) { s.sampling.faults.outlier_size = v[0]; }},
+      {"camera.image_size", {2}, Reach::lane, [](S& s, V v) { fill(s.sampling.faults.image_size, v); }},
       {"target.initial_features", {8}, Reach::lane, [](S& s, V v) { fill(s.target.initial_features, v); }},
       {"target.desired_features", {8}, Reach::lane, [](S& s, V v) { fill(s.target.desired_features, v); }},
       {"target.depth", {1, 4}, Reach::lane, [](S& s, V v) { fill(s.target.depth, v); }},
@@ -77,6 +93,7 @@ Keys<Law> scene_keys() {
       {"uncertainty.gravity", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.dynamics.gravity, v); }},
       {"uncertainty.depth", {1, 4}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.depth, v); }},
       {"controller.switching.width", {1}, Reach::lane, [](S& s, V v) { s.switching.width = v[0]; }},
+      {"seed", {1}, Reach::lane, [](S& s, V v) { s.seed = seed_number(v[0]); }},
   };
 }
 
@@ -125,6 +142,7 @@ Keys<Law> simulation_keys() {
   using S = Settings<Law>;
   return {
       {"simulation.step", {1}, Reach::pack, [](S& s, V v) { s.simulation.step = v[0]; }},
+      {"simulation.substeps", {1}, Reach::pack, [](S& s, V v) { s.simulation.substeps = whole_number("simulation.substeps", v[0]); }},
       {"simulation.duration", {1}, Reach::pack, [](S& s, V v) { s.simulation.duration = v[0]; }},
       {"simulation.log_every", {1}, Reach::pack, [](S& s, V v) { s.simulation.log_every = whole_number("simulation.log_every", v[0]); }},
   };

@@ -1,10 +1,11 @@
 /// @file
-/// The run loop of a kernel, for one law. Each law is compiled in a file of its own: with two in one the compiler
+/// The run loop of a kernel, for one law and mode. Each is compiled in a file of its own: with two in one the compiler
 /// inlines less of each, and two files compile side by side.
 #pragma once
 
 #include "flatten.hpp"
 #include "hexservo/closed_loop.hpp"
+#include "hexservo/sampled_loop.hpp"
 #include "kernel_lanes.hpp"
 
 #include <algorithm>
@@ -66,17 +67,17 @@ void read_parameters(LoopParameters<S, Law>& parameters, const RunRequest& reque
 }
 
 /// Rows of the logs of all lanes; a lane that has stopped adds none.
-template <class S, class Law>
+template <class S>
 class Log {
  public:
-  Log(const RunRequest& request, const ClosedLoop<S, Law>& loop) : request_(request), loop_(loop) {
+  Log(const RunRequest& request, const LoopRecord<S>& record) : request_(request), record_(record) {
     for (int lane = 0; lane < request.count; ++lane) answer(lane).rows = 0;
     add();
   }
 
   /// The sample of now, of the lanes that run.
   void add() {
-    const Mask<S> running = loop_.running();
+    const Mask<S> running = record_.running();
     for (int lane = 0; lane < request_.count; ++lane)
       if (of_lane(running, lane)) add(lane);
   }
@@ -84,7 +85,7 @@ class Log {
   /// The last good sample, where it is not the last row already.
   void end(int lane) {
     const RunAnswer& a = answer(lane);
-    if (a.rows == 0 || last_time_[static_cast<std::size_t>(lane)] != of_lane(loop_.sample_time(), lane)) add(lane);
+    if (a.rows == 0 || last_time_[static_cast<std::size_t>(lane)] != of_lane(record_.sample_time(), lane)) add(lane);
   }
 
  private:
@@ -92,45 +93,46 @@ class Log {
 
   void add(int lane) {
     RunAnswer& a = answer(lane);
-    const double time = of_lane(loop_.sample_time(), lane);
+    const double time = of_lane(record_.sample_time(), lane);
     if (a.time != nullptr) a.time[a.rows] = time;
-    write_sample(loop_.sample(), lane,
+    write_sample(record_.sample(), lane,
                  [&a](std::size_t quantity) { return a.columns[quantity] + a.rows * kSampleWidths[quantity]; });
     last_time_[static_cast<std::size_t>(lane)] = time;
     ++a.rows;
   }
 
   const RunRequest& request_;
-  const ClosedLoop<S, Law>& loop_;
+  const LoopRecord<S>& record_;
   std::array<double, static_cast<std::size_t>(kLanes<S>)> last_time_{};
 };
 
-template <class S, class Law>
-void answer(const ClosedLoop<S, Law>& loop, const S& steps, bool stopped, int lane, const RunRequest& request) {
+template <class S, class LawState>
+void answer(const LoopRecord<S>& record, const LawState& law_state, const S& steps, bool stopped, int lane,
+            const RunRequest& request) {
   RunAnswer& a = request.answers[lane];
   double* next = a.sample;
-  write_sample(loop.sample(), lane, [&next](std::size_t quantity) {
+  write_sample(record.sample(), lane, [&next](std::size_t quantity) {
     double* place = next;
     next += kSampleWidths[quantity];
     return place;
   });
-  const Metrics<S> metrics = loop.metrics().metrics();
+  const Metrics<S> metrics = record.metrics().metrics();
   next = a.metrics;
   Metrics<S>::visit([&](const S& value, const S&) { *next++ = of_lane(value, lane); }, metrics, metrics);
-  write(loop.metrics().stroke().first_time, lane, a.stroke_first_time);
-  write(loop.metrics().stroke().peak, lane, a.stroke_peak);
-  write(loop.metrics().force().first_time, lane, a.force_first_time);
-  write(loop.metrics().force().peak, lane, a.force_peak);
-  if (a.weights != nullptr) write_weights(loop.law_state(), lane, a.weights);
-  a.end_time = of_lane(loop.sample_time(), lane);
+  write(record.metrics().stroke().first_time, lane, a.stroke_first_time);
+  write(record.metrics().stroke().peak, lane, a.stroke_peak);
+  write(record.metrics().force().first_time, lane, a.force_first_time);
+  write(record.metrics().force().peak, lane, a.force_peak);
+  if (a.weights != nullptr) write_weights(law_state, lane, a.weights);
+  a.end_time = of_lane(record.sample_time(), lane);
   a.steps = static_cast<long long>(of_lane(steps, lane));
-  a.cause = static_cast<int>(of_lane(loop.cause(), lane));
+  a.cause = static_cast<int>(of_lane(record.cause(), lane));
   a.interrupted = stopped && a.cause == static_cast<int>(StopCause::none) && a.steps < request.steps;
 }
 
 /// The one run loop: all lanes to their end, each stopping by itself.
-template <class S, class Law>
-RunStatus run_loop(const RunRequest& request) {
+template <class Loop, class S, class Law>
+RunStatus run(const RunRequest& request) {
   LoopParameters<S, Law> parameters;
   if (request.numbers != flat_size(LoopParameters<double, Law>{})) return RunStatus::other_layout;
   try {
@@ -139,15 +141,16 @@ RunStatus run_loop(const RunRequest& request) {
     return RunStatus::not_uniform;
   }
 
-  ClosedLoop<S, Law> loop(parameters);
+  Loop loop(parameters);
+  const LoopRecord<S>& record = loop.record();
   const bool logging = request.log_every > 0;
-  std::optional<Log<S, Law>> log;
-  if (logging) log.emplace(request, loop);
+  std::optional<Log<S>> log;
+  if (logging) log.emplace(request, record);
   S steps(0.0);  // that each lane has taken
   bool stopped = false;
   long long until_logged = request.log_every;
   while (loop.steps() < request.steps) {
-    const Mask<S> running = loop.running();
+    const Mask<S> running = record.running();
     if (!any(running)) break;
     if (loop.steps() % kQuestionEvery == 0 && request.stop != nullptr && request.stop(request.context, loop.steps())) {
       stopped = true;
@@ -161,12 +164,22 @@ RunStatus run_loop(const RunRequest& request) {
     }
   }
   for (int lane = 0; lane < request.count; ++lane) {
-    answer(loop, steps, stopped, lane, request);
+    answer(record, loop.law_state(), steps, stopped, lane, request);
     const RunAnswer& a = request.answers[lane];
     const bool completed = a.cause == static_cast<int>(StopCause::none) && !a.interrupted;
     if (logging && (request.log_end || completed)) log->end(lane);
   }
   return RunStatus::done;
+}
+
+template <class S, class Law>
+RunStatus run_continuous(const RunRequest& request) {
+  return run<ClosedLoop<S, Law>, S, Law>(request);
+}
+
+template <class S, class Law>
+RunStatus run_sampled(const RunRequest& request) {
+  return run<SampledLoop<S, Law>, S, Law>(request);
 }
 
 }  // namespace hexservo::detail

@@ -32,6 +32,7 @@ template <class Law>
 RunRequest run_request(const SimulationSettings& simulation, std::size_t numbers) {
   RunRequest request{};
   request.law = law_id<Law>;
+  request.sampled = simulation.mode == LoopMode::sampled;
   request.numbers = static_cast<long long>(numbers);
   request.steps = step_count(simulation);
   return request;

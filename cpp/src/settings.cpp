@@ -62,6 +62,45 @@ void place_target(const Target& target, CameraConvention convention, double f, c
   }
 }
 
+/// A time on the grid of the servo's ticks.
+/// @param at_least fewest ticks
+long long ticks(const char* key, double time, double period, long long at_least) {
+  const double most = 1e6 * period;  // frames in flight are kept
+  if (!(time >= 0.0 && time <= most)) refuse(key, words("a time from 0 to ", most, " s"), words(time));
+  const double ratio = time / period, whole = std::round(ratio);
+  const double fewest = static_cast<double>(at_least);
+  if (whole < fewest || std::abs(ratio - whole) > 1e-9 * std::max(whole, 1.0)) {
+    const double below = std::max(std::floor(ratio), fewest), above = std::max(std::ceil(ratio), fewest);
+    refuse(key,
+           words("a whole number of servo periods (simulation.step, ", period, " s)",
+                 at_least > 0 ? ", at least one" : ""),
+           words(time, "; nearest: ", below * period, above > below ? words(" or ", above * period) : ""));
+  }
+  return static_cast<long long>(whole);
+}
+
+void require_probability(const char* key, double value) {
+  if (!(value >= 0.0 && value <= 1.0)) refuse(key, "a probability from 0 to 1", words(value));
+}
+
+/// Timing and faults of the camera, checked.
+FrameSettings<double> frame_settings(const CameraSampling& sampling, double period) {
+  FrameSettings<double> frames = sampling.faults;
+  frames.period = ticks("camera.period", sampling.period, period, 1);
+  frames.latency = ticks("camera.latency", sampling.latency, period, 0);
+  frames.jitter = ticks("camera.latency_jitter", sampling.latency_jitter, period, 0);
+  for (const auto& [key, value] :
+       {std::pair{"camera.noise", frames.noise}, std::pair{"camera.quantisation", frames.quantisation},
+        std::pair{"camera.outlier_size", frames.outlier_size}})
+    if (!(std::isfinite(value) && value >= 0.0)) refuse(key, "a finite number >= 0", words(value));
+  require_probability("camera.dropout", frames.dropout);
+  require_probability("camera.outlier_probability", frames.outlier_probability);
+  for (int i = 0; i < 2; ++i)  // infinite: every feature is seen
+    if (!(frames.image_size(i) > 0.0))
+      refuse(words("camera.image_size[", i, "]"), "a number > 0", words(frames.image_size(i)));
+  return frames;
+}
+
 /// The step and the durations nearest to a pair that makes no grid.
 std::string nearest_grid(double step, double duration) {
   const double ratio = duration / step;
@@ -70,6 +109,13 @@ std::string nearest_grid(double step, double duration) {
   const double steps = both && std::abs(duration / below - step) < std::abs(duration / above - step) ? below : above;
   return words("nearest: step ", duration / steps, ", or duration ", both ? words(below * step, " or ") : "",
                above * step);
+}
+
+/// Whether the law gives a finite wrench at the start.
+template <class Law>
+bool starts(const LoopParameters<double, Law>& p) {
+  if (p.mode == LoopMode::sampled) return SampledLoop<double, Law>(p).record().running();
+  return ClosedLoop<double, Law>(p).record().running();
 }
 
 }  // namespace
@@ -129,15 +175,28 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
   p.gains = settings.gains;
   validate(p.gains);
   p.step = settings.simulation.step;
+  p.mode = settings.simulation.mode;
+  if (settings.simulation.substeps < 1)
+    refuse("simulation.substeps", "a whole number >= 1", words(settings.simulation.substeps));
+  p.substeps = settings.simulation.substeps;
+  if (p.mode == LoopMode::sampled) {
+    p.frames = frame_settings(settings.sampling, p.step);
+    if (p.convention == CameraConvention::as_printed &&
+        (p.frames.prediction != Prediction::none || p.frames.on_lost == LostFeature::predict))
+      refuse("camera.convention", "eye_in_hand where features are predicted, since a camera as_printed has no points",
+             "as_printed");
+    p.seed = seed_halves(settings.seed);
+  } else if (is_implicit(p.switching.kind)) {
+    refuse("controller.switching.kind", "sign, tanh or saturation in continuous mode (implicit needs a servo period)",
+           "implicit");
+  }
   if constexpr (requires { p.gains.fuzzy; })
     require_resolved(p.gains.fuzzy, words("controller.", Law::name, ".fuzzy."), p.step);
   detail::require_positive("metrics.settling_threshold", settings.metrics.settling_threshold);
   detail::require_finite("metrics.rms_start", settings.metrics.rms_start);
   p.metrics = settings.metrics;
 
-  const ClosedLoop<double, Law> start(p);
-  if (!start.running())
-    refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
+  if (!starts(p)) refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
   return p;
 }
 

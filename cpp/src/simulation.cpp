@@ -102,6 +102,8 @@ std::string describe(StopCause cause, double time) {
       return words("the twist exceeded ", kMaxTwist, " m/s or rad/s", at);
     case StopCause::behind_camera:
       return "a target point came behind the camera" + at;
+    case StopCause::feature_lost:
+      return "a frame did not show every target point" + at;
     case StopCause::singular:
       return "the legs came to a singular pose" + at;
     case StopCause::none:

@@ -109,12 +109,12 @@ Recording record(const Settings<Law>& settings) {
   recording.inputs.reserve(static_cast<std::size_t>(steps));
   recording.wrenches.reserve(static_cast<std::size_t>(steps));
   ClosedLoop<double, Law> loop(parameters);
-  for (long long i = 0; i < steps && loop.running(); ++i) {
+  for (long long i = 0; i < steps && loop.record().running(); ++i) {
     recording.inputs.push_back(loop.observe());
-    recording.wrenches.push_back(loop.sample().wrench);
+    recording.wrenches.push_back(loop.record().sample().wrench);
     loop.advance();
   }
-  if (!loop.running()) refuse("scenario", "a run that goes to its end, to replay", "one that stops");
+  if (!loop.record().running()) refuse("scenario", "a run that goes to its end, to replay", "one that stops");
   return recording;
 }
 

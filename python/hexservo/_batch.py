@@ -36,7 +36,6 @@ _LOGS = {
 _OUTCOMES = np.array([outcome.name for outcome in sorted(_core.Outcome, key=lambda outcome: outcome.value)])
 _CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda cause: cause.value)])
 _MAX_THREADS = 1024
-_WITHOUT_EFFECT = "seed"  # nothing in the continuous loop is random
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +173,7 @@ def simulate_batch(
     kernel = chosen_kernel()
     arrays = _checked(scenario, variations)
     count = max(len(values) for values in arrays.values())
-    rows = [
-        (key, np.ascontiguousarray(values.reshape(len(values), -1)))
-        for key, values in arrays.items()
-        if key != _WITHOUT_EFFECT
-    ]
+    rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in arrays.items()]
     with _reporting(progress) as report:
         run = _core.simulate_batch(
             core_parameters(scenario), rows, count, _LOGS[log], _thread_count(threads), kernel, report

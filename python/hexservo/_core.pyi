@@ -27,7 +27,8 @@ class StopCause(enum.Enum):
     feature_error = 2
     twist = 3
     behind_camera = 4
-    singular = 5
+    feature_lost = 5
+    singular = 6
 
 class CameraConvention(enum.Enum):
     __pybind11_native_enum__: object
@@ -66,6 +67,46 @@ class SwitchingKind(enum.Enum):
     sign = 0
     tanh = 1
     saturation = 2
+    implicit = 3
+    implicit_coupled = 4
+
+class LoopMode(enum.Enum):
+    __pybind11_native_enum__: object
+    continuous = 0
+    sampled = 1
+
+class Prediction(enum.Enum):
+    __pybind11_native_enum__: object
+    none = 0
+    encoder = 1
+
+class LostFeature(enum.Enum):
+    __pybind11_native_enum__: object
+    hold = 0
+    predict = 1
+    stop = 2
+
+class FrameSettings(metaclass=_PybindType):
+    """Faults of the camera in sampled mode, and what stands in for missing images."""
+
+    def __init__(self) -> None: ...
+    prediction: Prediction
+    on_lost: LostFeature
+    noise: float
+    quantisation: float
+    dropout: float
+    outlier_probability: float
+    outlier_size: float
+    image_size: _Array
+
+class CameraSampling(metaclass=_PybindType):
+    """The camera in sampled mode."""
+
+    def __init__(self) -> None: ...
+    period: float
+    latency: float
+    latency_jitter: float
+    faults: FrameSettings
 
 class RigidBody(metaclass=_PybindType):
     """Mass properties of the platform."""
@@ -204,7 +245,9 @@ class SimulationSettings(metaclass=_PybindType):
     """Time grid and logging."""
 
     def __init__(self) -> None: ...
+    mode: LoopMode
     step: float
+    substeps: int
     duration: float
     log_every: int
 
@@ -222,6 +265,7 @@ class HybridSettings(metaclass=_PybindType):
     robot: RobotParameters
     camera: Camera
     convention: CameraConvention
+    sampling: CameraSampling
     jacobian: JacobianConvention
     target: Target
     uncertainty: Uncertainty
@@ -229,6 +273,7 @@ class HybridSettings(metaclass=_PybindType):
     gains: HybridGains
     simulation: SimulationSettings
     metrics: MetricsSettings
+    seed: int
     def validate(self) -> None: ...
 
 class CompositeSettings(metaclass=_PybindType):
@@ -238,6 +283,7 @@ class CompositeSettings(metaclass=_PybindType):
     robot: RobotParameters
     camera: Camera
     convention: CameraConvention
+    sampling: CameraSampling
     jacobian: JacobianConvention
     target: Target
     uncertainty: Uncertainty
@@ -245,6 +291,7 @@ class CompositeSettings(metaclass=_PybindType):
     gains: CompositeGains
     simulation: SimulationSettings
     metrics: MetricsSettings
+    seed: int
     def validate(self) -> None: ...
 
 class LimitEvent(metaclass=_PybindType):

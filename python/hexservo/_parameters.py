@@ -32,14 +32,18 @@ def core_parameters(scenario: Scenario) -> Settings:
     settings.camera.focal_length = scenario.camera.focal_length
     settings.camera.pixel_scale = scenario.camera.pixel_scale
     settings.convention = _core.CameraConvention[scenario.camera.convention]
+    settings.sampling = _sampling(scenario)
     settings.jacobian = _core.JacobianConvention[scenario.controller.jacobian]
     settings.target = _target(scenario)
     settings.uncertainty = _uncertainty(scenario)
     settings.switching.kind = _core.SwitchingKind[scenario.controller.switching.kind]
     settings.switching.width = scenario.controller.switching.width
+    settings.simulation.mode = _core.LoopMode[scenario.simulation.mode]
     settings.simulation.step = scenario.simulation.step
+    settings.simulation.substeps = scenario.simulation.substeps
     settings.simulation.duration = scenario.simulation.duration
     settings.simulation.log_every = scenario.simulation.log_every
+    settings.seed = scenario.seed
     settings.validate()
     return settings
 
@@ -83,6 +87,20 @@ def _robot(scenario: Scenario) -> _core.RobotParameters:
     inertia = np.asarray(scenario.robot.inertia, dtype=float)
     robot.inertia = np.diag(inertia) if inertia.ndim == 1 else inertia
     return robot
+
+
+def _sampling(scenario: Scenario) -> _core.CameraSampling:
+    camera = scenario.camera
+    sampling = _core.CameraSampling()
+    sampling.period, sampling.latency, sampling.latency_jitter = camera.period, camera.latency, camera.latency_jitter
+    faults = sampling.faults
+    for key in ("noise", "quantisation", "dropout", "outlier_probability", "outlier_size"):
+        setattr(faults, key, getattr(camera, key))
+    if camera.image_size is not None:  # no border is the core's default
+        faults.image_size = np.asarray(camera.image_size)
+    faults.on_lost = _core.LostFeature[camera.on_lost]
+    faults.prediction = _core.Prediction[camera.prediction]
+    return sampling
 
 
 def _target(scenario: Scenario) -> _core.Target:

@@ -49,7 +49,7 @@ __all__ = [
 
 Vector: TypeAlias = tuple[float, ...]
 Matrix: TypeAlias = tuple[Vector, ...]
-SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation"]
+SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
 Law: TypeAlias = Literal["hybrid", "composite"]
 LAWS: tuple[str, ...] = get_args(Law)
 
@@ -458,8 +458,10 @@ def _rules(block: type[BaseModel], head: str = "") -> Iterator[tuple[str, _Rule]
 _POSITIVE = _Number(above=0)
 _NOT_NEGATIVE = _Number(at_least=0)
 _RELATIVE_ERROR = _Number(above=-1, below=1)
+_PROBABILITY = _Number(at_least=0, at_most=1)
 
 _PositiveNumber = Annotated[float, _POSITIVE]
+_NumberNotNegative = Annotated[float, _NOT_NEGATIVE]
 
 
 class _Block(BaseModel):
@@ -500,11 +502,29 @@ class Robot(_Block):
 
 
 class Camera(_Block):
-    """The camera in the platform; docs/model.md section 4, (4)-(8)."""
+    """The camera in the platform; docs/model.md section 4, (4)-(8).
+
+    Times, faults and predictions act in `sampled` mode alone, where every time is a whole number of servo periods
+    (``simulation.step``); docs/model.md section 7.
+    """
 
     focal_length: _PositiveNumber = Field(default_factory=lambda: _core.Camera().focal_length)  # [m]
     pixel_scale: _PositiveNumber = Field(default_factory=lambda: _core.Camera().pixel_scale)  # [px/m]
     convention: Annotated[Literal["eye_in_hand", "as_printed"], _Choice()] = "eye_in_hand"
+    period: _PositiveNumber = Field(default_factory=lambda: _core.CameraSampling().period)  # [s], between exposures
+    latency: _NumberNotNegative = 0.0  # [s], from an exposure to its first use
+    latency_jitter: _NumberNotNegative = 0.0  # [s], most that the latency of a frame is longer
+    noise: _NumberNotNegative = 0.0  # [px], standard deviation of each coordinate
+    quantisation: _NumberNotNegative = 0.0  # [px], coordinates are multiples of it; 0: of nothing
+    dropout: Annotated[float, _PROBABILITY] = 0.0  # probability that a frame never arrives
+    outlier_probability: Annotated[float, _PROBABILITY] = 0.0  # that a point of a frame is an outlier
+    outlier_size: _NumberNotNegative = 0.0  # [px], standard deviation of an outlier's coordinates
+    # (2,) [px], width and height; a feature outside is lost; null: no border
+    image_size: Annotated[Vector | None, _Array((2,), _POSITIVE, or_null=True)] = None
+    # what a law does with a lost feature: its last image, that image carried along by the joint sensors, or no more
+    on_lost: Annotated[Literal["hold", "predict", "stop"], _Choice()] = "hold"
+    # between two frames: the newest one as it is, or carried along by the joint sensors
+    prediction: Annotated[Literal["none", "encoder"], _Choice()] = "none"
 
 
 class Target(_Block):
@@ -558,7 +578,8 @@ class Switching(_Block):
     kind: Annotated[SwitchingKind, _Choice()] = Field(
         default_factory=lambda: cast("SwitchingKind", _core.Switching().kind.name)
     )
-    width: _PositiveNumber = Field(default_factory=lambda: _core.Switching().width)  # [m/s and rad/s]; not for sign
+    # [m/s and rad/s], of tanh and saturation
+    width: _PositiveNumber = Field(default_factory=lambda: _core.Switching().width)
 
 
 class Fuzzy(_Block):
@@ -686,10 +707,12 @@ class Controller(_Block):
 class Simulation(_Block):
     """How long and how finely; the step divides the duration."""
 
-    mode: Annotated[Literal["continuous"], _Choice()] = "continuous"
-    step: _PositiveNumber = Field(
-        default_factory=lambda: _core.SimulationSettings().step
-    )  # [s], of the Runge-Kutta integration
+    # continuous: the law acts in every stage of the integration; sampled: at the servo's ticks, on the camera's frames
+    mode: Annotated[Literal["continuous", "sampled"], _Choice()] = "continuous"
+    # [s], of the Runge-Kutta integration; in sampled mode the servo period
+    step: _PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().step)
+    # in sampled mode: Runge-Kutta steps in a servo period
+    substeps: Annotated[int, _Integer(1, 10**6)] = Field(default_factory=lambda: _core.SimulationSettings().substeps)
     duration: _PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().duration)  # [s]
     # steps per logged sample
     log_every: Annotated[int, _Integer(1, 10**9)] = Field(default_factory=lambda: _core.SimulationSettings().log_every)

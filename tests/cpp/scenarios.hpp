@@ -7,8 +7,9 @@
 namespace hexservo::test {
 
 /// Scenario `paper`; everything that is not set here is the core's own default.
-inline Settings<Hybrid> paper_settings() {
-  Settings<Hybrid> settings;
+template <class Law = Hybrid>
+Settings<Law> paper_settings() {
+  Settings<Law> settings;
   settings.target.initial_features << 30, 18, 65, -65, -44, 37, -10, -15;
   settings.target.desired_features << 10, 10, 45, -73, -64, 29, -30, -23;
   settings.uncertainty.dynamics.inertia.setConstant(0.075);

@@ -174,14 +174,14 @@ bool identical(const Sample<S>& a, const Sample<S>& b, int lane) {
 TEST_CASE("the loop starts at home, at rest, and sees the initial image with measured depths") {
   const Parameters p = loop_parameters(paper_settings());
   const Single loop(p);
-  CHECK(loop.running());
+  CHECK(loop.record().running());
   CHECK(loop.steps() == 0);
   CHECK(loop.time() == 0.0);
-  CHECK(loop.sample_time() == 0.0);
-  CHECK(loop.sample().position == p.hexapod.home_position);
-  CHECK(loop.sample().twist.isZero(0.0));
-  CHECK(loop.sample().leg_lengths == p.hexapod.home_lengths);
-  CHECK(distance(loop.sample().feature_error, p.desired_features - p.initial_image.features) <= 1e-12);
+  CHECK(loop.record().sample_time() == 0.0);
+  CHECK(loop.record().sample().position == p.hexapod.home_position);
+  CHECK(loop.record().sample().twist.isZero(0.0));
+  CHECK(loop.record().sample().leg_lengths == p.hexapod.home_lengths);
+  CHECK(distance(loop.record().sample().feature_error, p.desired_features - p.initial_image.features) <= 1e-12);
   const Measurement<double> input = loop.observe();
   CHECK(distance(input.image.features, p.initial_image.features) <= 1e-12);
   CHECK(distance(input.image.depth, 1.3 * p.initial_image.depth) <= 4.0 * kEpsilon);
@@ -224,7 +224,7 @@ TEST_CASE(
       CAPTURE(i);
       loop.advance();
       flat_step(p, task, y);
-      const Sample<double>& sample = loop.sample();
+      const Sample<double>& sample = loop.record().sample();
       const FuzzyWeights<double> weights = weights_of(y);
       linear_size = std::max(linear_size, y.segment<3>(7).cwiseAbs().maxCoeff());
       angular_size = std::max(angular_size, y.segment<3>(10).cwiseAbs().maxCoeff());
@@ -275,8 +275,8 @@ TEST_CASE("the loop is of order four: errors fall 16-fold with half the step (ta
       largest_input = std::max({largest_input, g.cwiseProduct(p.gains.fuzzy.error_scale).cwiseAbs().maxCoeff(),
                                 g_rate.cwiseProduct(p.gains.fuzzy.rate_scale).cwiseAbs().maxCoeff()});
     }
-    REQUIRE(loop.running());
-    const Sample<double>& s = loop.sample();
+    REQUIRE(loop.record().running());
+    const Sample<double>& s = loop.record().sample();
     return End{s.feature_error, body_state<double>({s.position, s.quaternion}, s.twist), s.fuzzy_output};
   };
 
@@ -324,21 +324,23 @@ TEST_CASE("a pack of four different scenarios agrees with four single runs to 1e
           CAPTURE(lane);
           Single& single = *singles[static_cast<std::size_t>(lane)];
           single.advance();
-          REQUIRE(difference_of[static_cast<std::size_t>(lane)](pack.sample(), lane, single.sample()) <= 1e-12);
+          REQUIRE(difference_of[static_cast<std::size_t>(lane)](pack.record().sample(), lane,
+                                                                single.record().sample()) <= 1e-12);
           REQUIRE(difference(pack.law_state(), lane, single.law_state()) <= 1e-12);
         }
       }
-      CHECK(all(pack.running()));
+      CHECK(all(pack.record().running()));
       for (int lane = 0; lane < 4; ++lane) {
-        const Metrics<double> single = singles[static_cast<std::size_t>(lane)]->metrics().metrics();
-        const Metrics<S> m = pack.metrics().metrics();
+        const Metrics<double> single = singles[static_cast<std::size_t>(lane)]->record().metrics().metrics();
+        const Metrics<S> m = pack.record().metrics().metrics();
         CHECK(m.peak_error[lane] == doctest::Approx(single.peak_error).epsilon(1e-12));
         CHECK(m.peak_displacement[lane] == doctest::Approx(single.peak_displacement).epsilon(1e-12));
         CHECK(m.peak_leg_force[lane] == doctest::Approx(single.peak_leg_force).epsilon(1e-12));
       }
       // the four scenarios really differ
       for (int lane = 1; lane < 4; ++lane)
-        CHECK(distance(lane_of(pack.sample().feature_error, lane), lane_of(pack.sample().feature_error, 0)) > 0.01);
+        CHECK(distance(lane_of(pack.record().sample().feature_error, lane),
+                       lane_of(pack.record().sample().feature_error, 0)) > 0.01);
     }
 }
 
@@ -380,35 +382,35 @@ TEST_CASE(
     Vector<double, 8> last_good;
     FuzzyWeights<S> last_weights;
     for (int step = 0; step < 600; ++step) {
-      if (pack.running()[2]) {
-        last_good = lane_of(pack.sample().feature_error, 2);
+      if (pack.record().running()[2]) {
+        last_good = lane_of(pack.record().sample().feature_error, 2);
         last_weights = pack.law_state();
       }
       healthy.advance();
       pack.advance();
-      if (alone.running()) alone.advance();
-      CHECK(pack.running()[2] == alone.running());
+      if (alone.record().running()) alone.advance();
+      CHECK(pack.record().running()[2] == alone.record().running());
       for (const int lane : {0, 1, 3}) {
-        REQUIRE(pack.running()[lane]);
-        REQUIRE(identical(pack.sample(), healthy.sample(), lane));
+        REQUIRE(pack.record().running()[lane]);
+        REQUIRE(identical(pack.record().sample(), healthy.record().sample(), lane));
         for (std::size_t r = 0; r < 49; ++r)
           REQUIRE(lane_of(pack.law_state()[r], lane) == lane_of(healthy.law_state()[r], lane));
       }
-      if (!pack.running()[2] && stopped_at < 0.0) stopped_at = pack.time();
+      if (!pack.record().running()[2] && stopped_at < 0.0) stopped_at = pack.time();
     }
     REQUIRE(stopped_at > 0.0);
-    const auto cause = static_cast<StopCause>(static_cast<int>(pack.cause()[2]));
+    const auto cause = static_cast<StopCause>(static_cast<int>(pack.record().cause()[2]));
     CAPTURE(static_cast<int>(cause));
     CHECK(cause == failure.cause);
-    CHECK(pack.cause()[2] == alone.cause());
-    CHECK(pack.sample_time()[2] == doctest::Approx(stopped_at - 1e-3));
-    CHECK(alone.sample_time() == pack.sample_time()[2]);
-    CHECK(pack.sample_time()[0] == doctest::Approx(0.6));
-    CHECK(lane_of(pack.sample().feature_error, 2) == last_good);
+    CHECK(pack.record().cause()[2] == alone.record().cause());
+    CHECK(pack.record().sample_time()[2] == doctest::Approx(stopped_at - 1e-3));
+    CHECK(alone.record().sample_time() == pack.record().sample_time()[2]);
+    CHECK(pack.record().sample_time()[0] == doctest::Approx(0.6));
+    CHECK(lane_of(pack.record().sample().feature_error, 2) == last_good);
     for (std::size_t r = 0; r < 49; ++r) CHECK(lane_of(pack.law_state()[r], 2) == lane_of(last_weights[r], 2));
     bool finite = true;
-    Sample<S>::visit([&](const auto& x, const auto&) { finite = finite && is_finite(lane_of(x, 2)); }, pack.sample(),
-                     pack.sample());
+    Sample<S>::visit([&](const auto& x, const auto&) { finite = finite && is_finite(lane_of(x, 2)); },
+                     pack.record().sample(), pack.record().sample());
     CHECK(finite);
   }
 }
@@ -418,23 +420,23 @@ TEST_CASE("a single loop that has stopped stays as it is") {
   settings.jacobian = JacobianConvention::printed;
   const Parameters p = loop_parameters(settings);
   Single loop(p);
-  while (loop.running() && loop.steps() < 1000) loop.advance();
-  REQUIRE_FALSE(loop.running());
+  while (loop.record().running() && loop.steps() < 1000) loop.advance();
+  REQUIRE_FALSE(loop.record().running());
   CHECK(loop.time() <= 0.05);  // erratum 1
-  const auto why = static_cast<StopCause>(static_cast<int>(loop.cause()));
+  const auto why = static_cast<StopCause>(static_cast<int>(loop.record().cause()));
   CHECK((why == StopCause::feature_error ||
          why == StopCause::behind_camera));  // points leave the image before they pass the camera
-  CAPTURE(text(loop.sample().depth));
-  const Sample<double> last = loop.sample();
-  const double time = loop.sample_time(), cause = loop.cause();
-  const Metrics<double> metrics = loop.metrics().metrics();
+  CAPTURE(text(loop.record().sample().depth));
+  const Sample<double> last = loop.record().sample();
+  const double time = loop.record().sample_time(), cause = loop.record().cause();
+  const Metrics<double> metrics = loop.record().metrics().metrics();
   const FuzzyWeights<double> weights = loop.law_state();
   for (int i = 0; i < 10; ++i) loop.advance();
-  CHECK(loop.sample_time() == time);
-  CHECK(loop.cause() == cause);
-  CHECK(loop.sample().feature_error == last.feature_error);
-  CHECK(loop.sample().wrench == last.wrench);
-  CHECK(loop.metrics().metrics().peak_error == metrics.peak_error);
+  CHECK(loop.record().sample_time() == time);
+  CHECK(loop.record().cause() == cause);
+  CHECK(loop.record().sample().feature_error == last.feature_error);
+  CHECK(loop.record().sample().wrench == last.wrench);
+  CHECK(loop.record().metrics().metrics().peak_error == metrics.peak_error);
   for (std::size_t r = 0; r < 49; ++r) CHECK(distance(loop.law_state()[r], weights[r]) == 0.0);
 }
 
@@ -457,10 +459,10 @@ TEST_CASE(
     settings.jacobian = c.jacobian;
     const Parameters p = loop_parameters(settings);
     Single loop(p);
-    for (int i = 0; i < 1000 && loop.running(); ++i) loop.advance();
-    CHECK(loop.running() == c.works);
+    for (int i = 0; i < 1000 && loop.record().running(); ++i) loop.advance();
+    CHECK(loop.record().running() == c.works);
     if (c.works)
-      CHECK(loop.sample().feature_error.cwiseAbs().maxCoeff() < 1.0);
+      CHECK(loop.record().sample().feature_error.cwiseAbs().maxCoeff() < 1.0);
     else
       CHECK(loop.time() <= 0.05);
   }
@@ -472,7 +474,7 @@ TEST_CASE("the camera as printed keeps its own image: its features and depths ar
   const Parameters p = loop_parameters(settings);
   Single loop(p);
   for (int i = 0; i < 500; ++i) loop.advance();
-  const Sample<double>& s = loop.sample();
+  const Sample<double>& s = loop.record().sample();
   const Image<double> projected =
       take_image(p.camera.focal_pixels(), s.position, rotation_matrix(s.quaternion), p.points_B);
   CHECK(distance(p.desired_features - s.feature_error, projected.features) > 10.0);
@@ -487,7 +489,7 @@ TEST_CASE("without uncertainty the Lyapunov function (16) never grows, and what 
   const Parameters p = loop_parameters(settings);
   Single loop(p);
   const auto lyapunov = [&] {
-    const Sample<double>& s = loop.sample();
+    const Sample<double>& s = loop.record().sample();
     double V = kinetic_energy(p.body, rotation_matrix(s.quaternion), s.twist) +
                0.5 * s.feature_error.dot(p.gains.kp.cwiseProduct(s.feature_error));
     for (const AxisVector<double>& w : loop.law_state())
@@ -495,7 +497,7 @@ TEST_CASE("without uncertainty the Lyapunov function (16) never grows, and what 
     return V;
   };
   const auto loss_rate = [&] {
-    const Vector6<double>& twist = loop.sample().twist;
+    const Vector6<double>& twist = loop.record().sample().twist;
     return twist.dot(p.gains.kv.cwiseProduct(p.switching(twist)));
   };
   const double start = lyapunov();
@@ -520,8 +522,8 @@ TEST_CASE("smooth check: hybrid, `paper`, tanh of width 1e-3, at 1 s, to all dig
   const Parameters p = loop_parameters(smooth_settings(1e-3));
   Single loop(p);
   while (loop.steps() < 1000) loop.advance();
-  REQUIRE(loop.running());
-  const Sample<double>& s = loop.sample();
+  REQUIRE(loop.record().running());
+  const Sample<double>& s = loop.record().sample();
   const Vector3<double> error(-0.040221283006, 0.048431262388, 0.011688870190);       // [px]
   const Vector3<double> position(0.291648903158, 0.049231853813, -149.998341214122);  // [mm]
   CAPTURE(text(s.feature_error));
@@ -555,7 +557,7 @@ TEST_CASE("advance allocates nothing, in a single loop and in a pack") {
     }
     const long long made = allocations - before;
     CHECK(made == 0);
-    CHECK(single.running());
-    CHECK_FALSE(pack.running()[2]);
+    CHECK(single.record().running());
+    CHECK_FALSE(pack.record().running()[2]);
   }
 }

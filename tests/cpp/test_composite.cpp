@@ -535,12 +535,12 @@ double stroke_reached(const LoopParameters<double, Composite>& parameters, doubl
   LoopParameters<double, Law> p;
   LoopParameters<double, Law>::visit([](auto& to, const auto& from) { to = from; }, p, parameters);
   ClosedLoop<double, Law> loop(p);
-  while (loop.running() && loop.time() < duration) {
+  while (loop.record().running() && loop.time() < duration) {
     loop.advance();
-    if ((loop.sample().leg_lengths - p.hexapod.home_lengths).cwiseAbs().maxCoeff() > p.hexapod.stroke)
+    if ((loop.record().sample().leg_lengths - p.hexapod.home_lengths).cwiseAbs().maxCoeff() > p.hexapod.stroke)
       return loop.time();
   }
-  REQUIRE(loop.running());
+  REQUIRE(loop.record().running());
   return kInfinity;
 }
 
@@ -603,9 +603,9 @@ TEST_CASE("four scenarios in the lanes of a pack run in the loop of `composite` 
     CAPTURE(lane);
     ClosedLoop<double, Composite> loop(single[static_cast<std::size_t>(lane)]);
     for (int i = 0; i < 300; ++i) loop.advance();
-    CHECK(distance(lane_of(lanes.sample().feature_error, lane), loop.sample().feature_error) <= 1e-8);
-    CHECK(distance(lane_of(lanes.sample().position, lane), loop.sample().position) <= 1e-12);
-    CHECK(distance(lane_of(lanes.sample().fuzzy_output, lane), loop.sample().fuzzy_output) <= 1e-10);
+    CHECK(distance(lane_of(lanes.record().sample().feature_error, lane), loop.record().sample().feature_error) <= 1e-8);
+    CHECK(distance(lane_of(lanes.record().sample().position, lane), loop.record().sample().position) <= 1e-12);
+    CHECK(distance(lane_of(lanes.record().sample().fuzzy_output, lane), loop.record().sample().fuzzy_output) <= 1e-10);
   }
 }
 
@@ -613,8 +613,8 @@ TEST_CASE("options of the weights in the loop: bounded by their limit, forgotten
   const auto largest_weight = [](const Settings<Composite>& settings, int axis) {
     const LoopParameters<double, Composite> p = loop_parameters(settings);
     ClosedLoop<double, Composite> loop(p);
-    while (loop.running() && loop.time() < 2.0) loop.advance();
-    REQUIRE(loop.running());
+    while (loop.record().running() && loop.time() < 2.0) loop.advance();
+    REQUIRE(loop.record().running());
     return weight_matrix(loop.law_state(), axis).cwiseAbs().maxCoeff();
   };
   const Settings<Composite> settings = gravity_settings();  // the vertical system carries the missing weight
@@ -645,7 +645,7 @@ TEST_CASE("with leakage the loop keeps its fourth order") {
     ClosedLoop<double, Composite> loop(p);
     const long long steps = std::llround(0.2 / step);
     for (long long i = 0; i < steps; ++i) loop.advance();
-    return loop.sample().feature_error;
+    return loop.record().sample().feature_error;
   };
   const Vector<double, 8> reference = end(6.25e-5);
   const double coarse = distance(end(1e-3), reference), fine = distance(end(5e-4), reference);

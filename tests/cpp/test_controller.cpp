@@ -386,8 +386,8 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
   const LoopParameters<double, Hybrid> p = loop_parameters(settings);
   ClosedLoop<double, Hybrid> continuous(p);
   for (int i = 0; i < 1000; ++i) continuous.advance();
-  REQUIRE(continuous.running());
-  const Sample<double>& truth = continuous.sample();
+  REQUIRE(continuous.record().running());
+  const Sample<double>& truth = continuous.record().sample();
   const BodyState<double> true_body = body_state<double>({truth.position, truth.quaternion}, truth.twist);
 
   std::array<double, 2> previous{};

@@ -5,7 +5,9 @@
 #include "hexservo/closed_loop.hpp"
 #include "hexservo/laws/composite.hpp"
 #include "hexservo/laws/hybrid.hpp"
+#include "hexservo/sampled_loop.hpp"
 
+#include <cstdint>
 #include <optional>
 
 namespace hexservo {
@@ -24,9 +26,19 @@ struct Uncertainty {
   Vector<double, kPoints> depth = Vector<double, kPoints>::Zero();  ///< delta_Z,i [1], 0
 };
 
+/// The camera in `sampled` mode; every time is a whole number of servo periods.
+struct CameraSampling {
+  double period = 1e-3;          ///< between two exposures [s], 1e-3
+  double latency = 0.0;          ///< from exposure to first use [s], 0
+  double latency_jitter = 0.0;   ///< most that the latency of a frame is longer [s], 0
+  FrameSettings<double> faults;  ///< everything but its times, which follow from those above
+};
+
 /// Time grid and logging of a run.
 struct SimulationSettings {
-  double step = 1e-3;       ///< h [s], 1e-3
+  LoopMode mode = LoopMode::continuous;
+  double step = 1e-3;       ///< h, or in `sampled` mode the servo period T_c [s], 1e-3
+  long long substeps = 1;   ///< Runge-Kutta steps in a servo period, in `sampled` mode, 1
   double duration = 5.0;    ///< [s], 5; a whole number of steps
   long long log_every = 1;  ///< steps between logged samples, 1
 };
@@ -37,6 +49,7 @@ struct Settings {
   RobotParameters robot;
   Camera<double> camera;
   CameraConvention convention = CameraConvention::eye_in_hand;
+  CameraSampling sampling;
   JacobianConvention jacobian = JacobianConvention::consistent;
   Target target;
   Uncertainty uncertainty;
@@ -44,6 +57,7 @@ struct Settings {
   typename Law::template Gains<double> gains;
   SimulationSettings simulation;
   MetricsSettings metrics;
+  std::uint64_t seed = 0;  ///< of everything random
 };
 
 /// Number of steps of a run.
@@ -56,9 +70,11 @@ long long step_count(const SimulationSettings& simulation);
 template <class Law>
 LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const Hexapod<double>* legs = nullptr);
 
-// One translation unit compiles each loop (closed_loop.cpp).
+// One translation unit compiles the loops of each law (closed_loop.cpp).
 extern template class ClosedLoop<double, Hybrid>;
 extern template class ClosedLoop<double, Composite>;
+extern template class SampledLoop<double, Hybrid>;
+extern template class SampledLoop<double, Composite>;
 extern template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&, const Hexapod<double>*);
 extern template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&, const Hexapod<double>*);
 

@@ -138,9 +138,9 @@ struct Composite {
     } else {
       out.fuzzy_output.setConstant(S(0.0));
     }
-    out.wrench = J.pull(constants.kp.cwiseProduct(feature_error)) + constants.kt.cwiseProduct(pose_error) -
-                 constants.kd.cwiseProduct(input.twist) - constants.kv.cwiseProduct(task.switching(input.twist)) +
-                 task.gravity_wrench - out.fuzzy_output;
+    const Vector6<S> others = J.pull(constants.kp.cwiseProduct(feature_error)) + constants.kt.cwiseProduct(pose_error) -
+                              constants.kd.cwiseProduct(input.twist) - out.fuzzy_output;
+    out.wrench = others - task.switching_wrench(constants.kv, input, others) + task.gravity_wrench;
   }
 
   template <class S, std::size_t K>

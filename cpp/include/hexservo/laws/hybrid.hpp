@@ -88,9 +88,10 @@ struct Hybrid {
     } else {
       for (int j = 0; j < 6; ++j) out.fuzzy_output(j) = S(0.0);
     }
-    const Vector6<S> switched = task.switching(input.twist);
-    for (int j = 0; j < 6; ++j)
-      out.wrench(j) = image_wrench(j) - constants.kv(j) * switched(j) + task.gravity_wrench(j) - out.fuzzy_output(j);
+    Vector6<S> others;
+    for (int j = 0; j < 6; ++j) others(j) = image_wrench(j) - out.fuzzy_output(j);
+    const Vector6<S> switched = task.switching_wrench(constants.kv, input, others);
+    for (int j = 0; j < 6; ++j) out.wrench(j) = others(j) - switched(j) + task.gravity_wrench(j);
   }
 
   template <class S, std::size_t K>

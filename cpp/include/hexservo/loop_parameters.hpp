@@ -1,0 +1,75 @@
+/// @file
+/// Everything that a loop needs, prepared and validated by `loop_parameters` (settings.hpp).
+#pragma once
+
+#include "hexservo/frames.hpp"
+#include "hexservo/laws/law.hpp"
+#include "hexservo/metrics.hpp"
+
+namespace hexservo {
+
+/// How plant and law go together.
+enum class LoopMode {
+  continuous,  ///< the law acts inside every Runge-Kutta stage, as the paper simulates it
+  sampled      ///< camera and servo have periods and latencies, and the wrench is held between two ticks
+};
+
+/// Numbers of one scenario, or of one per lane.
+template <class S, class Law, int N = kPoints>
+struct LoopParameters {
+  Hexapod<S> hexapod;
+  RigidBody<S> body;
+  DynamicsError<S> dynamics_error;
+  Camera<S> camera;
+  CameraConvention convention = CameraConvention::eye_in_hand;
+  JacobianConvention jacobian = JacobianConvention::consistent;
+  Eigen::Matrix<S, 3, N> points_B;    ///< target points [m]; not used by `as_printed`
+  Image<S, N> initial_image;          ///< seen from home [px; m]
+  Vector<S, 2 * N> desired_features;  ///< xi_d [px]
+  Vector<S, N> depth_error;           ///< delta_Z,i [1]
+  Switching<S> switching;
+  typename Law::template Gains<S> gains;
+  LoopMode mode = LoopMode::continuous;
+  double step = 1e-3;       ///< h of the Runge-Kutta method; in `sampled` mode the servo period T_c [s]
+  long long substeps = 1;   ///< Runge-Kutta steps in a servo period
+  FrameSettings<S> frames;  ///< of the camera in `sampled` mode
+  SeedHalves<S> seed;
+  MetricsSettings metrics;
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.hexapod, b.hexapod);
+    f(a.body, b.body);
+    f(a.dynamics_error, b.dynamics_error);
+    f(a.camera, b.camera);
+    f(a.convention, b.convention);
+    f(a.jacobian, b.jacobian);
+    f(a.points_B, b.points_B);
+    f(a.initial_image, b.initial_image);
+    f(a.desired_features, b.desired_features);
+    f(a.depth_error, b.depth_error);
+    f(a.switching, b.switching);
+    f(a.gains, b.gains);
+    f(a.mode, b.mode);
+    f(a.step, b.step);
+    f(a.substeps, b.substeps);
+    f(a.frames, b.frames);
+    f(a.seed, b.seed);
+    f(a.metrics, b.metrics);
+  }
+};
+
+/// What the law of a loop knows of its task.
+template <class S, class Law, int N>
+ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
+  return {p.camera.focal_pixels(),
+          S(controller_sign(p.convention, p.jacobian)),
+          p.desired_features,
+          gravity_wrench(p.body),
+          p.switching,
+          home_pose(p.hexapod),
+          p.body,
+          S(p.step)};
+}
+
+}  // namespace hexservo

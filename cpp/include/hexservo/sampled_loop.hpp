@@ -1,0 +1,156 @@
+/// @file
+/// The closed loop as it would be built: a camera with a period and a latency, a servo that ticks, a wrench that is
+/// held between two ticks (docs/model.md, section 7).
+///
+/// `SampledPlant` is everything but the law: `observe` shows what the law sees at a tick, `command` takes its wrench,
+/// `advance` goes on to the next tick. `SampledLoop<S, Law>` joins a law to it and has the face of `ClosedLoop`.
+#pragma once
+
+#include "hexservo/loop_record.hpp"
+
+namespace hexservo {
+
+/// Plant, sensors and actuators on the grid of the servo's ticks, from home, at rest.
+template <class S, int N = kPoints>
+class SampledPlant {
+ public:
+  /// What a law sees at a tick.
+  struct Observation {
+    Image<S, N> image;  ///< features [px] and measured depths [m]
+    Pose<S> pose;       ///< from the joint sensors, in B
+    Matrix3<S> R_BE;    ///< attitude of `pose`
+    Vector6<S> twist;   ///< from the joint sensors, in B [m/s; rad/s]
+    Mask<S> ready;      ///< every point was seen at least once; without it the image has no meaning
+  };
+
+  template <class Law>
+  explicit SampledPlant(const LoopParameters<S, Law, N>& p)
+      : period_(p.step),
+        substeps_(p.substeps),
+        depth_error_(p.depth_error),
+        rest_wrench_(gravity_wrench(p.body)),
+        stops_where_lost_(p.frames.on_lost == LostFeature::stop),
+        world_(p),
+        state_(world_.start(p)),
+        frames_(p.frames, p.camera.focal_pixels(), p.seed, measured_image(state_.view.image, p.depth_error)),
+        record_(p, state_) {
+    sense();
+  }
+
+  const Observation& observe() const noexcept { return seen_; }
+
+  /// The wrench in B that is held until the next tick [N; N m]: what the law asks for where it sees the image, else G.
+  void command(const Vector6<S>& wrench, const Vector6<S>& fuzzy_output) noexcept {
+    wrench_ = select(seen_.ready, wrench, rest_wrench_);
+    record_.accept(time(), state_, wrench_, select(seen_.ready, fuzzy_output, Vector6<S>(Vector6<S>::Zero())));
+  }
+
+  /// To the next tick, in `substeps` Runge-Kutta steps.
+  /// @return lanes that go on; the others stay as they are
+  Mask<S> advance() noexcept {
+    const double h = period_ / static_cast<double>(substeps_);
+    WorldState<S, N> next = state_;
+    S nearest = -S(std::numeric_limits<double>::infinity());
+    for (long long step = 0; step < substeps_; ++step) {
+      const WorldState<S, N> start = next;
+      const auto rate_at = [this](const WorldState<S, N>& state) {
+        WorldRate<S, N> rate;
+        world_.rate(state, wrench_, rate);
+        return rate;
+      };
+      runge_kutta_step(
+          h, rate_at(start),
+          [&](double scale, const WorldRate<S, N>& rate) { return rate_at(world_.moved(start, S(scale), rate)); },
+          [&](const std::array<const WorldRate<S, N>*, 4>& rates) {
+            next = world_.after(start, h, rates);
+            nearest = max(nearest, nearest_depth(next, rates));
+          });
+    }
+    ++ticks_;
+    record_.judge(next, nearest);
+    replace(state_, next, record_.running());
+    sense();
+    return record_.running();
+  }
+
+  double time() const noexcept { return static_cast<double>(ticks_) * period_; }
+  long long ticks() const noexcept { return ticks_; }
+  const LoopRecord<S, N>& record() const noexcept { return record_; }
+
+ private:
+  void sense() noexcept {
+    seen_.pose = {position_of(state_.body), quaternion_of(state_.body)};
+    seen_.R_BE = state_.view.R_BE;
+    seen_.twist = twist_of(state_.body);
+    frames_.expose(ticks_, measured_image(state_.view.image, depth_error_), seen_.pose, seen_.R_BE);
+    frames_.deliver(ticks_);
+    seen_.image = frames_.image(seen_.pose, seen_.R_BE);
+    seen_.ready = frames_.ready();
+    if (stops_where_lost_) record_.stop(StopCause::feature_lost, frames_.lost());
+  }
+
+  double period_;
+  long long substeps_;
+  Vector<S, N> depth_error_;
+  Vector6<S> rest_wrench_;
+  bool stops_where_lost_;
+  World<S, N> world_;
+  WorldState<S, N> state_;
+  Frames<S, N> frames_;
+  LoopRecord<S, N> record_;
+  Observation seen_;
+  Vector6<S> wrench_;
+  long long ticks_ = 0;
+};
+
+/// A law on a sampled plant: at every tick it sees, commands, and advances its state by forward Euler.
+template <class S, class Law, int N = kPoints>
+class SampledLoop {
+ public:
+  using Parameters = LoopParameters<S, Law, N>;
+  using LawState = typename Law::template State<S>;
+
+  /// @param parameters shared, not copied: they must outlive the loop
+  explicit SampledLoop(const Parameters& parameters)
+      : task_(control_task(parameters)),
+        law_(parameters.gains),
+        law_state_(Law::initial_state(parameters.gains)),
+        period_(parameters.step),
+        plant_(parameters) {
+    act();
+  }
+
+  /// One servo tick; lanes that have stopped stay as they are.
+  void advance() noexcept {
+    const Mask<S> acting = plant_.observe().ready;
+    const Mask<S> running = plant_.advance();
+    Law::advance(law_, law_state_, std::array<const LawRate*, 1>{&now_.rate}, std::array{S(period_)}, acting & running);
+    act();
+  }
+
+  /// Time that was last asked for [s]; lanes that have stopped are behind it.
+  double time() const noexcept { return plant_.time(); }
+  long long steps() const noexcept { return plant_.ticks(); }
+  const LoopRecord<S, N>& record() const noexcept { return plant_.record(); }
+  const LawState& law_state() const noexcept { return law_state_; }
+
+ private:
+  using LawRate = typename Law::template Rate<S>;
+
+  void act() noexcept {
+    const auto& seen = plant_.observe();
+    const Vector<S, N> inverse_depth = seen.image.depth.cwiseInverse();
+    Law::evaluate(task_, law_, typename Law::template Stage<S>{&law_state_},
+                  LawInput<S, N>{seen.image.features, inverse_depth, seen.R_BE, seen.twist, seen.pose}, now_);
+    plant_.command(now_.wrench, now_.fuzzy_output);
+  }
+
+  ControlTask<S, N> task_;
+  typename Law::template Constants<S> law_;
+  LawState law_state_;
+  double period_;
+  SampledPlant<S, N> plant_;
+  typename Law::template Evaluation<S> now_;
+};
+
+}  // namespace hexservo

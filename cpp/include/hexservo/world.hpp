@@ -1,0 +1,138 @@
+/// @file
+/// Platform, camera and target as they really are, driven by a wrench: what both loops integrate
+/// (docs/model.md, sections 3, 4 and 7).
+#pragma once
+
+#include "hexservo/loop_parameters.hpp"
+#include "hexservo/runge_kutta.hpp"
+
+namespace hexservo {
+
+/// Attitude, and what the camera sees there.
+template <class S, int N = kPoints>
+struct View {
+  View() = default;
+  View(const Image<S, N>& true_image, const Matrix3<S>& attitude)
+      : R_BE(attitude), image(true_image), inverse_depth(true_image.depth.cwiseInverse()) {}
+
+  Matrix3<S> R_BE;
+  Image<S, N> image;           ///< true features and depth; integrated where the camera is as printed
+  Vector<S, N> inverse_depth;  ///< [1/m]
+};
+
+/// Where the platform is and how it moves, with what the camera sees of it.
+template <class S, int N = kPoints>
+struct WorldState {
+  BodyState<S> body;
+  View<S, N> view;
+};
+
+/// Time derivative of a state.
+template <class S, int N = kPoints>
+struct WorldRate {
+  BodyState<S> body;
+  Image<S, N> printed_image;  ///< of the image as (12) and (6) print it; unused by a camera that projects
+  S nearest_depth;            ///< largest Z_i of the state [m]
+};
+
+/// Largest Z_i: a point is behind the camera where it is not negative [m].
+template <class S, int N>
+S nearest_depth(const Image<S, N>& image) noexcept {
+  S nearest = image.depth(0);
+  for (int i = 1; i < N; ++i) nearest = max(nearest, image.depth(i));
+  return nearest;
+}
+
+/// What is, in `active` lanes, and what was in the others.
+template <class S, int N>
+void replace(WorldState<S, N>& state, const WorldState<S, N>& next, const Mask<S>& active) noexcept {
+  if (all(active)) {
+    state = next;
+    return;
+  }
+  state.body = select(active, next.body, state.body);
+  state.view.R_BE = select(active, next.view.R_BE, state.view.R_BE);
+  state.view.image.features = select(active, next.view.image.features, state.view.image.features);
+  state.view.image.depth = select(active, next.view.image.depth, state.view.image.depth);
+  state.view.inverse_depth = select(active, next.view.inverse_depth, state.view.inverse_depth);
+}
+
+/// The actual plant of a scenario.
+template <class S, int N = kPoints>
+class World {
+ public:
+  template <class Law>
+  explicit World(const LoopParameters<S, Law, N>& p)
+      : plant_(p.body, p.dynamics_error),
+        focal_pixels_(p.camera.focal_pixels()),
+        points_B_(p.points_B),
+        convention_(p.convention) {}
+
+  /// At home, at rest.
+  template <class Law>
+  WorldState<S, N> start(const LoopParameters<S, Law, N>& p) const noexcept {
+    const BodyState<S> body = body_state<S>(home_pose(p.hexapod), Vector6<S>::Zero());
+    return {body, printed_camera() ? View<S, N>(p.initial_image, rotation_matrix(quaternion_of(body))) : view_of(body)};
+  }
+
+  /// How a state changes under a wrench in B [N; N m].
+  void rate(const WorldState<S, N>& state, const Vector6<S>& wrench, WorldRate<S, N>& out) const noexcept {
+    out.body = body_rate(plant_, state.body, state.view.R_BE, wrench);
+    out.nearest_depth = nearest_depth(state.view.image);
+    if (printed_camera()) {
+      const Vector6<S> twist = twist_of(state.body);
+      const ImageJacobian<S, N> J(focal_pixels_, S(plant_sign(convention_)), state.view.image, state.view.R_BE);
+      out.printed_image.features = J.push(twist);  // (12)
+      out.printed_image.depth = printed_depth_rate(focal_pixels_, state.view.image, state.view.R_BE, twist);
+    }
+  }
+
+  /// state + scale rate: a Runge-Kutta stage.
+  WorldState<S, N> moved(const WorldState<S, N>& state, const S& scale, const WorldRate<S, N>& rate) const noexcept {
+    const BodyState<S> body = state.body + scale * rate.body;
+    if (!printed_camera()) return {body, view_of(body)};
+    const Image<S, N> image{state.view.image.features + scale * rate.printed_image.features,
+                            state.view.image.depth + scale * rate.printed_image.depth};
+    return {body, View<S, N>(image, rotation_matrix(quaternion_of(body)))};
+  }
+
+  /// The state after a step of h [s], from the rates of its four stages.
+  WorldState<S, N> after(const WorldState<S, N>& state, double h,
+                         const std::array<const WorldRate<S, N>*, 4>& rates) const noexcept {
+    BodyState<S> body = state.body;
+    for (std::size_t i = 0; i < 4; ++i) body += S(h * kRungeKuttaWeights[i]) * rates[i]->body;
+    normalise_quaternion(body);
+    if (!printed_camera()) return {body, view_of(body)};
+    Image<S, N> image = state.view.image;
+    for (std::size_t i = 0; i < 4; ++i) {
+      image.features += S(h * kRungeKuttaWeights[i]) * rates[i]->printed_image.features;
+      image.depth += S(h * kRungeKuttaWeights[i]) * rates[i]->printed_image.depth;
+    }
+    return {body, View<S, N>(image, rotation_matrix(quaternion_of(body)))};
+  }
+
+ private:
+  bool printed_camera() const noexcept { return convention_ == CameraConvention::as_printed; }
+
+  View<S, N> view_of(const BodyState<S>& body) const noexcept {
+    View<S, N> view;
+    view.R_BE = rotation_matrix(quaternion_of(body));
+    view.image = take_image(focal_pixels_, position_of(body), view.R_BE, points_B_, view.inverse_depth);
+    return view;
+  }
+
+  Plant<S> plant_;
+  S focal_pixels_;
+  Eigen::Matrix<S, 3, N> points_B_;
+  CameraConvention convention_;
+};
+
+/// Largest Z_i of a step: of its end, and of its stages, since a pole may lie inside the step [m].
+template <class S, int N>
+S nearest_depth(const WorldState<S, N>& end, const std::array<const WorldRate<S, N>*, 4>& rates) noexcept {
+  S nearest = nearest_depth(end.view.image);
+  for (std::size_t i = 1; i < 4; ++i) nearest = max(nearest, rates[i]->nearest_depth);
+  return nearest;
+}
+
+}  // namespace hexservo

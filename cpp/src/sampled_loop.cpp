@@ -1,0 +1,7 @@
+#include "hexservo/settings.hpp"
+
+namespace hexservo {
+
+template class SampledLoop<double, Hybrid>;
+
+}  // namespace hexservo
