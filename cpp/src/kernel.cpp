@@ -12,18 +12,16 @@
 
 namespace hexservo {
 
-struct Hybrid;
-struct Composite;
-
 namespace {
 
 template <class S>
 RunStatus run_law(const RunRequest& request) noexcept {
   switch (request.law) {
-    case LawId::hybrid:
-      return detail::run_loop<S, Hybrid>(request);
-    case LawId::composite:
-      return detail::run_loop<S, Composite>(request);
+#define HEXSERVO_CASE(Law) \
+  case LawId::Law:         \
+    return detail::run_loop<S, Law>(request);
+    HEXSERVO_FOR_EACH_LAW(HEXSERVO_CASE)
+#undef HEXSERVO_CASE
   }
   return RunStatus::unknown_law;
 }
