@@ -141,8 +141,7 @@ void bind_batch(py::module_& m) {
           },
           "(n, 6, 7, 7) at the end [N; N m], or None");
 
-  bind_batch_of<Hybrid>(m);
-  bind_batch_of<Composite>(m);
+  Laws::for_each([&m]<class Law>(std::type_identity<Law>) { bind_batch_of<Law>(m); });
 
   m.def("describe", &describe, py::arg("cause"), py::arg("time"), "One sentence on how a run ended.");
 }

@@ -36,7 +36,7 @@ struct LawController {
 
 /// The controller of any law.
 struct Controller {
-  std::variant<LawController<Hybrid>, LawController<Composite>> of_law;
+  Laws::Map<std::variant, LawController> of_law;
 
   template <class Law>
   Controller(const Settings<Law>& settings, double period) : of_law(LawController<Law>(settings, period)) {}
@@ -60,9 +60,11 @@ py::tuple step_once(Controller& controller, const py::object& features, const py
 
 void bind_controller(py::module_& m) {
   constexpr auto text = "ValueError('key: expected ..., got ...') for a bad scenario or period [s].";
-  py::class_<Controller>(m, "Controller", "The servo tick of a law, with its state.")
-      .def(py::init<const Settings<Hybrid>&, double>(), py::arg("settings"), py::arg("period"), text)
-      .def(py::init<const Settings<Composite>&, double>(), py::arg("settings"), py::arg("period"), text)
+  py::class_<Controller> controller(m, "Controller", "The servo tick of a law, with its state.");
+  Laws::for_each([&]<class Law>(std::type_identity<Law>) {
+    controller.def(py::init<const Settings<Law>&, double>(), py::arg("settings"), py::arg("period"), text);
+  });
+  controller
       .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
            py::arg("twist"),
            "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), whether the input was invalid.")

@@ -102,8 +102,7 @@ void bind_simulation(py::module_& m) {
       .def_readonly("events", &Trajectory::events)
       .def_readonly("metrics", &Trajectory::metrics);
 
-  bind_simulate<Hybrid>(m);
-  bind_simulate<Composite>(m);
+  Laws::for_each([&m]<class Law>(std::type_identity<Law>) { bind_simulate<Law>(m); });
 
   m.def(
       "drive_legs",

@@ -390,9 +390,6 @@ std::vector<NumericKey> numeric_keys() {
   return keys;
 }
 
-template std::vector<NumericKey> numeric_keys<Hybrid>();
-template std::vector<NumericKey> numeric_keys<Composite>();
-
 template <class Law>
 BatchResult simulate_batch(const Settings<Law>& base, std::span<const Variation> variations, std::size_t count,
                            const BatchOptions& options, const Kernel& kernel) {
@@ -404,9 +401,11 @@ BatchResult simulate_batch(const Settings<Law>& base, std::span<const Variation>
   return batch.run();
 }
 
-template BatchResult simulate_batch(const Settings<Hybrid>&, std::span<const Variation>, std::size_t,
-                                    const BatchOptions&, const Kernel&);
-template BatchResult simulate_batch(const Settings<Composite>&, std::span<const Variation>, std::size_t,
-                                    const BatchOptions&, const Kernel&);
+#define HEXSERVO_HERE(Law)                                                                           \
+  template std::vector<NumericKey> numeric_keys<Law>();                                              \
+  template BatchResult simulate_batch(const Settings<Law>&, std::span<const Variation>, std::size_t, \
+                                      const BatchOptions&, const Kernel&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
 
 }  // namespace hexservo

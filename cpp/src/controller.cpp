@@ -34,9 +34,6 @@ ControllerGains<Law> controller_gains(const Settings<Law>& settings, double peri
           period};
 }
 
-template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&, double);
-template ControllerGains<Composite> controller_gains(const Settings<Composite>&, double);
-
 template <int alignment>
 void library_was_built_with_other_instruction_set_flags() noexcept {}
 
@@ -66,9 +63,10 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
   return {law.wrench, leg_forces, law.fuzzy_output, false};
 }
 
-template ControllerOutput step(const ControllerGains<Hybrid>&, ControllerState<Hybrid>&,
-                               const ControllerInput&) noexcept;
-template ControllerOutput step(const ControllerGains<Composite>&, ControllerState<Composite>&,
-                               const ControllerInput&) noexcept;
+#define HEXSERVO_HERE(Law)                                                      \
+  template ControllerGains<Law> controller_gains(const Settings<Law>&, double); \
+  template ControllerOutput step(const ControllerGains<Law>&, ControllerState<Law>&, const ControllerInput&) noexcept;
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
 
 }  // namespace hexservo

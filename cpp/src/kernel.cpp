@@ -12,9 +12,6 @@
 
 namespace hexservo {
 
-struct Hybrid;
-struct Composite;
-
 namespace {
 
 template <class S, class Law>
@@ -25,10 +22,11 @@ RunStatus run_mode(const RunRequest& request) {
 template <class S>
 RunStatus run_law(const RunRequest& request) noexcept {
   switch (request.law) {
-    case LawId::hybrid:
-      return run_mode<S, Hybrid>(request);
-    case LawId::composite:
-      return run_mode<S, Composite>(request);
+#define HEXSERVO_CASE(Law) \
+  case LawId::Law:         \
+    return run_mode<S, Law>(request);
+    HEXSERVO_FOR_EACH_LAW(HEXSERVO_CASE)
+#undef HEXSERVO_CASE
   }
   return RunStatus::unknown_law;
 }

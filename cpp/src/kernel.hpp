@@ -6,6 +6,8 @@
 /// crosses the border, and no kernel is ever linked with another.
 #pragma once
 
+#include "hexservo/laws/list.hpp"
+
 #include <array>
 
 namespace hexservo {
@@ -20,9 +22,6 @@ inline constexpr int kSampleNumbers = 49;         ///< all of them
 inline constexpr long long kQuestionEvery = 256;  ///< steps between two looks at `RunRequest::stop`
 /// Numbers of each quantity of a sample.
 inline constexpr std::array<int, kQuantities> kSampleWidths = {8, 4, 3, 4, 6, 6, 6, 6, 6};
-
-/// Laws that a kernel knows.
-enum class LawId : int { hybrid, composite };
 
 /// What a run gives back, for one scenario; the pointers are the caller's.
 struct RunAnswer {
@@ -43,7 +42,7 @@ struct RunAnswer {
 
 /// Scenarios that run together, at most one per lane.
 struct RunRequest {
-  LawId law;
+  LawId law;                        ///< laws/list.hpp
   bool sampled;                     ///< mode of the scenarios
   int count;                        ///< of scenarios
   const double* const* parameters;  ///< one flattened LoopParameters (flatten.hpp) each

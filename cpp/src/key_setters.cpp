@@ -22,6 +22,25 @@ void fill(Eigen::Matrix<double, R, C>& to, Numbers from) {
     for (int column = 0; column < C; ++column) to(row, column) = from[static_cast<std::size_t>(row * C + column)];
 }
 
+/// Numbers that a gain takes; 0 for a choice, and for fuzzy systems, which have keys of their own.
+template <class Member>
+constexpr std::size_t width_of() {
+  if constexpr (std::is_same_v<Member, double>)
+    return 1;
+  else if constexpr (requires { Member::SizeAtCompileTime; })
+    return static_cast<std::size_t>(Member::SizeAtCompileTime);
+  else
+    return 0;
+}
+
+template <class Member>
+void put([[maybe_unused]] Member& to, [[maybe_unused]] Numbers from) {
+  if constexpr (std::is_same_v<Member, double>)
+    to = from[0];
+  else if constexpr (width_of<Member>() > 0)
+    fill(to, from);
+}
+
 void fill_inertia(Matrix3<double>& to, Numbers from) {
   if (from.size() == 3)
     to = Vector3<double>(from[0], from[1], from[2]).asDiagonal();
@@ -98,29 +117,9 @@ Keys<Law> scene_keys() {
 }
 
 template <class Law>
-Keys<Law> gain_keys() {
-  using S = Settings<Law>;
-  const std::string gains = std::string("controller.") + Law::name + ".";
-  return {
-      {gains + "kp", {1, 8}, Reach::lane, [](S& s, V v) { fill(s.gains.kp, v); }},
-      {gains + "kv", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.kv, v); }},
-  };
-}
-
-/// Gains that `composite` alone has.
-Keys<Composite> composite_keys() {
-  using S = Settings<Composite>;
-  const std::string gains = "controller.composite.";
-  return {
-      {gains + "kt", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.kt, v); }},
-      {gains + "kd", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.kd, v); }},
-      {gains + "drive", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.drive, v); }},
-      {gains + "prior", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.gains.prior, v); }},
-  };
-}
-
-template <class Law>
-Keys<Law> fuzzy_keys() {
+Keys<Law> fuzzy_keys()
+  requires requires(Settings<Law>& s) { s.gains.fuzzy; }
+{
   using S = Settings<Law>;
   const std::string fuzzy = std::string("controller.") + Law::name + ".fuzzy.";
   return {
@@ -138,6 +137,11 @@ Keys<Law> fuzzy_keys() {
 }
 
 template <class Law>
+Keys<Law> fuzzy_keys() {
+  return {};
+}
+
+template <class Law>
 Keys<Law> simulation_keys() {
   using S = Settings<Law>;
   return {
@@ -149,21 +153,39 @@ Keys<Law> simulation_keys() {
 }
 // clang-format on
 
+/// Gains that hold numbers, by the names that the law's `Gains::keys` gives them in the order of their `visit`.
+template <class Law>
+Keys<Law> gain_keys() {
+  using S = Settings<Law>;
+  using G = typename Law::template Gains<double>;
+  Keys<Law> keys;
+  G gains;
+  std::size_t count = 0;
+  const auto add = [&]<class Member>(const Member&, const Member&) {
+    const std::size_t index = count++;
+    const auto set = [index](S& s, Numbers numbers) {
+      std::size_t place = 0;
+      G::visit([&](auto& member, auto&) { place++ == index ? put(member, numbers) : void(); }, s.gains, s.gains);
+    };
+    if (constexpr std::size_t width = width_of<Member>(); width > 0)
+      keys.push_back(
+          {words("controller.", Law::name, ".", G::keys[index]), {1, width > 1 ? width : 0}, Reach::lane, set});
+  };
+  G::visit(add, gains, gains);
+  return keys;
+}
+
 }  // namespace
 
-template <>
-std::span<const KeySetter<Hybrid>> key_setters<Hybrid>() {
-  static const Keys<Hybrid> keys =
-      joined<Hybrid>({scene_keys<Hybrid>(), gain_keys<Hybrid>(), fuzzy_keys<Hybrid>(), simulation_keys<Hybrid>()});
+template <class Law>
+std::span<const KeySetter<Law>> key_setters() {
+  static const Keys<Law> keys =
+      joined<Law>({scene_keys<Law>(), gain_keys<Law>(), fuzzy_keys<Law>(), simulation_keys<Law>()});
   return keys;
 }
 
-template <>
-std::span<const KeySetter<Composite>> key_setters<Composite>() {
-  static const Keys<Composite> keys =
-      joined<Composite>({scene_keys<Composite>(), gain_keys<Composite>(), composite_keys(), fuzzy_keys<Composite>(),
-                         simulation_keys<Composite>()});
-  return keys;
-}
+#define HEXSERVO_HERE(Law) template std::span<const KeySetter<Law>> key_setters<Law>();
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
 
 }  // namespace hexservo::detail

@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstddef>
+#include <functional>
 #include <span>
 #include <string>
 
@@ -25,7 +26,7 @@ struct KeySetter {
   std::array<std::size_t, 2> widths;  ///< numbers that it takes, in either form; 0: there is no second form
   Reach reach;
   /// @throws std::invalid_argument for numbers that the settings cannot hold
-  void (*set)(Settings<Law>&, std::span<const double>);
+  std::function<void(Settings<Law>&, std::span<const double>)> set;
 
   bool takes(std::size_t width) const { return width != 0 && (width == widths[0] || width == widths[1]); }
 };
@@ -34,9 +35,8 @@ struct KeySetter {
 template <class Law>
 std::span<const KeySetter<Law>> key_setters();
 
-template <>
-std::span<const KeySetter<Hybrid>> key_setters<Hybrid>();
-template <>
-std::span<const KeySetter<Composite>> key_setters<Composite>();
+#define HEXSERVO_ELSEWHERE(Law) extern template std::span<const KeySetter<Law>> key_setters<Law>();
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
+#undef HEXSERVO_ELSEWHERE
 
 }  // namespace hexservo::detail

@@ -13,13 +13,6 @@
 namespace hexservo::detail {
 
 template <class Law>
-inline constexpr LawId law_id{};
-template <>
-inline constexpr LawId law_id<Hybrid> = LawId::hybrid;
-template <>
-inline constexpr LawId law_id<Composite> = LawId::composite;
-
-template <class Law>
 std::vector<double> flattened(const LoopParameters<double, Law>& parameters) {
   std::vector<double> numbers(static_cast<std::size_t>(flat_size(parameters)));
   flatten(parameters, numbers.data());

@@ -200,7 +200,9 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
   return p;
 }
 
-template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&, const Hexapod<double>*);
-template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&, const Hexapod<double>*);
+#define HEXSERVO_HERE(Law) \
+  template LoopParameters<double, Law> loop_parameters(const Settings<Law>&, const Hexapod<double>*);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
 
 }  // namespace hexservo

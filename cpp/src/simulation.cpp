@@ -118,9 +118,6 @@ void check_settings(const Settings<Law>& settings) {
   sample_count(settings.simulation);
 }
 
-template void check_settings(const Settings<Hybrid>&);
-template void check_settings(const Settings<Composite>&);
-
 template <class Law>
 Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested, const Kernel& kernel) {
   const LoopParameters<double, Law> parameters = loop_parameters(settings);
@@ -173,8 +170,11 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
   return log;
 }
 
-template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&, const Kernel&);
-template Trajectory simulate(const Settings<Composite>&, const std::function<bool()>&, const Kernel&);
+#define HEXSERVO_HERE(Law)                            \
+  template void check_settings(const Settings<Law>&); \
+  template Trajectory simulate(const Settings<Law>&, const std::function<bool()>&, const Kernel&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
 
 BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body,
                              const DynamicsError<double>& error, const BodyState<double>& start,

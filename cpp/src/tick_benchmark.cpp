@@ -236,6 +236,8 @@ TickTimes time_ticks(const Settings<Law>& settings, const TickBenchmarkOptions& 
   return times;
 }
 
-template TickTimes time_ticks(const Settings<Hybrid>&, const TickBenchmarkOptions&);
+#define HEXSERVO_HERE(Law) template TickTimes time_ticks(const Settings<Law>&, const TickBenchmarkOptions&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
 
 }  // namespace hexservo

@@ -173,7 +173,7 @@ TEST_CASE("without fuzzy systems there is no tau_f and no adaptation, and the re
     CHECK(without.fuzzy_output.isZero(0.0));
     CHECK(distance(without.wrench, with.wrench + with.fuzzy_output) <= 1e-15);
     FuzzyWeights<double> weights = s.weights;
-    Hybrid::advance<double>(HybridConstants<double>(s.gains), weights,
+    Hybrid::advance<double>(Hybrid::Constants<double>(s.gains), weights,
                             std::array<const FuzzyRate<double>*, 1>{&without.rate}, std::array<double, 1>{1.0}, true);
     for (std::size_t i = 0; i < weights.size(); ++i) CHECK(distance(weights[i], s.weights[i]) == 0.0);
   }

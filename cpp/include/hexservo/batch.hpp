@@ -26,9 +26,6 @@ struct NumericKey {
 template <class Law>
 std::vector<NumericKey> numeric_keys();
 
-extern template std::vector<NumericKey> numeric_keys<Hybrid>();
-extern template std::vector<NumericKey> numeric_keys<Composite>();
-
 /// What is kept of each run; outcome, times and metrics always are.
 enum class BatchLog {
   metrics,      ///< nothing more
@@ -79,9 +76,11 @@ template <class Law>
 BatchResult simulate_batch(const Settings<Law>& base, std::span<const Variation> variations, std::size_t count,
                            const BatchOptions& options, const Kernel& kernel = built_in_kernel());
 
-extern template BatchResult simulate_batch(const Settings<Hybrid>&, std::span<const Variation>, std::size_t,
-                                           const BatchOptions&, const Kernel&);
-extern template BatchResult simulate_batch(const Settings<Composite>&, std::span<const Variation>, std::size_t,
-                                           const BatchOptions&, const Kernel&);
+#define HEXSERVO_ELSEWHERE(Law)                                                                             \
+  extern template std::vector<NumericKey> numeric_keys<Law>();                                              \
+  extern template BatchResult simulate_batch(const Settings<Law>&, std::span<const Variation>, std::size_t, \
+                                             const BatchOptions&, const Kernel&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
+#undef HEXSERVO_ELSEWHERE
 
 }  // namespace hexservo

@@ -47,9 +47,6 @@ struct ControllerOutput {
 template <class Law>
 ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period);
 
-extern template ControllerGains<Hybrid> controller_gains(const Settings<Hybrid>&, double);
-extern template ControllerGains<Composite> controller_gains(const Settings<Composite>&, double);
-
 /// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
 /// -march=native) lays out gains and state differently, and does not link: give both the same flags.
 template <int alignment>
@@ -71,9 +68,11 @@ template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept;
 
-extern template ControllerOutput step(const ControllerGains<Hybrid>&, ControllerState<Hybrid>&,
-                                      const ControllerInput&) noexcept;
-extern template ControllerOutput step(const ControllerGains<Composite>&, ControllerState<Composite>&,
-                                      const ControllerInput&) noexcept;
+#define HEXSERVO_ELSEWHERE(Law)                                                             \
+  extern template ControllerGains<Law> controller_gains(const Settings<Law>&, double);      \
+  extern template ControllerOutput step(const ControllerGains<Law>&, ControllerState<Law>&, \
+                                        const ControllerInput&) noexcept;
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
+#undef HEXSERVO_ELSEWHERE
 
 }  // namespace hexservo

@@ -3,8 +3,7 @@
 #pragma once
 
 #include "hexservo/closed_loop.hpp"
-#include "hexservo/laws/composite.hpp"
-#include "hexservo/laws/hybrid.hpp"
+#include "hexservo/laws/laws.hpp"
 #include "hexservo/sampled_loop.hpp"
 
 #include <cstdint>
@@ -70,12 +69,12 @@ long long step_count(const SimulationSettings& simulation);
 template <class Law>
 LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const Hexapod<double>* legs = nullptr);
 
-// One translation unit compiles the loops of each law (closed_loop.cpp).
-extern template class ClosedLoop<double, Hybrid>;
-extern template class ClosedLoop<double, Composite>;
-extern template class SampledLoop<double, Hybrid>;
-extern template class SampledLoop<double, Composite>;
-extern template LoopParameters<double, Hybrid> loop_parameters(const Settings<Hybrid>&, const Hexapod<double>*);
-extern template LoopParameters<double, Composite> loop_parameters(const Settings<Composite>&, const Hexapod<double>*);
+// One translation unit compiles the loops of each law (cpp/src/laws).
+#define HEXSERVO_ELSEWHERE(Law)                   \
+  extern template class ClosedLoop<double, Law>;  \
+  extern template class SampledLoop<double, Law>; \
+  extern template LoopParameters<double, Law> loop_parameters(const Settings<Law>&, const Hexapod<double>*);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
+#undef HEXSERVO_ELSEWHERE
 
 }  // namespace hexservo

@@ -60,9 +60,6 @@ inline constexpr double kMaxLogBytes = 2.0 * 1024 * 1024 * 1024;
 template <class Law>
 void check_settings(const Settings<Law>& settings);
 
-extern template void check_settings(const Settings<Hybrid>&);
-extern template void check_settings(const Settings<Composite>&);
-
 /// Runs a scenario from home, at rest. The last good sample is always logged.
 /// @param stop_requested asked every few milliseconds; true ends the run with `Outcome::interrupted`
 /// @param kernel the instruction set to run with
@@ -71,8 +68,11 @@ template <class Law>
 Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested = {},
                     const Kernel& kernel = built_in_kernel());
 
-extern template Trajectory simulate(const Settings<Hybrid>&, const std::function<bool()>&, const Kernel&);
-extern template Trajectory simulate(const Settings<Composite>&, const std::function<bool()>&, const Kernel&);
+#define HEXSERVO_ELSEWHERE(Law)                              \
+  extern template void check_settings(const Settings<Law>&); \
+  extern template Trajectory simulate(const Settings<Law>&, const std::function<bool()>&, const Kernel&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
+#undef HEXSERVO_ELSEWHERE
 
 /// One sentence on how a run that was not interrupted ended.
 /// @param time of the step at which it stopped [s]

@@ -49,6 +49,8 @@ inline constexpr double kMaxTickRate = 1e6;                 ///< [Hz]
 template <class Law>
 TickTimes time_ticks(const Settings<Law>& settings, const TickBenchmarkOptions& options);
 
-extern template TickTimes time_ticks(const Settings<Hybrid>&, const TickBenchmarkOptions&);
+#define HEXSERVO_ELSEWHERE(Law) extern template TickTimes time_ticks(const Settings<Law>&, const TickBenchmarkOptions&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
+#undef HEXSERVO_ELSEWHERE
 
 }  // namespace hexservo

@@ -1,6 +1,5 @@
-#include "hexservo/laws/composite.hpp"
-
 #include "../check.hpp"
+#include "hexservo/settings.hpp"
 
 namespace hexservo {
 
@@ -14,5 +13,8 @@ void validate(const CompositeGains<double>& gains) {
   detail::require_not_negative(key + "prior", gains.prior);
   validate(gains.fuzzy, key + "fuzzy.");
 }
+
+template class ClosedLoop<double, Composite>;
+template class SampledLoop<double, Composite>;
 
 }  // namespace hexservo

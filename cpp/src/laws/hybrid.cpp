@@ -1,6 +1,5 @@
-#include "hexservo/laws/hybrid.hpp"
-
 #include "../check.hpp"
+#include "hexservo/settings.hpp"
 
 namespace hexservo {
 
@@ -9,5 +8,8 @@ void validate(const HybridGains<double>& gains) {
   detail::require_not_negative("controller.hybrid.kv", gains.kv);
   validate(gains.fuzzy, "controller.hybrid.fuzzy.");
 }
+
+template class ClosedLoop<double, Hybrid>;
+template class SampledLoop<double, Hybrid>;
 
 }  // namespace hexservo

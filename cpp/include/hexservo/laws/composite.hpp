@@ -16,8 +16,7 @@
 #pragma once
 
 #include "hexservo/cholesky.hpp"
-#include "hexservo/fuzzy.hpp"
-#include "hexservo/laws/law.hpp"
+#include "hexservo/laws/fuzzy_law.hpp"
 
 #include <limits>
 
@@ -46,6 +45,9 @@ struct CompositeGains {
   Vector6<S> prior = linear_angular<S>(1e4, 1600.0);  ///< diagonal of M [px^2/m^2; px^2/rad^2], 1e4 x3, 1600 x3
   FuzzyGains<S> fuzzy = composite_fuzzy_gains<S>();   ///< a [1/m; 1/rad], b [s/m; s/rad]: 20 x3, 10 x3; 1
 
+  /// Of the scenario's block, as `visit` has them.
+  static constexpr const char* keys[] = {"kp", "kv", "kt", "kd", "drive", "prior", "fuzzy"};
+
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
     f(a.kp, b.kp);
@@ -56,23 +58,6 @@ struct CompositeGains {
     f(a.prior, b.prior);
     f(a.fuzzy, b.fuzzy);
   }
-};
-
-/// The same gains, prepared for evaluation.
-template <class S, int N = kPoints>
-struct CompositeConstants {
-  explicit CompositeConstants(const CompositeGains<S, N>& gains)
-      : kp(gains.kp),
-        kv(gains.kv),
-        kt(gains.kt),
-        kd(gains.kd),
-        drive(gains.drive),
-        prior(gains.prior),
-        fuzzy(gains.fuzzy) {}
-
-  Vector<S, 2 * N> kp;
-  Vector6<S> kv, kt, kd, drive, prior;
-  FuzzySystems<S> fuzzy;
 };
 
 /// e = (J^T J + M)^-1 (J^T xi-tilde + M (chi_ref - chi)): the most probable pose error, in B [m; rad].
@@ -91,33 +76,9 @@ Vector6<S> most_probable_pose_error(const ImageJacobian<S, N>& J, const Vector<S
   return select(solver.failed(), unknown, error);
 }
 
-/// The law as a policy of the loop: types of its gains and state, its evaluation, and how its state integrates.
-struct Composite {
+/// The law as a policy of the loop.
+struct Composite : FuzzyLaw<CompositeGains> {
   static constexpr const char* name = "composite";
-
-  template <class S>
-  using Gains = CompositeGains<S>;
-  template <class S>
-  using Constants = CompositeConstants<S>;
-  template <class S>
-  using State = FuzzyWeights<S>;  ///< W_j, omega of (13)
-  template <class S>
-  using Stage = FuzzyStage<S>;
-  template <class S>
-  using Rate = FuzzyRate<S>;
-
-  /// Wrench and adaptation at one instant.
-  template <class S>
-  struct Evaluation {
-    Rate<S> rate;             ///< omega-dot
-    Vector6<S> fuzzy_output;  ///< tau_f of (13) [N; N m]
-    Vector6<S> wrench;        ///< tau, in B [N; N m]
-  };
-
-  template <class S>
-  static State<S> initial_state(const Gains<S>& gains) {
-    return initial_weights(gains.fuzzy);
-  }
 
   /// tau = J^T K_p xi-tilde + K_t e - K_d chi-dot - K_v sw(chi-dot) + G - tau_f.
   /// @param out what the law gives; filled in place, since the basis is 84 numbers
@@ -128,8 +89,8 @@ struct Composite {
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
     const Vector6<S> pose_error =
         most_probable_pose_error(J, feature_error, constants.prior, pose_difference(task.reference, input.pose));
-    if (constants.fuzzy.enabled) {
-      const FuzzySystems<S>& systems = constants.fuzzy;
+    if (constants.systems.enabled) {
+      const FuzzySystems<S>& systems = constants.systems;
       // The goal stands still: the pose error's rate is minus the twist.
       fuzzy_basis(systems.bells, systems.error_scale * AxisVector<S>(pose_error),
                   systems.rate_scale * AxisVector<S>(Vector6<S>(-input.twist)), out.rate.basis);
@@ -141,12 +102,6 @@ struct Composite {
     const Vector6<S> others = J.pull(constants.kp.cwiseProduct(feature_error)) + constants.kt.cwiseProduct(pose_error) -
                               constants.kd.cwiseProduct(input.twist) - out.fuzzy_output;
     out.wrench = others - task.switching_wrench(constants.kv, input, others) + task.gravity_wrench;
-  }
-
-  template <class S, std::size_t K>
-  static void advance(const Constants<S>& constants, State<S>& state, const std::array<const Rate<S>*, K>& rates,
-                      const std::array<S, K>& scales, const Mask<S>& active) noexcept {
-    advance_systems(constants.fuzzy, state, rates, scales, active);
   }
 };
 

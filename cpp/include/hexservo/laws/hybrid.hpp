@@ -10,8 +10,7 @@
 /// | tau_f       | fuzzy_output           | [N; N m]                                                            |
 #pragma once
 
-#include "hexservo/fuzzy.hpp"
-#include "hexservo/laws/law.hpp"
+#include "hexservo/laws/fuzzy_law.hpp"
 
 namespace hexservo {
 
@@ -22,6 +21,8 @@ struct HybridGains {
   Vector6<S> kv = linear_angular<S>(2e-3, 1e-4);              ///< diagonal of K_v [N; N m], 2e-3 x3, 1e-4 x3
   FuzzyGains<S> fuzzy;
 
+  static constexpr const char* keys[] = {"kp", "kv", "fuzzy"};  ///< of the scenario's block, as `visit` has them
+
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
     f(a.kp, b.kp);
@@ -30,43 +31,9 @@ struct HybridGains {
   }
 };
 
-/// The same gains, prepared for evaluation.
-template <class S, int N = kPoints>
-struct HybridConstants {
-  explicit HybridConstants(const HybridGains<S, N>& gains) : kp(gains.kp), kv(gains.kv), fuzzy(gains.fuzzy) {}
-
-  Vector<S, 2 * N> kp;
-  Vector6<S> kv;
-  FuzzySystems<S> fuzzy;
-};
-
-/// The law as a policy of the loop: types of its gains and state, its evaluation, and how its state integrates.
-struct Hybrid {
+/// The law as a policy of the loop.
+struct Hybrid : FuzzyLaw<HybridGains> {
   static constexpr const char* name = "hybrid";
-
-  template <class S>
-  using Gains = HybridGains<S>;
-  template <class S>
-  using Constants = HybridConstants<S>;
-  template <class S>
-  using State = FuzzyWeights<S>;  ///< W_j, omega of (13)
-  template <class S>
-  using Stage = FuzzyStage<S>;
-  template <class S>
-  using Rate = FuzzyRate<S>;
-
-  /// Wrench and adaptation at one instant.
-  template <class S>
-  struct Evaluation {
-    Rate<S> rate;             ///< omega-dot of (22)
-    Vector6<S> fuzzy_output;  ///< tau_f of (13) [N; N m]
-    Vector6<S> wrench;        ///< tau of (14), in B [N; N m]
-  };
-
-  template <class S>
-  static State<S> initial_state(const Gains<S>& gains) {
-    return initial_weights(gains.fuzzy);
-  }
 
   /// (14), (15) with (13) and (22): tau = g - K_v sgn(chi-dot) + G - tau_f.
   /// @param out what the law gives; filled in place, since the basis is 84 numbers
@@ -77,8 +44,8 @@ struct Hybrid {
     Vector<S, 2 * N> weighted;
     for (int i = 0; i < 2 * N; ++i) weighted(i) = constants.kp(i) * (task.desired_features(i) - input.features(i));
     const Vector6<S> image_wrench = J.pull(weighted);
-    if (constants.fuzzy.enabled) {
-      const FuzzySystems<S>& systems = constants.fuzzy;
+    if (constants.systems.enabled) {
+      const FuzzySystems<S>& systems = constants.systems;
       const Vector<S, 2 * N> rate = J.push(input.twist);
       for (int i = 0; i < 2 * N; ++i) weighted(i) = -constants.kp(i) * rate(i);
       const Vector6<S> image_wrench_rate = J.pull(weighted);
@@ -92,12 +59,6 @@ struct Hybrid {
     for (int j = 0; j < 6; ++j) others(j) = image_wrench(j) - out.fuzzy_output(j);
     const Vector6<S> switched = task.switching_wrench(constants.kv, input, others);
     for (int j = 0; j < 6; ++j) out.wrench(j) = others(j) - switched(j) + task.gravity_wrench(j);
-  }
-
-  template <class S, std::size_t K>
-  static void advance(const Constants<S>& constants, State<S>& state, const std::array<const Rate<S>*, K>& rates,
-                      const std::array<S, K>& scales, const Mask<S>& active) noexcept {
-    advance_systems(constants.fuzzy, state, rates, scales, active);
   }
 };
 

@@ -1,7 +1,0 @@
-#include "hexservo/settings.hpp"
-
-namespace hexservo {
-
-template class SampledLoop<double, Composite>;
-
-}  // namespace hexservo
