@@ -137,3 +137,119 @@ TEST_CASE("the implicit switching function brings the platform to rest; sign cha
   settings.switching.kind = SwitchingKind::sign;
   CHECK(end(settings) >= 1e-6);
 }
+
+TEST_CASE("the sampled loop tends to the continuous one at first order in the period") {
+  auto settings = corner<Hybrid>(0.0, 0.3);
+  settings.switching = {SwitchingKind::tanh, 1e-2};
+  settings.simulation.duration = 0.2;
+  const auto end = [&settings](LoopMode mode, double step) {
+    settings.simulation.mode = mode;
+    settings.simulation.step = settings.sampling.period = step;
+    const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+    const auto last_of = [&](auto&& loop) {
+      for (long long i = 0; i < step_count(settings.simulation); ++i) loop.advance();
+      REQUIRE(loop.record().running());
+      return Vector<double, 8>(loop.record().sample().feature_error);
+    };
+    return mode == LoopMode::continuous ? last_of(ClosedLoop<double, Hybrid>(p))
+                                        : last_of(SampledLoop<double, Hybrid>(p));
+  };
+  const Vector<double, 8> continuous = end(LoopMode::continuous, 1e-4);
+  const double coarse = distance(end(LoopMode::sampled, 5e-4), continuous);
+  const double middle = distance(end(LoopMode::sampled, 2.5e-4), continuous);
+  const double fine = distance(end(LoopMode::sampled, 1.25e-4), continuous);
+  CAPTURE(coarse);
+  CAPTURE(middle);
+  CAPTURE(fine);
+  // A first-order error e(h) = a h + b h^2: the ratio is 2 + O(h) and nears 2 as h is halved.
+  CHECK(coarse / middle == doctest::Approx(2.0).epsilon(0.1));
+  CHECK(middle / fine == doctest::Approx(2.0).epsilon(0.05));
+}
+
+TEST_CASE("substeps integrate the plant more finely and leave the law's ticks alone") {
+  auto settings = corner<Hybrid>(0.0, 0.3);
+  settings.switching = {SwitchingKind::tanh, 1e-2};
+  settings.simulation.duration = 0.2;
+  settings.simulation.step = settings.sampling.period = 4e-3;
+  const auto end = [&settings](long long substeps) {
+    settings.simulation.substeps = substeps;
+    const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+    SampledLoop<double, Hybrid> loop(p);
+    while (loop.time() < 0.2 - 1e-9) loop.advance();
+    CHECK(loop.steps() == 50);
+    return Vector<double, 8>(loop.record().sample().feature_error);
+  };
+  const Vector<double, 8> exact = end(64);
+  CHECK(distance(end(1), exact) > 0.0);
+  CHECK(distance(end(1), exact) <= 1e-6);  // a constant wrench: fourth order leaves next to nothing
+  CHECK(distance(end(4), exact) <= distance(end(1), exact) / 100.0);
+}
+
+TEST_CASE("before the first frame the wrench is G: the platform of the nominal model does not move") {
+  auto settings = corner<Hybrid>(0.0, 0.3);
+  settings.uncertainty = {};
+  settings.sampling.latency = 0.05;
+  const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+  SampledLoop<double, Hybrid> loop(p);
+  for (int tick = 0; tick < 50; ++tick) {
+    CHECK(loop.record().sample().wrench == gravity_wrench(p.body));
+    CHECK(loop.record().sample().twist.cwiseAbs().maxCoeff() <= 1e-15);
+    loop.advance();
+  }
+  CHECK(loop.record().sample().wrench != gravity_wrench(p.body));  // tick 50, on the frame of tick 0
+}
+
+TEST_CASE("lanes run as their single runs do, each with its own seed and camera") {
+  using S = Lanes<4>;
+  LoopParameters<S, Composite> pack;
+  std::vector<LoopParameters<double, Composite>> single;
+  for (int lane = 0; lane < 4; ++lane) {
+    auto settings = corner<Composite>(0.075, 0.3);
+    settings.switching.kind = lane < 4 ? SwitchingKind::implicit_coupled : SwitchingKind::sign;
+    settings.seed = 40 + static_cast<std::uint64_t>(lane);
+    settings.sampling = {5 * kMs, 8 * kMs, 3 * kMs, {}};
+    settings.sampling.faults.noise = 0.1 * lane;
+    settings.sampling.faults.dropout = 0.1 * lane;
+    settings.sampling.faults.outlier_probability = 0.05 * lane;
+    settings.sampling.faults.outlier_size = 1.0;
+    settings.sampling.faults.quantisation = 0.01 * lane;
+    settings.sampling.faults.image_size = {150.0, 130.0};  // two points start outside
+    settings.sampling.faults.on_lost = LostFeature::predict;
+    single.push_back(loop_parameters(settings));
+    set_lane(pack, lane, single.back());
+  }
+  SampledLoop<S, Composite> lanes(pack);
+  for (int i = 0; i < 300; ++i) lanes.advance();
+  for (int lane = 0; lane < 4; ++lane) {
+    CAPTURE(lane);
+    SampledLoop<double, Composite> loop(single[static_cast<std::size_t>(lane)]);
+    for (int i = 0; i < 300; ++i) loop.advance();
+    CHECK(lanes.record().running()[lane] == loop.record().running());
+    CHECK(distance(lane_of(lanes.record().sample().feature_error, lane), loop.record().sample().feature_error) <= 1e-8);
+    CHECK(distance(lane_of(lanes.record().sample().wrench, lane), loop.record().sample().wrench) <= 1e-9);
+  }
+}
+
+TEST_CASE("times that are not on the grid of the ticks are refused, with the nearest ones") {
+  const auto refused = [](auto&& change) {
+    auto settings = corner<Hybrid>(0.0, 0.3);
+    change(settings);
+    return refusal([&] { loop_parameters(settings); });
+  };
+  const std::string latency = refused([](auto& s) { s.sampling.latency = 2.4e-3; });
+  CHECK(is_about(latency, "camera.latency"));
+  CHECK(latency.find("nearest: 0.002 or 0.003") != std::string::npos);
+  CHECK(is_about(refused([](auto& s) { s.sampling.period = 0.4e-3; }), "camera.period"));
+  CHECK(refused([](auto& s) { s.sampling.period = 0.4e-3; }).find("nearest: 0.001") != std::string::npos);
+  CHECK(is_about(refused([](auto& s) { s.sampling.latency_jitter = -1e-3; }), "camera.latency_jitter"));
+  CHECK(is_about(refused([](auto& s) { s.sampling.faults.noise = kNaN; }), "camera.noise"));
+  CHECK(is_about(refused([](auto& s) { s.sampling.faults.dropout = 1.1; }), "camera.dropout"));
+  CHECK(is_about(refused([](auto& s) { s.sampling.faults.image_size(1) = 0.0; }), "camera.image_size[1]"));
+  CHECK(is_about(refused([](auto& s) { s.simulation.substeps = 0; }), "simulation.substeps"));
+  CHECK(is_about(refused([](auto& s) {
+                   s.convention = CameraConvention::as_printed;
+                   s.sampling.faults.prediction = Prediction::encoder;
+                 }),
+                 "camera.convention"));
+  CHECK(is_about(refused([](auto& s) { s.simulation.mode = LoopMode::continuous; }), "controller.switching.kind"));
+}

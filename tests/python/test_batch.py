@@ -43,6 +43,28 @@ def assert_same(batch: hs.BatchResult, index: int, single: hs.Result, tolerance:
         np.testing.assert_allclose(values[index], last, rtol=0, atol=tolerance * size, err_msg=name)
 
 
+SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
+    "seed": [0.0, 1.0, 2.0],
+    "camera.period": [0.005, 0.004, 0.002],
+    "camera.latency": [0.003, 0.002, 0.0],
+    "camera.latency_jitter": [0.002, 0.001, 0.0],
+    "camera.noise": [0.1, 0.2, 0.0],
+    "camera.quantisation": [0.01, 0.5, 0.0],
+    "camera.dropout": [0.2, 0.5, 0.0],
+    "camera.outlier_probability": [0.2, 0.5, 0.0],
+    "camera.outlier_size": [1.0, 2.0, 0.0],
+    "camera.image_size": [[120.0, 140.0], [90.0, 140.0], [120.0, 500.0]],
+    "simulation.substeps": [1.0, 2.0, 3.0],
+}
+
+
+@pytest.fixture(scope="module")
+def sampled(smooth: hs.Scenario) -> hs.Scenario:
+    """A camera with every fault."""
+    first = {key: rows[0] for key, rows in SAMPLED_ROWS.items()}
+    return smooth.updated({**first, "seed": 0, "simulation.substeps": 1, "simulation.mode": "sampled"})
+
+
 # ---- Every key ------------------------------------------------------------------------------------------------------
 
 
@@ -74,8 +96,8 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
             "controller.composite.fuzzy.bell_slope": [1.0, 1.5, 0.75],
         }.get(key, [1.0, 1.01, 0.98])
         rows = np.stack([base * step for step in steps])
-        if key == "seed":
-            rows = np.array([0.0, 1.0, 2.0])
+        if key in SAMPLED_ROWS:
+            rows = np.array(SAMPLED_ROWS[key])
         elif key.endswith((".leakage", ".dead_zone")):
             rows[1], rows[2] = 0.01, 0.02
         elif not rows.any():  # relative errors and initial scales that are zero
@@ -87,8 +109,8 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize(("law", "key"), [(law, key) for law in LAWS for key in numeric_keys(law)])
-def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, law: str, key: str) -> None:
-    base = smooth = smooth.updated({"controller.law": law})
+def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.Scenario, law: str, key: str) -> None:
+    base = smooth = (sampled if key in SAMPLED_ROWS else smooth).updated({"controller.law": law})
     if key == "target.points":
         base = smooth.updated(
             {"target": {"initial_features": None, "depth": None, "points": rows_of(smooth, key)[0][0]}}
@@ -99,12 +121,12 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, law: str, ke
         batch = hs.simulate_batch(base, {key: rows})
         assert len(batch) == 3
         for index, row in enumerate(rows):
-            value = int(row) if key in ("seed", "simulation.log_every") else row.tolist()
+            value = int(row) if key in ("seed", "simulation.log_every", "simulation.substeps") else row.tolist()
             assert_same(batch, index, hs.simulate(base.updated({key: value})))
         everything = np.column_stack(
             [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
         )
-        without_effect = ("seed", "simulation.log_every", "robot.stroke", "robot.force_limit")
+        without_effect = ("simulation.log_every", "robot.stroke", "robot.force_limit")
         assert np.array_equal(everything[0], everything[1], equal_nan=True) == (key in without_effect), key
 
 
@@ -112,8 +134,7 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, law: str, ke
 def test_the_core_knows_the_keys_of_the_schema(paper: hs.Scenario, law: str) -> None:
     known = numeric_keys(law)
     core = _core.numeric_keys(core_parameters(paper.updated({"controller.law": law})))
-    assert set(known) - set(core) == {"seed"}
-    assert not set(core) - set(known)
+    assert set(known) == set(core)
     for key, widths in core.items():
         assert sorted(widths) == sorted(int(np.prod(shape)) for shape in known[key].shapes)
 
