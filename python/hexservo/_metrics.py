@@ -35,8 +35,8 @@ METRICS: dict[str, tuple[str, str]] = {
 def metrics(result: Result) -> dict[str, float]:
     """Give the metrics of a run by name, in SI units and pixels; `METRICS` says what each is.
 
-    The core streams them at every step, so they do not depend on ``simulation.log_every``. ``settling_time`` is NaN
-    where the run ends above the threshold, ``rms_error`` where it ends before 1 s, ``chatter`` where it ends at its start
-    (docs/model.md section 8).
+    The core streams them at every step, so they do not depend on ``simulation.log_every``. NaN stands where a number
+    has no meaning (docs/model.md section 8): ``settling_time`` of a run that ends above the threshold, ``rms_error`` of
+    one that ends before 1 s, ``chatter`` of one that ends where it starts.
     """
     return dict(result.streamed_metrics)
