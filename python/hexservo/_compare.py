@@ -391,9 +391,9 @@ def _single(row: ComparisonRow) -> ComparisonRow:
         result = simulate(row.scenario)
     except ValueError as error:
         return _refused(row.law, row.scenario, error)
-    error = np.abs(result.feature_error).max(axis=1)
+    largest = np.abs(result.feature_error).max(axis=1)
     return ComparisonRow(
-        row.law, row.scenario, result.outcome, result.detail, result.end_time, metrics(result), result.time, error
+        row.law, row.scenario, result.outcome, result.detail, result.end_time, metrics(result), result.time, largest
     )
 
 
