@@ -129,7 +129,7 @@ void bind_batch(py::module_& m) {
             return shared(self, result.metrics.data(), result.metrics.size(),
                           {py::ssize_t{kMetricNumbers}, signed_size(result.count)});
           },
-          "(12, n), in the order of Metrics")
+          "(18, n), in the order of Metrics")
       .def_property_readonly("time", &numbers<&BatchResult::time>, "(m,) of trajectories [s], or None")
       .def_property_readonly("samples", &samples, "by name: (n, k), or (n, m, k) of trajectories; empty for metrics")
       .def_property_readonly(

@@ -79,7 +79,13 @@ void bind_simulation(py::module_& m) {
       .def_readonly("peak_control_force", &M::peak_control_force, "[N]")
       .def_readonly("peak_control_moment", &M::peak_control_moment, "[N m]")
       .def_readonly("peak_leg_force", &M::peak_leg_force, "[N]")
-      .def_readonly("peak_leg_excursion", &M::peak_leg_excursion, "[m]");
+      .def_readonly("peak_leg_excursion", &M::peak_leg_excursion, "[m]")
+      .def_readonly("overshoot", &M::overshoot, "[px]")
+      .def_readonly("relative_overshoot", &M::relative_overshoot, "[1]")
+      .def_readonly("peak_feature_distance", &M::peak_feature_distance, "from the image centre [px]")
+      .def_readonly("peak_line_deviation", &M::peak_line_deviation, "[px]")
+      .def_readonly("effort", &M::effort, "[N^2 s]")
+      .def_readonly("chatter", &M::chatter, "[N/s], NaN for a single sample");
 
   py::class_<Trajectory>(m, "Trajectory", "Logged samples of a run; arrays share its memory.")
       .def_property_readonly("time", &rows<&Trajectory::time, 1>, "(n,) [s]")

@@ -12,10 +12,10 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 3;                         ///< changes with everything below
+inline constexpr int kKernelAbi = 4;                         ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
-inline constexpr int kMetricNumbers = 12;         ///< of `Metrics`, in the order of its `visit`
+inline constexpr int kMetricNumbers = 18;         ///< of `Metrics`, in the order of its `visit`
 inline constexpr int kWeightNumbers = 6 * 7 * 7;  ///< axis, term of u, term of u-dot
 inline constexpr int kQuantities = 9;             ///< of `Sample`, in the order of its `visit`
 inline constexpr int kSampleNumbers = 49;         ///< all of them

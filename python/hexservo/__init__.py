@@ -20,6 +20,7 @@ except ImportError as error:  # a source tree, or a wheel of another Python
     ) from error
 
 from hexservo._batch import BatchResult, simulate_batch
+from hexservo._compare import Comparison, ComparisonRow, compare
 from hexservo._controller import Controller, ControllerOutput
 from hexservo._metrics import METRICS, metrics
 from hexservo._result import LimitEvent, Result
@@ -30,6 +31,8 @@ from hexservo._variant import VariantError
 __all__ = [
     "METRICS",
     "BatchResult",
+    "Comparison",
+    "ComparisonRow",
     "Controller",
     "ControllerOutput",
     "LimitEvent",
@@ -38,6 +41,7 @@ __all__ = [
     "ScenarioError",
     "VariantError",
     "__version__",
+    "compare",
     "load_scenario",
     "metrics",
     "plots",

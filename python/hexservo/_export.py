@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from hexservo import _core
-from hexservo._output import OutputError, _beside, _locked, _shown, _synchronize
+from hexservo._files import write_file
 from hexservo._parameters import Settings, core_parameters
 from hexservo._scenario import Scenario
 
@@ -173,9 +171,6 @@ def _namespace(name: str) -> str:
     return "_".join(["hexservo", *re.findall("[A-Za-z0-9]+", name)])
 
 
-# ---- The file -------------------------------------------------------------------------------------------------------
-
-
 def write_header(text: str, file: str | os.PathLike[str], *, force: bool = False) -> None:
     """Write a header whole, or not at all.
 
@@ -193,51 +188,4 @@ def write_header(text: str, file: str | os.PathLike[str], *, force: bool = False
     OutputError
         The file exists, is not ours, or cannot be written.
     """
-    path = Path(file)
-    try:
-        _check(path, force)
-        temporary = _beside(path, "writing")
-        try:
-            with temporary.open("x", encoding="utf-8") as opened:
-                opened.write(text)
-            _synchronize(temporary)
-            with _locked(path.parent):
-                _check(path, force)  # what stands there may have changed
-                if path.exists():
-                    temporary.chmod(stat.S_IMODE(path.stat().st_mode))
-                temporary.rename(path)
-        finally:
-            temporary.unlink(missing_ok=True)  # gone, if all went well
-    except (OSError, ValueError) as error:
-        if isinstance(error, OutputError):
-            raise
-        _refuse_unwritable(path, error)
-
-
-def _check(path: Path, force: bool) -> None:
-    if path.name in ("", ".."):
-        raise OutputError(f"{_shown(path)}: expected the name of a file, got a folder; name a file in it")
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        if not path.parent.is_dir():
-            raise OutputError(
-                f"{_shown(path)}: expected a folder that exists, got {_shown(path.parent)}; make it first"
-            ) from None
-        return
-    if not stat.S_ISREG(mode):
-        kind = "a symbolic link" if stat.S_ISLNK(mode) else "a folder" if stat.S_ISDIR(mode) else "something else"
-        raise OutputError(f"{_shown(path)}: expected a file or a new name, got {kind}; name another place")
-    with path.open("rb") as opened:
-        ours = opened.readline(len(_TITLE) + 2).rstrip(b"\r\n") == _TITLE.encode()
-    if not ours:
-        raise OutputError(f"{_shown(path)}: the file was not written by hexservo export, so it is kept; name another")
-    if not force:
-        raise OutputError(f"{_shown(path)}: the file exists; replace it with --force, or name another")
-
-
-def _refuse_unwritable(path: Path, error: OSError | ValueError) -> NoReturn:
-    reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-    raise OutputError(
-        f"{_shown(path)}: expected a place that can be written, got: {reason}; nothing was written, name another"
-    ) from error
+    write_file(text, file, _TITLE, "hexservo export", force=force)

@@ -23,13 +23,20 @@ METRICS: dict[str, tuple[str, str]] = {
     "peak_control_moment": ("N m", "largest moment component"),
     "peak_leg_force": ("N", "largest leg force"),
     "peak_leg_excursion": ("m", "largest leg travel from the home length"),
+    "overshoot": ("px", "largest excursion of a feature coordinate beyond its goal"),
+    "relative_overshoot": ("1", "the same, each in parts of its own initial error"),
+    "peak_feature_distance": ("px", "largest distance of a feature from the image centre"),
+    "peak_line_deviation": ("px", "largest distance of a feature from its straight way"),
+    "effort": ("N² s", "integral of the squared wrench beyond the estimated weight"),
+    "chatter": ("N/s", "total variation of that wrench per second"),
 }
 
 
 def metrics(result: Result) -> dict[str, float]:
     """Give the metrics of a run by name, in SI units and pixels; `METRICS` says what each is.
 
-    The core streams them at every step, so they do not depend on ``simulation.log_every``. ``settling_time`` is NaN
-    where the run ends above the threshold, ``rms_error`` where it ends before 1 s (docs/model.md section 8).
+    The core streams them at every step, so they do not depend on ``simulation.log_every``. NaN stands where a number
+    has no meaning (docs/model.md section 8): ``settling_time`` of a run that ends above the threshold, ``rms_error`` of
+    one that ends before 1 s, ``chatter`` of one that ends where it starts.
     """
     return dict(result.streamed_metrics)

@@ -1,4 +1,4 @@
-"""The command line: ``hexservo run | scenarios | show | check | export | bench | version``.
+"""The command line: ``hexservo run | compare | scenarios | show | check | export | bench | version``.
 
 Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
 numerical outcome; 130 interrupted; 141 the reader of the output left.
@@ -11,7 +11,7 @@ import io
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
@@ -20,6 +20,8 @@ import hexservo as hs
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+    from hexservo._compare import Column
 
 __all__ = ["app", "main"]
 
@@ -35,8 +37,10 @@ _READABLE_UNITS = {
     "m/s": ("mm/s", 1e3),
     "rad/s": ("mrad/s", 1e3),
     "N m": ("mN m", 1e3),
+    "1": ("%", 100.0),
 }
 _ANY_WIDTH = 10_000  # of what no terminal shows: nothing is wrapped or cut
+_WIDTH_FOR_COMPARISON = 170  # in a narrower terminal the table of a comparison is split in two
 _WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table leaves out what the metrics mean
 
 app = typer.Typer(
@@ -102,7 +106,8 @@ def run(
     The results are printed as a table; --out writes figures and data too.
     """
     with _reporting():
-        from hexservo._output import OutputError, check_folder, write_results
+        from hexservo._files import OutputError, check_folder
+        from hexservo._output import write_results
 
         chosen = _load(scenario, settings or [])
         if out is not None:
@@ -127,6 +132,62 @@ def run(
         if result.outcome != "completed":
             _complain(f"{chosen.name}: {_ending(result)}", head="Ended early")
             raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
+
+
+@app.command()
+def compare(
+    scenarios: Annotated[
+        str,
+        typer.Option(
+            "--scenarios",
+            metavar="NAMES",
+            help='Packaged scenarios or paths of YAML files, with commas between; "task-*" stands for all such names.',
+        ),
+    ],
+    laws: Annotated[
+        str | None, typer.Option("--laws", metavar="NAMES", help="Laws, with commas between.  [default: all]")
+    ] = None,
+    settings: SettingsOption = None,
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", metavar="FOLDER", help="Write tables and a page of pictures there."),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
+) -> None:
+    """Run several laws on several scenarios and compare them.
+
+    A scenario runs with its law replaced and everything else as it stands. The table says which run settled and why,
+    when, how far off, and at what cost; --out writes it as Markdown and CSV too, with a page of pictures.
+    """
+    with _reporting():
+        from hexservo._files import OutputError, check_folder
+
+        chosen = [_load(name, settings or []) for name in _expanded(scenarios)]
+        if out is not None:
+            check_folder(out, force=force)
+        started = time.perf_counter()
+        watched = sys.stderr is not None and sys.stderr.isatty()
+        try:
+            comparison = hs.compare(chosen, None if laws is None else _split(laws), progress=watched)
+        except ValueError as error:  # of the choice, as an unknown law
+            raise hs.ScenarioError(str(error).splitlines()) from error
+        elapsed = time.perf_counter() - started
+        failure = None
+        if out is not None:
+            try:
+                comparison.write(out, force=force)
+            except OutputError as error:
+                failure = error
+        if not quiet:
+            _print(*_comparison_report(comparison, elapsed, out if failure is None else None, hint=out is None))
+        if failure is not None:
+            raise failure
+        if comparison.interrupted:
+            _complain(f"{comparison.finished} of {len(comparison.rows)} runs were finished", head="Interrupted")
+            raise typer.Exit(INTERRUPTED)
 
 
 @app.command()
@@ -226,7 +287,7 @@ def bench(
         from dataclasses import replace
 
         from hexservo import _bench
-        from hexservo._output import check_folder, write_folder
+        from hexservo._files import check_folder, write_folder
 
         plan = replace(_bench.QUICK if quick else _bench.Plan(), realtime=realtime)
         plan = replace(plan, ticks=ticks or plan.ticks, seconds=seconds or plan.seconds)
@@ -298,13 +359,34 @@ def _load(scenario: str, settings: list[str]) -> hs.Scenario:
     return changed
 
 
+def _split(names: str) -> list[str]:
+    return [name.strip() for name in names.split(",") if name.strip()]
+
+
+def _expanded(names: str) -> list[str]:
+    """Give the names in a list, patterns replaced by the packaged scenarios that fit."""
+    from fnmatch import fnmatchcase
+
+    chosen: list[str] = []
+    for name in _split(names):
+        fitting = [known for known in hs.scenario_names() if fnmatchcase(known, name)]
+        if not fitting and any(character in name for character in "*?"):
+            raise hs.ScenarioError(
+                f'--scenarios: expected a pattern that fits one of {", ".join(hs.scenario_names())}; got "{name}"'
+            )
+        chosen += [known for known in fitting or [name] if known not in chosen]
+    if not chosen:
+        raise hs.ScenarioError(f'--scenarios: expected names with commas between, got "{names}"')
+    return chosen
+
+
 # ---- Output ---------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def _reporting() -> Iterator[None]:
     """Turn bad input and Ctrl-C into words on standard error and an exit code; anything else is a bug with a trace."""
-    from hexservo._output import OutputError
+    from hexservo._files import OutputError
 
     try:
         yield
@@ -354,6 +436,52 @@ def _metrics_table(result: hs.Result) -> RenderableType:
         absent = "never" if name == "settling_time" else "none"  # NaN: docs/model.md section 8
         shown = [f"{value * scale:.4g}", unit] if value == value else [absent, ""]
         table.add_row(name.replace("_", " "), *shown, *([meaning] if with_meanings else []))
+    return table
+
+
+def _comparison_report(
+    comparison: hs.Comparison, elapsed: float, folder: str | None, *, hint: bool
+) -> Iterator[RenderableType]:
+    """Give the table, in two where the terminal is too narrow for one, the reasons, and where the files are."""
+    from rich.text import Text
+
+    from hexservo._compare import COLUMNS
+
+    width = _width()
+    parts = [COLUMNS] if width >= _WIDTH_FOR_COMPARISON else [COLUMNS[:7], COLUMNS[7:]]
+    for number, columns in enumerate(parts):
+        yield _comparison_table(comparison, columns, verdict=number == 0)
+        yield Text("")
+    for row in comparison.rows:
+        if not row.settled or row.passed_limits:
+            yield Text(f"{row.scenario.name}, {row.law}: {row.verdict}: {row.why}", style="yellow")
+    runs = f"{len(comparison.rows)} runs" if len(comparison.rows) > 1 else "1 run"
+    yield Text(f"{runs} in {_spell_time(elapsed)}; what the columns are: docs/compare.md", style="dim")
+    if folder is not None:
+        yield Text(f"comparison.md, .csv, .svg, .png and the scenarios are in {folder}")
+    elif hint:
+        yield Text("no files written; --out FOLDER writes tables and pictures", style="dim")
+
+
+def _comparison_table(comparison: hs.Comparison, columns: Sequence[Column], *, verdict: bool) -> RenderableType:
+    from rich.table import Table
+    from rich.text import Text
+
+    from hexservo._compare import shown
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    for head in ("scenario", "law", *(["verdict"] if verdict else [])):
+        table.add_column(head, no_wrap=True)
+    for column in columns:
+        table.add_column(f"{column.head}\n[{column.unit}]", justify="right", no_wrap=True)
+    before = None
+    for row in comparison.rows:
+        name = "" if row.scenario.name == before else row.scenario.name
+        before = row.scenario.name
+        style = "green" if row.settled else "bold red"
+        cells = [Text(row.verdict, style=style)] if verdict else []
+        passed = [f"{shown(row, column)}{'!' if column.limit in row.passed_limits else ''}" for column in columns]
+        table.add_row(name, row.law, *cells, *passed)
     return table
 
 

@@ -13,6 +13,7 @@ using namespace hexservo::test;
 namespace {
 
 const Vector6<double> kGravity = gravity_wrench(RigidBody<double>{});
+const Vector<double, 8> kDesired = (Vector<double, 8>() << 10, 10, 45, -73, -64, 29, -30, -23).finished();
 
 /// A sample of ordinary size; feature errors are at most `error`.
 Sample<double> random_sample(Random& random, double error) {
@@ -30,7 +31,7 @@ Sample<double> random_sample(Random& random, double error) {
 }
 
 Metrics<double> metrics_of(const std::vector<Sample<double>>& samples, const MetricsSettings& settings, double step) {
-  MetricsAccumulator<double> accumulator(settings, make_hexapod({}), kGravity, samples.front());
+  MetricsAccumulator<double> accumulator(settings, make_hexapod({}), kGravity, kDesired, samples.front());
   for (std::size_t i = 0; i < samples.size(); ++i) accumulator.add(static_cast<double>(i) * step, samples[i], true);
   return accumulator.metrics();
 }
@@ -61,6 +62,13 @@ TEST_CASE("every metric is its definition over the whole record") {
 
     double settling = 0.0, squares = 0.0, count = 0.0, peak_error = 0.0, displacement = 0.0, rotation = 0.0;
     double force = 0.0, moment = 0.0, leg_force = 0.0, excursion = 0.0;
+    double overshoot = 0.0, relative = 0.0, distance = 0.0, deviation = 0.0, effort = 0.0, variation = 0.0;
+    const auto uniform = [&hexapod](const Sample<double>& s) {
+      Vector6<double> w = s.wrench - kGravity;
+      w.tail<3>() /= hexapod.platform_radius;
+      return w;
+    };
+    const Vector<double, 8> start = samples.front().feature_error;
     const Matrix3<double> R0 = rotation_matrix(samples.front().quaternion);
     for (std::size_t i = 0; i < samples.size(); ++i) {
       const Sample<double>& s = samples[i];
@@ -77,6 +85,21 @@ TEST_CASE("every metric is its definition over the whole record") {
       moment = std::max(moment, (s.wrench - kGravity).tail<3>().cwiseAbs().maxCoeff());
       leg_force = std::max(leg_force, s.leg_forces.cwiseAbs().maxCoeff());
       excursion = std::max(excursion, (s.leg_lengths - hexapod.home_lengths).cwiseAbs().maxCoeff());
+      for (int c = 0; c < 8; ++c) {
+        if (std::abs(start(c)) <= 2.0) continue;
+        const double beyond = start(c) > 0.0 ? -s.feature_error(c) : s.feature_error(c);
+        overshoot = std::max(overshoot, beyond);
+        relative = std::max(relative, beyond / std::abs(start(c)));
+      }
+      for (int p = 0; p < 8; p += 2) {
+        distance = std::max(distance, (kDesired - s.feature_error).segment<2>(p).norm());
+        const Eigen::Vector2d way = start.segment<2>(p), off = s.feature_error.segment<2>(p);
+        if (way.norm() > 2.0) deviation = std::max(deviation, (off - way * way.dot(off) / way.squaredNorm()).norm());
+      }
+      if (i > 0) {
+        effort += 1e-3 * uniform(samples[i - 1]).squaredNorm();
+        variation += (uniform(s) - uniform(samples[i - 1])).cwiseAbs().sum();
+      }
     }
     const Sample<double>& last = samples.back();
     REQUIRE(last.feature_error.cwiseAbs().maxCoeff() <= 2.0);
@@ -92,6 +115,12 @@ TEST_CASE("every metric is its definition over the whole record") {
     CHECK(m.peak_control_moment == moment);
     CHECK(m.peak_leg_force == leg_force);
     CHECK(m.peak_leg_excursion == excursion);
+    CHECK(m.overshoot == overshoot);
+    CHECK(m.relative_overshoot == doctest::Approx(relative).epsilon(1e-14));
+    CHECK(m.peak_feature_distance == doctest::Approx(distance).epsilon(1e-13));
+    CHECK(m.peak_line_deviation == doctest::Approx(deviation).epsilon(1e-13));
+    CHECK(m.effort == doctest::Approx(effort).epsilon(1e-12));
+    CHECK(m.chatter == doctest::Approx(variation / 0.1).epsilon(1e-12));
   }
 }
 
@@ -129,6 +158,52 @@ TEST_CASE("the RMS error starts at rms_start, and is NaN where the run is shorte
   CHECK(metrics_of(samples, {2.0, 0.2}, 0.1).rms_error == doctest::Approx(std::sqrt(5.0 / 16.0)));
   CHECK(metrics_of(samples, {2.0, 0.3}, 0.1).rms_error == doctest::Approx(std::sqrt(1.0 / 8.0)));  // 3 * 0.1 is not 0.3
   CHECK(std::isnan(metrics_of(samples, {2.0, 0.31}, 0.1).rms_error));
+}
+
+TEST_CASE("overshoot is what a coordinate that starts outside goes beyond its goal, in px and of its own start") {
+  // x1 from +10 to -3; y1 from -40 to +6; x2 from 2.0, on the threshold, to -9: it has no side; y2 from 50, short of
+  // it.
+  std::vector<Sample<double>> samples = with_errors({0.0, 0.0, 0.0, 0.0});
+  for (Sample<double>& s : samples) s.feature_error.setZero();
+  samples[0].feature_error.head<4>() << 10.0, -40.0, 2.0, 50.0;
+  samples[1].feature_error.head<4>() << 30.0, -60.0, -9.0, 20.0;
+  samples[2].feature_error.head<4>() << -3.0, 6.0, -1.0, 5.0;
+  samples[3].feature_error.head<4>() << -1.0, -2.0, 0.0, 1.0;
+  const Metrics<double> m = metrics_of(samples, {2.0, 0.0}, 0.1);
+  CHECK(m.overshoot == 6.0);
+  CHECK(m.relative_overshoot == doctest::Approx(0.3).epsilon(1e-15));
+  samples.resize(2);
+  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).overshoot == 0.0);
+}
+
+TEST_CASE("distances of features: from the image centre, and from the line through start and goal") {
+  // Feature 1 (goal (10, 10)) starts at error (30, 40), so its line has the direction (3, 4)/5 and the normal (-4,
+  // 3)/5. At the error (6, 0) it is 24/5 off that line and at (10, 10) - (6, 0); the others are at their goals.
+  std::vector<Sample<double>> samples = with_errors({0.0, 0.0, 0.0});
+  for (Sample<double>& s : samples) s.feature_error.setZero();
+  samples[0].feature_error.head<2>() << 30.0, 40.0;
+  samples[1].feature_error.head<2>() << 6.0, 0.0;
+  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).peak_line_deviation == doctest::Approx(4.8).epsilon(1e-15));
+  CHECK(metrics_of(samples, {50.0, 0.0}, 0.1).peak_line_deviation == 0.0);  // starts within the threshold: no line
+  // the farthest goal is (45, -73); then feature 4 (goal (-30, -23)) leaves to (-150, 200): a 3-4-5 triangle
+  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).peak_feature_distance == doctest::Approx(std::hypot(45.0, 73.0)));
+  samples[2].feature_error.tail<2>() << 120.0, -223.0;
+  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).peak_feature_distance == doctest::Approx(250.0).epsilon(1e-15));
+}
+
+TEST_CASE("effort and chatter: 2 N, then 3 N along x and 0.4 N m about z, at a platform radius of 0.1 m") {
+  std::vector<Sample<double>> samples = with_errors({0.0, 0.0, 0.0, 0.0});
+  for (Sample<double>& s : samples) s.wrench = kGravity;
+  samples[0].wrench(0) += 2.0;
+  samples[1].wrench(0) += 3.0;
+  samples[1].wrench(5) += 0.4;
+  samples[3].wrench(2) -= 7.0;  // at the end: it changes the wrench and has lasted no time
+  const Metrics<double> m = metrics_of(samples, {2.0, 0.0}, 0.5);
+  CHECK(m.effort == doctest::Approx(0.5 * 4.0 + 0.5 * (9.0 + 16.0)).epsilon(1e-13));
+  CHECK(m.chatter == doctest::Approx((1.0 + 4.0 + 3.0 + 4.0 + 7.0) / 1.5).epsilon(1e-13));
+  samples.resize(1);
+  CHECK(metrics_of(samples, {2.0, 0.0}, 0.5).effort == 0.0);
+  CHECK(std::isnan(metrics_of(samples, {2.0, 0.0}, 0.5).chatter));
 }
 
 TEST_CASE("limits are noted with their first time and their peak, for each leg alone") {
@@ -174,7 +249,7 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
     }
     samples[l].resize(static_cast<std::size_t>(lane == kFrozenLane ? kFrozenFrom : kSamples));
   }
-  MetricsAccumulator<S> accumulator(settings, pack_hexapod, gravity, packs.front());
+  MetricsAccumulator<S> accumulator(settings, pack_hexapod, gravity, kDesired.cast<S>(), packs.front());
   S is_frozen = 0.0;
   is_frozen.set(kFrozenLane, 1.0);
   for (int i = 0; i < kSamples; ++i)
@@ -199,6 +274,12 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
     CHECK(agree(m.peak_control_moment, single.peak_control_moment));
     CHECK(agree(m.peak_leg_force, single.peak_leg_force));
     CHECK(agree(m.peak_leg_excursion, single.peak_leg_excursion));
+    CHECK(agree(m.overshoot, single.overshoot));
+    CHECK(agree(m.relative_overshoot, single.relative_overshoot));
+    CHECK(agree(m.peak_feature_distance, single.peak_feature_distance));
+    CHECK(agree(m.peak_line_deviation, single.peak_line_deviation));
+    CHECK(agree(m.effort, single.effort));
+    CHECK(agree(m.chatter, single.chatter));
   }
 }
 
@@ -213,6 +294,8 @@ TEST_CASE("NaN in a sample is not swallowed by a peak") {
   CHECK(std::isnan(m.final_error));
   CHECK(std::isnan(m.rms_error));
   CHECK(std::isnan(m.peak_leg_force));
+  CHECK(std::isnan(m.peak_feature_distance));
+  CHECK(std::isnan(m.peak_line_deviation));
   CHECK(largest_abs(Vector3<double>(1.0, -3.0, 2.0)) == 3.0);
   CHECK(std::isnan(largest_abs(Vector3<double>(kNaN, -3.0, 2.0))));
   CHECK(std::isnan(largest_abs(Vector3<double>(1.0, -3.0, kNaN))));

@@ -42,7 +42,10 @@ bool same_metrics(const Metrics<double>& a, const Metrics<double>& b) {
          same(a.peak_displacement, b.peak_displacement) && same(a.peak_rotation, b.peak_rotation) &&
          same(a.final_linear_speed, b.final_linear_speed) && same(a.final_angular_speed, b.final_angular_speed) &&
          same(a.peak_control_force, b.peak_control_force) && same(a.peak_control_moment, b.peak_control_moment) &&
-         same(a.peak_leg_force, b.peak_leg_force) && same(a.peak_leg_excursion, b.peak_leg_excursion);
+         same(a.peak_leg_force, b.peak_leg_force) && same(a.peak_leg_excursion, b.peak_leg_excursion) &&
+         same(a.overshoot, b.overshoot) && same(a.relative_overshoot, b.relative_overshoot) &&
+         same(a.peak_feature_distance, b.peak_feature_distance) && same(a.peak_line_deviation, b.peak_line_deviation) &&
+         same(a.effort, b.effort) && same(a.chatter, b.chatter);
 }
 
 }  // namespace

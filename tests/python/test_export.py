@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import cli
 from hexservo._export import gains_header, write_header
-from hexservo._output import OutputError
+from hexservo._files import OutputError
 from hexservo._parameters import core_parameters
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -21,7 +21,8 @@ import pytest
 import xarray
 
 import hexservo as hs
-from hexservo._output import MARKER, OutputError, check_folder, write_results
+from hexservo._files import MARKER, OutputError, check_folder
+from hexservo._output import write_results
 
 FIGURE = "fig3_feature_paths.svg"
 FILES = {MARKER, "scenario.yaml", "metrics.json", "result.nc", FIGURE}

@@ -55,7 +55,7 @@ struct BatchResult {
   std::vector<std::uint8_t> cause;    ///< n, StopCause
   Buffer end_time;                    ///< n, of the last good sample; NaN where interrupted [s]
   Buffer stop_time;                   ///< n, of the step at which the run stopped; NaN where interrupted [s]
-  Buffer metrics;                     ///< 12 x n, in the order of `Metrics`; NaN where interrupted
+  Buffer metrics;                     ///< 18 x n, in the order of `Metrics`; NaN where interrupted
   Buffer time;                        ///< m, of the trajectories [s]
   /// In the order of `Sample`: n x k, or n x m x k with NaN where a run had stopped; NaN where interrupted.
   std::array<Buffer, 9> samples;

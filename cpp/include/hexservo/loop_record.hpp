@@ -21,7 +21,8 @@ class LoopRecord {
     Sample<S, N>::visit([](auto& value, const auto&) { value.setZero(); }, sample_, sample_);
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);
-    metrics_.emplace(p.metrics, p.hexapod, gravity_wrench(p.body), sample_);
+    sample_.feature_error = desired_features_ - start.view.image.features;
+    metrics_.emplace(p.metrics, p.hexapod, gravity_wrench(p.body), desired_features_, sample_);
   }
 
   /// Lanes that go on.

@@ -67,11 +67,17 @@ struct Metrics {
   S peak_displacement{0.0};   ///< max |x_p - x_p(0)| [m]
   S peak_rotation{0.0};       ///< max rotation angle from the start [rad]
   S final_linear_speed{0.0};  ///< |v| at the end [m/s]
-  S final_angular_speed{0.0};  ///< |omega| at the end [rad/s]
-  S peak_control_force{0.0};   ///< max |tau_j - G_j| of the force [N]
-  S peak_control_moment{0.0};  ///< max |tau_j - G_j| of the moment [N m]
-  S peak_leg_force{0.0};       ///< max |f_c,i| [N]
-  S peak_leg_excursion{0.0};   ///< max |l_i - home length| [m]
+  S final_angular_speed{0.0};    ///< |omega| at the end [rad/s]
+  S peak_control_force{0.0};     ///< max |tau_j - G_j| of the force [N]
+  S peak_control_moment{0.0};    ///< max |tau_j - G_j| of the moment [N m]
+  S peak_leg_force{0.0};         ///< max |f_c,i| [N]
+  S peak_leg_excursion{0.0};     ///< max |l_i - home length| [m]
+  S overshoot{0.0};              ///< max excursion of a xi_i beyond its goal, seen from its start [px]
+  S relative_overshoot{0.0};     ///< the same, each in parts of its own |xi-tilde_i(0)| [1]
+  S peak_feature_distance{0.0};  ///< max distance of a feature from the image centre [px]
+  S peak_line_deviation{0.0};    ///< max distance of a feature from the line through its start and goal [px]
+  S effort{0.0};                 ///< integral of |w|^2, w = tau - G with moments divided by the platform radius [N^2 s]
+  S chatter{0.0};  ///< total variation of w, summed over its components, per second [N/s]; NaN for a single sample
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
@@ -87,7 +93,109 @@ struct Metrics {
     f(a.peak_control_moment, b.peak_control_moment);
     f(a.peak_leg_force, b.peak_leg_force);
     f(a.peak_leg_excursion, b.peak_leg_excursion);
+    f(a.overshoot, b.overshoot);
+    f(a.relative_overshoot, b.relative_overshoot);
+    f(a.peak_feature_distance, b.peak_feature_distance);
+    f(a.peak_line_deviation, b.peak_line_deviation);
+    f(a.effort, b.effort);
+    f(a.chatter, b.chatter);
   }
+};
+
+/// How far the features leave the straight ways to their goals. Coordinates and features that start within the settling
+/// threshold of their goal have no side to overshoot to and no line: they count for the distance alone.
+template <class S, int N>
+class FeatureExcursions {
+ public:
+  FeatureExcursions(double threshold, const Vector<S, 2 * N>& desired, const Vector<S, 2 * N>& first_error)
+      : desired_(desired), limit_(threshold) {
+    for (int i = 0; i < 2 * N; ++i) {
+      start_(i) = first_error(i);
+      side_(i) = select(abs_of(start_(i)) > limit_, select(start_(i) > S(0.0), S(-1.0), S(1.0)), S(0.0));
+    }
+    for (int i = 0; i < N; ++i) {
+      using std::sqrt;
+      const S x = start_(2 * i), y = start_(2 * i + 1), length = sqrt(S(x * x + y * y));
+      const Mask<S> has_line = length > limit_;
+      normal_(2 * i) = select(has_line, -y / length, S(0.0));
+      normal_(2 * i + 1) = select(has_line, x / length, S(0.0));
+    }
+  }
+
+  void add(const Vector<S, 2 * N>& error, const Mask<S>& active) {
+    for (int i = 0; i < 2 * N; ++i) beyond_(i) = select(active, max(beyond_(i), S(side_(i) * error(i))), beyond_(i));
+    S distance = distance_squared_, deviation = deviation_;
+    for (int i = 0; i < N; ++i) {
+      const int x = 2 * i, y = x + 1;
+      const S u = desired_(x) - error(x), v = desired_(y) - error(y);
+      distance = max(distance, S(u * u + v * v));
+      deviation = max(deviation, abs_of(S(normal_(x) * error(x) + normal_(y) * error(y))));
+    }
+    distance_squared_ = select(active, distance, distance_squared_);
+    deviation_ = select(active, deviation, deviation_);
+  }
+
+  void write(Metrics<S>& m) const {
+    using std::sqrt;
+    m.peak_feature_distance = sqrt(distance_squared_);
+    m.peak_line_deviation = deviation_;
+    for (int i = 0; i < 2 * N; ++i) {
+      m.overshoot = max(m.overshoot, beyond_(i));
+      m.relative_overshoot =
+          max(m.relative_overshoot, select(abs_of(start_(i)) > limit_, S(beyond_(i) / abs_of(start_(i))), S(0.0)));
+    }
+  }
+
+ private:
+  static S abs_of(const S& value) {
+    using std::abs;
+    return abs(value);
+  }
+
+  Vector<S, 2 * N> desired_, start_;
+  S limit_;
+  Vector<S, 2 * N> side_;    ///< -sgn(xi-tilde_i(0)), or 0: times xi-tilde_i it is how far beyond the goal i is
+  Vector<S, 2 * N> normal_;  ///< of each feature's line, a unit vector or 0
+  Vector<S, 2 * N> beyond_ = Vector<S, 2 * N>::Zero();
+  S distance_squared_{0.0}, deviation_{0.0};
+};
+
+/// What control costs: w = tau - G, with moments divided by the platform radius, so that all six are forces.
+template <class S>
+class ControlCost {
+ public:
+  explicit ControlCost(const S& platform_radius) : per_radius_(S(1.0) / platform_radius) {}
+
+  void add(double time, const Vector6<S>& control, const Mask<S>& active) {
+    using std::abs;
+    const S lasted(is_first_ ? 0.0 : time - time_);
+    S square(0.0), change(0.0);
+    for (int j = 0; j < 6; ++j) {
+      const S w = j < 3 ? control(j) : S(control(j) * per_radius_);
+      square += w * w;
+      change += abs(S(w - last_(j)));
+      last_(j) = w;
+    }
+    // what was applied since the last sample is the last sample's; a lane that has stopped needs no right `last_`
+    effort_ = select(active, S(effort_ + square_ * lasted), effort_);
+    variation_ = select(active & Mask<S>(!is_first_), S(variation_ + change), variation_);
+    duration_ = select(active, S(duration_ + lasted), duration_);
+    square_ = square;
+    time_ = time;
+    is_first_ = false;
+  }
+
+  void write(Metrics<S>& m) const {
+    m.effort = effort_;
+    m.chatter = variation_ / duration_;
+  }
+
+ private:
+  S per_radius_;
+  Vector6<S> last_ = Vector6<S>::Zero();
+  S square_{0.0}, effort_{0.0}, variation_{0.0}, duration_{0.0};
+  double time_ = 0.0;
+  bool is_first_ = true;
 };
 
 /// First time each leg passed a limit (infinity: never) and its largest value.
@@ -111,12 +219,14 @@ template <class S, int N = kPoints>
 class MetricsAccumulator {
  public:
   MetricsAccumulator(const MetricsSettings& settings, const Hexapod<S>& hexapod, const Vector6<S>& gravity_wrench,
-                     const Sample<S, N>& first)
+                     const Vector<S, 2 * N>& desired_features, const Sample<S, N>& first)
       : settings_(settings),
         hexapod_(hexapod),
         gravity_wrench_(gravity_wrench),
         start_position_(first.position),
-        start_quaternion_(first.quaternion) {}
+        start_quaternion_(first.quaternion),
+        features_(settings.settling_threshold, desired_features, first.feature_error),
+        cost_(hexapod.platform_radius) {}
 
   void add(double time, const Sample<S, N>& sample, const Mask<S>& active) {
     const auto keep = [&active](S& value, const S& next) { value = select(active, next, value); };
@@ -144,6 +254,8 @@ class MetricsAccumulator {
     const Vector6<S> control = sample.wrench - gravity_wrench_;
     peak(peak_control_force_, largest_abs<S, 3, 1>(control.template head<3>()));
     peak(peak_control_moment_, largest_abs<S, 3, 1>(control.template tail<3>()));
+    features_.add(sample.feature_error, active);
+    cost_.add(time, control, active);
     stroke_.add(time, sample.leg_lengths - hexapod_.home_lengths, hexapod_.stroke, active);
     force_.add(time, sample.leg_forces, hexapod_.force_limit, active);
   }
@@ -165,6 +277,8 @@ class MetricsAccumulator {
     m.peak_control_moment = peak_control_moment_;
     m.peak_leg_force = largest_abs(force_.peak);
     m.peak_leg_excursion = largest_abs(stroke_.peak);
+    features_.write(m);
+    cost_.write(m);
     return m;
   }
 
@@ -183,6 +297,8 @@ class MetricsAccumulator {
   Vector6<S> gravity_wrench_;
   Vector3<S> start_position_;
   Vector4<S> start_quaternion_;
+  FeatureExcursions<S, N> features_;
+  ControlCost<S> cost_;
   S last_outside_{0.0}, ends_outside_{0.0}, final_error_{0.0}, peak_error_{0.0}, square_sum_{0.0}, square_count_{0.0};
   S peak_displacement_squared_{0.0}, peak_half_sine_squared_{0.0}, linear_speed_squared_{0.0},
       angular_speed_squared_{0.0};
