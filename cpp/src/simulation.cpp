@@ -2,8 +2,8 @@
 
 #include "check.hpp"
 #include "run_request.hpp"
+#include "trajectory_log.hpp"
 
-#include <algorithm>
 #include <exception>
 
 namespace hexservo {
@@ -15,47 +15,6 @@ namespace {
 
 constexpr long long kStepsBetweenQuestions = 2048;  // a few milliseconds of work between two looks at Ctrl-C
 static_assert(kStepsBetweenQuestions % kQuestionEvery == 0);
-constexpr int kLoggedNumbers = 1 + kSampleNumbers;  // per row
-
-/// Samples that a run logs at most.
-std::size_t sample_count(const SimulationSettings& simulation) {
-  const auto every = static_cast<double>(simulation.log_every);
-  const double samples =
-      std::floor(static_cast<double>(step_count(simulation)) / every) + 2.0;  // the first, and the last good one
-  const double bytes = samples * kLoggedNumbers * static_cast<double>(sizeof(double));
-  if (bytes > kMaxLogBytes)
-    refuse("simulation.log_every",
-           words("a log of at most ", kMaxLogBytes / (1 << 30), " GiB (log_every of ",
-                 std::ceil(every * bytes / kMaxLogBytes * 1.01), " or more fits)"),
-           words(simulation.log_every, ", which makes ", bytes / (1 << 30), " GiB"));
-  return static_cast<std::size_t>(samples);
-}
-
-/// The columns of a log, in the order of `Sample::visit`.
-std::array<Column*, kQuantities> columns_of(Trajectory& log) {
-  return {&log.feature_error, &log.depth,        &log.position,    &log.quaternion, &log.twist,
-          &log.wrench,        &log.fuzzy_output, &log.leg_lengths, &log.leg_forces};
-}
-
-/// Lays out the columns for `samples` rows, one after another.
-void allocate(Trajectory& log, std::size_t samples) {
-  log.block = Buffer(samples * kLoggedNumbers);
-  double* next = log.block.data();
-  log.time = {next, samples};
-  next += samples;
-  const auto columns = columns_of(log);
-  for (std::size_t i = 0; i < columns.size(); ++i) {
-    *columns[i] = {next, samples * static_cast<std::size_t>(kSampleWidths[i])};
-    next += columns[i]->size();
-  }
-}
-
-void shorten(Trajectory& log, std::size_t rows) {
-  log.time = log.time.first(rows);
-  const auto columns = columns_of(log);
-  for (std::size_t i = 0; i < columns.size(); ++i)
-    *columns[i] = columns[i]->first(rows * static_cast<std::size_t>(kSampleWidths[i]));
-}
 
 /// Asks the caller between steps; what that throws waits until the kernel has returned.
 struct Question {
@@ -73,21 +32,6 @@ struct Question {
     }
   }
 };
-
-void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const double (&first_time)[6],
-                const double (&peak)[6], double limit) {
-  for (std::size_t leg = 0; leg < 6; ++leg)
-    if (std::isfinite(first_time[leg]))
-      events.push_back({kind, static_cast<int>(leg), first_time[leg], peak[leg], limit});
-}
-
-FuzzyWeights<double> weights_from(const double* numbers) {
-  FuzzyWeights<double> weights;
-  for (int axis = 0; axis < kAxes; ++axis)
-    for (int row = 0; row < kTerms; ++row)
-      for (int column = 0; column < kTerms; ++column) weights[rule(row, column)].set(axis, *numbers++);
-  return weights;
-}
 
 }  // namespace
 
@@ -115,22 +59,13 @@ std::string describe(StopCause cause, double time) {
 template <class Law>
 void check_settings(const Settings<Law>& settings) {
   loop_parameters(settings);
-  sample_count(settings.simulation);
+  detail::sample_count(settings.simulation);
 }
 
 template <class Law>
 Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested, const Kernel& kernel) {
   const LoopParameters<double, Law> parameters = loop_parameters(settings);
-  Trajectory log;
-  allocate(log, sample_count(settings.simulation));
-
-  std::array<double, kWeightNumbers> weights;
-  RunAnswer answer{};
-  answer.time = log.time.data();
-  const auto columns = columns_of(log);
-  for (std::size_t i = 0; i < columns.size(); ++i) answer.columns[i] = columns[i]->data();
-  answer.weights = weights.data();
-
+  detail::TrajectoryLog log(settings.simulation);
   const std::vector<double> numbers = detail::flattened(parameters);
   const double* scenario = numbers.data();
   Question question{stop_requested, nullptr};
@@ -143,31 +78,10 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
     request.stop = Question::ask;
     request.context = &question;
   }
-  request.answers = &answer;
+  request.answers = &log.answer();
   detail::require_done(kernel.run_single(request));
   if (question.error) std::rethrow_exception(question.error);
-  shorten(log, static_cast<std::size_t>(answer.rows));
-
-  log.end_time = answer.end_time;
-  log.steps = answer.steps;
-  if (answer.interrupted) {
-    log.outcome = Outcome::interrupted;
-    log.detail = words("stopped on request at t = ", log.end_time, " s");
-  } else {
-    const auto cause = static_cast<StopCause>(answer.cause);
-    log.outcome = outcome_of(cause);
-    log.detail = describe(cause, static_cast<double>(log.steps) * parameters.step);
-  }
-  log.fuzzy_weights = weights_from(weights.data());
-  const double* metric = answer.metrics;
-  Metrics<double>::visit([&metric](double& value, const double&) { value = *metric++; }, log.metrics, log.metrics);
-  add_events(log.events, LimitEvent::Kind::stroke, answer.stroke_first_time, answer.stroke_peak,
-             parameters.hexapod.stroke);
-  add_events(log.events, LimitEvent::Kind::force, answer.force_first_time, answer.force_peak,
-             parameters.hexapod.force_limit);
-  std::stable_sort(log.events.begin(), log.events.end(),
-                   [](const LimitEvent& a, const LimitEvent& b) { return a.first_time < b.first_time; });
-  return log;
+  return log.finish(parameters.step, parameters.hexapod);
 }
 
 #define HEXSERVO_HERE(Law)                            \

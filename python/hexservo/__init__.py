@@ -23,6 +23,7 @@ from hexservo._batch import BatchResult, simulate_batch
 from hexservo._compare import Comparison, ComparisonRow, compare
 from hexservo._controller import Controller, ControllerOutput
 from hexservo._metrics import METRICS, metrics
+from hexservo._own_controller import LegForces, Observation
 from hexservo._result import LimitEvent, Result
 from hexservo._scenario import Scenario, ScenarioError, load_scenario, scenario_names
 from hexservo._simulation import simulate
@@ -35,7 +36,9 @@ __all__ = [
     "ComparisonRow",
     "Controller",
     "ControllerOutput",
+    "LegForces",
     "LimitEvent",
+    "Observation",
     "Result",
     "Scenario",
     "ScenarioError",

@@ -76,6 +76,7 @@ class Result:
     """
 
     scenario: Scenario
+    controller: str  # the law that acted, or the name of the function that stood in its place
     outcome: Outcome
     end_time: float  # time of the last good sample [s]
     detail: str  # one sentence: how the run ended
@@ -130,6 +131,7 @@ class Result:
             {
                 "title": f"hexservo run of {self.scenario.name}",
                 "hexservo_version": __version__,
+                "controller": self.controller,
                 "outcome": self.outcome,
                 "end_time": self.end_time,
                 "detail": self.detail,

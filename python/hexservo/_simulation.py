@@ -6,6 +6,7 @@ from typing import cast
 
 from hexservo import _core
 from hexservo._metrics import METRICS
+from hexservo._own_controller import OwnController, run_with
 from hexservo._parameters import core_parameters
 from hexservo._result import LimitEvent, LimitKind, Outcome, Result
 from hexservo._scenario import Scenario
@@ -14,27 +15,45 @@ from hexservo._variant import chosen_kernel
 __all__ = ["simulate"]
 
 
-def simulate(scenario: Scenario) -> Result:
+def simulate(scenario: Scenario, *, controller: OwnController | None = None) -> Result:
     """Run a scenario from home, at rest (docs/model.md, sections 3 to 8).
 
     The closed loop runs in the core, without the interpreter's lock. A run that diverges, loses its target or meets a
     singular pose is a result, with its outcome, its time and its last good sample. Ctrl-C ends the run with the
     outcome ``interrupted`` and keeps what was computed.
 
+    Parameters
+    ----------
+    scenario
+        What is run.
+    controller
+        A function to be called at every servo tick in place of the scenario's law, in sampled mode alone. It takes an
+        `Observation` and gives a wrench in B about E's origin, (6,) [N; N m], or `LegForces`. Until every point has
+        been seen once, what acts is the wrench that holds the platform, whatever it gives. Python sets the pace: a few
+        hundred thousand ticks a second at the very most.
+
     Raises
     ------
     TypeError
-        For anything but a `Scenario`.
+        For anything but a `Scenario`, and for a controller that cannot be called.
     ValueError
-        For a scenario that the core refuses; a `Scenario` is checked when it is made, so this is rare.
+        For a scenario that the core refuses (a `Scenario` is checked when it is made, so this is rare); for a
+        controller in continuous mode; for a command of another shape or with numbers that are not finite, with its
+        tick. What the controller itself raises goes through as it is.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """
     if not isinstance(scenario, Scenario):
         raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
-    run = _core.simulate(core_parameters(scenario), chosen_kernel())
+    if controller is None:
+        run = _core.simulate(core_parameters(scenario), chosen_kernel())
+    elif callable(controller):
+        run = run_with(scenario, controller)
+    else:
+        raise TypeError(f"controller: expected a function of an Observation, got {type(controller).__name__}")
     return Result(
         scenario=scenario,
+        controller=scenario.controller.law if controller is None else _name(controller),
         outcome=cast("Outcome", run.outcome.name),
         end_time=run.end_time,
         detail=run.detail,
@@ -52,6 +71,10 @@ def simulate(scenario: Scenario) -> Result:
         fuzzy_weights=run.fuzzy_weights,
         streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
     )
+
+
+def _name(function: object) -> str:
+    return str(getattr(function, "__qualname__", type(function).__qualname__))
 
 
 def _limit_event(event: _core.LimitEvent) -> LimitEvent:

@@ -20,6 +20,7 @@ class SampledPlant {
     Pose<S> pose;       ///< from the joint sensors, in B
     Matrix3<S> R_BE;    ///< attitude of `pose`
     Vector6<S> twist;   ///< from the joint sensors, in B [m/s; rad/s]
+    S newest;           ///< tick at which the newest frame was exposed; -1 before the first
     Mask<S> ready;      ///< every point was seen at least once; without it the image has no meaning
   };
 
@@ -85,6 +86,7 @@ class SampledPlant {
     frames_.expose(ticks_, measured_image(state_.view.image, depth_error_), seen_.pose, seen_.R_BE);
     frames_.deliver(ticks_);
     seen_.image = frames_.image(seen_.pose, seen_.R_BE);
+    seen_.newest = frames_.newest();
     seen_.ready = frames_.ready();
     if (stops_where_lost_) record_.stop(StopCause::feature_lost, frames_.lost());
   }

@@ -1,0 +1,56 @@
+/// @file
+/// A run in `sampled` mode one tick at a time, for a controller that is not one of the core's laws
+/// (docs/model.md, section 7).
+#pragma once
+
+#include "hexservo/simulation.hpp"
+
+#include <memory>
+
+namespace hexservo {
+
+/// What a controller sees at a tick.
+struct SampledObservation {
+  long long tick;              ///< k
+  double time;                 ///< k T_c [s]
+  double exposure;             ///< time at which the newest frame was taken; NaN before the first [s]
+  Measurement<double> sensed;  ///< features and depths are NaN until every point has been seen once
+};
+
+/// Plant, sensors and actuators of a scenario, with its log; the scenario's own law does not act.
+///
+/// `observe`, then `command` or `command_legs`, until `running` is false; then `finish`.
+class SampledRun {
+ public:
+  /// @throws std::invalid_argument as `simulate`, and for a scenario that is not in sampled mode
+  template <class Law>
+  explicit SampledRun(const Settings<Law>& settings);
+  SampledRun(SampledRun&&) noexcept;
+  SampledRun& operator=(SampledRun&&) noexcept;
+  ~SampledRun();
+
+  /// Whether there is a tick to command.
+  bool running() const noexcept;
+  SampledObservation observe() const;
+
+  /// Commands a wrench in B about E's origin [N; N m], and goes on to the next tick.
+  ///
+  /// As for the core's laws, what acts is G until every point has been seen once.
+  /// @throws std::invalid_argument for numbers that are not finite; std::logic_error where the run has ended
+  void command(const Vector6<double>& wrench);
+  /// Commands the forces of the legs, positive where they push [N]: the wrench that they give at this tick's pose.
+  void command_legs(const Vector6<double>& leg_forces);
+
+  /// The trajectory so far; a run with ticks left is `interrupted`. To be called once.
+  Trajectory finish();
+
+ private:
+  struct Books;
+  std::unique_ptr<Books> books_;
+};
+
+#define HEXSERVO_ELSEWHERE(Law) extern template SampledRun::SampledRun(const Settings<Law>&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
+#undef HEXSERVO_ELSEWHERE
+
+}  // namespace hexservo

@@ -1,0 +1,105 @@
+#include "hexservo/sampled_run.hpp"
+
+#include "check.hpp"
+#include "run_loop.hpp"
+#include "trajectory_log.hpp"
+
+namespace hexservo {
+
+using detail::refuse;
+
+namespace {
+
+template <class Law>
+LoopParameters<double, Law> sampled_parameters(const Settings<Law>& settings) {
+  if (settings.simulation.mode != LoopMode::sampled)
+    refuse("simulation.mode", "sampled for a controller of one's own", "continuous");
+  return loop_parameters(settings);
+}
+
+}  // namespace
+
+struct SampledRun::Books {
+  template <class Law>
+  Books(const LoopParameters<double, Law>& parameters, const SimulationSettings& simulation)
+      : hexapod(parameters.hexapod), step(parameters.step), plant(parameters), log(simulation) {
+    request.count = 1;
+    request.steps = step_count(simulation);
+    request.log_every = simulation.log_every;
+    request.answers = &log.answer();
+  }
+
+  /// Until all ticks are commanded, the last one included.
+  bool running() const noexcept { return !complete && plant.record().running(); }
+
+  Hexapod<double> hexapod;
+  double step;
+  SampledPlant<double> plant;
+  detail::TrajectoryLog log;
+  RunRequest request{};
+  std::optional<detail::Log<double>> rows;
+  bool complete = false;
+};
+
+template <class Law>
+SampledRun::SampledRun(const Settings<Law>& settings)
+    : books_(std::make_unique<Books>(sampled_parameters(settings), settings.simulation)) {}
+
+SampledRun::SampledRun(SampledRun&&) noexcept = default;
+SampledRun& SampledRun::operator=(SampledRun&&) noexcept = default;
+SampledRun::~SampledRun() = default;
+
+bool SampledRun::running() const noexcept { return books_->running(); }
+
+SampledObservation SampledRun::observe() const {
+  const SampledPlant<double>& plant = books_->plant;
+  const auto& seen = plant.observe();
+  SampledObservation observation{
+      plant.ticks(), plant.time(), seen.newest * books_->step, {seen.image, seen.pose, seen.twist}};
+  const double unknown = std::numeric_limits<double>::quiet_NaN();
+  if (!(seen.newest >= 0.0)) observation.exposure = unknown;
+  if (!seen.ready) {
+    observation.sensed.image.features.setConstant(unknown);
+    observation.sensed.image.depth.setConstant(unknown);
+  }
+  return observation;
+}
+
+void SampledRun::command(const Vector6<double>& wrench) {
+  if (!running()) throw std::logic_error("the run has ended: expected no further command");
+  detail::require_finite("wrench", wrench);
+  Books& b = *books_;
+  b.plant.command(wrench, Vector6<double>::Zero());
+  const long long tick = b.plant.ticks();
+  if (!b.rows)
+    b.rows.emplace(b.request, b.plant.record());
+  else if (tick % b.request.log_every == 0)
+    b.rows->add();
+  if (tick == b.request.steps)
+    b.complete = true;
+  else if (b.plant.record().running())
+    b.plant.advance();
+}
+
+void SampledRun::command_legs(const Vector6<double>& leg_forces) {
+  detail::require_finite("leg_forces", leg_forces);
+  const auto& seen = books_->plant.observe();
+  command(inverse_kinematics(books_->hexapod, seen.pose.position, seen.R_BE).wrench(leg_forces));
+}
+
+Trajectory SampledRun::finish() {
+  Books& b = *books_;
+  if (!b.rows) {  // nothing was commanded: the platform at its start
+    b.plant.command(Vector6<double>::Zero(), Vector6<double>::Zero());
+    b.rows.emplace(b.request, b.plant.record());
+  }
+  detail::answer(b.plant.record(), NoState<double>{}, static_cast<double>(b.plant.ticks()), !b.complete, 0, b.request);
+  b.rows->end(0);
+  return b.log.finish(b.step, b.hexapod);
+}
+
+#define HEXSERVO_HERE(Law) template SampledRun::SampledRun(const Settings<Law>&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
+
+}  // namespace hexservo

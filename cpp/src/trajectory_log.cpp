@@ -1,0 +1,100 @@
+#include "trajectory_log.hpp"
+
+#include "check.hpp"
+
+#include <algorithm>
+
+namespace hexservo::detail {
+
+namespace {
+
+constexpr int kLoggedNumbers = 1 + kSampleNumbers;  // per row
+
+/// The columns of a log, in the order of `Sample::visit`.
+std::array<Column*, kQuantities> columns_of(Trajectory& log) {
+  return {&log.feature_error, &log.depth,        &log.position,    &log.quaternion, &log.twist,
+          &log.wrench,        &log.fuzzy_output, &log.leg_lengths, &log.leg_forces};
+}
+
+/// Lays out the columns for `samples` rows, one after another.
+void allocate(Trajectory& log, std::size_t samples) {
+  log.block = Buffer(samples * kLoggedNumbers);
+  double* next = log.block.data();
+  log.time = {next, samples};
+  next += samples;
+  const auto columns = columns_of(log);
+  for (std::size_t i = 0; i < columns.size(); ++i) {
+    *columns[i] = {next, samples * static_cast<std::size_t>(kSampleWidths[i])};
+    next += columns[i]->size();
+  }
+}
+
+void shorten(Trajectory& log, std::size_t rows) {
+  log.time = log.time.first(rows);
+  const auto columns = columns_of(log);
+  for (std::size_t i = 0; i < columns.size(); ++i)
+    *columns[i] = columns[i]->first(rows * static_cast<std::size_t>(kSampleWidths[i]));
+}
+
+void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const double (&first_time)[6],
+                const double (&peak)[6], double limit) {
+  for (std::size_t leg = 0; leg < 6; ++leg)
+    if (std::isfinite(first_time[leg]))
+      events.push_back({kind, static_cast<int>(leg), first_time[leg], peak[leg], limit});
+}
+
+FuzzyWeights<double> weights_from(const double* numbers) {
+  FuzzyWeights<double> weights;
+  for (int axis = 0; axis < kAxes; ++axis)
+    for (int row = 0; row < kTerms; ++row)
+      for (int column = 0; column < kTerms; ++column) weights[rule(row, column)].set(axis, *numbers++);
+  return weights;
+}
+
+}  // namespace
+
+std::size_t sample_count(const SimulationSettings& simulation) {
+  const auto every = static_cast<double>(simulation.log_every);
+  const double samples =
+      std::floor(static_cast<double>(step_count(simulation)) / every) + 2.0;  // the first, and the last good one
+  const double bytes = samples * kLoggedNumbers * static_cast<double>(sizeof(double));
+  if (bytes > kMaxLogBytes)
+    refuse("simulation.log_every",
+           words("a log of at most ", kMaxLogBytes / (1 << 30), " GiB (log_every of ",
+                 std::ceil(every * bytes / kMaxLogBytes * 1.01), " or more fits)"),
+           words(simulation.log_every, ", which makes ", bytes / (1 << 30), " GiB"));
+  return static_cast<std::size_t>(samples);
+}
+
+TrajectoryLog::TrajectoryLog(const SimulationSettings& simulation) {
+  allocate(trajectory_, sample_count(simulation));
+  answer_.time = trajectory_.time.data();
+  const auto columns = columns_of(trajectory_);
+  for (std::size_t i = 0; i < columns.size(); ++i) answer_.columns[i] = columns[i]->data();
+  answer_.weights = weights_.data();
+}
+
+Trajectory TrajectoryLog::finish(double step, const Hexapod<double>& hexapod) {
+  Trajectory& log = trajectory_;
+  shorten(log, static_cast<std::size_t>(answer_.rows));
+  log.end_time = answer_.end_time;
+  log.steps = answer_.steps;
+  if (answer_.interrupted) {
+    log.outcome = Outcome::interrupted;
+    log.detail = words("stopped on request at t = ", log.end_time, " s");
+  } else {
+    const auto cause = static_cast<StopCause>(answer_.cause);
+    log.outcome = outcome_of(cause);
+    log.detail = describe(cause, static_cast<double>(log.steps) * step);
+  }
+  log.fuzzy_weights = weights_from(weights_.data());
+  const double* metric = answer_.metrics;
+  Metrics<double>::visit([&metric](double& value, const double&) { value = *metric++; }, log.metrics, log.metrics);
+  add_events(log.events, LimitEvent::Kind::stroke, answer_.stroke_first_time, answer_.stroke_peak, hexapod.stroke);
+  add_events(log.events, LimitEvent::Kind::force, answer_.force_first_time, answer_.force_peak, hexapod.force_limit);
+  std::stable_sort(log.events.begin(), log.events.end(),
+                   [](const LimitEvent& a, const LimitEvent& b) { return a.first_time < b.first_time; });
+  return std::move(log);
+}
+
+}  // namespace hexservo::detail

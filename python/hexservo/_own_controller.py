@@ -1,0 +1,115 @@
+"""Runs a scenario with a controller that is a Python function in place of a law of the core."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexservo import _core
+from hexservo._parameters import core_parameters
+from hexservo._scenario import Scenario
+
+__all__ = ["LegForces", "Observation", "OwnController", "run_with"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+
+class Observation(NamedTuple):
+    """What a controller sees at a servo tick: measurements, never the plant's own values.
+
+    Frames and orders: docs/model.md section 1; the sampled loop: section 7.
+    """
+
+    tick: int
+    """Number of the tick, from 0; also 0 at the first call of every run."""
+    time: float
+    """Of the tick, ``tick * scenario.simulation.step`` [s]."""
+    exposure: float
+    """Time at which the newest frame was taken [s]; NaN before the first one has arrived."""
+    features: _Array
+    """(8,), as the newest frame or the prediction has them [px]; NaN until every point has been seen once."""
+    depth: _Array
+    """(4,), estimates of Z, negative in front of the camera [m]; NaN as the features."""
+    position: _Array
+    """(3,), of E's origin in B, by the joint sensors [m]."""
+    quaternion: _Array
+    """(4,), attitude of E in B, (w, x, y, z), by the joint sensors."""
+    twist: _Array
+    """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class LegForces:
+    """What a controller gives back that commands the legs one by one.
+
+    Parameters
+    ----------
+    forces
+        (6,), positive where they push the platform away from the base [N].
+    """
+
+    forces: ArrayLike
+
+
+OwnController: TypeAlias = Callable[[Observation], "ArrayLike | LegForces"]
+
+
+def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
+    """Call the controller at every tick, from the first to the last. Ctrl-C ends the run as ``interrupted``.
+
+    Raises
+    ------
+    ValueError
+        For a scenario that is not in sampled mode, and for a command of another shape or with numbers that are not
+        finite, with its tick.
+    Exception
+        What the controller raises, as it is; where the interpreter can (from Python 3.11 on), with a note that names
+        the tick.
+    """
+    run = _core.SampledRun(core_parameters(scenario))
+    try:
+        while run.running:
+            seen = run.observe()
+            observation = Observation(
+                seen.tick,
+                seen.time,
+                seen.exposure,
+                seen.features,
+                seen.depth,
+                seen.position,
+                seen.quaternion,
+                seen.twist,
+            )
+            at = f"at tick {seen.tick} (t = {seen.time:.9g} s)"
+            try:
+                command = controller(observation)
+            except Exception as error:
+                if hasattr(error, "add_note"):
+                    error.add_note(f"raised by the controller {at}")
+                raise
+            if isinstance(command, LegForces):
+                run.command_legs(_six("leg forces", command.forces, at))
+            else:
+                run.command(_six("a wrench", command, at))
+    except KeyboardInterrupt:
+        pass  # what was computed is kept, and the trajectory says so
+    return run.finish()
+
+
+def _six(what: str, command: ArrayLike, at: str) -> _Array:
+    try:
+        numbers = np.asarray(command, dtype=float)
+    except (TypeError, ValueError):
+        numbers = None
+    expected = f"controller: expected {what} of 6 finite numbers {at}"
+    if numbers is None:
+        raise ValueError(f"{expected}, got {command!r:.60}")
+    if numbers.shape != (6,):
+        raise ValueError(f"{expected}, got an array of shape {numbers.shape}")
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"{expected}, got {numbers}")
+    return numbers

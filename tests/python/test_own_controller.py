@@ -1,0 +1,149 @@
+"""Controllers of one's own: what they see, what they may give, what becomes of their errors."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo._core import Hexapod, RigidBody, robot_preset
+
+
+@pytest.fixture(scope="module")
+def sampled(paper: hs.Scenario) -> hs.Scenario:
+    return paper.updated(
+        {
+            "simulation.mode": "sampled",
+            "simulation.duration": 0.2,
+            "controller.switching.kind": "implicit",
+            "camera.latency": 0.003,
+            "uncertainty.depth": 0.0,
+        }
+    )
+
+
+GRAVITY = RigidBody().gravity_wrench
+
+
+def hold(seen: hs.Observation) -> np.ndarray[Any, Any]:
+    return np.asarray(GRAVITY)
+
+
+def test_it_sees_every_tick_and_what_the_sensors_give(sampled: hs.Scenario) -> None:
+    seen: list[hs.Observation] = []
+
+    def watch(observation: hs.Observation) -> np.ndarray[Any, Any]:
+        seen.append(observation)
+        return hold(observation)
+
+    result = hs.simulate(sampled, controller=watch)
+    assert result.outcome == "completed"
+    assert result.controller.endswith("watch")
+    assert [observation.tick for observation in seen] == list(range(201))
+    np.testing.assert_allclose([observation.time for observation in seen], result.time, rtol=1e-15)
+    for observation in seen[:3]:
+        assert np.isnan(observation.exposure)
+        assert np.isnan(observation.features).all()
+        assert np.isnan(observation.depth).all()
+    for k in range(3, 201):
+        assert seen[k].exposure == pytest.approx(result.time[k - 3], abs=1e-15)
+        np.testing.assert_allclose(seen[k].features, result.features[k - 3], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(seen[k].depth, result.depth[k - 3], rtol=0, atol=1e-15)
+        assert np.array_equal(seen[k].position, result.position[k])
+        assert np.array_equal(seen[k].twist, result.twist[k])
+    assert not result.fuzzy_output.any()
+    assert not result.fuzzy_weights.any()
+
+
+def test_the_packaged_controller_as_a_function_is_the_law_itself(sampled: hs.Scenario) -> None:
+    smooth = sampled.updated({"controller.switching": {"kind": "tanh", "width": 0.01}, "camera.latency": 0.0})
+    controller = hs.Controller(smooth, period=smooth.simulation.step)
+
+    def law(seen: hs.Observation) -> np.ndarray[Any, Any]:
+        return controller.step(seen.features, seen.depth, seen.position, seen.quaternion, seen.twist).wrench
+
+    own, core = hs.simulate(smooth, controller=law), hs.simulate(smooth)
+    np.testing.assert_allclose(own.feature_error, core.feature_error, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(own.wrench, core.wrench, rtol=0, atol=1e-11)
+    assert hs.metrics(own) == pytest.approx(hs.metrics(core), rel=1e-9, nan_ok=True)
+    assert core.controller == "hybrid"
+
+
+def test_leg_forces_give_the_wrench_of_the_legs(sampled: hs.Scenario) -> None:
+    hexapod = Hexapod(robot_preset("micro"))
+
+    def legs(seen: hs.Observation) -> hs.LegForces:
+        return hs.LegForces(hexapod.leg_forces(seen.position, seen.quaternion, wrench(seen)))
+
+    def wrench(seen: hs.Observation) -> np.ndarray[Any, Any]:
+        return hold(seen) + np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    one, other = hs.simulate(sampled, controller=legs), hs.simulate(sampled, controller=wrench)
+    np.testing.assert_allclose(one.position, other.position, rtol=0, atol=1e-12)
+    # No image, no command: G acts for three ticks, then 1 mN pushes (1 - 0.075) m along x.
+    t = one.time[-1] - 0.003
+    assert one.position[-1, 0] == pytest.approx(0.5 * 1e-3 / (0.925 * 0.06) * t**2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (np.zeros(5), "got an array of shape (5,)"),
+        (np.zeros((6, 1)), "got an array of shape (6, 1)"),
+        (None, "got an array of shape ()"),
+        ("up", "got 'up'"),
+        (np.full(6, np.nan), "got [nan nan"),
+        (hs.LegForces(np.array([0, 0, 0, 0, 0, np.inf])), "inf]"),
+        (hs.LegForces([1, 2, 3]), "leg forces of 6 finite numbers"),
+    ],
+)
+def test_a_command_that_is_none_is_refused_with_its_tick(sampled: hs.Scenario, command: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=r"controller: expected .* at tick 7 \(t = 0\.007 s\), got ") as caught:
+        hs.simulate(sampled, controller=lambda seen: command if seen.tick == 7 else hold(seen))
+    assert words in str(caught.value) or command is None
+
+
+def test_its_own_errors_surface_as_they_are_with_the_tick(sampled: hs.Scenario) -> None:
+    class MyError(Exception):
+        pass
+
+    def fails(seen: hs.Observation) -> np.ndarray[Any, Any]:
+        if seen.tick == 12:
+            raise MyError("the reason")
+        return hold(seen)
+
+    with pytest.raises(MyError, match="the reason") as caught:
+        hs.simulate(sampled, controller=fails)
+    if hasattr(caught.value, "__notes__"):
+        assert caught.value.__notes__ == ["raised by the controller at tick 12 (t = 0.012 s)"]
+
+
+def test_a_run_that_diverges_is_a_result(sampled: hs.Scenario) -> None:
+    result = hs.simulate(sampled, controller=lambda seen: np.full(6, 1e6))
+    assert result.outcome == "diverged"
+    assert result.end_time < 0.1
+    assert np.isfinite(result.twist).all()
+
+
+def test_ctrl_c_keeps_what_was_computed(sampled: hs.Scenario) -> None:
+    def presses(seen: hs.Observation) -> np.ndarray[Any, Any]:
+        if seen.tick == 50:
+            os.kill(os.getpid(), signal.SIGINT)
+        return hold(seen)
+
+    result = hs.simulate(sampled, controller=presses)
+    assert result.outcome == "interrupted"
+    assert 0.045 <= result.end_time <= 0.055
+
+
+def test_it_is_for_sampled_mode_and_for_single_runs(sampled: hs.Scenario, paper: hs.Scenario) -> None:
+    with pytest.raises(ValueError, match=r"simulation\.mode: expected sampled for a controller of one's own"):
+        hs.simulate(paper, controller=hold)
+    with pytest.raises(TypeError, match="controller: expected a function of an Observation, got int"):
+        hs.simulate(sampled, controller=3)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="controller"):
+        hs.simulate_batch(sampled, {}, controller=hold)  # type: ignore[call-arg]
