@@ -91,7 +91,7 @@ FuzzyWeights<double> weights_from(const double* numbers) {
 
 }  // namespace
 
-std::string describe(StopCause cause, double time) {
+std::string describe(StopCause cause, double time, int leg) {
   const std::string at = words(" at t = ", time, " s");
   switch (cause) {
     case StopCause::not_finite:
@@ -104,6 +104,10 @@ std::string describe(StopCause cause, double time) {
       return "a target point came behind the camera" + at;
     case StopCause::feature_lost:
       return "a frame did not show every target point" + at;
+    case StopCause::leg_limit:
+      return words("leg ", leg + 1, " passed its stroke", at);
+    case StopCause::solver_failed:
+      return "the leg lengths that the encoders gave belong to no pose near the one before" + at;
     case StopCause::singular:
       return "the legs came to a singular pose" + at;
     case StopCause::none:
@@ -134,7 +138,7 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
   const std::vector<double> numbers = detail::flattened(parameters);
   const double* scenario = numbers.data();
   Question question{stop_requested, nullptr};
-  RunRequest request = detail::run_request<Law>(settings.simulation, numbers.size());
+  RunRequest request = detail::run_request<Law>(settings.simulation, settings.base_motion, numbers.size());
   request.count = 1;
   request.parameters = &scenario;
   request.log_every = settings.simulation.log_every;
@@ -156,7 +160,7 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
   } else {
     const auto cause = static_cast<StopCause>(answer.cause);
     log.outcome = outcome_of(cause);
-    log.detail = describe(cause, static_cast<double>(log.steps) * parameters.step);
+    log.detail = describe(cause, static_cast<double>(log.steps) * parameters.step, answer.limit_leg);
   }
   log.fuzzy_weights = weights_from(weights.data());
   const double* metric = answer.metrics;
