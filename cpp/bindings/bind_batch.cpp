@@ -28,7 +28,7 @@ py::object numbers(const py::object& self) {
   return shared(self, values.data(), values.size(), {signed_size(values.size())});
 }
 
-template <std::vector<std::uint8_t> BatchResult::* codes>
+template <auto codes>
 py::object code_array(const py::object& self) {
   const auto& values = self.cast<const BatchResult&>().*codes;
   return shared(self, values.data(), values.size(), {signed_size(values.size())});
@@ -113,12 +113,15 @@ void bind_batch(py::module_& m) {
       .value("twist", StopCause::twist)
       .value("behind_camera", StopCause::behind_camera)
       .value("feature_lost", StopCause::feature_lost)
+      .value("leg_limit", StopCause::leg_limit)
       .value("singular", StopCause::singular)
+      .value("solver_failed", StopCause::solver_failed)
       .finalize();
 
   py::class_<BatchResult>(m, "BatchResult", "What a batch gives back; arrays share its memory. The scenario is axis 0.")
       .def_property_readonly("outcome", &code_array<&BatchResult::outcome>, "(n,) values of Outcome")
       .def_property_readonly("cause", &code_array<&BatchResult::cause>, "(n,) values of StopCause")
+      .def_property_readonly("limit_leg", &code_array<&BatchResult::limit_leg>, "(n,) leg that ended a run, or -1")
       .def_property_readonly("end_time", &numbers<&BatchResult::end_time>, "(n,) of the last good sample [s]")
       .def_property_readonly("stop_time", &numbers<&BatchResult::stop_time>,
                              "(n,) of the step that stopped the run [s]")
@@ -143,7 +146,8 @@ void bind_batch(py::module_& m) {
 
   Laws::for_each([&m]<class Law>(std::type_identity<Law>) { bind_batch_of<Law>(m); });
 
-  m.def("describe", &describe, py::arg("cause"), py::arg("time"), "One sentence on how a run ended.");
+  m.def("describe", &describe, py::arg("cause"), py::arg("time"), py::arg("leg") = -1,
+        "One sentence on how a run ended; `leg`, 0 to 5, is the one that ended it.");
 }
 
 }  // namespace hexservo::bindings

@@ -20,6 +20,86 @@ void set_points(Target& target, const std::optional<Points>& points) {
   if (points) target.points_B = points->transpose();
 }
 
+using Samples = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
+
+std::optional<Samples> samples_of(const BaseMotionSettings& motion) {
+  if (!motion.samples) return std::nullopt;
+  return Samples(
+      Eigen::Map<const Samples>(motion.samples->data(), static_cast<Eigen::Index>(motion.samples->size() / 3), 3));
+}
+
+void set_samples(BaseMotionSettings& motion, const std::optional<Samples>& samples) {
+  motion.samples.reset();
+  if (samples)
+    motion.samples = std::make_shared<const std::vector<double>>(samples->data(), samples->data() + samples->size());
+}
+
+/// Sensors, actuators and base of the sampled loop.
+void bind_devices(py::module_& m) {
+  py::native_enum<PoseSource>(m, "PoseSource", "enum.Enum")
+      .value("truth", PoseSource::truth)
+      .value("encoders", PoseSource::encoders)
+      .finalize();
+  py::native_enum<RateSource>(m, "RateSource", "enum.Enum")
+      .value("differences", RateSource::differences)
+      .value("true_rates", RateSource::true_rates)
+      .finalize();
+  py::native_enum<ActuatorHold>(m, "ActuatorHold", "enum.Enum")
+      .value("wrench", ActuatorHold::wrench)
+      .value("leg_forces", ActuatorHold::leg_forces)
+      .finalize();
+  py::native_enum<BaseMotionKind>(m, "BaseMotionKind", "enum.Enum")
+      .value("none", BaseMotionKind::none)
+      .value("sinusoid", BaseMotionKind::sinusoid)
+      .value("recorded", BaseMotionKind::recorded)
+      .value("noise", BaseMotionKind::noise)
+      .finalize();
+  py::native_enum<LimitPolicy>(m, "LimitPolicy", "enum.Enum")
+      .value("report", LimitPolicy::report)
+      .value("stop", LimitPolicy::stop)
+      .finalize();
+
+  using E = EncoderParameters<double>;
+  py::class_<E>(m, "EncoderParameters", "Leg length encoders.")
+      .def(py::init<>())
+      .def_readwrite("resolution", &E::resolution, "[m]; 0: none")
+      .def_readwrite("noise", &E::noise, "standard deviation [m]")
+      .def_readwrite("rates", &E::rates, "what the twist is made of");
+  py::class_<SensorSettings>(m, "SensorSettings", "How the controller knows pose and twist in sampled mode.")
+      .def(py::init<>())
+      .def_readwrite("pose", &SensorSettings::pose)
+      .def_readwrite("period", &SensorSettings::period, "between two readings [s]; 0: every servo period")
+      .def_readwrite("encoders", &SensorSettings::encoders);
+
+  using A = ActuatorParameters<double>;
+  py::class_<A>(m, "ActuatorParameters", "The actuators of the legs.")
+      .def(py::init<>())
+      .def_readwrite("hold", &A::hold, "what stays the same between two ticks")
+      .def_readwrite("saturation", &A::saturation, "whether leg forces are limited to the robot's force_limit")
+      .def_readwrite("bandwidth", &A::bandwidth, "of a first-order lag [Hz]; infinite: none")
+      .def_readwrite("quantisation", &A::quantisation, "[N]; 0: none");
+  py::class_<ActuatorSettings>(m, "ActuatorSettings", "The actuators in sampled mode.")
+      .def(py::init<>())
+      .def_readwrite("delay", &ActuatorSettings::delay, "a whole number of servo periods [s]")
+      .def_readwrite("actuators", &ActuatorSettings::actuators);
+
+  using B = BaseMotionParameters<double>;
+  py::class_<B>(m, "BaseMotionParameters", "Acceleration of the base, but for what is recorded.")
+      .def(py::init<>())
+      .def_readwrite("kind", &B::kind)
+      .def_readwrite("amplitude", &B::amplitude, "(3,) of the sinusoid, in B [m/s^2]")
+      .def_readwrite("frequency", &B::frequency, "of the sinusoid [Hz]")
+      .def_readwrite("phase", &B::phase, "of the sinusoid at t = 0 [rad]")
+      .def_readwrite("level", &B::level, "(3,) one-sided spectral density of the noise, in B [(m/s^2)^2/Hz]")
+      .def_readwrite("low_frequency", &B::low_frequency, "where the noise begins [Hz]")
+      .def_readwrite("high_frequency", &B::high_frequency, "where the noise ends [Hz]");
+  py::class_<BaseMotionSettings>(m, "BaseMotionSettings", "How the base moves in sampled mode.")
+      .def(py::init<>())
+      .def_readwrite("motion", &BaseMotionSettings::motion)
+      .def_property("samples", &samples_of, &set_samples, "(n, 3) recorded, in B [m/s^2]; or None")
+      .def_readwrite("sample_period", &BaseMotionSettings::sample_period, "of what is recorded, from t = 0 [s]");
+}
+
 template <class Law>
 void bind_settings_of(py::module_& m, const char* name, const char* text) {
   using S = Settings<Law>;
@@ -29,6 +109,10 @@ void bind_settings_of(py::module_& m, const char* name, const char* text) {
       .def_readwrite("camera", &S::camera)
       .def_readwrite("convention", &S::convention)
       .def_readwrite("sampling", &S::sampling)
+      .def_readwrite("sensors", &S::sensors)
+      .def_readwrite("actuators", &S::actuators)
+      .def_readwrite("base_motion", &S::base_motion)
+      .def_readwrite("on_limit", &S::on_limit)
       .def_readwrite("jacobian", &S::jacobian)
       .def_readwrite("target", &S::target)
       .def_readwrite("uncertainty", &S::uncertainty)
@@ -134,6 +218,7 @@ void bind_settings(py::module_& m) {
       .def_readwrite("settling_threshold", &MetricsSettings::settling_threshold, "[px]")
       .def_readwrite("rms_start", &MetricsSettings::rms_start, "[s]");
 
+  bind_devices(m);
   bind_settings_of<Hybrid>(m, "HybridSettings", "A scenario for the law hybrid, as numbers.");
   bind_settings_of<Composite>(m, "CompositeSettings", "A scenario for the law composite, as numbers.");
 }

@@ -140,7 +140,7 @@ void require_one_grid(const std::vector<Group>& groups) {
 }
 
 void require_memory(std::size_t count, std::size_t rows, BatchLog log) {
-  const double per_scenario = 2.0 + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * kSampleNumbers +
+  const double per_scenario = 3.0 + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * kSampleNumbers +
                                            (log == BatchLog::metrics ? 0.0 : kWeightNumbers));
   const double bytes = per_scenario * static_cast<double>(count);
   if (bytes <= kMaxBatchBytes) return;
@@ -159,6 +159,7 @@ BatchResult allocate(std::size_t count, std::size_t rows, BatchLog log) {
   result.count = count;
   result.outcome.assign(count, static_cast<std::uint8_t>(Outcome::interrupted));
   result.cause.assign(count, static_cast<std::uint8_t>(StopCause::none));
+  result.limit_leg.assign(count, std::int8_t{-1});
   result.end_time = Buffer(count);
   result.stop_time = Buffer(count);
   result.metrics = Buffer(count * kMetricNumbers);
@@ -288,7 +289,7 @@ class Batch {
         answers[k].columns[q] = result.samples[q].data() + i * stride(result, q);
     }
     Witness witness{this, static_cast<long long>(n)};
-    RunRequest request = detail::run_request<Law>(pack.grid->simulation, numbers_);
+    RunRequest request = detail::run_request<Law>(pack.grid->simulation, scenarios_.base().base_motion, numbers_);
     request.count = static_cast<int>(n);
     request.parameters = parameters.data();
     request.log_every = options_.log == BatchLog::trajectory ? pack.grid->simulation.log_every : 0;
@@ -315,6 +316,7 @@ class Batch {
     result.outcome[i] = static_cast<std::uint8_t>(outcome_of(cause));
     result.cause[i] = static_cast<std::uint8_t>(cause);
     result.end_time[i] = answer.end_time;
+    result.limit_leg[i] = static_cast<std::int8_t>(answer.limit_leg);
     result.stop_time[i] = static_cast<double>(answer.steps) * step;
     for (std::size_t m = 0; m < kMetricNumbers; ++m) result.metrics[m * result.count + i] = answer.metrics[m];
     const double* sample = answer.sample;

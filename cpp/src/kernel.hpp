@@ -12,7 +12,7 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 4;                         ///< changes with everything below
+inline constexpr int kKernelAbi = 5;                         ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 18;         ///< of `Metrics`, in the order of its `visit`
@@ -37,6 +37,7 @@ struct RunAnswer {
   long long steps;                              ///< steps taken; the one that failed counts
   long long rows;                               ///< of the log
   int cause;                                    ///< StopCause as a number
+  int limit_leg;                                ///< leg that ended the run, 0 to 5; -1: none did
   bool interrupted;                             ///< stopped on request before its end
 };
 
@@ -47,6 +48,9 @@ struct RunRequest {
   int count;                        ///< of scenarios
   const double* const* parameters;  ///< one flattened LoopParameters (flatten.hpp) each
   long long numbers;                ///< of each of them, as a check
+  const double* recorded;           ///< RecordedAcceleration of all of them: samples, their number, their period [s]
+  long long recorded_count;
+  double recorded_period;
   long long steps;
   long long log_every;  ///< steps between two rows of the log; 0: no log
   bool log_end;         ///< also log the last good sample of a run that stops early, off the grid

@@ -15,22 +15,6 @@
 
 namespace hexservo::detail {
 
-template <class S>
-constexpr int kLanes = 1;
-template <int W>
-constexpr int kLanes<Lanes<W>> = W;
-
-inline double of_lane(double value, int) { return value; }
-inline bool of_lane(bool value, int) { return value; }
-template <int W>
-double of_lane(Lanes<W> value, int lane) {
-  return value[lane];
-}
-template <int W>
-bool of_lane(LaneMask<W> mask, int lane) {
-  return mask[lane];
-}
-
 template <class S, int N>
 void write(const Vector<S, N>& values, int lane, double* to) {
   for (int i = 0; i < N; ++i) to[i] = of_lane(values(i), lane);
@@ -55,6 +39,7 @@ void write_weights(const FuzzyWeights<S>& weights, int lane, double* to) {
 /// @throws std::invalid_argument where scenarios differ in what a pack shares
 template <class S, class Law>
 void read_parameters(LoopParameters<S, Law>& parameters, const RunRequest& request) {
+  parameters.recorded = {request.recorded, request.recorded_count, request.recorded_period};
   if constexpr (kLanes<S> == 1) {
     unflatten(parameters, request.parameters[0]);
   } else {
@@ -127,6 +112,7 @@ void answer(const LoopRecord<S>& record, const LawState& law_state, const S& ste
   a.end_time = of_lane(record.sample_time(), lane);
   a.steps = static_cast<long long>(of_lane(steps, lane));
   a.cause = static_cast<int>(of_lane(record.cause(), lane));
+  a.limit_leg = static_cast<int>(of_lane(record.limit_leg(), lane));
   a.interrupted = stopped && a.cause == static_cast<int>(StopCause::none) && a.steps < request.steps;
 }
 

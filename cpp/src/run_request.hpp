@@ -21,13 +21,20 @@ std::vector<double> flattened(const LoopParameters<double, Law>& parameters) {
 
 /// A request without its scenarios, log and questions.
 /// @param numbers of each flattened scenario
+/// @param base_motion what was recorded of it, which must outlive the request
 template <class Law>
-RunRequest run_request(const SimulationSettings& simulation, std::size_t numbers) {
+RunRequest run_request(const SimulationSettings& simulation, const BaseMotionSettings& base_motion,
+                       std::size_t numbers) {
   RunRequest request{};
   request.law = law_id<Law>;
   request.sampled = simulation.mode == LoopMode::sampled;
   request.numbers = static_cast<long long>(numbers);
   request.steps = step_count(simulation);
+  if (base_motion.samples) {
+    request.recorded = base_motion.samples->data();
+    request.recorded_count = static_cast<long long>(base_motion.samples->size() / 3);
+    request.recorded_period = base_motion.sample_period;
+  }
   return request;
 }
 

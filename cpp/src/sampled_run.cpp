@@ -21,17 +21,22 @@ LoopParameters<double, Law> sampled_parameters(const Settings<Law>& settings) {
 
 struct SampledRun::Books {
   template <class Law>
-  Books(const LoopParameters<double, Law>& parameters, const SimulationSettings& simulation)
-      : hexapod(parameters.hexapod), step(parameters.step), plant(parameters), log(simulation) {
+  Books(const LoopParameters<double, Law>& parameters, std::shared_ptr<const Settings<Law>> settings)
+      : kept(settings),
+        hexapod(parameters.hexapod),
+        step(parameters.step),
+        plant(parameters),
+        log(settings->simulation) {
     request.count = 1;
-    request.steps = step_count(simulation);
-    request.log_every = simulation.log_every;
+    request.steps = step_count(settings->simulation);
+    request.log_every = settings->simulation.log_every;
     request.answers = &log.answer();
   }
 
   /// Until all ticks are commanded, the last one included.
   bool running() const noexcept { return !complete && plant.record().running(); }
 
+  std::shared_ptr<const void> kept;  ///< settings: a recorded base motion is shared, not copied
   Hexapod<double> hexapod;
   double step;
   SampledPlant<double> plant;
@@ -42,8 +47,10 @@ struct SampledRun::Books {
 };
 
 template <class Law>
-SampledRun::SampledRun(const Settings<Law>& settings)
-    : books_(std::make_unique<Books>(sampled_parameters(settings), settings.simulation)) {}
+SampledRun::SampledRun(const Settings<Law>& settings) {
+  auto kept = std::make_shared<const Settings<Law>>(settings);
+  books_ = std::make_unique<Books>(sampled_parameters(*kept), std::move(kept));
+}
 
 SampledRun::SampledRun(SampledRun&&) noexcept = default;
 SampledRun& SampledRun::operator=(SampledRun&&) noexcept = default;

@@ -101,6 +101,65 @@ FrameSettings<double> frame_settings(const CameraSampling& sampling, double peri
   return frames;
 }
 
+/// Leg length encoders, checked.
+EncoderParameters<double> encoder_parameters(const SensorSettings& sensors, double period) {
+  EncoderParameters<double> encoders = sensors.encoders;
+  encoders.period = sensors.period == 0.0 ? 1 : ticks("sensors.period", sensors.period, period, 1);
+  for (const auto& [key, value] :
+       {std::pair{"sensors.resolution", encoders.resolution}, std::pair{"sensors.noise", encoders.noise}})
+    if (!(std::isfinite(value) && value >= 0.0)) refuse(key, "a finite number >= 0", words(value));
+  return encoders;
+}
+
+ActuatorParameters<double> actuator_parameters(const ActuatorSettings& settings, double period) {
+  ActuatorParameters<double> actuators = settings.actuators;
+  actuators.delay = ticks("actuators.delay", settings.delay, period, 0);
+  if (actuators.delay > kMaxActuatorDelay)
+    refuse("actuators.delay",
+           words("at most ", kMaxActuatorDelay, " servo periods (", kMaxActuatorDelay * period, " s)"),
+           words(settings.delay));
+  if (!(actuators.bandwidth > 0.0)) refuse("actuators.bandwidth", "a number > 0", words(actuators.bandwidth));
+  if (!(std::isfinite(actuators.quantisation) && actuators.quantisation >= 0.0))
+    refuse("actuators.quantisation", "a finite number >= 0", words(actuators.quantisation));
+  return actuators;
+}
+
+/// Motion of the base, checked; only what its kind needs.
+/// @param step of the integration [s]
+BaseMotionParameters<double> base_motion_parameters(const BaseMotionSettings& settings, double step) {
+  const BaseMotionParameters<double>& motion = settings.motion;
+  const double fastest = 0.5 / step;  // a sine wave of two steps: the integration would not see more
+  switch (motion.kind) {
+    case BaseMotionKind::sinusoid:
+      detail::require_finite("base_motion.amplitude", motion.amplitude);
+      detail::require_finite("base_motion.phase", motion.phase);
+      if (!(motion.frequency >= 0.0 && motion.frequency <= fastest))
+        refuse("base_motion.frequency", words("a number from 0 to ", fastest, " Hz (two steps of the integration)"),
+               words(motion.frequency));
+      break;
+    case BaseMotionKind::recorded:
+      if (!settings.samples || settings.samples->size() < 6 || settings.samples->size() % 3 != 0)
+        refuse("base_motion.samples", "two or more samples of three numbers",
+               words(settings.samples ? settings.samples->size() : 0, " numbers"));
+      for (std::size_t i = 0; i < settings.samples->size(); ++i)
+        detail::require_finite(words("base_motion.samples[", i / 3, "][", i % 3, "]"), (*settings.samples)[i]);
+      detail::require_positive("base_motion.sample_period", settings.sample_period);
+      break;
+    case BaseMotionKind::noise:
+      detail::require_not_negative("base_motion.level", motion.level);
+      if (!(motion.low_frequency >= 0.0 && motion.low_frequency < motion.high_frequency))
+        refuse("base_motion.low_frequency", words("a number from 0 to below high_frequency, ", motion.high_frequency),
+               words(motion.low_frequency));
+      if (!(motion.high_frequency <= fastest))
+        refuse("base_motion.high_frequency", words("at most ", fastest, " Hz (two steps of the integration)"),
+               words(motion.high_frequency));
+      break;
+    case BaseMotionKind::none:
+      break;
+  }
+  return motion;
+}
+
 /// The step and the durations nearest to a pair that makes no grid.
 std::string nearest_grid(double step, double duration) {
   const double ratio = duration / step;
@@ -185,6 +244,15 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
         (p.frames.prediction != Prediction::none || p.frames.on_lost == LostFeature::predict))
       refuse("camera.convention", "eye_in_hand where features are predicted, since a camera as_printed has no points",
              "as_printed");
+    p.pose_source = settings.sensors.pose;
+    p.encoders = encoder_parameters(settings.sensors, p.step);
+    p.actuators = actuator_parameters(settings.actuators, p.step);
+    p.base_motion = base_motion_parameters(settings.base_motion, p.step / static_cast<double>(p.substeps));
+    if (settings.base_motion.samples)
+      p.recorded = {settings.base_motion.samples->data(),
+                    static_cast<long long>(settings.base_motion.samples->size() / 3),
+                    settings.base_motion.sample_period};
+    p.on_limit = settings.on_limit;
     p.seed = seed_halves(settings.seed);
   } else if (is_implicit(p.switching.kind)) {
     refuse("controller.switching.kind", "sign, tanh or saturation in continuous mode (implicit needs a servo period)",

@@ -35,7 +35,7 @@ struct Question {
 
 }  // namespace
 
-std::string describe(StopCause cause, double time) {
+std::string describe(StopCause cause, double time, int leg) {
   const std::string at = words(" at t = ", time, " s");
   switch (cause) {
     case StopCause::not_finite:
@@ -48,6 +48,10 @@ std::string describe(StopCause cause, double time) {
       return "a target point came behind the camera" + at;
     case StopCause::feature_lost:
       return "a frame did not show every target point" + at;
+    case StopCause::leg_limit:
+      return words("leg ", leg + 1, " passed its stroke", at);
+    case StopCause::solver_failed:
+      return "the leg lengths that the encoders gave belong to no pose near the one before" + at;
     case StopCause::singular:
       return "the legs came to a singular pose" + at;
     case StopCause::none:
@@ -69,7 +73,7 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
   const std::vector<double> numbers = detail::flattened(parameters);
   const double* scenario = numbers.data();
   Question question{stop_requested, nullptr};
-  RunRequest request = detail::run_request<Law>(settings.simulation, numbers.size());
+  RunRequest request = detail::run_request<Law>(settings.simulation, settings.base_motion, numbers.size());
   request.count = 1;
   request.parameters = &scenario;
   request.log_every = settings.simulation.log_every;

@@ -85,7 +85,7 @@ Trajectory TrajectoryLog::finish(double step, const Hexapod<double>& hexapod) {
   } else {
     const auto cause = static_cast<StopCause>(answer_.cause);
     log.outcome = outcome_of(cause);
-    log.detail = describe(cause, static_cast<double>(log.steps) * step);
+    log.detail = describe(cause, static_cast<double>(log.steps) * step, answer_.limit_leg);
   }
   log.fuzzy_weights = weights_from(weights_.data());
   const double* metric = answer_.metrics;

@@ -28,7 +28,9 @@ class StopCause(enum.Enum):
     twist = 3
     behind_camera = 4
     feature_lost = 5
-    singular = 6
+    leg_limit = 6
+    singular = 7
+    solver_failed = 8
 
 class CameraConvention(enum.Enum):
     __pybind11_native_enum__: object
@@ -107,6 +109,88 @@ class CameraSampling(metaclass=_PybindType):
     latency: float
     latency_jitter: float
     faults: FrameSettings
+
+class PoseSource(enum.Enum):
+    __pybind11_native_enum__: object
+    truth = 0
+    encoders = 1
+
+class RateSource(enum.Enum):
+    __pybind11_native_enum__: object
+    differences = 0
+    true_rates = 1
+
+class ActuatorHold(enum.Enum):
+    __pybind11_native_enum__: object
+    wrench = 0
+    leg_forces = 1
+
+class BaseMotionKind(enum.Enum):
+    __pybind11_native_enum__: object
+    none = 0
+    sinusoid = 1
+    recorded = 2
+    noise = 3
+
+class LimitPolicy(enum.Enum):
+    __pybind11_native_enum__: object
+    report = 0
+    stop = 1
+
+class EncoderParameters(metaclass=_PybindType):
+    """Leg length encoders."""
+
+    def __init__(self) -> None: ...
+    resolution: float
+    noise: float
+    rates: RateSource
+
+class SensorSettings(metaclass=_PybindType):
+    """How the controller knows pose and twist in sampled mode."""
+
+    def __init__(self) -> None: ...
+    pose: PoseSource
+    period: float
+    encoders: EncoderParameters
+
+class ActuatorParameters(metaclass=_PybindType):
+    """The actuators of the legs."""
+
+    def __init__(self) -> None: ...
+    hold: ActuatorHold
+    saturation: bool
+    bandwidth: float
+    quantisation: float
+
+class ActuatorSettings(metaclass=_PybindType):
+    """The actuators in sampled mode."""
+
+    def __init__(self) -> None: ...
+    delay: float
+    actuators: ActuatorParameters
+
+class BaseMotionParameters(metaclass=_PybindType):
+    """Acceleration of the base, but for what is recorded."""
+
+    def __init__(self) -> None: ...
+    kind: BaseMotionKind
+    amplitude: _Array
+    frequency: float
+    phase: float
+    level: _Array
+    low_frequency: float
+    high_frequency: float
+
+class BaseMotionSettings(metaclass=_PybindType):
+    """How the base moves in sampled mode."""
+
+    def __init__(self) -> None: ...
+    motion: BaseMotionParameters
+    @property
+    def samples(self) -> _Array | None: ...
+    @samples.setter
+    def samples(self, arg1: ArrayLike | None) -> None: ...
+    sample_period: float
 
 class RigidBody(metaclass=_PybindType):
     """Mass properties of the platform."""
@@ -266,6 +350,10 @@ class HybridSettings(metaclass=_PybindType):
     camera: Camera
     convention: CameraConvention
     sampling: CameraSampling
+    sensors: SensorSettings
+    actuators: ActuatorSettings
+    base_motion: BaseMotionSettings
+    on_limit: LimitPolicy
     jacobian: JacobianConvention
     target: Target
     uncertainty: Uncertainty
@@ -284,6 +372,10 @@ class CompositeSettings(metaclass=_PybindType):
     camera: Camera
     convention: CameraConvention
     sampling: CameraSampling
+    sensors: SensorSettings
+    actuators: ActuatorSettings
+    base_motion: BaseMotionSettings
+    on_limit: LimitPolicy
     jacobian: JacobianConvention
     target: Target
     uncertainty: Uncertainty
@@ -429,6 +521,8 @@ class BatchResult(metaclass=_PybindType):
     @property
     def cause(self) -> NDArray[np.uint8]: ...
     @property
+    def limit_leg(self) -> NDArray[np.int8]: ...
+    @property
     def end_time(self) -> _Array: ...
     @property
     def stop_time(self) -> _Array: ...
@@ -519,7 +613,7 @@ def simulate_batch(
     progress: Callable[[int, int, int, int], object] | None = None,
 ) -> BatchResult: ...
 def time_ticks(settings: HybridSettings, periods: int, rate: float = 0.0, realtime: bool = False) -> TickTimes: ...
-def describe(cause: StopCause, time: float) -> str: ...
+def describe(cause: StopCause, time: float, leg: int = -1) -> str: ...
 def drive_legs(
     hexapod: Hexapod,
     body: RigidBody,

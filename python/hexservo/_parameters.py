@@ -33,6 +33,10 @@ def core_parameters(scenario: Scenario) -> Settings:
     settings.camera.pixel_scale = scenario.camera.pixel_scale
     settings.convention = _core.CameraConvention[scenario.camera.convention]
     settings.sampling = _sampling(scenario)
+    settings.sensors = _sensors(scenario)
+    settings.actuators = _actuators(scenario)
+    settings.base_motion = _base_motion(scenario)
+    settings.on_limit = _core.LimitPolicy[scenario.robot.on_limit]
     settings.jacobian = _core.JacobianConvention[scenario.controller.jacobian]
     settings.target = _target(scenario)
     settings.uncertainty = _uncertainty(scenario)
@@ -101,6 +105,43 @@ def _sampling(scenario: Scenario) -> _core.CameraSampling:
     faults.on_lost = _core.LostFeature[camera.on_lost]
     faults.prediction = _core.Prediction[camera.prediction]
     return sampling
+
+
+def _sensors(scenario: Scenario) -> _core.SensorSettings:
+    settings = _core.SensorSettings()
+    settings.pose = _core.PoseSource.truth if scenario.sensors.pose is True else _core.PoseSource.encoders
+    settings.encoders.resolution = scenario.sensors.resolution
+    settings.encoders.noise = scenario.sensors.noise
+    if scenario.sensors.rate is True:  # differences are the core's default
+        settings.encoders.rates = _core.RateSource.true_rates
+    if scenario.sensors.period is not None:  # every tick is the core's default
+        settings.period = scenario.sensors.period
+    return settings
+
+
+def _actuators(scenario: Scenario) -> _core.ActuatorSettings:
+    settings = _core.ActuatorSettings()
+    settings.delay = scenario.actuators.delay
+    settings.actuators.hold = _core.ActuatorHold[scenario.actuators.hold]
+    settings.actuators.saturation = scenario.actuators.saturation
+    settings.actuators.quantisation = scenario.actuators.quantisation
+    if scenario.actuators.bandwidth is not None:  # no lag is the core's default
+        settings.actuators.bandwidth = scenario.actuators.bandwidth
+    return settings
+
+
+def _base_motion(scenario: Scenario) -> _core.BaseMotionSettings:
+    settings = _core.BaseMotionSettings()
+    base = scenario.base_motion
+    settings.motion.kind = _core.BaseMotionKind[base.kind]
+    for key in ("frequency", "phase", "low_frequency", "high_frequency"):
+        setattr(settings.motion, key, getattr(base, key))
+    settings.motion.amplitude = _filled(base.amplitude, 3)
+    settings.motion.level = _filled(base.level, 3)
+    if base.samples is not None and base.sample_period is not None:
+        settings.samples = np.asarray(base.samples)
+        settings.sample_period = base.sample_period
+    return settings
 
 
 def _target(scenario: Scenario) -> _core.Target:

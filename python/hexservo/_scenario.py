@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, TypeAlias, cast, get_args
 
 import numpy as np
@@ -23,10 +24,13 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, Validat
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from hexservo import _core
+from hexservo._recording import MAX_SAMPLES, read_recording
 from hexservo._yaml import MAX_DEPTH, ScenarioError, dump_yaml, load_yaml, read_yaml
 
 __all__ = [
     "LAWS",
+    "Actuators",
+    "BaseMotion",
     "Camera",
     "Composite",
     "Controller",
@@ -37,6 +41,7 @@ __all__ = [
     "Robot",
     "Scenario",
     "ScenarioError",
+    "Sensors",
     "Simulation",
     "Switching",
     "Target",
@@ -241,6 +246,48 @@ class _Integer(_Rule):
 
 
 @dataclass(frozen=True)
+class _OptionalNumber(_Number):
+    """A number, or null."""
+
+    @property
+    def expected(self) -> str:
+        return f"{super().expected} or null"
+
+    def accept(self, value: Any) -> float | None:  # type: ignore[override]
+        return None if value is None else super().accept(value)
+
+
+@dataclass(frozen=True)
+class _Samples(_Rule):
+    """Rows of three numbers, or null: what was recorded, and no single number that may vary in a batch."""
+
+    @property
+    def expected(self) -> str:
+        return f"2 to {MAX_SAMPLES} rows of 3 finite numbers, or null"
+
+    def accept(self, value: Any) -> Matrix | None:
+        if value is None:
+            return None
+        if not isinstance(value, list) or not 2 <= len(value) <= MAX_SAMPLES:
+            self.refuse(value)
+        return cast("Matrix", _tuples(value, (len(value), 3), _Number().accept, self.expected))
+
+
+@dataclass(frozen=True)
+class _File(_Rule):
+    """The path of a file, or null."""
+
+    @property
+    def expected(self) -> str:
+        return "the path of a file, or null"
+
+    def accept(self, value: Any) -> str | None:
+        if value is not None and not (isinstance(value, str) and value):
+            self.refuse(value)
+        return cast("str | None", value)
+
+
+@dataclass(frozen=True)
 class _Flag(_Rule):
     @property
     def expected(self) -> str:
@@ -273,6 +320,24 @@ class _Choice(_Rule):
             return None
         if not isinstance(value, str) or value not in self.choices:
             self.refuse(value, hint=_did_you_mean(value, self.choices))
+        return value
+
+
+@dataclass(frozen=True)
+class _TrueOr(_Rule):
+    """The plain ``true`` of YAML, for the true value of something, or the name of a stand-in for it."""
+
+    name: str
+
+    @property
+    def expected(self) -> str:
+        return f'true or "{self.name}"'
+
+    def accept(self, value: Any) -> bool | str:
+        if value is True or value == "true":
+            return True
+        if value != self.name or not isinstance(value, str):
+            self.refuse(value, hint=_did_you_mean(value, (self.name,)))
         return value
 
 
@@ -486,6 +551,8 @@ class Robot(_Block):
     inertia: Annotated[Vector | Matrix, _Inertia()]  # (3,) diagonal or (3, 3) [kg m^2], in E about its origin
     stroke: _PositiveNumber  # [m], each leg's travel either way from its home length
     force_limit: _PositiveNumber  # [N], magnitude of each leg's force
+    # in sampled mode: what a leg beyond its stroke means, an event or the end of the run
+    on_limit: Annotated[Literal["report", "stop"], _Choice()] = "report"
 
     @model_validator(mode="before")
     @classmethod
@@ -525,6 +592,72 @@ class Camera(_Block):
     on_lost: Annotated[Literal["hold", "predict", "stop"], _Choice()] = "hold"
     # between two frames: the newest one as it is, or carried along by the joint sensors
     prediction: Annotated[Literal["none", "encoder"], _Choice()] = "none"
+
+
+class Sensors(_Block):
+    """How the controller knows the platform's pose and twist, in `sampled` mode; docs/model.md section 7.
+
+    The period is a whole number of servo periods (``simulation.step``).
+    """
+
+    # true: exactly; encoders: from the lengths of the legs, which alone have what follows
+    pose: Annotated[Literal[True, "encoders"], _TrueOr("encoders")] = True
+    # what the twist is made of: differences of readings over their period, or the true rates of the legs
+    rate: Annotated[Literal[True, "differences"], _TrueOr("differences")] = "differences"
+    resolution: _NumberNotNegative = 0.0  # [m], a length is a multiple of it; 0: of nothing
+    noise: _NumberNotNegative = 0.0  # [m], standard deviation of each length
+    period: Annotated[float | None, _OptionalNumber(above=0)] = None  # [s], between readings; null: every servo period
+
+
+class Actuators(_Block):
+    """The actuators of the legs, in `sampled` mode; docs/model.md section 7. The defaults only hold the wrench."""
+
+    hold: Annotated[Literal["wrench", "leg_forces"], _Choice()] = "wrench"  # what stays the same between two ticks
+    saturation: Annotated[bool, _Flag()] = False  # leg forces are limited to robot.force_limit
+    bandwidth: Annotated[float | None, _OptionalNumber(above=0)] = None  # [Hz], of a first-order lag; null: none
+    quantisation: _NumberNotNegative = 0.0  # [N], leg forces are multiples of it; 0: of nothing
+    delay: _NumberNotNegative = 0.0  # [s], a whole number of servo periods, at most 8
+
+
+class BaseMotion(_Block):
+    """Linear acceleration of the base frame B, in `sampled` mode, of which the controller knows nothing.
+
+    Only what the kind needs acts; docs/model.md section 7. A recording is given as a CSV file with the columns t, ax,
+    ay, az [s, m/s^2], which is read at once: a scenario holds the samples, and its own ``file`` is null.
+    """
+
+    kind: Annotated[Literal["none", "sinusoid", "recorded", "noise"], _Choice()] = "none"
+    amplitude: Annotated[Vector, _Array((3,))] = (0.0, 0.0, 0.0)  # (3,) [m/s^2], of the sinusoid, in B
+    frequency: _NumberNotNegative = Field(default_factory=lambda: _core.BaseMotionParameters().frequency)  # [Hz]
+    phase: Annotated[float, _Angle()] = 0.0  # [rad], of the sinusoid at t = 0
+    # [(m/s^2)^2/Hz], one-sided spectral density of the noise, one for all axes or (3,)
+    level: Annotated[float | Vector, _Array((3,), _NOT_NEGATIVE, or_number=True)] = 0.0
+    # [Hz], where the noise begins and ends
+    low_frequency: _NumberNotNegative = Field(default_factory=lambda: _core.BaseMotionParameters().low_frequency)
+    high_frequency: _PositiveNumber = Field(default_factory=lambda: _core.BaseMotionParameters().high_frequency)
+    file: Annotated[str | None, _File()] = None  # CSV to read, relative to the scenario's file
+    samples: Annotated[Matrix | None, _Samples()] = None  # (n, 3) [m/s^2], recorded, in B
+    sample_period: Annotated[float | None, _OptionalNumber(above=0)] = None  # [s], of the samples, from t = 0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("file"), str):
+            return data
+        try:
+            period, samples = read_recording(data["file"])
+        except ScenarioError as error:
+            raise _refusal((("file",), str(error))) from None
+        return {**data, "file": None, "samples": samples, "sample_period": period}
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> BaseMotion:
+        if (self.samples is None) != (self.sample_period is None):
+            missing, given = ("sample_period", "samples") if self.samples is not None else ("samples", "sample_period")
+            raise _refusal(((missing,), f"expected it beside {given}, got null"))
+        if self.kind == "recorded" and self.samples is None:
+            raise _refusal((("file",), 'expected the path of a CSV file for the kind "recorded", got null'))
+        return self
 
 
 class Target(_Block):
@@ -741,6 +874,9 @@ class Scenario(_Block):
     seed: Annotated[int, _Integer(0, 2**63 - 1)] = 0  # of everything random
     robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": _DEFAULT_PRESET}))
     camera: Camera = Field(default_factory=Camera)
+    sensors: Sensors = Field(default_factory=Sensors)
+    actuators: Actuators = Field(default_factory=Actuators)
+    base_motion: BaseMotion = Field(default_factory=BaseMotion)
     target: Target
     uncertainty: Uncertainty = Field(default_factory=Uncertainty)
     controller: Controller = Field(default_factory=Controller)
@@ -864,10 +1000,16 @@ def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
                 f'expected a packaged scenario ({", ".join(names)}) or the path of a YAML file, got "{name_or_path}"'
                 + _did_you_mean(stem.rpartition("/")[2], names)
             )
-    return _from_document(read_yaml(name_or_path), os.fsdecode(name_or_path))
+    path = os.fsdecode(name_or_path)
+    return _from_document(read_yaml(name_or_path), path, Path(path).parent)
 
 
-def _from_document(document: Any, source: str | None) -> Scenario:
+def _from_document(document: Any, source: str | None, folder: Path | None = None) -> Scenario:
+    """Make a scenario; the path of a recording is relative to `folder`, else to the current one."""
+    base_motion = document.get("base_motion") if isinstance(document, dict) else None
+    if folder is not None and isinstance(base_motion, dict) and isinstance(base_motion.get("file"), str):
+        file = str(folder / base_motion["file"])
+        document = {**document, "base_motion": {**base_motion, "file": file}}
     try:
         return Scenario(**_as_block(document))
     except ScenarioError as error:
@@ -884,7 +1026,7 @@ def _preset_values(preset: str) -> dict[str, Any]:
     values = {
         key: _map_lists(_tupled(getattr(robot, key)), list)
         for key in Robot.model_fields
-        if key not in ("preset", "inertia")
+        if key not in ("preset", "inertia", "on_limit")
     }
     return {**values, "inertia": _map_lists(_diagonal_if_diagonal(_tupled(robot.inertia)), list)}
 

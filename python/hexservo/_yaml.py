@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import yaml
 
-__all__ = ["MAX_BYTES", "MAX_DEPTH", "Plain", "ScenarioError", "dump_yaml", "load_yaml", "read_yaml"]
+__all__ = ["MAX_BYTES", "MAX_DEPTH", "Plain", "ScenarioError", "dump_yaml", "load_yaml", "read_text", "read_yaml"]
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What a document holds: nothing but the types of the YAML core schema."""
@@ -162,6 +162,19 @@ def read_yaml(path: str | os.PathLike[str]) -> Plain:
         or is not UTF-8; and as `load_yaml`.
     """
     source = os.fsdecode(path)
+    text = read_text(path, "YAML")
+    return load_yaml(text, source)
+
+
+def read_text(path: str | os.PathLike[str], kind: str) -> str:
+    """Return the text of a file, UTF-8; `kind` is what its errors call it.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, is no regular file, is over `MAX_BYTES` or is not UTF-8.
+    """
+    source = os.fsdecode(path)
     try:
         content = _content(path)
     except OSError as error:
@@ -169,13 +182,12 @@ def read_yaml(path: str | os.PathLike[str]) -> Plain:
     except ValueError as error:  # no regular file, or a path with a NUL in it
         raise ScenarioError(f"cannot be read: {error}", source) from None
     if len(content) > MAX_BYTES:
-        raise ScenarioError(f"expected at most {MAX_BYTES} bytes of YAML, got more", source)
+        raise ScenarioError(f"expected at most {MAX_BYTES} bytes of {kind}, got more", source)
     try:
-        text = content.decode("utf-8")
+        return content.decode("utf-8")
     except UnicodeDecodeError as error:
         byte = content[error.start]
         raise ScenarioError(f"expected UTF-8 text, got the byte 0x{byte:02x} at {error.start}", source) from None
-    return load_yaml(text, source)
 
 
 def dump_yaml(value: Mapping[str, Any]) -> str:

@@ -49,14 +49,15 @@ struct BatchOptions {
 
 /// What a batch gives back; the scenario is the first axis of everything but `metrics` and `time`.
 struct BatchResult {
-  std::size_t count = 0;              ///< n
-  std::size_t rows = 0;               ///< m, samples of each trajectory
-  std::vector<std::uint8_t> outcome;  ///< n, Outcome
-  std::vector<std::uint8_t> cause;    ///< n, StopCause
-  Buffer end_time;                    ///< n, of the last good sample; NaN where interrupted [s]
-  Buffer stop_time;                   ///< n, of the step at which the run stopped; NaN where interrupted [s]
-  Buffer metrics;                     ///< 18 x n, in the order of `Metrics`; NaN where interrupted
-  Buffer time;                        ///< m, of the trajectories [s]
+  std::size_t count = 0;               ///< n
+  std::size_t rows = 0;                ///< m, samples of each trajectory
+  std::vector<std::uint8_t> outcome;   ///< n, Outcome
+  std::vector<std::uint8_t> cause;     ///< n, StopCause
+  std::vector<std::int8_t> limit_leg;  ///< n, leg that ended a run, 0 to 5; -1: none did
+  Buffer end_time;                     ///< n, of the last good sample; NaN where interrupted [s]
+  Buffer stop_time;                    ///< n, of the step at which the run stopped; NaN where interrupted [s]
+  Buffer metrics;                      ///< 18 x n, in the order of `Metrics`; NaN where interrupted
+  Buffer time;                         ///< m, of the trajectories [s]
   /// In the order of `Sample`: n x k, or n x m x k with NaN where a run had stopped; NaN where interrupted.
   std::array<Buffer, 9> samples;
   Buffer fuzzy_weights;  ///< n x 6 x 7 x 7 at the end; NaN where interrupted [N; N m]

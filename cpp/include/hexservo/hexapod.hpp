@@ -154,6 +154,9 @@ class WrenchMapSolver {
     return H_.transpose() * gram_.solve(wrench);
   }
 
+  /// chi-dot (m/s; rad/s, in B) with H^T chi-dot = leg rates [m/s].
+  Vector6<S> twist(const Vector6<S>& leg_rates) const { return displacement(leg_rates); }
+
   /// Small displacement (m; rad, in B) with H^T d = leg length changes [m].
   Vector6<S> displacement(const Vector6<S>& length_changes) const {
     Vector6<S> d = gram_.solve(H_ * length_changes);
@@ -193,14 +196,16 @@ struct ForwardKinematics {
 };
 
 inline constexpr double kKinematicsTolerance = 1e-12;  ///< residual of a converged forward kinematics [m]
-inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds, the same number for every lane
+inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds from anywhere, the same for every lane
 
 /// Forward kinematics by Newton's method on l(pose) = lengths from a start pose; steps are limited to r_p and 0.5 rad.
 ///
 /// A hexapod has up to 40 poses for the same lengths; Newton finds one near `start`. A fixed number of rounds bounds
 /// the time.
+/// @param rounds Newton rounds >= 0; four are enough for a start some centimetres away, as of one sample ago
 template <class S>
-ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start) {
+ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start,
+                                        int rounds = kKinematicsRounds) {
   using std::sqrt;
   constexpr double kMaxRotation = 0.5;  // [rad] a round
   ForwardKinematics<S> result;
@@ -218,7 +223,7 @@ ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6
     return largest;
   };
 
-  for (int round = 0; round < kKinematicsRounds; ++round) {
+  for (int round = 0; round < rounds; ++round) {
     const Legs<S> legs = legs_at(result.pose);
     const WrenchMapSolver<S> solver(hexapod, legs);
     result.singular = result.singular | solver.failed();

@@ -159,6 +159,24 @@ Lanes<W> map_lanes(Lanes<W> x, F&& function) {
 }
 }  // namespace detail
 
+/// Scenarios in one scalar: 1, or the lanes of a pack.
+template <class S>
+inline constexpr int kLanes = 1;
+template <int W>
+inline constexpr int kLanes<Lanes<W>> = W;
+
+/// One lane of a pack, or the number itself.
+inline double of_lane(double value, int) { return value; }
+inline bool of_lane(bool value, int) { return value; }
+template <int W>
+double of_lane(Lanes<W> value, int lane) {
+  return value[lane];
+}
+template <int W>
+bool of_lane(LaneMask<W> mask, int lane) {
+  return mask[lane];
+}
+
 /// Square root of a register: one instruction where the instruction set has it.
 template <int W>
 Lanes<W> sqrt(Lanes<W> x) {

@@ -2,6 +2,9 @@
 /// Everything that a loop needs, prepared and validated by `loop_parameters` (settings.hpp).
 #pragma once
 
+#include "hexservo/actuators.hpp"
+#include "hexservo/base_motion.hpp"
+#include "hexservo/encoders.hpp"
 #include "hexservo/frames.hpp"
 #include "hexservo/laws/law.hpp"
 #include "hexservo/metrics.hpp"
@@ -12,6 +15,18 @@ namespace hexservo {
 enum class LoopMode {
   continuous,  ///< the law acts inside every Runge-Kutta stage, as the paper simulates it
   sampled      ///< camera and servo have periods and latencies, and the wrench is held between two ticks
+};
+
+/// How the controller knows pose and twist, in `sampled` mode.
+enum class PoseSource {
+  truth,    ///< exactly, at every tick
+  encoders  ///< from the lengths of the legs
+};
+
+/// What a leg beyond its stroke means, in `sampled` mode.
+enum class LimitPolicy {
+  report,  ///< an event, with time and peak
+  stop     ///< the end of the run, with `Outcome::leg_limit`
 };
 
 /// Numbers of one scenario, or of one per lane.
@@ -33,8 +48,14 @@ struct LoopParameters {
   double step = 1e-3;       ///< h of the Runge-Kutta method; in `sampled` mode the servo period T_c [s]
   long long substeps = 1;   ///< Runge-Kutta steps in a servo period
   FrameSettings<S> frames;  ///< of the camera in `sampled` mode
+  PoseSource pose_source = PoseSource::truth;
+  EncoderParameters<S> encoders;        ///< where they are the pose's source
+  ActuatorParameters<S> actuators;      ///< in `sampled` mode
+  BaseMotionParameters<S> base_motion;  ///< in `sampled` mode
+  LimitPolicy on_limit = LimitPolicy::report;
   SeedHalves<S> seed;
   MetricsSettings metrics;
+  RecordedAcceleration recorded;  ///< of the base; not visited: it is shared, and no number
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
@@ -54,6 +75,11 @@ struct LoopParameters {
     f(a.step, b.step);
     f(a.substeps, b.substeps);
     f(a.frames, b.frames);
+    f(a.pose_source, b.pose_source);
+    f(a.encoders, b.encoders);
+    f(a.actuators, b.actuators);
+    f(a.base_motion, b.base_motion);
+    f(a.on_limit, b.on_limit);
     f(a.seed, b.seed);
     f(a.metrics, b.metrics);
   }

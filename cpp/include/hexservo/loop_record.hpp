@@ -17,7 +17,9 @@ class LoopRecord {
   /// @param start where the run begins
   template <class Law>
   LoopRecord(const LoopParameters<S, Law, N>& p, const WorldState<S, N>& start)
-      : hexapod_(p.hexapod), desired_features_(p.desired_features) {
+      : hexapod_(p.hexapod),
+        desired_features_(p.desired_features),
+        stops_at_limit_(p.mode == LoopMode::sampled && p.on_limit == LimitPolicy::stop) {
     Sample<S, N>::visit([](auto& value, const auto&) { value.setZero(); }, sample_, sample_);
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);
@@ -33,6 +35,8 @@ class LoopRecord {
   const Sample<S, N>& sample() const noexcept { return sample_; }
   const S& sample_time() const noexcept { return sample_time_; }
   const MetricsAccumulator<S, N>& metrics() const noexcept { return *metrics_; }
+  /// Leg that ended a lane, 0 to 5; -1 where none did.
+  const S& limit_leg() const noexcept { return limit_leg_; }
 
   /// Stops the lanes that may not go on to a state.
   /// @param nearest largest Z_i on the way there [m]
@@ -49,6 +53,15 @@ class LoopRecord {
               const Vector6<S>& fuzzy_output) noexcept {
     const Legs<S> legs = inverse_kinematics(hexapod_, position_of(state.body), state.view.R_BE);
     const WrenchMapSolver<S> solver(hexapod_, legs);
+    accept(time, state, legs, solver.failed(), wrench, solver.leg_forces(wrench), fuzzy_output, Mask<S>(false));
+  }
+
+  /// The same with legs and forces that are known.
+  /// @param singular where the legs are at a singular pose
+  /// @param unsensed where the sensors of the legs give no pose
+  void accept(double time, const WorldState<S, N>& state, const Legs<S>& legs, const Mask<S>& singular,
+              const Vector6<S>& wrench, const Vector6<S>& leg_forces, const Vector6<S>& fuzzy_output,
+              const Mask<S>& unsensed) noexcept {
     const Sample<S, N> next{desired_features_ - state.view.image.features,
                             state.view.image.depth,
                             position_of(state.body),
@@ -57,11 +70,13 @@ class LoopRecord {
                             wrench,
                             fuzzy_output,
                             legs.lengths,
-                            solver.leg_forces(wrench)};
+                            leg_forces};
     const Mask<S> finite = is_finite(next.wrench) & is_finite(next.fuzzy_output) & is_finite(next.leg_forces);
-    const Mask<S> regular = !solver.failed();  // leg forces of a singular pose have no meaning
+    const Mask<S> regular = !singular;  // leg forces of a singular pose have no meaning
     stop(StopCause::not_finite, (!finite) & regular);
-    stop(StopCause::singular, solver.failed());
+    if (stops_at_limit_) stop_at_limit(legs.lengths);
+    stop(StopCause::singular, singular);
+    stop(StopCause::solver_failed, unsensed);
     const Mask<S> good = running();
     Sample<S, N>::visit([&good](auto& value, const auto& from) { value = select(good, from, value); }, sample_, next);
     sample_time_ = select(good, S(time), sample_time_);
@@ -74,12 +89,28 @@ class LoopRecord {
   }
 
  private:
+  /// Stops lanes with a leg beyond its stroke; of several legs the one that is farthest beyond is named.
+  void stop_at_limit(const Vector6<S>& lengths) noexcept {
+    using std::abs;
+    S farthest = hexapod_.stroke, leg(-1.0);
+    for (int i = 0; i < 6; ++i) {
+      const S travel = abs(lengths(i) - hexapod_.home_lengths(i));
+      leg = select(travel > farthest, S(static_cast<double>(i)), leg);
+      farthest = max(farthest, travel);
+    }
+    const Mask<S> beyond = leg >= S(0.0);
+    limit_leg_ = select(beyond & running(), leg, limit_leg_);
+    stop(StopCause::leg_limit, beyond);
+  }
+
   Hexapod<S> hexapod_;
   Vector<S, 2 * N> desired_features_;
   Sample<S, N> sample_;
   std::optional<MetricsAccumulator<S, N>> metrics_;
   S sample_time_{0.0};
   S cause_{0.0};
+  S limit_leg_{-1.0};
+  bool stops_at_limit_;
 };
 
 }  // namespace hexservo

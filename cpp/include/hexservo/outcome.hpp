@@ -17,7 +17,17 @@ enum class Outcome {
 };
 
 /// Why a run stopped before its end.
-enum class StopCause { none, not_finite, feature_error, twist, behind_camera, feature_lost, singular };
+enum class StopCause {
+  none,
+  not_finite,
+  feature_error,
+  twist,
+  behind_camera,
+  feature_lost,
+  leg_limit,
+  singular,
+  solver_failed
+};
 
 /// The outcome that a cause stands for.
 constexpr Outcome outcome_of(StopCause cause) {
@@ -30,8 +40,12 @@ constexpr Outcome outcome_of(StopCause cause) {
       return Outcome::behind_camera;
     case StopCause::feature_lost:
       return Outcome::feature_lost;
+    case StopCause::leg_limit:
+      return Outcome::leg_limit;
     case StopCause::singular:
       return Outcome::singular;
+    case StopCause::solver_failed:
+      return Outcome::solver_failed;
     case StopCause::none:
       break;
   }

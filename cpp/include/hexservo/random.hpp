@@ -51,23 +51,6 @@ constexpr double open_uniform(std::uint32_t low, std::uint32_t high) noexcept {
   return static_cast<double>(bits | 1) * 0x1p-53;
 }
 
-/// One lane of a pack, or the number itself.
-inline double number_of(double value, int) noexcept { return value; }
-template <int W>
-double number_of(const Lanes<W>& value, int lane) noexcept {
-  return value[lane];
-}
-inline void put_number(double& to, int, double value) noexcept { to = value; }
-template <int W>
-void put_number(Lanes<W>& to, int lane, double value) noexcept {
-  to.set(lane, value);
-}
-
-template <class S>
-inline constexpr int kLaneCount = 1;
-template <int W>
-inline constexpr int kLaneCount<Lanes<W>> = W;
-
 }  // namespace detail
 
 /// A seed as two whole numbers below 2^32: parameters travel as doubles, which hold no 63 bits.
@@ -97,11 +80,10 @@ class RandomStream {
  public:
   RandomStream(const SeedHalves<S>& seed, RandomSource source) noexcept {
     // Philox itself mixes seed and source into 64 bits of key: neighbouring seeds and sources have nothing in common.
-    for (int lane = 0; lane < kWidth; ++lane) {
-      const detail::PhiloxBlock mixed =
-          detail::philox({static_cast<std::uint32_t>(source), 0, 0, 0},
-                         {static_cast<std::uint32_t>(detail::number_of(seed.low, lane)),
-                          static_cast<std::uint32_t>(detail::number_of(seed.high, lane))});
+    for (int lane = 0; lane < kLanes<S>; ++lane) {
+      const detail::PhiloxBlock mixed = detail::philox(
+          {static_cast<std::uint32_t>(source), 0, 0, 0},
+          {static_cast<std::uint32_t>(of_lane(seed.low, lane)), static_cast<std::uint32_t>(of_lane(seed.high, lane))});
       keys_[static_cast<std::size_t>(lane)] = {mixed[0], mixed[1]};
     }
   }
@@ -123,13 +105,11 @@ class RandomStream {
   }
 
  private:
-  static constexpr int kWidth = detail::kLaneCount<S>;
-
   /// Components by pairs, each pair made of one block.
   template <int K, class Pair>
   Vector<S, K> draw(std::uint64_t event, Pair&& pair) const noexcept {
     Vector<S, K> numbers;
-    for (int lane = 0; lane < kWidth; ++lane)
+    for (int lane = 0; lane < kLanes<S>; ++lane)
       for (int k = 0; k < K; k += 2) {
         const detail::PhiloxBlock words =
             detail::philox({static_cast<std::uint32_t>(event), static_cast<std::uint32_t>(event >> 32),
@@ -137,13 +117,13 @@ class RandomStream {
                            keys_[static_cast<std::size_t>(lane)]);
         const std::array<double, 2> two =
             pair(detail::open_uniform(words[0], words[1]), detail::open_uniform(words[2], words[3]));
-        detail::put_number(numbers(k), lane, two[0]);
-        if (k + 1 < K) detail::put_number(numbers(k + 1), lane, two[1]);
+        set_lane(numbers(k), lane, two[0]);
+        if (k + 1 < K) set_lane(numbers(k + 1), lane, two[1]);
       }
     return numbers;
   }
 
-  std::array<detail::PhiloxKey, static_cast<std::size_t>(kWidth)> keys_;
+  std::array<detail::PhiloxKey, static_cast<std::size_t>(kLanes<S>)> keys_;
 };
 
 }  // namespace hexservo

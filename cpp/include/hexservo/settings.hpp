@@ -7,7 +7,9 @@
 #include "hexservo/sampled_loop.hpp"
 
 #include <cstdint>
+#include <memory>
 #include <optional>
+#include <vector>
 
 namespace hexservo {
 
@@ -33,6 +35,26 @@ struct CameraSampling {
   FrameSettings<double> faults;  ///< everything but its times, which follow from those above
 };
 
+/// How the controller knows pose and twist in `sampled` mode.
+struct SensorSettings {
+  PoseSource pose = PoseSource::truth;
+  double period = 0.0;                 ///< between two readings of the encoders [s]; 0: every servo period
+  EncoderParameters<double> encoders;  ///< everything but their period, which follows from the one above
+};
+
+/// The actuators in `sampled` mode.
+struct ActuatorSettings {
+  double delay = 0.0;                    ///< a whole number of servo periods [s], 0
+  ActuatorParameters<double> actuators;  ///< everything but their delay, which follows from the one above
+};
+
+/// How the base moves in `sampled` mode.
+struct BaseMotionSettings {
+  BaseMotionParameters<double> motion;
+  std::shared_ptr<const std::vector<double>> samples;  ///< recorded a_x, a_y, a_z, one after the other [m/s^2], or none
+  double sample_period = 0.0;                          ///< of what is recorded, from t = 0 [s]
+};
+
 /// Time grid and logging of a run.
 struct SimulationSettings {
   LoopMode mode = LoopMode::continuous;
@@ -49,6 +71,10 @@ struct Settings {
   Camera<double> camera;
   CameraConvention convention = CameraConvention::eye_in_hand;
   CameraSampling sampling;
+  SensorSettings sensors;
+  ActuatorSettings actuators;
+  BaseMotionSettings base_motion;
+  LimitPolicy on_limit = LimitPolicy::report;
   JacobianConvention jacobian = JacobianConvention::consistent;
   Target target;
   Uncertainty uncertainty;

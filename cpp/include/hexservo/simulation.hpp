@@ -76,7 +76,8 @@ HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
 
 /// One sentence on how a run that was not interrupted ended.
 /// @param time of the step at which it stopped [s]
-std::string describe(StopCause cause, double time);
+/// @param leg that ended it, 0 to 5, where one did
+std::string describe(StopCause cause, double time, int leg = -1);
 
 /// The platform alone under constant leg forces, without camera or controller (RK4).
 /// @param leg_forces [N], positive where they push

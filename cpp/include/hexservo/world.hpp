@@ -87,6 +87,11 @@ class World {
     }
   }
 
+  /// What an acceleration of B [m/s^2] adds to a wrench in B [N; N m].
+  Vector6<S> inertial_wrench(const Vector3<S>& acceleration_B) const noexcept {
+    return hexservo::inertial_wrench(plant_, acceleration_B);
+  }
+
   /// state + scale rate: a Runge-Kutta stage.
   WorldState<S, N> moved(const WorldState<S, N>& state, const S& scale, const WorldRate<S, N>& rate) const noexcept {
     const BodyState<S> body = state.body + scale * rate.body;

@@ -1,0 +1,119 @@
+/// @file
+/// Actuators of the sampled loop: from the wrench that the law commands at a tick to what acts on the platform until
+/// the next one.
+///
+///     f = H^-1 tau          leg forces, H as the controller knows it
+///     f <- nearest multiple of the quantisation, then clip(f, -limit, limit)
+///     f <- the f of `delay` ticks before; before the first one the forces that hold the platform at rest
+///     f <- mean over the tick of the output of a first-order lag: y-dot = 2 pi bandwidth (f - y)
+///     hold wrench: H f with H at the tick acts until the next tick; hold leg forces: f acts, through H as it changes
+///
+/// The lag is exact for forces that hold over a tick, and so is the impulse of its mean; an infinite bandwidth leaves
+/// f as it is.
+#pragma once
+
+#include "hexservo/elementary.hpp"
+#include "hexservo/hexapod.hpp"
+
+#include <array>
+
+namespace hexservo {
+
+/// What stays the same between two ticks.
+enum class ActuatorHold {
+  wrench,     ///< tau, in B
+  leg_forces  ///< f_c, while the legs turn
+};
+
+inline constexpr int kMaxActuatorDelay = 8;  ///< largest delay [ticks]
+
+/// The actuators of all legs. The defaults do nothing.
+template <class S>
+struct ActuatorParameters {
+  ActuatorHold hold = ActuatorHold::wrench;              ///< what stays the same between two ticks
+  bool saturation = false;                               ///< whether leg forces are limited to +-force_limit
+  S bandwidth{std::numeric_limits<double>::infinity()};  ///< of the first-order lag, > 0 [Hz], infinity (none)
+  S quantisation{0.0};                                   ///< leg forces are multiples of it [N], 0 (none)
+  long long delay = 0;                                   ///< [ticks], 0 to `kMaxActuatorDelay`, 0
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.hold, b.hold);
+    f(a.saturation, b.saturation);
+    f(a.bandwidth, b.bandwidth);
+    f(a.quantisation, b.quantisation);
+    f(a.delay, b.delay);
+  }
+};
+
+/// What acts from a tick to the next.
+template <class S>
+struct Actuation {
+  Vector6<S> leg_forces;  ///< f_c, mean over the tick [N]
+  Vector6<S> wrench;      ///< H f_c with H at the tick, in B [N; N m]
+  Mask<S> saturated;      ///< where a commanded force of this tick, not yet delayed, is beyond the limit
+};
+
+/// The actuators with what they remember.
+template <class S>
+class Actuators {
+ public:
+  /// @param force_limit of each leg, each way [N]; without saturation not used
+  /// @param tick time between two ticks [s]
+  /// @param resting_forces what acts before the first command arrives [N]
+  Actuators(const ActuatorParameters<S>& parameters, const S& force_limit, double tick,
+            const Vector6<S>& resting_forces) noexcept
+      : p_(parameters),
+        limit_(parameters.saturation ? force_limit : S(std::numeric_limits<double>::infinity())),
+        unchanged_((parameters.quantisation <= S(0.0)) &
+                   (parameters.bandwidth == S(std::numeric_limits<double>::infinity()))),
+        filtered_(resting_forces) {
+    const S ticks = S(6.283185307179586 * tick) * p_.bandwidth;  // over the time constant
+    const S reached = -expm1_of_negative(max(S(-ticks), S(-700.0)));
+    remaining_ = S(1.0) - reached;
+    mean_remaining_ = reached / ticks;
+    commands_.fill(resting_forces);
+  }
+
+  /// One tick.
+  /// @param wrench as commanded, in B [N; N m]
+  /// @param leg_forces H^-1 wrench with H at the pose that the controller knows [N]
+  /// @param legs at the true pose of the tick
+  Actuation<S> step(const Vector6<S>& wrench, const Vector6<S>& leg_forces, const Legs<S>& legs) noexcept {
+    using std::abs;
+    Actuation<S> out;
+    Vector6<S> command;
+    out.saturated = Mask<S>(false);
+    for (int i = 0; i < 6; ++i) {
+      out.saturated = out.saturated | (abs(leg_forces(i)) > limit_);
+      command(i) = clip(quantise(leg_forces(i), p_.quantisation), S(-limit_), limit_);
+    }
+    commands_[next_] = command;
+    next_ = next_ == static_cast<std::size_t>(p_.delay) ? 0 : next_ + 1;
+    const Vector6<S>& arrived = commands_[next_];  // the oldest: with no delay the one just written
+
+    for (int i = 0; i < 6; ++i) {
+      const S missing = filtered_(i) - arrived(i);
+      out.leg_forces(i) = clip(S(arrived(i) + mean_remaining_ * missing), S(-limit_), limit_);
+      filtered_(i) = arrived(i) + remaining_ * missing;
+    }
+    out.wrench = legs.wrench(out.leg_forces);
+    // Where nothing has changed the wrench, it takes no detour through the legs.
+    const bool delayed = p_.delay > 0 || p_.hold == ActuatorHold::leg_forces;
+    const Mask<S> untouched = unchanged_ & !out.saturated & Mask<S>(!delayed);
+    out.wrench = select(untouched, wrench, out.wrench);
+    return out;
+  }
+
+ private:
+  ActuatorParameters<S> p_;
+  S limit_;            ///< [N]
+  Mask<S> unchanged_;  ///< where neither quantisation nor lag act
+  S remaining_;        ///< share of a difference that the lag leaves after a tick [1]
+  S mean_remaining_;   ///< the same, mean over the tick [1]
+  Vector6<S> filtered_;
+  std::array<Vector6<S>, kMaxActuatorDelay + 1> commands_;
+  std::size_t next_ = 0;
+};
+
+}  // namespace hexservo

@@ -1,0 +1,240 @@
+// Leg length encoders: truth without errors, bounds with them, and when they are read.
+#include "hexservo/encoders.hpp"
+
+#include "allocations.hpp"
+#include "compare.hpp"
+#include "random.hpp"
+
+#include <Eigen/SVD>
+
+#include <bit>
+#include <functional>
+
+using namespace hexservo;
+using namespace hexservo::test;
+
+namespace {
+
+constexpr double kTick = 1e-3;  // [s]
+
+struct Motion {
+  Pose<double> pose;
+  Vector6<double> twist;
+};
+
+/// A smooth motion within the stroke of `micro`, at up to 0.1 m/s and 0.6 rad/s, with its exact twist.
+Motion motion_at(const Hexapod<double>& hexapod, double t) {
+  const Vector3<double> size(0.006, 0.004, 0.003), rate(9.0, 14.0, 19.0),
+      axis = Vector3<double>(1.0, -2.0, 3.0).normalized();
+  Motion motion;
+  for (int i = 0; i < 3; ++i) {
+    motion.pose.position(i) = hexapod.home_position(i) + size(i) * std::sin(rate(i) * t);
+    motion.twist(i) = size(i) * rate(i) * std::cos(rate(i) * t);
+  }
+  const double angle = 0.05 * std::sin(12.0 * t);
+  motion.pose.quaternion << std::cos(angle / 2.0), std::sin(angle / 2.0) * axis;
+  motion.twist.tail<3>() = 0.6 * std::cos(12.0 * t) * axis;
+  return motion;
+}
+
+Encoders<double> encoders(const EncoderParameters<double>& parameters, const Hexapod<double>& hexapod,
+                          std::uint64_t seed = 1) {
+  return {parameters, hexapod, seed_halves(seed), kTick, motion_at(hexapod, 0.0).pose};
+}
+
+Legs<double> legs_at(const Hexapod<double>& hexapod, const Pose<double>& pose) {
+  return inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
+}
+
+double pose_distance(const Pose<double>& a, const Pose<double>& b) { return pose_difference(a, b).norm(); }
+
+/// Largest length of (H^T)^-1 x for |x_i| <= 1, with moments as they are: metres and radians.
+double worst_gain(const Hexapod<double>& hexapod, const Pose<double>& pose) {
+  return std::sqrt(6.0) / Eigen::JacobiSVD<Matrix6<double>>(legs_at(hexapod, pose).wrench_map()).singularValues()(5);
+}
+
+}  // namespace
+
+TEST_CASE("ideal encoders give the true pose and, with true rates, the true twist") {
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  Encoders<double> sensors = encoders({.rates = RateSource::true_rates}, hexapod);
+  for (long long tick = 0; tick < 1000; ++tick) {
+    const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
+    sensors.observe(tick, truth.pose, truth.twist);
+    REQUIRE_FALSE(sensors.failed());
+    REQUIRE(pose_distance(sensors.pose(), truth.pose) <= 1e-12);
+    REQUIRE(distance(sensors.twist(), truth.twist) <= 1e-12);
+  }
+}
+
+TEST_CASE("a reading that is far from the one before still finds its pose, and says so where there is none") {
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  const Pose<double> home = home_pose(hexapod);
+  for (const double far : {0.01, 0.02, 0.03}) {
+    CAPTURE(far);
+    Encoders<double> sensors = encoders({}, hexapod);
+    sensors.observe(0, home, Vector6<double>::Zero());
+    const Pose<double> pose{home.position + far * Vector3<double>(0.6, -0.64, 0.48), {0.995, 0.05, -0.04, 0.06}};
+    sensors.observe(1, pose, Vector6<double>::Zero());
+    CHECK_FALSE(sensors.failed());
+    CHECK(pose_distance(sensors.pose(), pose) <= 1e-11);
+  }
+  Encoders<double> sensors = encoders({}, hexapod);
+  sensors.observe(0, home, Vector6<double>::Zero());
+  sensors.observe(1, {Vector3<double>(kNaN, 0.0, 0.0), home.quaternion}, Vector6<double>::Zero());
+  CHECK(sensors.failed());
+  CHECK(pose_distance(sensors.pose(), home) <= 1e-12);
+  sensors.observe(2, home, Vector6<double>::Zero());
+  CHECK_FALSE(sensors.failed());
+}
+
+TEST_CASE(
+    "differences are the mean rate between two readings, zero at the first, and tend to the rate at first order") {
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  Encoders<double> sensors = encoders({}, hexapod);
+  const Motion start = motion_at(hexapod, 0.0);
+  sensors.observe(0, start.pose, start.twist);
+  CHECK(sensors.twist().norm() == 0.0);
+  const Motion next = motion_at(hexapod, kTick);
+  sensors.observe(1, next.pose, next.twist);
+  const Vector6<double> rates = (legs_at(hexapod, next.pose).lengths - legs_at(hexapod, start.pose).lengths) / kTick;
+  // rounding of the lengths over the tick, through H
+  CHECK(distance(legs_at(hexapod, next.pose).rates(sensors.twist()), rates) <= 100.0 * kEpsilon / kTick);
+
+  const auto error_of = [&](double tick) {
+    Encoders<double> s({}, hexapod, seed_halves(1), tick, start.pose);
+    double worst = 0.0;
+    for (long long k = 0; k < 100; ++k) {
+      const Motion truth = motion_at(hexapod, 0.2 + static_cast<double>(k) * tick);
+      s.observe(k, truth.pose, truth.twist);
+      if (k > 0) worst = std::max(worst, distance(s.twist(), truth.twist));
+    }
+    return worst;
+  };
+  // about half a tick late; the motion of a quarter of the ticks covers a quarter of the time, hence the tolerance
+  const double ratio = error_of(4e-4) / error_of(1e-4);
+  CHECK(ratio > 3.0);
+  CHECK(ratio < 5.0);
+}
+
+TEST_CASE("resolution: readings are multiples, at most half a step off, and so are pose and rates within bounds") {
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  constexpr double kResolution = 1e-5;
+  Encoders<double> sensors = encoders({.resolution = kResolution}, hexapod), ideal = encoders({}, hexapod);
+  double worst = 0.0;
+  for (long long tick = 0; tick < 1000; ++tick) {
+    const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
+    sensors.observe(tick, truth.pose, truth.twist);
+    ideal.observe(tick, truth.pose, truth.twist);
+    REQUIRE_FALSE(sensors.failed());
+    const Vector6<double> steps = sensors.lengths() / kResolution;
+    for (int i = 0; i < 6; ++i) REQUIRE(std::abs(steps(i) - std::nearbyint(steps(i))) <= 1e-9);
+    const double off = distance(sensors.lengths(), legs_at(hexapod, truth.pose).lengths);
+    worst = std::max(worst, off);
+    REQUIRE(off <= 0.5 * kResolution * (1.0 + 1e-9));
+    // to first order in the resolution; a tenth for what H changes on the way
+    const double gain = 1.1 * worst_gain(hexapod, truth.pose);
+    REQUIRE(pose_distance(sensors.pose(), truth.pose) <= 0.5 * kResolution * gain);
+    // two readings, each half a step off
+    const Vector6<double> rate_error =
+        legs_at(hexapod, sensors.pose()).rates(sensors.twist()) - legs_at(hexapod, ideal.pose()).rates(ideal.twist());
+    REQUIRE(rate_error.cwiseAbs().maxCoeff() <= kResolution / kTick * (1.0 + 1e-9));
+  }
+  CHECK(worst > 0.4 * kResolution);
+}
+
+TEST_CASE("noise has its standard deviation, in every leg, and is a function of the seed and the reading") {
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  constexpr double kNoise = 2e-5;
+  constexpr int kReadings = 4000;
+  const Pose<double> home = home_pose(hexapod);
+  Encoders<double> sensors = encoders({.noise = kNoise}, hexapod), other = encoders({.noise = kNoise}, hexapod, 2);
+  Vector6<double> sum = Vector6<double>::Zero(), square = sum;
+  for (long long tick = 0; tick < kReadings; ++tick) {
+    sensors.observe(tick, home, Vector6<double>::Zero());
+    other.observe(tick, home, Vector6<double>::Zero());
+    REQUIRE_FALSE(sensors.failed());
+    const Vector6<double> noise = (sensors.lengths() - hexapod.home_lengths) / kNoise;
+    sum += noise;
+    square += noise.cwiseAbs2();
+    REQUIRE(distance(sensors.lengths(), other.lengths()) > 0.0);
+    // the pose belongs to the readings
+    REQUIRE(distance(legs_at(hexapod, sensors.pose()).lengths, sensors.lengths()) <= kKinematicsTolerance);
+  }
+  // five standard deviations
+  CHECK((sum / kReadings).cwiseAbs().maxCoeff() <= 5.0 * std::sqrt(1.0 / kReadings));
+  CHECK(distance(square / kReadings, Vector6<double>::Ones()) <= 5.0 * std::sqrt(2.0 / kReadings));
+  const Vector6<double> first = encoders({}, hexapod).lengths();
+  Encoders<double> again = encoders({.noise = kNoise}, hexapod);
+  again.observe(kReadings - 1, home, Vector6<double>::Zero());
+  CHECK(distance(again.lengths(), sensors.lengths()) == 0.0);
+  CHECK(first.norm() == 0.0);
+}
+
+TEST_CASE("between readings everything holds, and differences are taken over the period") {
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  constexpr long long kPeriod = 5;
+  Encoders<double> sensors = encoders({.period = kPeriod}, hexapod);
+  Motion read;
+  Vector6<double> lengths = Vector6<double>::Zero(), twist = lengths;
+  for (long long tick = 0; tick < 40; ++tick) {
+    const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
+    sensors.observe(tick, truth.pose, truth.twist);
+    if (tick % kPeriod == 0) {
+      const Vector6<double> now = legs_at(hexapod, truth.pose).lengths;
+      const Vector6<double> rates = (now - lengths) / (kPeriod * kTick);
+      read = truth;
+      if (tick > 0) CHECK(distance(legs_at(hexapod, truth.pose).rates(sensors.twist()), rates) <= 1e-11);
+      lengths = now;
+      twist = sensors.twist();
+    }
+    CHECK(pose_distance(sensors.pose(), read.pose) <= 1e-12);
+    CHECK(distance(sensors.twist(), twist) == 0.0);
+  }
+}
+
+TEST_CASE("a pack of encoders reads as single ones do, and a lane without a pose harms no other") {
+  constexpr int kWidth = 4;
+  using S = Lanes<kWidth>;
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  Hexapod<S> hexapods;
+  EncoderParameters<S> parameters;
+  SeedHalves<S> seeds;
+  Pose<S> start;
+  std::vector<Encoders<double>> singles;
+  for (int lane = 0; lane < kWidth; ++lane) {
+    const EncoderParameters<double> single{.resolution = lane == 1 ? 1e-6 : 0.0, .noise = 1e-6 * lane, .period = 2};
+    set_lane(hexapods, lane, hexapod);
+    set_lane(parameters, lane, single);
+    set_lane(seeds, lane, seed_halves(static_cast<std::uint64_t>(lane)));
+    set_lane(start.position, lane, hexapod.home_position);
+    set_lane(start.quaternion, lane, Pose<double>{}.quaternion);
+    singles.push_back(encoders(single, hexapod, static_cast<std::uint64_t>(lane)));
+  }
+  Encoders<S> pack(parameters, hexapods, seeds, kTick, start);
+  for (long long tick = 0; tick < 50; ++tick) {
+    Pose<S> pose;
+    Vector6<S> twist;
+    for (int lane = 0; lane < kWidth; ++lane) {
+      Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick + 0.1 * lane);
+      if (lane == 3 && tick == 20) truth.pose.position(1) = kNaN;
+      set_lane(pose.position, lane, truth.pose.position);
+      set_lane(pose.quaternion, lane, truth.pose.quaternion);
+      set_lane(twist, lane, truth.twist);
+      singles[static_cast<std::size_t>(lane)].observe(tick, truth.pose, truth.twist);
+    }
+    const long long before = allocations;
+    pack.observe(tick, pose, twist);
+    CHECK(allocations == before);
+    for (int lane = 0; lane < kWidth; ++lane) {
+      CAPTURE(lane);
+      const Encoders<double>& single = singles[static_cast<std::size_t>(lane)];
+      CHECK(pack.failed()[lane] == single.failed());
+      CHECK(pack.failed()[lane] == (lane == 3 && (tick == 20 || tick == 21)));
+      CHECK(distance(lane_of(pack.pose().position, lane), single.pose().position) <= 1e-15);
+      if (lane == 3 && tick >= 20 && tick <= 23) continue;  // no numbers, until two good readings have a difference
+      CHECK(distance(lane_of(pack.lengths(), lane), single.lengths()) <= kEpsilon);
+      CHECK(distance(lane_of(pack.twist(), lane), single.twist()) <= 1e-12);
+    }
+  }
+}
