@@ -107,7 +107,7 @@ int main(int argc, char** argv) {
     slowest = std::max(slowest, Clock::now() - before);
     robot.push(output.leg_forces, gains.period);
 
-    invalid += output.invalid_input ? 1 : 0;
+    invalid += output.invalid_input() ? 1 : 0;
     if (robot.error(gains.task.desired_features) > 2.0) settled_at = static_cast<double>(tick + 1) * gains.period;
     deadline += period;  // an absolute clock: a late tick does not move the later ones
     if (Clock::now() > deadline) ++missed;

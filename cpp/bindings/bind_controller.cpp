@@ -2,6 +2,8 @@
 
 #include "hexservo/controller.hpp"
 
+#include <pybind11/native_enum.h>
+
 #include <utility>
 #include <variant>
 
@@ -48,17 +50,25 @@ struct Controller {
 };
 
 py::tuple step_once(Controller& controller, const py::object& features, const py::object& depth,
-                    const py::object& position, const py::object& quaternion, const py::object& twist) {
+                    const py::object& position, const py::object& quaternion, const py::object& twist,
+                    double image_age) {
   const ControllerInput input{{numbers<2 * kPoints>("features", features), numbers<kPoints>("depth", depth)},
                               {numbers<3>("position", position), numbers<4>("quaternion", quaternion)},
-                              numbers<6>("twist", twist)};
+                              numbers<6>("twist", twist),
+                              image_age};
   const ControllerOutput out = controller.visit([&](auto& c) { return step(c.gains, c.state, input); });
-  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.invalid_input);
+  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.status);
 }
 
 }  // namespace
 
 void bind_controller(py::module_& m) {
+  py::native_enum<InputStatus>(m, "InputStatus", "enum.Enum")
+      .value("valid", InputStatus::valid)
+      .value("missing_image", InputStatus::missing_image)
+      .value("stale_image", InputStatus::stale_image)
+      .value("unusable", InputStatus::unusable)
+      .finalize();
   constexpr auto text = "ValueError('key: expected ..., got ...') for a bad scenario or period [s].";
   py::class_<Controller> controller(m, "Controller", "The servo tick of a law, with its state.");
   Laws::for_each([&]<class Law>(std::type_identity<Law>) {
@@ -66,8 +76,8 @@ void bind_controller(py::module_& m) {
   });
   controller
       .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
-           py::arg("twist"),
-           "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), whether the input was invalid.")
+           py::arg("twist"), py::arg("image_age") = 0.0,
+           "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input.")
       .def(
           "reset", [](Controller& controller) { controller.visit([](auto& c) { c.state = initial_state(c.gains); }); },
           "Back to the state before the first tick.")

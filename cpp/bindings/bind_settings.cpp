@@ -167,6 +167,7 @@ void bind_settings(py::module_& m) {
       .def_readwrite("period", &CameraSampling::period, "between two exposures [s]")
       .def_readwrite("latency", &CameraSampling::latency, "from exposure to first use [s]")
       .def_readwrite("latency_jitter", &CameraSampling::latency_jitter, "most that it is longer [s]")
+      .def_readwrite("timeout", &CameraSampling::timeout, "oldest image that is used [s]; infinite: any")
       .def_readwrite("faults", &CameraSampling::faults);
 
   py::class_<Switching<double>>(m, "Switching", "Stand-in for sgn in (15) of the paper.")

@@ -15,6 +15,12 @@ bool usable(const ControllerInput& input, const ControlTask<double>& task) noexc
          (squared_length > 0.0) & is_finite(squared_length) & (input.twist.array().abs() <= kMaxTwist).all();
 }
 
+/// What is wrong with an input that cannot be used.
+InputStatus why(const ControllerInput& input, bool fresh) noexcept {
+  if (input.image.features.array().isNaN().all()) return InputStatus::missing_image;
+  return fresh ? InputStatus::unusable : InputStatus::stale_image;
+}
+
 /// Leg forces that give a wrench at a pose [N].
 Vector6<double> forces_at(const Hexapod<double>& hexapod, const Pose<double>& pose,
                           const Vector6<double>& wrench) noexcept {
@@ -27,11 +33,21 @@ Vector6<double> forces_at(const Hexapod<double>& hexapod, const Pose<double>& po
 template <class Law>
 ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period) {
   detail::require_positive("period", period);
-  const LoopParameters<double, Law> p = loop_parameters(settings);
+  Settings<Law> ticking = settings;  // on the tick's own grid, and without what belongs to the plant
+  ticking.simulation = {LoopMode::sampled, period, 1, period, 1};
+  ticking.sampling = {period};
+  ticking.sensors = {};
+  ticking.actuators = {};
+  ticking.base_motion = {};
+  const LoopParameters<double, Law> p = loop_parameters(ticking);
   if constexpr (requires { p.gains.fuzzy; })
     require_resolved(p.gains.fuzzy, detail::words("controller.", Law::name, ".fuzzy."), period);
-  return {p.hexapod, control_task(p), typename Law::template Constants<double>(p.gains), Law::initial_state(p.gains),
-          period};
+  return {p.hexapod,
+          control_task(p),
+          typename Law::template Constants<double>(p.gains),
+          Law::initial_state(p.gains),
+          period,
+          settings.sampling.timeout};
 }
 
 template <int alignment>
@@ -52,15 +68,16 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
   const Vector6<double> leg_forces = solver.leg_forces(law.wrench);
   // Forces that are finite come of a wrench that is.
   const bool valid = usable(input, gains.task) & !solver.failed() & is_finite(leg_forces);
+  const bool fresh = input.image_age <= gains.image_timeout;  // not where it is NaN
 
-  if (!valid) {
+  if (!(valid & fresh)) {
     const Vector6<double>& wrench = gains.task.gravity_wrench;
-    return {wrench, forces_at(gains.hexapod, state.last_pose, wrench), Vector6<double>::Zero(), true};
+    return {wrench, forces_at(gains.hexapod, state.last_pose, wrench), Vector6<double>::Zero(), why(input, fresh)};
   }
   Law::advance(gains.law, state.law, std::array<const typename Law::template Rate<double>*, 1>{&law.rate},
                std::array{gains.period}, true);
   state.last_pose = input.pose;
-  return {law.wrench, leg_forces, law.fuzzy_output, false};
+  return {law.wrench, leg_forces, law.fuzzy_output, InputStatus::valid};
 }
 
 #define HEXSERVO_HERE(Law)                                                      \

@@ -97,6 +97,7 @@ Keys<Law> scene_keys() {
       {"camera.period", {1}, Reach::pack, [](S& s, V v) { s.sampling.period = v[0]; }},
       {"camera.latency", {1}, Reach::pack, [](S& s, V v) { s.sampling.latency = v[0]; }},
       {"camera.latency_jitter", {1}, Reach::pack, [](S& s, V v) { s.sampling.latency_jitter = v[0]; }},
+      {"camera.timeout", {1}, Reach::lane, [](S& s, V v) { s.sampling.timeout = v[0]; }},
       {"camera.noise", {1}, Reach::lane, [](S& s, V v) { s.sampling.faults.noise = v[0]; }},
       {"camera.quantisation", {1}, Reach::lane, [](S& s, V v) { s.sampling.faults.quantisation = v[0]; }},
       {"camera.dropout", {1}, Reach::lane, [](S& s, V v) { s.sampling.faults.dropout = v[0]; }},

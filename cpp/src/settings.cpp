@@ -89,6 +89,14 @@ FrameSettings<double> frame_settings(const CameraSampling& sampling, double peri
   frames.period = ticks("camera.period", sampling.period, period, 1);
   frames.latency = ticks("camera.latency", sampling.latency, period, 0);
   frames.jitter = ticks("camera.latency_jitter", sampling.latency_jitter, period, 0);
+  if (!(sampling.timeout >= sampling.period + sampling.latency + sampling.latency_jitter))  // infinite: never too old
+    refuse("camera.timeout",
+           words("at least period, latency and latency_jitter together, ",
+                 sampling.period + sampling.latency + sampling.latency_jitter, " s"),
+           words(sampling.timeout));
+  frames.timeout = std::isfinite(sampling.timeout)
+                       ? static_cast<double>(ticks("camera.timeout", sampling.timeout, period, 1))
+                       : sampling.timeout;
   for (const auto& [key, value] :
        {std::pair{"camera.noise", frames.noise}, std::pair{"camera.quantisation", frames.quantisation},
         std::pair{"camera.outlier_size", frames.outlier_size}})

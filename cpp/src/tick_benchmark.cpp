@@ -138,7 +138,7 @@ class Replay {
   /// What is not timed.
   void check() noexcept {
     sum_ += output_.wrench + output_.leg_forces;
-    times_.invalid += output_.invalid_input;
+    times_.invalid += output_.invalid_input();
     if (++next_ < recording_.inputs.size()) return;
     if (!expected_) expected_ = sum_;
     times_.reproduced = times_.reproduced && sum_ == *expected_;

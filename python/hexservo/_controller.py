@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,8 @@ from hexservo._parameters import core_parameters
 from hexservo._scenario import Scenario
 
 __all__ = ["Controller", "ControllerOutput"]
+
+InputStatus: TypeAlias = Literal["valid", "missing_image", "stale_image", "unusable"]
 
 
 class ControllerOutput(NamedTuple):
@@ -25,6 +27,9 @@ class ControllerOutput(NamedTuple):
     """(6,), output of the fuzzy systems, already subtracted in `wrench` [N; N m]."""
     invalid_input: bool
     """The input could not be used: the wrench only holds the platform, and the controller's state is unchanged."""
+    status: InputStatus
+    """``valid``, or why not: ``missing_image`` (no feature is known), ``stale_image`` (older than the scenario's
+    ``camera.timeout``, or of unknown age), ``unusable``."""
 
 
 class Controller:
@@ -83,7 +88,13 @@ class Controller:
         self._core.reset()
 
     def step(
-        self, features: ArrayLike, depth: ArrayLike, position: ArrayLike, quaternion: ArrayLike, twist: ArrayLike
+        self,
+        features: ArrayLike,
+        depth: ArrayLike,
+        position: ArrayLike,
+        quaternion: ArrayLike,
+        twist: ArrayLike,
+        image_age: float = 0.0,
     ) -> ControllerOutput:
         """Take one tick: (13), (14), (15), leg forces, and the adaptation (22) over one period.
 
@@ -103,10 +114,13 @@ class Controller:
             (4,), attitude of E in B, (w, x, y, z) of any length but zero.
         twist
             (6,), velocity of E's origin and angular velocity, in B [m/s; rad/s].
+        image_age
+            Time since the image was exposed [s]; beyond ``camera.timeout`` of the scenario the image is not used.
 
         Raises
         ------
         ValueError
             "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers.
         """
-        return ControllerOutput(*self._core.step(features, depth, position, quaternion, twist))
+        *vectors, status = self._core.step(features, depth, position, quaternion, twist, image_age)
+        return ControllerOutput(*vectors, status != _core.InputStatus.valid, cast("InputStatus", status.name))

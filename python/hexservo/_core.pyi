@@ -20,6 +20,13 @@ class BatchLog(enum.Enum):
     last_sample = 1
     trajectory = 2
 
+class InputStatus(enum.Enum):
+    __pybind11_native_enum__: object
+    valid = 0
+    missing_image = 1
+    stale_image = 2
+    unusable = 3
+
 class StopCause(enum.Enum):
     __pybind11_native_enum__: object
     none = 0
@@ -108,6 +115,7 @@ class CameraSampling(metaclass=_PybindType):
     period: float
     latency: float
     latency_jitter: float
+    timeout: float
     faults: FrameSettings
 
 class PoseSource(enum.Enum):
@@ -552,8 +560,14 @@ class Controller(metaclass=_PybindType):
 
     def __init__(self, settings: HybridSettings | CompositeSettings, period: float) -> None: ...
     def step(
-        self, features: object, depth: object, position: object, quaternion: object, twist: object
-    ) -> tuple[_Array, _Array, _Array, bool]: ...
+        self,
+        features: object,
+        depth: object,
+        position: object,
+        quaternion: object,
+        twist: object,
+        image_age: float = 0.0,
+    ) -> tuple[_Array, _Array, _Array, InputStatus]: ...
     def reset(self) -> None: ...
     @property
     def period(self) -> float: ...

@@ -97,6 +97,8 @@ def _sampling(scenario: Scenario) -> _core.CameraSampling:
     camera = scenario.camera
     sampling = _core.CameraSampling()
     sampling.period, sampling.latency, sampling.latency_jitter = camera.period, camera.latency, camera.latency_jitter
+    if camera.timeout is not None:  # none is the core's default
+        sampling.timeout = camera.timeout
     faults = sampling.faults
     for key in ("noise", "quantisation", "dropout", "outlier_probability", "outlier_size"):
         setattr(faults, key, getattr(camera, key))

@@ -581,6 +581,8 @@ class Camera(_Block):
     period: _PositiveNumber = Field(default_factory=lambda: _core.CameraSampling().period)  # [s], between exposures
     latency: _NumberNotNegative = 0.0  # [s], from an exposure to its first use
     latency_jitter: _NumberNotNegative = 0.0  # [s], most that the latency of a frame is longer
+    # [s], since its exposure: an older image is not used, and the wrench holds the platform; null: any is used
+    timeout: Annotated[float | None, _OptionalNumber(above=0)] = None
     noise: _NumberNotNegative = 0.0  # [px], standard deviation of each coordinate
     quantisation: _NumberNotNegative = 0.0  # [px], coordinates are multiples of it; 0: of nothing
     dropout: Annotated[float, _PROBABILITY] = 0.0  # probability that a frame never arrives

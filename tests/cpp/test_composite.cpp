@@ -468,7 +468,7 @@ TEST_CASE("a tick of `composite` is the law at its input, and allocates nothing,
     s.input = {input.image, rotation_of(input.pose.quaternion), input.twist, input.pose};
     const Composite::Evaluation<double> law = s.evaluate();
     const ControllerOutput out = step(gains, state, input);
-    REQUIRE_FALSE(out.invalid_input);
+    REQUIRE_FALSE(out.invalid_input());
     CHECK(relative_distance(out.wrench, law.wrench) <= 1e-11);
     for (std::size_t row = 0; row < 7; ++row)
       for (std::size_t column = 0; column < 7; ++column) {
@@ -483,7 +483,7 @@ TEST_CASE("a tick of `composite` is the law at its input, and allocates nothing,
   const long long before = allocations;
   int invalid = 0;
   for (int round = 0; round < 1000; ++round)
-    for (const ControllerInput& input : inputs) invalid += step(gains, state, input).invalid_input ? 1 : 0;
+    for (const ControllerInput& input : inputs) invalid += step(gains, state, input).invalid_input() ? 1 : 0;
   CHECK(allocations == before);
   CHECK(invalid == 2000);
 }
@@ -494,14 +494,14 @@ TEST_CASE("NaN in any entry gives the safe output of `composite`, and changes no
   Random random(8815);
   CAPTURE(random.seed());
   const ControllerInput good = random_input(random);
-  REQUIRE_FALSE(step(gains, state, good).invalid_input);
+  REQUIRE_FALSE(step(gains, state, good).invalid_input());
   const auto require_safe = [&](const std::function<double&(ControllerInput&)>& entry) {
     for (const double value : {kNaN, kInfinity, -kInfinity}) {
       ControllerInput bad = good;
       entry(bad) = value;
       ControllerState<Composite> after = state;
       const ControllerOutput out = step(gains, after, bad);
-      REQUIRE(out.invalid_input);
+      REQUIRE(out.invalid_input());
       REQUIRE(out.wrench == gravity_wrench(RigidBody<double>{}));
       REQUIRE(out.fuzzy_output.isZero(0.0));
       REQUIRE(is_finite(out.leg_forces));

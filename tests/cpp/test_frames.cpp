@@ -28,7 +28,7 @@ std::vector<double> seen(const FrameSettings<double>& settings, int ticks, std::
     frames.expose(k, image_of(k), {}, Matrix3<double>::Identity());
     frames.deliver(k);
     newest.push_back(frames.newest());
-    if (frames.ready())
+    if (frames.ready(k))
       CHECK(frames.image({}, Matrix3<double>::Identity()).features(0) == frames.newest());
     else
       CHECK(frames.newest() == -1.0);
@@ -71,6 +71,18 @@ TEST_CASE("jitter delays each frame by a whole number of ticks, and an older fra
     }
   }
   CHECK(delays == std::set<long long>{3, 4, 5, 6, 7, 8});
+}
+
+TEST_CASE("an image that is too old is none, until the next one comes") {
+  FrameSettings<double> settings = timing(10, 2);
+  settings.timeout = 7.0;
+  Frames<double> frames(settings, kFocal, {}, image_of(0));
+  for (int k = 0; k < 60; ++k) {
+    frames.expose(k, image_of(k), {}, Matrix3<double>::Identity());
+    frames.deliver(k);
+    const int age = k < 2 ? 1000 : (k - 2) % 10 + 2;  // of the newest image
+    REQUIRE(frames.ready(k) == (age <= 7));
+  }
 }
 
 TEST_CASE("a share of the frames never arrives") {
@@ -169,7 +181,7 @@ TEST_CASE("a feature outside of the image is lost: held, predicted, and told") {
     image.depth.setConstant(-0.5);
     frames.expose(0, image, {}, level);
     frames.deliver(0);
-    CHECK(frames.ready());
+    CHECK(frames.ready(0));
     CHECK_FALSE(frames.lost());
     // The platform moves 10 mm along x: every feature goes by -f 0.01/0.5 px, and the image shows point 2 beyond its
     // edge.
@@ -177,7 +189,7 @@ TEST_CASE("a feature outside of the image is lost: held, predicted, and told") {
     const Pose<double> moved{Vector3<double>(0.01, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}};
     frames.expose(1, image, moved, level);
     frames.deliver(1);
-    CHECK(frames.ready());
+    CHECK(frames.ready(0));
     CHECK(frames.lost());
     const Image<double> seen = frames.image(moved, level);
     CHECK(seen.features(0) == 10.0);
@@ -198,10 +210,10 @@ TEST_CASE("a point that was never seen leaves the law without an image") {
   Image<double> image = image_of(0);  // the last point is at (60, 70) px
   frames.expose(0, image, {}, Matrix3<double>::Identity());
   frames.deliver(0);
-  CHECK_FALSE(frames.ready());
+  CHECK_FALSE(frames.ready(0));
   image.features(6) = 50.0;
   image.features(7) = -50.0;  // on the edge
   frames.expose(1, image, {}, Matrix3<double>::Identity());
   frames.deliver(1);
-  CHECK(frames.ready());
+  CHECK(frames.ready(0));
 }

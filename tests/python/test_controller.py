@@ -113,6 +113,29 @@ def test_what_is_no_measurement_gives_safe_output(
         assert controller.step(**given).invalid_input is False
 
 
+def test_the_status_says_why_an_input_was_not_used(paper: hs.Scenario) -> None:
+    controller = hs.Controller(paper.updated({"camera.timeout": 0.05}))
+    given = good_input(paper)
+    weights = controller.fuzzy_weights
+    missing = {**given, "features": np.full(8, np.nan), "depth": np.full(4, np.nan)}
+    for bad, age, status in (
+        (missing, 0.0, "missing_image"),
+        (missing, 1.0, "missing_image"),
+        (given, 0.0501, "stale_image"),
+        (given, np.nan, "stale_image"),
+        (given, np.inf, "stale_image"),
+        ({**given, "twist": np.full(6, np.nan)}, 0.0, "unusable"),
+    ):
+        out = controller.step(**bad, image_age=age)
+        assert (out.invalid_input, out.status) == (True, status)
+        np.testing.assert_array_equal(out.wrench, GRAVITY)
+        assert np.isfinite(out.leg_forces).all()
+    np.testing.assert_array_equal(controller.fuzzy_weights, weights)
+    out = controller.step(**given, image_age=0.05)
+    assert (out.invalid_input, out.status) == (False, "valid")
+    assert hs.Controller(paper).step(**given, image_age=1e9).status == "valid"  # no timeout: any image
+
+
 def test_a_loop_in_python_settles(paper: hs.Scenario) -> None:
     """The tick drives the platform of the core through its legs, and the features reach their goal."""
     scenario = paper.updated({"controller.switching.kind": "tanh", "controller.switching.width": 0.02})

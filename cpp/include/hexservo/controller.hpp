@@ -18,7 +18,8 @@ struct ControllerGains {
   ControlTask<double> task;
   typename Law::template Constants<double> law;
   typename Law::template State<double> initial_law_state;
-  double period;  ///< T_c, time between two ticks [s]
+  double period;         ///< T_c, time between two ticks [s]
+  double image_timeout;  ///< oldest image that is used [s]; infinite: any
 };
 
 /// What changes from tick to tick: the law's weights, and the last pose at which the legs could be solved.
@@ -31,14 +32,24 @@ struct ControllerState {
 /// What the sensors give at a tick; a number that is not known is NaN.
 using ControllerInput = Measurement<double>;
 
+/// Whether an input could be used, and if not, why; the first that applies.
+enum class InputStatus {
+  valid,
+  missing_image,  ///< no feature is known: all are NaN
+  stale_image,    ///< the image is older than `ControllerGains::image_timeout`, or of unknown age
+  unusable        ///< a number is not finite or beyond its limit, or what follows from the input is
+};
+
 /// What a tick gives back.
 struct ControllerOutput {
   Vector6<double> wrench;        ///< tau, about E's origin, in B [N; N m]
   Vector6<double> leg_forces;    ///< f_c with H f_c = tau, positive where they push [N]
   Vector6<double> fuzzy_output;  ///< tau_f [N; N m]
-  /// The input, or what follows from it, was not usable: the wrench is G, the leg forces give it at the last valid
-  /// pose, the fuzzy output is zero and the state is unchanged.
-  bool invalid_input;
+  /// Unless it is `valid`, the wrench is G, the leg forces give it at the last valid pose, the fuzzy output is zero and
+  /// the state is unchanged.
+  InputStatus status;
+
+  bool invalid_input() const noexcept { return status != InputStatus::valid; }
 };
 
 /// Prepares the controller of a scenario: estimates only, no plant (the errors in `settings.uncertainty` do not enter).
@@ -63,7 +74,7 @@ ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
 ///
 /// Inputs that are not finite, features or twist beyond the limits at which a run counts as diverged
 /// (`kMaxFeatureError`, `kMaxTwist`), a quaternion without a length, a point that is not in front of the camera, a
-/// singular pose, or forces that overflow make the output safe: see `ControllerOutput::invalid_input`.
+/// singular pose, or forces that overflow make the output safe: see `ControllerOutput::status`.
 template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept;

@@ -38,6 +38,7 @@ struct FrameSettings {
   long long jitter = 0;   ///< most that the latency of a frame is longer, each of 0 ... jitter being as likely [ticks]
   Prediction prediction = Prediction::none;
   LostFeature on_lost = LostFeature::hold;
+  S timeout = S(std::numeric_limits<double>::infinity());  ///< oldest image that is used, by its exposure [ticks]
   S noise{0.0};                ///< standard deviation of each coordinate, independent of the others [px], 0
   S quantisation{0.0};         ///< coordinates are multiples of it [px], 0: of nothing
   S dropout{0.0};              ///< probability that a frame never arrives [1], 0
@@ -52,6 +53,7 @@ struct FrameSettings {
     f(a.jitter, b.jitter);
     f(a.prediction, b.prediction);
     f(a.on_lost, b.on_lost);
+    f(a.timeout, b.timeout);
     f(a.noise, b.noise);
     f(a.quantisation, b.quantisation);
     f(a.dropout, b.dropout);
@@ -120,8 +122,10 @@ class Frames {
     }
   }
 
-  /// Lanes whose law has seen every point at least once.
-  Mask<S> ready() const noexcept { return !any_of(never_); }
+  /// Lanes whose law has seen every point at least once, and has an image that is not too old.
+  Mask<S> ready(long long tick) const noexcept {
+    return !any_of(never_) & (S(static_cast<double>(tick)) - newest_ <= settings_.timeout);
+  }
   /// Lanes whose newest frame does not show every point.
   Mask<S> lost() const noexcept { return any_of(lost_); }
   /// Tick of exposure of the newest frame; -1 before the first.

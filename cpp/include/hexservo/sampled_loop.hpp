@@ -23,7 +23,7 @@ class SampledPlant {
     Matrix3<S> R_BE;    ///< attitude of `pose`
     Vector6<S> twist;   ///< from the joint sensors, in B [m/s; rad/s]
     S newest;           ///< tick at which the newest frame was exposed; -1 before the first
-    Mask<S> ready;      ///< every point was seen at least once; without it the image has no meaning
+    Mask<S> ready;      ///< every point was seen, and the image is not too old; otherwise it has no meaning
   };
 
   template <class Law>
@@ -149,7 +149,7 @@ class SampledPlant {
     frames_.deliver(ticks_);
     seen_.image = frames_.image(seen_.pose, seen_.R_BE);
     seen_.newest = frames_.newest();
-    seen_.ready = frames_.ready();
+    seen_.ready = frames_.ready(ticks_);
     if (stops_where_lost_) record_.stop(StopCause::feature_lost, frames_.lost());
   }
 

@@ -29,10 +29,11 @@ struct Uncertainty {
 
 /// The camera in `sampled` mode; every time is a whole number of servo periods.
 struct CameraSampling {
-  double period = 1e-3;          ///< between two exposures [s], 1e-3
-  double latency = 0.0;          ///< from exposure to first use [s], 0
-  double latency_jitter = 0.0;   ///< most that the latency of a frame is longer [s], 0
-  FrameSettings<double> faults;  ///< everything but its times, which follow from those above
+  double period = 1e-3;                                      ///< between two exposures [s], 1e-3
+  double latency = 0.0;                                      ///< from exposure to first use [s], 0
+  double latency_jitter = 0.0;                               ///< most that the latency of a frame is longer [s], 0
+  double timeout = std::numeric_limits<double>::infinity();  ///< oldest image that is used, by its exposure [s]
+  FrameSettings<double> faults{};  ///< everything but its times, which follow from those above
 };
 
 /// How the controller knows pose and twist in `sampled` mode.
