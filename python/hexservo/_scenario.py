@@ -258,6 +258,18 @@ class _OptionalNumber(_Number):
 
 
 @dataclass(frozen=True)
+class _SamplePeriod(_Rule):
+    """A number or null; it belongs to a recording, which the scenarios of a batch share."""
+
+    @property
+    def expected(self) -> str:
+        return _OptionalNumber(above=0).expected
+
+    def accept(self, value: Any) -> float | None:
+        return _OptionalNumber(above=0).accept(value)
+
+
+@dataclass(frozen=True)
 class _Samples(_Rule):
     """Rows of three numbers, or null: what was recorded, and no single number that may vary in a batch."""
 
@@ -639,7 +651,7 @@ class BaseMotion(_Block):
     high_frequency: _PositiveNumber = Field(default_factory=lambda: _core.BaseMotionParameters().high_frequency)
     file: Annotated[str | None, _File()] = None  # CSV to read, relative to the scenario's file
     samples: Annotated[Matrix | None, _Samples()] = None  # (n, 3) [m/s^2], recorded, in B
-    sample_period: Annotated[float | None, _OptionalNumber(above=0)] = None  # [s], of the samples, from t = 0
+    sample_period: Annotated[float | None, _SamplePeriod()] = None  # [s], of the samples, from t = 0
 
     @model_validator(mode="before")
     @classmethod

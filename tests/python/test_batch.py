@@ -55,14 +55,28 @@ SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
     "camera.outlier_probability": [0.2, 0.5, 0.0],
     "camera.outlier_size": [1.0, 2.0, 0.0],
     "camera.image_size": [[120.0, 140.0], [90.0, 140.0], [120.0, 500.0]],
+    "sensors.resolution": [1e-6, 1e-5, 0.0],
+    "sensors.noise": [1e-6, 2e-6, 0.0],
+    "sensors.period": [0.002, 0.001, 0.005],
+    "actuators.bandwidth": [50.0, 100.0, 20.0],
+    "actuators.quantisation": [1e-4, 1e-3, 0.0],
+    "actuators.delay": [0.001, 0.0, 0.002],
+    "base_motion.amplitude": [[0.1, 0.0, 0.0], [0.0, 0.2, 0.1], [0.0, 0.0, 0.0]],
+    "base_motion.frequency": [3.0, 10.0, 0.0],
+    "base_motion.phase": [0.5, 1.0, -1.0],
+    "base_motion.level": [1e-3, 2e-3, 0.0],
+    "base_motion.low_frequency": [1.0, 2.0, 0.0],
+    "base_motion.high_frequency": [10.0, 20.0, 30.0],
     "simulation.substeps": [1.0, 2.0, 3.0],
 }
+NOISE_OF_THE_BASE = ("base_motion.level", "base_motion.low_frequency", "base_motion.high_frequency")
 
 
 @pytest.fixture(scope="module")
 def sampled(smooth: hs.Scenario) -> hs.Scenario:
-    """A camera with every fault."""
+    """A camera, encoders and actuators with every fault, on a base that moves."""
     first = {key: rows[0] for key, rows in SAMPLED_ROWS.items()}
+    first |= {"sensors.pose": "encoders", "base_motion.kind": "sinusoid"}
     return smooth.updated({**first, "seed": 0, "simulation.substeps": 1, "simulation.mode": "sampled"})
 
 
@@ -99,6 +113,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
         rows = np.stack([base * step for step in steps])
         if key in SAMPLED_ROWS:
             rows = np.array(SAMPLED_ROWS[key])
+            rows = np.broadcast_to(rows.reshape(3, *[-1] * len(shape)), (3, *shape)).copy()
         elif key.endswith((".leakage", ".dead_zone")):
             rows[1], rows[2] = 0.01, 0.02
         elif not rows.any():  # relative errors and initial scales that are zero
@@ -116,6 +131,8 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         base = smooth.updated(
             {"target": {"initial_features": None, "depth": None, "points": rows_of(smooth, key)[0][0]}}
         )
+    if key in NOISE_OF_THE_BASE:
+        base = base.updated({"base_motion.kind": "noise"})
     if key.endswith((".fuzzy.table", ".fuzzy.initial_scale", ".fuzzy.leakage")):
         base = base.updated({f"controller.{law}.fuzzy.initial_scale": 1e-4})
     for rows in rows_of(base, key):

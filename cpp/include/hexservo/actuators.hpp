@@ -1,6 +1,6 @@
 /// @file
 /// Actuators of the sampled loop: from the wrench that the law commands at a tick to what acts on the platform until
-/// the next one.
+/// the next one (docs/model.md, section 7).
 ///
 ///     f = H^-1 tau          leg forces, H as the controller knows it
 ///     f <- nearest multiple of the quantisation, then clip(f, -limit, limit)

@@ -1,5 +1,6 @@
 /// @file
-/// Motion of the base, as of a vehicle: linear acceleration of the frame B, of which the controller knows nothing.
+/// Motion of the base, as of a vehicle: linear acceleration of the frame B, of which the controller knows nothing
+/// (docs/model.md, section 7).
 ///
 /// B stays the frame of all quantities; it is then no longer inertial, and the inertial force -(1 - delta_D) m a acts
 /// on the platform's actual mass. A function of time alone, so that every Runge-Kutta stage and every step sees the

@@ -1,5 +1,6 @@
 /// @file
-/// Leg length encoders of the sampled loop: what the controller knows of the pose and the twist.
+/// Leg length encoders of the sampled loop: what the controller knows of the pose and the twist (docs/model.md,
+/// section 7).
 ///
 /// Every `period` ticks the six lengths are read, with noise and resolution; forward kinematics, started at the pose
 /// before, gives the pose, and the leg rates give the twist: H^T chi-dot = l-dot with H at that pose. Both hold until

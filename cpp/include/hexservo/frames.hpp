@@ -7,6 +7,7 @@
 #pragma once
 
 #include "hexservo/camera.hpp"
+#include "hexservo/elementary.hpp"
 #include "hexservo/random.hpp"
 #include "hexservo/rigid_body.hpp"
 
@@ -174,11 +175,7 @@ class Frames {
                              S(features(k) + settings_.outlier_size * far(k)), features(k));
     }
     if (any(settings_.quantisation > S(0.0)))
-      for (int k = 0; k < 2 * N; ++k) {
-        using std::round;
-        const S rounded = settings_.quantisation * round(S(features(k) / settings_.quantisation));
-        features(k) = select(settings_.quantisation > S(0.0), rounded, features(k));
-      }
+      for (int k = 0; k < 2 * N; ++k) features(k) = quantise(features(k), settings_.quantisation);
   }
 
   void take(const Frame& frame, const Mask<S>& due) noexcept {

@@ -210,11 +210,6 @@ template <int W>
 Lanes<W> floor(Lanes<W> x) {
   return detail::map_lanes(x, [](double v) { return std::floor(v); });
 }
-/// To the nearest whole number, halves away from zero.
-template <int W>
-Lanes<W> round(Lanes<W> x) {
-  return detail::map_lanes(x, [](double v) { return std::round(v); });
-}
 template <int W>
 Lanes<W> abs(Lanes<W> x) {
   constexpr std::int64_t kAllButTheSign = std::numeric_limits<std::int64_t>::max();

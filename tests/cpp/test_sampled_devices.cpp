@@ -1,0 +1,325 @@
+// Sensors, actuators and base of the sampled loop, each where it acts.
+#include "hexservo/settings.hpp"
+#include "hexservo/simulation.hpp"
+
+#include "compare.hpp"
+#include "random.hpp"
+#include "scenarios.hpp"
+
+#include <functional>
+#include <vector>
+
+using namespace hexservo;
+using namespace hexservo::test;
+
+namespace {
+
+constexpr double kTick = 1e-3;  // [s]
+constexpr double kTwoPi = 6.283185307179586;
+
+/// The paper's scenario without errors, sampled; ready to be changed.
+Settings<Hybrid> sampled() {
+  Settings<Hybrid> settings = nominal_settings();
+  settings.simulation.mode = LoopMode::sampled;
+  settings.switching.kind = SwitchingKind::implicit;
+  return settings;
+}
+
+/// A plant that a test drives, tick by tick.
+struct Driven {
+  explicit Driven(const Settings<Hybrid>& settings) : parameters(loop_parameters(settings)), plant(parameters) {}
+
+  /// @return whether it goes on
+  bool tick(const Vector6<double>& wrench) {
+    plant.command(wrench, Vector6<double>::Zero());
+    return plant.advance();
+  }
+  const Sample<double>& sample() const { return plant.record().sample(); }
+  Vector6<double> weight() const { return gravity_wrench(parameters.body); }
+  Legs<double> legs() const {
+    return inverse_kinematics(parameters.hexapod, sample().position, rotation_matrix(sample().quaternion));
+  }
+
+  LoopParameters<double, Hybrid> parameters;
+  SampledPlant<double> plant;
+};
+
+SampledLoop<double, Hybrid> run(const LoopParameters<double, Hybrid>& parameters, double duration) {
+  SampledLoop<double, Hybrid> loop(parameters);
+  while (loop.time() < duration - 0.5 * kTick && loop.record().running()) loop.advance();
+  return loop;
+}
+
+}  // namespace
+
+TEST_CASE("a free platform answers a sinusoid of the base as x-ddot = -a, whatever its mass") {
+  for (const double mass_error : {0.0, 0.3}) {
+    for (const long long substeps : {1, 4}) {
+      CAPTURE(mass_error);
+      CAPTURE(substeps);
+      Settings<Hybrid> settings = sampled();
+      settings.uncertainty.dynamics.inertia.setConstant(mass_error);
+      settings.simulation.substeps = substeps;
+      auto& motion = settings.base_motion.motion;
+      motion.kind = BaseMotionKind::sinusoid;
+      motion.amplitude << 0.5, -0.2, 0.3;
+      motion.frequency = 3.0;
+      motion.phase = 0.4;
+      Driven driven(settings);
+      for (int tick = 0; tick < 400; ++tick) REQUIRE(driven.tick(driven.weight()));
+      driven.plant.command(driven.weight(), Vector6<double>::Zero());
+      const double t = driven.plant.time(), omega = kTwoPi * motion.frequency;
+      // twice the integral of -A sin(omega t + phase), from rest
+      const double speed = (std::cos(omega * t + motion.phase) - std::cos(motion.phase)) / omega;
+      const double way = (std::sin(omega * t + motion.phase) - std::sin(motion.phase)) / (omega * omega) -
+                         std::cos(motion.phase) * t / omega;
+      // Simpson's rule in each step: t/2880 A omega^4 h^4 = 1e-11 for the speed
+      CHECK(distance(driven.sample().twist.head<3>(), motion.amplitude * speed) <= 1e-10);
+      CHECK(distance(driven.sample().position, driven.parameters.hexapod.home_position + motion.amplitude * way) <=
+            1e-10);
+      CHECK(driven.sample().twist.tail<3>().norm() <= 1e-15);
+    }
+  }
+}
+
+TEST_CASE("a recorded base is the same for every step of the integration, and ends with its samples") {
+  Settings<Hybrid> settings = sampled();
+  settings.base_motion.motion.kind = BaseMotionKind::recorded;
+  settings.base_motion.samples =
+      std::make_shared<const std::vector<double>>(std::vector<double>{0.0, 0.1, -0.2, 0.3, 0.1, 0.2, -0.3, 0.0, 0.0});
+  settings.base_motion.sample_period = 0.05;
+  Driven driven(settings);
+  for (int tick = 0; tick < 150; ++tick) REQUIRE(driven.tick(driven.weight()));
+  driven.plant.command(driven.weight(), Vector6<double>::Zero());
+  // integrals of the straight lines: trapezoids; nothing moves the platform after 0.1 s
+  CHECK(distance(driven.sample().twist.head<3>(), -0.05 * Vector3<double>(0.15, 0.15, 0.1)) <= 1e-14);
+}
+
+TEST_CASE("leg forces that hold are those of a platform under constant leg forces") {
+  Settings<Hybrid> settings = sampled();
+  settings.actuators.actuators.hold = ActuatorHold::leg_forces;
+  Driven driven(settings), wrench_held(sampled());
+  const Vector6<double> forces = (Vector6<double>() << -0.13, -0.15, -0.12, -0.14, -0.135, -0.125).finished();
+  for (int tick = 0; tick < 100; ++tick) {
+    const auto& seen = driven.plant.observe();
+    const Legs<double> legs = inverse_kinematics(driven.parameters.hexapod, seen.pose.position, seen.R_BE);
+    REQUIRE(driven.tick(legs.wrench(forces)));
+    CHECK(distance(driven.sample().leg_forces, forces) <= 1e-14);
+    REQUIRE(wrench_held.tick(wrench_held.legs().wrench(forces)));
+  }
+  driven.plant.command(driven.weight(), Vector6<double>::Zero());
+  wrench_held.plant.command(driven.weight(), Vector6<double>::Zero());
+  const LoopParameters<double, Hybrid>& p = driven.parameters;
+  const BodyState<double> expected =
+      drive_legs(p.hexapod, p.body, p.dynamics_error, body_state<double>(home_pose(p.hexapod), Vector6<double>::Zero()),
+                 forces, kTick, 100);
+  CHECK(distance(driven.sample().position, position_of(expected)) <= 1e-13);
+  CHECK(distance(driven.sample().twist, twist_of(expected)) <= 1e-12);
+  CHECK(distance(wrench_held.sample().twist, twist_of(expected)) >= 1e-6);  // the wrench turns with the legs
+}
+
+TEST_CASE("a delay of some ticks shifts what acts; before that the platform is held at rest") {
+  Random random(7701);
+  CAPTURE(random.seed());
+  for (const int delay : {1, 3}) {
+    CAPTURE(delay);
+    Settings<Hybrid> settings = sampled();
+    settings.actuators.delay = delay * kTick;
+    Driven driven(settings);
+    std::vector<Vector6<double>> asked;
+    for (int tick = 0; tick < 30; ++tick) {
+      const auto& seen = driven.plant.observe();
+      const Legs<double> legs = inverse_kinematics(driven.parameters.hexapod, seen.pose.position, seen.R_BE);
+      const Vector6<double> wrench = driven.weight() + random.six(1e-2, 1e-3);
+      asked.push_back(WrenchMapSolver<double>(driven.parameters.hexapod, legs).leg_forces(wrench));
+      driven.plant.command(wrench, Vector6<double>::Zero());
+      if (tick >= delay)
+        CHECK(distance(driven.sample().leg_forces, asked[static_cast<std::size_t>(tick - delay)]) <= 1e-15);
+      else
+        CHECK(distance(driven.sample().wrench, driven.weight()) <= 1e-15);
+      CHECK(distance(driven.sample().wrench, legs.wrench(driven.sample().leg_forces)) <= 1e-15);
+      REQUIRE(driven.plant.advance());
+    }
+  }
+}
+
+TEST_CASE("saturated leg forces stay within the limit, and the weights wait") {
+  Settings<Hybrid> settings = sampled();
+  settings.actuators.actuators.saturation = true;
+  settings.robot.force_limit = 0.14;  // 0.1337 N hold the platform
+  const LoopParameters<double, Hybrid> tight = loop_parameters(settings);
+  const auto limited = run(tight, 1.0);
+  REQUIRE(limited.record().running());
+  CHECK(limited.record().metrics().metrics().peak_leg_force <= 0.14);
+  settings.actuators.actuators.saturation = false;
+  const LoopParameters<double, Hybrid> open = loop_parameters(settings);
+  const auto unlimited = run(open, 1.0);
+  CHECK(unlimited.record().metrics().metrics().peak_leg_force > 0.15);
+
+  settings.actuators.actuators.saturation = true;
+  settings.robot.force_limit = 0.13;  // never enough: nothing may be learned
+  const LoopParameters<double, Hybrid> weak = loop_parameters(settings);
+  const auto falling = run(weak, 0.05);
+  const auto holding = run(tight, 0.05);
+  double learned = 0.0, forbidden = 0.0;
+  for (int r = 0; r < kTerms * kTerms; ++r)
+    for (int axis = 0; axis < kAxes; ++axis) {
+      learned = std::max(learned, std::abs(holding.law_state()[static_cast<std::size_t>(r)](axis)));
+      forbidden = std::max(forbidden, std::abs(falling.law_state()[static_cast<std::size_t>(r)](axis)));
+    }
+  CHECK(learned > 0.0);
+  CHECK(forbidden == 0.0);
+  CHECK(falling.record().sample().twist(2) > 0.01);  // it sinks
+}
+
+TEST_CASE("a leg beyond its stroke ends the run where it shall, with the leg and the time that a report has") {
+  Settings<Hybrid> settings = sampled();
+  const Vector6<double> push = (Vector6<double>() << 0.1, 0.05, 0.02, 0.0, 0.0, 0.0).finished();
+  Driven reporting(settings);
+  settings.on_limit = LimitPolicy::stop;
+  Driven stopping(settings);
+  int ticks = 0;
+  while (ticks < 1000 && stopping.tick(stopping.weight() + push)) {
+    REQUIRE(reporting.tick(reporting.weight() + push));
+    ++ticks;
+    stopping.plant.command(stopping.weight() + push, Vector6<double>::Zero());
+    if (!stopping.plant.record().running()) break;
+  }
+  for (int i = 0; i < 2; ++i) REQUIRE(reporting.tick(reporting.weight() + push));
+  const LoopRecord<double>& record = stopping.plant.record();
+  REQUIRE(record.cause() == static_cast<double>(StopCause::leg_limit));
+  const auto leg = static_cast<int>(record.limit_leg());
+  REQUIRE(leg >= 0);
+  const LegLimitMonitor<double>& stroke = reporting.plant.record().metrics().stroke();
+  CHECK(stroke.first_time(leg) == doctest::Approx(stopping.plant.time()).epsilon(1e-12));
+  CHECK(stroke.first_time.minCoeff() == stroke.first_time(leg));
+  // the last good sample is within the stroke, one tick before
+  const Hexapod<double>& hexapod = stopping.parameters.hexapod;
+  CHECK(distance(stopping.sample().leg_lengths, hexapod.home_lengths) <= hexapod.stroke);
+  CHECK(record.sample_time() == doctest::Approx(stopping.plant.time() - kTick).epsilon(1e-9));
+  CHECK(reporting.plant.record().running());
+  CHECK(reporting.plant.record().limit_leg() == -1.0);
+}
+
+TEST_CASE("ideal encoders with true rates change nothing; differences delay, and noise disturbs") {
+  Settings<Hybrid> settings = sampled();
+  settings.uncertainty = paper_settings().uncertainty;
+  const LoopParameters<double, Hybrid> truth = loop_parameters(settings);
+  settings.sensors.pose = PoseSource::encoders;
+  settings.sensors.encoders.rates = RateSource::true_rates;
+  const LoopParameters<double, Hybrid> ideal = loop_parameters(settings);
+  const auto a = run(truth, 0.3), b = run(ideal, 0.3);
+  REQUIRE(b.record().running());
+  // what the two poses differ by, 1e-15 m and rad, through 300 ticks of a loop that damps
+  CHECK(distance(a.record().sample().position, b.record().sample().position) <= 1e-11);
+  CHECK(distance(a.record().sample().feature_error, b.record().sample().feature_error) <= 1e-7);
+  settings.sensors.encoders.rates = RateSource::differences;
+  const LoopParameters<double, Hybrid> late = loop_parameters(settings);
+  CHECK(distance(run(late, 0.05).record().sample().position, run(truth, 0.05).record().sample().position) > 1e-9);
+}
+
+TEST_CASE("encoders whose readings belong to no pose end the run") {
+  Settings<Hybrid> settings = sampled();
+  settings.sensors.pose = PoseSource::encoders;
+  settings.sensors.encoders.noise = 0.1;
+  settings.seed = 3;
+  Driven driven(settings);
+  int ticks = 0;
+  while (ticks < 100 && driven.tick(driven.weight())) ++ticks;
+  driven.plant.command(driven.weight(), Vector6<double>::Zero());
+  CHECK(driven.plant.record().cause() == static_cast<double>(StopCause::solver_failed));
+  CHECK(outcome_of(StopCause::solver_failed) == Outcome::solver_failed);
+  CHECK(describe(StopCause::leg_limit, 0.25, 2) == "leg 3 passed its stroke at t = 0.25 s");
+}
+
+TEST_CASE("a source of noise changes the numbers of no other") {
+  Settings<Hybrid> settings = sampled();
+  settings.sampling.faults.noise = 0.5;
+  Driven quiet(settings);
+  settings.sensors.pose = PoseSource::encoders;
+  settings.sensors.encoders.noise = 1e-6;
+  Driven noisy(settings);
+  settings.seed = 1;
+  Driven other(settings);
+  Random random(7702);
+  CAPTURE(random.seed());
+  for (int tick = 0; tick < 50; ++tick) {
+    CHECK(distance(quiet.plant.observe().image.features, noisy.plant.observe().image.features) == 0.0);
+    CHECK(distance(quiet.plant.observe().image.features, other.plant.observe().image.features) > 0.0);
+    CHECK(distance(quiet.plant.observe().pose.position, noisy.plant.observe().pose.position) > 0.0);
+    const Vector6<double> wrench = quiet.weight() + random.six(1e-2, 1e-3);
+    REQUIRE(quiet.tick(wrench));
+    REQUIRE(noisy.tick(wrench));
+    REQUIRE(other.tick(wrench));
+  }
+}
+
+TEST_CASE("a pack with devices runs as single loops do, each lane with its own numbers") {
+  constexpr int kWidth = 4;
+  using S = Lanes<kWidth>;
+  std::vector<LoopParameters<double, Hybrid>> singles;
+  LoopParameters<S, Hybrid> pack;
+  for (int lane = 0; lane < kWidth; ++lane) {
+    Settings<Hybrid> settings = sampled();
+    settings.switching.kind = SwitchingKind::tanh;  // smooth: what rounding changes does not grow
+    settings.switching.width = 1e-2;
+    settings.seed = static_cast<std::uint64_t>(lane);
+    settings.sensors.pose = PoseSource::encoders;
+    settings.sensors.encoders.noise = 1e-7 * lane;
+    settings.actuators.actuators.hold = ActuatorHold::leg_forces;
+    settings.actuators.actuators.saturation = true;
+    settings.actuators.actuators.bandwidth = lane == 1 ? 200.0 : kInfinity;
+    settings.actuators.delay = kTick;
+    settings.base_motion.motion.kind = BaseMotionKind::noise;
+    settings.base_motion.motion.level.setConstant(1e-4 * lane);
+    settings.robot.force_limit = 0.2 + 0.1 * lane;
+    singles.push_back(loop_parameters(settings));
+    set_lane(pack, lane, singles.back());
+  }
+  SampledLoop<S, Hybrid> together(pack);
+  for (int tick = 0; tick < 100; ++tick) together.advance();
+  for (int lane = 0; lane < kWidth; ++lane) {
+    CAPTURE(lane);
+    const auto alone = run(singles[static_cast<std::size_t>(lane)], 0.1);
+    REQUIRE(alone.record().running());
+    CHECK(lane_of(together.record().cause(), lane) == 0.0);
+    CHECK(distance(lane_of(together.record().sample().position, lane), alone.record().sample().position) <= 1e-12);
+    CHECK(distance(lane_of(together.record().sample().leg_forces, lane), alone.record().sample().leg_forces) <= 1e-9);
+  }
+}
+
+TEST_CASE("settings of devices are refused with their key, the nearest valid times, and only where they act") {
+  const auto verdict = [](const std::function<void(Settings<Hybrid>&)>& change) {
+    Settings<Hybrid> settings = sampled();
+    change(settings);
+    return refusal([&] { loop_parameters(settings); });
+  };
+  CHECK(is_about(verdict([](auto& s) { s.sensors.period = 2.5e-3; }), "sensors.period"));
+  CHECK(verdict([](auto& s) { s.sensors.period = 2.5e-3; }).find("nearest: 0.002 or 0.003") != std::string::npos);
+  CHECK(is_about(verdict([](auto& s) { s.sensors.encoders.resolution = -1.0; }), "sensors.resolution"));
+  CHECK(is_about(verdict([](auto& s) { s.sensors.encoders.noise = kNaN; }), "sensors.noise"));
+  CHECK(is_about(verdict([](auto& s) { s.actuators.delay = 1.5e-3; }), "actuators.delay"));
+  CHECK(is_about(verdict([](auto& s) { s.actuators.delay = 9e-3; }), "actuators.delay"));
+  CHECK(is_about(verdict([](auto& s) { s.actuators.actuators.bandwidth = 0.0; }), "actuators.bandwidth"));
+  CHECK(is_about(verdict([](auto& s) { s.actuators.actuators.quantisation = -0.1; }), "actuators.quantisation"));
+  const auto with_kind = [&](BaseMotionKind kind, const std::function<void(BaseMotionSettings&)>& change) {
+    return verdict([&](auto& s) {
+      s.base_motion.motion.kind = kind;
+      change(s.base_motion);
+    });
+  };
+  using B = BaseMotionSettings;
+  CHECK(
+      is_about(with_kind(BaseMotionKind::sinusoid, [](B& b) { b.motion.frequency = 600.0; }), "base_motion.frequency"));
+  CHECK(is_about(with_kind(BaseMotionKind::sinusoid, [](B& b) { b.motion.amplitude(1) = kNaN; }),
+                 "base_motion.amplitude[1]"));
+  CHECK(is_about(with_kind(BaseMotionKind::recorded, [](B&) {}), "base_motion.samples"));
+  CHECK(is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.motion.low_frequency = 10.0; }),
+                 "base_motion.low_frequency"));
+  CHECK(is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.motion.high_frequency = 501.0; }),
+                 "base_motion.high_frequency"));
+  CHECK(is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.motion.level(2) = -1.0; }), "base_motion.level[2]"));
+  Settings<Hybrid> continuous = nominal_settings();
+  continuous.sensors.period = 2.5e-3;
+  CHECK(refusal([&] { loop_parameters(continuous); }) == "(accepted)");
+}
