@@ -30,6 +30,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 _MAX_SAMPLES = 5000  # of the error that a row keeps
 _MAX_BATCH = 32  # runs in one batch: bounds the memory of their logs
+_ALWAYS = "uncertainty.gravity"  # varies in every batch, be it by nothing
+_MAX_WHOLE = 2**53  # a whole number above it is no float, as which a batch takes it
 _THRESHOLD = _core.MetricsSettings().settling_threshold  # [px]
 
 
@@ -408,6 +410,8 @@ def _numbers(scenario: Scenario) -> dict[str, Any]:
             value = value[name]
         if key.startswith("simulation.") or value is None or isinstance(value, str):
             continue
+        if rule.whole and value > _MAX_WHOLE:
+            continue
         array = np.asarray(value, dtype=float)
         shape = max(rule.shapes, key=len)
         if array.shape != shape:  # a number for all entries, or a diagonal
@@ -435,10 +439,10 @@ def _shared(scenario: Scenario) -> dict[str, Any]:
 
 
 def _variations(scenarios: Sequence[Scenario]) -> dict[str, Array]:
-    """Give the numbers in which scenarios differ, for `simulate_batch`; the seed always, as it asks for one key."""
+    """Give the numbers in which scenarios differ, for `simulate_batch`, which asks for one at least."""
     numbers = [_numbers(scenario) for scenario in scenarios]
     variations = {key: np.stack([own[key] for own in numbers]) for key in numbers[0]}
-    return {key: values for key, values in variations.items() if key == "seed" or (values != values[0]).any()}
+    return {key: values for key, values in variations.items() if key == _ALWAYS or (values != values[0]).any()}
 
 
 @contextlib.contextmanager

@@ -28,6 +28,7 @@ from hexservo.plots import (
     _VERMILION,
     _axes,
     _Ink,
+    _label,
     _short,
     _size,
     _styled,
@@ -87,10 +88,11 @@ def comparison_figure(comparison: Comparison) -> Figure:
         axes.set_title(_shortened(name, 27), loc="left", fontsize=7.5)
         if place == 0:
             axes.set_ylabel("error [px]")
+            axes.yaxis.set_label_coords(-0.42 / width, 0.5)
         else:
             axes.tick_params(axis="y", labelleft=False)
         if number + across >= len(names):
-            axes.set_xlabel("time [s]", labelpad=1)
+            _label(axes, "x", "time [s]")
     marks = [
         Line2D([], [], color=ink.colour, linestyle=ink.dashes, marker=marker, markersize=3.5, label=law)
         for law, (ink, marker) in looks.items()
@@ -120,7 +122,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         axes = _axes(figure, labels + cells + 0.2 + number * (room + 0.2), bottom, room, table)
         _draw_dots(axes, comparison, metric, looks)
         axes.set_title(title, loc="left")
-        axes.set_xlabel(f"{title.lower()} [{unit}]", labelpad=1)
+        _label(axes, "x", f"{title.lower()} [{unit}]")
     figure.text(
         0.1 / _PAGE,
         0.05 / height,

@@ -1,0 +1,335 @@
+"""Comparisons: rows that are the runs, whatever the company; tables and pictures; the command."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo import _compare
+from hexservo._compare import COLUMNS
+from hexservo._files import MARKER
+from hexservo._scenario import LAWS
+from hexservo.cli import app
+from hexservo.plots import _our_style
+
+SHORT = {"simulation.duration": 0.3, "controller.switching.kind": "tanh"}  # smooth: a lane agrees with a single run
+
+
+@pytest.fixture(scope="module")
+def comparison() -> hs.Comparison:
+    return hs.compare(["paper", "paper-gravity", "task-tilt"], ["hybrid", "composite"])
+
+
+# ---- Rows -----------------------------------------------------------------------------------------------------------
+
+
+def test_rows_are_the_runs_scenario_by_scenario() -> None:
+    names, laws = ["paper-minus", "task-general"], ["composite", "hybrid"]
+    compared = hs.compare(names, laws, SHORT)
+    assert [(row.scenario.name, row.law) for row in compared.rows] == [(n, law) for n in names for law in laws]
+    for row in compared.rows:
+        scenario = hs.load_scenario(row.scenario.name).updated({**SHORT, "controller.law": row.law})
+        assert row.scenario == scenario
+        result = hs.simulate(scenario)
+        assert (row.outcome, row.end_time, row.detail) == (result.outcome, result.end_time, result.detail)
+        for name, value in hs.metrics(result).items():
+            # a lane agrees with a single run to 1e-11 where it is smooth (docs/batch.md); sums over the run to less
+            assert row.metrics[name] == pytest.approx(value, rel=1e-8, abs=1e-11, nan_ok=True), name
+        np.testing.assert_array_equal(row.time, result.time)
+        np.testing.assert_allclose(row.error, np.abs(result.feature_error).max(axis=1), rtol=0, atol=1e-8)
+
+
+def test_a_row_does_not_depend_on_the_company(comparison: hs.Comparison) -> None:
+    for row in comparison.rows:
+        (alone,) = hs.compare([row.scenario.name], [row.law]).rows
+        assert repr(dict(alone.metrics)) == repr(dict(row.metrics))  # NaN is not itself
+        assert alone.error.tobytes() == row.error.tobytes()
+
+
+def test_scenarios_that_differ_in_numbers_alone_share_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    batches = []
+
+    def watched(scenario: hs.Scenario, variations: Any, *rest: Any) -> hs.BatchResult:
+        batches.append((scenario.controller.law, sorted(variations), len(next(iter(variations.values())))))
+        return hs.simulate_batch(scenario, variations, *rest)
+
+    monkeypatch.setattr(_compare, "simulate_batch", watched)
+    names = ["paper", "paper-minus", "task-general", "paper-no-fuzzy"]
+    compared = hs.compare(names, ["hybrid"], {"simulation.duration": 0.01})
+    assert [count for _, _, count in batches] == [3, 1]  # without the fuzzy systems it is another loop
+    assert {"uncertainty.depth", "target.desired_features", "target.depth"} <= set(batches[0][1])
+    depths = [row.scenario.uncertainty.depth for row in compared.rows]
+    assert depths == [0.3, -0.3, 0.3, 0.3]
+
+
+def test_numbers_and_arrays_of_a_key_share_a_batch(paper: hs.Scenario) -> None:
+    changes: list[dict[str, Any]] = [
+        {},
+        {"uncertainty.depth": [0.1, 0.2, 0.3, 0.4], "robot.inertia": np.diag([2e-4, 1e-4, 2e-4]) + 1e-6},
+        {"uncertainty.inertia": np.diag([0.1] * 6), "controller.hybrid.kp": [1e-6 * k for k in range(1, 9)]},
+        {"seed": 2**60},  # no float
+    ]
+    scenarios = [paper.updated({**SHORT, **change, "name": f"s{i}"}) for i, change in enumerate(changes)]
+    compared = hs.compare(scenarios, ["hybrid"])
+    for row, scenario in zip(compared.rows, scenarios, strict=True):
+        expected = hs.metrics(hs.simulate(scenario))
+        assert row.metrics["final_error"] == pytest.approx(expected["final_error"], rel=1e-8)
+
+
+def test_long_runs_keep_a_thinned_error(paper: hs.Scenario) -> None:
+    (row,) = hs.compare([paper.updated({"simulation.duration": 12.3})], ["hybrid"]).rows
+    assert 2500 < len(row.time) <= 5001
+    assert row.time[-1] == pytest.approx(12.3)
+    assert row.error[-1] == row.metrics["final_error"]
+
+
+def test_verdicts_say_why(comparison: hs.Comparison) -> None:
+    row = comparison.row("hybrid", "paper")
+    assert row.settled
+    assert (row.verdict, row.why, row.passed_limits) == ("settled", "within 2 px from 0.353 s on", ())
+    row = comparison.row("hybrid", "paper-gravity")
+    assert not row.settled
+    assert (row.verdict, row.passed_limits) == ("not settled", ("stroke",))
+    assert row.why == "37.58 px off at the end, above 2 px; a leg passed its stroke of 17 mm"
+    wrong_sign = hs.compare(["paper"], ["hybrid"], {"controller.jacobian": "printed"}).rows[0]
+    assert wrong_sign.verdict == "diverged"
+    assert wrong_sign.why.startswith(wrong_sign.detail)
+    assert wrong_sign.end_time == pytest.approx(0.04, abs=0.002)
+    assert len(wrong_sign.error) == round(wrong_sign.end_time / 1e-3) + 1
+    with pytest.raises(KeyError, match="a pair that was compared"):
+        comparison.row("hybrid", "paper-minus")
+
+
+def test_a_law_that_refuses_a_scenario_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = "controller.law: expected a law that knows this camera, got composite"
+    updated = hs.Scenario.updated
+
+    def refusing(self: hs.Scenario, changes: Any) -> hs.Scenario:
+        if changes.get("controller.law") == "composite" and self.camera.convention == "as_printed":
+            raise hs.ScenarioError([problem])
+        return updated(self, changes)
+
+    monkeypatch.setattr(hs.Scenario, "updated", refusing)
+    changes = {"camera.convention": "as_printed", "simulation.duration": 0.05}
+    compared = hs.compare(["paper"], ["composite", "hybrid"], changes)
+    refused, ran = compared.rows
+    assert (refused.outcome, refused.detail, refused.why) == ("refused", problem, problem)
+    assert not refused.settled
+    assert not refused.metrics
+    assert ran.outcome == "completed"
+    assert not compared.interrupted
+    assert "| paper | composite | refused | - |" in compared.to_markdown()
+    figure = compared.figure()
+    assert "refused" in [text.get_text() for axes in figure.axes for text in axes.texts]
+
+
+def test_what_no_batch_takes_runs_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    together = hs.compare(["paper", "paper-minus"], ["hybrid"], SHORT)
+
+    def refused(*arguments: Any) -> hs.BatchResult:
+        raise ValueError("simulation.mode: expected continuous, got another")
+
+    monkeypatch.setattr(_compare, "simulate_batch", refused)
+    alone = hs.compare(["paper", "paper-minus"], ["hybrid"], SHORT)
+    for one, other in zip(together.rows, alone.rows, strict=True):
+        assert one.detail == other.detail
+        assert one.metrics["final_error"] == pytest.approx(other.metrics["final_error"], rel=1e-8)
+
+
+def test_ctrl_c_keeps_what_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
+    batch = hs.simulate_batch
+    calls = []
+
+    def interrupted(scenario: hs.Scenario, *rest: Any) -> hs.BatchResult:
+        calls.append(scenario.controller.law)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return batch(scenario, *rest)
+
+    monkeypatch.setattr(_compare, "simulate_batch", interrupted)
+    compared = hs.compare(["paper"], ["composite", "hybrid"], SHORT)
+    assert compared.interrupted
+    assert compared.finished == 1
+    assert [row.outcome for row in compared.rows] == ["completed", "interrupted"]
+    assert compared.row("hybrid", "paper").why == "not begun"
+    compared.figure()
+
+
+def test_progress_counts_runs() -> None:
+    told: list[tuple[int, int]] = []
+    hs.compare(["paper", "paper-no-fuzzy"], None, SHORT, progress=lambda done, count: told.append((done, count)))
+    assert told[-1] == (2 * len(LAWS), 2 * len(LAWS))
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+@pytest.mark.parametrize(
+    ("scenarios", "laws", "words"),
+    [
+        ([], ["hybrid"], "scenarios: expected at least one, of different names, got none"),
+        (
+            ["paper", "paper"],
+            ["hybrid"],
+            "scenarios: expected at least one, of different names, got paper more than once",
+        ),
+        (["paper"], [], "laws: expected at least one, each once, got none"),
+        (["paper"], ["hybrid", "hybrid"], "got hybrid, hybrid"),
+        (["paper"], ["pid"], f"laws: expected some of {', '.join(LAWS)}, got 'pid'"),
+        (["papers"], None, 'did you mean "paper"?'),
+    ],
+)
+def test_bad_choices_are_refused(scenarios: list[str], laws: list[str] | None, words: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(words)):
+        hs.compare(scenarios, laws)
+
+
+def test_text_in_place_of_a_list_is_refused() -> None:
+    with pytest.raises(TypeError, match="scenarios: expected a sequence"):
+        hs.compare("paper")
+    with pytest.raises(TypeError, match="laws: expected a sequence"):
+        hs.compare(["paper"], "hybrid")
+    with pytest.raises(TypeError, match="progress: expected"):
+        hs.compare(["paper"], ["hybrid"], SHORT, progress=3)  # type: ignore[arg-type]
+
+
+# ---- Tables and pictures --------------------------------------------------------------------------------------------
+
+
+def test_csv_has_every_metric_to_the_last_bit(comparison: hs.Comparison) -> None:
+    rows = list(csv.DictReader(io.StringIO(comparison.to_csv())))
+    assert len(rows) == len(comparison.rows)
+    for text, row in zip(rows, comparison.rows, strict=True):
+        assert (text["scenario"], text["law"], text["outcome"]) == (row.scenario.name, row.law, row.outcome)
+        assert text["settled"] == ("yes" if row.settled else "no")
+        assert text["why"] == row.why
+        for name, (unit, _) in hs.METRICS.items():
+            written = text[f"{name} [{unit}]"]
+            value = row.metrics[name]
+            assert (written == "") if math.isnan(value) else (float(written) == value)
+
+
+def test_markdown_is_one_table(comparison: hs.Comparison) -> None:
+    lines = comparison.to_markdown().splitlines()
+    assert len(lines) == 2 + len(comparison.rows)
+    assert {line.count(" | ") for line in lines} == {len(COLUMNS) + 3}
+    assert "| paper | hybrid | settled | 0.353 |" in lines[2]
+    assert "| paper-gravity | hybrid | not settled | never |" in lines[4]
+
+
+def test_the_figure_shows_every_run(comparison: hs.Comparison) -> None:
+    figure = comparison.figure()
+    figure.canvas.draw()
+    panels = {axes.get_title(loc="left"): axes for axes in figure.axes}
+    for scenario in comparison.scenarios:
+        drawn = {line.get_gid() for line in panels[scenario.name].lines}
+        assert {f"error {law}" for law in comparison.laws} <= drawn
+    cells = [text.get_text() for text in panels["Settling time [s]"].texts]
+    assert cells == ["0.353", "0.551", "never !", "0.552", "0.499", "0.781"]
+    assert len({line.get_gid() for line in panels["Residual"].lines} - {None}) >= len(comparison.rows)
+    line = next(line for line in panels["paper"].lines if line.get_gid() == "error hybrid")
+    row = comparison.row("hybrid", "paper")
+    assert line.get_ydata()[-1] == row.error[-1]  # type: ignore[index]
+    assert max(line.get_ydata()) == row.error[row.time >= 0.01].max()  # type: ignore[arg-type]
+
+
+def test_no_texts_of_the_figure_overlap() -> None:
+    """Neither words of the table, titles and labels of neighbours, nor ticks, with all scenarios that are packaged."""
+    figure = hs.compare(list(hs.scenario_names()), None, {"simulation.duration": 0.02}).figure()
+    boxes = []
+    with _our_style():
+        figure.canvas.draw()
+        for axes in figure.axes:
+            texts = [*axes.texts, axes.xaxis.label, axes.yaxis.label, axes._left_title]  # type: ignore[attr-defined]
+            texts += [*axes.get_xticklabels(), *axes.get_yticklabels()]
+            boxes += [(t.get_text(), t.get_window_extent()) for t in texts if t.get_text() and t.get_visible()]
+    width, height = figure.bbox.size
+    for number, (text, box) in enumerate(boxes):
+        assert box.x0 >= 0, text
+        assert box.y0 >= 0, text
+        assert box.x1 <= width, text
+        assert box.y1 <= height, text
+        for other_text, other in boxes[number + 1 :]:
+            assert not box.overlaps(other), (text, other_text)
+
+
+# ---- The command ----------------------------------------------------------------------------------------------------
+
+
+def invoke(*arguments: str) -> Any:
+    return CliRunner().invoke(app, ["compare", *arguments])
+
+
+QUICK = ("--set", "simulation.duration=0.05")
+
+
+def test_the_command_prints_and_writes(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "out"
+    run = invoke("--scenarios", "paper,paper-m*", "--laws", "hybrid, composite", *QUICK, "--out", str(folder))
+    assert run.exit_code == 0, run.output
+    assert {path.name for path in folder.iterdir()} == {
+        MARKER,
+        "comparison.md",
+        "comparison.csv",
+        "comparison.svg",
+        "comparison.png",
+        "paper.yaml",
+        "paper-minus.yaml",
+    }
+    for head in ("settles", "residual", "chatter"):
+        assert head in run.stdout
+    assert "paper, hybrid: not settled" in run.stdout
+    assert hs.load_scenario(folder / "paper.yaml").simulation.duration == 0.05
+    again = invoke("--scenarios", "paper", "--laws", "hybrid", *QUICK, "--out", str(folder))
+    assert again.exit_code == 2
+    assert "holds results already" in again.stderr
+    assert invoke("--scenarios", "paper", "--laws", "hybrid", *QUICK, "--out", str(folder), "--force").exit_code == 0
+    assert not (folder / "paper-minus.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--scenarios", "paper", "--laws", "pid"), "laws: expected some of"),
+        (("--scenarios", "nothing-*"), "expected a pattern that fits one of"),
+        (("--scenarios", ","), "expected names with commas between"),
+        (("--scenarios", "paper", "--set", "uncertainty.depth=2"), "uncertainty.depth"),
+        (("--scenarios", "paperr"), 'did you mean "paper"?'),
+    ],
+)
+def test_bad_input_is_told(arguments: tuple[str, ...], words: str) -> None:
+    run = invoke(*arguments)
+    assert run.exit_code == 2
+    assert words in run.stderr
+    assert run.stdout == ""
+
+
+def test_ctrl_c_is_told_and_what_is_finished_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def interrupted(*arguments: Any) -> hs.BatchResult:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_compare, "simulate_batch", interrupted)
+    run = invoke("--scenarios", "paper", "--laws", "hybrid", "--out", str(tmp_path / "out"))
+    assert run.exit_code == 130
+    assert "0 of 1 runs were finished" in run.stderr
+    assert "interrupted" in (tmp_path / "out" / "comparison.md").read_text(encoding="utf-8")
+
+
+def test_a_narrow_terminal_gets_two_tables() -> None:
+    program = (
+        "import sys, hexservo.cli as cli; cli._width = lambda: 100; sys.argv[1:] = "
+        "['compare', '--scenarios', 'paper', '--set', 'simulation.duration=0.01']; cli.main()"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.count("scenario") >= 2
+    assert max(map(len, run.stdout.splitlines()[:4])) <= 100
