@@ -3,6 +3,7 @@
 #pragma once
 
 #include "hexservo/fuzzy.hpp"
+#include "hexservo/laws/stateless_law.hpp"
 #include "hexservo/rigid_body.hpp"
 
 #include <pybind11/eigen.h>
@@ -58,5 +59,8 @@ inline py::array_t<double> weight_array(const FuzzyWeights<double>& weights) {
   }
   return out;
 }
+
+/// The same of a law without weights: zeros.
+inline py::array_t<double> weight_array(const NoState<double>& /*none*/) { return weight_array(FuzzyWeights<double>{}); }
 
 }  // namespace hexservo::bindings

@@ -27,7 +27,12 @@ Vector6<double> forces_at(const Hexapod<double>& hexapod, const Pose<double>& po
 template <class Law>
 ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period) {
   detail::require_positive("period", period);
-  const LoopParameters<double, Law> p = loop_parameters(settings);
+  LoopParameters<double, Law> p = loop_parameters(settings);
+  if ((p.depth_error.array() != 0.0).any()) {  // an error of simulated sensors, of which a target model knows nothing
+    Settings<Law> known = settings;
+    known.uncertainty.depth.setZero();
+    p = loop_parameters(known);
+  }
   if constexpr (requires { p.gains.fuzzy; })
     require_resolved(p.gains.fuzzy, detail::words("controller.", Law::name, ".fuzzy."), period);
   return {p.hexapod, control_task(p), typename Law::template Constants<double>(p.gains), Law::initial_state(p.gains),

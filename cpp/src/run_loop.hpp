@@ -5,6 +5,8 @@
 
 #include "flatten.hpp"
 #include "hexservo/closed_loop.hpp"
+#include "hexservo/fuzzy.hpp"
+#include "hexservo/laws/stateless_law.hpp"
 #include "hexservo/sampled_loop.hpp"
 #include "kernel_lanes.hpp"
 
@@ -49,6 +51,12 @@ void write_weights(const FuzzyWeights<S>& weights, int lane, double* to) {
   for (int axis = 0; axis < kAxes; ++axis)
     for (int row = 0; row < kTerms; ++row)
       for (int column = 0; column < kTerms; ++column) *to++ = of_lane(weights[rule(row, column)](axis), lane);
+}
+
+/// A law without weights has zeros.
+template <class S>
+void write_weights(const NoState<S>& /*weights*/, int /*lane*/, double* to) {
+  std::fill_n(to, kWeightNumbers, 0.0);
 }
 
 /// The parameters of all lanes; those without a scenario repeat the last one.
