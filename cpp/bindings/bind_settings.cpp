@@ -192,6 +192,42 @@ void bind_settings(py::module_& m) {
       .def_readwrite("prior", &Composed::prior, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]")
       .def_readwrite("fuzzy", &Composed::fuzzy, "error_scale [1/m; 1/rad], rate_scale [s/m; s/rad]");
 
+  using KellyLaw = KellyGains<double>;
+  py::class_<KellyLaw>(m, "KellyGains", "Gains of the law kelly.")
+      .def(py::init<>())
+      .def_readwrite("kp", &KellyLaw::kp, "(8,) diagonal of K_p [N m/px^2]")
+      .def_readwrite("kd", &KellyLaw::kd, "(6,) diagonal of K_d [N s/m; N m s/rad]");
+
+  py::native_enum<JacobianPoint>(m, "JacobianPoint", "enum.Enum")
+      .value("current", JacobianPoint::current)
+      .value("desired", JacobianPoint::desired)
+      .value("mean", JacobianPoint::mean)
+      .finalize();
+
+  using Rate = ResolvedRateGains<double>;
+  py::class_<Rate>(m, "ResolvedRateGains", "Gains of the law resolved_rate.")
+      .def(py::init<>())
+      .def_readwrite("gain", &Rate::gain, "lambda, or lambda_0 [1/s]")
+      .def_readwrite("adaptive", &Rate::adaptive)
+      .def_readwrite("gain_far", &Rate::gain_far, "lambda_inf [1/s]")
+      .def_readwrite("gain_slope", &Rate::gain_slope, "s_0 [1/(s px)]")
+      .def_readwrite("jacobian_at", &Rate::jacobian_at)
+      .def_readwrite("ki", &Rate::ki, "(6,) diagonal of K_i [N s/m; N m s/rad]")
+      .def_readwrite("damping", &Rate::damping, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]");
+
+  using PoseBased = PbvsGains<double>;
+  py::class_<PoseBased>(m, "PbvsGains", "Gains of the law pbvs.")
+      .def(py::init<>())
+      .def_readwrite("kp", &PoseBased::kp, "(6,) diagonal of K_p [N/m; N m/rad]")
+      .def_readwrite("kd", &PoseBased::kd, "(6,) diagonal of K_d [N s/m; N m s/rad]");
+
+  using Torque = ComputedTorqueGains<double>;
+  py::class_<Torque>(m, "ComputedTorqueGains", "Gains of the law computed_torque.")
+      .def(py::init<>())
+      .def_readwrite("kp", &Torque::kp, "(6,) diagonal of K_p [1/s^2]")
+      .def_readwrite("kd", &Torque::kd, "(6,) diagonal of K_d [1/s]")
+      .def_readwrite("prior", &Torque::prior, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]");
+
   py::class_<Target>(m, "Target", "Four points to look at, and where they shall appear.")
       .def(py::init<>())
       .def_readwrite("initial_features", &Target::initial_features, "(8,) seen from home [px]")
@@ -222,6 +258,10 @@ void bind_settings(py::module_& m) {
   bind_devices(m);
   bind_settings_of<Hybrid>(m, "HybridSettings", "A scenario for the law hybrid, as numbers.");
   bind_settings_of<Composite>(m, "CompositeSettings", "A scenario for the law composite, as numbers.");
+  bind_settings_of<Kelly>(m, "KellySettings", "A scenario for the law kelly, as numbers.");
+  bind_settings_of<ResolvedRate>(m, "ResolvedRateSettings", "A scenario for the law resolved_rate, as numbers.");
+  bind_settings_of<Pbvs>(m, "PbvsSettings", "A scenario for the law pbvs, as numbers.");
+  bind_settings_of<ComputedTorque>(m, "ComputedTorqueSettings", "A scenario for the law computed_torque, as numbers.");
 }
 
 }  // namespace hexservo::bindings

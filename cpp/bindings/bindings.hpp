@@ -3,6 +3,7 @@
 #pragma once
 
 #include "hexservo/fuzzy.hpp"
+#include "hexservo/laws/stateless_law.hpp"
 #include "hexservo/rigid_body.hpp"
 
 #include <pybind11/eigen.h>
@@ -58,6 +59,11 @@ inline py::array_t<double> weight_array(const FuzzyWeights<double>& weights) {
       for (int column = 0; column < kTerms; ++column) view(axis, row, column) = W(row, column);
   }
   return out;
+}
+
+/// The same of a law without weights: zeros.
+inline py::array_t<double> weight_array(const NoState<double>& /*none*/) {
+  return weight_array(FuzzyWeights<double>{});
 }
 
 }  // namespace hexservo::bindings

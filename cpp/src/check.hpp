@@ -50,6 +50,10 @@ void require_positive(const std::string& key, const Eigen::Matrix<double, N, 1>&
   for (int i = 0; i < N; ++i) require_positive(words(key, "[", i, "]"), v(i));
 }
 
+inline void require_not_negative(const std::string& key, double value) {
+  require_finite(key, value);
+  if (value < 0.0) refuse(key, "a number >= 0", words(value));
+}
 template <int N>
 void require_not_negative(const std::string& key, const Eigen::Matrix<double, N, 1>& v) {
   require_finite(key, v);

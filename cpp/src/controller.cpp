@@ -33,7 +33,8 @@ Vector6<double> forces_at(const Hexapod<double>& hexapod, const Pose<double>& po
 template <class Law>
 ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period) {
   detail::require_positive("period", period);
-  Settings<Law> ticking = settings;  // on the tick's own grid, and without what belongs to the plant
+  Settings<Law> ticking = settings;  // on the tick's own grid, and without what belongs to the plant and its sensors
+  ticking.uncertainty = {};
   ticking.simulation = {LoopMode::sampled, period, 1, period, 1};
   ticking.sampling = {period};
   ticking.sensors = {};

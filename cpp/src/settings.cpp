@@ -241,6 +241,17 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
   detail::require_positive("controller.switching.width", p.switching.width);
   p.gains = settings.gains;
   validate(p.gains);
+  p.goal = home_pose(p.hexapod);
+  if constexpr (requires { p.gains.needs_goal(); })
+    if (p.gains.needs_goal()) {
+      if (p.convention == CameraConvention::as_printed)
+        refuse("camera.convention",
+               words("eye_in_hand for the law ", Law::name,
+                     " with these gains, since a camera as_printed has no points and so no pose of the goal"),
+               "as_printed");
+      const Pose<double> home = p.goal;
+      p.goal = goal_pose(f, believed_points(f, home, p.initial_image, p.depth_error), p.desired_features, home);
+    }
   p.step = settings.simulation.step;
   p.mode = settings.simulation.mode;
   if (settings.simulation.substeps < 1)

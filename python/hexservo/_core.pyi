@@ -2,7 +2,7 @@
 
 import enum
 from collections.abc import Callable, Sequence
-from typing import NoReturn
+from typing import NoReturn, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,6 +70,12 @@ class Outcome(enum.Enum):
     singular = 5
     solver_failed = 6
     interrupted = 7
+
+class JacobianPoint(enum.Enum):
+    __pybind11_native_enum__: object
+    current = 0
+    desired = 1
+    mean = 2
 
 class SwitchingKind(enum.Enum):
     __pybind11_native_enum__: object
@@ -310,6 +316,40 @@ class CompositeGains(metaclass=_PybindType):
     prior: _Array
     fuzzy: FuzzyGains
 
+class KellyGains(metaclass=_PybindType):
+    """Gains of the law kelly."""
+
+    def __init__(self) -> None: ...
+    kp: _Array
+    kd: _Array
+
+class ResolvedRateGains(metaclass=_PybindType):
+    """Gains of the law resolved_rate."""
+
+    def __init__(self) -> None: ...
+    gain: float
+    adaptive: bool
+    gain_far: float
+    gain_slope: float
+    jacobian_at: JacobianPoint
+    ki: _Array
+    damping: _Array
+
+class PbvsGains(metaclass=_PybindType):
+    """Gains of the law pbvs."""
+
+    def __init__(self) -> None: ...
+    kp: _Array
+    kd: _Array
+
+class ComputedTorqueGains(metaclass=_PybindType):
+    """Gains of the law computed_torque."""
+
+    def __init__(self) -> None: ...
+    kp: _Array
+    kd: _Array
+    prior: _Array
+
 class Switching(metaclass=_PybindType):
     """Stand-in for sgn in (15)."""
 
@@ -394,6 +434,82 @@ class CompositeSettings(metaclass=_PybindType):
     seed: int
     def validate(self) -> None: ...
 
+class KellySettings(metaclass=_PybindType):
+    """A scenario for the law kelly, as numbers."""
+
+    def __init__(self) -> None: ...
+    robot: RobotParameters
+    camera: Camera
+    convention: CameraConvention
+    sampling: CameraSampling
+    jacobian: JacobianConvention
+    target: Target
+    uncertainty: Uncertainty
+    switching: Switching
+    gains: KellyGains
+    simulation: SimulationSettings
+    metrics: MetricsSettings
+    seed: int
+    def validate(self) -> None: ...
+
+class ResolvedRateSettings(metaclass=_PybindType):
+    """A scenario for the law resolved_rate, as numbers."""
+
+    def __init__(self) -> None: ...
+    robot: RobotParameters
+    camera: Camera
+    convention: CameraConvention
+    sampling: CameraSampling
+    jacobian: JacobianConvention
+    target: Target
+    uncertainty: Uncertainty
+    switching: Switching
+    gains: ResolvedRateGains
+    simulation: SimulationSettings
+    metrics: MetricsSettings
+    seed: int
+    def validate(self) -> None: ...
+
+class PbvsSettings(metaclass=_PybindType):
+    """A scenario for the law pbvs, as numbers."""
+
+    def __init__(self) -> None: ...
+    robot: RobotParameters
+    camera: Camera
+    convention: CameraConvention
+    sampling: CameraSampling
+    jacobian: JacobianConvention
+    target: Target
+    uncertainty: Uncertainty
+    switching: Switching
+    gains: PbvsGains
+    simulation: SimulationSettings
+    metrics: MetricsSettings
+    seed: int
+    def validate(self) -> None: ...
+
+class ComputedTorqueSettings(metaclass=_PybindType):
+    """A scenario for the law computed_torque, as numbers."""
+
+    def __init__(self) -> None: ...
+    robot: RobotParameters
+    camera: Camera
+    convention: CameraConvention
+    sampling: CameraSampling
+    jacobian: JacobianConvention
+    target: Target
+    uncertainty: Uncertainty
+    switching: Switching
+    gains: ComputedTorqueGains
+    simulation: SimulationSettings
+    metrics: MetricsSettings
+    seed: int
+    def validate(self) -> None: ...
+
+_Settings: TypeAlias = (
+    HybridSettings | CompositeSettings | KellySettings | ResolvedRateSettings | PbvsSettings | ComputedTorqueSettings
+)
+
 class LimitEvent(metaclass=_PybindType):
     """A leg beyond one of its limits."""
 
@@ -473,7 +589,7 @@ class SampledObservation(metaclass=_PybindType):
 class SampledRun(metaclass=_PybindType):
     """A run in sampled mode, commanded tick by tick."""
 
-    def __init__(self, settings: HybridSettings | CompositeSettings) -> None: ...
+    def __init__(self, settings: _Settings) -> None: ...
     @property
     def running(self) -> bool: ...
     def observe(self) -> SampledObservation: ...
@@ -558,7 +674,7 @@ class Kernel(metaclass=_PybindType):
 class Controller(metaclass=_PybindType):
     """The servo tick of a law, with its state."""
 
-    def __init__(self, settings: HybridSettings | CompositeSettings, period: float) -> None: ...
+    def __init__(self, settings: _Settings, period: float) -> None: ...
     def step(
         self,
         features: object,
@@ -614,11 +730,11 @@ def image_jacobian(
     quaternion: ArrayLike,
     convention: CameraConvention = CameraConvention.eye_in_hand,
 ) -> _Array: ...
-def simulate(settings: HybridSettings | CompositeSettings, kernel: Kernel) -> Trajectory: ...
+def simulate(settings: _Settings, kernel: Kernel) -> Trajectory: ...
 def processor_features() -> dict[str, bool]: ...
-def numeric_keys(settings: HybridSettings | CompositeSettings) -> dict[str, list[int]]: ...
+def numeric_keys(settings: _Settings) -> dict[str, list[int]]: ...
 def simulate_batch(
-    settings: HybridSettings | CompositeSettings,
+    settings: _Settings,
     variations: Sequence[tuple[str, _Array]],
     count: int,
     log: BatchLog,
@@ -626,7 +742,7 @@ def simulate_batch(
     kernel: Kernel,
     progress: Callable[[int, int, int, int], object] | None = None,
 ) -> BatchResult: ...
-def time_ticks(settings: HybridSettings, periods: int, rate: float = 0.0, realtime: bool = False) -> TickTimes: ...
+def time_ticks(settings: _Settings, periods: int, rate: float = 0.0, realtime: bool = False) -> TickTimes: ...
 def describe(cause: StopCause, time: float, leg: int = -1) -> str: ...
 def drive_legs(
     hexapod: Hexapod,

@@ -60,6 +60,22 @@ _COMPOSITE = {
     "gains.fuzzy.error_scale": "1/m; 1/rad",
     "gains.fuzzy.rate_scale": "s/m; s/rad",
 }
+_GAINS = {
+    "hybrid": _HYBRID,
+    "composite": _COMPOSITE,
+    "kelly": {"gains.kp": "N m/px^2", "gains.kd": "N s/m; N m s/rad"},
+    "resolved_rate": {
+        "gains.gain": "1/s",
+        "gains.adaptive": "",
+        "gains.gain_far": "1/s",
+        "gains.gain_slope": "1/(s px)",
+        "gains.jacobian_at": "",
+        "gains.ki": "N s/m; N m s/rad",
+        "gains.damping": "px^2/m^2; px^2/rad^2",
+    },
+    "pbvs": {"gains.kp": "N/m; N m/rad", "gains.kd": "N s/m; N m s/rad"},
+    "computed_torque": {"gains.kp": "1/s^2", "gains.kd": "1/s", "gains.prior": "px^2/m^2; px^2/rad^2"},
+}
 
 
 def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
@@ -85,7 +101,7 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
 
     settings = core_parameters(scenario)
     period = _core.Controller(settings, period).period  # the core's own check
-    gains = _HYBRID if isinstance(settings, _core.HybridSettings) else _COMPOSITE
+    gains = _GAINS[scenario.controller.law]
     law = f"hexservo::{type(settings).__name__.removesuffix('Settings')}"
     blocks = [_ROBOT, _CAMERA, _SEEN_FROM_HOME, _GOAL, _SWITCHING, gains]
     if settings.target.points is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -10,12 +11,28 @@ from numpy.typing import NDArray
 from hexservo import _core
 
 if TYPE_CHECKING:
-    from hexservo._scenario import Composite, Fuzzy, Hybrid, Scenario
+    from hexservo._scenario import Fuzzy, Scenario
 
 __all__ = ["Settings", "core_parameters"]
 
-Settings: TypeAlias = _core.HybridSettings | _core.CompositeSettings
+Settings: TypeAlias = (
+    _core.HybridSettings
+    | _core.CompositeSettings
+    | _core.KellySettings
+    | _core.ResolvedRateSettings
+    | _core.PbvsSettings
+    | _core.ComputedTorqueSettings
+)
 """A scenario in the core: one type for each law."""
+
+_SETTINGS: dict[str, type[Settings]] = {
+    "hybrid": _core.HybridSettings,
+    "composite": _core.CompositeSettings,
+    "kelly": _core.KellySettings,
+    "resolved_rate": _core.ResolvedRateSettings,
+    "pbvs": _core.PbvsSettings,
+    "computed_torque": _core.ComputedTorqueSettings,
+}
 
 
 def core_parameters(scenario: Scenario) -> Settings:
@@ -53,21 +70,22 @@ def core_parameters(scenario: Scenario) -> Settings:
 
 
 def _of_law(scenario: Scenario) -> Settings:
-    """Give settings for the scenario's law, with its gains."""
-    if scenario.controller.law == "hybrid":
-        hybrid = _core.HybridSettings()
-        _set_gains(hybrid.gains, scenario.controller.hybrid)
-        return hybrid
-    composite = _core.CompositeSettings()
-    _set_gains(composite.gains, scenario.controller.composite)
-    return composite
+    """Give settings for the scenario's law, with its gains: each key of the law's block has the core's name."""
+    law = scenario.controller.law
+    settings = _SETTINGS[law]()
+    block = getattr(scenario.controller, law)
+    for key in type(block).model_fields:
+        setattr(settings.gains, key, _gain(getattr(block, key), getattr(settings.gains, key)))
+    return settings
 
 
-def _set_gains(gains: _core.HybridGains | _core.CompositeGains, law: Hybrid | Composite) -> None:
-    """Copy a law's block; each of its keys has the core's name."""
-    for key in type(law).model_fields:
-        value = getattr(law, key)
-        setattr(gains, key, _fuzzy(value) if key == "fuzzy" else _filled(value, *getattr(gains, key).shape))
+def _gain(value: Any, default: Any) -> Any:
+    """Give a value of a law's block in the core's form, which the core's default shows."""
+    if isinstance(default, _core.FuzzyGains):
+        return _fuzzy(value)
+    if isinstance(default, np.ndarray):
+        return _filled(value, *default.shape)
+    return type(default)[value] if isinstance(default, Enum) else value
 
 
 def _filled(value: Any, *shape: int) -> NDArray[np.float64]:

@@ -33,11 +33,15 @@ __all__ = [
     "BaseMotion",
     "Camera",
     "Composite",
+    "ComputedTorque",
     "Controller",
     "Fuzzy",
     "Hybrid",
+    "Kelly",
     "Matrix",
     "NumericKey",
+    "Pbvs",
+    "ResolvedRate",
     "Robot",
     "Scenario",
     "ScenarioError",
@@ -55,7 +59,8 @@ __all__ = [
 Vector: TypeAlias = tuple[float, ...]
 Matrix: TypeAlias = tuple[Vector, ...]
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
-Law: TypeAlias = Literal["hybrid", "composite"]
+Law: TypeAlias = Literal["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"]
+JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
 LAWS: tuple[str, ...] = get_args(Law)
 
 _DEFAULT_PRESET = "micro"
@@ -840,6 +845,72 @@ class Composite(_Block):
         return data
 
 
+class Kelly(_Block):
+    """Gains of the transpose Jacobian law with viscous damping; docs/model.md section 5."""
+
+    # K_p, diagonal, one entry per feature coordinate [N m/px^2]
+    kp: Annotated[float | Vector, _Array((8,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.KellyGains().kp)
+    )
+    # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
+    kd: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.KellyGains().kd)
+    )
+
+
+class ResolvedRate(_Block):
+    """Gains of the classical pseudo-inverse law over a velocity loop; docs/model.md section 5."""
+
+    # lambda [1/s]; where it adapts, its value at the goal
+    gain: Annotated[float, _NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain)
+    adaptive: Annotated[bool, _Flag()] = Field(default_factory=lambda: _core.ResolvedRateGains().adaptive)
+    # of the adaptive gain: its value far from the goal [1/s], at most `gain`, and its slope at the goal [1/(s px)]
+    gain_far: Annotated[float, _NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain_far)
+    gain_slope: Annotated[float, _NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain_slope)
+    # current: measured features and depths; desired: those of the goal; mean: half the sum of the two Jacobians
+    jacobian_at: Annotated[JacobianPoint, _Choice()] = Field(
+        default_factory=lambda: cast("JacobianPoint", _core.ResolvedRateGains().jacobian_at.name)
+    )
+    # K_i, diagonal, of the velocity loop [N s/m] x3, [N m s/rad] x3
+    ki: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.ResolvedRateGains().ki)
+    )
+    # M, diagonal, damps the pseudo-inverse [px^2/m^2] x3, [px^2/rad^2] x3
+    damping: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.ResolvedRateGains().damping)
+    )
+
+
+class Pbvs(_Block):
+    """Gains of the position-based law, which estimates its pose from the features; docs/model.md section 5."""
+
+    # K_p, diagonal, stiffness against the pose error [N/m] x3, [N m/rad] x3
+    kp: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.PbvsGains().kp)
+    )
+    # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
+    kd: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.PbvsGains().kd)
+    )
+
+
+class ComputedTorque(_Block):
+    """Gains of the law that turns the estimated dynamics around; docs/model.md section 5."""
+
+    # K_p, diagonal [1/s^2]
+    kp: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.ComputedTorqueGains().kp)
+    )
+    # K_d, diagonal [1/s]
+    kd: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.ComputedTorqueGains().kd)
+    )
+    # M, diagonal: weight of the start pose against the image [px^2/m^2] x3, [px^2/rad^2] x3; 0: the image alone
+    prior: Annotated[float | Vector, _Array((6,), _NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: _collapsed(_core.ComputedTorqueGains().prior)
+    )
+
+
 class Controller(_Block):
     """The control law. Each law has a block of its own, and only the selected one acts."""
 
@@ -849,6 +920,10 @@ class Controller(_Block):
     switching: Switching = Field(default_factory=Switching)
     hybrid: Hybrid = Field(default_factory=Hybrid)
     composite: Composite = Field(default_factory=Composite)
+    kelly: Kelly = Field(default_factory=Kelly)
+    resolved_rate: ResolvedRate = Field(default_factory=ResolvedRate)
+    pbvs: Pbvs = Field(default_factory=Pbvs)
+    computed_torque: ComputedTorque = Field(default_factory=ComputedTorque)
 
 
 class Simulation(_Block):

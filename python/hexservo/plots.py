@@ -152,8 +152,16 @@ def rule_table(scenario: Scenario) -> Figure:
 
     Rows are the terms of the first input u (the scaled image wrench g of `hybrid`, pose error e of `composite`),
     columns those of its rate. A cell shows the output's term, or the number where it is no term's centre.
+
+    Raises
+    ------
+    ValueError
+        For a law without fuzzy systems.
     """
-    table = np.asarray(core_parameters(scenario).gains.fuzzy.table)
+    gains = core_parameters(scenario).gains
+    if not isinstance(gains, _core.HybridGains | _core.CompositeGains):
+        raise ValueError(f"controller.law: expected one with fuzzy systems, got {scenario.controller.law}")
+    table = np.asarray(gains.fuzzy.table)
     terms = list(_TERMS)
     limit = max(1.0, float(np.abs(table).max()))
     figure = Figure(figsize=(_COLUMN, 2.75))
@@ -323,7 +331,7 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
     Returns
     -------
     list of Path
-        The ten files: for each figure the SVG, then the PNG.
+        The files: for each figure the SVG, then the PNG. A law without fuzzy systems has no figure 2(a).
 
     Raises
     ------
@@ -331,8 +339,10 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
         The folder cannot be made or written to.
     """
     target = Path(folder)
+    controller = result.scenario.controller
+    has_table = "fuzzy" in type(getattr(controller, controller.law)).model_fields
     figures = {
-        "fig2a_rule_table": rule_table(result.scenario),
+        **({"fig2a_rule_table": rule_table(result.scenario)} if has_table else {}),
         "fig2b_feature_errors": feature_errors(result),
         "fig3_feature_paths": feature_paths(result),
         "fig4_platform_motion": platform_motion(result),

@@ -2,8 +2,7 @@
 /// A law at one instant, from a whole image.
 #pragma once
 
-#include "hexservo/laws/composite.hpp"
-#include "hexservo/laws/hybrid.hpp"
+#include "hexservo/laws/laws.hpp"
 
 namespace hexservo::test {
 
@@ -25,6 +24,20 @@ typename Law::template Evaluation<S> evaluate_law(const ControlTask<S>& task,
   Law::template evaluate<S, kPoints>(task, typename Law::template Constants<S>(gains), FuzzyStage<S>{&weights},
                                      {sensed.image.features, inverse_depth, sensed.R_BE, sensed.twist, sensed.pose},
                                      out);
+  return out;
+}
+
+/// A law that has no state.
+template <class Law, class S>
+typename Law::template Evaluation<S> evaluate_stateless(const ControlTask<S>& task,
+                                                        const typename Law::template Gains<S>& gains,
+                                                        const Sensed<S>& sensed) {
+  const Vector<S, kPoints> inverse_depth = sensed.image.depth.cwiseInverse();
+  const typename Law::template State<S> none;
+  typename Law::template Evaluation<S> out;
+  Law::template evaluate<S, kPoints>(
+      task, typename Law::template Constants<S>(gains), typename Law::template Stage<S>(&none),
+      {sensed.image.features, inverse_depth, sensed.R_BE, sensed.twist, sensed.pose}, out);
   return out;
 }
 

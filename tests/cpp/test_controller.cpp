@@ -45,7 +45,8 @@ Settings<Hybrid> settings_for(SwitchingKind kind, bool fuzzy = true) {
 }
 
 /// A pose, twist and image of a robot at work.
-ControllerInput random_input(Random& random, const Gains& gains) {
+template <class Law>
+ControllerInput random_input(Random& random, const ControllerGains<Law>& gains) {
   ControllerInput input;
   input.image.features = random.matrix<8>(80.0);
   for (int i = 0; i < 4; ++i) input.image.depth(i) = -random.uniform(0.3, 0.8);
@@ -54,6 +55,15 @@ ControllerInput random_input(Random& random, const Gains& gains) {
       Vector4<double>(1.0, random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1)) *
       random.uniform(0.5, 2.0);
   input.twist = random.six(0.02, 0.2);
+  return input;
+}
+
+/// The same, with an image of the target that the controller knows.
+template <class Law>
+ControllerInput seen_input(Random& random, const ControllerGains<Law>& gains) {
+  ControllerInput input = random_input(random, gains);
+  input.image = take_image(gains.task.focal_pixels, input.pose.position, rotation_matrix(input.pose.quaternion),
+                           gains.task.target.points_B);
   return input;
 }
 
@@ -82,9 +92,17 @@ bool same_bits(const Eigen::MatrixBase<A>& a, const Eigen::MatrixBase<B>& b) {
   return true;
 }
 
-bool same_bits(const State& a, const State& b) {
-  for (std::size_t r = 0; r < a.law.size(); ++r)
-    if (!same_bits(a.law[r].vector(), b.law[r].vector())) return false;
+bool same_bits(const FuzzyWeights<double>& a, const FuzzyWeights<double>& b) {
+  for (std::size_t r = 0; r < a.size(); ++r)
+    if (!same_bits(a[r].vector(), b[r].vector())) return false;
+  return true;
+}
+
+bool same_bits(const NoState<double>& /*a*/, const NoState<double>& /*b*/) { return true; }
+
+template <class Law>
+bool same_bits(const ControllerState<Law>& a, const ControllerState<Law>& b) {
+  if (!same_bits(a.law, b.law)) return false;
   return same_bits(a.last_pose.position, b.last_pose.position) &&
          same_bits(a.last_pose.quaternion, b.last_pose.quaternion);
 }
@@ -95,27 +113,29 @@ bool same_bits(const ControllerOutput& a, const ControllerOutput& b) {
 }
 
 /// Leg forces by Eigen's pivoted LU of H itself, with no help of the core's solver.
-Vector6<double> forces_by_lu(const Gains& gains, const Pose<double>& pose, const Vector6<double>& wrench) {
+Vector6<double> forces_by_lu(const Hexapod<double>& hexapod, const Pose<double>& pose, const Vector6<double>& wrench) {
   const Vector4<double> q = pose.quaternion.normalized();
   const Matrix3<double> R_BE = Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
   Matrix6<double> H;
   for (int i = 0; i < 6; ++i) {
-    const Vector3<double> arm = R_BE * gains.hexapod.platform_joints_E.col(i);
-    const Vector3<double> c = (pose.position + arm - gains.hexapod.base_joints_B.col(i)).normalized();
+    const Vector3<double> arm = R_BE * hexapod.platform_joints_E.col(i);
+    const Vector3<double> c = (pose.position + arm - hexapod.base_joints_B.col(i)).normalized();
     H.col(i) << c, arm.cross(c);
   }
   return H.fullPivLu().solve(wrench);
 }
 
 /// Requires the safe output for `input`, and that the tick leaves no trace.
-void require_safe(const Gains& gains, const State& state, const ControllerInput& input, const Pose<double>& last_pose) {
-  State after = state;
+template <class Law>
+void require_safe(const ControllerGains<Law>& gains, const ControllerState<Law>& state, const ControllerInput& input,
+                  const Pose<double>& last_pose) {
+  ControllerState<Law> after = state;
   const ControllerOutput out = step(gains, after, input);
   REQUIRE(out.invalid_input());
   REQUIRE(same_bits(out.wrench, gravity_wrench(RigidBody<double>{})));
   REQUIRE(same_bits(out.fuzzy_output, Vector6<double>::Zero()));
   // H H^T is solved, so that errors grow with the square of H's condition: (20)^2 at the worst of these poses
-  REQUIRE(relative_distance(out.leg_forces, forces_by_lu(gains, last_pose, out.wrench)) <= 1000.0 * kEpsilon);
+  REQUIRE(relative_distance(out.leg_forces, forces_by_lu(gains.hexapod, last_pose, out.wrench)) <= 1000.0 * kEpsilon);
   REQUIRE(same_bits(after, state));
 }
 
@@ -141,14 +161,19 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
         // the gains as the scenario has them, not as `controller_gains` passed them on
         const Vector4<double> q = input.pose.quaternion.normalized();
         const Matrix3<double> R_BE = Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
-        const ControlTask<double> task{
-            f, -1.0, settings.target.desired_features, gravity_wrench(RigidBody<double>{}), settings.switching, {}};
+        ControlTask<double> task{};
+        task.focal_pixels = f;
+        task.jacobian_sign = -1.0;
+        task.desired_features = settings.target.desired_features;
+        task.gravity_wrench = gravity_wrench(RigidBody<double>{});
+        task.switching = settings.switching;
         const auto law = evaluate_hybrid<double>(task, settings.gains, weights, {input.image, R_BE, input.twist});
         const ControllerOutput out = step(gains, state, input);
         REQUIRE_FALSE(out.invalid_input());
         REQUIRE(relative_distance(out.wrench, law.wrench) <= 100.0 * kEpsilon);
         REQUIRE(distance(out.fuzzy_output, law.fuzzy_output) <= 100.0 * kEpsilon);
-        REQUIRE(relative_distance(out.leg_forces, forces_by_lu(gains, input.pose, out.wrench)) <= 1000.0 * kEpsilon);
+        REQUIRE(relative_distance(out.leg_forces, forces_by_lu(gains.hexapod, input.pose, out.wrench)) <=
+                1000.0 * kEpsilon);
         REQUIRE(same_bits(state.last_pose.position, input.pose.position));
         REQUIRE(same_bits(state.last_pose.quaternion, input.pose.quaternion));
 
@@ -222,6 +247,35 @@ TEST_CASE("NaN or infinity in any entry gives the safe output, by the last valid
     for (double* entry : entries(nothing)) *entry = kNaN;
     require_safe(gains, used, nothing, last.pose);
   }
+}
+
+TEST_CASE("every law: NaN or infinity in any entry gives the safe output, and good input a finite one") {
+  Laws::for_each([]<class Law>(std::type_identity<Law>) {
+    CAPTURE(Law::name);
+    const ControllerGains<Law> gains = controller_gains(paper_settings<Law>(), kPeriod);
+    Random random(80);
+    CAPTURE(random.seed());
+    ControllerState<Law> state = initial_state(gains);
+    ControllerInput last;
+    for (int i = 0; i < 10; ++i) {
+      last = seen_input(random, gains);
+      const ControllerOutput out = step(gains, state, last);
+      REQUIRE_FALSE(out.invalid_input);
+      REQUIRE(is_finite(out.wrench));
+      REQUIRE(is_finite(out.leg_forces));
+    }
+    const ControllerInput good = seen_input(random, gains);
+    for (std::size_t entry = 0; entry < 25; ++entry) {
+      CAPTURE(entry);
+      for (const double value : {kNaN, kInfinity, -kInfinity}) {
+        CAPTURE(value);
+        ControllerInput bad = good;
+        *entries(bad)[entry] = value;
+        require_safe(gains, initial_state(gains), bad, {gains.hexapod.home_position, {1.0, 0.0, 0.0, 0.0}});
+        require_safe(gains, state, bad, last.pose);
+      }
+    }
+  });
 }
 
 TEST_CASE("so do numbers that overflow, beyond the limits of divergence, or are no place in front of the camera") {
@@ -376,13 +430,31 @@ TEST_CASE("a million ticks allocate nothing, valid or not, in every switching mo
   }
 }
 
+TEST_CASE("no law allocates in a tick, valid or not") {
+  Laws::for_each([]<class Law>(std::type_identity<Law>) {
+    CAPTURE(Law::name);
+    const ControllerGains<Law> gains = controller_gains(paper_settings<Law>(), kPeriod);
+    Random random(81);
+    std::array<ControllerInput, 64> inputs;
+    for (ControllerInput& input : inputs) input = seen_input(random, gains);
+    inputs[13].twist(4) = kNaN;
+    std::size_t invalid = 0;
+    const long long before = allocations;
+    ControllerState<Law> state = initial_state(gains);
+    for (std::size_t i = 0; i < kTicks / 16; ++i) invalid += step(gains, state, inputs[i % 64]).invalid_input ? 1U : 0U;
+    CHECK(allocations - before == 0);
+    CHECK(invalid == kTicks / 16 / 64);
+  });
+}
+
 TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at first order in the period") {
   constexpr double kDuration = 0.1;
   Settings<Hybrid> settings = paper_settings();
   settings.switching = {SwitchingKind::tanh, 1.0};  // smooth over a step, as in the loop's own test of order
   settings.gains.fuzzy.error_scale *= 0.1;          // no input of a fuzzy system at its limit
   settings.gains.fuzzy.rate_scale *= 0.1;
-  settings.simulation = {1e-4, kDuration, 1};
+  settings.simulation.step = 1e-4;
+  settings.simulation.duration = kDuration;
   const LoopParameters<double, Hybrid> p = loop_parameters(settings);
   ClosedLoop<double, Hybrid> continuous(p);
   for (int i = 0; i < 1000; ++i) continuous.advance();

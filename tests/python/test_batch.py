@@ -114,7 +114,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
         if key in SAMPLED_ROWS:
             rows = np.array(SAMPLED_ROWS[key])
             rows = np.broadcast_to(rows.reshape(3, *[-1] * len(shape)), (3, *shape)).copy()
-        elif key.endswith((".leakage", ".dead_zone")):
+        elif key.endswith((".leakage", ".dead_zone", ".damping")):
             rows[1], rows[2] = 0.01, 0.02
         elif not rows.any():  # relative errors and initial scales that are zero
             rows[1], rows[2] = 0.01, -0.02
@@ -135,6 +135,8 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         base = base.updated({"base_motion.kind": "noise"})
     if key.endswith((".fuzzy.table", ".fuzzy.initial_scale", ".fuzzy.leakage")):
         base = base.updated({f"controller.{law}.fuzzy.initial_scale": 1e-4})
+    if key.startswith("controller.resolved_rate.gain"):
+        base = base.updated({"controller.resolved_rate.adaptive": True})
     for rows in rows_of(base, key):
         batch = hs.simulate_batch(base, {key: rows})
         assert len(batch) == 3
@@ -145,6 +147,8 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
             [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
         )
         without_effect = ("simulation.log_every", "robot.stroke", "robot.force_limit")
+        if "fuzzy" not in type(getattr(base.controller, law)).model_fields:
+            without_effect += ("controller.switching.width",)
         assert np.array_equal(everything[0], everything[1], equal_nan=True) == (key in without_effect), key
 
 

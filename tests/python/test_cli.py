@@ -327,7 +327,8 @@ def test_check_lists_every_problem(tmp_path: Path) -> None:
     assert len(run.errors) == 2
     assert run.errors[0].startswith(f"Error: {file}: robot.mass: expected a number > 0, got -1")
     assert run.errors[1].startswith(
-        f'Error: {file}: controller.law: expected one of "hybrid", "composite", got "hybird"'
+        f'Error: {file}: controller.law: expected one of "hybrid", "composite", "kelly", "resolved_rate", "pbvs", '
+        '"computed_torque", got "hybird"'
     )
 
 

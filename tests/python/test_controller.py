@@ -62,6 +62,36 @@ def test_the_first_ticks_are_the_first_samples_of_a_run(paper: hs.Scenario, law:
     assert bool(np.any(run.fuzzy_output)) == fuzzy
 
 
+@pytest.mark.parametrize("jacobian_at", ["current", "desired", "mean"])
+@pytest.mark.parametrize("law", ["kelly", "resolved_rate", "pbvs", "computed_torque"])
+def test_so_are_those_of_laws_without_a_state(paper: hs.Scenario, law: str, jacobian_at: str) -> None:
+    """With true depths, since the tick's model of the target knows nothing of a depth error."""
+    scenario = paper.updated(
+        {
+            "controller.law": law,
+            "controller.resolved_rate": {"jacobian_at": jacobian_at, "adaptive": jacobian_at == "mean"},
+            "uncertainty.depth": 0.0,
+            "simulation.duration": 0.05,
+        }
+    )
+    run = hs.simulate(scenario)
+    controller = hs.Controller(scenario)
+    desired = np.asarray(scenario.target.desired_features)
+    for k in range(len(run.time)):
+        out = controller.step(
+            desired - run.feature_error[k], run.depth[k], run.position[k], run.quaternion[k], run.twist[k]
+        )
+        assert not out.invalid_input
+        # features carry the rounding of desired - (desired - xi), 1e-14 px: up to 2e-15 m of pose, times 1e2 N/m
+        np.testing.assert_allclose(out.wrench, run.wrench[k], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(out.leg_forces, run.leg_forces[k], rtol=0, atol=1e-10)
+        assert not out.fuzzy_output.any()
+    assert not run.fuzzy_output.any()
+    assert not run.fuzzy_weights.any()
+    assert not controller.fuzzy_weights.any()
+    assert controller.fuzzy_weights.shape == (6, 7, 7)
+
+
 def test_weights_adapt_by_one_euler_step(paper: hs.Scenario) -> None:
     """(22) over a period: each system's weights change by period chi-dot_j/Psi_j times strengths that sum to one."""
     scenario = paper.updated({"controller.hybrid.fuzzy.initial_scale": 0.01})

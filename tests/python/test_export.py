@@ -29,12 +29,26 @@ SHARED = [
     *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
     *(f"robot.{name}" for name in ("home_position", "mass", "inertia", "stroke", "force_limit")),
     *("camera.focal_length", "camera.pixel_scale", "convention", "jacobian", "target.desired_features"),
-    *("switching.kind", "switching.width", "gains.kp", "gains.kv"),
+    *("switching.kind", "switching.width"),
+]
+FUZZY = [
+    *("gains.kp", "gains.kv"),
     *(f"gains.fuzzy.{name}" for name in ("enabled", "adaptation", "error_scale", "rate_scale", "initial_scale")),
     *(f"gains.fuzzy.{name}" for name in ("table", "bell_width", "bell_slope")),
     *(f"gains.fuzzy.{name}" for name in ("leakage", "weight_limit", "dead_zone")),
 ]
-MEMBERS = {"hybrid": SHARED, "composite": [*SHARED, "gains.kt", "gains.kd", "gains.drive", "gains.prior"]}
+OWN = {
+    "hybrid": FUZZY,
+    "composite": [*FUZZY, "gains.kt", "gains.kd", "gains.drive", "gains.prior"],
+    "kelly": ["gains.kp", "gains.kd"],
+    "resolved_rate": [
+        *("gains.gain", "gains.adaptive", "gains.gain_far", "gains.gain_slope"),
+        *("gains.jacobian_at", "gains.ki", "gains.damping"),
+    ],
+    "pbvs": ["gains.kp", "gains.kd"],
+    "computed_torque": ["gains.kp", "gains.kd", "gains.prior"],
+}
+MEMBERS = {law: [*SHARED, *own] for law, own in OWN.items()}
 
 
 def run(*arguments: str) -> tuple[int, str, str]:
@@ -64,32 +78,52 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
             "robot.force_limit": limit,
             "camera.focal_length": focal,
             "camera.pixel_scale": scale,
-            "camera.convention": "as_printed",
+            "camera.convention": "eye_in_hand" if law == "pbvs" else "as_printed",
             "target.initial_features": about(30, 18, 65, -65, -44, 37, -10, -15),
             "target.desired_features": about(10, 10, 45, -73, -64, 29, -30, -23),
             "target.depth": about(0.5, 0.6, 0.5, 0.4),
             "controller.law": law,
             "controller.jacobian": "printed",
             "controller.switching": {"kind": "saturation", "width": width},
-            f"controller.{law}.kp": about(*[1e-6] * 8),
-            f"controller.{law}.kv": about(*[2e-3] * 3, *[1e-4] * 3),
-            f"controller.{law}.fuzzy": {
-                "enabled": False,
-                "adaptation": about(*[10] * 6),
-                "error_scale": about(*[5] * 6),
-                "rate_scale": about(*[0.5] * 6),
-                "initial_scale": about(*[-0.1] * 6),
-                "table": [about(*[1] * 7) for _ in range(7)],
-                "bell_width": bell,
-                "bell_slope": slope,
-                "leakage": about(*[0.1] * 6),
-                "weight_limit": about(*[0.5] * 6),
-                "dead_zone": about(*[1e-3] * 6),
+            **{
+                f"controller.{fuzzy}.{key}": value
+                for fuzzy in ("hybrid", "composite")
+                for key, value in {
+                    "kp": about(*[1e-6] * 8),
+                    "kv": about(*[2e-3] * 3, *[1e-4] * 3),
+                    "fuzzy": {
+                        "enabled": False,
+                        "adaptation": about(*[10] * 6),
+                        "error_scale": about(*[5] * 6),
+                        "rate_scale": about(*[0.5] * 6),
+                        "initial_scale": about(*[-0.1] * 6),
+                        "table": [about(*[1] * 7) for _ in range(7)],
+                        "bell_width": bell,
+                        "bell_slope": slope,
+                        "leakage": about(*[0.1] * 6),
+                        "weight_limit": about(*[0.5] * 6),
+                        "dead_zone": about(*[1e-3] * 6),
+                    },
+                }.items()
             },
             "controller.composite.kt": about(*[6] * 3, *[0.02] * 3),
             "controller.composite.kd": about(*[1] * 3, *[3e-3] * 3),
             "controller.composite.drive": about(*[4] * 6),
             "controller.composite.prior": about(*[1e4] * 3, *[1600] * 3),
+            "controller.kelly": {"kp": about(*[1e-6] * 8), "kd": about(*[1] * 3, *[3e-3] * 3)},
+            "controller.resolved_rate": {
+                **dict(zip(("gain", "gain_far", "gain_slope"), about(7, 3, 2), strict=True)),
+                "adaptive": True,
+                "jacobian_at": "current",
+                "ki": about(*[6] * 3, *[0.02] * 3),
+                "damping": about(*[10] * 6),
+            },
+            "controller.pbvs": {"kp": about(*[20] * 3, *[0.1] * 3), "kd": about(*[2] * 3, *[0.01] * 3)},
+            "controller.computed_torque": {
+                "kp": about(*[400] * 6),
+                "kd": about(*[40] * 6),
+                "prior": about(*[1e4] * 3, *[1600] * 3),
+            },
         }
     )
 
@@ -138,7 +172,7 @@ def test_the_namespace_is_the_scenario_as_cpp_allows_it(paper: hs.Scenario, name
 
 
 @pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
-@pytest.mark.parametrize(("law", "points"), [("hybrid", False), ("hybrid", True), ("composite", False)])
+@pytest.mark.parametrize(("law", "points"), [("hybrid", False), *((law, law in ("hybrid", "pbvs")) for law in MEMBERS)])
 def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: Path, law: str, points: bool) -> None:
     scenario = uncommon(paper, law)
     seen = ["target.initial_features", "target.depth"]

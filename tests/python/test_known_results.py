@@ -1,4 +1,4 @@
-"""The numbers that any implementation of docs/model.md has to reproduce: section 8, both laws, continuous time.
+"""The numbers that any implementation of docs/model.md has to reproduce: section 8, all laws, continuous time.
 
 The runs with `sgn` chatter, so their residuals are those of one step size: a residual is checked to 0.02 px and a time
 to 2 %, as far apart as runs of other step sizes are; smooth runs are checked to 1e-9 of each printed number.
@@ -80,6 +80,53 @@ def test_smooth_check(paper: hs.Scenario) -> None:
     np.testing.assert_allclose(
         1e3 * result.position[-1], [0.291648903158, 0.049231853813, -149.998341214122], rtol=1e-9, atol=0
     )
+
+
+@pytest.mark.parametrize(
+    ("law", "scenario", "settling", "final", "force"),
+    [
+        ("kelly", "paper", 0.032, 0.0575, 0.358),
+        ("kelly", "paper-gravity", math.nan, 25.63, 0.358),
+        ("resolved_rate", "paper", 0.150, 0.0, 0.516),
+        ("resolved_rate", "paper-gravity", 0.153, 0.1658, 0.516),
+        ("pbvs", "paper", 0.145, 0.0, 0.440),
+        ("pbvs", "paper-gravity", 0.148, 0.2070, 0.440),
+        ("computed_torque", "paper", 0.180, 0.0520, 0.217),
+        ("computed_torque", "paper-gravity", 0.184, 0.1747, 0.217),
+    ],
+)
+def test_laws_to_compare_with(law: str, scenario: str, settling: float, final: float, force: float) -> None:
+    """Smooth right-hand sides, of which every printed digit is that of the equation: half of the last one is allowed."""
+    result, metrics = run(hs.load_scenario(scenario).updated({"controller.law": law}))
+    # settling times are steps of 1 ms
+    assert metrics["settling_time"] == pytest.approx(settling, abs=1e-9, nan_ok=True)
+    assert metrics["final_error"] == pytest.approx(final, abs=0.005 if final > 1 else 0.00005)
+    assert metrics["peak_leg_force"] == pytest.approx(force, abs=0.0005)
+    assert not result.fuzzy_output.any()
+    assert not result.fuzzy_weights.any()
+    limits = {event.kind for event in result.events}
+    assert limits == ({"stroke"} if math.isnan(settling) else set())
+
+
+@pytest.mark.parametrize("law", ["resolved_rate", "pbvs"])
+def test_the_goal_itself_is_reached_where_all_depths_err_alike(law: str, paper: hs.Scenario) -> None:
+    """Every feature shifts by (-20, -8) px at 0.5 m: by hand, a pure translation."""
+    result, metrics = run(paper.updated({"controller.law": law}))
+    goal = np.array([20.0, 8.0]) * 0.5 / (72727 * 0.008)
+    np.testing.assert_allclose((result.position[-1] - result.position[0])[:2], goal, rtol=0, atol=1e-9)
+    assert metrics["final_error"] < 1e-6
+
+
+def test_what_a_gravity_error_leaves_is_what_the_stiffness_decides(paper: hs.Scenario) -> None:
+    """At rest K_p dz = delta_G m g: twice as stiff, half the offset, which is 1.84 mm by hand for the default 24 N/m."""
+    offsets = []
+    for stiffness in (24.0, 48.0):
+        gains = {"controller.pbvs.kp": [stiffness] * 3 + [0.06, 0.06, 0.12]}
+        heavier = {"controller.law": "pbvs", "uncertainty": {**GRAVITY, "depth": 0.0}, **gains}
+        result, _ = run(paper.updated(heavier))
+        offsets.append(result.position[0, 2] - result.position[-1, 2])
+    # exact depths: the estimated pose is the true one
+    np.testing.assert_allclose(offsets, [0.075 * 0.06 * 9.8 / 24.0, 0.075 * 0.06 * 9.8 / 48.0], rtol=1e-6)
 
 
 GRAVITY = {"inertia": 0.075, "coriolis": 0.125, "gravity": 0.075, "depth": 0.3}

@@ -81,6 +81,14 @@ def resolved(form: str) -> dict[str, Any]:
         "controller.composite.kp": np.linspace(1e-9, 2e-9, 8),
         **{f"controller.composite.{key}": np.linspace(1, 2, 6) for key in ("kv", "kt", "kd", "drive", "prior")},
         "controller.hybrid.fuzzy.table": np.linspace(-1, 1, 49).reshape(7, 7),
+        "controller.kelly.kp": np.linspace(1e-6, 2e-6, 8),
+        **{
+            f"controller.{key}": np.linspace(1, 2, 6)
+            for key in (
+                *("kelly.kd", "resolved_rate.ki", "resolved_rate.damping", "pbvs.kp", "pbvs.kd"),
+                *("computed_torque.kp", "computed_torque.kd", "computed_torque.prior"),
+            )
+        },
     }
     if form == "features":
         arrays["target.depth"] = [0.5, 0.51, 0.52, 0.53]
@@ -509,7 +517,7 @@ FUZZY = block(
 )
 GAINS = numbers(st.just(0.0) | decades(-12, 9), 6)
 CONTROLLERS = block(
-    law=st.sampled_from(["hybrid", "composite"]),
+    law=st.sampled_from(["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"]),
     jacobian=st.sampled_from(["consistent", "printed"]),
     switching=block(kind=st.sampled_from(["sign", "tanh", "saturation"]), width=decades(-15, 6)),
     hybrid=block(kp=numbers(decades(-15, 3), 8), kv=numbers(st.just(0.0) | decades(-12, 3), 6), fuzzy=FUZZY),
@@ -518,6 +526,16 @@ CONTROLLERS = block(
         **dict.fromkeys(("kv", "kt", "kd", "drive", "prior"), GAINS),
         fuzzy=FUZZY,
     ),
+    kelly=block(kp=numbers(st.just(0.0) | decades(-15, 3), 8), kd=GAINS),
+    resolved_rate=block(
+        **dict.fromkeys(("gain", "gain_far", "gain_slope"), st.just(0.0) | decades(-6, 6)),
+        adaptive=st.booleans(),
+        jacobian_at=st.sampled_from(["current", "desired", "mean"]),
+        ki=GAINS,
+        damping=GAINS,
+    ),
+    pbvs=block(kp=GAINS, kd=GAINS),
+    computed_torque=block(kp=GAINS, kd=GAINS, prior=GAINS),
 )
 UNCERTAINTIES = block(
     inertia=ERROR | SYMMETRIC,

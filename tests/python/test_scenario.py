@@ -90,6 +90,20 @@ def test_defaults_come_from_the_core() -> None:
         np.testing.assert_array_equal(np.broadcast_to(getattr(composite.fuzzy, key), 6), expected)
         assert np.array_equal(expected, getattr(fuzzy, key)) == (key == "initial_scale")
     assert (composite.fuzzy.table, composite.fuzzy.bell_width) == ("linear", composed.fuzzy.bell_width)
+    for law, gains_of in {
+        "kelly": _core.KellyGains(),
+        "resolved_rate": _core.ResolvedRateGains(),
+        "pbvs": _core.PbvsGains(),
+        "computed_torque": _core.ComputedTorqueGains(),
+    }.items():
+        written_block = getattr(scenario.controller, law)
+        assert len(type(written_block).model_fields) >= 2
+        for key in type(written_block).model_fields:
+            default, value = getattr(gains_of, key), getattr(written_block, key)
+            if isinstance(default, np.ndarray):
+                np.testing.assert_array_equal(np.broadcast_to(value, default.shape), default)
+            else:
+                assert value == getattr(default, "name", default)
     simulation = _core.SimulationSettings()
     for key in ("step", "duration", "log_every"):
         assert getattr(scenario.simulation, key) == getattr(simulation, key)
@@ -235,7 +249,17 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("uncertainty.gravity", NAN, "expected a finite number, got nan"),
     ("uncertainty.depth", [0.1] * 8, "expected a number > -1 and < 1 or 4 of them, got a list of 8"),
     ("uncertainty.depth", None, "got null"),
-    ("controller.law", "kelly", 'expected one of "hybrid", "composite", got "kelly"'),
+    (
+        "controller.law",
+        "pid",
+        'expected one of "hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque", got "pid"',
+    ),
+    ("controller.resolved_rate.jacobian_at", "goal", 'expected one of "current", "desired", "mean", got "goal"'),
+    ("controller.resolved_rate.adaptive", 1, "expected true or false, got 1"),
+    ("controller.resolved_rate.gain", [1, 1], "expected a number >= 0, got [1, 1]"),
+    ("controller.kelly.kp", -1e-6, "expected a number >= 0, got"),
+    ("controller.pbvs.kd", [1] * 8, "expected a number >= 0 or 6 of them, got a list of 8"),
+    ("controller.computed_torque.prior", "none", "expected a number >= 0 or 6 of them, got"),
     ("controller.jacobian", "print", 'one of "consistent", "printed", got "print"; did you mean "printed"?'),
     (
         "controller.switching.kind",
@@ -302,7 +326,11 @@ def test_refused(path: str, value: Any, words: str) -> None:
         ),
         ("camera.Focal_Length", 'did you mean "focal_length"?'),
         ("controller.hybrid.zzz", "unknown key; known keys: kp, kv, fuzzy"),
-        ("controller.kelly", "unknown key; known keys: law, jacobian, switching, hybrid, composite"),
+        (
+            "controller.pid",
+            "unknown key; known keys: law, jacobian, switching, hybrid, composite, kelly, resolved_rate, pbvs, "
+            "computed_torque",
+        ),
         ("controller.composite.kz", "unknown key; known keys: kp, kv, kt, kd, drive, prior, fuzzy"),
         ("uncertainty.depth.first", "unknown key; uncertainty.depth is a value and holds no keys"),
         ("target.points.x", "unknown key; target.points is a value and holds no keys"),
@@ -705,7 +733,7 @@ CHANGES = st.fixed_dictionaries(
         "controller.switching": st.fixed_dictionaries(
             {"kind": st.sampled_from(["sign", "tanh", "saturation"]), "width": st.floats(1e-9, 1)}
         ),
-        "controller.law": st.sampled_from(["hybrid", "composite"]),
+        "controller.law": st.sampled_from(["hybrid", "composite", "kelly", "resolved_rate", "computed_torque"]),
         "controller.composite.kp": number_or(8, st.just(0.0) | GAIN),
         "controller.composite.kt": number_or(6, st.just(0.0) | GAIN),
         "controller.composite.drive": number_or(6, st.just(0.0) | GAIN),
@@ -715,6 +743,13 @@ CHANGES = st.fixed_dictionaries(
         "controller.composite.fuzzy.weight_limit": st.none() | number_or(6, GAIN),
         "controller.hybrid.fuzzy.dead_zone": number_or(6, st.just(0.0) | GAIN),
         "controller.composite.fuzzy.bell_width": st.none() | st.floats(0.01, 1),
+        "controller.kelly.kp": number_or(8, st.just(0.0) | GAIN),
+        "controller.resolved_rate": st.fixed_dictionaries(
+            {"gain": st.floats(2, 20), "adaptive": st.booleans(), "gain_far": st.floats(0, 2)}
+        ),
+        "controller.resolved_rate.damping": number_or(6, st.just(0.0) | GAIN),
+        "controller.pbvs.kd": number_or(6, st.just(0.0) | GAIN),
+        "controller.computed_torque.prior": number_or(6, GAIN),
         "controller.hybrid.kp": number_or(8, GAIN),
         "controller.hybrid.kv": number_or(6, st.just(0.0) | GAIN),
         "controller.hybrid.fuzzy.enabled": st.booleans(),

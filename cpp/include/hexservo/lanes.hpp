@@ -251,6 +251,15 @@ Mask<S> is_finite(const Eigen::Matrix<S, R, C>& m) {
   return sum == sum;
 }
 
+/// Largest absolute entry; NaN if any entry is.
+template <class S, int R, int C>
+S largest_abs(const Eigen::Matrix<S, R, C>& m) {
+  using std::abs;
+  S result = abs(m(0));
+  for (int i = 1; i < R * C; ++i) result = max(result, S(abs(m(i))));
+  return result;
+}
+
 /// Copies the scenario `source` (all doubles) into one lane of the pack `target`.
 ///
 /// Works on numbers, fixed-size matrices, and on parameter structs, which name their members once in a

@@ -42,6 +42,7 @@ struct LoopParameters {
   Image<S, N> initial_image;          ///< seen from home [px; m]
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
   Vector<S, N> depth_error;           ///< delta_Z,i [1]
+  Pose<S> goal;                       ///< where the believed points give xi_d; home for laws that do not ask
   Switching<S> switching;
   typename Law::template Gains<S> gains;
   LoopMode mode = LoopMode::continuous;
@@ -69,6 +70,7 @@ struct LoopParameters {
     f(a.initial_image, b.initial_image);
     f(a.desired_features, b.desired_features);
     f(a.depth_error, b.depth_error);
+    f(a.goal, b.goal);
     f(a.switching, b.switching);
     f(a.gains, b.gains);
     f(a.mode, b.mode);
@@ -88,14 +90,17 @@ struct LoopParameters {
 /// What the law of a loop knows of its task.
 template <class S, class Law, int N>
 ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
-  return {p.camera.focal_pixels(),
+  const S f = p.camera.focal_pixels();
+  const Pose<S> home = home_pose(p.hexapod);
+  return {f,
           S(controller_sign(p.convention, p.jacobian)),
           p.desired_features,
           gravity_wrench(p.body),
           p.switching,
-          home_pose(p.hexapod),
+          home,
           p.body,
-          S(p.step)};
+          S(p.step),
+          target_model(f, believed_points(f, home, p.initial_image, p.depth_error), p.goal)};
 }
 
 }  // namespace hexservo

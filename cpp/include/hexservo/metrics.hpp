@@ -48,15 +48,6 @@ struct Sample {
   }
 };
 
-/// Largest absolute entry; NaN if any entry is.
-template <class S, int R, int C>
-S largest_abs(const Eigen::Matrix<S, R, C>& m) {
-  using std::abs;
-  S result = abs(m(0));
-  for (int i = 1; i < R * C; ++i) result = max(result, S(abs(m(i))));
-  return result;
-}
-
 /// Metrics of one run (`S = double`) or of a pack.
 template <class S>
 struct Metrics {

@@ -49,6 +49,12 @@ template <class S>
 struct Pose {
   Vector3<S> position = Vector3<S>::Zero();                            ///< p_BE [m]
   Vector4<S> quaternion = Vector4<S>(S(1.0), S(0.0), S(0.0), S(0.0));  ///< (w, x, y, z); need not be of unit length
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.position, b.position);
+    f(a.quaternion, b.quaternion);
+  }
 };
 
 /// R_BE of q/|q| (docs/model.md, section 1): no square root is needed.

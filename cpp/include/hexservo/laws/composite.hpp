@@ -15,10 +15,8 @@
 /// | tau_f       | fuzzy_output   | [N; N m]                                                                     |
 #pragma once
 
-#include "hexservo/cholesky.hpp"
 #include "hexservo/laws/fuzzy_law.hpp"
-
-#include <limits>
+#include "hexservo/laws/pose_error.hpp"
 
 namespace hexservo {
 
@@ -59,22 +57,6 @@ struct CompositeGains {
     f(a.fuzzy, b.fuzzy);
   }
 };
-
-/// e = (J^T J + M)^-1 (J^T xi-tilde + M (chi_ref - chi)): the most probable pose error, in B [m; rad].
-///
-/// The maximum a-posteriori estimate from the image (J e = xi-tilde, with noise) and from the prior (e = chi_ref - chi,
-/// with noise); M holds the ratio of the two variances. All NaN where J^T J + M is not positive definite.
-/// @param expected chi_ref - chi as `pose_difference` gives it [m; rad]
-template <class S, int N>
-Vector6<S> most_probable_pose_error(const ImageJacobian<S, N>& J, const Vector<S, 2 * N>& feature_error,
-                                    const Vector6<S>& prior, const Vector6<S>& expected) {
-  Matrix6<S> information = J.normal_matrix();
-  for (int j = 0; j < 6; ++j) information(j, j) += prior(j);
-  const Cholesky<S, 6> solver(information);
-  const Vector6<S> error = solver.solve(J.pull(feature_error) + prior.cwiseProduct(expected));
-  const Vector6<S> unknown = Vector6<S>::Constant(S(std::numeric_limits<double>::quiet_NaN()));
-  return select(solver.failed(), unknown, error);
-}
 
 /// The law as a policy of the loop.
 struct Composite : FuzzyLaw<CompositeGains> {

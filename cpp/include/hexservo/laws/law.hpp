@@ -5,6 +5,7 @@
 #include "hexservo/camera.hpp"
 #include "hexservo/elementary.hpp"
 #include "hexservo/rigid_body.hpp"
+#include "hexservo/target_model.hpp"
 
 namespace hexservo {
 
@@ -113,6 +114,7 @@ struct ControlTask {
   Pose<S> reference;  ///< chi_ref, the pose that the prior of `composite` expects: home
   RigidBody<S> body;  ///< as estimated
   S period;           ///< T_c, time between two evaluations; used by the implicit switching functions alone [s]
+  TargetModel<S, N> target{};  ///< what the controller takes the target for
 
   /// K_v sw(chi-dot) [N; N m], which a law takes from its wrench.
   /// @param kv diagonal of K_v [N; N m]

@@ -9,7 +9,8 @@
 #include <type_traits>
 
 /// Applies a macro to the name of every law, in the order of `LawId`.
-#define HEXSERVO_FOR_EACH_LAW(apply) apply(Hybrid) apply(Composite)
+#define HEXSERVO_FOR_EACH_LAW(apply) \
+  apply(Hybrid) apply(Composite) apply(Kelly) apply(ResolvedRate) apply(Pbvs) apply(ComputedTorque)
 
 namespace hexservo {
 

@@ -1,0 +1,54 @@
+/// @file
+/// Computed torque: the estimated dynamics turned around, with an acceleration that regulates the pose error
+/// (docs/model.md, section 5).
+#pragma once
+
+#include "hexservo/laws/pose_error.hpp"
+#include "hexservo/laws/stateless_law.hpp"
+
+namespace hexservo {
+
+/// Gains of the law `computed_torque`.
+template <class S, int N = kPoints>
+struct ComputedTorqueGains {
+  Vector6<S> kp = Vector6<S>::Constant(S(400.0));     ///< diagonal of K_p [1/s^2], 400
+  Vector6<S> kd = Vector6<S>::Constant(S(40.0));      ///< diagonal of K_d [1/s], 40
+  Vector6<S> prior = linear_angular<S>(1e4, 1600.0);  ///< diagonal of M [px^2/m^2; px^2/rad^2], 1e4 x3, 1600 x3
+
+  static constexpr const char* keys[] = {"kp", "kd", "prior"};  ///< of the scenario's block, as `visit` has them
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.kp, b.kp);
+    f(a.kd, b.kd);
+    f(a.prior, b.prior);
+  }
+};
+
+/// The law as a policy of the loop.
+struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
+  static constexpr const char* name = "computed_torque";
+
+  /// tau = D (K_p e - K_d chi-dot) + C chi-dot + G with the estimates of (1), and e as in `composite`.
+  template <class S, int N>
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
+                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+    const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
+    const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
+    const Vector6<S> pose_error =
+        most_probable_pose_error(J, feature_error, gains.prior, pose_difference(task.reference, input.pose));
+    const Vector6<S> wanted = gains.kp.cwiseProduct(pose_error) - gains.kd.cwiseProduct(input.twist);  // chi-ddot
+    const Matrix3<S> inertia_B = inertia_in_base(task.body, input.R_BE);
+    const Vector3<S> omega = input.twist.template tail<3>();
+    out.wrench = task.gravity_wrench;
+    out.wrench.template head<3>() += task.body.mass * wanted.template head<3>();
+    out.wrench.template tail<3>() += rotate<S>(inertia_B, wanted.template tail<3>()) +
+                                     omega.cross(rotate<S>(inertia_B, omega));  // [omega]x I' omega
+  }
+};
+
+/// Checks gains as a user gives them.
+/// @throws std::invalid_argument naming the scenario key
+void validate(const ComputedTorqueGains<double>& gains);
+
+}  // namespace hexservo

@@ -1,0 +1,51 @@
+/// @file
+/// Position-based visual servoing: a pose from the four features and believed points, then a Cartesian law
+/// (docs/model.md, section 5).
+#pragma once
+
+#include "hexservo/laws/pose_error.hpp"
+#include "hexservo/laws/stateless_law.hpp"
+
+namespace hexservo {
+
+/// Gains of the law `pbvs`.
+template <class S, int N = kPoints>
+struct PbvsGains {
+  Vector6<S> kp{S(24.0), S(24.0), S(24.0),
+                S(0.06), S(0.06), S(0.12)};  ///< diagonal of K_p [N/m; N m/rad], 24 x3, 0.06 x2, 0.12
+  Vector6<S> kd{S(2.4),  S(2.4),  S(2.4),
+                S(6e-3), S(6e-3), S(1.2e-2)};  ///< diagonal of K_d [N s/m; N m s/rad], 2.4 x3, 6e-3 x2, 1.2e-2
+
+  static constexpr const char* keys[] = {"kp", "kd"};  ///< of the scenario's block, as `visit` has them
+
+  /// The task has to hold the pose of the goal.
+  static constexpr bool needs_goal() { return true; }
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.kp, b.kp);
+    f(a.kd, b.kd);
+  }
+};
+
+/// The law as a policy of the loop.
+struct Pbvs : StatelessLaw<PbvsGains> {
+  static constexpr const char* name = "pbvs";
+
+  /// tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat from the features by `estimate_pose`, started at
+  /// the pose of the joint sensors. NaN where there is no estimate.
+  template <class S, int N>
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
+                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+    const PoseEstimate<S> estimate = estimate_pose(task.focal_pixels, task.target.points_B, input.features, input.pose);
+    const Vector6<S> error =
+        select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
+    out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
+  }
+};
+
+/// Checks gains as a user gives them.
+/// @throws std::invalid_argument naming the scenario key
+void validate(const PbvsGains<double>& gains);
+
+}  // namespace hexservo

@@ -1,0 +1,105 @@
+/// @file
+/// Classical image-based visual servoing: a velocity from the pseudo-inverse of the image Jacobian, and an inner loop
+/// that makes the platform follow it (docs/model.md, section 5).
+#pragma once
+
+#include "hexservo/elementary.hpp"
+#include "hexservo/laws/pose_error.hpp"
+#include "hexservo/laws/stateless_law.hpp"
+
+namespace hexservo {
+
+/// Where the image Jacobian of `resolved_rate` is taken.
+enum class JacobianPoint {
+  current,  ///< at the measured features and depths
+  desired,  ///< at the desired features, with the believed points' depths seen from the goal
+  mean      ///< half the sum of the two
+};
+
+/// Gains of the law `resolved_rate`.
+template <class S, int N = kPoints>
+struct ResolvedRateGains {
+  S gain{10.0};           ///< lambda; of the adaptive gain its value lambda_0 at the goal [1/s], 10
+  bool adaptive = false;  ///< false: lambda is constant
+  S gain_far{5.0};        ///< lambda_inf, adaptive gain far from the goal [1/s], 5; at most `gain`
+  S gain_slope{1.0};      ///< s_0, how steeply the adaptive gain falls at the goal [1/(s px)], 1
+  JacobianPoint jacobian_at = JacobianPoint::current;
+  Vector6<S> ki{S(3.0),    S(3.0),    S(3.0),
+                S(7.5e-3), S(7.5e-3), S(0.015)};  ///< diagonal of K_i [N s/m; N m s/rad], 3 x3, 7.5e-3 x2, 0.015
+  Vector6<S> damping = Vector6<S>::Zero();        ///< diagonal of M [px^2/m^2; px^2/rad^2], 0: the plain pseudo-inverse
+
+  /// Of the scenario's block, as `visit` has them.
+  static constexpr const char* keys[] = {"gain", "adaptive", "gain_far", "gain_slope", "jacobian_at", "ki", "damping"};
+
+  /// The task has to hold the pose of the goal.
+  bool needs_goal() const { return jacobian_at != JacobianPoint::current; }
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.gain, b.gain);
+    f(a.adaptive, b.adaptive);
+    f(a.gain_far, b.gain_far);
+    f(a.gain_slope, b.gain_slope);
+    f(a.jacobian_at, b.jacobian_at);
+    f(a.ki, b.ki);
+    f(a.damping, b.damping);
+  }
+};
+
+/// lambda(x) = (lambda_0 - lambda_inf) exp(-s_0 x/(lambda_0 - lambda_inf)) + lambda_inf [1/s], or lambda.
+/// @param x largest |xi-tilde_i| [px]
+template <class S, int N>
+S velocity_gain(const ResolvedRateGains<S, N>& gains, const S& x) {
+  if (!gains.adaptive) return gains.gain;
+  constexpr double kFlat = -700.0;  // exp rounds to nothing against 1 long before
+  const S spread = gains.gain - gains.gain_far;
+  const Mask<S> spreads = spread > S(0.0);
+  const S exponent = -gains.gain_slope * x / select(spreads, spread, S(1.0));
+  const S fall = spread * expm1_of_negative(S(clip(exponent, S(kFlat), S(0.0))));
+  return gains.gain + select(spreads, fall, S(S(0.0) * x));  // NaN stays NaN
+}
+
+/// The law as a policy of the loop.
+struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
+  static constexpr const char* name = "resolved_rate";
+
+  /// v* = lambda (J^T J + M)^-1 J^T xi-tilde, tau = K_i (v* - chi-dot) + G. NaN where J^T J + M is not positive
+  /// definite.
+  template <class S, int N>
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
+                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+    const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
+    const Eigen::Matrix<S, 2 * N, 6> J = jacobian(gains.jacobian_at, task, input);
+    Matrix6<S> information = Matrix6<S>::Zero();
+    Vector6<S> pulled = Vector6<S>::Zero();
+    for (int row = 0; row < 2 * N; ++row)
+      for (int j = 0; j < 6; ++j) {
+        pulled(j) += J(row, j) * feature_error(row);
+        for (int i = 0; i < 6; ++i) information(i, j) += J(row, i) * J(row, j);
+      }
+    for (int j = 0; j < 6; ++j) information(j, j) += gains.damping(j);
+    const S lambda = velocity_gain(gains, largest_abs<S, 2 * N, 1>(feature_error));
+    const Vector6<S> velocity = lambda * solve_normal_equations<S>(information, pulled);
+    out.wrench = gains.ki.cwiseProduct(velocity - input.twist) + task.gravity_wrench;
+  }
+
+ private:
+  /// J-hat as a matrix. That of the goal is turned into B by today's attitude, as that of now is.
+  template <class S, int N>
+  static Eigen::Matrix<S, 2 * N, 6> jacobian(JacobianPoint at, const ControlTask<S, N>& task,
+                                             const LawInput<S, N>& input) noexcept {
+    const ImageJacobian<S, N> now(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth,
+                                  input.R_BE);
+    if (at == JacobianPoint::current) return now.matrix();
+    const ImageJacobian<S, N> goal(task.focal_pixels, task.jacobian_sign, task.desired_features,
+                                   task.target.goal_inverse_depth, input.R_BE);
+    if (at == JacobianPoint::desired) return goal.matrix();
+    return S(0.5) * (now.matrix() + goal.matrix());
+  }
+};
+
+/// Checks gains as a user gives them.
+/// @throws std::invalid_argument naming the scenario key
+void validate(const ResolvedRateGains<double>& gains);
+
+}  // namespace hexservo
