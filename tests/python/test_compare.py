@@ -238,8 +238,9 @@ def test_the_figure_shows_every_run(comparison: hs.Comparison) -> None:
     assert len({line.get_gid() for line in panels["Residual"].lines} - {None}) >= len(comparison.rows)
     line = next(line for line in panels["paper"].lines if line.get_gid() == "error hybrid")
     row = comparison.row("hybrid", "paper")
-    assert line.get_ydata()[-1] == row.error[-1]  # type: ignore[index]
-    assert max(line.get_ydata()) == row.error[row.time >= 0.01].max()  # type: ignore[arg-type]
+    drawn_errors = np.asarray(line.get_ydata())
+    assert drawn_errors[-1] == row.error[-1]
+    assert drawn_errors.max() == row.error[row.time >= 0.01].max()
 
 
 def test_no_texts_of_the_figure_overlap() -> None:

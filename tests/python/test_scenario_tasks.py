@@ -125,7 +125,7 @@ def test_every_half_turn_about_the_common_axis_passes_a_singular_pose(height: fl
     random = np.random.default_rng(8301)
     for _ in range(20):
         robot = _core.robot_preset("micro")
-        robot.home_position = [0.0, 0.0, -height]
+        robot.home_position = np.array([0.0, 0.0, -height])
         robot.platform_angles, robot.base_angles = np.sort(random.uniform(-math.pi, math.pi, (2, 6)))
         hexapod = _core.Hexapod(robot)
         for angle in random.uniform(-math.pi, math.pi, 5):
