@@ -96,7 +96,7 @@ def test_smooth_check(paper: hs.Scenario) -> None:
     ],
 )
 def test_laws_to_compare_with(law: str, scenario: str, settling: float, final: float, force: float) -> None:
-    """Smooth right-hand sides, of which every printed digit is that of the equation: half of the last one is allowed."""
+    """Smooth right-hand sides, so that every printed digit is the equation's: half of the last one is allowed."""
     result, metrics = run(hs.load_scenario(scenario).updated({"controller.law": law}))
     # settling times are steps of 1 ms
     assert metrics["settling_time"] == pytest.approx(settling, abs=1e-9, nan_ok=True)
@@ -118,7 +118,7 @@ def test_the_goal_itself_is_reached_where_all_depths_err_alike(law: str, paper: 
 
 
 def test_what_a_gravity_error_leaves_is_what_the_stiffness_decides(paper: hs.Scenario) -> None:
-    """At rest K_p dz = delta_G m g: twice as stiff, half the offset, which is 1.84 mm by hand for the default 24 N/m."""
+    """At rest K_p dz = delta_G m g: twice as stiff, half the offset; 1.84 mm by hand for 24 N/m."""
     offsets = []
     for stiffness in (24.0, 48.0):
         gains = {"controller.pbvs.kp": [stiffness] * 3 + [0.06, 0.06, 0.12]}
