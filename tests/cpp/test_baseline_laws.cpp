@@ -186,7 +186,9 @@ TEST_CASE(
       s.gains.gain = lambda;
       s.gains.ki.setOnes();
       // xi_d - xi = (cos - 1) xi + sin xi', with xi' = (-y, x); -xi/|Z| is the image of v_z, -xi' that of omega_z, and
-      // the square makes all other columns of J orthogonal to both.
+      // the square makes all other columns of J orthogonal to both. The smaller one tells lateral from angular motion
+      // by x^2/f = 0.7 px of 1163 px per m: normal equations square a condition of some 2e3.
+      const double tolerance = 2e3 * 2e3 * kEpsilon;
       const auto wrench = [&](JacobianPoint at) {
         s.gains.jacobian_at = at;
         return s.wrench();
@@ -195,12 +197,12 @@ TEST_CASE(
       Vector6<double> expected = Vector6<double>::Zero();
       expected(2) = back;
       expected(5) = -lambda * std::sin(theta);
-      CHECK(distance(wrench(JacobianPoint::current), expected) <= 1e-11);
+      CHECK(relative_distance(wrench(JacobianPoint::current), expected) <= tolerance);
       expected(2) = -back;
-      CHECK(distance(wrench(JacobianPoint::desired), expected) <= 1e-11);
+      CHECK(relative_distance(wrench(JacobianPoint::desired), expected) <= tolerance);
       expected(2) = 0.0;
       expected(5) = -lambda * 2.0 * std::tan(theta / 2.0);  // xi_d - xi = tan(theta/2) (xi + xi_d)'
-      CHECK(relative_distance(wrench(JacobianPoint::mean), expected) <= 1e-11);
+      CHECK(relative_distance(wrench(JacobianPoint::mean), expected) <= tolerance);
     }
 }
 
