@@ -22,7 +22,8 @@ def output_of(example: str, folder: Path) -> str:
 
 
 def test_the_examples_of_batches_run(tmp_path: Path) -> None:
-    (_, of_readme), (of_page,) = examples(README), examples(ROOT / "docs" / "batch.md")
+    (of_readme,) = (example for example in examples(README) if "simulate_batch" in example)
+    (of_page,) = examples(ROOT / "docs" / "batch.md")
     runs, worst = output_of(of_readme, tmp_path).splitlines()
     assert runs == "1000 runs: 1000 completed"
     assert re.fullmatch(r"worst error at 5 s: \d+\.\d px, at a mass error of -?\d+\.\d%", worst)
@@ -31,8 +32,27 @@ def test_the_examples_of_batches_run(tmp_path: Path) -> None:
     assert 0.3 < settling_time < 1.0
 
 
+def test_the_examples_of_a_real_camera_run(tmp_path: Path) -> None:
+    prediction, own, _ = (example for example in examples(README)[1:] if "simulate(" in example or "compare(" in example)
+    without, with_prediction = output_of(prediction, tmp_path).splitlines()
+    assert re.fullmatch(r"none diverged \d+\.\d\d px", without)
+    assert re.fullmatch(r"encoder completed 0\.\d\d px", with_prediction)
+    assert output_of(own, tmp_path) == "ran to the end\n"
+
+
+def test_the_example_of_comparisons_runs(tmp_path: Path) -> None:
+    (example,) = (example for example in examples(README) if "compare(" in example)
+    rows = output_of(example, tmp_path).splitlines()
+    assert [row.split()[:2] for row in rows] == [
+        [scenario, law]
+        for scenario in ("paper", "paper-gravity", "task-rotation")
+        for law in ("hybrid", "composite")
+    ]
+    assert (tmp_path / "out" / "comparison").is_dir()
+
+
 def test_the_first_example_runs(tmp_path: Path) -> None:
-    example, _ = examples(README)
+    example = examples(README)[0]
     output = output_of(example, tmp_path)
     outcome, settled, drift = output.splitlines()
     assert outcome.startswith("completed")

@@ -264,7 +264,7 @@ REFUSED: list[tuple[str, Any, str]] = [
     (
         "controller.switching.kind",
         "sgn",
-        'expected one of "sign", "tanh", "saturation", got "sgn"; did you mean "sign"?',
+        'expected one of "sign", "tanh", "saturation", "implicit", "implicit_coupled", got "sgn"; did you mean "sign"?',
     ),
     ("controller.switching.width", 0, "expected a number > 0, got 0"),
     ("controller.hybrid.kp", 0, "expected a number > 0, got 0"),
