@@ -178,11 +178,12 @@ std::string nearest_grid(double step, double duration) {
                above * step);
 }
 
-/// Whether the law gives a finite wrench at the start.
+/// Why a run would stop before its first step.
 template <class Law>
-bool starts(const LoopParameters<double, Law>& p) {
-  if (p.mode == LoopMode::sampled) return SampledLoop<double, Law>(p).record().running();
-  return ClosedLoop<double, Law>(p).record().running();
+StopCause cause_at_start(const LoopParameters<double, Law>& p) {
+  const double cause = p.mode == LoopMode::sampled ? SampledLoop<double, Law>(p).record().cause()
+                                                   : ClosedLoop<double, Law>(p).record().cause();
+  return static_cast<StopCause>(static_cast<int>(cause));
 }
 
 }  // namespace
@@ -283,7 +284,11 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
   detail::require_finite("metrics.rms_start", settings.metrics.rms_start);
   p.metrics = settings.metrics;
 
-  if (!starts(p)) refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
+  const StopCause cause = cause_at_start(p);
+  if (cause == StopCause::solver_failed)
+    refuse("sensors.noise", "encoders whose first readings belong to a pose", words(p.encoders.noise, " m"));
+  if (cause != StopCause::none)
+    refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
   return p;
 }
 

@@ -49,7 +49,7 @@ class BatchResult:
     variations: Mapping[str, Array] = field(repr=False)  # as given, each (n or 1, ...) in the key's own shape
     outcome: NDArray[np.str_] = field(repr=False)  # (n,) as Result.outcome
     cause: NDArray[np.str_] = field(repr=False)  # (n,) why a run stopped early: none, not_finite, feature_error, ...
-    limit_leg: NDArray[np.int8] = field(repr=False)  # (n,) leg that ended a run as leg_limit, 0 to 5; -1: none did
+    limit_leg: NDArray[np.int8] = field(repr=False)  # (n,) leg, 1 to 6, that ended a run as leg_limit; 0: none did
     end_time: Array = field(repr=False)  # (n,) [s], time of the last good sample; NaN where interrupted
     stop_time: Array = field(repr=False)  # (n,) [s], time of the step that failed, else of the end; NaN likewise
     metrics: Mapping[str, Array] = field(repr=False)  # name of hs.METRICS -> (n,); NaN where interrupted
@@ -73,7 +73,7 @@ class BatchResult:
         if self.outcome[index] == "interrupted":
             return "interrupted before its end"
         cause = _core.StopCause[str(self.cause[index])]
-        return _core.describe(cause, float(self.stop_time[index]), int(self.limit_leg[index]))
+        return _core.describe(cause, float(self.stop_time[index]), int(self.limit_leg[index]) - 1)
 
     def to_xarray(self) -> xarray.Dataset:
         """Give the batch as a dataset with the dimension ``scenario``, labelled, with units.
@@ -188,7 +188,7 @@ def simulate_batch(
         variations=arrays,
         outcome=_OUTCOMES[run.outcome],
         cause=_CAUSES[run.cause],
-        limit_leg=run.limit_leg,
+        limit_leg=run.limit_leg + np.int8(1),
         end_time=run.end_time,
         stop_time=run.stop_time,
         metrics=dict(zip(METRICS, run.metrics, strict=True)),

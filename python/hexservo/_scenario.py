@@ -301,7 +301,7 @@ class _File(_Rule):
     def accept(self, value: Any) -> str | None:
         if value is not None and not (isinstance(value, str) and value):
             self.refuse(value)
-        return cast("str | None", value)
+        return value
 
 
 @dataclass(frozen=True)

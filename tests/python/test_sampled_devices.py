@@ -242,8 +242,8 @@ def test_leg_limit_ends_a_run_with_its_leg_and_time(paper: hs.Scenario) -> None:
     first = next(event for event in reported.events if event.kind == "stroke")
     stopped = hs.simulate(sinking.updated({"robot.on_limit": "stop"}))
     assert stopped.outcome == "leg_limit"
-    assert stopped.detail == f"leg {first.leg + 1} passed its stroke at t = {first.first_time:.12g} s"
-    assert stopped.end_time == pytest.approx(first.first_time - TICK)
+    assert stopped.detail == f"leg {first.leg} passed its stroke at t = {first.time:.12g} s"
+    assert stopped.end_time == pytest.approx(first.time - TICK)
     travel = np.abs(stopped.leg_lengths - stopped.leg_lengths[0])
     assert 0.9 * 0.017 < travel.max() <= 0.017
 
@@ -256,7 +256,8 @@ def test_a_batch_names_leg_and_time(paper: hs.Scenario) -> None:
     batch = hs.simulate_batch(sinking, {"uncertainty.gravity": np.array([-0.5, 0.0, -0.5])})
     assert batch.outcome.tolist() == ["leg_limit", "completed", "leg_limit"]
     assert batch.detail(0) == single.detail == batch.detail(2)
-    assert batch.limit_leg[1] == -1
+    assert batch.limit_leg[1] == 0
+    assert f"leg {batch.limit_leg[0]} " in single.detail
 
 
 # ---- Encoders and sources of noise ----------------------------------------------------------------------------------

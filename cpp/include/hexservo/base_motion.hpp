@@ -118,7 +118,7 @@ class BaseMotion {
   Vector3<S> recorded_at(double time) const noexcept {
     const double place = time / recorded_.period;
     const double last = static_cast<double>(recorded_.count - 1);
-    if (!(place >= 0.0 && place <= last)) return Vector3<S>::Zero();
+    if (!(place >= 0.0 && place <= last * (1.0 + 1e-12))) return Vector3<S>::Zero();  // times of a grid are rounded
     const long long before = std::min(static_cast<long long>(place), recorded_.count - 2);
     const double share = place - static_cast<double>(before);
     const double* from = recorded_.samples + 3 * before;
