@@ -33,7 +33,9 @@ def test_the_examples_of_batches_run(tmp_path: Path) -> None:
 
 
 def test_the_examples_of_a_real_camera_run(tmp_path: Path) -> None:
-    prediction, own, _ = (example for example in examples(README)[1:] if "simulate(" in example or "compare(" in example)
+    prediction, own, _ = (
+        example for example in examples(README)[1:] if "simulate(" in example or "compare(" in example
+    )
     without, with_prediction = output_of(prediction, tmp_path).splitlines()
     assert re.fullmatch(r"none diverged \d+\.\d\d px", without)
     assert re.fullmatch(r"encoder completed 0\.\d\d px", with_prediction)
@@ -44,9 +46,7 @@ def test_the_example_of_comparisons_runs(tmp_path: Path) -> None:
     (example,) = (example for example in examples(README) if "compare(" in example)
     rows = output_of(example, tmp_path).splitlines()
     assert [row.split()[:2] for row in rows] == [
-        [scenario, law]
-        for scenario in ("paper", "paper-gravity", "task-rotation")
-        for law in ("hybrid", "composite")
+        [scenario, law] for scenario in ("paper", "paper-gravity", "task-rotation") for law in ("hybrid", "composite")
     ]
     assert (tmp_path / "out" / "comparison").is_dir()
 

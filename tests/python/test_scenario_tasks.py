@@ -146,3 +146,36 @@ def test_the_papers_law_does_not_settle_there(name: str) -> None:
     """Why these tasks come with the law `composite`."""
     metrics = hs.metrics(hs.simulate(hs.load_scenario(name).updated({"controller.law": "hybrid"})))
     assert math.isnan(metrics["settling_time"])
+
+
+class Sampled(NamedTuple):
+    """Medians over 20 seeds."""
+
+    settling_time: float  # [s]
+    rms_error: float  # [px]
+
+
+SAMPLED = {
+    "slow-camera": Sampled(0.594, 0.102),
+    "noisy-camera": Sampled(0.518, 0.089),
+    "dropouts": Sampled(0.609, 0.253),
+    "rough-road": Sampled(0.575, 0.153),
+    "saturation": Sampled(0.538, 0.057),
+    "real-machine": Sampled(0.579, 0.073),
+}
+
+
+@pytest.mark.parametrize("name", SAMPLED)
+def test_machines_as_they_are_built_settle(name: str) -> None:
+    scenario, expected = hs.load_scenario(name), SAMPLED[name]
+    batch = hs.simulate_batch(scenario, {"seed": np.arange(20)}, log="metrics")
+    assert (batch.outcome == "completed").all()
+    settling_time, rms = (np.median(batch.metrics[key]) for key in ("settling_time", "rms_error"))
+    # A frame sooner or later decides when the last feature stays inside; 20 numbers estimate a median to some percent.
+    assert settling_time == pytest.approx(expected.settling_time, rel=0.03, abs=0.005)
+    assert rms == pytest.approx(expected.rms_error, rel=0.1)
+    assert batch.metrics["peak_leg_excursion"].max() < scenario.robot.stroke
+    if scenario.actuators.saturation:
+        assert batch.metrics["peak_leg_force"].max() <= scenario.robot.force_limit
+    if name == "saturation":
+        assert batch.metrics["peak_leg_force"].max() == scenario.robot.force_limit
