@@ -125,7 +125,7 @@ class Frames {
 
   /// Lanes whose law has seen every point at least once, and has an image that is not too old.
   Mask<S> ready(long long tick) const noexcept {
-    return !any_of(never_) & (S(static_cast<double>(tick)) - newest_ <= settings_.timeout);
+    return (!any_of(never_)) & (S(static_cast<double>(tick)) - newest_ <= settings_.timeout);
   }
   /// Lanes whose newest frame does not show every point.
   Mask<S> lost() const noexcept { return any_of(lost_); }
