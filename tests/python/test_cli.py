@@ -105,18 +105,19 @@ def test_run_prints_every_metric_in_units_people_read() -> None:
     assert run.error == ""
     assert re.fullmatch(r"paper: completed, 5 s simulated in [0-9.e+]+ m?s", run.lines[0])
     rows: dict[str, str] = {}
-    for line in run.lines[1:13]:
+    for line in run.lines[1 : 1 + len(hs.METRICS)]:
         name, _, rest = line.partition("  ")
         rows[name] = rest.strip()
     assert [name.replace(" ", "_") for name in rows] == list(hs.METRICS)
     metrics = hs.metrics(hs.simulate(hs.load_scenario("paper")))
-    readable = {"m": "mm", "rad": "mrad", "m/s": "mm/s", "rad/s": "mrad/s", "N m": "mN m"}
+    readable = {"m": "mm", "rad": "mrad", "m/s": "mm/s", "rad/s": "mrad/s", "N m": "mN m", "1": "%"}
     for name, (unit, meaning) in hs.METRICS.items():
         value, shown, said = re.split(r"  +", rows[name.replace("_", " ")])
         assert said == meaning
         assert shown == readable.get(unit, unit)
-        assert float(value) == pytest.approx(metrics[name] * (1000 if unit in readable else 1), rel=5e-4)
-    assert run.lines[13:] == ["no files written; --out FOLDER writes figures and data"]
+        scale = {"%": 100, unit: 1}.get(shown, 1000)
+        assert float(value) == pytest.approx(metrics[name] * scale, rel=5e-4)
+    assert run.lines[1 + len(hs.METRICS) :] == ["no files written; --out FOLDER writes figures and data"]
 
 
 def test_run_without_out_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
