@@ -106,7 +106,7 @@ COLUMNS = (
     Column("peak_line_deviation", "off line", "px"),
     Column("peak_displacement", "camera", "mm", 1e3),
     Column("peak_rotation", "camera", "mrad", 1e3),
-    Column("effort", "effort", "N² s"),
+    Column("effort", "effort", "N^2 s"),
     Column("chatter", "chatter", "N/s"),
     Column("peak_leg_force", "leg force", "N", limit="force"),
     Column("peak_leg_excursion", "stroke", "mm", 1e3, limit="stroke"),

@@ -27,7 +27,7 @@ METRICS: dict[str, tuple[str, str]] = {
     "relative_overshoot": ("1", "the same, each in parts of its own initial error"),
     "peak_feature_distance": ("px", "largest distance of a feature from the image centre"),
     "peak_line_deviation": ("px", "largest distance of a feature from its straight way"),
-    "effort": ("N² s", "integral of the squared wrench beyond the estimated weight"),
+    "effort": ("N^2 s", "integral of the squared wrench beyond the estimated weight"),
     "chatter": ("N/s", "total variation of that wrench per second"),
 }
 
