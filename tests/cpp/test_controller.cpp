@@ -260,7 +260,7 @@ TEST_CASE("every law: NaN or infinity in any entry gives the safe output, and go
     for (int i = 0; i < 10; ++i) {
       last = seen_input(random, gains);
       const ControllerOutput out = step(gains, state, last);
-      REQUIRE_FALSE(out.invalid_input);
+      REQUIRE_FALSE(out.invalid_input());
       REQUIRE(is_finite(out.wrench));
       REQUIRE(is_finite(out.leg_forces));
     }
@@ -441,7 +441,8 @@ TEST_CASE("no law allocates in a tick, valid or not") {
     std::size_t invalid = 0;
     const long long before = allocations;
     ControllerState<Law> state = initial_state(gains);
-    for (std::size_t i = 0; i < kTicks / 16; ++i) invalid += step(gains, state, inputs[i % 64]).invalid_input ? 1U : 0U;
+    for (std::size_t i = 0; i < kTicks / 16; ++i)
+      invalid += step(gains, state, inputs[i % 64]).invalid_input() ? 1U : 0U;
     CHECK(allocations - before == 0);
     CHECK(invalid == kTicks / 16 / 64);
   });
