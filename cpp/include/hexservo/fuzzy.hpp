@@ -301,9 +301,9 @@ struct FuzzyStage {
 
 namespace detail {
 /// Adds to `rows` rows of one register of systems: the factors of several rows stay in registers for all columns.
-template <std::size_t rows, class S, std::size_t K>
+template <std::size_t first_row, std::size_t rows, class S, std::size_t K>
 void advance_rows(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*, K>& rates,
-                  const std::array<RegisterOf<S>, K>& factor, std::size_t first_row, std::size_t r) {
+                  const std::array<RegisterOf<S>, K>& factor, std::size_t r) {
   using R = RegisterOf<S>;
   std::array<std::array<R, rows>, K> left;
   std::array<const FuzzyBasis<S>*, K> basis;  // read once: for all the compiler knows, a weight may lie over a pointer
@@ -340,9 +340,9 @@ void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<
   for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
     std::array<R, K> factor;
     for (std::size_t k = 0; k < K; ++k) factor[k] = R(scales[k]) * rates[k]->strength.part[r];
-    detail::advance_rows<2, S, K>(weights, rates, factor, 0, r);
-    detail::advance_rows<2, S, K>(weights, rates, factor, 2, r);
-    detail::advance_rows<3, S, K>(weights, rates, factor, 4, r);
+    detail::advance_rows<0, 2, S, K>(weights, rates, factor, r);
+    detail::advance_rows<2, 2, S, K>(weights, rates, factor, r);
+    detail::advance_rows<4, 3, S, K>(weights, rates, factor, r);
   }
 }
 
