@@ -123,7 +123,7 @@ class World {
 
   Plant<S> plant_;
   S focal_pixels_;
-  Eigen::Matrix<S, 3, N> points_B_;
+  Vectors3<S, N> points_B_;
   CameraConvention convention_;
 };
 
