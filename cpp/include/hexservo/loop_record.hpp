@@ -17,7 +17,7 @@ class LoopRecord {
   /// @param start where the run begins
   template <class Law>
   LoopRecord(const LoopParameters<S, Law, N>& p, const WorldState<S, N>& start)
-      : hexapod_(p.hexapod), desired_features_(p.desired_features) {
+      : legs_(p.hexapod), desired_features_(p.desired_features) {
     Sample<S, N>::visit([](auto& value, const auto&) { value.setZero(); }, sample_, sample_);
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);
@@ -46,8 +46,8 @@ class LoopRecord {
   /// Takes over the sample of a state where it is good, and stops the lane where it is not.
   void accept(double time, const WorldState<S, N>& state, const Vector6<S>& wrench,
               const Vector6<S>& fuzzy_output) noexcept {
-    const Legs<S> legs = inverse_kinematics(hexapod_, position_of(state.body), state.view.R_BE);
-    const WrenchMapSolver<S> solver(hexapod_, legs);
+    const LegsSideBySide<S> legs = inverse_kinematics(legs_, position_of(state.body), state.view.R_BE);
+    const WrenchMapSolver<S> solver(legs_, legs);
     const Sample<S, N> next{desired_features_ - state.view.image.features,
                             state.view.image.depth,
                             position_of(state.body),
@@ -55,7 +55,7 @@ class LoopRecord {
                             twist_of(state.body),
                             wrench,
                             fuzzy_output,
-                            legs.lengths,
+                            legs.lengths.vector(),
                             solver.leg_forces(wrench)};
     const Mask<S> finite = is_finite(next.wrench) & is_finite(next.fuzzy_output) & is_finite(next.leg_forces);
     const Mask<S> regular = !solver.failed();  // leg forces of a singular pose have no meaning
@@ -73,7 +73,7 @@ class LoopRecord {
   }
 
  private:
-  Hexapod<S> hexapod_;
+  LegGeometry<S> legs_;
   Vector<S, 2 * N> desired_features_;
   Sample<S, N> sample_;
   std::optional<MetricsAccumulator<S, N>> metrics_;
