@@ -22,10 +22,10 @@ InputStatus why(const ControllerInput& input, bool fresh) noexcept {
 }
 
 /// Leg forces that give a wrench at a pose [N].
-Vector6<double> forces_at(const Hexapod<double>& hexapod, const Pose<double>& pose,
+Vector6<double> forces_at(const LegGeometry<double>& geometry, const Pose<double>& pose,
                           const Vector6<double>& wrench) noexcept {
-  const Legs<double> legs = inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
-  return WrenchMapSolver<double>(hexapod, legs).leg_forces(wrench);
+  const auto legs = inverse_kinematics(geometry, pose.position, rotation_matrix(pose.quaternion));
+  return WrenchMapSolver<double>(geometry, legs).leg_forces(wrench);
 }
 
 }  // namespace
@@ -44,6 +44,7 @@ ControllerGains<Law> controller_gains(const Settings<Law>& settings, double peri
   if constexpr (requires { p.gains.fuzzy; })
     require_resolved(p.gains.fuzzy, detail::words("controller.", Law::name, ".fuzzy."), period);
   return {p.hexapod,
+          LegGeometry<double>(p.hexapod),
           control_task(p),
           typename Law::template Constants<double>(p.gains),
           Law::initial_state(p.gains),
@@ -65,7 +66,7 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
   typename Law::template Evaluation<double> law;
   Law::evaluate(gains.task, gains.law, typename Law::template Stage<double>{&state.law},
                 LawInput<double>{input.image.features, inverse_depth, R_BE, input.twist, input.pose}, law);
-  const WrenchMapSolver<double> solver(gains.hexapod, inverse_kinematics(gains.hexapod, input.pose.position, R_BE));
+  const WrenchMapSolver<double> solver(gains.legs, inverse_kinematics(gains.legs, input.pose.position, R_BE));
   const Vector6<double> leg_forces = solver.leg_forces(law.wrench);
   // Forces that are finite come of a wrench that is.
   const bool valid = usable(input, gains.task) & !solver.failed() & is_finite(leg_forces);
@@ -73,7 +74,7 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
 
   if (!(valid & fresh)) {
     const Vector6<double>& wrench = gains.task.gravity_wrench;
-    return {wrench, forces_at(gains.hexapod, state.last_pose, wrench), Vector6<double>::Zero(), why(input, fresh)};
+    return {wrench, forces_at(gains.legs, state.last_pose, wrench), Vector6<double>::Zero(), why(input, fresh)};
   }
   Law::advance(gains.law, state.law, std::array<const typename Law::template Rate<double>*, 1>{&law.rate},
                std::array{gains.period}, true);

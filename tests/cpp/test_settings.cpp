@@ -311,7 +311,7 @@ TEST_CASE("a log that would not fit into memory is refused before it is allocate
   CHECK(is_about(long_run(1), "simulation.log_every"));
   CHECK(long_run(1000) == "(accepted)");
   PaperSettings settings = paper_settings();
-  settings.simulation = {1e-6, 900.0, 1};
+  settings.simulation = {LoopMode::continuous, 1e-6, 1, 900.0, 1};
   CHECK(is_about(refusal([&] { simulate(settings); }), "simulation.log_every"));
 }
 

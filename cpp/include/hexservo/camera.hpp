@@ -10,7 +10,7 @@
 /// | J_m = J_r + J_e  | ImageJacobian at the measured depth, image_jacobian_error    |                            |
 #pragma once
 
-#include "hexservo/types.hpp"
+#include "hexservo/side_by_side.hpp"
 
 namespace hexservo {
 
@@ -73,29 +73,41 @@ Vector3<S> back_project(const S& f, const Vector2<S>& feature, const S& depth) {
   return Vector3<S>(scale * feature(0), scale * feature(1), depth);
 }
 
+/// One number of each point, side by side.
+template <class S, int N>
+using PointVector = SideBySide<S, N>;
+
 /// What the camera at a pose sees of points fixed in B: P_i = R^T (P_i^B - x_p), then (4).
-/// @param points_B 3xN, one column per point [m]
+/// @param points_B of N points [m]
 /// @param inverse_depth 1/Z_i [1/m], which falls off on the way
 template <class S, int N>
-Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
-                       const Eigen::Matrix<S, 3, N>& points_B, Vector<S, N>& inverse_depth) {
-  Image<S, N> image;
-  for (int i = 0; i < N; ++i) {
-    const Vector3<S> p_E = rotate_back<S>(R_BE, points_B.col(i) - p_BE);
-    inverse_depth(i) = S(1.0) / p_E(2);
-    const Vector2<S> feature = project<S>(f, p_E, inverse_depth(i));
-    image.features(2 * i) = feature(0);
-    image.features(2 * i + 1) = feature(1);
-    image.depth(i) = p_E(2);
+Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE, const Vectors3<S, N>& points_B,
+                       Vector<S, N>& inverse_depth) {
+  using R = typename PointVector<S, N>::Register;
+  const Vector3<R> position = broadcast<R>(p_BE);
+  const Matrix3<R> attitude = broadcast<R>(R_BE);
+  Pairs<S, N> features;
+  PointVector<S, N> depth, inverse;
+  for (std::size_t r = 0; r < PointVector<S, N>::registers; ++r) {
+    const Vector3<R> point = points_B.part(r);
+    const Vector3<R> p_E =
+        rotate_back<R>(attitude, Vector3<R>(point(0) - position(0), point(1) - position(1), point(2) - position(2)));
+    inverse.part[r] = R(1.0) / p_E(2);
+    const Vector2<R> feature = project<R>(R(f), p_E, inverse.part[r]);
+    features.x.part[r] = feature(0);
+    features.y.part[r] = feature(1);
+    depth.part[r] = p_E(2);
   }
-  return image;
+  inverse.store(inverse_depth.data());
+  return {features.vector(), depth.vector()};
 }
 /// The same, for image and depth alone.
+/// @param points_B 3xN, one column per point [m]
 template <class S, int N>
 Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
                        const Eigen::Matrix<S, 3, N>& points_B) {
   Vector<S, N> inverse_depth;
-  return take_image(f, p_BE, R_BE, points_B, inverse_depth);
+  return take_image(f, p_BE, R_BE, Vectors3<S, N>(points_B), inverse_depth);
 }
 
 /// (8) applied to one point: image velocity [px/s] for the camera's velocity v and angular velocity w, both in E.
@@ -124,46 +136,62 @@ void add_point_wrench(const S& f, const S& inverse_f, const S& x, const S& y, co
 /// J = sign J_im(xi, Z) blkdiag(R^T, R^T) of (12): twist in B to image velocity; applied point by point.
 ///
 /// With sign = -1 this is the Jacobian of real points fixed in B (eye in hand); +1 is (8) as printed.
+/// (8) changes its sign with x, y and f, so they carry it.
 template <class S, int N = kPoints>
 class ImageJacobian {
  public:
-  /// @param features [px], shared: they must outlive this, and so must `R_BE`
+  /// @param features [px]
   /// @param inverse_depth 1/Z_i [1/m], measured or true
+  /// @param R_BE shared: it must outlive this
   ImageJacobian(const S& f, const S& sign, const Vector<S, 2 * N>& features, const Vector<S, N>& inverse_depth,
                 const Matrix3<S>& R_BE)
-      : f_(f), inverse_f_(S(1.0) / f), sign_(sign), features_(features), inverse_depth_(inverse_depth), R_BE_(R_BE) {}
+      : f_(sign * f),
+        inverse_f_(S(1.0) / f_),
+        inverse_depth_(PointVector<S, N>::load(inverse_depth.data())),
+        R_BE_(R_BE) {
+    const Pairs<S, N> pairs(features);
+    points_.x = sign * pairs.x;
+    points_.y = sign * pairs.y;
+  }
 
   /// @param image features [px] and depth [m], measured or true; depth must not be zero
   ImageJacobian(const S& f, const S& sign, const Image<S, N>& image, const Matrix3<S>& R_BE)
       : ImageJacobian(f, sign, image.features, image.depth.cwiseInverse(), R_BE) {}
 
-  // What is shared must have a name: a temporary is gone before the Jacobian is used.
+  // What is, or may be, shared must have a name: a temporary is gone before the Jacobian is used.
   ImageJacobian(const S&, const S&, Vector<S, 2 * N>&&, const Vector<S, N>&, const Matrix3<S>&) = delete;
   ImageJacobian(const S&, const S&, const Vector<S, 2 * N>&, const Vector<S, N>&, Matrix3<S>&&) = delete;
   ImageJacobian(const S&, const S&, Image<S, N>&&, const Matrix3<S>&) = delete;
   ImageJacobian(const S&, const S&, const Image<S, N>&, Matrix3<S>&&) = delete;
 
   /// J chi-dot [px/s] for a twist in B.
-  Vector<S, 2 * N> push(const Vector6<S>& twist) const {
-    const Vector3<S> v_E = rotate_back<S>(R_BE_, twist.template head<3>());
-    const Vector3<S> w_E = rotate_back<S>(R_BE_, twist.template tail<3>());
-    Vector<S, 2 * N> rates;
-    for (int i = 0; i < N; ++i) {
-      const Vector2<S> rate =
-          point_rate<S>(f_, inverse_f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), v_E, w_E);
-      rates(2 * i) = sign_ * rate(0);
-      rates(2 * i + 1) = sign_ * rate(1);
+  Vector<S, 2 * N> push(const Vector6<S>& twist) const { return push_pairs(twist).vector(); }
+  Pairs<S, N> push_pairs(const Vector6<S>& twist) const {
+    const Vector3<R> v_E = broadcast<R>(rotate_back<S>(R_BE_, Vector3<S>(twist(0), twist(1), twist(2))));
+    const Vector3<R> w_E = broadcast<R>(rotate_back<S>(R_BE_, Vector3<S>(twist(3), twist(4), twist(5))));
+    Pairs<S, N> rates;
+    for (std::size_t r = 0; r < registers; ++r) {
+      const Vector2<R> rate =
+          point_rate<R>(R(f_), R(inverse_f_), points_.x.part[r], points_.y.part[r], inverse_depth_.part[r], v_E, w_E);
+      rates.x.part[r] = rate(0);
+      rates.y.part[r] = rate(1);
     }
     return rates;
   }
 
   /// J^T p, a wrench in B, for an image force p (2N).
-  Vector6<S> pull(const Vector<S, 2 * N>& image_force) const {
-    Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
-    for (int i = 0; i < N; ++i)
-      add_point_wrench<S>(f_, inverse_f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), image_force(2 * i),
-                          image_force(2 * i + 1), force_E, moment_E);
-    return signed_in_base(force_E, moment_E);
+  Vector6<S> pull(const Vector<S, 2 * N>& image_force) const { return pull(Pairs<S, N>(image_force)).vector(); }
+  SideBySide<S, 6> pull(const Pairs<S, N>& image_force) const {
+    Vector3<R> force(R(0.0), R(0.0), R(0.0)), moment(R(0.0), R(0.0), R(0.0));
+    for (std::size_t r = 0; r < registers; ++r)
+      add_point_wrench<R>(R(f_), R(inverse_f_), points_.x.part[r], points_.y.part[r], inverse_depth_.part[r],
+                          image_force.x.part[r], image_force.y.part[r], force, moment);
+    const auto [fx, fy] = lane_sums<S>(force(0), force(1));
+    const auto [fz, mx] = lane_sums<S>(force(2), moment(0));
+    const auto [my, mz] = lane_sums<S>(moment(1), moment(2));
+    const Vector3<S> force_B = rotate<S>(R_BE_, Vector3<S>(fx, fy, fz));
+    const Vector3<S> moment_B = rotate<S>(R_BE_, Vector3<S>(mx, my, mz));
+    return SideBySide<S, 6>::of(force_B(0), force_B(1), force_B(2), moment_B(0), moment_B(1), moment_B(2));
   }
 
   /// J as a 2N x 6 matrix: twist in B (m/s; rad/s) to image velocity [px/s].
@@ -187,27 +215,29 @@ class ImageJacobian {
   }
 
  private:
+  using R = typename PointVector<S, N>::Register;
+  static constexpr std::size_t registers = PointVector<S, N>::registers;
+
   /// fx times the row of J for the x of point i, plus fy times that for its y.
   Vector6<S> row(int i, const S& fx, const S& fy) const {
     Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
-    add_point_wrench<S>(f_, inverse_f_, features_(2 * i), features_(2 * i + 1), inverse_depth_(i), fx, fy, force_E,
-                        moment_E);
-    return signed_in_base(force_E, moment_E);
+    add_point_wrench<S>(f_, inverse_f_, points_.x(i), points_.y(i), inverse_depth_(i), fx, fy, force_E, moment_E);
+    return in_base(force_E, moment_E);
   }
 
-  Vector6<S> signed_in_base(const Vector3<S>& force_E, const Vector3<S>& moment_E) const {
+  Vector6<S> in_base(const Vector3<S>& force_E, const Vector3<S>& moment_E) const {
     const Vector3<S> force_B = rotate<S>(R_BE_, force_E), moment_B = rotate<S>(R_BE_, moment_E);
     Vector6<S> wrench;
     for (int i = 0; i < 3; ++i) {
-      wrench(i) = sign_ * force_B(i);
-      wrench(i + 3) = sign_ * moment_B(i);
+      wrench(i) = force_B(i);
+      wrench(i + 3) = moment_B(i);
     }
     return wrench;
   }
 
-  S f_, inverse_f_, sign_;
-  const Vector<S, 2 * N>& features_;
-  Vector<S, N> inverse_depth_;
+  S f_, inverse_f_;     ///< with the sign
+  Pairs<S, N> points_;  ///< likewise
+  PointVector<S, N> inverse_depth_;
   const Matrix3<S>& R_BE_;
 };
 

@@ -16,8 +16,15 @@ inline constexpr double kPivotFloor = 1e-14;
 template <class S, int N>
 class Cholesky {
  public:
-  explicit Cholesky(const Eigen::Matrix<S, N, N>& A) : L_(A), inverse_D_(Vector<S, N>::Zero()) {
+  /// @param A its lower triangle is read
+  explicit Cholesky(const Eigen::Matrix<S, N, N>& A) {
+    // One by one, since that is how they were written: a wider load would have to wait.
+#pragma GCC unroll 6
+    for (int j = 0; j < N; ++j)
+#pragma GCC unroll 6
+      for (int i = j; i < N; ++i) L_(i, j) = A(i, j);
     S largest = A(0, 0);
+#pragma GCC unroll 6
     for (int i = 1; i < N; ++i) largest = max(largest, A(i, i));
     failed_ = !(largest > S(0.0));
 #pragma GCC unroll 6
@@ -46,7 +53,8 @@ class Cholesky {
     for (int i = 1; i < N; ++i)
 #pragma GCC unroll 6
       for (int k = 0; k < i; ++k) b(i) -= L_(i, k) * b(k);
-    b = b.cwiseProduct(inverse_D_);
+#pragma GCC unroll 6
+    for (int i = 0; i < N; ++i) b(i) *= inverse_D_(i);
 #pragma GCC unroll 6
     for (int i = N - 2; i >= 0; --i)
 #pragma GCC unroll 6

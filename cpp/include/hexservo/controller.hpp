@@ -15,6 +15,7 @@ namespace hexservo {
 template <class Law>
 struct ControllerGains {
   Hexapod<double> hexapod;
+  LegGeometry<double> legs;
   ControlTask<double> task;
   typename Law::template Constants<double> law;
   typename Law::template State<double> initial_law_state;

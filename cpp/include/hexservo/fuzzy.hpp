@@ -301,9 +301,9 @@ struct FuzzyStage {
 
 namespace detail {
 /// Adds to `rows` rows of one register of systems: the factors of several rows stay in registers for all columns.
-template <std::size_t rows, class S, std::size_t K>
+template <std::size_t first_row, std::size_t rows, class S, std::size_t K>
 void advance_rows(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*, K>& rates,
-                  const std::array<RegisterOf<S>, K>& factor, std::size_t first_row, std::size_t r) {
+                  const std::array<RegisterOf<S>, K>& factor, std::size_t r) {
   using R = RegisterOf<S>;
   std::array<std::array<R, rows>, K> left;
   std::array<const FuzzyBasis<S>*, K> basis;  // read once: for all the compiler knows, a weight may lie over a pointer
@@ -340,9 +340,9 @@ void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<
   for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
     std::array<R, K> factor;
     for (std::size_t k = 0; k < K; ++k) factor[k] = R(scales[k]) * rates[k]->strength.part[r];
-    detail::advance_rows<2, S, K>(weights, rates, factor, 0, r);
-    detail::advance_rows<2, S, K>(weights, rates, factor, 2, r);
-    detail::advance_rows<3, S, K>(weights, rates, factor, 4, r);
+    detail::advance_rows<0, 2, S, K>(weights, rates, factor, r);
+    detail::advance_rows<2, 2, S, K>(weights, rates, factor, r);
+    detail::advance_rows<4, 3, S, K>(weights, rates, factor, r);
   }
 }
 
@@ -368,18 +368,16 @@ void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<
 /// @param driver what drives the adaptation, chi-dot in (22) [m/s; rad/s]
 template <class S>
 void restrain(const FuzzySystems<S>& systems, const S& elapsed, const AxisVector<S>& driver, FuzzyRate<S>& rate,
-              Vector6<S>& output) {
+              AxisVector<S>& output) {
   using R = RegisterOf<S>;
   using std::exp;
-  AxisVector<S> decayed(output);
   for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
     const R growth = exp(R(systems.leakage.part[r] * R(elapsed)));
     const R zone = systems.dead_zone.part[r];
     const R driven = driver.part[r] - clip(driver.part[r], -zone, zone);
     rate.strength.part[r] = systems.inverse_adaptation.part[r] * driven * growth;
-    decayed.part[r] = decayed.part[r] / growth;
+    output.part[r] = output.part[r] / growth;
   }
-  output = decayed.vector();
 }
 
 /// Leakage and limit at the end of a step: from V back to W, each weight then projected on its interval.
@@ -410,10 +408,18 @@ void restrain(const FuzzySystems<S>& systems, const S& step, FuzzyWeights<S>& we
 /// @param output tau_f [N; N m]; filled in
 template <class S>
 [[gnu::always_inline]] inline void respond(const FuzzySystems<S>& systems, const FuzzyStage<S>& weights,
-                                           const AxisVector<S>& driver, FuzzyRate<S>& rate, Vector6<S>& output) {
+                                           const AxisVector<S>& driver, FuzzyRate<S>& rate, AxisVector<S>& output) {
   rate.strength = systems.inverse_adaptation * driver;
-  output = weights.output(rate.basis).vector();
+  output = weights.output(rate.basis);
   if (systems.restrained) restrain(systems, weights.scale, driver, rate, output);
+}
+/// The same, with the output as a vector.
+template <class S>
+[[gnu::always_inline]] inline void respond(const FuzzySystems<S>& systems, const FuzzyStage<S>& weights,
+                                           const AxisVector<S>& driver, FuzzyRate<S>& rate, Vector6<S>& output) {
+  AxisVector<S> side_by_side;
+  respond(systems, weights, driver, rate, side_by_side);
+  side_by_side.store(output.data());
 }
 
 /// The end of a step: the weights advance by its stages, then leakage and limit act.

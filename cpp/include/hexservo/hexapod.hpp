@@ -11,6 +11,7 @@
 
 #include "hexservo/cholesky.hpp"
 #include "hexservo/rigid_body.hpp"
+#include "hexservo/side_by_side.hpp"
 
 #include <array>
 #include <string>
@@ -79,6 +80,49 @@ Pose<S> home_pose(const Hexapod<S>& hexapod) {
 /// below 1e-9), such as regular hexagons joined in cyclic order or a platform similar to its base
 Hexapod<double> make_hexapod(const RobotParameters& robot);
 
+/// One number for each leg, side by side.
+template <class S>
+using LegVector = SideBySide<S, 6>;
+
+/// The geometry of a hexapod, ready for its inverse kinematics.
+template <class S>
+struct LegGeometry {
+  explicit LegGeometry(const Hexapod<S>& hexapod)
+      : platform_joints_E(hexapod.platform_joints_E),
+        base_joints_B(hexapod.base_joints_B),
+        inverse_radius(S(1.0) / hexapod.platform_radius) {}
+
+  Vectors3<S, 6> platform_joints_E, base_joints_B;  ///< p_i, b_i [m]
+  S inverse_radius;                                 ///< 1/r_p [1/m]
+};
+
+/// The rows of H, each with one number per leg.
+template <class S>
+using WrenchMapRows = std::array<LegVector<S>, 6>;
+
+/// The legs at one pose, side by side.
+template <class S>
+struct LegsSideBySide {
+  LegVector<S> lengths;         ///< l_i [m]
+  Vectors3<S, 6> directions_B;  ///< c_i, from base to platform [1]
+  Vectors3<S, 6> arms_B;        ///< R p_i, from E's origin to the platform joints, in B [m]
+
+  /// H (see `Legs::wrench_map`), with zeros beyond the legs.
+  WrenchMapRows<S> wrench_map(const S& moment_scale) const {
+    using R = typename LegVector<S>::Register;
+    WrenchMapRows<S> H;
+    for (std::size_t r = 0; r < LegVector<S>::registers; ++r) {
+      const Vector3<R> c = directions_B.part(r), moment = cross<R>(arms_B.part(r), c);
+      for (int i = 0; i < 3; ++i) {
+        H[static_cast<std::size_t>(i)].part[r] = c(i);
+        H[static_cast<std::size_t>(i + 3)].part[r] = moment(i) * R(moment_scale);
+      }
+    }
+    for (LegVector<S>& row : H) row = row.padded();
+    return H;
+  }
+};
+
 /// The legs at one pose.
 template <class S>
 struct Legs {
@@ -86,16 +130,17 @@ struct Legs {
   Matrix36<S> directions_B;  ///< c_i, from base to platform, one column per leg [1]
   Matrix36<S> arms_B;        ///< R p_i, from E's origin to the platform joints, in B [m]
 
+  LegsSideBySide<S> side_by_side() const {
+    return {LegVector<S>(lengths), Vectors3<S, 6>(directions_B), Vectors3<S, 6>(arms_B)};
+  }
+
   /// H: leg forces [N], positive where they push, to the wrench [N; N m] about E's origin, in B. H^T: twist to leg
   /// rates.
   /// @param moment_scale factor of the moments, 1; 1/r_p makes them comparable with forces
   Matrix6<S> wrench_map(const S& moment_scale = S(1.0)) const {
+    const WrenchMapRows<S> rows = side_by_side().wrench_map(moment_scale);
     Matrix6<S> H;
-    for (int i = 0; i < 6; ++i) {
-      const Vector3<S> c = directions_B.col(i), arm = arms_B.col(i) * moment_scale;
-      H.template block<3, 1>(0, i) = c;
-      H.template block<3, 1>(3, i) = arm.cross(c);
-    }
+    for (int i = 0; i < 6; ++i) H.row(i) = rows[static_cast<std::size_t>(i)].vector().transpose();
     return H;
   }
 
@@ -124,26 +169,37 @@ struct Legs {
 
 /// Inverse kinematics: s_i = x_p + R p_i - b_i (docs/model.md, section 2).
 template <class S>
-Legs<S> inverse_kinematics(const Hexapod<S>& hexapod, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
+LegsSideBySide<S> inverse_kinematics(const LegGeometry<S>& geometry, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
   using std::sqrt;
-  Legs<S> legs;
-  for (int i = 0; i < 6; ++i) {
-    const Vector3<S> arm = rotate<S>(R_BE, hexapod.platform_joints_E.col(i));
-    const Vector3<S> leg = p_BE + arm - hexapod.base_joints_B.col(i);
-    const S length = sqrt(leg.squaredNorm());
-    legs.lengths(i) = length;
-    legs.directions_B.col(i) = leg * (S(1.0) / length);
-    legs.arms_B.col(i) = arm;
+  using R = typename LegVector<S>::Register;
+  const Vector3<R> position = broadcast<R>(p_BE);
+  const Matrix3<R> attitude = broadcast<R>(R_BE);
+  LegsSideBySide<S> legs;
+  for (std::size_t r = 0; r < LegVector<S>::registers; ++r) {
+    const Vector3<R> arm = rotate<R>(attitude, geometry.platform_joints_E.part(r));
+    const Vector3<R> base = geometry.base_joints_B.part(r);
+    const R x = position(0) + arm(0) - base(0), y = position(1) + arm(1) - base(1), z = position(2) + arm(2) - base(2);
+    const R length = sqrt(x * x + y * y + z * z), inverse_length = R(1.0) / length;
+    legs.lengths.part[r] = length;
+    legs.directions_B.set_part(r, Vector3<R>(x * inverse_length, y * inverse_length, z * inverse_length));
+    legs.arms_B.set_part(r, arm);
   }
   return legs;
+}
+template <class S>
+Legs<S> inverse_kinematics(const Hexapod<S>& hexapod, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
+  const LegsSideBySide<S> legs = inverse_kinematics(LegGeometry<S>(hexapod), p_BE, R_BE);
+  return {legs.lengths.vector(), legs.directions_B.matrix(), legs.arms_B.matrix()};
 }
 
 /// Solves with H whose moments are divided by r_p, so that a metre and a radian weigh alike, by way of H H^T.
 template <class S>
 class WrenchMapSolver {
  public:
+  WrenchMapSolver(const LegGeometry<S>& geometry, const LegsSideBySide<S>& legs)
+      : inverse_radius_(geometry.inverse_radius), H_(legs.wrench_map(inverse_radius_)), gram_(gram(H_)) {}
   WrenchMapSolver(const Hexapod<S>& hexapod, const Legs<S>& legs)
-      : inverse_radius_(S(1.0) / hexapod.platform_radius), H_(legs.wrench_map(inverse_radius_)), gram_(gram(H_)) {}
+      : WrenchMapSolver(LegGeometry<S>(hexapod), legs.side_by_side()) {}
 
   /// Where the pose is singular (sigma_min/sigma_max of H near 1e-7 or below).
   Mask<S> failed() const { return gram_.failed(); }
@@ -151,7 +207,10 @@ class WrenchMapSolver {
   /// f_c with H f_c = tau [N], tau in B.
   Vector6<S> leg_forces(Vector6<S> wrench) const {
     for (int i = 3; i < 6; ++i) wrench(i) *= inverse_radius_;
-    return H_.transpose() * gram_.solve(wrench);
+    const Vector6<S> weights = gram_.solve(wrench);
+    LegVector<S> forces = weights(0) * H_[0];
+    for (int i = 1; i < 6; ++i) forces += weights(i) * H_[static_cast<std::size_t>(i)];
+    return forces.vector();
   }
 
   /// chi-dot (m/s; rad/s, in B) with H^T chi-dot = leg rates [m/s].
@@ -159,27 +218,38 @@ class WrenchMapSolver {
 
   /// Small displacement (m; rad, in B) with H^T d = leg length changes [m].
   Vector6<S> displacement(const Vector6<S>& length_changes) const {
-    Vector6<S> d = gram_.solve(H_ * length_changes);
+    const LegVector<S> changes(length_changes);
+    Vector6<S> b;
+    for (std::size_t i = 0; i < 6; i += 2) {
+      const auto [first, second] = dots(H_[i], changes, H_[i + 1], changes);
+      b(static_cast<int>(i)) = first;
+      b(static_cast<int>(i) + 1) = second;
+    }
+    Vector6<S> d = gram_.solve(b);
     for (int i = 3; i < 6; ++i) d(i) *= inverse_radius_;
     return d;
   }
 
  private:
-  /// H H^T; the solver reads its lower triangle alone.
-  static Matrix6<S> gram(const Matrix6<S>& H) {
+  /// Lower triangle of H H^T; the solver reads no more.
+  static Matrix6<S> gram(const WrenchMapRows<S>& H) {
     Matrix6<S> G;
+    // Two products at a time.
+#pragma GCC unroll 6
     for (int j = 0; j < 6; ++j)
-      for (int i = j; i < 6; ++i) {
-        S sum = H(i, 0) * H(j, 0);
-        for (int k = 1; k < 6; ++k) sum += H(i, k) * H(j, k);
-        G(i, j) = sum;
-        G(j, i) = sum;
+#pragma GCC unroll 6
+      for (int i = j; i < 6; i += 2) {
+        const auto place = [](int k) { return static_cast<std::size_t>(k); };
+        const int next = i + 1 < 6 ? i + 1 : i;
+        const auto [first, second] = dots(H[place(i)], H[place(j)], H[place(next)], H[place(j)]);
+        G(i, j) = first;
+        G(next, j) = second;
       }
     return G;
   }
 
   S inverse_radius_;
-  Matrix6<S> H_;
+  WrenchMapRows<S> H_;
   Cholesky<S, 6> gram_;
 };
 

@@ -150,6 +150,79 @@ bool all(LaneMask<W> mask) {
 }
 
 namespace detail {
+/// Lanes i... of the 2 W of a and b together.
+template <int... i, int W>
+Lanes<sizeof...(i)> shuffle(Lanes<W> a, Lanes<W> b) {
+  return Lanes<sizeof...(i)>(__builtin_shufflevector(a.values(), b.values(), i...));
+}
+
+/// a0 b0 a2 b2 ..., and a1 b1 a3 b3 ... for `first` = 1.
+template <int first, int W, int... pair>
+Lanes<W> every_other(Lanes<W> a, Lanes<W> b, std::integer_sequence<int, pair...>) {
+  return shuffle<(pair % 2 == 0 ? pair + first : W + pair - 1 + first)...>(a, b);
+}
+template <int first, int W, int... i>
+Lanes<W> from_step_two(Lanes<W> a, Lanes<W> b, std::integer_sequence<int, i...>) {
+  return shuffle<(2 * i + first)...>(a, b);
+}
+template <int first, int W, int... i>
+Lanes<W> alternate(Lanes<W> a, Lanes<W> b, std::integer_sequence<int, i...>) {
+  return shuffle<(first + i / 2 + (i % 2) * W)...>(a, b);
+}
+template <int first, int W, int... i>
+Lanes<W / 2> half(Lanes<W> x, std::integer_sequence<int, i...>) {
+  return shuffle<(first + i)...>(x, x);
+}
+template <int W>
+using Indices = std::make_integer_sequence<int, W>;
+}  // namespace detail
+
+/// The even lanes of a, then those of b.
+template <int W>
+Lanes<W> even_lanes(Lanes<W> a, Lanes<W> b) {
+  return detail::from_step_two<0>(a, b, detail::Indices<W>{});
+}
+/// The odd lanes of a, then those of b.
+template <int W>
+Lanes<W> odd_lanes(Lanes<W> a, Lanes<W> b) {
+  return detail::from_step_two<1>(a, b, detail::Indices<W>{});
+}
+/// The first W of a0 b0 a1 b1 ...
+template <int W>
+Lanes<W> alternate_low(Lanes<W> a, Lanes<W> b) {
+  return detail::alternate<0>(a, b, detail::Indices<W>{});
+}
+/// The last W of a0 b0 a1 b1 ...
+template <int W>
+Lanes<W> alternate_high(Lanes<W> a, Lanes<W> b) {
+  return detail::alternate<W / 2>(a, b, detail::Indices<W>{});
+}
+/// First and last half of the lanes.
+template <int W>
+Lanes<W / 2> low_half(Lanes<W> x) {
+  return detail::half<0>(x, detail::Indices<W / 2>{});
+}
+template <int W>
+Lanes<W / 2> high_half(Lanes<W> x) {
+  return detail::half<W / 2>(x, detail::Indices<W / 2>{});
+}
+
+/// Sum over the lanes of a, and that of b.
+template <int W>
+Lanes<2> lane_sums(Lanes<W> a, Lanes<W> b) {
+  const Lanes<W> pairs =
+      detail::every_other<0>(a, b, detail::Indices<W>{}) + detail::every_other<1>(a, b, detail::Indices<W>{});
+  if constexpr (W == 2)
+    return pairs;
+  else if constexpr (W == 4)
+    return low_half(pairs) + high_half(pairs);
+  else {
+    const Lanes<4> four = low_half(pairs) + high_half(pairs);
+    return low_half(four) + high_half(four);
+  }
+}
+
+namespace detail {
 /// A function of one double, applied lane by lane.
 template <int W, class F>
 Lanes<W> map_lanes(Lanes<W> x, F&& function) {

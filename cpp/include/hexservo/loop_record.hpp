@@ -17,7 +17,9 @@ class LoopRecord {
   /// @param start where the run begins
   template <class Law>
   LoopRecord(const LoopParameters<S, Law, N>& p, const WorldState<S, N>& start)
-      : hexapod_(p.hexapod),
+      : legs_(p.hexapod),
+        home_lengths_(p.hexapod.home_lengths),
+        stroke_(p.hexapod.stroke),
         desired_features_(p.desired_features),
         stops_at_limit_(p.mode == LoopMode::sampled && p.on_limit == LimitPolicy::stop) {
     Sample<S, N>::visit([](auto& value, const auto&) { value.setZero(); }, sample_, sample_);
@@ -51,15 +53,16 @@ class LoopRecord {
   /// Takes over the sample of a state where it is good, and stops the lane where it is not.
   void accept(double time, const WorldState<S, N>& state, const Vector6<S>& wrench,
               const Vector6<S>& fuzzy_output) noexcept {
-    const Legs<S> legs = inverse_kinematics(hexapod_, position_of(state.body), state.view.R_BE);
-    const WrenchMapSolver<S> solver(hexapod_, legs);
-    accept(time, state, legs, solver.failed(), wrench, solver.leg_forces(wrench), fuzzy_output, Mask<S>(false));
+    const LegsSideBySide<S> legs = inverse_kinematics(legs_, position_of(state.body), state.view.R_BE);
+    const WrenchMapSolver<S> solver(legs_, legs);
+    accept(time, state, legs.lengths.vector(), solver.failed(), wrench, solver.leg_forces(wrench), fuzzy_output,
+           Mask<S>(false));
   }
 
-  /// The same with legs and forces that are known.
+  /// The same with leg lengths and forces that are known.
   /// @param singular where the legs are at a singular pose
   /// @param unsensed where the sensors of the legs give no pose
-  void accept(double time, const WorldState<S, N>& state, const Legs<S>& legs, const Mask<S>& singular,
+  void accept(double time, const WorldState<S, N>& state, const Vector6<S>& lengths, const Mask<S>& singular,
               const Vector6<S>& wrench, const Vector6<S>& leg_forces, const Vector6<S>& fuzzy_output,
               const Mask<S>& unsensed) noexcept {
     const Sample<S, N> next{desired_features_ - state.view.image.features,
@@ -69,12 +72,12 @@ class LoopRecord {
                             twist_of(state.body),
                             wrench,
                             fuzzy_output,
-                            legs.lengths,
+                            lengths,
                             leg_forces};
     const Mask<S> finite = is_finite(next.wrench) & is_finite(next.fuzzy_output) & is_finite(next.leg_forces);
     const Mask<S> regular = !singular;  // leg forces of a singular pose have no meaning
     stop(StopCause::not_finite, (!finite) & regular);
-    if (stops_at_limit_) stop_at_limit(legs.lengths);
+    if (stops_at_limit_) stop_at_limit(lengths);
     stop(StopCause::singular, singular);
     stop(StopCause::solver_failed, unsensed);
     const Mask<S> good = running();
@@ -92,9 +95,9 @@ class LoopRecord {
   /// Stops lanes with a leg beyond its stroke; of several legs the one that is farthest beyond is named.
   void stop_at_limit(const Vector6<S>& lengths) noexcept {
     using std::abs;
-    S farthest = hexapod_.stroke, leg(-1.0);
+    S farthest = stroke_, leg(-1.0);
     for (int i = 0; i < 6; ++i) {
-      const S travel = abs(lengths(i) - hexapod_.home_lengths(i));
+      const S travel = abs(lengths(i) - home_lengths_(i));
       leg = select(travel > farthest, S(static_cast<double>(i)), leg);
       farthest = max(farthest, travel);
     }
@@ -103,7 +106,9 @@ class LoopRecord {
     stop(StopCause::leg_limit, beyond);
   }
 
-  Hexapod<S> hexapod_;
+  LegGeometry<S> legs_;
+  Vector6<S> home_lengths_;
+  S stroke_;
   Vector<S, 2 * N> desired_features_;
   Sample<S, N> sample_;
   std::optional<MetricsAccumulator<S, N>> metrics_;

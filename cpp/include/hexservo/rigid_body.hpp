@@ -9,7 +9,7 @@
 /// | D_e, C_e, G_e  | DynamicsError            | delta_D D etc. with delta element-wise (docs/model.md, 3)  |
 #pragma once
 
-#include "hexservo/types.hpp"
+#include "hexservo/side_by_side.hpp"
 
 namespace hexservo {
 
@@ -60,8 +60,8 @@ struct Pose {
 /// R_BE of q/|q| (docs/model.md, section 1): no square root is needed.
 template <class S>
 Matrix3<S> rotation_matrix(const Vector4<S>& q) {
-  const S s = S(2.0) / q.squaredNorm();
   const S w = q(0), x = q(1), y = q(2), z = q(3);
+  const S s = S(2.0) / ((w * w + x * x) + (y * y + z * z));
   Matrix3<S> R_BE;
   R_BE(0, 0) = S(1.0) - s * (y * y + z * z);
   R_BE(0, 1) = s * (x * y - w * z);
@@ -107,11 +107,9 @@ Vector6<S> pose_difference(const Pose<S>& to, const Pose<S>& from) {
 /// q-dot = 1/2 (0, omega) (x) q with omega in B [rad/s] and q as it stands (docs/model.md, section 1).
 template <class S>
 Vector4<S> quaternion_rate(const Vector4<S>& q, const Vector3<S>& omega_B) {
-  const Vector3<S> v = q.template tail<3>();
-  Vector4<S> rate;
-  rate(0) = S(-0.5) * omega_B.dot(v);
-  rate.template tail<3>() = S(0.5) * (q(0) * omega_B + omega_B.cross(v));
-  return rate;
+  const Vector3<S> v(q(1), q(2), q(3)), half(S(0.5) * omega_B(0), S(0.5) * omega_B(1), S(0.5) * omega_B(2));
+  const Vector3<S> turn = cross<S>(half, v);
+  return Vector4<S>(-dot<S>(half, v), q(0) * half(0) + turn(0), q(0) * half(1) + turn(1), q(0) * half(2) + turn(2));
 }
 
 /// State of a body for the integrator: p_BE (3), quaternion (4), twist (6).
@@ -137,20 +135,75 @@ Vector6<S> twist_of(const BodyState<S>& state) {
   return state.template tail<6>();
 }
 
+/// The same state, or its rate, in registers: what a loop adds up at every stage.
+template <class S>
+struct BodyMotion {
+  SideBySide<S, 3> position;
+  SideBySide<S, 4> quaternion;
+  SideBySide<S, 6> twist;
+
+  static BodyMotion of(const BodyState<S>& state) {
+    return {SideBySide<S, 3>(Vector3<S>(position_of(state))), SideBySide<S, 4>(Vector4<S>(quaternion_of(state))),
+            SideBySide<S, 6>(Vector6<S>(twist_of(state)))};
+  }
+  BodyState<S> state() const { return body_state<S>({position.vector(), quaternion.vector()}, twist.vector()); }
+
+  friend BodyMotion operator+(const BodyMotion& a, const BodyMotion& b) {
+    return {a.position + b.position, a.quaternion + b.quaternion, a.twist + b.twist};
+  }
+  friend BodyMotion operator*(const S& a, const BodyMotion& b) {
+    return {a * b.position, a * b.quaternion, a * b.twist};
+  }
+};
+template <class S>
+Vector3<S> position_of(const BodyMotion<S>& motion) {
+  return Vector3<S>(motion.position(0), motion.position(1), motion.position(2));
+}
+template <class S>
+Vector4<S> quaternion_of(const BodyMotion<S>& motion) {
+  return motion.quaternion.vector();
+}
+template <class S>
+Vector6<S> twist_of(const BodyMotion<S>& motion) {
+  return motion.twist.vector();
+}
+template <class S>
+Mask<S> is_finite(const BodyMotion<S>& motion) {
+  return is_finite(motion.position) & is_finite(motion.quaternion) & is_finite(motion.twist);
+}
+template <int W>
+BodyMotion<Lanes<W>> select(LaneMask<W> condition, const BodyMotion<Lanes<W>>& yes, const BodyMotion<Lanes<W>>& no) {
+  return {select(condition, yes.position, no.position), select(condition, yes.quaternion, no.quaternion),
+          select(condition, yes.twist, no.twist)};
+}
+
 /// Scales the quaternion to unit length, once per step and never inside its stages (docs/model.md, section 1).
 template <class S>
-void normalise_quaternion(BodyState<S>& state) {
+void normalise_quaternion(BodyMotion<S>& motion) {
   using std::sqrt;
-  state.template segment<4>(3) /= sqrt(state.template segment<4>(3).squaredNorm());
+  const SideBySide<S, 4>& q = motion.quaternion;
+  const S squared_length = dots(q, q, q, q)[0];
+  motion.quaternion = S(S(1.0) / sqrt(squared_length)) * q;
+}
+template <class S>
+void normalise_quaternion(BodyState<S>& state) {
+  BodyMotion<S> motion = BodyMotion<S>::of(state);
+  normalise_quaternion(motion);
+  state = motion.state();
 }
 
 /// I' = R I R^T, the inertia in B [kg m^2].
 template <class S>
-Matrix3<S> inertia_in_base(const RigidBody<S>& body, const Matrix3<S>& R_BE) {
-  const Matrix3<S>& R = R_BE;
+[[gnu::always_inline]] inline Matrix3<S> inertia_in_base(const RigidBody<S>& body, const Matrix3<S>& R_BE) {
+  const Matrix3<S>&R = R_BE, &I = body.inertia_E;
   Matrix3<S> RI, I_B;
-  for (int j = 0; j < 3; ++j) RI.col(j) = rotate<S>(R, body.inertia_E.col(j));
+#pragma GCC unroll 3
   for (int j = 0; j < 3; ++j)
+#pragma GCC unroll 3
+    for (int i = 0; i < 3; ++i) RI(i, j) = R(i, 0) * I(0, j) + R(i, 1) * I(1, j) + R(i, 2) * I(2, j);
+#pragma GCC unroll 3
+  for (int j = 0; j < 3; ++j)
+#pragma GCC unroll 3
     for (int i = 0; i <= j; ++i) {
       I_B(i, j) = RI(i, 0) * R(j, 0) + RI(i, 1) * R(j, 1) + RI(i, 2) * R(j, 2);
       I_B(j, i) = I_B(i, j);
@@ -185,11 +238,11 @@ Vector6<S> gravity_wrench(const RigidBody<S>& body) {
 
 /// Solves A x = b for a regular 3x3 matrix by Cramer's rule.
 template <class S>
-Vector3<S> solve3(const Matrix3<S>& A, const Vector3<S>& b) {
-  const Vector3<S> a0 = A.col(0), a1 = A.col(1), a2 = A.col(2);
-  const Vector3<S> a1xa2 = a1.cross(a2);
-  const S inverse_det = S(1.0) / a0.dot(a1xa2);
-  return Vector3<S>(b.dot(a1xa2), a0.dot(b.cross(a2)), a0.dot(a1.cross(b))) * inverse_det;
+[[gnu::always_inline]] inline Vector3<S> solve3(const Matrix3<S>& A, const Vector3<S>& b) {
+  const Vector3<S> a0(A(0, 0), A(1, 0), A(2, 0)), a1(A(0, 1), A(1, 1), A(2, 1)), a2(A(0, 2), A(1, 2), A(2, 2));
+  const Vector3<S> a1xa2 = cross<S>(a1, a2), a2xa0 = cross<S>(a2, a0), a0xa1 = cross<S>(a0, a1);
+  const S inverse_det = S(1.0) / dot<S>(a0, a1xa2);
+  return Vector3<S>(dot<S>(b, a1xa2) * inverse_det, dot<S>(b, a2xa0) * inverse_det, dot<S>(b, a0xa1) * inverse_det);
 }
 
 /// The actual platform (3), with what does not change in a run worked out.
@@ -217,44 +270,51 @@ struct Plant {
 /// chi-ddot of the actual dynamics (3): (1 - delta_D) D chi-ddot + (1 - delta_C) C chi-dot + (1 - delta_G) G = tau.
 /// @return (m/s^2; rad/s^2), in B
 template <class S>
-Vector6<S> acceleration(const Plant<S>& plant, const Matrix3<S>& R_BE, const Vector6<S>& twist,
-                        const Vector6<S>& wrench) {
+[[gnu::always_inline]] inline SideBySide<S, 6> acceleration(const Plant<S>& plant, const Matrix3<S>& R_BE,
+                                                            const SideBySide<S, 6>& twist, const Vector6<S>& wrench) {
   const Vector3<S> omega(twist(3), twist(4), twist(5));
   const Matrix3<S> I_B = inertia_in_base(plant.body, R_BE);
 
   // (1 - delta_C) o ([omega]x I') omega, column by column, taken from the moment
   Matrix3<S> actual_inertia;
-  Vector3<S> moment;
-  for (int i = 0; i < 3; ++i) moment(i) = wrench(i + 3) - plant.weight(i + 3);
+  Vector3<S> moment(wrench(3) - plant.weight(3), wrench(4) - plant.weight(4), wrench(5) - plant.weight(5));
+#pragma GCC unroll 3
   for (int j = 0; j < 3; ++j) {
-    const Vector3<S> inertia = I_B.col(j);
-    const Vector3<S> coriolis = omega.cross(inertia);
+    const Vector3<S> inertia(I_B(0, j), I_B(1, j), I_B(2, j));
+    const Vector3<S> coriolis = cross<S>(omega, inertia);
+#pragma GCC unroll 3
     for (int i = 0; i < 3; ++i) {
       actual_inertia(i, j) = plant.inertia_share(i, j) * inertia(i);
       moment(i) -= plant.coriolis_share(i, j) * coriolis(i) * omega(j);
     }
   }
   const Vector3<S> angular = solve3<S>(actual_inertia, moment);
-  Vector6<S> result;
-  for (int i = 0; i < 3; ++i) {
-    result(i) = (wrench(i) - plant.weight(i)) * plant.inverse_mass(i);
-    result(i + 3) = angular(i);
-  }
-  return result;
+  return SideBySide<S, 6>::of(
+      (wrench(0) - plant.weight(0)) * plant.inverse_mass(0), (wrench(1) - plant.weight(1)) * plant.inverse_mass(1),
+      (wrench(2) - plant.weight(2)) * plant.inverse_mass(2), angular(0), angular(1), angular(2));
+}
+template <class S>
+Vector6<S> acceleration(const Plant<S>& plant, const Matrix3<S>& R_BE, const Vector6<S>& twist,
+                        const Vector6<S>& wrench) {
+  return acceleration(plant, R_BE, SideBySide<S, 6>(twist), wrench).vector();
 }
 
 /// Time derivative of the platform's state under a wrench in B [N; N m].
 template <class S>
+BodyMotion<S> body_rate(const Plant<S>& plant, const BodyMotion<S>& motion, const Matrix3<S>& R_BE,
+                        const Vector6<S>& wrench) {
+  const SideBySide<S, 6>& twist = motion.twist;
+  const SideBySide<S, 4>& q = motion.quaternion;
+  const Vector4<S> turning =
+      quaternion_rate<S>(Vector4<S>(q(0), q(1), q(2), q(3)), Vector3<S>(twist(3), twist(4), twist(5)));
+  return {SideBySide<S, 3>::of(twist(0), twist(1), twist(2)),
+          SideBySide<S, 4>::of(turning(0), turning(1), turning(2), turning(3)),
+          acceleration(plant, R_BE, twist, wrench)};
+}
+template <class S>
 BodyState<S> body_rate(const Plant<S>& plant, const BodyState<S>& state, const Matrix3<S>& R_BE,
                        const Vector6<S>& wrench) {
-  const Vector6<S> twist = twist_of(state);
-  const Vector4<S> turning = quaternion_rate<S>(quaternion_of(state), Vector3<S>(twist(3), twist(4), twist(5)));
-  const Vector6<S> gain = acceleration(plant, R_BE, twist, wrench);
-  BodyState<S> rate;
-  for (int i = 0; i < 3; ++i) rate(i) = twist(i);
-  for (int i = 0; i < 4; ++i) rate(i + 3) = turning(i);
-  for (int i = 0; i < 6; ++i) rate(i + 7) = gain(i);
-  return rate;
+  return body_rate(plant, BodyMotion<S>::of(state), R_BE, wrench).state();
 }
 
 /// Kinetic energy 1/2 chi-dot^T D chi-dot [J].

@@ -36,6 +36,7 @@ class SampledPlant {
         world_(p),
         state_(world_.start(p)),
         hexapod_(p.hexapod),
+        leg_geometry_(p.hexapod),
         holds_leg_forces_(p.actuators.hold == ActuatorHold::leg_forces),
         base_moves_(p.base_motion.kind != BaseMotionKind::none),
         base_(p.base_motion, p.seed, p.recorded),
@@ -60,21 +61,22 @@ class SampledPlant {
   /// Takes the wrench in B that the law asks for [N; N m], or G where it does not see the image, to the actuators.
   void command(const Vector6<S>& wrench, const Vector6<S>& fuzzy_output) noexcept {
     wrench_ = select(seen_.ready, wrench, rest_wrench_);
-    const Legs<S> legs = legs_at(position_of(state_.body), state_.view.R_BE);
-    const WrenchMapSolver<S> solver(hexapod_, legs);
+    const LegsSideBySide<S> legs = inverse_kinematics(leg_geometry_, position_of(state_.body), state_.view.R_BE);
+    const WrenchMapSolver<S> solver(leg_geometry_, legs);
     if (actuators_) {
       // The controller turns its wrench into leg forces with the legs that its sensors show.
       const Vector6<S> asked_forces =
           encoders_ ? WrenchMapSolver<S>(hexapod_, legs_at(seen_.pose.position, seen_.R_BE)).leg_forces(wrench_)
                     : solver.leg_forces(wrench_);
-      const Actuation<S> actuation = actuators_->step(wrench_, asked_forces, legs);
+      const Actuation<S> actuation =
+          actuators_->step(wrench_, asked_forces, legs_at(position_of(state_.body), state_.view.R_BE));
       wrench_ = actuation.wrench;
       leg_forces_ = actuation.leg_forces;
       saturated_ = actuation.saturated;
     } else {
       leg_forces_ = solver.leg_forces(wrench_);
     }
-    record_.accept(time(), state_, legs, solver.failed(), wrench_, leg_forces_,
+    record_.accept(time(), state_, legs.lengths.vector(), solver.failed(), wrench_, leg_forces_,
                    select(seen_.ready, fuzzy_output, Vector6<S>(Vector6<S>::Zero())), unsensed_);
   }
 
@@ -161,6 +163,7 @@ class SampledPlant {
   World<S, N> world_;
   WorldState<S, N> state_;
   Hexapod<S> hexapod_;
+  LegGeometry<S> leg_geometry_;
   bool holds_leg_forces_, base_moves_;
   BaseMotion<S> base_;
   std::optional<Encoders<S>> encoders_;    ///< where they are the pose's source

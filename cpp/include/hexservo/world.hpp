@@ -23,14 +23,14 @@ struct View {
 /// Where the platform is and how it moves, with what the camera sees of it.
 template <class S, int N = kPoints>
 struct WorldState {
-  BodyState<S> body;
+  BodyMotion<S> body;
   View<S, N> view;
 };
 
 /// Time derivative of a state.
 template <class S, int N = kPoints>
 struct WorldRate {
-  BodyState<S> body;
+  BodyMotion<S> body;
   Image<S, N> printed_image;  ///< of the image as (12) and (6) print it; unused by a camera that projects
   S nearest_depth;            ///< largest Z_i of the state [m]
 };
@@ -71,7 +71,7 @@ class World {
   /// At home, at rest.
   template <class Law>
   WorldState<S, N> start(const LoopParameters<S, Law, N>& p) const noexcept {
-    const BodyState<S> body = body_state<S>(home_pose(p.hexapod), Vector6<S>::Zero());
+    const auto body = BodyMotion<S>::of(body_state<S>(home_pose(p.hexapod), Vector6<S>::Zero()));
     return {body, printed_camera() ? View<S, N>(p.initial_image, rotation_matrix(quaternion_of(body))) : view_of(body)};
   }
 
@@ -94,7 +94,7 @@ class World {
 
   /// state + scale rate: a Runge-Kutta stage.
   WorldState<S, N> moved(const WorldState<S, N>& state, const S& scale, const WorldRate<S, N>& rate) const noexcept {
-    const BodyState<S> body = state.body + scale * rate.body;
+    const BodyMotion<S> body = state.body + scale * rate.body;
     if (!printed_camera()) return {body, view_of(body)};
     const Image<S, N> image{state.view.image.features + scale * rate.printed_image.features,
                             state.view.image.depth + scale * rate.printed_image.depth};
@@ -104,8 +104,8 @@ class World {
   /// The state after a step of h [s], from the rates of its four stages.
   WorldState<S, N> after(const WorldState<S, N>& state, double h,
                          const std::array<const WorldRate<S, N>*, 4>& rates) const noexcept {
-    BodyState<S> body = state.body;
-    for (std::size_t i = 0; i < 4; ++i) body += S(h * kRungeKuttaWeights[i]) * rates[i]->body;
+    BodyMotion<S> body = state.body;
+    for (std::size_t i = 0; i < 4; ++i) body = body + S(h * kRungeKuttaWeights[i]) * rates[i]->body;
     normalise_quaternion(body);
     if (!printed_camera()) return {body, view_of(body)};
     Image<S, N> image = state.view.image;
@@ -119,7 +119,7 @@ class World {
  private:
   bool printed_camera() const noexcept { return convention_ == CameraConvention::as_printed; }
 
-  View<S, N> view_of(const BodyState<S>& body) const noexcept {
+  View<S, N> view_of(const BodyMotion<S>& body) const noexcept {
     View<S, N> view;
     view.R_BE = rotation_matrix(quaternion_of(body));
     view.image = take_image(focal_pixels_, position_of(body), view.R_BE, points_B_, view.inverse_depth);
@@ -128,7 +128,7 @@ class World {
 
   Plant<S> plant_;
   S focal_pixels_;
-  Eigen::Matrix<S, 3, N> points_B_;
+  Vectors3<S, N> points_B_;
   CameraConvention convention_;
 };
 

@@ -41,24 +41,25 @@ struct Hybrid : FuzzyLaw<HybridGains> {
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
                        const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
     const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
-    Vector<S, 2 * N> weighted;
-    for (int i = 0; i < 2 * N; ++i) weighted(i) = constants.kp(i) * (task.desired_features(i) - input.features(i));
-    const Vector6<S> image_wrench = J.pull(weighted);
+    const Pairs<S, N> kp(constants.kp);
+    const Pairs<S, N> feature_error = Pairs<S, N>(task.desired_features) - Pairs<S, N>(input.features);
+    const AxisVector<S> image_wrench = J.pull(kp * feature_error);
+    AxisVector<S> fuzzy_output;
     if (constants.systems.enabled) {
       const FuzzySystems<S>& systems = constants.systems;
-      const Vector<S, 2 * N> rate = J.push(input.twist);
-      for (int i = 0; i < 2 * N; ++i) weighted(i) = -constants.kp(i) * rate(i);
-      const Vector6<S> image_wrench_rate = J.pull(weighted);
-      fuzzy_basis(systems.bells, systems.error_scale * AxisVector<S>(image_wrench),
-                  systems.rate_scale * AxisVector<S>(image_wrench_rate), out.rate.basis);
-      respond(systems, weights, AxisVector<S>(input.twist), out.rate, out.fuzzy_output);  // (13), (22)
+      // The goal stands still: the error's rate is minus the image's.
+      const AxisVector<S> image_wrench_rate = S(-1.0) * J.pull(kp * J.push_pairs(input.twist));
+      fuzzy_basis(systems.bells, systems.error_scale * image_wrench, systems.rate_scale * image_wrench_rate,
+                  out.rate.basis);
+      respond(systems, weights, AxisVector<S>(input.twist), out.rate, fuzzy_output);  // (13), (22)
     } else {
-      for (int j = 0; j < 6; ++j) out.fuzzy_output(j) = S(0.0);
+      fuzzy_output = AxisVector<S>::of(S(0.0), S(0.0), S(0.0), S(0.0), S(0.0), S(0.0));
     }
-    Vector6<S> others;
-    for (int j = 0; j < 6; ++j) others(j) = image_wrench(j) - out.fuzzy_output(j);
-    const Vector6<S> switched = task.switching_wrench(constants.kv, input, others);
-    for (int j = 0; j < 6; ++j) out.wrench(j) = others(j) - switched(j) + task.gravity_wrench(j);
+    const AxisVector<S> others = image_wrench - fuzzy_output;
+    const AxisVector<S> switched = task.switching_wrench(AxisVector<S>(constants.kv), input, others);
+    const AxisVector<S> wrench = others - switched + AxisVector<S>(task.gravity_wrench);
+    wrench.store(out.wrench.data());
+    fuzzy_output.store(out.fuzzy_output.data());
   }
 };
 

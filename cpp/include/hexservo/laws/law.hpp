@@ -30,24 +30,26 @@ struct Switching {
   S width{1e-3};  ///< of `tanh` and `saturation` [m/s; rad/s], 1e-3
 
   /// sgn of the paper, or what replaces it, for each component of a twist; not for the implicit kinds.
-  Vector6<S> operator()(const Vector6<S>& twist) const {
+  SideBySide<S, 6> operator()(const SideBySide<S, 6>& twist) const {
+    using R = typename SideBySide<S, 6>::Register;
     const auto each = [&twist](auto&& function) {
-      Vector6<S> out;
-      for (int j = 0; j < 6; ++j) out(j) = function(twist(j));
+      SideBySide<S, 6> out;
+      for (std::size_t r = 0; r < out.part.size(); ++r) out.part[r] = function(twist.part[r]);
       return out;
     };
     switch (kind) {
       case SwitchingKind::tanh:
-        return each([this](const S& x) { return hyperbolic_tangent(S(x / width)); });
+        return each([this](const R& x) { return hyperbolic_tangent(R(x / R(width))); });
       case SwitchingKind::saturation:
-        return each([this](const S& x) { return clip(S(x / width), S(-1.0), S(1.0)); });
+        return each([this](const R& x) { return clip(R(x / R(width)), R(-1.0), R(1.0)); });
       case SwitchingKind::sign:
       case SwitchingKind::implicit:
       case SwitchingKind::implicit_coupled:
         break;
     }
-    return each([](const S& x) { return sign(x); });
+    return each([](const R& x) { return sign(x); });
   }
+  Vector6<S> operator()(const Vector6<S>& twist) const { return (*this)(SideBySide<S, 6>(twist)).vector(); }
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
@@ -120,12 +122,12 @@ struct ControlTask {
   /// @param kv diagonal of K_v [N; N m]
   /// @param others F, the rest of the wrench without G [N; N m]
   Vector6<S> switching_wrench(const Vector6<S>& kv, const LawInput<S, N>& input, const Vector6<S>& others) const {
-    if (!is_implicit(switching.kind)) {
-      const Vector6<S> switched = switching(input.twist);
-      Vector6<S> wrench;
-      for (int j = 0; j < 6; ++j) wrench(j) = kv(j) * switched(j);
-      return wrench;
-    }
+    return switching_wrench(SideBySide<S, 6>(kv), input, SideBySide<S, 6>(others)).vector();
+  }
+  SideBySide<S, 6> switching_wrench(const SideBySide<S, 6>& kv_axes, const LawInput<S, N>& input,
+                                    const SideBySide<S, 6>& other_axes) const {
+    if (!is_implicit(switching.kind)) return kv_axes * switching(SideBySide<S, 6>(input.twist));
+    const Vector6<S> kv = kv_axes.vector(), others = other_axes.vector();
     // What stops the platform within a period: D chi-dot/T_c + F, as far as K_v reaches.
     const Matrix3<S> I_B = inertia_in_base(body, input.R_BE);
     const S rate = S(1.0) / period;
