@@ -380,6 +380,15 @@ void restrain(const FuzzySystems<S>& systems, const S& elapsed, const AxisVector
   }
 }
 
+/// The same, with the output as a vector.
+template <class S>
+void restrain(const FuzzySystems<S>& systems, const S& elapsed, const AxisVector<S>& driver, FuzzyRate<S>& rate,
+              Vector6<S>& output) {
+  AxisVector<S> side_by_side(output);
+  restrain(systems, elapsed, driver, rate, side_by_side);
+  output = side_by_side.vector();
+}
+
 /// Leakage and limit at the end of a step: from V back to W, each weight then projected on its interval.
 /// @param step length of the step [s]
 /// @param active lanes that take part; the others keep their weights
