@@ -1,6 +1,6 @@
 """Find the gains of the law `composite` for a 30 Hz camera, and check a scenario against what was asked of them.
 
-    python examples/tune_composite.py                        # searches, about two minutes; out/composite-30hz.yaml
+    python examples/tune_composite.py                        # searches, some minutes; out/composite-30hz.yaml
     python examples/tune_composite.py --check composite-30hz # a packaged scenario or a file: a table of all corners
 
 The loop: frames every 33 ms that are 33 ms late, 0.2 px of noise, prediction by the encoders, a servo tick of 1 ms.
