@@ -434,7 +434,7 @@ TEST_CASE("a kernel refuses what it cannot run") {
   const std::vector<double> a = detail::flattened(loop_parameters(base)), b = detail::flattened(loop_parameters(other));
   const std::array<const double*, 2> scenarios = {a.data(), b.data()};
   std::array<RunAnswer, 2> answers{};
-  RunRequest request = detail::run_request<Hybrid>(base.simulation, a.size());
+  RunRequest request = detail::run_request<Hybrid>(base.simulation, base.base_motion, a.size());
   request.parameters = scenarios.data();
   request.answers = answers.data();
   request.count = 2;
