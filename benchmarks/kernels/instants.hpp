@@ -47,11 +47,6 @@ void put(Instant<Lanes<W>>& to, int lane, const Instant<double>& from) {
   }
 }
 
-template <class S>
-constexpr int kLanes = 1;
-template <int W>
-constexpr int kLanes<Lanes<W>> = W;
-
 inline constexpr std::size_t kInstants = 256;  ///< they fit into a second-level cache, as a robot's own data do
 
 inline const LoopParameters<double, Hybrid>& parameters() {

@@ -146,7 +146,10 @@ TEST_CASE("flattening keeps every number, flag and mode") {
   };
   std::size_t modes = 0;
   for (std::size_t i = 0; i < numbers.size(); ++i) modes += is_mode(i) ? 1U : 0U;
-  CHECK(modes == 4);  // convention, Jacobian, switching kind, fuzzy on or off: the others are real numbers
+  // Whole numbers, modes and flags; the others are real numbers. Both modes: convention, Jacobian, switching kind,
+  // fuzzy on or off (4). Sampled: mode, substeps (2), frames (5), pose source, encoders (3), actuators (3), base,
+  // limits (2).
+  CHECK(modes == 4 + 2 + 5 + 3 + 3 + 2);
 }
 
 TEST_CASE("every lane is the single run, to rounding, on the smooth loop; short packs too") {
