@@ -121,9 +121,9 @@ def test_what_a_gravity_error_leaves_is_what_the_stiffness_decides(paper: hs.Sce
     """At rest K_p dz = delta_G m g: twice as stiff, half the offset; 1.84 mm by hand for 24 N/m."""
     offsets = []
     for stiffness in (24.0, 48.0):
+        changes = {"uncertainty": GRAVITY, "uncertainty.depth": 0.0, "controller.law": "pbvs"}
         gains = {"controller.pbvs.kp": [stiffness] * 3 + [0.06, 0.06, 0.12]}
-        heavier = {"controller.law": "pbvs", "uncertainty": {**GRAVITY, "depth": 0.0}, **gains}
-        result, _ = run(paper.updated(heavier))
+        result, _ = run(paper.updated({**changes, **gains}))
         offsets.append(result.position[0, 2] - result.position[-1, 2])
     # exact depths: the estimated pose is the true one
     np.testing.assert_allclose(offsets, [0.075 * 0.06 * 9.8 / 24.0, 0.075 * 0.06 * 9.8 / 48.0], rtol=1e-6)
