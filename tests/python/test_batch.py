@@ -135,20 +135,26 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         base = base.updated({"base_motion.kind": "noise"})
     if key.endswith((".fuzzy.table", ".fuzzy.initial_scale", ".fuzzy.leakage")):
         base = base.updated({f"controller.{law}.fuzzy.initial_scale": 1e-4})
+    if key == "target.points":  # they hardly tell the pose: undamped, forces of 20 kN and their rounding
+        base = base.updated({"controller.resolved_rate.damping": 100.0})
     if key.startswith("controller.resolved_rate.gain"):
         base = base.updated({"controller.resolved_rate.adaptive": True})
+    if key == "uncertainty.coriolis":
+        base = base.updated({"uncertainty.depth": [0.3, 0.2, 0.1, 0.25]})  # with equal ones some laws do not turn
+    # The plain pseudo-inverse solves with J^T J, whose condition is that of the image squared: 1e7 times the rounding.
+    tolerance = 1e-8 if law == "resolved_rate" else 1e-11
     for rows in rows_of(base, key):
         batch = hs.simulate_batch(base, {key: rows})
         assert len(batch) == 3
         for index, row in enumerate(rows):
             value = int(row) if key in ("seed", "simulation.log_every", "simulation.substeps") else row.tolist()
-            assert_same(batch, index, hs.simulate(base.updated({key: value})))
+            assert_same(batch, index, hs.simulate(base.updated({key: value})), tolerance)
         everything = np.column_stack(
             [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
         )
-        without_effect = ("simulation.log_every", "robot.stroke", "robot.force_limit")
+        without_effect = {"simulation.log_every", "robot.stroke", "robot.force_limit"}
         if "fuzzy" not in type(getattr(base.controller, law)).model_fields:
-            without_effect += ("controller.switching.width",)
+            without_effect.add("controller.switching.width")
         assert np.array_equal(everything[0], everything[1], equal_nan=True) == (key in without_effect), key
 
 
