@@ -122,5 +122,9 @@ class Controller:
         ValueError
             "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers.
         """
-        *vectors, status = self._core.step(features, depth, position, quaternion, twist, image_age)
-        return ControllerOutput(*vectors, status != _core.InputStatus.valid, cast("InputStatus", status.name))
+        wrench, leg_forces, fuzzy_output, status = self._core.step(
+            features, depth, position, quaternion, twist, image_age
+        )
+        return ControllerOutput(
+            wrench, leg_forces, fuzzy_output, status != _core.InputStatus.valid, cast("InputStatus", status.name)
+        )

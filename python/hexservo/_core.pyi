@@ -442,6 +442,10 @@ class KellySettings(metaclass=_PybindType):
     camera: Camera
     convention: CameraConvention
     sampling: CameraSampling
+    sensors: SensorSettings
+    actuators: ActuatorSettings
+    base_motion: BaseMotionSettings
+    on_limit: LimitPolicy
     jacobian: JacobianConvention
     target: Target
     uncertainty: Uncertainty
@@ -460,6 +464,10 @@ class ResolvedRateSettings(metaclass=_PybindType):
     camera: Camera
     convention: CameraConvention
     sampling: CameraSampling
+    sensors: SensorSettings
+    actuators: ActuatorSettings
+    base_motion: BaseMotionSettings
+    on_limit: LimitPolicy
     jacobian: JacobianConvention
     target: Target
     uncertainty: Uncertainty
@@ -478,6 +486,10 @@ class PbvsSettings(metaclass=_PybindType):
     camera: Camera
     convention: CameraConvention
     sampling: CameraSampling
+    sensors: SensorSettings
+    actuators: ActuatorSettings
+    base_motion: BaseMotionSettings
+    on_limit: LimitPolicy
     jacobian: JacobianConvention
     target: Target
     uncertainty: Uncertainty
@@ -496,6 +508,10 @@ class ComputedTorqueSettings(metaclass=_PybindType):
     camera: Camera
     convention: CameraConvention
     sampling: CameraSampling
+    sensors: SensorSettings
+    actuators: ActuatorSettings
+    base_motion: BaseMotionSettings
+    on_limit: LimitPolicy
     jacobian: JacobianConvention
     target: Target
     uncertainty: Uncertainty
@@ -569,6 +585,7 @@ class Metrics(metaclass=_PybindType):
 class SampledObservation(metaclass=_PybindType):
     """What a controller sees at a tick."""
 
+    def __init__(self, *args: NoReturn, **kwargs: NoReturn) -> None: ...
     @property
     def tick(self) -> int: ...
     @property

@@ -30,12 +30,14 @@ def smooth(paper: hs.Scenario) -> hs.Scenario:
     return paper.updated(CONSTANTS)
 
 
-def assert_same(batch: hs.BatchResult, index: int, single: hs.Result, tolerance: float = 1e-11) -> None:
+def assert_same(
+    batch: hs.BatchResult, index: int, single: hs.Result, tolerance: float = 1e-11, floor: float = 0.0
+) -> None:
     assert batch.outcome[index] == single.outcome
     assert batch.end_time[index] == single.end_time
     assert batch.detail(index) == single.detail
     for name, value in hs.metrics(single).items():
-        assert batch.metrics[name][index] == pytest.approx(value, rel=tolerance, abs=0, nan_ok=True), name
+        assert batch.metrics[name][index] == pytest.approx(value, rel=tolerance, abs=floor, nan_ok=True), name
     for name, values in batch.samples.items():
         expected = getattr(single, name)
         size = np.abs(expected).max()
@@ -102,7 +104,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
         elif np.ndim(value) <= len(shape):
             base = np.broadcast_to(np.asarray(value, dtype=float), shape)
         else:
-            base = np.full(shape, np.ravel(value)[0])
+            base = np.full(shape, np.ravel(value).min())  # of newtons and newton metres what neither finds too stiff
         steps = {
             "simulation.step": [1.0, 0.5, 2.0],
             "simulation.duration": [1.0, 0.5, 2.0],
@@ -142,13 +144,16 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
     if key == "uncertainty.coriolis":
         base = base.updated({"uncertainty.depth": [0.3, 0.2, 0.1, 0.25]})  # with equal ones some laws do not turn
     # The plain pseudo-inverse solves with J^T J, whose condition is that of the image squared: 1e7 times the rounding.
-    tolerance = 1e-8 if law == "resolved_rate" else 1e-11
+    # An estimated pose carries the rounding of the features, times some 1e-1 m or rad per px. What is zero but for that
+    # (a turn, where all depths err alike) has no digits to compare: motions are of 1e-2 to 1 in SI units.
+    tolerance = {"resolved_rate": 1e-8, "pbvs": 1e-9}.get(law, 1e-11)
+    floor = tolerance if law in ("resolved_rate", "pbvs") else 0.0
     for rows in rows_of(base, key):
         batch = hs.simulate_batch(base, {key: rows})
         assert len(batch) == 3
         for index, row in enumerate(rows):
             value = int(row) if key in ("seed", "simulation.log_every", "simulation.substeps") else row.tolist()
-            assert_same(batch, index, hs.simulate(base.updated({key: value})), tolerance)
+            assert_same(batch, index, hs.simulate(base.updated({key: value})), tolerance, floor)
         everything = np.column_stack(
             [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
         )

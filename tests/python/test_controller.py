@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import hexservo as hs
 from hexservo import _core
@@ -21,7 +21,7 @@ def controller(paper: hs.Scenario) -> hs.Controller:
     return hs.Controller(paper)
 
 
-def good_input(paper: hs.Scenario) -> dict[str, NDArray[np.float64]]:
+def good_input(paper: hs.Scenario) -> dict[str, Any]:
     """What the sensors of a robot say that moves near home."""
     return {
         "features": np.asarray(paper.target.initial_features, dtype=float) + 1.0,
@@ -82,9 +82,11 @@ def test_so_are_those_of_laws_without_a_state(paper: hs.Scenario, law: str, jaco
             desired - run.feature_error[k], run.depth[k], run.position[k], run.quaternion[k], run.twist[k]
         )
         assert not out.invalid_input
-        # features carry the rounding of desired - (desired - xi), 1e-14 px: up to 2e-15 m of pose, times 1e2 N/m
-        np.testing.assert_allclose(out.wrench, run.wrench[k], rtol=0, atol=1e-11)
-        np.testing.assert_allclose(out.leg_forces, run.leg_forces[k], rtol=0, atol=1e-10)
+        # Features carry the rounding of desired - (desired - xi), 1e-14 px: up to 2e-15 m of pose, times 1e2 N/m. The
+        # plain pseudo-inverse solves with J^T J, whose condition is 1e7: that many roundings of half a newton.
+        atol = 1e-9 if law == "resolved_rate" else 1e-11
+        np.testing.assert_allclose(out.wrench, run.wrench[k], rtol=0, atol=atol)
+        np.testing.assert_allclose(out.leg_forces, run.leg_forces[k], rtol=0, atol=10 * atol)
         assert not out.fuzzy_output.any()
     assert not run.fuzzy_output.any()
     assert not run.fuzzy_weights.any()

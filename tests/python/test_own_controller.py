@@ -80,7 +80,7 @@ def test_leg_forces_give_the_wrench_of_the_legs(sampled: hs.Scenario) -> None:
         return hs.LegForces(hexapod.leg_forces(seen.position, seen.quaternion, wrench(seen)))
 
     def wrench(seen: hs.Observation) -> np.ndarray[Any, Any]:
-        return hold(seen) + np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return np.asarray(np.add(hold(seen), [1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
 
     one, other = hs.simulate(sampled, controller=legs), hs.simulate(sampled, controller=wrench)
     np.testing.assert_allclose(one.position, other.position, rtol=0, atol=1e-12)
