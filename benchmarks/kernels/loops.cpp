@@ -17,7 +17,7 @@ void servo_tick(benchmark::State& state) {
   for (auto _ : state) {
     ControllerOutput out = step(gains, controller, inputs[i]);
     benchmark::DoNotOptimize(out);
-    if (out.invalid_input) state.SkipWithError("a tick refused its input");
+    if (out.invalid_input()) state.SkipWithError("a tick refused its input");
     if (++i == inputs.size()) {
       i = 0;
       controller = initial_state(gains);

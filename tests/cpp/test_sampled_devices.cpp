@@ -7,6 +7,7 @@
 #include "scenarios.hpp"
 
 #include <functional>
+#include <memory>
 #include <vector>
 
 using namespace hexservo;
@@ -44,9 +45,10 @@ struct Driven {
   SampledPlant<double> plant;
 };
 
-SampledLoop<double, Hybrid> run(const LoopParameters<double, Hybrid>& parameters, double duration) {
-  SampledLoop<double, Hybrid> loop(parameters);
-  while (loop.time() < duration - 0.5 * kTick && loop.record().running()) loop.advance();
+/// The loop after a time, or where it stopped.
+std::unique_ptr<SampledLoop<double, Hybrid>> run(const LoopParameters<double, Hybrid>& parameters, double duration) {
+  auto loop = std::make_unique<SampledLoop<double, Hybrid>>(parameters);
+  while (loop->time() < duration - 0.5 * kTick && loop->record().running()) loop->advance();
   return loop;
 }
 
@@ -149,12 +151,12 @@ TEST_CASE("saturated leg forces stay within the limit, and the weights wait") {
   settings.robot.force_limit = 0.14;  // 0.1337 N hold the platform
   const LoopParameters<double, Hybrid> tight = loop_parameters(settings);
   const auto limited = run(tight, 1.0);
-  REQUIRE(limited.record().running());
-  CHECK(limited.record().metrics().metrics().peak_leg_force <= 0.14);
+  REQUIRE(limited->record().running());
+  CHECK(limited->record().metrics().metrics().peak_leg_force <= 0.14);
   settings.actuators.actuators.saturation = false;
   const LoopParameters<double, Hybrid> open = loop_parameters(settings);
   const auto unlimited = run(open, 1.0);
-  CHECK(unlimited.record().metrics().metrics().peak_leg_force > 0.15);
+  CHECK(unlimited->record().metrics().metrics().peak_leg_force > 0.15);
 
   settings.actuators.actuators.saturation = true;
   settings.robot.force_limit = 0.13;  // never enough: nothing may be learned
@@ -163,12 +165,12 @@ TEST_CASE("saturated leg forces stay within the limit, and the weights wait") {
   double learned = 0.0, forbidden = 0.0;
   for (int r = 0; r < kTerms * kTerms; ++r)
     for (int axis = 0; axis < kAxes; ++axis) {
-      learned = std::max(learned, std::abs(limited.law_state()[static_cast<std::size_t>(r)](axis)));
-      forbidden = std::max(forbidden, std::abs(falling.law_state()[static_cast<std::size_t>(r)](axis)));
+      learned = std::max(learned, std::abs(limited->law_state()[static_cast<std::size_t>(r)](axis)));
+      forbidden = std::max(forbidden, std::abs(falling->law_state()[static_cast<std::size_t>(r)](axis)));
     }
   CHECK(learned > 0.0);
   CHECK(forbidden == 0.0);
-  CHECK(falling.record().sample().twist(2) > 0.01);  // it sinks
+  CHECK(falling->record().sample().twist(2) > 0.01);  // it sinks
 }
 
 TEST_CASE("a leg beyond its stroke ends the run where it shall, with the leg and the time that a report has") {
@@ -208,13 +210,13 @@ TEST_CASE("ideal encoders with true rates change nothing; differences delay, and
   settings.sensors.encoders.rates = RateSource::true_rates;
   const LoopParameters<double, Hybrid> ideal = loop_parameters(settings);
   const auto a = run(truth, 0.3), b = run(ideal, 0.3);
-  REQUIRE(b.record().running());
+  REQUIRE(b->record().running());
   // what the two poses differ by, 1e-15 m and rad, through 300 ticks of a loop that damps
-  CHECK(distance(a.record().sample().position, b.record().sample().position) <= 1e-11);
-  CHECK(distance(a.record().sample().feature_error, b.record().sample().feature_error) <= 1e-7);
+  CHECK(distance(a->record().sample().position, b->record().sample().position) <= 1e-11);
+  CHECK(distance(a->record().sample().feature_error, b->record().sample().feature_error) <= 1e-7);
   settings.sensors.encoders.rates = RateSource::differences;
   const LoopParameters<double, Hybrid> late = loop_parameters(settings);
-  CHECK(distance(run(late, 0.05).record().sample().position, run(truth, 0.05).record().sample().position) > 1e-9);
+  CHECK(distance(run(late, 0.05)->record().sample().position, run(truth, 0.05)->record().sample().position) > 1e-9);
 }
 
 TEST_CASE("encoders whose readings belong to no pose end the run") {
@@ -288,10 +290,10 @@ TEST_CASE("a pack with devices runs as single loops do, each lane with its own n
   for (int lane = 0; lane < kWidth; ++lane) {
     CAPTURE(lane);
     const auto alone = run(singles[static_cast<std::size_t>(lane)], 0.1);
-    REQUIRE(alone.record().running());
+    REQUIRE(alone->record().running());
     CHECK(lane_of(together.record().cause(), lane) == 0.0);
-    CHECK(distance(lane_of(together.record().sample().position, lane), alone.record().sample().position) <= 1e-12);
-    CHECK(distance(lane_of(together.record().sample().leg_forces, lane), alone.record().sample().leg_forces) <= 1e-9);
+    CHECK(distance(lane_of(together.record().sample().position, lane), alone->record().sample().position) <= 1e-12);
+    CHECK(distance(lane_of(together.record().sample().leg_forces, lane), alone->record().sample().leg_forces) <= 1e-9);
   }
 }
 

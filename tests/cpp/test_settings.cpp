@@ -272,7 +272,9 @@ TEST_CASE("targets that no camera can use are refused") {
 }
 
 TEST_CASE("time grids: a step that divides the duration to rounding, neither empty nor endless") {
-  const auto count = [](double step, double duration) { return step_count({step, duration, 1}); };
+  const auto count = [](double step, double duration) {
+    return step_count({LoopMode::continuous, step, 1, duration, 1});
+  };
   CHECK(count(1e-3, 5.0) == 5000);
   CHECK(count(1e-3, 0.1) == 100);  // neither is a binary fraction
   CHECK(count(1e-3, 1e-3) == 1);
