@@ -24,7 +24,7 @@ _INKS = (_Ink(_BLACK), _Ink(_BLUE), _Ink(_VERMILION, _DASHED), _Ink(_GREEN, _DAS
 @_styled
 def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
     """Draw latencies of the tick, and how late the paced ones woke up, both axes logarithmic."""
-    figure = Figure(figsize=(_PAGE, 2.9), layout="constrained")
+    figure = Figure(figsize=(_PAGE, 3.2), layout="constrained")
     latency, lateness = figure.subplots(1, 2, sharey=True)
     for timing, ink in zip(ticks, _INKS, strict=False):
         name = "one after another" if timing.rate is None else f"at {timing.rate / 1e3:g} kHz"
@@ -48,7 +48,8 @@ def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
         axes.grid(visible=True, which="major", linewidth=0.4, color="0.88")
         axes.set_axisbelow(True)
     latency.set_ylabel(f"share of ticks per bin of 1/{_bins_per_decade(ticks[0].latency)} decade")
-    latency.legend(loc="upper right", frameon=False)
+    # above both, where no curve is
+    figure.legend(*latency.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
