@@ -95,6 +95,19 @@ TEST_CASE("known results of the sampled loop, hybrid") {
   CHECK(noisy.rms == doctest::Approx(0.121).epsilon(0.10));
 }
 
+TEST_CASE("known results of the sampled loop, hybrid: what does not converge in any corner") {
+  for (const double gravity : {0.0, 0.075})
+    for (const double second_depth : {0.3, -0.3}) {
+      CAPTURE(gravity);
+      CAPTURE(second_depth);
+      auto settings = corner<Hybrid>(gravity, 0.3);
+      settings.uncertainty.depth(1) = second_depth;
+      CHECK(run(with_camera(settings, 10 * kMs, 10 * kMs, Prediction::none, 0.0)).settle == kInfinity);
+      settings.gains.fuzzy.enabled = false;  // a wrench that is held is negative damping
+      CHECK(run(settings).settle == kInfinity);
+    }
+}
+
 TEST_CASE("known results of the sampled loop, composite") {
   const auto gravity = corner<Composite>(0.075, 0.3);
   const Row none = run(with_camera(gravity, 10 * kMs, 10 * kMs, Prediction::none, 0.0));

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 import hexservo as hs
 from hexservo import _core
 from hexservo._parameters import core_parameters
+from hexservo._scenario import LAWS
 
 GRAVITY = np.array([0.0, 0.0, -0.06 * 9.8, 0.0, 0.0, 0.0])
 ARGUMENTS = ("features", "depth", "position", "quaternion", "twist")
@@ -145,7 +146,9 @@ def test_what_is_no_measurement_gives_safe_output(
         assert controller.step(**given).invalid_input is False
 
 
-def test_the_status_says_why_an_input_was_not_used(paper: hs.Scenario) -> None:
+@pytest.mark.parametrize("law", LAWS)
+def test_the_status_says_why_an_input_was_not_used(paper: hs.Scenario, law: str) -> None:
+    paper = paper.updated({"controller.law": law})
     controller = hs.Controller(paper.updated({"camera.timeout": 0.05}))
     given = good_input(paper)
     weights = controller.fuzzy_weights
