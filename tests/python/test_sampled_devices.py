@@ -317,3 +317,26 @@ def test_keys_of_devices_vary_in_batches(nominal: hs.Scenario) -> None:
             )
         )
         np.testing.assert_allclose(batch.samples["position"][i], single.position[-1], rtol=0, atol=1e-11)
+
+
+def test_a_feature_that_leaves_the_image_is_held_or_predicted_or_ends_the_run(paper: hs.Scenario) -> None:
+    """The goal lies outside of this image: point 2 starts at y = -65 px and shall go to -73, beyond half of 135."""
+    narrow = paper.updated(
+        {"simulation.mode": "sampled", "controller.switching.kind": "implicit", "camera.image_size": [135, 135]}
+    )
+    stopped = hs.simulate(narrow.updated({"camera.on_lost": "stop"}))
+    assert stopped.outcome == "feature_lost"
+    assert stopped.detail.startswith("a frame did not show every target point at t = 0.0")
+    assert np.abs(stopped.features).max() <= 67.5  # the last good sample is one with all points
+    batch = hs.simulate_batch(narrow.updated({"camera.on_lost": "stop"}), {"uncertainty.depth": [0.3, 0.3]})
+    assert list(batch.outcome) == ["feature_lost"] * 2
+    assert batch.detail(0) == stopped.detail
+    held = hs.simulate(narrow.updated({"camera.on_lost": "hold"}))
+    assert held.outcome == "completed"
+    assert np.isnan(hs.metrics(held)["settling_time"])  # a feature that stays where it was last pulls for ever
+    predicted, whole = (
+        hs.metrics(hs.simulate(scenario))
+        for scenario in (narrow.updated({"camera.on_lost": "predict"}), narrow.updated({"camera.image_size": None}))
+    )
+    assert predicted["settling_time"] == pytest.approx(whole["settling_time"], rel=0.03)
+    assert predicted["final_error"] == pytest.approx(whole["final_error"], abs=0.02)
