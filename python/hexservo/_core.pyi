@@ -390,137 +390,54 @@ class MetricsSettings(metaclass=_PybindType):
     settling_threshold: float
     rms_start: float
 
-class HybridSettings(metaclass=_PybindType):
+class _LawSettings(metaclass=_PybindType):  # what the settings of all laws have, which one C++ template binds
+    def __init__(self) -> None: ...
+    robot: RobotParameters
+    camera: Camera
+    convention: CameraConvention
+    sampling: CameraSampling
+    sensors: SensorSettings
+    actuators: ActuatorSettings
+    base_motion: BaseMotionSettings
+    on_limit: LimitPolicy
+    jacobian: JacobianConvention
+    target: Target
+    uncertainty: Uncertainty
+    switching: Switching
+    simulation: SimulationSettings
+    metrics: MetricsSettings
+    seed: int
+    def validate(self) -> None: ...
+
+class HybridSettings(_LawSettings):
     """A scenario for the law hybrid, as numbers."""
 
-    def __init__(self) -> None: ...
-    robot: RobotParameters
-    camera: Camera
-    convention: CameraConvention
-    sampling: CameraSampling
-    sensors: SensorSettings
-    actuators: ActuatorSettings
-    base_motion: BaseMotionSettings
-    on_limit: LimitPolicy
-    jacobian: JacobianConvention
-    target: Target
-    uncertainty: Uncertainty
-    switching: Switching
     gains: HybridGains
-    simulation: SimulationSettings
-    metrics: MetricsSettings
-    seed: int
-    def validate(self) -> None: ...
 
-class CompositeSettings(metaclass=_PybindType):
+class CompositeSettings(_LawSettings):
     """A scenario for the law composite, as numbers."""
 
-    def __init__(self) -> None: ...
-    robot: RobotParameters
-    camera: Camera
-    convention: CameraConvention
-    sampling: CameraSampling
-    sensors: SensorSettings
-    actuators: ActuatorSettings
-    base_motion: BaseMotionSettings
-    on_limit: LimitPolicy
-    jacobian: JacobianConvention
-    target: Target
-    uncertainty: Uncertainty
-    switching: Switching
     gains: CompositeGains
-    simulation: SimulationSettings
-    metrics: MetricsSettings
-    seed: int
-    def validate(self) -> None: ...
 
-class KellySettings(metaclass=_PybindType):
+class KellySettings(_LawSettings):
     """A scenario for the law kelly, as numbers."""
 
-    def __init__(self) -> None: ...
-    robot: RobotParameters
-    camera: Camera
-    convention: CameraConvention
-    sampling: CameraSampling
-    sensors: SensorSettings
-    actuators: ActuatorSettings
-    base_motion: BaseMotionSettings
-    on_limit: LimitPolicy
-    jacobian: JacobianConvention
-    target: Target
-    uncertainty: Uncertainty
-    switching: Switching
     gains: KellyGains
-    simulation: SimulationSettings
-    metrics: MetricsSettings
-    seed: int
-    def validate(self) -> None: ...
 
-class ResolvedRateSettings(metaclass=_PybindType):
+class ResolvedRateSettings(_LawSettings):
     """A scenario for the law resolved_rate, as numbers."""
 
-    def __init__(self) -> None: ...
-    robot: RobotParameters
-    camera: Camera
-    convention: CameraConvention
-    sampling: CameraSampling
-    sensors: SensorSettings
-    actuators: ActuatorSettings
-    base_motion: BaseMotionSettings
-    on_limit: LimitPolicy
-    jacobian: JacobianConvention
-    target: Target
-    uncertainty: Uncertainty
-    switching: Switching
     gains: ResolvedRateGains
-    simulation: SimulationSettings
-    metrics: MetricsSettings
-    seed: int
-    def validate(self) -> None: ...
 
-class PbvsSettings(metaclass=_PybindType):
+class PbvsSettings(_LawSettings):
     """A scenario for the law pbvs, as numbers."""
 
-    def __init__(self) -> None: ...
-    robot: RobotParameters
-    camera: Camera
-    convention: CameraConvention
-    sampling: CameraSampling
-    sensors: SensorSettings
-    actuators: ActuatorSettings
-    base_motion: BaseMotionSettings
-    on_limit: LimitPolicy
-    jacobian: JacobianConvention
-    target: Target
-    uncertainty: Uncertainty
-    switching: Switching
     gains: PbvsGains
-    simulation: SimulationSettings
-    metrics: MetricsSettings
-    seed: int
-    def validate(self) -> None: ...
 
-class ComputedTorqueSettings(metaclass=_PybindType):
+class ComputedTorqueSettings(_LawSettings):
     """A scenario for the law computed_torque, as numbers."""
 
-    def __init__(self) -> None: ...
-    robot: RobotParameters
-    camera: Camera
-    convention: CameraConvention
-    sampling: CameraSampling
-    sensors: SensorSettings
-    actuators: ActuatorSettings
-    base_motion: BaseMotionSettings
-    on_limit: LimitPolicy
-    jacobian: JacobianConvention
-    target: Target
-    uncertainty: Uncertainty
-    switching: Switching
     gains: ComputedTorqueGains
-    simulation: SimulationSettings
-    metrics: MetricsSettings
-    seed: int
-    def validate(self) -> None: ...
 
 _Settings: TypeAlias = (
     HybridSettings | CompositeSettings | KellySettings | ResolvedRateSettings | PbvsSettings | ComputedTorqueSettings

@@ -84,32 +84,36 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
                 seen.quaternion,
                 seen.twist,
             )
-            at = f"at tick {seen.tick} (t = {seen.time:.9g} s)"
             try:
                 command = controller(observation)
             except Exception as error:
                 if hasattr(error, "add_note"):
-                    error.add_note(f"raised by the controller {at}")
+                    error.add_note(f"raised by the controller {_at(observation)}")
                 raise
             if isinstance(command, LegForces):
-                run.command_legs(_six("leg forces", command.forces, at))
+                run.command_legs(_six("leg forces", command.forces, observation))
             else:
-                run.command(_six("a wrench", command, at))
+                run.command(_six("a wrench", command, observation))
     except KeyboardInterrupt:
         pass  # what was computed is kept, and the trajectory says so
     return run.finish()
 
 
-def _six(what: str, command: ArrayLike, at: str) -> _Array:
+def _six(what: str, command: ArrayLike, seen: Observation) -> _Array:
     try:
         numbers = np.asarray(command, dtype=float)
     except (TypeError, ValueError):
         numbers = None
-    expected = f"controller: expected {what} of 6 finite numbers {at}"
+    if numbers is not None and numbers.shape == (6,) and np.isfinite(numbers).all():
+        return numbers
     if numbers is None:
-        raise ValueError(f"{expected}, got {command!r:.60}")
-    if numbers.shape != (6,):
-        raise ValueError(f"{expected}, got an array of shape {numbers.shape}")
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"{expected}, got {numbers}")
-    return numbers
+        got = f"{command!r:.60}"
+    elif numbers.shape != (6,):
+        got = f"an array of shape {numbers.shape}"
+    else:
+        got = str(numbers)
+    raise ValueError(f"controller: expected {what} of 6 finite numbers {_at(seen)}, got {got}")
+
+
+def _at(seen: Observation) -> str:
+    return f"at tick {seen.tick} (t = {seen.time:.9g} s)"

@@ -56,6 +56,9 @@ app = typer.Typer(
 ScenarioArgument = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="Name of a packaged scenario, or path of a YAML file.")
 ]
+ForceOption = Annotated[
+    bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
+]
 SettingsOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -96,9 +99,7 @@ def run(
         typer.Option("--out", "-o", metavar="FOLDER", help="Write figures and data there, into a new or empty folder."),
     ] = None,
     settings: SettingsOption = None,
-    force: Annotated[
-        bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
-    ] = False,
+    force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
 ) -> None:
     """Simulate a scenario and report on it.
@@ -152,9 +153,7 @@ def compare(
         str | None,
         typer.Option("--out", "-o", metavar="FOLDER", help="Write tables and a page of pictures there."),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
-    ] = False,
+    force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
 ) -> None:
     """Run several laws on several scenarios and compare them.
@@ -263,9 +262,7 @@ def bench(
         str | None,
         typer.Option("--out", "-o", metavar="FOLDER", help="Write bench.json and a picture there."),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
-    ] = False,
+    force: ForceOption = False,
     quick: Annotated[bool, typer.Option("--quick", help="A rougher measurement, in less than 15 s.")] = False,
     ticks: Annotated[
         int | None,
