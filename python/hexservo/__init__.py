@@ -19,6 +19,7 @@ except ImportError as error:  # a source tree, or a wheel of another Python
         "(`pip install .` in the source tree) and import it from outside of python/"
     ) from error
 
+from hexservo._analysis import Analysis, analyse
 from hexservo._batch import BatchResult, simulate_batch
 from hexservo._compare import Comparison, ComparisonRow, compare
 from hexservo._controller import Controller, ControllerOutput
@@ -31,6 +32,7 @@ from hexservo._variant import VariantError
 
 __all__ = [
     "METRICS",
+    "Analysis",
     "BatchResult",
     "Comparison",
     "ComparisonRow",
@@ -44,6 +46,7 @@ __all__ = [
     "ScenarioError",
     "VariantError",
     "__version__",
+    "analyse",
     "compare",
     "load_scenario",
     "metrics",

@@ -1,0 +1,74 @@
+"""Answers that need no run: what a scenario's geometry, gains and timing permit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from hexservo._evidence import Section, as_data
+from hexservo._scenario import Scenario
+
+__all__ = ["PARTS", "Analysis", "analyse"]
+
+# name -> (module of this package, what it answers). Each module has analyse(scenario), whose result has section().
+PARTS: dict[str, tuple[str, str]] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """What is known of a scenario before it runs: one result per part, by the part's name."""
+
+    scenario: Scenario
+    parts: dict[str, Any]
+
+    def __getattr__(self, name: str) -> Any:
+        """Give a part by its name, as in ``analysis.conditioning``."""
+        try:
+            return self.__dict__["parts"][name]
+        except KeyError:
+            raise AttributeError(f"this analysis has no part {name!r}; it has {', '.join(self.parts)}") from None
+
+    def sections(self) -> tuple[Section, ...]:
+        """Words, tables and pictures of all parts, in their order."""
+        return tuple(part.section() for part in self.parts.values())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give all numbers as strict JSON has them, by part; SI units and pixels."""
+        return {section.name: as_data(section.data) for section in self.sections()}
+
+
+def analyse(
+    scenario: Scenario, parts: Sequence[str] | None = None, *, progress: Callable[[str], object] | None = None
+) -> Analysis:
+    """Work out what can be known of a scenario before it runs (docs/analysis/).
+
+    Parameters
+    ----------
+    scenario
+        Nothing of it is run but for short checks of a result.
+    parts
+        Names of `PARTS`, in any order; None for all.
+    progress
+        Called with a part's name before it begins.
+
+    Raises
+    ------
+    TypeError
+        For anything but a `Scenario`.
+    ValueError
+        For parts that there are not.
+    """
+    if not isinstance(scenario, Scenario):
+        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+    asked = list(PARTS) if parts is None else list(parts)
+    if unknown := [part for part in asked if part not in PARTS]:
+        raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")
+    found = {}
+    for name, (module, _) in PARTS.items():
+        if name in asked:
+            if progress is not None:
+                progress(name)
+            found[name] = import_module(f"hexservo._analysis.{module}").analyse(scenario)
+    return Analysis(scenario, found)

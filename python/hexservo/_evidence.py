@@ -1,0 +1,123 @@
+"""What certificates, analyses and diagnoses have to show: words, tables, curves and maps, without a renderer.
+
+The command line prints these, the report draws them; whoever makes them does neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Cell", "Column", "Curves", "HeatMap", "Item", "Line", "Section", "Table", "as_data"]
+
+Array: TypeAlias = NDArray[np.float64]
+Cell: TypeAlias = str | float | int | bool | None
+"""Of a table: a number is in its column's unit; None where there is none."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """Head of a table's column."""
+
+    title: str
+    unit: str = ""  # of its numbers, as people read it; empty for text and pure numbers
+    format: str = ".4g"  # of its numbers, as `format` takes it
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text and numbers."""
+
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""  # one or two sentences below it
+    page: str = ""  # that explains it, such as "docs/analysis/conditioning.md"
+
+    def __post_init__(self) -> None:
+        """Refuse rows of another length.
+
+        Raises
+        ------
+        ValueError
+            For a row with more or fewer cells than there are columns.
+        """
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"table {self.title!r}: expected rows of {len(self.columns)} cells, got {list(row)!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One curve, or the marks of one kind."""
+
+    name: str
+    x: Array  # (n,)
+    y: Array  # (n,)
+    style: Literal["line", "dashed", "points"] = "line"
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Lines over one axis."""
+
+    title: str
+    x_label: str  # with its unit in brackets
+    y_label: str
+    lines: Sequence[Line]
+    x_log: bool = False
+    y_log: bool = False
+    note: str = ""
+    page: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatMap:
+    """A quantity over a rectangle, with contours of it."""
+
+    title: str
+    x_label: str
+    y_label: str
+    z_label: str
+    x: Array  # (m,)
+    y: Array  # (n,)
+    z: Array  # (n, m): row by y, column by x; NaN where there is nothing
+    levels: Sequence[float] = ()  # contours to draw
+    lines: Sequence[Line] = ()  # over it
+    note: str = ""
+    page: str = ""
+
+
+Item: TypeAlias = Table | Curves | HeatMap
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A theme: first what was found, in words, then what shows it."""
+
+    name: str  # a key, such as "conditioning"
+    title: str
+    sentences: Sequence[str]  # the findings in plain words, the most important one first
+    items: Sequence[Item] = ()
+    verdict: Literal["good", "warning", "bad", "open"] = "open"  # open: nothing to judge
+    data: dict[str, Any] = field(default_factory=dict)  # the same as numbers, in SI units and pixels, for programs
+
+
+def as_data(value: Any) -> Any:
+    """Give a value as strict JSON has it: arrays are lists, and what is not finite is null."""
+    if isinstance(value, dict):
+        return {str(key): as_data(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return as_data(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [as_data(item) for item in value]
+    if isinstance(value, np.generic):
+        return as_data(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
