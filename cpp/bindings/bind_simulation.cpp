@@ -34,10 +34,10 @@ template <class Law>
 void bind_simulate(py::module_& m) {
   m.def(
       "simulate",
-      [](const Settings<Law>& settings, const KernelHandle& kernel) {
-        return simulate(settings, interrupt_requested, kernel.table());
+      [](const Settings<Law>& settings, const KernelHandle& kernel, bool log_weights) {
+        return simulate(settings, interrupt_requested, kernel.table(), log_weights);
       },
-      py::arg("settings"), py::arg("kernel"), py::call_guard<py::gil_scoped_release>(),
+      py::arg("settings"), py::arg("kernel"), py::arg("log_weights") = false, py::call_guard<py::gil_scoped_release>(),
       "Runs a scenario; ValueError for a bad one, a trajectory with its outcome otherwise. Ctrl-C ends it with "
       "`interrupted`.");
 }
@@ -101,6 +101,16 @@ void bind_simulation(py::module_& m) {
       .def_property_readonly(
           "fuzzy_weights", [](const Trajectory& log) { return weight_array(log.fuzzy_weights); },
           "(6, 7, 7) at the end [N; N m]")
+      .def_property_readonly(
+          "weight_history",
+          [](const py::object& self) -> py::object {
+            const Column values = self.cast<const Trajectory&>().weight_history;
+            if (values.empty()) return py::none();
+            const auto n = static_cast<py::ssize_t>(values.size()) / kWeightNumbers;
+            return py::array_t<double>({n, py::ssize_t{kAxes}, py::ssize_t{kTerms}, py::ssize_t{kTerms}}, values.data(),
+                                       self);
+          },
+          "(n, 6, 7, 7) [N; N m], or None where it was not logged")
       .def_readonly("outcome", &Trajectory::outcome)
       .def_readonly("detail", &Trajectory::detail)
       .def_readonly("end_time", &Trajectory::end_time, "time of the last good sample [s]")

@@ -12,7 +12,7 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 5;                         ///< changes with everything below
+inline constexpr int kKernelAbi = 6;                         ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 18;         ///< of `Metrics`, in the order of its `visit`
@@ -28,6 +28,8 @@ struct RunAnswer {
   double* time;                              ///< in: a row of the log takes one [s]; null: not asked for
   std::array<double*, kQuantities> columns;  ///< in: a row takes `kSampleWidths`; null: not asked for
   double* weights;                           ///< in: `kWeightNumbers` at the end; null: not asked for
+  double* weight_rows;                       ///< in: a row takes `kWeightNumbers`; null: not asked for
+                                             ///< asked for, it has room for one row beyond `rows`
 
   double sample[kSampleNumbers];                ///< the last good one
   double metrics[kMetricNumbers];               ///< of the whole run

@@ -60,12 +60,31 @@ void read_parameters(LoopParameters<S, Law>& parameters, const RunRequest& reque
 }
 
 /// Rows of the logs of all lanes; a lane that has stopped adds none.
-template <class S>
+template <class S, class LawState>
 class Log {
  public:
-  Log(const RunRequest& request, const LoopRecord<S>& record) : request_(request), record_(record) {
-    for (int lane = 0; lane < request.count; ++lane) answer(lane).rows = 0;
+  /// @param record, law_state of the loop, which must outlive this
+  Log(const RunRequest& request, const LoopRecord<S>& record, const LawState& law_state)
+      : request_(request), record_(record), law_state_(law_state) {
+    for (int lane = 0; lane < request.count; ++lane) {
+      answer(lane).rows = 0;
+      has_weights_ = has_weights_ || answer(lane).weight_rows != nullptr;
+    }
+    note_weights();
     add();
+  }
+
+  /// After every step, where weights are asked for: those of the lanes that run go to the place of the next row.
+  ///
+  /// A lane that the end of a step stops has advanced its weights beyond its last good sample, which may become a row.
+  void note_weights() {
+    if (!has_weights_) return;
+    const Mask<S> running = record_.running();
+    for (int lane = 0; lane < request_.count; ++lane) {
+      const RunAnswer& a = answer(lane);
+      if (a.weight_rows != nullptr && of_lane(running, lane))
+        write_weights(law_state_, lane, a.weight_rows + a.rows * kWeightNumbers);
+    }
   }
 
   /// The sample of now, of the lanes that run.
@@ -96,6 +115,8 @@ class Log {
 
   const RunRequest& request_;
   const LoopRecord<S>& record_;
+  const LawState& law_state_;
+  bool has_weights_ = false;
   std::array<double, static_cast<std::size_t>(kLanes<S>)> last_time_{};
 };
 
@@ -138,8 +159,8 @@ RunStatus run(const RunRequest& request) {
   Loop loop(parameters);
   const LoopRecord<S>& record = loop.record();
   const bool logging = request.log_every > 0;
-  std::optional<Log<S>> log;
-  if (logging) log.emplace(request, record);
+  std::optional<Log<S, typename Loop::LawState>> log;
+  if (logging) log.emplace(request, record, loop.law_state());
   S steps(0.0);  // that each lane has taken
   bool stopped = false;
   long long until_logged = request.log_every;
@@ -152,7 +173,9 @@ RunStatus run(const RunRequest& request) {
     }
     loop.advance();
     steps = select(running, S(static_cast<double>(loop.steps())), steps);
-    if (logging && --until_logged == 0) {
+    if (!logging) continue;
+    log->note_weights();
+    if (--until_logged == 0) {
       until_logged = request.log_every;
       log->add();
     }

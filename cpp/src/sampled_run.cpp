@@ -42,7 +42,8 @@ struct SampledRun::Books {
   SampledPlant<double> plant;
   detail::TrajectoryLog log;
   RunRequest request{};
-  std::optional<detail::Log<double>> rows;
+  NoState<double> no_weights;  ///< the scenario's law does not act
+  std::optional<detail::Log<double, NoState<double>>> rows;
   bool complete = false;
 };
 
@@ -79,7 +80,7 @@ void SampledRun::command(const Vector6<double>& wrench) {
   b.plant.command(wrench, Vector6<double>::Zero());
   const long long tick = b.plant.ticks();
   if (!b.rows)
-    b.rows.emplace(b.request, b.plant.record());
+    b.rows.emplace(b.request, b.plant.record(), b.no_weights);
   else if (tick % b.request.log_every == 0)
     b.rows->add();
   if (tick == b.request.steps)
@@ -98,9 +99,9 @@ Trajectory SampledRun::finish() {
   Books& b = *books_;
   if (!b.rows) {  // nothing was commanded: the platform at its start
     b.plant.command(Vector6<double>::Zero(), Vector6<double>::Zero());
-    b.rows.emplace(b.request, b.plant.record());
+    b.rows.emplace(b.request, b.plant.record(), b.no_weights);
   }
-  detail::answer(b.plant.record(), NoState<double>{}, static_cast<double>(b.plant.ticks()), !b.complete, 0, b.request);
+  detail::answer(b.plant.record(), b.no_weights, static_cast<double>(b.plant.ticks()), !b.complete, 0, b.request);
   b.rows->end(0);
   return b.log.finish(b.step, b.hexapod);
 }

@@ -66,10 +66,21 @@ void check_settings(const Settings<Law>& settings) {
   detail::sample_count(settings.simulation);
 }
 
+namespace {
+
 template <class Law>
-Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested, const Kernel& kernel) {
+bool has_fuzzy_systems(const Settings<Law>& settings) {
+  if constexpr (requires { settings.gains.fuzzy; }) return settings.gains.fuzzy.enabled;
+  return false;
+}
+
+}  // namespace
+
+template <class Law>
+Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested, const Kernel& kernel,
+                    bool log_weights) {
   const LoopParameters<double, Law> parameters = loop_parameters(settings);
-  detail::TrajectoryLog log(settings.simulation);
+  detail::TrajectoryLog log(settings.simulation, log_weights && has_fuzzy_systems(settings));
   const std::vector<double> numbers = detail::flattened(parameters);
   const double* scenario = numbers.data();
   Question question{stop_requested, nullptr};
@@ -90,7 +101,7 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
 
 #define HEXSERVO_HERE(Law)                            \
   template void check_settings(const Settings<Law>&); \
-  template Trajectory simulate(const Settings<Law>&, const std::function<bool()>&, const Kernel&);
+  template Trajectory simulate(const Settings<Law>&, const std::function<bool()>&, const Kernel&, bool);
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
 

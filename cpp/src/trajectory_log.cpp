@@ -8,7 +8,10 @@ namespace hexservo::detail {
 
 namespace {
 
-constexpr int kLoggedNumbers = 1 + kSampleNumbers;  // per row
+/// Per row of a log.
+std::size_t logged_numbers(bool log_weights) {
+  return std::size_t{1 + kSampleNumbers} + (log_weights ? std::size_t{kWeightNumbers} : std::size_t{0});
+}
 
 /// The columns of a log, in the order of `Sample::visit`.
 std::array<Column*, kQuantities> columns_of(Trajectory& log) {
@@ -17,8 +20,8 @@ std::array<Column*, kQuantities> columns_of(Trajectory& log) {
 }
 
 /// Lays out the columns for `samples` rows, one after another.
-void allocate(Trajectory& log, std::size_t samples) {
-  log.block = Buffer(samples * kLoggedNumbers);
+void allocate(Trajectory& log, std::size_t samples, bool log_weights) {
+  log.block = Buffer(samples * logged_numbers(log_weights));
   double* next = log.block.data();
   log.time = {next, samples};
   next += samples;
@@ -27,6 +30,7 @@ void allocate(Trajectory& log, std::size_t samples) {
     *columns[i] = {next, samples * static_cast<std::size_t>(kSampleWidths[i])};
     next += columns[i]->size();
   }
+  if (log_weights) log.weight_history = {next, samples * kWeightNumbers};
 }
 
 void shorten(Trajectory& log, std::size_t rows) {
@@ -34,6 +38,7 @@ void shorten(Trajectory& log, std::size_t rows) {
   const auto columns = columns_of(log);
   for (std::size_t i = 0; i < columns.size(); ++i)
     *columns[i] = columns[i]->first(rows * static_cast<std::size_t>(kSampleWidths[i]));
+  if (!log.weight_history.empty()) log.weight_history = log.weight_history.first(rows * kWeightNumbers);
 }
 
 void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const double (&first_time)[6],
@@ -43,21 +48,21 @@ void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const do
       events.push_back({kind, static_cast<int>(leg), first_time[leg], peak[leg], limit});
 }
 
+}  // namespace
+
 FuzzyWeights<double> weights_from(const double* numbers) {
-  FuzzyWeights<double> weights;
+  FuzzyWeights<double> weights{};
   for (int axis = 0; axis < kAxes; ++axis)
     for (int row = 0; row < kTerms; ++row)
       for (int column = 0; column < kTerms; ++column) weights[rule(row, column)].set(axis, *numbers++);
   return weights;
 }
 
-}  // namespace
-
-std::size_t sample_count(const SimulationSettings& simulation) {
+std::size_t sample_count(const SimulationSettings& simulation, bool log_weights) {
   const auto every = static_cast<double>(simulation.log_every);
   const double samples =
       std::floor(static_cast<double>(step_count(simulation)) / every) + 2.0;  // the first, and the last good one
-  const double bytes = samples * kLoggedNumbers * static_cast<double>(sizeof(double));
+  const double bytes = samples * static_cast<double>(logged_numbers(log_weights) * sizeof(double));
   if (bytes > kMaxLogBytes)
     refuse("simulation.log_every",
            words("a log of at most ", kMaxLogBytes / (1 << 30), " GiB (log_every of ",
@@ -66,12 +71,13 @@ std::size_t sample_count(const SimulationSettings& simulation) {
   return static_cast<std::size_t>(samples);
 }
 
-TrajectoryLog::TrajectoryLog(const SimulationSettings& simulation) {
-  allocate(trajectory_, sample_count(simulation));
+TrajectoryLog::TrajectoryLog(const SimulationSettings& simulation, bool log_weights) {
+  allocate(trajectory_, sample_count(simulation, log_weights), log_weights);
   answer_.time = trajectory_.time.data();
   const auto columns = columns_of(trajectory_);
   for (std::size_t i = 0; i < columns.size(); ++i) answer_.columns[i] = columns[i]->data();
   answer_.weights = weights_.data();
+  if (log_weights) answer_.weight_rows = trajectory_.weight_history.data();
 }
 
 Trajectory TrajectoryLog::finish(double step, const Hexapod<double>& hexapod) {

@@ -93,6 +93,7 @@ class Result:
     leg_forces: Array  # (n, 6) [N]
     fuzzy_weights: Array  # (6, 7, 7) [N, N m], at the end; row: term of u, column: term of its rate
     streamed_metrics: dict[str, float] = field(repr=False)  # read them through hs.metrics(result)
+    weight_history: Array | None = field(default=None, repr=False)  # (n, 6, 7, 7) like fuzzy_weights, where logged
 
     @property
     def features(self) -> Array:
@@ -125,6 +126,12 @@ class Result:
             coords={"wrench_component": _WRENCH, "error_term": _TERMS, "rate_term": _TERMS},
             attrs={"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"},
         )
+        if self.weight_history is not None:
+            data["weight_history"] = xarray.DataArray(
+                self.weight_history,
+                dims=("time", "wrench_component", "error_term", "rate_term"),
+                attrs={"units": "N; N m", "long_name": "weights of the fuzzy systems"},
+            )
         dataset = xarray.Dataset(data)
         dataset["time"].attrs.update({"units": "s", "long_name": "time"})
         dataset.attrs.update(

@@ -15,7 +15,7 @@ from hexservo._variant import chosen_kernel
 __all__ = ["simulate"]
 
 
-def simulate(scenario: Scenario, *, controller: OwnController | None = None) -> Result:
+def simulate(scenario: Scenario, *, controller: OwnController | None = None, log_weights: bool = False) -> Result:
     """Run a scenario from home, at rest (docs/model.md, sections 3 to 8).
 
     The closed loop runs in the core, without the interpreter's lock. A run that diverges, loses its target or meets a
@@ -31,22 +31,26 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None) -> 
         `Observation` and gives a wrench in B about E's origin, (6,) [N; N m], or `LegForces`. Until every point has
         been seen once, what acts is the wrench that holds the platform, whatever it gives. Python sets the pace: a few
         hundred thousand ticks a second at the very most.
+    log_weights
+        Whether `Result.weight_history` holds the weights of the fuzzy systems at every logged sample, (n, 6, 7, 7)
+        [N, N m]: 2.4 kB each, within the limit that a log has. It stays None where no fuzzy systems act: for other
+        laws, where they are switched off, and with a `controller` of one's own.
 
     Raises
     ------
     TypeError
         For anything but a `Scenario`, and for a controller that cannot be called.
     ValueError
-        For a scenario that the core refuses (a `Scenario` is checked when it is made, so this is rare); for a
-        controller in continuous mode; for a command of another shape or with numbers that are not finite, with its
-        tick. What the controller itself raises goes through as it is.
+        For a scenario that the core refuses (a `Scenario` is checked when it is made, so this is rare); where the log
+        would not fit because of the weights; for a controller in continuous mode; for a command of another shape or
+        with numbers that are not finite, with its tick. What the controller itself raises goes through as it is.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """
     if not isinstance(scenario, Scenario):
         raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
     if controller is None:
-        run = _core.simulate(core_parameters(scenario), chosen_kernel())
+        run = _core.simulate(core_parameters(scenario), chosen_kernel(), log_weights)
     elif callable(controller):
         run = run_with(scenario, controller)
     else:
@@ -70,6 +74,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None) -> 
         leg_forces=run.leg_forces,
         fuzzy_weights=run.fuzzy_weights,
         streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
+        weight_history=run.weight_history,
     )
 
 

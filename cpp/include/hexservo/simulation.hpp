@@ -42,6 +42,7 @@ struct Trajectory {
   Column fuzzy_output;                 ///< n x 6 [N; N m]
   Column leg_lengths;                  ///< n x 6 [m]
   Column leg_forces;                   ///< n x 6 [N]
+  Column weight_history;               ///< n x 6 x 7 x 7, axis, term of u, term of u-dot [N or N m]; empty: not logged
   FuzzyWeights<double> fuzzy_weights;  ///< at the end [N or N m]
 
   Outcome outcome = Outcome::completed;
@@ -63,14 +64,15 @@ void check_settings(const Settings<Law>& settings);
 /// Runs a scenario from home, at rest. The last good sample is always logged.
 /// @param stop_requested asked every few milliseconds; true ends the run with `Outcome::interrupted`
 /// @param kernel the instruction set to run with
+/// @param log_weights whether to log the weights of the fuzzy systems too; where none act there is no `weight_history`
 /// @throws std::invalid_argument as `loop_parameters`, or where the log would not fit into `kMaxLogBytes`
 template <class Law>
 Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested = {},
-                    const Kernel& kernel = built_in_kernel());
+                    const Kernel& kernel = built_in_kernel(), bool log_weights = false);
 
 #define HEXSERVO_ELSEWHERE(Law)                              \
   extern template void check_settings(const Settings<Law>&); \
-  extern template Trajectory simulate(const Settings<Law>&, const std::function<bool()>&, const Kernel&);
+  extern template Trajectory simulate(const Settings<Law>&, const std::function<bool()>&, const Kernel&, bool);
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
 #undef HEXSERVO_ELSEWHERE
 

@@ -1,0 +1,463 @@
+#include "hexservo/probe.hpp"
+
+#include "check.hpp"
+#include "run_loop.hpp"
+#include "trajectory_log.hpp"
+
+#include <algorithm>
+#include <limits>
+
+namespace hexservo {
+
+using detail::refuse;
+using detail::words;
+
+namespace {
+
+constexpr int kFeatures = 2 * kPoints;
+constexpr int kMemberships = kAxes * kTerms;
+constexpr std::size_t kStages = 4;
+
+// ---- Rows that are given --------------------------------------------------------------------------------------------
+
+/// Checks that there are n rows.
+void require_count(const char* name, Rows values, int width, std::size_t n) {
+  const auto numbers = n * static_cast<std::size_t>(width);
+  if (values.size() != numbers)
+    refuse(name, words(numbers, " numbers, ", width, " for each of ", n, " states"), words(values.size()));
+}
+
+/// Checks that there are n rows of finite numbers; the first that is not is named with its row.
+void require_rows(const char* name, Rows values, int width, std::size_t n) {
+  require_count(name, values, width, n);
+  for (std::size_t i = 0; i < values.size(); ++i)
+    if (!std::isfinite(values[i]))
+      detail::require_finite(words(name, "[", i / static_cast<std::size_t>(width), "]"), values[i]);
+}
+
+/// n, by the width of a quantity's rows.
+std::size_t row_count(const char* name, Rows values, int width) {
+  const auto w = static_cast<std::size_t>(width);
+  if (values.size() % w != 0) refuse(name, words("rows of ", width, " numbers"), words(values.size(), " numbers"));
+  return values.size() / w;
+}
+
+void require_quaternions(const char* name, Rows values, std::size_t n) {
+  require_rows(name, values, 4, n);
+  for (std::size_t i = 0; i < n; ++i) {
+    const double* q = values.data() + 4 * i;
+    if (!(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] > 0.0))
+      refuse(words(name, "[", i, "]"), "a quaternion that is not zero", "zero");
+  }
+}
+
+void require_depths(Rows values, std::size_t n) {
+  require_rows("depth", values, kPoints, n);
+  for (std::size_t i = 0; i < values.size(); ++i)
+    if (!(values[i] < 0.0))
+      refuse(words("depth[", i / kPoints, "]"), "numbers < 0, in front of the camera", words(values[i]));
+}
+
+void require_room(const char* name, Column values, std::size_t width, std::size_t n) {
+  if (values.size() != n * width)
+    refuse(name, words("room for ", n * width, " numbers"), words("room for ", values.size()));
+}
+
+/// Row i of k numbers.
+template <int k>
+Vector<double, k> row(Rows values, std::size_t i) {
+  return Eigen::Map<const Vector<double, k>>(values.data() + static_cast<std::size_t>(k) * i);
+}
+
+template <class Derived>
+void put(Column column, std::size_t i, const Eigen::MatrixBase<Derived>& numbers) {
+  constexpr int k = Derived::SizeAtCompileTime;
+  Eigen::Map<Vector<double, k>>(column.data() + static_cast<std::size_t>(k) * i) = numbers;
+}
+
+/// Row i of a matrix, its own rows one after another.
+template <int rows, int columns>
+void put_matrix(Column column, std::size_t i, const Eigen::Matrix<double, rows, columns>& m) {
+  Eigen::Map<Eigen::Matrix<double, rows, columns, Eigen::RowMajor>>(column.data() +
+                                                                    static_cast<std::size_t>(rows * columns) * i) = m;
+}
+
+/// Row i of memberships: axis, term.
+void put_memberships(Column column, std::size_t i, const TermStrengths<double>& mu) {
+  double* to = column.data() + static_cast<std::size_t>(kMemberships) * i;
+  for (int axis = 0; axis < kAxes; ++axis)
+    for (std::size_t term = 0; term < kTerms; ++term) *to++ = mu[term](axis);
+}
+
+BodyMotion<double> body_at(const Probe::Body& rows, std::size_t i) {
+  return BodyMotion<double>::of(
+      body_state<double>({row<3>(rows.position, i), row<4>(rows.quaternion, i)}, row<6>(rows.twist, i)));
+}
+
+void put_body(const BodyMotion<double>& body, std::size_t i, Column position, Column quaternion, Column twist) {
+  put(position, i, position_of(body));
+  put(quaternion, i, quaternion_of(body));
+  put(twist, i, twist_of(body));
+}
+
+/// The rate of a platform that has an acceleration.
+BodyMotion<double> rate_at(const Probe::BodyStage& rows, std::size_t i) {
+  const Vector6<double> twist = row<6>(rows.twist, i);
+  return {SideBySide<double, 3>(Vector3<double>(twist.head<3>())),
+          SideBySide<double, 4>(quaternion_rate<double>(row<4>(rows.quaternion, i), twist.tail<3>())),
+          SideBySide<double, 6>(row<6>(rows.acceleration, i))};
+}
+
+std::size_t require_body(const Probe::Body& start) {
+  const std::size_t n = row_count("position", start.position, 3);
+  require_rows("position", start.position, 3, n);
+  require_quaternions("quaternion", start.quaternion, n);
+  require_rows("twist", start.twist, 6, n);
+  return n;
+}
+
+void require_stages(const Probe::BodyStage& stage, std::size_t n) {
+  require_quaternions("stage_quaternion", stage.quaternion, n);
+  require_rows("stage_twist", stage.twist, 6, n);
+  require_rows("stage_acceleration", stage.acceleration, 6, n);
+}
+
+void require_body_room(Column position, Column quaternion, Column twist, std::size_t n) {
+  require_room("position", position, 3, n);
+  require_room("quaternion", quaternion, 4, n);
+  require_room("twist", twist, 6, n);
+}
+
+/// Checks states, and gives their number.
+std::size_t require_states(const ProbeStates& states, bool fuzzy) {
+  const std::size_t n = row_count("features", states.features, kFeatures);
+  require_rows("features", states.features, kFeatures, n);
+  require_depths(states.depth, n);
+  require_rows("position", states.position, 3, n);
+  require_quaternions("quaternion", states.quaternion, n);
+  require_rows("twist", states.twist, 6, n);
+  if (!states.weights.empty() && !fuzzy)
+    refuse("weights", "none, since no fuzzy systems act", words(states.weights.size(), " numbers"));
+  if (!states.weights.empty()) require_rows("weights", states.weights, kWeightNumbers, n);
+  return n;
+}
+
+template <class Law>
+constexpr bool is_fuzzy = requires(typename Law::template Gains<double> gains) { gains.fuzzy; };
+
+}  // namespace
+
+// ---- What depends on the law ----------------------------------------------------------------------------------------
+
+struct Probe::Parts {
+  template <class Law>
+  explicit Parts(const LoopParameters<double, Law>& p)
+      : estimate(p.body),
+        plant(p.body, p.dynamics_error),
+        focal_pixels(p.camera.focal_pixels()),
+        plant_sign(hexservo::plant_sign(p.convention)),
+        controller_sign(hexservo::controller_sign(p.convention, p.jacobian)),
+        projects(p.convention == CameraConvention::eye_in_hand),
+        points_B(p.points_B),
+        depth_error(p.depth_error) {
+    if constexpr (is_fuzzy<Law>) {
+      fuzzy = p.gains.fuzzy.enabled;
+      weights = Law::initial_state(p.gains);
+    }
+  }
+  virtual ~Parts() = default;
+
+  virtual void law(const ProbeStates& states, std::size_t n, const ProbedLaw& out) const = 0;
+  virtual void stages(const ProbeStates& states, std::size_t n, const ProbedStages& out) const = 0;
+
+  RigidBody<double> estimate;  ///< of the platform
+  Plant<double> plant;
+  double focal_pixels, plant_sign, controller_sign;
+  bool projects;  ///< whether the camera has points
+  Vectors3<double, kPoints> points_B;
+  Vector<double, kPoints> depth_error;
+  bool fuzzy = false;                 ///< whether fuzzy systems act
+  FuzzyWeights<double> weights = {};  ///< initial ones
+};
+
+template <class Law>
+struct Probe::PartsOf final : Probe::Parts {
+  using State = typename Law::template State<double>;
+  using Stage = typename Law::template Stage<double>;
+  using Rate = typename Law::template Rate<double>;
+  using Evaluation = typename Law::template Evaluation<double>;
+
+  explicit PartsOf(LoopParameters<double, Law> parameters)
+      : Parts(parameters),
+        mode(parameters.mode),
+        step(parameters.step),
+        task(control_task(parameters)),
+        constants(parameters.gains),
+        initial(Law::initial_state(parameters.gains)),
+        world(parameters),
+        inverse_depth_share((Vector<double, kPoints>::Ones() + parameters.depth_error).cwiseInverse()) {}
+
+  /// Compiled once per law: it is long, and so is the time that each further copy takes.
+  [[gnu::noinline]] void evaluate(const Stage& stage, const LawInput<double>& input, Evaluation& out) const {
+    Law::evaluate(task, constants, stage, input, out);
+  }
+
+  State state_at(const ProbeStates& states, std::size_t i) const {
+    if constexpr (is_fuzzy<Law>)
+      if (!states.weights.empty()) return detail::weights_from(states.weights.data() + i * kWeightNumbers);
+    return initial;
+  }
+
+  void law(const ProbeStates& states, std::size_t n, const ProbedLaw& out) const override {
+    Evaluation now;
+    for (std::size_t i = 0; i < n; ++i) {
+      const State state = state_at(states, i);
+      const Pose<double> pose{row<3>(states.position, i), row<4>(states.quaternion, i)};
+      const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
+      const Vector<double, kFeatures> features = row<kFeatures>(states.features, i);
+      const Vector<double, kPoints> inverse_depth = row<kPoints>(states.depth, i).cwiseInverse();
+      const Vector6<double> twist = row<6>(states.twist, i);
+      evaluate(Stage{&state}, LawInput<double>{features, inverse_depth, R_BE, twist, pose}, now);
+      put(out.wrench, i, now.wrench);
+      if (!out.fuzzy_output.empty()) put(out.fuzzy_output, i, now.fuzzy_output);
+      if constexpr (is_fuzzy<Law>) {
+        if (!out.error_memberships.empty()) put_memberships(out.error_memberships, i, now.rate.basis.error);
+        if (!out.rate_memberships.empty()) put_memberships(out.rate_memberships, i, now.rate.basis.rate);
+        if (!out.adaptation.empty()) put(out.adaptation, i, now.rate.strength.vector());
+      }
+    }
+  }
+
+  /// How everything changes in a stage, and what the law does there.
+  struct Instant {
+    WorldState<double> state;
+    Evaluation law;
+    WorldRate<double> world;
+  };
+
+  [[gnu::noinline]] Instant instant(const WorldState<double>& state, const Stage& stage) const {
+    Instant now{state, {}, {}};
+    const Vector6<double> twist = twist_of(state.body);
+    // As ClosedLoop has it, to the last bit: 1/Z-hat from 1/Z.
+    const Vector<double, kPoints> inverse_depth = inverse_depth_share.cwiseProduct(state.view.inverse_depth);
+    const Pose<double> pose{position_of(state.body), quaternion_of(state.body)};
+    evaluate(stage, LawInput<double>{state.view.image.features, inverse_depth, state.view.R_BE, twist, pose}, now.law);
+    world.rate(state, now.law.wrench, now.world);
+    return now;
+  }
+
+  void stages(const ProbeStates& states, std::size_t n, const ProbedStages& out) const override {
+    if (mode != LoopMode::continuous)
+      refuse("simulation.mode", "continuous for the stages of a step, which hold the law", "sampled");
+    for (std::size_t i = 0; i < n; ++i) {
+      State weights_now = state_at(states, i);
+      const Image<double> image{row<kFeatures>(states.features, i), row<kPoints>(states.depth, i)};
+      const BodyMotion<double> body = body_at({states.position, states.quaternion, states.twist}, i);
+      const WorldState<double> start{body, View<double>(image, rotation_matrix(quaternion_of(body)))};
+      const auto derivative_at = [&](double scale, const Instant& before) {
+        return instant(world.moved(start, scale, before.world), Stage{&weights_now, &before.law.rate, scale});
+      };
+      runge_kutta_step(step, instant(start, Stage{&weights_now}), derivative_at,
+                       [&](const std::array<const Instant*, kStages>& k) {
+                         for (std::size_t s = 0; s < kStages; ++s) put_stage(*k[s], kStages * i + s, out);
+                         put_next(start, weights_now, k, i, out);
+                       });
+    }
+  }
+
+  static void put_stage(const Instant& now, std::size_t place, const ProbedStages& out) {
+    put(out.features, place, now.state.view.image.features);
+    put(out.depth, place, now.state.view.image.depth);
+    put_body(now.state.body, place, out.position, out.quaternion, out.twist);
+    put(out.wrench, place, now.law.wrench);
+    put(out.fuzzy_output, place, now.law.fuzzy_output);
+    put(out.acceleration, place, now.world.body.twist.vector());
+  }
+
+  void put_next(const WorldState<double>& start, State& weights_now, const std::array<const Instant*, kStages>& k,
+                std::size_t i, const ProbedStages& out) const {
+    const std::array<const WorldRate<double>*, kStages> world_rates{&k[0]->world, &k[1]->world, &k[2]->world,
+                                                                    &k[3]->world};
+    const std::array<const Rate*, kStages> law_rates{&k[0]->law.rate, &k[1]->law.rate, &k[2]->law.rate,
+                                                     &k[3]->law.rate};
+    std::array<double, kStages> scales;
+    for (std::size_t s = 0; s < kStages; ++s) scales[s] = step * kRungeKuttaWeights[s];
+    WorldState<double> next = world.after(start, step, world_rates);
+    Law::advance(constants, weights_now, law_rates, scales, true);
+    const bool seen = nearest_depth(next, world_rates) < 0.0;  // otherwise the loop would end here
+    const auto known = [seen](const auto& numbers) {
+      auto kept = numbers.eval();
+      if (!seen) kept.setConstant(std::numeric_limits<double>::quiet_NaN());
+      return kept;
+    };
+    put(out.next_features, i, known(next.view.image.features));
+    put(out.next_depth, i, known(next.view.image.depth));
+    put(out.next_position, i, known(position_of(next.body)));
+    put(out.next_quaternion, i, known(quaternion_of(next.body)));
+    put(out.next_twist, i, known(twist_of(next.body)));
+    if (out.next_weights.empty()) return;
+    double* to = out.next_weights.data() + i * kWeightNumbers;
+    detail::write_weights(weights_now, 0, to);
+    if (!seen) std::fill_n(to, kWeightNumbers, std::numeric_limits<double>::quiet_NaN());
+  }
+
+  LoopMode mode;
+  double step;
+  ControlTask<double> task;
+  typename Law::template Constants<double> constants;
+  State initial;
+  World<double> world;
+  Vector<double, kPoints> inverse_depth_share;  ///< 1/(1 + delta_Z,i) [1]
+};
+
+// ---- The face -------------------------------------------------------------------------------------------------------
+
+template <class Law>
+Probe::Probe(const Settings<Law>& settings) : parts_(std::make_unique<PartsOf<Law>>(loop_parameters(settings))) {}
+
+Probe::Probe(Probe&&) noexcept = default;
+Probe& Probe::operator=(Probe&&) noexcept = default;
+Probe::~Probe() = default;
+
+bool Probe::has_fuzzy_systems() const noexcept { return parts_->fuzzy; }
+const FuzzyWeights<double>& Probe::initial_weights() const noexcept { return parts_->weights; }
+Vector6<double> Probe::gravity() const noexcept { return gravity_wrench(parts_->estimate); }
+
+void Probe::image(Rows position, Rows quaternion, Column features, Column depth) const {
+  if (!parts_->projects)
+    refuse("camera.convention", "eye_in_hand, since a camera as_printed has no points", "as_printed");
+  const std::size_t n = row_count("position", position, 3);
+  require_rows("position", position, 3, n);
+  require_quaternions("quaternion", quaternion, n);
+  require_room("features", features, kFeatures, n);
+  require_room("depth", depth, kPoints, n);
+  for (std::size_t i = 0; i < n; ++i) {
+    Vector<double, kPoints> inverse_depth;
+    Image<double> seen = take_image(parts_->focal_pixels, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)),
+                                    parts_->points_B, inverse_depth);
+    for (int point = 0; point < kPoints; ++point)
+      if (!(seen.depth(point) < 0.0))
+        seen.features.segment<2>(2 * point).setConstant(std::numeric_limits<double>::quiet_NaN());
+    put(features, i, seen.features);
+    put(depth, i, seen.depth);
+  }
+}
+
+void Probe::image_jacobian(Rows features, Rows depth, Rows quaternion, bool controller, Column jacobian) const {
+  const std::size_t n = row_count("features", features, kFeatures);
+  require_rows("features", features, kFeatures, n);
+  require_depths(depth, n);
+  require_quaternions("quaternion", quaternion, n);
+  require_room("jacobian", jacobian, kFeatures * 6, n);
+  const double sign = controller ? parts_->controller_sign : parts_->plant_sign;
+  for (std::size_t i = 0; i < n; ++i) {
+    const Image<double> image{row<kFeatures>(features, i), row<kPoints>(depth, i)};
+    const Matrix3<double> R_BE = rotation_matrix(row<4>(quaternion, i));
+    put_matrix(jacobian, i, ImageJacobian<double>(parts_->focal_pixels, sign, image, R_BE).matrix());
+  }
+}
+
+void Probe::measured_depth(Rows depth, Column measured) const {
+  const std::size_t n = row_count("depth", depth, kPoints);
+  require_rows("depth", depth, kPoints, n);
+  require_room("measured", measured, kPoints, n);
+  for (std::size_t i = 0; i < n; ++i) {
+    const Image<double> image{Vector<double, kFeatures>::Zero(), row<kPoints>(depth, i)};
+    put(measured, i, measured_image(image, parts_->depth_error).depth);
+  }
+}
+
+void Probe::law(const ProbeStates& states, const ProbedLaw& out) const {
+  const std::size_t n = require_states(states, parts_->fuzzy);
+  require_room("wrench", out.wrench, 6, n);
+  if (!out.fuzzy_output.empty()) require_room("fuzzy_output", out.fuzzy_output, 6, n);
+  if (!parts_->fuzzy && !(out.error_memberships.empty() && out.rate_memberships.empty() && out.adaptation.empty()))
+    refuse("error_memberships", "none, since no fuzzy systems act", "room for some");
+  if (!out.error_memberships.empty()) require_room("error_memberships", out.error_memberships, kMemberships, n);
+  if (!out.rate_memberships.empty()) require_room("rate_memberships", out.rate_memberships, kMemberships, n);
+  if (!out.adaptation.empty()) require_room("adaptation", out.adaptation, 6, n);
+  parts_->law(states, n, out);
+}
+
+void Probe::acceleration(Rows quaternion, Rows twist, Rows wrench, Column acceleration) const {
+  const std::size_t n = row_count("twist", twist, 6);
+  require_quaternions("quaternion", quaternion, n);
+  require_rows("twist", twist, 6, n);
+  require_rows("wrench", wrench, 6, n);
+  require_room("acceleration", acceleration, 6, n);
+  for (std::size_t i = 0; i < n; ++i)
+    put(acceleration, i,
+        hexservo::acceleration(parts_->plant, rotation_matrix(row<4>(quaternion, i)), row<6>(twist, i),
+                               row<6>(wrench, i)));
+}
+
+void Probe::estimated_wrenches(Rows quaternion, Rows twist, Rows acceleration, Column inertial, Column coriolis) const {
+  const std::size_t n = row_count("twist", twist, 6);
+  require_quaternions("quaternion", quaternion, n);
+  require_rows("twist", twist, 6, n);
+  require_rows("acceleration", acceleration, 6, n);
+  require_room("inertial", inertial, 6, n);
+  require_room("coriolis", coriolis, 6, n);
+  for (std::size_t i = 0; i < n; ++i) {
+    const Matrix3<double> R_BE = rotation_matrix(row<4>(quaternion, i));
+    const Vector6<double> chi_rate = row<6>(twist, i);
+    put(inertial, i, mass_matrix(parts_->estimate, R_BE) * row<6>(acceleration, i));
+    put(coriolis, i, coriolis_matrix<double>(parts_->estimate, R_BE, chi_rate.tail<3>()) * chi_rate);
+  }
+}
+
+void Probe::inertia(Rows quaternion, Column inertia) const {
+  const std::size_t n = row_count("quaternion", quaternion, 4);
+  require_quaternions("quaternion", quaternion, n);
+  require_room("inertia", inertia, 36, n);
+  for (std::size_t i = 0; i < n; ++i)
+    put_matrix(inertia, i, mass_matrix(parts_->estimate, rotation_matrix(row<4>(quaternion, i))));
+}
+
+void Probe::stages(const ProbeStates& states, const ProbedStages& out) const {
+  const std::size_t n = require_states(states, parts_->fuzzy);
+  require_room("features", out.features, kFeatures, kStages * n);
+  require_room("depth", out.depth, kPoints, kStages * n);
+  require_body_room(out.position, out.quaternion, out.twist, kStages * n);
+  require_room("wrench", out.wrench, 6, kStages * n);
+  require_room("fuzzy_output", out.fuzzy_output, 6, kStages * n);
+  require_room("acceleration", out.acceleration, 6, kStages * n);
+  require_room("next_features", out.next_features, kFeatures, n);
+  require_room("next_depth", out.next_depth, kPoints, n);
+  require_body_room(out.next_position, out.next_quaternion, out.next_twist, n);
+  if (!parts_->fuzzy && !out.next_weights.empty())
+    refuse("next_weights", "none, since no fuzzy systems act", "room for some");
+  if (!out.next_weights.empty()) require_room("next_weights", out.next_weights, kWeightNumbers, n);
+  parts_->stages(states, n, out);
+}
+
+void Probe::moved(const Body& start, const BodyStage& stage, double scale, Column position, Column quaternion,
+                  Column twist) {
+  const std::size_t n = require_body(start);
+  require_stages(stage, n);
+  detail::require_finite("scale", scale);
+  require_body_room(position, quaternion, twist, n);
+  for (std::size_t i = 0; i < n; ++i)
+    put_body(body_at(start, i) + scale * rate_at(stage, i), i, position, quaternion, twist);
+}
+
+void Probe::after(const Body& start, const BodyStage& stages, double step, Column position, Column quaternion,
+                  Column twist) {
+  const std::size_t n = require_body(start);
+  require_stages(stages, kStages * n);
+  detail::require_positive("step", step);
+  require_body_room(position, quaternion, twist, n);
+  for (std::size_t i = 0; i < n; ++i) {
+    BodyMotion<double> body = body_at(start, i);
+    for (std::size_t s = 0; s < kStages; ++s)
+      body = body + step * kRungeKuttaWeights[s] * rate_at(stages, kStages * i + s);
+    normalise_quaternion(body);
+    put_body(body, i, position, quaternion, twist);
+  }
+}
+
+#define HEXSERVO_HERE(Law) template Probe::Probe(const Settings<Law>&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
+
+}  // namespace hexservo

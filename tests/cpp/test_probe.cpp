@@ -1,0 +1,233 @@
+// The parts of a loop at given states: the loop itself, bit for bit, and misuse.
+#include "hexservo/probe.hpp"
+
+#include "compare.hpp"
+#include "random.hpp"
+#include "scenarios.hpp"
+
+#include <array>
+#include <vector>
+
+using namespace hexservo;
+using namespace hexservo::test;
+
+namespace {
+
+constexpr std::size_t kWeightCount = 6 * 7 * 7;
+
+template <int k>
+Rows rows(const Vector<double, k>& v) {
+  return {v.data(), static_cast<std::size_t>(k)};
+}
+template <int k>
+Column column(Vector<double, k>& v) {
+  return {v.data(), static_cast<std::size_t>(k)};
+}
+
+std::vector<double> numbers_of(const FuzzyWeights<double>& weights) {
+  std::vector<double> numbers;
+  for (int axis = 0; axis < 6; ++axis)
+    for (int row = 0; row < 7; ++row)
+      for (int c = 0; c < 7; ++c) numbers.push_back(weights[rule(row, c)](axis));
+  return numbers;
+}
+
+/// Room for the stages of one step.
+struct Stages {
+  std::vector<double> features = std::vector<double>(32), depth = std::vector<double>(16),
+                      position = std::vector<double>(12), quaternion = std::vector<double>(16),
+                      twist = std::vector<double>(24), wrench = std::vector<double>(24),
+                      fuzzy_output = std::vector<double>(24), acceleration = std::vector<double>(24),
+                      next_weights = std::vector<double>(kWeightCount);
+  Vector<double, 8> next_features;
+  Vector<double, 4> next_depth, next_quaternion;
+  Vector3<double> next_position;
+  Vector6<double> next_twist;
+
+  ProbedStages out(bool fuzzy = true) {
+    return {features,
+            depth,
+            position,
+            quaternion,
+            twist,
+            wrench,
+            fuzzy_output,
+            acceleration,
+            column(next_features),
+            column(next_depth),
+            column(next_position),
+            column(next_quaternion),
+            column(next_twist),
+            fuzzy ? Column(next_weights) : Column{}};
+  }
+};
+
+/// Follows a loop for some steps, each of which the probe takes as well; the first that differs fails.
+template <class Law>
+void follow(const Settings<Law>& settings, int steps) {
+  const LoopParameters<double, Law> p = loop_parameters(settings);
+  ClosedLoop<double, Law> loop(p);
+  const Probe probe(settings);
+  constexpr bool fuzzy = requires { p.gains.fuzzy; };
+  for (int i = 0; i < steps; ++i) {
+    CAPTURE(i);
+    const Sample<double> start = loop.record().sample();
+    Vector<double, 8> features;
+    Vector<double, 4> depth;
+    probe.image(rows<3>(start.position), rows<4>(start.quaternion), column(features), column(depth));
+    std::vector<double> weights;
+    if constexpr (fuzzy) weights = numbers_of(loop.law_state());
+    Stages s;
+    probe.stages({rows(features), rows(depth), rows<3>(start.position), rows<4>(start.quaternion), rows<6>(start.twist),
+                  weights},
+                 s.out(fuzzy));
+    CHECK(Vector6<double>(Eigen::Map<Vector6<double>>(s.wrench.data())) == start.wrench);
+    CHECK(Vector6<double>(Eigen::Map<Vector6<double>>(s.fuzzy_output.data())) == start.fuzzy_output);
+    loop.advance();
+    const Sample<double> end = loop.record().sample();
+    REQUIRE(loop.record().running());
+    CHECK(s.next_position == end.position);
+    CHECK(s.next_quaternion == end.quaternion);
+    CHECK(s.next_twist == end.twist);
+    CHECK(s.next_depth == end.depth);
+    CHECK(p.desired_features - s.next_features == end.feature_error);
+    if constexpr (fuzzy) CHECK(s.next_weights == numbers_of(loop.law_state()));
+  }
+}
+
+}  // namespace
+
+TEST_CASE("stages: steps from the states of a loop are the loop's own, bit for bit, for all laws") {
+  Settings<Hybrid> hybrid = paper_settings();
+  follow(hybrid, 200);
+  hybrid.switching = {SwitchingKind::tanh, 1e-3};
+  hybrid.gains.fuzzy.leakage.setConstant(3.0);
+  hybrid.gains.fuzzy.weight_limit.setConstant(1e-5);
+  hybrid.gains.fuzzy.dead_zone.setConstant(1e-3);
+  follow(hybrid, 200);
+  follow(paper_settings<Composite>(), 200);
+  follow(paper_settings<Kelly>(), 100);
+  follow(paper_settings<ResolvedRate>(), 100);
+  follow(paper_settings<Pbvs>(), 100);
+  follow(paper_settings<ComputedTorque>(), 100);
+}
+
+TEST_CASE("after and moved: four stages that are put together by hand are those of a step, bit for bit") {
+  const Settings<Hybrid> settings = paper_settings();
+  const Probe probe(settings);
+  Random random(71);
+  CAPTURE(random.seed());
+  const double h = settings.simulation.step;
+  for (int i = 0; i < 50; ++i) {
+    const Vector3<double> position = settings.robot.home_position + random.matrix<3>(0.01);
+    const Vector4<double> quaternion = Vector4<double>(1.0, 0.0, 0.0, 0.0) + random.matrix<4>(0.1);
+    const Vector6<double> twist = random.six(0.02, 0.2);
+    Vector<double, 8> features;
+    Vector<double, 4> depth;
+    probe.image(rows(position), rows(quaternion), column(features), column(depth));
+    Stages s;
+    probe.stages({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist)}, s.out());
+    const Probe::Body start{rows(position), rows(quaternion), rows(twist)};
+    for (std::size_t k = 0; k < 3; ++k) {
+      Vector3<double> p;
+      Vector4<double> q;
+      Vector6<double> v;
+      Probe::moved(start,
+                   {Rows(s.quaternion).subspan(4 * k, 4), Rows(s.twist).subspan(6 * k, 6),
+                    Rows(s.acceleration).subspan(6 * k, 6)},
+                   k < 2 ? 0.5 * h : h, column(p), column(q), column(v));
+      const auto at = [k](const std::vector<double>& values, std::size_t width) {
+        return values.data() + width * (k + 1);
+      };
+      CHECK(p == Vector3<double>(Eigen::Map<const Vector3<double>>(at(s.position, 3))));
+      CHECK(q == Vector4<double>(Eigen::Map<const Vector4<double>>(at(s.quaternion, 4))));
+      CHECK(v == Vector6<double>(Eigen::Map<const Vector6<double>>(at(s.twist, 6))));
+    }
+    Vector3<double> p;
+    Vector4<double> q;
+    Vector6<double> v;
+    Probe::after(start, {s.quaternion, s.twist, s.acceleration}, h, column(p), column(q), column(v));
+    CHECK(p == s.next_position);
+    CHECK(q == s.next_quaternion);
+    CHECK(v == s.next_twist);
+    CHECK(q.norm() == doctest::Approx(1.0).epsilon(4.0 * kEpsilon));
+    // inside the step the quaternion keeps its length to first order, and is not scaled
+    CHECK(std::abs(Eigen::Map<const Vector4<double>>(s.quaternion.data() + 12).norm() - quaternion.norm()) <= 1e-6);
+  }
+}
+
+TEST_CASE("a step that takes a point behind the camera leaves no numbers") {
+  const Settings<Hybrid> settings = nominal_settings();
+  const Probe probe(settings);
+  const Vector3<double> home = settings.robot.home_position;
+  const Vector4<double> upright(1.0, 0.0, 0.0, 0.0);
+  Vector<double, 8> features;
+  Vector<double, 4> depth;
+  probe.image(rows(home), rows(upright), column(features), column(depth));
+  for (const double speed : {-400.0, -600.0}) {  // towards the target, which is 0.5 m away, for 1 ms
+    CAPTURE(speed);
+    Vector6<double> twist = Vector6<double>::Zero();
+    twist(2) = speed;
+    Stages s;
+    probe.stages({rows(features), rows(depth), rows(home), rows(upright), rows(twist)}, s.out());
+    const bool seen = speed > -500.0;
+    CHECK(s.next_position.hasNaN() != seen);
+    CHECK(s.next_features.hasNaN() != seen);
+    CHECK(std::isnan(s.next_weights[0]) != seen);
+  }
+}
+
+TEST_CASE("rows that do not fit are refused by name, and so are numbers without a meaning") {
+  const Probe probe(paper_settings());
+  Vector<double, 8> features = Vector<double, 8>::Constant(10.0);
+  Vector<double, 4> depth = Vector<double, 4>::Constant(-0.5), quaternion(1.0, 0.0, 0.0, 0.0);
+  Vector3<double> position(0.0, 0.0, -0.15);
+  Vector6<double> twist = Vector6<double>::Zero(), wrench;
+  const std::vector<double> weights(kWeightCount);
+  const auto law = [&] {
+    return refusal([&] {
+      probe.law({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist), weights},
+                {.wrench = column(wrench)});
+    });
+  };
+  CHECK(law() == "(accepted)");
+  twist(3) = kNaN;
+  CHECK(is_about(law(), "twist[0]"));
+  twist.setZero();
+  depth(2) = 0.0;
+  CHECK(is_about(law(), "depth[0]"));
+  depth(2) = -0.5;
+  quaternion.setZero();
+  CHECK(is_about(law(), "quaternion[0]"));
+  quaternion(0) = 1.0;
+  CHECK(is_about(refusal([&] {
+                   probe.law({rows(features), rows(depth), Rows(position.data(), 2), rows(quaternion), rows(twist)},
+                             {.wrench = column(wrench)});
+                 }),
+                 "position"));
+  CHECK(is_about(refusal([&] {
+                   probe.law({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist)},
+                             {.wrench = Column(wrench.data(), 5)});
+                 }),
+                 "wrench"));
+  const Probe without(paper_settings<Kelly>());
+  CHECK_FALSE(without.has_fuzzy_systems());
+  CHECK(is_about(refusal([&] {
+                   without.law({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist), weights},
+                               {.wrench = column(wrench)});
+                 }),
+                 "weights"));
+  Settings<Hybrid> sampled = paper_settings();
+  sampled.simulation.mode = LoopMode::sampled;
+  Stages s;
+  CHECK(is_about(refusal([&] {
+                   Probe(sampled).stages({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist)},
+                                         s.out());
+                 }),
+                 "simulation.mode"));
+  Settings<Hybrid> printed = paper_settings();
+  printed.convention = CameraConvention::as_printed;
+  CHECK(is_about(
+      refusal([&] { Probe(printed).image(rows(position), rows(quaternion), column(features), column(depth)); }),
+      "camera.convention"));
+}

@@ -1,0 +1,422 @@
+"""The parts of a loop at given states: against the run itself, the servo tick, closed forms and finite differences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hexservo as hs
+from hexservo import _core
+from hexservo._parameters import core_parameters
+from hexservo._probe import probe
+
+Array = NDArray[np.float64]
+
+LAWS = ["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"]
+FUZZY_LAWS = ["hybrid", "composite"]
+STEP = 1e-3
+
+
+def states(scenario: hs.Scenario, n: int = 40, seed: int = 7) -> dict[str, Array]:
+    """Poses near home with their true images, quaternions of any length, and twists."""
+    random = np.random.default_rng(seed)
+    position = np.asarray(scenario.robot.home_position) + random.uniform(-0.01, 0.01, (n, 3))
+    quaternion = np.array([1.0, 0, 0, 0]) + random.uniform(-0.05, 0.05, (n, 4))
+    quaternion *= random.uniform(0.5, 2.0, (n, 1))
+    twist = random.uniform(-1, 1, (n, 6)) * [0.02, 0.02, 0.02, 0.2, 0.2, 0.2]
+    features, depth = probe(scenario).image(position, quaternion)
+    return {"features": features, "depth": depth, "position": position, "quaternion": quaternion, "twist": twist}
+
+
+def believed(scenario: hs.Scenario, at: dict[str, Array]) -> dict[str, Array]:
+    """The same as the controller sees it."""
+    return at | {"depth": probe(scenario).measured_depth(at["depth"])}
+
+
+def logged(result: hs.Result) -> dict[str, Array]:
+    """The samples of a run as states, true depths."""
+    return {name: getattr(result, name) for name in ("features", "depth", "position", "quaternion", "twist")}
+
+
+# ---- Camera ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_image_is_that_of_the_run(paper: hs.Scenario) -> None:
+    result = hs.simulate(paper.updated({"simulation.duration": 0.5}))
+    features, depth = probe(paper).image(result.position, result.quaternion)
+    np.testing.assert_allclose(features, result.features, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(depth, result.depth, rtol=0, atol=2e-15)  # a kernel may fuse products and sums
+
+
+def test_a_point_that_is_not_in_front_has_no_features(paper: hs.Scenario) -> None:
+    home = np.asarray(paper.robot.home_position)
+    beyond = home - np.array([0, 0, 0.6])  # the target is 0.5 m above the platform; z points down
+    features, depth = probe(paper).image([home, beyond], [[1, 0, 0, 0]] * 2)
+    assert np.isfinite(features[0]).all()
+    assert (depth[0] < 0).all()
+    assert np.isnan(features[1]).all()
+    np.testing.assert_allclose(depth[1], 0.1, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("convention", "jacobian", "plant", "controller"),
+    [
+        ("eye_in_hand", "consistent", 1, 1),
+        ("eye_in_hand", "printed", 1, -1),
+        ("as_printed", "consistent", -1, -1),
+        ("as_printed", "printed", -1, -1),
+    ],
+)
+def test_the_jacobian_is_the_derivative_of_the_image(
+    paper: hs.Scenario, convention: str, jacobian: str, plant: int, controller: int
+) -> None:
+    """Central differences of the real image; a camera as printed has minus its sign, and so has (8) as printed."""
+    at = states(paper)
+    quaternion = at["quaternion"] / np.linalg.norm(at["quaternion"], axis=1, keepdims=True)
+    small = 1e-6
+    ahead, behind = (
+        probe(paper).image(*_displaced(at["position"], quaternion, side * small * at["twist"]))[0] for side in (1, -1)
+    )
+    rate = (ahead - behind) / (2 * small)
+    of = probe(
+        paper.updated({"camera.convention": convention, "controller.jacobian": jacobian, "simulation.duration": 0.01})
+    )
+    for sign, is_controller in ((plant, False), (controller, True)):
+        matrices = of.image_jacobian(at["features"], at["depth"], at["quaternion"], is_controller)
+        assert matrices.shape == (40, 8, 6)
+        pushed = np.einsum("nij,nj->ni", matrices, at["twist"])
+        np.testing.assert_allclose(sign * pushed, rate, rtol=0, atol=1e-6 * np.abs(rate).max())
+
+
+def _displaced(position: Array, quaternion: Array, by: Array) -> tuple[Array, Array]:
+    """Poses after a displacement: a rotation vector in B is put before the attitude."""
+    angle = np.linalg.norm(by[:, 3:], axis=1, keepdims=True)
+    w, v = np.cos(angle / 2), np.sin(angle / 2) * by[:, 3:] / angle
+    q0, q = quaternion[:, :1], quaternion[:, 1:]
+    turned = np.hstack([w * q0 - (v * q).sum(axis=1, keepdims=True), w * q + q0 * v + np.cross(v, q)])
+    return position + by[:, :3], turned
+
+
+def test_the_measured_depth_is_wrong_by_the_scenario(paper: hs.Scenario) -> None:
+    scenario = paper.updated({"uncertainty.depth": [0.3, -0.2, 0.0, 0.1]})
+    depth = -np.random.default_rng(1).uniform(0.3, 0.8, (20, 4))
+    np.testing.assert_allclose(
+        probe(scenario).measured_depth(depth), depth * (1 + np.array([0.3, -0.2, 0.0, 0.1])), rtol=1e-15
+    )
+
+
+# ---- Law ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("kind", ["tanh", "implicit", "implicit_coupled"])
+def test_the_law_is_that_of_a_servo_tick(paper: hs.Scenario, law: str, kind: str) -> None:
+    """With the period of the tick, which the implicit switching functions use."""
+    period = 2e-3
+    scenario = paper.updated(
+        {
+            "controller.law": law,
+            "controller.switching.kind": kind,
+            "camera.period": 0.02,
+            "simulation": {"mode": "sampled", "step": period},
+        }
+        | ({f"controller.{law}.fuzzy.initial_scale": 0.01} if law in FUZZY_LAWS else {})
+    )
+    if law == "pbvs":  # a controller by itself knows no errors of depth, from which this law's points follow
+        scenario = scenario.updated({"uncertainty.depth": 0.0})
+    at = believed(scenario, states(scenario))
+    given = probe(scenario).law(**at)
+    controller = _core.Controller(core_parameters(scenario), period)
+    for i in range(40):
+        controller.reset()
+        wrench, _, fuzzy_output, status = controller.step(**{name: values[i] for name, values in at.items()})
+        assert status is _core.InputStatus.valid
+        np.testing.assert_array_equal(given.wrench[i], wrench)
+        np.testing.assert_array_equal(given.fuzzy_output[i], fuzzy_output)
+    assert np.isfinite(given.wrench).all()
+    assert (given.error_memberships is None) == (law not in FUZZY_LAWS)
+
+
+def test_pbvs_believes_in_the_points_of_the_run(paper: hs.Scenario) -> None:
+    """The wrench of a run with errors of depth, from its samples."""
+    scenario = paper.updated({"controller.law": "pbvs", "simulation.duration": 0.3})
+    result = hs.simulate(scenario)
+    given = probe(scenario).law(**believed(scenario, logged(result)))
+    np.testing.assert_allclose(given.wrench, result.wrench, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", FUZZY_LAWS)
+def test_memberships_weights_and_output_belong_together(paper: hs.Scenario, law: str) -> None:
+    scenario = paper.updated({"controller.law": law})
+    at = states(scenario)
+    weights = np.random.default_rng(3).uniform(-1, 1, (40, 6, 7, 7))
+    of = probe(scenario)
+    given = of.law(**at, weights=weights)
+    assert given.error_memberships is not None
+    assert given.rate_memberships is not None
+    assert given.error_memberships.shape == given.rate_memberships.shape == (40, 6, 7)
+    for memberships in (given.error_memberships, given.rate_memberships):
+        assert (memberships > 0).all()
+        np.testing.assert_allclose(memberships.sum(axis=2), 1, rtol=1e-14)
+    output = np.einsum("njr,njrc,njc->nj", given.error_memberships, weights, given.rate_memberships)
+    np.testing.assert_allclose(given.fuzzy_output, output, rtol=0, atol=1e-14)
+    # tau = ... - tau_f: the wrench without it does not depend on the weights (no implicit switching here)
+    without = of.law(**at, weights=np.zeros_like(weights))
+    np.testing.assert_array_equal(without.fuzzy_output, np.zeros((40, 6)))
+    np.testing.assert_allclose(given.wrench + given.fuzzy_output, without.wrench, rtol=0, atol=1e-14)
+    # what is not given is what the scenario starts with
+    start = of.initial_weights
+    assert start is not None
+    default = of.law(**at)
+    np.testing.assert_array_equal(default.wrench, of.law(**at, weights=np.tile(start, (40, 1, 1, 1))).wrench)
+
+
+def test_the_adaptation_of_the_hybrid_law(paper: hs.Scenario) -> None:
+    """(22): the twist over Psi, and with a dead zone what is beyond it."""
+    at = states(paper)
+    psi = np.array([10.0, 11, 12, 13, 14, 15])
+    plain = probe(paper.updated({"controller.hybrid.fuzzy.adaptation": psi.tolist()})).law(**at)
+    assert plain.adaptation is not None
+    np.testing.assert_allclose(plain.adaptation, at["twist"] / psi, rtol=1e-15)
+    zone = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1])
+    limited = probe(
+        paper.updated(
+            {
+                "controller.hybrid.fuzzy.adaptation": psi.tolist(),
+                "controller.hybrid.fuzzy.dead_zone": zone.tolist(),
+                "controller.hybrid.fuzzy.leakage": 2.0,
+            }
+        )
+    ).law(**at)
+    beyond = np.sign(at["twist"]) * np.maximum(np.abs(at["twist"]) - zone, 0)
+    assert limited.adaptation is not None
+    np.testing.assert_allclose(limited.adaptation, beyond / psi, rtol=0, atol=1e-17)
+    assert (limited.adaptation == 0).any()
+    assert (limited.adaptation != 0).any()
+
+
+def test_fuzzy_systems_that_are_switched_off(paper: hs.Scenario) -> None:
+    scenario = paper.updated({"controller.hybrid.fuzzy.enabled": False})
+    of = probe(scenario)
+    at = states(scenario)
+    given = of.law(**at)
+    assert not of.has_fuzzy_systems
+    assert of.initial_weights is None
+    assert given.error_memberships is given.rate_memberships is given.adaptation is None
+    np.testing.assert_array_equal(given.fuzzy_output, np.zeros((40, 6)))
+    with pytest.raises(ValueError, match=r"^weights: expected none, since no fuzzy systems act, got "):
+        of.law(**at, weights=np.zeros((40, 6, 7, 7)))
+
+
+def test_a_term_of_the_law_by_a_gain_of_zero(paper: hs.Scenario) -> None:
+    """K_v sw(chi-dot) as the difference of two laws, with tanh: its closed form."""
+    scenario = paper.updated({"controller.switching": {"kind": "tanh", "width": 2e-3}})
+    at = believed(scenario, states(scenario))
+    without = probe(scenario.updated({"controller.hybrid.kv": 0.0})).law(**at)
+    term = without.wrench - probe(scenario).law(**at).wrench
+    kv = np.array([2e-3] * 3 + [1e-4] * 3)
+    np.testing.assert_allclose(term, kv * np.tanh(at["twist"] / 2e-3), rtol=0, atol=1e-15)
+
+
+# ---- Plant ----------------------------------------------------------------------------------------------------------
+
+
+def test_acceleration_and_estimates_balance_the_wrench(paper: hs.Scenario) -> None:
+    """(3): (1 - delta_D) D chi-ddot + (1 - delta_C) C chi-dot + (1 - delta_G) G = tau, all entries alike."""
+    scenario = paper.updated({"uncertainty": {"inertia": 0.075, "coriolis": 0.125, "gravity": 0.05}})
+    of, at = probe(scenario), states(scenario)
+    wrench = np.random.default_rng(5).uniform(-1, 1, (40, 6)) * [1, 1, 1, 0.01, 0.01, 0.01]
+    acceleration = of.acceleration(at["position"], at["quaternion"], at["twist"], wrench)
+    inertial, coriolis, gravity = of.estimated_wrenches(at["quaternion"], at["twist"], acceleration)
+    assert gravity.shape == (6,)
+    assert np.abs(coriolis[:, 3:]).max() > 1e-6
+    np.testing.assert_allclose(
+        0.925 * inertial + 0.875 * coriolis + 0.95 * gravity, wrench, rtol=0, atol=1e-15 * np.abs(wrench).max() * 10
+    )
+    np.testing.assert_allclose(
+        inertial, np.einsum("nij,nj->ni", of.inertia(at["quaternion"]), acceleration), rtol=1e-13
+    )
+    elsewhere = of.acceleration(at["position"] + 0.1, at["quaternion"], at["twist"], wrench)
+    np.testing.assert_array_equal(elsewhere, acceleration)
+
+
+def test_the_gyroscopic_wrench_of_a_turning_platform(paper: hs.Scenario) -> None:
+    """By hand: at home, omega x I omega with I = diag(1.5, 1.5, 3) 1e-4 kg m^2."""
+    twist = np.array([[0.1, 0.2, 0.3, 1.0, 2.0, 4.0]])
+    inertial, coriolis, gravity = probe(paper).estimated_wrenches([[1, 0, 0, 0]], twist, [[1, 1, 1, 1, 1, 1]])
+    np.testing.assert_allclose(coriolis, [[0, 0, 0, 2 * 4 * 1.5e-4, -1 * 4 * 1.5e-4, 0]], rtol=0, atol=1e-18)
+    np.testing.assert_allclose(inertial, [[0.06, 0.06, 0.06, 1.5e-4, 1.5e-4, 3e-4]], rtol=1e-14)
+    np.testing.assert_allclose(gravity, [0, 0, -0.06 * 9.8, 0, 0, 0], rtol=1e-14)
+
+
+def test_the_inertia_turns_with_the_platform(paper: hs.Scenario) -> None:
+    matrices = probe(paper).inertia(states(paper)["quaternion"])
+    np.testing.assert_array_equal(matrices, matrices.transpose(0, 2, 1))
+    np.testing.assert_array_equal(matrices[:, :3, :3], np.tile(0.06 * np.eye(3), (40, 1, 1)))
+    np.testing.assert_array_equal(matrices[:, :3, 3:], 0)
+    principal = np.linalg.eigvalsh(matrices[:, 3:, 3:])
+    np.testing.assert_allclose(principal, np.tile([1.5e-4, 1.5e-4, 3e-4], (40, 1)), rtol=1e-12)
+
+
+# ---- Steps ----------------------------------------------------------------------------------------------------------
+
+SMOOTH = {"controller.switching.kind": "tanh", "simulation.duration": 1.0}
+RUNS: dict[str, dict[str, Any]] = {
+    "hybrid": SMOOTH,
+    "hybrid, restrained": SMOOTH
+    | {
+        "controller.hybrid.fuzzy.leakage": 2.0,
+        "controller.hybrid.fuzzy.weight_limit": 1e-5,
+        "controller.hybrid.fuzzy.dead_zone": 1e-3,
+    },
+    "as printed": SMOOTH | {"camera.convention": "as_printed"},
+    **{law: SMOOTH | {"controller.law": law} for law in LAWS if law != "hybrid"},
+}
+
+
+@pytest.mark.parametrize("changes", RUNS.values(), ids=RUNS)
+def test_steps_from_logged_samples_are_the_run(paper: hs.Scenario, changes: dict[str, Any]) -> None:
+    scenario = paper.updated(changes)
+    result = hs.simulate(scenario, log_weights=True)
+    of = probe(scenario)
+    at = {name: values[:-1] for name, values in logged(result).items()}
+    bound = 1e-12
+    if scenario.controller.law == "resolved_rate":  # it divides by J^T J alone, and samples are rounded
+        matrices = of.image_jacobian(at["features"], at["depth"], at["quaternion"], True)
+        bound = float(np.finfo(float).eps * np.linalg.cond(matrices).max() ** 2)
+    history = result.weight_history
+    assert (history is None) == (not of.has_fuzzy_systems)
+    steps = of.stages(**at, weights=None if history is None else history[:-1])
+    for name in ("wrench", "fuzzy_output"):
+        assert_close(getattr(steps, name)[:, 0], getattr(result, name)[:-1], bound)
+    for name in ("features", "depth", "position", "quaternion", "twist"):
+        np.testing.assert_array_equal(getattr(steps, name)[:, 0], at[name])
+        assert_close(getattr(steps, f"next_{name}"), getattr(result, name)[1:], bound)
+    if history is None:
+        assert steps.next_weights is None
+    else:
+        assert steps.next_weights is not None
+        assert_close(steps.next_weights, history[1:])
+
+
+def assert_close(a: Array, b: Array, bound: float = 1e-12) -> None:
+    """Within a part of the largest number of the whole array: samples are rounded, and so is what follows from them."""
+    np.testing.assert_allclose(a, b, rtol=0, atol=bound * np.abs(b).max())
+
+
+def test_a_step_by_hand_is_the_run(paper: hs.Scenario) -> None:
+    """Law, plant and Runge-Kutta method one by one, with full weights in every stage."""
+    scenario = paper.updated(SMOOTH)
+    result = hs.simulate(scenario, log_weights=True)
+    assert result.weight_history is not None
+    of = probe(scenario)
+    weights = result.weight_history[:-1]
+    start = (result.position[:-1], result.quaternion[:-1], result.twist[:-1])
+    body = start
+    stages: list[tuple[Array, Array, Array]] = []
+    weight_rates: list[Array] = []
+    stage_weights = weights
+    for scale in (STEP / 2, STEP / 2, STEP, None):
+        position, quaternion, twist = body
+        features, depth = of.image(position, quaternion)
+        law = of.law(features, of.measured_depth(depth), position, quaternion, twist, stage_weights)
+        acceleration = of.acceleration(position, quaternion, twist, law.wrench)
+        stages.append((quaternion, twist, acceleration))
+        weight_rates.append(weight_rate(law))
+        if scale is not None:
+            body = of.moved(*start, *stages[-1], scale)
+            stage_weights = weights + scale * weight_rates[-1]
+    quaternions, twists, accelerations = (np.stack(four, axis=1) for four in zip(*stages, strict=True))
+    position, quaternion, twist = of.after(*start, quaternions, twists, accelerations, STEP)
+    assert_close(position, result.position[1:])
+    assert_close(quaternion, result.quaternion[1:])
+    assert_close(twist, result.twist[1:])
+    share = STEP * np.array([1, 2, 2, 1]) / 6
+    next_weights = weights + sum(s * rate for s, rate in zip(share, weight_rates, strict=True))
+    assert_close(next_weights, result.weight_history[1:])
+
+
+def weight_rate(law: _core.LawProbe) -> Array:
+    """omega-dot without leakage and limit, (n, 6, 7, 7)."""
+    assert law.adaptation is not None
+    assert law.error_memberships is not None
+    assert law.rate_memberships is not None
+    rate: Array = np.einsum("nj,njr,njc->njrc", law.adaptation, law.error_memberships, law.rate_memberships)
+    return rate
+
+
+def test_the_stages_are_a_quadrature_of_the_weights(paper: hs.Scenario) -> None:
+    """Memberships and adaptation of a stage do not need its weights."""
+    scenario = paper.updated(SMOOTH)
+    result = hs.simulate(scenario, log_weights=True)
+    assert result.weight_history is not None
+    of = probe(scenario)
+    at = {name: values[:-1] for name, values in logged(result).items()}
+    steps = of.stages(**at, weights=result.weight_history[:-1])
+    change = np.zeros_like(result.weight_history[:-1])
+    for k, share in enumerate(STEP * np.array([1, 2, 2, 1]) / 6):
+        law = of.law(
+            steps.features[:, k],
+            of.measured_depth(steps.depth[:, k]),
+            steps.position[:, k],
+            steps.quaternion[:, k],
+            steps.twist[:, k],
+        )
+        change += share * weight_rate(law)
+        acceleration = of.acceleration(
+            steps.position[:, k], steps.quaternion[:, k], steps.twist[:, k], steps.wrench[:, k]
+        )
+        np.testing.assert_array_equal(acceleration, steps.acceleration[:, k])
+    np.testing.assert_allclose(
+        np.diff(result.weight_history, axis=0), change, rtol=0, atol=1e-12 * np.abs(result.weight_history).max()
+    )
+
+
+# ---- What is refused ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"features": np.zeros((3, 7))}, r"features: expected numbers of shape \(n, 8\), got shape \(3, 7\)"),
+        ({"features": "x"}, r"features: expected numbers of shape \(n, 8\), got something else \(str\)"),
+        ({"twist": np.zeros((2, 6))}, r"twist: expected numbers of shape \(3, 6\), got shape \(2, 6\)"),
+        ({"position": np.zeros(3)}, r"position: expected numbers of shape \(3, 3\), got shape \(3,\)"),
+        (
+            {"weights": np.zeros((3, 6, 49))},
+            r"weights: expected numbers of shape \(3, 6, 7, 7\), got shape \(3, 6, 49\)",
+        ),
+        ({"twist": np.full((3, 6), np.nan)}, r"twist\[0\]: expected a finite number, got -?nan"),
+        ({"weights": np.full((3, 6, 7, 7), np.inf)}, r"weights\[0\]: expected a finite number, got inf"),
+        ({"depth": np.full((3, 4), 0.5)}, r"depth\[0\]: expected numbers < 0, in front of the camera, got 0.5"),
+        ({"quaternion": np.zeros((3, 4))}, r"quaternion\[0\]: expected a quaternion that is not zero, got zero"),
+    ],
+)
+def test_rows_that_do_not_fit(paper: hs.Scenario, changes: dict[str, Any], sentence: str) -> None:
+    at: dict[str, Any] = states(paper, 3)
+    of = probe(paper)
+    of.law(**at)
+    for function in (of.law, of.stages):
+        with pytest.raises(ValueError, match=f"^{sentence}"):
+            function(**(at | changes))
+
+
+def test_no_rows_are_no_rows(paper: hs.Scenario) -> None:
+    of = probe(paper)
+    features, depth = of.image(np.zeros((0, 3)), np.zeros((0, 4)))
+    assert features.shape == (0, 8)
+    given = of.law(features, depth, np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)), np.zeros((0, 6, 7, 7)))
+    assert given.wrench.shape == (0, 6)
+
+
+def test_what_a_scenario_does_not_have(paper: hs.Scenario) -> None:
+    at = states(paper, 3)
+    sampled = probe(paper.updated({"simulation.mode": "sampled"}))
+    with pytest.raises(ValueError, match=r"^simulation.mode: expected continuous"):
+        sampled.stages(**at)
+    printed = probe(paper.updated({"camera.convention": "as_printed"}))
+    with pytest.raises(ValueError, match=r"^camera.convention: expected eye_in_hand"):
+        printed.image(at["position"], at["quaternion"])
