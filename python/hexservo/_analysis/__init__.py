@@ -13,7 +13,11 @@ from hexservo._scenario import Scenario
 __all__ = ["PARTS", "Analysis", "analyse"]
 
 # name -> (module of this package, what it answers). Each module has analyse(scenario), whose result has section().
-PARTS: dict[str, tuple[str, str]] = {}
+PARTS: dict[str, tuple[str, str]] = {
+    "conditioning": ("conditioning", "what the image tells of the pose"),
+    "stiction": ("stiction", "the errors that the switching term holds"),
+    "workspace": ("workspace", "reach, singularities and loads of the legs"),
+}
 
 
 @dataclass(frozen=True, eq=False)
