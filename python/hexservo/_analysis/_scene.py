@@ -46,13 +46,20 @@ def moved(pose: Pose, displacement: Array) -> Pose:
 
     Both are in B, and the platform turns about its own origin.
     """
-    angle = float(np.linalg.norm(displacement[3:]))
-    # sin(angle/2)/angle, without a division by zero
-    turn = np.concatenate([[np.cos(angle / 2)], 0.5 * np.sinc(angle / (2 * np.pi)) * displacement[3:]])
-    w, v = turn[0], turn[1:]
-    q0, q = pose.quaternion[0], pose.quaternion[1:]
-    quaternion = np.concatenate([[w * q0 - v @ q], w * q + q0 * v + np.cross(v, q)])
-    return Pose(pose.position + displacement[:3], quaternion / np.linalg.norm(quaternion))
+    turn = displacement[3:]
+    angle = float(np.sqrt(turn @ turn))
+    x, y, z = (0.5 * float(np.sinc(angle / (2 * np.pi))) * turn).tolist()  # sin(angle/2)/angle, also at zero
+    w = float(np.cos(angle / 2))
+    a, b, c, d = pose.quaternion.tolist()
+    quaternion = np.array(
+        [
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        ]
+    )
+    return Pose(pose.position + displacement[:3], quaternion / np.sqrt(quaternion @ quaternion))
 
 
 class Scene:
