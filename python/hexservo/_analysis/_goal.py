@@ -49,8 +49,8 @@ def find_goals(scene: Scene) -> Goals | None:
     `best` has the least sum of squared image errors, searched from home, and, where that leaves more than
     `TOLERANCE`, from home turned about the optical axis in eighths as well. `nearest` has the least
     sqrt(|shift|^2 + (r_p |turn|)^2), with r_p the platform's radius, among poses near the way from home to `best`
-    that leave no coordinate of a feature more than `TOLERANCE` further from its goal than `best` leaves one. A local search: it may miss
-    poses, and proves nothing of those it does not find.
+    that leave no coordinate of a feature more than `TOLERANCE` further from its goal than `best` leaves one. A local
+    search: it may miss poses, and proves nothing of those it does not find.
 
     Returns
     -------

@@ -232,7 +232,7 @@ def extremes(rest: RestSet) -> Extremes | None:
     across[3:, 3:] = np.eye(3) - np.outer(axis, axis)
     sideways = np.linalg.svd(across)[2][:2]
     ways = np.vstack([jacobian, np.eye(6), sideways, sideways.sum(axis=0)])
-    ends = rest.farthest(np.vstack([ways, -ways]))
+    ends = _only(rest, 2 * len(ways)) if (rest.low == rest.high).all() else rest.farthest(np.vstack([ways, -ways]))
     if ends is None:
         return None
     errors = rest.error - ends @ jacobian.T
@@ -297,10 +297,17 @@ def _optical_axis(pose: Pose) -> Array:
     return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
+def _only(rest: RestSet, copies: int) -> Array | None:
+    """Give the one point of a set without width, (copies, 6); None where a leg is beyond its stroke there."""
+    point = np.linalg.solve(rest.stiffness, rest.wrench - rest.low)
+    within = np.abs(rest.travel + rest.leg_rates @ point) <= rest.stroke
+    return np.tile(point, (copies, 1)) if within.all() else None
+
+
 def _climb(rest: RestSet, start: Array, matrix: Array, offset: Array) -> Array:
     """Climb |matrix d + offset|^2 over the set's vertices until no linear program leads higher."""
     best = start
-    for _ in range(20):
+    for _ in range(0 if (rest.low == rest.high).all() else 20):
         value = matrix @ best + offset
         found = rest.farthest((matrix.T @ value)[None])
         if found is None:

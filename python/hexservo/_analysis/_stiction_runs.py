@@ -18,6 +18,7 @@ COUNT = 64  # goals, the scenario's own the first
 _DURATION = 2.0  # [s], at most
 _STEPS = 4000  # at most
 _CHATTER = 5.0  # times what the switching term changes the speed in a step, is called rest
+_DAMPED = 0.02  # of K_v: most that viscous damping may hold at rest
 _SHARES = (0.3, 0.6, 0.9)  # of the way to an extreme of the set
 
 
@@ -85,7 +86,12 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
     completed = np.asarray(batch.outcome == "completed")
     for k in np.flatnonzero(completed):
         final[k] = laws[k].wrench(poses[k]) - tau[k]
-    at_rest = np.asarray((speed <= _CHATTER * scenario.simulation.step * kv / inertia).all(axis=1))
+    still = _CHATTER * scenario.simulation.step * kv / inertia
+    if name == "composite":
+        kd = np.broadcast_to(np.asarray(scenario.controller.composite.kd), 6)
+        with np.errstate(divide="ignore"):
+            still = np.minimum(still, _DAMPED * kv / kd)
+    at_rest = np.asarray((speed <= still).all(axis=1))
     near = _near(scene, poses, _displacements(rest, ends), rest.stroke)
     counted = completed & at_rest & near
     counted[0] = False

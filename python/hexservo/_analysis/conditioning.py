@@ -101,8 +101,8 @@ class Conditioning:
 
     def _sentences(self, sights: list[Sight]) -> list[str]:
         words = [
-            f"At the {found.place}, {number(self.noise)} px of noise in each coordinate (1 sigma) makes the pose uncertain by "
-            f"{numbers(1e3 * self.noise * found.pose_sigma[:3])} mm along x, y and z and by "
+            f"At the {found.place}, {number(self.noise)} px of noise in each coordinate (1 sigma) makes the pose "
+            f"uncertain by {numbers(1e3 * self.noise * found.pose_sigma[:3])} mm along x, y and z and by "
             f"{numbers(1e3 * self.noise * found.pose_sigma[3:])} mrad about them."
             for found in sights[:2]
         ]
@@ -110,8 +110,9 @@ class Conditioning:
         motion = seen.hidden
         words.append(
             f"What the image hardly shows there is {motion_in_words(seen.view.jacobian, motion)}: "
-            f"{number(1e3 * np.linalg.norm(motion[:3]))} mm with {number(1e3 * np.linalg.norm(motion[3:]))} mrad move no "
-            f"coordinate by more than {number(self._change(seen, motion))} px."
+            f"{number(1e3 * float(np.linalg.norm(motion[:3])))} mm with "
+            f"{number(1e3 * float(np.linalg.norm(motion[3:])))} mrad move no coordinate by more than "
+            f"{number(self._change(seen, motion))} px."
         )
         words.append(
             "The condition number of the image Jacobian is "
@@ -155,8 +156,9 @@ class Conditioning:
                 f"home moved by {_displacement(best.displacement)}."
             )
         return (
-            f"The goal image is seen from home moved by {_displacement(best.displacement)}; the nearest pose that leaves "
-            f"no coordinate more than {TOLERANCE} px further off is home moved by {_displacement(nearest.displacement)}."
+            f"The goal image is seen from home moved by {_displacement(best.displacement)}; the nearest pose that "
+            f"leaves no coordinate more than {TOLERANCE} px further off is home moved by "
+            f"{_displacement(nearest.displacement)}."
         )
 
     def _curves(self) -> Curves:
@@ -310,8 +312,8 @@ def _sights_table(sights: list[Sight]) -> Table:
             )
             for found in sights
         ],
-        note="Least squares from one image, 1 sigma of each axis in the base frame, linearised; what is larger than the "
-        "depth or a radian only says that the image does not tell. Worst direction: turns count times the depth.",
+        note="Least squares from one image, 1 sigma of each axis in the base frame, linearised; what is larger than "
+        "the depth or a radian only says that the image does not tell. Worst direction: turns count times the depth.",
         page=PAGE,
     )
 
