@@ -134,8 +134,8 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
             )
         if (drive > 0).any():
             return "open", (
-                "Open: the pose error drives the fuzzy systems in part of the axes only, or leakage, dead zone or limit "
-                "bound what they take up; the set is then not that of K_v alone."
+                "Open: the pose error drives the fuzzy systems in part of the axes only, or leakage, dead zone or "
+                "limit bound what they take up; the set is then not that of K_v alone."
             )
     kv = np.broadcast_to(np.asarray(block.kv, dtype=float), 6)
     if smooth and (kv > 0).all():

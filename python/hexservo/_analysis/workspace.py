@@ -125,8 +125,8 @@ class Workspace:
         heaviest = max(self._places, key=lambda place: float(np.abs(place.actual_forces).max()))
         words.append(
             f"Holding the platform takes up to {number(float(np.abs(heaviest.actual_forces).max()))} N in a leg at the "
-            f"{heaviest.name}, and up to {number(self.neighbourhood_force)} N around it, of {number(self.force_limit)} N "
-            "allowed; this is without motion."
+            f"{heaviest.name}, and up to {number(self.neighbourhood_force)} N around the {places[-1].name}, of "
+            f"{number(self.force_limit)} N allowed; this is without motion."
         )
         return words
 
@@ -136,7 +136,7 @@ class Workspace:
         text = ""
         for place, name in (
             (self.goal, "At the goal"),
-            (self.nearest, "at the nearest pose that shows it within 0.1 px"),
+            (self.nearest, f"at the nearest pose that shows it within {TOLERANCE} px"),
         ):
             leg = int(np.abs(place.travel).argmax())
             margin = self._margin(place)
