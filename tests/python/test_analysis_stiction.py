@@ -78,7 +78,9 @@ def test_one_axis_by_hand() -> None:
     springs = np.array([50.0, 40.0, 30.0, 0.2, 0.1, 0.3])
     scene = scene_of(hs.load_scenario("paper").updated(square(100.0, 0.5)))
     view = scene.view(scene.home)
-    rest = RestSet(view, np.zeros(8), np.zeros(6), np.diag(springs), -KV, KV, np.eye(6), np.zeros(6), 10.0, 0.1)
+    rest = RestSet(
+        view, np.zeros(8), np.zeros(6), np.diag(springs), -KV, KV, np.eye(6), np.zeros(6), 10.0, 0.1, np.ones(6)
+    )
     ends = extremes(rest)
     assert ends is not None
     limits = KV / springs
@@ -111,7 +113,7 @@ def test_friction_along_one_axis_holds_a_square_where_it_is_worked_out_by_hand(p
 
 def test_without_the_strokes_the_set_is_a_parallelepiped_in_closed_form(paper: hs.Scenario) -> None:
     """max |xi_i| = |row i of J A^-1| k_v."""
-    rest = replace(rest_set(paper.updated(square(200.0, 0.3)), 1e-3 * KV), stroke=1e3)
+    rest = replace(rest_set(paper.updated(square(200.0, 0.3)), 1e-3 * KV), stroke=1e3, span=np.full(6, 1e3))
     ends = extremes(rest)
     assert ends is not None
     rows = rest.view.jacobian @ np.linalg.inv(rest.stiffness)

@@ -14,8 +14,9 @@ from hexservo._analysis._scene import Array, Pose, Scene, View, moved
 from hexservo._parameters import core_parameters
 from hexservo._scenario import Scenario
 
-__all__ = ["Extremes", "RestLaw", "RestSet", "confirmed", "extremes", "without_friction"]
+__all__ = ["SPAN", "Extremes", "RestLaw", "RestSet", "confirmed", "extremes", "without_friction"]
 
+SPAN = 0.2  # of the points' mean depth, and in rad: farther than this no image is called linear
 _SHIFT, _TURN = 1e-5, 1e-5  # [m], [rad], steps of the central differences
 
 
@@ -98,6 +99,7 @@ class RestSet:
 
         low <= w - A d <= high          w: rest wrench at the pose, A: stiffness
         -stroke <= t + H^T d <= stroke  t: leg travel at the pose
+        -span <= d <= span              where the linearisation ends at the latest
 
     The image error at d is error - J d.
     """
@@ -112,6 +114,7 @@ class RestSet:
     travel: Array  # t, (6,) [m]
     stroke: float  # [m]
     radius: float  # r_p [m]: makes turns comparable with shifts
+    span: Array  # (6,) [m; rad]
 
     @classmethod
     def at(cls, scene: Scene, law: RestLaw, view: View, low: Array, high: Array) -> RestSet:
@@ -128,6 +131,7 @@ class RestSet:
             travel=scene.leg_travel(pose),
             stroke=float(scene.settings.robot.stroke),
             radius=scene.platform_radius,
+            span=SPAN * np.repeat([view.mean_depth, 1.0], 3),
         )
 
     def farthest(self, directions: Array, within: float | None = None) -> Array | None:
@@ -140,7 +144,7 @@ class RestSet:
         directions
             (k, 6), any scale.
         within
-            Most that an entry of d may be, a share of the stroke (turns: times r_p); None: any.
+            Most that an entry of d may be, a share of the stroke (turns: times r_p) or of the span; None: any.
 
         Returns
         -------
@@ -178,27 +182,29 @@ class RestSet:
 
     @cached_property
     def _inequalities(self) -> tuple[Array, Array, Array]:
-        """Give rows (24, 6), limits (24,) and units (6,), such that rows (d/units) <= limits, all near one."""
-        units = self.stroke / np.repeat([1.0, self.radius], 3)
+        """Give rows (36, 6), limits (36,) and units (6,), such that rows (d/units) <= limits, all near one."""
+        units = np.minimum(self.span, self.stroke / np.repeat([1.0, self.radius], 3))
         pull = self.stiffness * units
         size = np.maximum(np.maximum(np.abs(self.low), np.abs(self.high)), 1e-6 * np.abs(pull).max(axis=1))
         legs = self.leg_rates * units / self.stroke
-        rows = np.vstack([pull / size[:, None], -pull / size[:, None], legs, -legs])
+        near = np.diag(units / self.span)
+        rows = np.vstack([pull / size[:, None], -pull / size[:, None], legs, -legs, near, -near])
         limits = np.concatenate(
             [
                 (self.wrench - self.low) / size,
                 (self.high - self.wrench) / size,
                 1.0 - self.travel / self.stroke,
                 1.0 + self.travel / self.stroke,
+                np.ones(12),
             ]
         )
         return rows, limits, units
 
-    def limits_at(self, displacement: Array) -> tuple[Array, Array]:
-        """Tell which axes of K_v and which legs bound the set at a displacement, (6,) and (6,) of bool."""
+    def limits_at(self, displacement: Array) -> tuple[Array, Array, Array]:
+        """Tell which axes of K_v, which legs and which axes of the span bound the set there, (6,) of bool each."""
         rows, limits, units = self._inequalities
-        tight = (limits - rows @ (displacement / units) < 1e-6).reshape(4, 6)
-        return tight[0] | tight[1], tight[2] | tight[3]
+        tight = (limits - rows @ (displacement / units) < 1e-6).reshape(6, 6)
+        return tight[0] | tight[1], tight[2] | tight[3], tight[4] | tight[5]
 
     def image_error(self, displacement: Array) -> Array:
         """Give the linearised image error at a displacement, (8,) [px]."""
@@ -298,10 +304,10 @@ def _optical_axis(pose: Pose) -> Array:
 
 
 def _only(rest: RestSet, copies: int) -> Array | None:
-    """Give the one point of a set without width, (copies, 6); None where a leg is beyond its stroke there."""
+    """Give the one point of a set without width, (copies, 6); None where it is beyond stroke or span."""
     point = np.linalg.solve(rest.stiffness, rest.wrench - rest.low)
-    within = np.abs(rest.travel + rest.leg_rates @ point) <= rest.stroke
-    return np.tile(point, (copies, 1)) if within.all() else None
+    legs = (np.abs(rest.travel + rest.leg_rates @ point) <= rest.stroke).all()
+    return np.tile(point, (copies, 1)) if legs and (np.abs(point) <= rest.span).all() else None
 
 
 def _climb(rest: RestSet, start: Array, matrix: Array, offset: Array) -> Array:

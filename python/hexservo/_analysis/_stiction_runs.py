@@ -44,8 +44,8 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
     """Run the scenario's law to its own goal and to 63 goals near home, without noise, faults and base motion.
 
     Half of the goals are seen from 30, 60 and 90 % of the way to extremes of the set around home, so that most of
-    these platforms are held where they start; the others from random displacements of up to half the stroke, most of
-    them outside of the set.
+    these platforms are held where they start; the others from random displacements of up to half the stroke or span,
+    most of them outside of the set.
 
     Parameters
     ----------
@@ -127,7 +127,8 @@ def _displacements(rest: RestSet, ends: Extremes) -> Array:
     free: list[Array] = []
     while len(free) < COUNT - 1 - len(held):
         d = random.normal(size=6) * np.repeat([1.0, 1.0 / rest.radius], 3)
-        free.append(d * random.uniform(0.1, 0.5) * rest.stroke / np.abs(rest.leg_rates @ d).max())
+        most = min(rest.stroke / np.abs(rest.leg_rates @ d).max(), float((rest.span / np.abs(d)).min()))
+        free.append(d * random.uniform(0.1, 0.5) * most)
     return np.array(held + free)
 
 

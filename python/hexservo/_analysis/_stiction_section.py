@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from hexservo._analysis._rest import SPAN
 from hexservo._analysis._words import number
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
@@ -87,11 +88,12 @@ def _of_the_set(found: Stiction, case: Case) -> str:
         exact = ends.largest < 1e-6
         error = "below 1e-6 px" if exact else f"of {number(ends.largest)} px"
         return f"The equilibrium near the goal is a point, with an image error {error}."
-    axes, legs = case.rest.limits_at(ends.displacements[0])
+    axes, legs, span = case.rest.limits_at(ends.displacements[0])
     limits = [f"K_v ({', '.join(_SHORT[axis] for axis in np.flatnonzero(axes))})"] if axes.any() else []
     limits += (
         [f"the stroke of the legs {', '.join(str(leg + 1) for leg in np.flatnonzero(legs))}"] if legs.any() else []
     )
+    limits += [f"the span of the linearisation ({SPAN:.0%} of the depth, {SPAN} rad)"] if span.any() else []
     holds = "K_v holds" if found.creep is None else "K_v would hold"
     text = (
         f"{holds} the platform with image errors of up to {number(ends.largest)} px in a coordinate "
