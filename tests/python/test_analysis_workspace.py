@@ -159,7 +159,8 @@ def test_what_is_beyond_a_limit_is_bad_and_what_is_near_a_warning(paper: hs.Scen
         ({"robot.stroke": 0.0125}, "warning"),  # the goal takes 12.2 mm
         ({"robot.stroke": 0.002}, "bad"),  # the nearest pose takes 2.8 mm
         ({"robot.force_limit": 0.165}, "warning"),  # the goal takes 0.160 N
-        ({"robot.force_limit": 0.165, "uncertainty.gravity": -0.1}, "bad"),
+        ({"robot.force_limit": 0.15}, "warning"),
+        ({"robot.force_limit": 0.15, "uncertainty.gravity": -0.2}, "bad"),
         ({"robot.force_limit": 0.12}, "bad"),
     ]
     for changes, verdict in cases:

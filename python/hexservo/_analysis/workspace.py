@@ -97,10 +97,10 @@ class Workspace:
         return self.stroke - float(np.abs(place.travel).max())
 
     def _verdict(self) -> Literal["good", "warning", "bad"]:
-        force = max(float(np.abs(place.actual_forces).max()) for place in self._places)
-        ends = self.nearest or self.start
-        if self._margin(ends) < 0 or force > self.force_limit:
+        reached = self.nearest or self.start
+        if self._margin(reached) < 0 or np.abs(reached.actual_forces).max() > self.force_limit:
             return "bad"
+        force = max(float(np.abs(place.actual_forces).max()) for place in self._places)
         margins = [self._margin(place) for place in self._places]
         slim = min([*margins, *self.way_margin]) < _SLIM * self.stroke or force > (1 - _SLIM) * self.force_limit
         singular = self.neighbourhood_singularity < _SLIM * self.start.singularity
