@@ -323,6 +323,17 @@ def test_smooth_switching_creeps_as_fast_as_it_is_said_to(paper: hs.Scenario, ki
     assert found.creep.left == pytest.approx(np.abs(worst @ rows.T).max(), rel=1e-6)
 
 
+def test_positive_feedback_does_not_creep_back(paper: hs.Scenario) -> None:
+    changes = {"controller.jacobian": "printed", "controller.switching.kind": "tanh"}
+    found = stiction.analyse(paper.updated(changes))
+    assert found.creep is not None
+    assert found.creep.left is None
+    assert np.isinf(found.creep.times).any()
+    section = found.section()
+    assert section.verdict == "open"
+    assert "In some direction it does not come back by itself." in section.sentences
+
+
 @pytest.mark.parametrize("name", ["paper-composite", "task-rotation", "textbook-general"])
 def test_an_integrating_law_goes_to_where_its_pose_error_vanishes(name: str) -> None:
     scenario = hs.load_scenario(name)
@@ -345,6 +356,7 @@ def test_laws_without_a_switching_term_and_what_is_open(paper: hs.Scenario) -> N
         {"controller.law": "composite", "controller.composite.drive": [0, 4, 4, 4, 4, 4]},
         {"controller.law": "composite", "controller.composite.fuzzy.leakage": 0.1},
         {"controller.switching.kind": "tanh", "controller.hybrid.kv": [0, 1, 1, 1, 1, 1]},
+        {"target.desired_features": [10, 10, 45, -73, -64, 49, -30, -23]},  # no pose shows it: 4.8 px are left
     ]
     for changes in open_ones:
         section = stiction.analyse(paper.updated(changes)).section()

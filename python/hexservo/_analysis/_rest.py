@@ -14,8 +14,9 @@ from hexservo._analysis._scene import Array, Pose, Scene, View, moved
 from hexservo._parameters import core_parameters
 from hexservo._scenario import Scenario
 
-__all__ = ["SPAN", "Extremes", "RestLaw", "RestSet", "confirmed", "extremes", "without_friction"]
+__all__ = ["SETTLED", "SPAN", "Extremes", "RestLaw", "RestSet", "confirmed", "extremes", "without_friction"]
 
+SETTLED = 2.0  # [px], the threshold of the settling time
 SPAN = 0.2  # of the points' mean depth, and in rad: farther than this no image is called linear
 _SHIFT, _TURN = 1e-5, 1e-5  # [m], [rad], steps of the central differences
 

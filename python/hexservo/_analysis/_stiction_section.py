@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hexservo._analysis._rest import SPAN
+from hexservo._analysis._rest import SETTLED, SPAN
 from hexservo._analysis._words import number
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["section"]
 
 PAGE = "docs/analysis/stiction.md"
-_SETTLED = 2.0  # [px], the threshold of the settling time
 _BORDER = 1.01  # times K_v: viscous damping lets a platform end on the border of the set, where it comes to rest slowly
 _AXES = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
 _SHORT = ("along x", "along y", "along z", "about x", "about y", "about z")
@@ -47,7 +46,7 @@ def _verdict(found: Stiction) -> Literal["good", "warning", "bad", "open"]:
         error = ends.largest if found.creep is None else found.creep.left
     if error is None:
         return "open"
-    return "warning" if error > _SETTLED else "good"
+    return "warning" if error > SETTLED else "good"
 
 
 def _sentences(found: Stiction) -> list[str]:

@@ -8,19 +8,21 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hexservo._analysis._goal import Goals, find_goals
-from hexservo._analysis._rest import Extremes, RestLaw, RestSet, confirmed, extremes
+from hexservo._analysis._rest import SETTLED, Extremes, RestLaw, RestSet, confirmed, extremes
 from hexservo._analysis._scene import Array, Scene, moved, scene_of
 from hexservo._analysis._stiction_runs import Runs, run
+from hexservo._analysis._words import number
 from hexservo._evidence import Section
 from hexservo._scenario import Fuzzy, Scenario
 
-__all__ = ["Case", "Stiction", "analyse"]
+__all__ = ["Case", "Creep", "Stiction", "analyse"]
 
 PAGE = "docs/analysis/stiction.md"
-_SETTLED = 2.0  # [px], the threshold of the settling time
-_AXES = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
+__AXES = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
 
 _SHORT = ("along x", "along y", "along z", "about x", "about y", "about z")
+
+_GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
 
 Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]
 
@@ -41,7 +43,8 @@ class Creep:
     """How a smooth switching term lets go of what K_v would hold: (K_v/width + K_d) d-dot = -A d, linearised."""
 
     times: Array  # (6,) [s], time constants, slowest first; infinite where an error does not decay
-    left: float | None  # [px], largest image error after the run's duration, from anywhere in the set
+    # [px], largest image error after the run's duration, from anywhere in the set; None where it grows too far
+    left: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +88,8 @@ def analyse(scenario: Scenario) -> Stiction:
         return Stiction(scene, kind, reason, nothing, nothing)
     goals = find_goals(scene)
     assert goals is not None  # a camera without points is open
+    if (unusable := _unusable(scene, goals)) is not None:
+        return Stiction(scene, "open", unusable, nothing, nothing)
     law = RestLaw(scene)
     block = getattr(scenario.controller, scenario.controller.law)
     kv = np.array(np.broadcast_to(np.asarray(block.kv, dtype=float), 6))
@@ -107,6 +112,21 @@ def analyse(scenario: Scenario) -> Stiction:
         settings = [False, True] if block.fuzzy.enabled else [False]
         runs = tuple(run(scene, law, home.rest, home.ends, kv, fuzzy) for fuzzy in settings)
     return Stiction(scene, kind, reason, kv, law.gravity_error, tuple(cases), home, runs, straight_way=way)
+
+
+def _unusable(scene: Scene, goals: Goals) -> str | None:
+    """Say why there is no goal pose around which a set could be looked for; None where there is one."""
+    if goals.best.largest_residual > SETTLED:
+        return (
+            f"Open: no pose that was found shows the goal image (the best leaves {number(goals.best.largest_residual)} "
+            "px), so there is no goal around which to look for the set."
+        )
+    try:
+        for goal in (goals.best, goals.nearest):
+            RestLaw(scene).stiffness(goal.view.pose)
+    except ValueError as refusal:
+        return f"Open: the law cannot be evaluated at the pose of the goal ({refusal})."
+    return None
 
 
 def _kind(scenario: Scenario) -> tuple[Kind, str]:
@@ -194,6 +214,8 @@ def _creep(rest: RestSet, at_goal: Array, scenario: Scenario, kv: Array) -> Cree
     rates = np.linalg.eigvals(at_goal / damping[:, None]).real
     with np.errstate(divide="ignore"):
         times = np.sort(np.where(rates > 0, 1.0 / rates, np.inf))[::-1]
+    if (rates * scenario.simulation.duration < -_GROWTH).any():
+        return Creep(times, None)
     stays = expm(-scenario.simulation.duration * rest.stiffness / damping[:, None])
     centre = np.linalg.solve(rest.stiffness, rest.wrench)  # where the law's wrench is zero
     rows = rest.view.jacobian @ stays
