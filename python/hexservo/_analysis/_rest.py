@@ -12,10 +12,14 @@ from hexservo import _core
 from hexservo._parameters import Settings, core_parameters
 from hexservo._scenario import Scenario
 
-__all__ = ["Array", "Mask", "Poses", "Rest", "direction_words"]
+__all__ = ["SHOWN", "WIDER", "Array", "Mask", "Poses", "Rest", "direction_words"]
 
 Array: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
+
+SHOWN = 1e-6  # [px], an image this close to the goal is the goal
+# Half widths of the region about home that is searched beside the workspace [mean depth; rad].
+WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
 
 _STEP = 0.3  # longest step of a search, in mean depths and radians: keeps it where the image is nearly what it was
 _NEAR = 0.02  # of the mean depth: a search does not take a point closer to the camera than this
@@ -32,7 +36,7 @@ class Poses:
         """Give the number of poses."""
         return len(self.position)
 
-    def __getitem__(self, rows: slice | Mask | NDArray[np.int_]) -> Poses:
+    def __getitem__(self, rows: slice | Mask | NDArray[np.int_] | list[int]) -> Poses:
         """Give some of them."""
         return Poses(self.position[rows], self.quaternion[rows])
 
@@ -49,6 +53,10 @@ class Poses:
 
         own, start = (Rotation.from_quat(np.roll(poses.quaternion, -1, axis=1)) for poses in (self, other))
         return np.hstack([self.position - other.position, (own * start.inv()).as_rotvec()])
+
+    def repeated(self, count: int) -> Poses:
+        """Give one pose several times."""
+        return Poses(np.repeat(self.position, count, axis=0), np.repeat(self.quaternion, count, axis=0))
 
     def chosen(self, rows: Mask, others: Poses) -> Poses:
         """Give the other's pose in the rows that are True, one's own elsewhere."""
@@ -130,14 +138,13 @@ class Rest:
 
     def reachable(self, poses: Poses) -> Mask:
         """Tell which poses are within the stroke and on home's side of the singular poses (the sign of det H)."""
-        side = np.sign([np.linalg.det(self.hexapod.wrench_map(*p)) for p in zip(*self._rows(poses), strict=True)])
-        at_home = np.sign(np.linalg.det(self.hexapod.wrench_map(self.home.position[0], self.home.quaternion[0])))
-        within = np.abs(self.leg_travel(poses)).max(axis=1) <= self.settings.robot.stroke
-        return np.asarray(within & (side == at_home))
 
-    @staticmethod
-    def _rows(poses: Poses) -> tuple[Array, Array]:
-        return poses.position, poses.quaternion
+        def side(of: Poses) -> Array:
+            pairs = zip(of.position, of.quaternion, strict=True)
+            return np.sign(np.linalg.det([self.hexapod.wrench_map(*pose) for pose in pairs]))
+
+        within = np.abs(self.leg_travel(poses)).max(axis=1) <= self.settings.robot.stroke
+        return np.asarray(within & (side(poses) == side(self.home)))
 
     def nearest_images(self, starts: Poses, weights: Array | None = None, rounds: int = 30) -> Poses:
         """Go down to the nearest poses of least weighted image error: Levenberg-Marquardt, all starts at once.
@@ -187,21 +194,31 @@ class Rest:
             poses = poses.moved(_limited(step) * self.unit)
         return poses, last < 1e-8
 
+    def spread(self, count: int, seed: int) -> Poses:
+        """Draw poses, at most `count`, that see all points, even over `WIDER` about home, within the stroke or not."""
+        moves = np.random.default_rng(seed).uniform(-1.0, 1.0, (8 * count, 6)) * WIDER * self.unit
+        poses = self.home.repeated(len(moves)).moved(moves)
+        return poses[np.flatnonzero(np.isfinite(self.image(poses)[0]).all(axis=1))[:count]]
+
     def goal(self) -> Poses | None:
         """Give the pose, one row, that shows the goal image to 1e-6 px; None where the search finds none.
 
-        Searched from home and from home turned about the optical axis in eighths; of several the one nearest to home.
+        Searched from home, from home turned about the optical axis in eighths, and, where these do not show it, from 64
+        poses of `spread`; of several the one nearest to home.
         """
         turns = np.zeros((8, 6))
         turns[:, 5] = np.pi / 4 * np.array([0, 1, -1, 2, -2, 3, -3, 4])
-        starts = Poses(np.repeat(self.home.position, 8, axis=0), np.repeat(self.home.quaternion, 8, axis=0))
-        found = self.nearest_images(starts.moved(turns), rounds=60)
-        off = np.abs(self.desired - self.image(found)[0]).max(axis=1)
-        shown = np.flatnonzero(off < 1e-6)
-        if not len(shown):
-            return None
-        away = np.linalg.norm(found[shown].displacement_from(self.home) / self.unit, axis=1)
-        return found[shown[[int(np.argmin(away))]]]
+        for starts in (self.home.repeated(8).moved(turns), self.spread(64, seed=0)):
+            found = self.nearest_images(starts, rounds=60)
+            shown = np.flatnonzero(self.residual(found) < SHOWN)
+            if len(shown):
+                away = np.linalg.norm(found[shown].displacement_from(self.home) / self.unit, axis=1)
+                return found[shown[[int(np.argmin(away))]]]
+        return None
+
+    def residual(self, poses: Poses) -> Array:
+        """Give the largest |xi_d - xi|, (n,) [px]; NaN where a point is not seen."""
+        return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=1))
 
 
 def _limited(step: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo._analysis._rest import Array, Mask, Poses, Rest, direction_words
+from hexservo._analysis._rest import SHOWN, WIDER, Array, Mask, Poses, Rest, direction_words
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 from hexservo._scenario import Scenario
 
@@ -17,9 +17,6 @@ __all__ = ["Equilibria", "Equilibrium", "analyse"]
 _PAGE = "docs/analysis/equilibria.md"
 _SEED = 20  # of the starts; the same in every analysis
 _WITHIN, _WIDER = 64, 64  # starts inside the stroke, and in the wider region
-_WIDER_SHIFT = np.array([0.7, 0.7, 0.7])  # [mean depth], either way
-_WIDER_TURN = np.array([0.6, 0.6, np.pi])  # [rad], either way
-_SHOWN = 1e-6  # [px], an image this close to the goal is the goal
 _SETTLED = 2.0  # [px], beyond which a run does not count as settled (docs/model.md, section 8)
 _SAME = 1e-4  # [mean depth; rad], equilibria closer than this are one
 _ZERO = 1e-11  # of the largest eigenvalue, below which the sign of another one is rounding
@@ -100,7 +97,8 @@ class Equilibria:
         goal = self.goals[0] if self.goals else None
         searched = (
             f"{self.starts_within} starts within the stroke of {1e3 * self.stroke:.3g} mm and {self.starts_wider} in a "
-            f"wider region ({1e3 * 0.7 * self.depth:.3g} mm either way, half a turn about z, 0.6 rad about x and y)"
+            f"wider region ({1e3 * WIDER[0] * self.depth:.3g} mm either way, half a turn about z, {WIDER[3]:g} rad about x "
+            "and y)"
         )
         if self.traps:
             trap = max(self.traps, key=lambda e: e.starts)
@@ -272,12 +270,12 @@ def analyse(scenario: Scenario) -> Equilibria:
         )
     bare = scenario.updated(_BARE[law])
     rest, level = Rest(bare), Rest(bare, gravity=0.0)
-    within, wider = _starts_within(level), _starts_wider(level)
+    within, wider = _starts_within(level), level.spread(_WIDER, seed=_SEED)
     starts = Poses.joined(level.home, within, wider)
     poses, converged, origin = _search(level, starts, np.array(level.settings.gains.kp))
     groups = _groups(level, poses, converged)
     poses = poses[np.array([group[0] for group in groups], dtype=int)]
-    kinds = ["goal" if shown else "false" for shown in _residual(level, poses) < _SHOWN]
+    kinds = ["goal" if shown else "false" for shown in level.residual(poses) < SHOWN]
     counts = [len(set(origin[group].tolist())) for group in groups]
     goal_stiffness, gravity = None, _gravity_force(rest)
     if gravity.any():
@@ -312,24 +310,10 @@ def _starts_within(rest: Rest) -> Poses:
     lengths = np.random.default_rng(_SEED).uniform(-1.0, 1.0, (8 * _WITHIN, 6)) * rest.settings.robot.stroke
     moves = np.linalg.solve(leg_map, lengths.T).T
     # not farther than the wider region, where the stroke of a large robot goes beyond it
-    most = np.concatenate([_WIDER_SHIFT * rest.depth, _WIDER_TURN])
-    moves /= np.maximum((np.abs(moves) / most).max(axis=1, keepdims=True), 1.0)
-    poses = _repeated(rest.home, len(moves)).moved(moves)
+    moves /= np.maximum((np.abs(moves) / (WIDER * rest.unit)).max(axis=1, keepdims=True), 1.0)
+    poses = rest.home.repeated(len(moves)).moved(moves)
     usable = rest.reachable(poses) & np.isfinite(rest.image(poses)[0]).all(axis=1)
     return poses[np.flatnonzero(usable)[:_WITHIN]]
-
-
-def _starts_wider(rest: Rest) -> Poses:
-    """Draw poses from the wider region that see all points, wherever the legs would be."""
-    most = np.concatenate([_WIDER_SHIFT * rest.depth, _WIDER_TURN])
-    moves = np.random.default_rng(_SEED + 1).uniform(-1.0, 1.0, (8 * _WIDER, 6)) * most
-    poses = _repeated(rest.home, len(moves)).moved(moves)
-    usable = np.isfinite(rest.image(poses)[0]).all(axis=1)
-    return poses[np.flatnonzero(usable)[:_WIDER]]
-
-
-def _repeated(pose: Poses, count: int) -> Poses:
-    return Poses(np.repeat(pose.position, count, axis=0), np.repeat(pose.quaternion, count, axis=0))
 
 
 def _search(rest: Rest, starts: Poses, weights: Array) -> tuple[Poses, Mask, NDArray[np.int_]]:
@@ -341,10 +325,6 @@ def _search(rest: Rest, starts: Poses, weights: Array) -> tuple[Poses, Mask, NDA
     raw, raw_found = rest.settled(starts, rounds=16)
     number = np.arange(len(starts))
     return Poses.joined(low, raw), np.concatenate([low_found, raw_found]), np.concatenate([number, number])
-
-
-def _residual(rest: Rest, poses: Poses) -> Array:
-    return np.asarray(np.abs(rest.desired - rest.image(poses)[0]).max(axis=1))
 
 
 def _gravity_force(rest: Rest) -> Array:
@@ -412,7 +392,7 @@ def _described(rest: Rest, pose: Poses, kind: str, starts: int) -> Equilibrium:
         pose.position[0],
         pose.quaternion[0],
         pose.displacement_from(rest.home)[0],
-        float(_residual(rest, pose)[0]),
+        float(rest.residual(pose)[0]),
         values,
         weakest / np.linalg.norm(weakest / rest.unit),
         _stability(values.real),
@@ -432,7 +412,7 @@ def _stability(real: Array) -> str:
 def _growth(rest: Rest, pose: Poses, slope: Array) -> float | None:
     """Give the largest real part of the modes with viscous damping [1/s]; None for a law that has none."""
     step = 1e-3 * np.vstack([np.eye(6), -np.eye(6)]) * rest.unit  # m/s, rad/s: damping is linear, (15) has none
-    around = rest.acceleration(_repeated(pose, 12), step) / rest.unit
+    around = rest.acceleration(pose.repeated(12), step) / rest.unit
     damping = -(around[:6] - around[6:]).T / 2e-3
     if not np.abs(damping).max() > 1e-9 * np.abs(slope).max() ** 0.5:
         return None
@@ -446,7 +426,7 @@ def _barrier(rest: Rest, result: Equilibria) -> tuple[Array, Array] | None:
         return None
     trap, goal = (Poses(e.position[None], e.quaternion[None]) for e in (result.traps[0], result.goals[0]))
     part = np.linspace(0.0, 1.0, 101)
-    way = _repeated(trap, len(part)).moved(part[:, None] * goal.displacement_from(trap))
+    way = trap.repeated(len(part)).moved(part[:, None] * goal.displacement_from(trap))
     weights = np.array(rest.settings.gains.kp)
     error = rest.desired - rest.image(way)[0]
     return part, np.sqrt((weights * error**2).sum(axis=1) / weights.sum())
