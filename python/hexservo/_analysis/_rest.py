@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,12 +91,13 @@ class Rest:
         self.desired: Array = np.array(self.settings.target.desired_features)  # (8,) [px]
         self.home = Poses(np.array(self.hexapod.home_position)[None], np.array([[1.0, 0.0, 0.0, 0.0]]))
         self.depth = float(np.abs(self.probe.image(self.home.position, self.home.quaternion)[1]).mean())  # [m], of home
+        self.gains: Any = _gains(self.settings)  # of the scenario's law
         self.unit: Array = np.repeat([self.depth, 1.0], 3)  # [m; rad]: moves the image alike in all six directions
 
     def image(self, poses: Poses) -> tuple[Array, Array]:
         """Give the true features (n, 8) [px] and Z (n, 4) [m]; NaN where a point is not well in front of the camera."""
         features, depth = self.probe.image(poses.position, poses.quaternion)
-        seen = (depth < -_NEAR * self.depth).all(axis=1) & np.isfinite(features).all(axis=1)
+        seen = np.asarray((depth < -_NEAR * self.depth).all(axis=1) & np.isfinite(features).all(axis=1))
         return np.where(seen[:, None], features, np.nan), np.where(seen[:, None], depth, np.nan)
 
     def jacobian(self, features: Array, depth: Array, poses: Poses) -> Array:
@@ -109,7 +110,7 @@ class Rest:
         NaN where the camera does not see all points. Zero at rest: an equilibrium.
         """
         features, depth = self.image(poses)
-        seen = np.isfinite(features).all(axis=1)
+        seen = np.asarray(np.isfinite(features).all(axis=1))
         result = np.full((len(poses), 6), np.nan)
         if seen.any():
             there = poses[seen]
@@ -134,14 +135,14 @@ class Rest:
     def leg_travel(self, poses: Poses) -> Array:
         """Give how much longer each leg is than at home, (n, 6) [m]."""
         pairs = zip(poses.position, poses.quaternion, strict=True)
-        return np.array([self.hexapod.leg_lengths(*pose) for pose in pairs]) - self.hexapod.home_lengths
+        return np.asarray([self.hexapod.leg_lengths(*pose) for pose in pairs] - self.hexapod.home_lengths)
 
     def reachable(self, poses: Poses) -> Mask:
         """Tell which poses are within the stroke and on home's side of the singular poses (the sign of det H)."""
 
         def side(of: Poses) -> Array:
             pairs = zip(of.position, of.quaternion, strict=True)
-            return np.sign(np.linalg.det([self.hexapod.wrench_map(*pose) for pose in pairs]))
+            return np.asarray(np.sign(np.linalg.det([self.hexapod.wrench_map(*pose) for pose in pairs])))
 
         within = np.abs(self.leg_travel(poses)).max(axis=1) <= self.settings.robot.stroke
         return np.asarray(within & (side(poses) == side(self.home)))
@@ -219,6 +220,10 @@ class Rest:
     def residual(self, poses: Poses) -> Array:
         """Give the largest |xi_d - xi|, (n,) [px]; NaN where a point is not seen."""
         return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=1))
+
+
+def _gains(settings: Settings) -> Any:
+    return settings.gains
 
 
 def _limited(step: Array) -> Array:

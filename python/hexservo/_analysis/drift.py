@@ -335,7 +335,8 @@ def loop_matrix(known: Array, true: Array, inverse: Array, expected: Array) -> A
         Where J-hat^T J-hat + M is singular.
     """
     turned = np.swapaxes(known, -1, -2)
-    return np.linalg.solve(turned @ known + np.diag(inverse), turned @ true + np.diag(expected))
+    found: Array = np.linalg.solve(turned @ known + np.diag(inverse), turned @ true + np.diag(expected)).astype(float)
+    return found
 
 
 class _Worker:
@@ -344,7 +345,7 @@ class _Worker:
     def __init__(self, scenario: Scenario) -> None:
         self.rest = Rest(scenario)
         self.law = scenario.controller.law
-        self.gains: Any = self.rest.settings.gains
+        self.gains = self.rest.gains
         self.goal = self.rest.goal()
         places = [self.rest.home] if self.goal is None else [self.rest.home, self.goal]
         self.places = [(pose, *self.rest.image(pose)) for pose in places]
@@ -423,7 +424,7 @@ class _Worker:
         last = np.full(count, np.inf)
         for _ in range(_CREEP_ROUNDS if self.expected.any() else 0):
             features, depth = self.rest.image(poses)
-            seen = np.isfinite(features).all(axis=1)
+            seen = np.asarray(np.isfinite(features).all(axis=1))
             if not seen.any():
                 break
             there, believed = poses[seen], (1.0 + errors[seen]) * depth[seen]

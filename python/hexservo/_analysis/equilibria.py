@@ -96,9 +96,9 @@ class Equilibria:
         words = []
         goal = self.goals[0] if self.goals else None
         searched = (
-            f"{self.starts_within} starts within the stroke of {1e3 * self.stroke:.3g} mm and {self.starts_wider} in a "
-            f"wider region ({1e3 * WIDER[0] * self.depth:.3g} mm either way, half a turn about z, {WIDER[3]:g} rad about x "
-            "and y)"
+            f"{self.starts_within} starts within the stroke of {1e3 * self.stroke:.3g} mm and {self.starts_wider} in "
+            f"a wider region ({1e3 * WIDER[0] * self.depth:.3g} mm either way, half a turn about z, {WIDER[3]:g} rad "
+            "about x and y)"
         )
         if self.traps:
             trap = max(self.traps, key=lambda e: e.starts)
@@ -272,7 +272,7 @@ def analyse(scenario: Scenario) -> Equilibria:
     rest, level = Rest(bare), Rest(bare, gravity=0.0)
     within, wider = _starts_within(level), level.spread(_WIDER, seed=_SEED)
     starts = Poses.joined(level.home, within, wider)
-    poses, converged, origin = _search(level, starts, np.array(level.settings.gains.kp))
+    poses, converged, origin = _search(level, starts, np.array(level.gains.kp))
     groups = _groups(level, poses, converged)
     poses = poses[np.array([group[0] for group in groups], dtype=int)]
     kinds = ["goal" if shown else "false" for shown in level.residual(poses) < SHOWN]
@@ -308,7 +308,7 @@ def _starts_within(rest: Rest) -> Poses:
     """Draw poses whose leg lengths are spread evenly over the stroke, in the linearised kinematics of home."""
     leg_map = np.asarray(rest.hexapod.wrench_map(rest.home.position[0], rest.home.quaternion[0])).T  # twist to rates
     lengths = np.random.default_rng(_SEED).uniform(-1.0, 1.0, (8 * _WITHIN, 6)) * rest.settings.robot.stroke
-    moves = np.linalg.solve(leg_map, lengths.T).T
+    moves: Array = np.linalg.solve(leg_map, lengths.T).T.astype(np.float64)
     # not farther than the wider region, where the stroke of a large robot goes beyond it
     moves /= np.maximum((np.abs(moves) / (WIDER * rest.unit)).max(axis=1, keepdims=True), 1.0)
     poses = rest.home.repeated(len(moves)).moved(moves)
@@ -427,7 +427,7 @@ def _barrier(rest: Rest, result: Equilibria) -> tuple[Array, Array] | None:
     trap, goal = (Poses(e.position[None], e.quaternion[None]) for e in (result.traps[0], result.goals[0]))
     part = np.linspace(0.0, 1.0, 101)
     way = trap.repeated(len(part)).moved(part[:, None] * goal.displacement_from(trap))
-    weights = np.array(rest.settings.gains.kp)
+    weights = np.array(rest.gains.kp)
     error = rest.desired - rest.image(way)[0]
     return part, np.sqrt((weights * error**2).sum(axis=1) / weights.sum())
 

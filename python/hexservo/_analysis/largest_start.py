@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo._analysis._rest import Array, Poses, Rest
+from hexservo._analysis._rest import WIDER, Array, Rest
 from hexservo._batch import simulate_batch
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 from hexservo._scenario import Scenario
@@ -25,7 +25,6 @@ _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself nee
 _DWELL = 0.1  # of a run: how long a run has to stay settled at its end
 _GRID = 8  # sizes in the first round, up to the largest that is possible
 _ROUNDS = 2  # of bisection in quarters
-_FARTHEST_SHIFT, _FARTHEST_TURN = 0.7, np.pi  # [mean depth], [rad]: goals are not sought beyond
 _TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200)  # periods and latencies of the first round
 
 Tried = dict[float, bool]  # size or time -> whether it settled
@@ -41,6 +40,7 @@ class Direction:
     limited_by: str  # stroke | view | the region searched | the core, which refuses a larger one
     tried: Tried  # by size
     settling: dict[float, float]  # [s], of those that settled
+    settles_later: bool | None  # whether the smallest that fails settles in a longer run; None where there was none
     beyond_stroke: float | None  # smallest size that settles with a leg beyond its stroke on the way
     error: float  # [px], largest |xi_d - xi| at the start for the size `settles_to`, NaN for none
 
@@ -99,6 +99,7 @@ class LargestStart:
     directions: tuple[Direction, ...] = ()  # the task's own first, where its goal has a pose
     timings: tuple[Timing, ...] = ()
     duration: float = 0.0  # [s], of every run
+    longer: float = 0.0  # [s], of those of the smallest sizes that fail; 0: there were none
     runs: int = 0
     assumed: str = ""  # what the runs with camera times assume beside the scenario
 
@@ -131,7 +132,8 @@ class LargestStart:
             words.append("No pose within the region searched shows the goal image: the task's own way was not tried.")
         elif own.fails_at is None:
             words.append(
-                f"In all runs along the task's own way the error settles, up to {own.largest:.3g} times the task "
+                f"In all runs along the task's own way the error settles within {self.duration:g} s, up to "
+                f"{own.largest:.3g} times the task "
                 f"({own.amount(own.largest)}), the largest that {_LIMITS[own.limited_by]} (empirical)."
             )
         elif own.settles_to == 0.0:
@@ -142,11 +144,12 @@ class LargestStart:
             )
         else:
             words.append(
-                f"Along the task's own way errors settle up to {own.settles_to:.3g} times the task "
-                f"({own.amount(own.settles_to)}, {own.error:.3g} px); {own.fails_at:.3g} times fails (empirical)."
+                f"Along the task's own way errors settle within {self.duration:g} s up to {own.settles_to:.3g} times "
+                f"the task ({own.amount(own.settles_to)}, {own.error:.3g} px); {own.fails_at:.3g} times "
+                f"{self._failure(own)} (empirical)."
             )
         words.append(self._others())
-        words += self._timing_words()
+        words += self._timing_words() or ["The task itself does not settle: camera times were not tried."]
         again = [d.name for d in self.directions if d.settles_again]
         words.append(
             f"All of this is tried out with {self.runs} runs of {self.duration:g} s, not derived: sizes between those "
@@ -160,16 +163,25 @@ class LargestStart:
         failing = [d for d in others if d.fails_at is not None]
         if not failing:
             return (
-                f"Along all {len(others)} axes and turns every goal tried settles, up to the end of the stroke, of what "
-                "the camera sees or of the region searched."
+                f"Along all {len(others)} axes and turns every goal tried settles within {self.duration:g} s, up to "
+                "the end of the stroke, of what the camera sees or of the region searched."
             )
         worst = min(failing, key=lambda d: d.settles_to / d.largest)
         assert worst.fails_at is not None
         return (
-            f"Of {len(others)} axes and turns {len(failing)} have goals that do not settle; the worst is {worst.name}: "
+            f"Of {len(others)} axes and turns {len(failing)} have goals that do not settle within "
+            f"{self.duration:g} s; the worst is {worst.name}: "
             + (f"up to {worst.amount(worst.settles_to)} settle" if worst.settles_to else "none that was tried settles")
-            + f", {worst.amount(worst.fails_at)} fails, of {worst.amount(worst.largest)} that were possible."
+            + f", {worst.amount(worst.fails_at)} {self._failure(worst)}, of "
+            f"{worst.amount(worst.largest)} that were possible."
         )
+
+    def _failure(self, direction: Direction) -> str:
+        """Say what happened to the smallest size that fails, in a longer run too."""
+        if direction.settles_later is None:
+            return "does not"
+        later = f"within {self.longer:g} s"
+        return f"is slower, but does {later}" if direction.settles_later else f"does not, not even {later}"
 
     def _timing_words(self) -> list[str]:
         words = []
@@ -194,9 +206,10 @@ class LargestStart:
         rows: list[list[Cell]] = [
             [
                 _NAMES[d.name],
-                d.amount(d.settles_to),
+                d.amount(d.settles_to) if d.settles_to else "none",
                 None if np.isnan(d.error) else d.error,
                 None if d.fails_at is None else d.amount(d.fails_at),
+                None if d.settles_later is None else "yes" if d.settles_later else "no",
                 d.amount(d.largest),
                 d.limited_by,
                 "yes" if d.settles_again else "no",
@@ -210,6 +223,7 @@ class LargestStart:
             Column("settles up to"),
             Column("its image error", "px", ".3g"),
             Column("smallest that fails"),
+            Column(f"settles in {self.longer:g} s" if self.longer else "settles in a longer run"),
             Column("largest possible"),
             Column("limited by"),
             Column("settles again beyond"),
@@ -217,8 +231,9 @@ class LargestStart:
             Column("runs", "", "d"),
         ]
         note = (
-            f"Settles: the run completes and stays within 2 px for the last {100 * _DWELL:.0f} % of {self.duration:g} s. "
-            "Each border lies between two sizes that were run."
+            f"Settles: the run of {self.duration:g} s completes and stays within 2 px for its last "
+            f"{100 * _DWELL:.0f} %; one that is only slow fails, and one that starts within 2 px needs no motion. The border "
+            "lies between two sizes that were run."
         )
         items: list[Item] = [Table("Starting errors that settle (empirical)", columns, rows, note, _PAGE)]
         if self.timings:
@@ -275,6 +290,7 @@ class LargestStart:
             "empirical": True,
             "law": self.law,
             "duration": self.duration,
+            "longer_duration": self.longer or None,
             "runs": self.runs,
             "directions": [
                 {
@@ -282,6 +298,7 @@ class LargestStart:
                     "unit": d.unit,
                     "settles_to": d.settles_to,
                     "fails_at": d.fails_at,
+                    "settles_later": d.settles_later,
                     "settles_again": d.settles_again,
                     "largest": d.largest,
                     "limited_by": d.limited_by,
@@ -342,8 +359,9 @@ def analyse(scenario: Scenario) -> LargestStart:
     rest = Rest(scenario)
     trial = _Trial(scenario)
     directions = _directions(rest, trial)
-    timings, assumed = _timings(scenario, trial)
-    return LargestStart(law, "", directions, timings, trial.duration, trial.runs, assumed)
+    timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
+    longer = trial.longer if any(d.settles_later is not None for d in directions) else 0.0
+    return LargestStart(law, "", directions, timings, trial.duration, longer, trial.runs, assumed)
 
 
 class _Trial:
@@ -352,20 +370,26 @@ class _Trial:
     def __init__(self, scenario: Scenario) -> None:
         self.runs = 0
         own, step = scenario.simulation.duration, scenario.simulation.step
-        self.duration = own
-        self.scenario = scenario
-        if own > _SHORT:  # the short one, unless the task itself needs longer
-            self._last(_whole(_SHORT, step))
-            task = {"target.desired_features": np.array([scenario.target.desired_features])}
-            if not self.settled(task)[0][0]:
-                short = self.scenario
-                self._last(min(own, _whole(_LONG, step)))
-                if not self.settled(task)[0][0]:
-                    self.scenario, self.duration = short, short.simulation.duration
+        # the short duration, unless the task itself needs the longer one
+        self.longer = min(own, _whole(_LONG, step))
+        self.duration = min(own, _whole(_SHORT, step))
+        self.scenario = scenario.updated({"simulation.duration": self.duration})
+        self.task_settles = self._task_settles()
+        if not self.task_settles and self.duration < self.longer:
+            short, self.scenario = self.scenario, self.longest()
+            self.task_settles = self._task_settles()
+            if self.task_settles:
+                self.duration = self.longer
+            else:
+                self.scenario = short
 
-    def _last(self, duration: float) -> None:
-        self.scenario = self.scenario.updated({"simulation.duration": duration})
-        self.duration = duration
+    def longest(self) -> Scenario:
+        """Give the scenario with the longer duration."""
+        return self.scenario.updated({"simulation.duration": self.longer})
+
+    def _task_settles(self) -> bool:
+        goal = np.array([self.scenario.target.desired_features])
+        return bool(self.settled({"target.desired_features": goal})[0][0])
 
     def settled(
         self, variations: Mapping[str, Array], scenario: Scenario | None = None
@@ -427,8 +451,7 @@ def _directions(rest: Rest, trial: _Trial) -> tuple[Direction, ...]:
         if not rows:
             return
         moves = np.array([size * way.unit for way, size in rows])
-        goals = Poses(np.repeat(rest.home.position, len(rows), 0), np.repeat(rest.home.quaternion, len(rows), 0))
-        features, _ = rest.image(goals.moved(moves))
+        features, _ = rest.image(rest.home.repeated(len(rows)).moved(moves))
         good, times, travel, ran = trial.settled({"target.desired_features": features})
         for (way, size), settled, time, legs, there in zip(rows, good, times, travel, ran, strict=True):
             if not there:
@@ -447,7 +470,7 @@ def _directions(rest: Rest, trial: _Trial) -> tuple[Direction, ...]:
         return [] if high is None else [low + part * (high - low) for part in (0.25, 0.5, 0.75)]
 
     def between(way: _Way) -> list[float]:
-        """Sizes halfway between those of the grid, below the border: is it the smallest that fails?"""
+        """Give sizes halfway between those of the grid, below the border: does a smaller one fail."""
         high = border(way.tried)[1] or way.largest
         return [size for k in range(_GRID) if (size := way.largest * (k + 0.5) / _GRID) < high]
 
@@ -455,7 +478,22 @@ def _directions(rest: Rest, trial: _Trial) -> tuple[Direction, ...]:
     run(between)
     for _ in range(_ROUNDS):
         run(quarters)
-    return tuple(_described(rest, way) for way in ways)
+    later = _settles_later(rest, trial, ways)
+    return tuple(_described(rest, way, settles) for way, settles in zip(ways, later, strict=True))
+
+
+def _settles_later(rest: Rest, trial: _Trial, ways: list[_Way]) -> list[bool | None]:
+    """Run the smallest sizes that fail for longer: are they only slow."""
+    failed = [border(way.tried)[1] for way in ways]
+    rows = [i for i, size in enumerate(failed) if size is not None]
+    found: list[bool | None] = [None] * len(ways)
+    if rows and trial.duration < trial.longer:
+        moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows])
+        features, _ = rest.image(rest.home.repeated(len(rows)).moved(moves))
+        good = trial.settled({"target.desired_features": features}, trial.longest())[0]
+        for i, settled in zip(rows, good, strict=True):
+            found[i] = bool(settled)
+    return found
 
 
 def _units(rest: Rest) -> list[tuple[str, Array]]:
@@ -470,18 +508,18 @@ def _units(rest: Rest) -> list[tuple[str, Array]]:
 
 
 def _largest(rest: Rest, unit: Array) -> tuple[float, str]:
-    """Give the largest size along a way that is reachable, seen and in the region, on a grid of 200, and what limits it.
+    """Give the largest size along a way that is reachable, seen and in the region, and what limits it.
 
-    A reachable goal has every pose on the way to it reachable and seen.
+    Every pose on the way to it is reachable and seen as well, on a grid.
     """
-    farthest = np.repeat([_FARTHEST_SHIFT * rest.depth, _FARTHEST_TURN], 3)
+    farthest = WIDER * rest.unit
+    farthest[3:] = np.pi  # one turn at a time may be larger
     most = float(1.0 / (np.abs(unit) / farthest).max())
     low, limit = 0.0, "region"
     for _ in range(2):  # the grid, and once more inside the cell that has the border
         sizes = np.linspace(low, most, 201)[1:]
-        poses = Poses(np.repeat(rest.home.position, 200, 0), np.repeat(rest.home.quaternion, 200, 0))
-        there = poses.moved(sizes[:, None] * unit)
-        seen = np.isfinite(rest.image(there)[0]).all(axis=1)
+        there = rest.home.repeated(200).moved(sizes[:, None] * unit)
+        seen = np.asarray(np.isfinite(rest.image(there)[0]).all(axis=1))
         good = seen & rest.reachable(there)
         if good.all():
             return float(sizes[-1]), limit
@@ -491,7 +529,7 @@ def _largest(rest: Rest, unit: Array) -> tuple[float, str]:
     return low, limit
 
 
-def _described(rest: Rest, way: _Way) -> Direction:
+def _described(rest: Rest, way: _Way, settles_later: bool | None) -> Direction:
     settles_to = border(way.tried)[0]
     error = np.nan
     if settles_to > 0.0:
@@ -505,6 +543,7 @@ def _described(rest: Rest, way: _Way) -> Direction:
         way.limited_by,
         way.tried,
         way.settling,
+        settles_later,
         min(beyond, default=None),
         error,
     )
