@@ -232,8 +232,8 @@ class LargestStart:
         ]
         note = (
             f"Settles: the run of {self.duration:g} s completes and stays within 2 px for its last "
-            f"{100 * _DWELL:.0f} %; one that is only slow fails, and one that starts within 2 px needs no motion. The border "
-            "lies between two sizes that were run."
+            f"{100 * _DWELL:.0f} %; one that is only slow fails, and one that starts within 2 px needs no motion. "
+            "The border lies between two sizes that were run."
         )
         items: list[Item] = [Table("Starting errors that settle (empirical)", columns, rows, note, _PAGE)]
         if self.timings:
