@@ -9,8 +9,9 @@ import pytest
 
 import hexservo as hs
 from hexservo._analysis import drift
+from hexservo._analysis._drift_findings import Drift, Pattern, Size
 from hexservo._analysis._rest import Poses, Rest
-from hexservo._analysis.drift import Pattern, loop_matrix
+from hexservo._analysis.drift import loop_matrix
 
 WORST = "(+,-,-,+)"
 PRIOR = np.array([1e4, 1e4, 1e4, 1600, 1600, 1600])
@@ -22,16 +23,16 @@ def composite() -> hs.Scenario:
 
 
 @pytest.fixture(scope="module")
-def found(composite: hs.Scenario) -> drift.Drift:
+def found(composite: hs.Scenario) -> Drift:
     return drift.analyse(composite)
 
 
-def size_of(result: drift.Drift, size: float) -> drift.Size:
+def size_of(result: Drift, size: float) -> Size:
     (only,) = (s for s in result.sizes if s.size == size)
     return only
 
 
-def pattern_of(result: drift.Drift, signs: str, size: float = 0.3) -> Pattern:
+def pattern_of(result: Drift, signs: str, size: float = 0.3) -> Pattern:
     (only,) = (p for p in size_of(result, size).patterns if p.signs == signs)
     return only
 
@@ -90,7 +91,7 @@ def test_damping_in_the_inverse_alone() -> None:
 # ---- The known numbers of the paper's task --------------------------------------------------------------------------
 
 
-def test_the_smallest_eigenvalue_and_its_signs(found: drift.Drift) -> None:
+def test_the_smallest_eigenvalue_and_its_signs(found: Drift) -> None:
     worst = size_of(found, 0.3).worst
     assert worst.signs == WORST
     assert worst.start == pytest.approx(0.0055, rel=0.01)
@@ -99,20 +100,20 @@ def test_the_smallest_eigenvalue_and_its_signs(found: drift.Drift) -> None:
 
 
 @pytest.mark.parametrize("size", [0.05, 0.3])
-def test_without_the_prior_most_unequal_signs_are_unstable(size: float, found: drift.Drift) -> None:
+def test_without_the_prior_most_unequal_signs_are_unstable(size: float, found: Drift) -> None:
     of_size = size_of(found, size)
     assert of_size.negative == (0, 0)
     assert of_size.negative_image_only == (11, 13)
     assert of_size.negative_inverse_only == (11, 13)
 
 
-def test_equal_signs_are_solved_by_hand(found: drift.Drift) -> None:
+def test_equal_signs_are_solved_by_hand(found: Drift) -> None:
     """Translations have (1 + delta) without a prior and 1 with an overwhelming one, rotations 1: M lies between."""
     assert pattern_of(found, "(+,+,+,+)").start == pytest.approx(1.0, abs=1e-6)
     assert 0.7 < pattern_of(found, "(-,-,-,-)").start < 1.0
 
 
-def test_the_creep_ends_where_documented(found: drift.Drift) -> None:
+def test_the_creep_ends_where_documented(found: Drift) -> None:
     """docs/model.md, section 8: 20.1 mm, 0.285 px and 15.7 mm of stroke, and a time constant of the rest of 50 s."""
     worst = pattern_of(found, WORST)
     assert worst.end is not None
@@ -122,7 +123,7 @@ def test_the_creep_ends_where_documented(found: drift.Drift) -> None:
     assert worst.end_time_constant == pytest.approx(50.0, rel=0.02)
 
 
-def test_the_limit_is_where_the_first_pattern_turns(found: drift.Drift, composite: hs.Scenario) -> None:
+def test_the_limit_is_where_the_first_pattern_turns(found: Drift, composite: hs.Scenario) -> None:
     assert found.limit_start is not None
     assert found.limit_goal is not None
     for limit, place in ((found.limit_start, "start"), (found.limit_goal, "goal")):
@@ -136,7 +137,7 @@ def test_the_limit_is_where_the_first_pattern_turns(found: drift.Drift, composit
 # ---- Runs -----------------------------------------------------------------------------------------------------------
 
 
-def test_runs_of_a_minute_end_where_predicted(found: drift.Drift, composite: hs.Scenario) -> None:
+def test_runs_of_a_minute_end_where_predicted(found: Drift, composite: hs.Scenario) -> None:
     patterns = size_of(found, 0.3).patterns
     minute = composite.updated({"simulation": {"duration": 60.0, "log_every": 60000}})
     batch = hs.simulate_batch(minute, {"uncertainty.depth": np.array([p.errors for p in patterns])}, threads=1)
@@ -242,7 +243,7 @@ def test_an_image_that_no_pose_shows_leaves_the_goal_out(composite: hs.Scenario)
     assert data["sizes"][0]["patterns"][0]["smallest_eigenvalue_goal"] is None
 
 
-def test_directions_are_those_of_the_eigenvectors(found: drift.Drift, composite: hs.Scenario) -> None:
+def test_directions_are_those_of_the_eigenvectors(found: Drift, composite: hs.Scenario) -> None:
     rest = Rest(composite)
     worst = pattern_of(found, WORST)
     home = Poses(rest.home.position, rest.home.quaternion)

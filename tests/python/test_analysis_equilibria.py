@@ -53,7 +53,7 @@ def test_the_run_falls_into_it_as_its_slowest_mode_says(trap: tuple[hs.Scenario,
 
 
 def test_the_goal_is_found_too_and_a_saddle_between_them(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
-    scenario, found = trap
+    _, found = trap
     (goal,) = found.goals
     assert goal.kind == "goal"
     assert goal.stability == "attracting"
@@ -206,6 +206,12 @@ def test_other_laws_get_no_numbers(law: str, paper: hs.Scenario) -> None:
     assert law in section.sentences[0]
     assert not section.items
     assert section.data["applies"] is False
+
+
+def test_without_gains_there_is_no_image_part(paper: hs.Scenario) -> None:
+    section = equilibria.analyse(paper.updated({"controller.law": "kelly", "controller.kelly.kp": 0.0})).section()
+    assert section.verdict == "open"
+    assert "K_p" in section.sentences[0]
 
 
 def test_a_camera_as_printed_has_no_poses(paper: hs.Scenario) -> None:
