@@ -233,6 +233,20 @@ def test_the_scenarios_own_errors_decide_the_verdict(composite: hs.Scenario) -> 
     assert "drifts away" in bad.sentences[1]
 
 
+def test_a_sampled_scenario_has_the_same_numbers(found: Drift, composite: hs.Scenario) -> None:
+    """Whatever its servo period and its camera's times are: nothing of them is in the matrix."""
+    sampled = composite.updated(
+        {
+            "simulation": {"mode": "sampled", "step": 0.002},
+            "camera.period": 0.034,
+            "controller.switching.kind": "implicit",
+        }
+    )
+    for one, two in zip(drift.analyse(sampled).sizes, found.sizes, strict=True):
+        assert [p.start for p in one.patterns] == [p.start for p in two.patterns]
+        assert [p.end_error for p in one.patterns] == [p.end_error for p in two.patterns]
+
+
 def test_an_image_that_no_pose_shows_leaves_the_goal_out(composite: hs.Scenario) -> None:
     bent = [10, 10, 45, -73, -64, 29, -30, -3]  # the last point 20 px off the shift of the others
     result = drift.analyse(composite.updated({"target.desired_features": bent}))

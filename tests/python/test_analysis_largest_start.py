@@ -156,6 +156,21 @@ def test_the_task_that_ends_in_a_false_equilibrium_fails(trap: LargestStart) -> 
     assert not trap.timings
 
 
+def test_a_task_that_starts_at_its_goal_has_no_way_of_its_own(paper: hs.Scenario) -> None:
+    still = paper.updated(
+        {
+            "target.desired_features": list(paper.target.initial_features or ()),
+            "controller.law": "resolved_rate",
+            "simulation.duration": 0.5,
+        }
+    )
+    result = largest_start.analyse(still)
+    assert result.own is None
+    assert len(result.directions) == 12
+    assert "Home shows the goal image" in result.section().sentences[0]
+    assert result.section().verdict == "open"
+
+
 def test_a_task_that_needs_longer_gets_longer() -> None:
     scenario = hs.load_scenario("paper-no-fuzzy")
     trial = largest_start._Trial(scenario)

@@ -125,9 +125,9 @@ class Equilibria:
         if others:
             attracting = sum(e.stability == "attracting" for e in others)
             words.append(
-                f"{len(others)} other false equilibri{'um was' if len(others) == 1 else 'a were'} found: {attracting} "
-                f"that attract, outside the stroke or beyond a singular pose, and {len(others) - attracting} that do "
-                "not attract."
+                f"{'Beside these the' if self.found[0] not in others else 'The'} search found {attracting} false "
+                f"equilibria that attract outside the stroke or beyond a singular pose, and {len(others) - attracting} "
+                "that do not attract."
             )
         if self.law == "hybrid":
             words.append(

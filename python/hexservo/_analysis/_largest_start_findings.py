@@ -93,6 +93,7 @@ class LargestStart:
     duration: float = 0.0  # [s], of every run
     longer: float = 0.0  # [s], of those of the smallest sizes that fail; 0: there were none
     runs: int = 0
+    starts_at_goal: bool = False  # home shows the goal image
     assumed: str = ""  # what the runs with camera times assume beside the scenario
 
     @property
@@ -120,7 +121,9 @@ class LargestStart:
     def _sentences(self) -> list[str]:
         words = []
         own = self.own
-        if own is None:
+        if own is None and self.starts_at_goal:
+            words.append("Home shows the goal image: the task has no way of its own (other ways are tried, empirical).")
+        elif own is None:
             words.append("No pose within the region searched shows the goal image: the task's own way was not tried.")
         elif own.fails_at is None:
             words.append(

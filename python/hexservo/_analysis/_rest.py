@@ -74,6 +74,13 @@ class Poses:
 class Rest:
     """Camera, law and plant of a scenario, at poses where nothing moves.
 
+    Parameters
+    ----------
+    scenario
+        Whose law acts with the weights that it starts with.
+    gravity
+        Part of the gravity error that acts [1].
+
     Raises
     ------
     ValueError
@@ -85,7 +92,7 @@ class Rest:
         if self.settings.convention != _core.CameraConvention.eye_in_hand:
             raise ValueError('camera.convention: expected "eye_in_hand", got "as_printed"')
         dynamics = self.settings.uncertainty.dynamics
-        dynamics.gravity = gravity * dynamics.gravity  # how much of the gravity error acts
+        dynamics.gravity = gravity * dynamics.gravity
         self.probe = _core.Probe(self.settings)
         self.hexapod = _core.Hexapod(self.settings.robot)
         self.desired: Array = np.array(self.settings.target.desired_features)  # (8,) [px]

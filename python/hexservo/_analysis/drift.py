@@ -253,7 +253,7 @@ class _Worker:
 def _only_pose_error(like: Any, prior: Array) -> _core.CompositeSettings:
     """Give the law composite with a K_t of one and nothing else but the weight: its wrench is the pose error."""
     settings = _core.CompositeSettings()
-    for key in ("robot", "camera", "convention", "jacobian", "target", "uncertainty", "simulation"):
+    for key in ("robot", "camera", "convention", "jacobian", "target", "uncertainty"):
         setattr(settings, key, getattr(like, key))
     gains = settings.gains
     gains.kp, gains.kv, gains.kd, gains.kt, gains.prior = np.zeros(8), np.zeros(6), np.zeros(6), np.ones(6), prior

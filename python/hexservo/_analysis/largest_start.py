@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo._analysis._largest_start_findings import DWELL, Direction, LargestStart, Timing, Tried, border
-from hexservo._analysis._rest import WIDER, Array, Rest
+from hexservo._analysis._rest import SHOWN, WIDER, Array, Rest
 from hexservo._batch import simulate_batch
 from hexservo._scenario import Scenario
 
@@ -22,7 +22,7 @@ __all__ = ["Direction", "LargestStart", "Timing", "analyse", "border"]
 _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
 _GRID = 8  # sizes in the first round, up to the largest that is possible
 _ROUNDS = 2  # of bisection in quarters
-_TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200)  # periods and latencies of the first round
+_TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200, 300, 500)  # periods and latencies of the first round
 
 
 def analyse(scenario: Scenario) -> LargestStart:
@@ -43,7 +43,8 @@ def analyse(scenario: Scenario) -> LargestStart:
     directions = _directions(rest, trial)
     timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
     longer = trial.longer if any(d.settles_later is not None for d in directions) else 0.0
-    return LargestStart(law, "", directions, timings, trial.duration, longer, trial.runs, assumed)
+    at_goal = bool(rest.residual(rest.home)[0] < SHOWN)
+    return LargestStart(law, "", directions, timings, trial.duration, longer, trial.runs, at_goal, assumed)
 
 
 class _Trial:
