@@ -12,9 +12,9 @@ from scipy.spatial import HalfspaceIntersection
 import hexservo as hs
 from hexservo._analysis import stiction
 from hexservo._analysis._goal import find_goals
-from hexservo._analysis._rest import RestLaw, RestSet, confirmed, extremes
 from hexservo._analysis._scene import Array, moved, scene_of
 from hexservo._analysis._stiction_runs import Runs
+from hexservo._analysis._stiction_set import RestLaw, RestSet, confirmed, extremes
 from hexservo._analysis._words import number
 
 KV = np.array([2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 1e-4])

@@ -1,326 +1,262 @@
-"""What a law does to a platform at rest, asked of the core's servo tick, and the poses where K_v holds it."""
+"""A platform at rest at many poses at once: what camera, law and plant of a scenario give there, asked of the core."""
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo._analysis._scene import Array, Pose, Scene, View, moved
-from hexservo._parameters import core_parameters
+from hexservo._parameters import Settings, core_parameters
 from hexservo._scenario import Scenario
 
-__all__ = ["SETTLED", "SPAN", "Extremes", "RestLaw", "RestSet", "confirmed", "extremes", "without_friction"]
+__all__ = ["SHOWN", "WIDER", "Array", "Mask", "Poses", "Rest", "direction_words"]
 
-SETTLED = 2.0  # [px], the threshold of the settling time
-SPAN = 0.2  # of the points' mean depth, and in rad: farther than this no image is called linear
-_SHIFT, _TURN = 1e-5, 1e-5  # [m], [rad], steps of the central differences
+Array: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
 
+SHOWN = 1e-6  # [px], an image this close to the goal is the goal
+# Half widths of the region about home that is searched beside the workspace [mean depth; rad].
+WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
 
-def without_friction(scenario: Scenario) -> Scenario:
-    """Give the scenario with a law that has neither switching term nor fuzzy systems."""
-    law = scenario.controller.law
-    changes: dict[str, Any] = {"controller.switching.kind": "sign", f"controller.{law}.kv": 0.0}
-    changes[f"controller.{law}.fuzzy.enabled"] = False
-    return scenario.updated(changes)
+_STEP = 0.3  # longest step of a search, in mean depths and radians: keeps it where the image is nearly what it was
+_NEAR = 0.02  # of the mean depth: a search does not take a point closer to the camera than this
 
 
-class RestLaw:
-    """The wrench that acts on a platform at rest, but for friction and fuzzy systems.
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of E in B, one per row."""
 
-    It is the law's own, from the core's servo tick, less what holds the estimated weight, plus the gravity error:
-    tau - G-bar + delta_G G-bar.
+    position: Array  # (n, 3) [m]
+    quaternion: Array  # (n, 4) w x y z, of unit length
+
+    def __len__(self) -> int:
+        """Give the number of poses."""
+        return len(self.position)
+
+    def __getitem__(self, rows: slice | Mask | NDArray[np.int_] | list[int]) -> Poses:
+        """Give some of them."""
+        return Poses(self.position[rows], self.quaternion[rows])
+
+    def moved(self, displacement: Array) -> Poses:
+        """Shift by the first three columns [m], turn about E's origin by the rotation vectors [rad]; both in B."""
+        from scipy.spatial.transform import Rotation
+
+        turned = Rotation.from_rotvec(displacement[:, 3:]) * Rotation.from_quat(np.roll(self.quaternion, -1, axis=1))
+        return Poses(self.position + displacement[:, :3], np.roll(turned.as_quat(), 1, axis=1))
+
+    def displacement_from(self, other: Poses) -> Array:
+        """Give what `moved` takes from `other` (n or 1 poses) to these, (n, 6) [m; rad]."""
+        from scipy.spatial.transform import Rotation
+
+        own, start = (Rotation.from_quat(np.roll(poses.quaternion, -1, axis=1)) for poses in (self, other))
+        return np.hstack([self.position - other.position, (own * start.inv()).as_rotvec()])
+
+    def repeated(self, count: int) -> Poses:
+        """Give one pose several times."""
+        return Poses(np.repeat(self.position, count, axis=0), np.repeat(self.quaternion, count, axis=0))
+
+    def chosen(self, rows: Mask, others: Poses) -> Poses:
+        """Give the other's pose in the rows that are True, one's own elsewhere."""
+        return Poses(
+            np.where(rows[:, None], others.position, self.position),
+            np.where(rows[:, None], others.quaternion, self.quaternion),
+        )
+
+    @staticmethod
+    def joined(*parts: Poses) -> Poses:
+        """Put poses one after the other."""
+        return Poses(np.vstack([p.position for p in parts]), np.vstack([p.quaternion for p in parts]))
+
+
+class Rest:
+    """Camera, law and plant of a scenario, at poses where nothing moves.
 
     Parameters
     ----------
-    scene
-        With the law, its gains and its goal.
-    exact_depth
-        Whether the controller knows the true depths, that is, J in place of J-hat.
+    scenario
+        Whose law acts with the weights that it starts with.
+    gravity
+        Part of the gravity error that acts [1].
+
+    Raises
+    ------
+    ValueError
+        For a scenario that the core refuses (`core_parameters`), and for a camera `as_printed`, which has no points.
     """
 
-    def __init__(self, scene: Scene, *, exact_depth: bool = False) -> None:
-        self._scene = scene
-        self._settings = core_parameters(without_friction(scene.scenario))
-        body = _core.RigidBody()
-        body.mass, body.inertia = self._settings.robot.mass, self._settings.robot.inertia
-        self._held = np.array(body.gravity_wrench)
-        self._offset = np.array(self._settings.uncertainty.dynamics.gravity) * self._held
-        self._depth_factor = np.ones(4) if exact_depth else 1.0 + np.array(self._settings.uncertainty.depth)
-        self.desired: Array = scene.desired  # (8,) [px]
-        self._tick = _core.Controller(self._settings, self._settings.simulation.step)
+    def __init__(self, scenario: Scenario, gravity: float = 1.0) -> None:
+        self.settings: Settings = core_parameters(scenario)
+        if self.settings.convention != _core.CameraConvention.eye_in_hand:
+            raise ValueError('camera.convention: expected "eye_in_hand", got "as_printed"')
+        dynamics = self.settings.uncertainty.dynamics
+        dynamics.gravity = gravity * dynamics.gravity
+        self.probe = _core.Probe(self.settings)
+        self.hexapod = _core.Hexapod(self.settings.robot)
+        self.desired: Array = np.array(self.settings.target.desired_features)  # (8,) [px]
+        self.home = Poses(np.array(self.hexapod.home_position)[None], np.array([[1.0, 0.0, 0.0, 0.0]]))
+        self.depth = float(np.abs(self.probe.image(self.home.position, self.home.quaternion)[1]).mean())  # [m], of home
+        self.gains: Any = _gains(self.settings)  # of the scenario's law
+        self.unit: Array = np.repeat([self.depth, 1.0], 3)  # [m; rad]: moves the image alike in all six directions
 
-    def aimed_at(self, desired: Array) -> RestLaw:
-        """Give the same law with another goal image, (8,) [px]."""
-        other = copy(self)
-        self._settings.target.desired_features = desired
-        other.desired = desired
-        other._tick = _core.Controller(self._settings, self._settings.simulation.step)  # takes what it needs
-        return other
+    def image(self, poses: Poses) -> tuple[Array, Array]:
+        """Give the true features (n, 8) [px] and Z (n, 4) [m]; NaN where a point is not well in front of the camera."""
+        features, depth = self.probe.image(poses.position, poses.quaternion)
+        seen = np.asarray((depth < -_NEAR * self.depth).all(axis=1) & np.isfinite(features).all(axis=1))
+        return np.where(seen[:, None], features, np.nan), np.where(seen[:, None], depth, np.nan)
 
-    @property
-    def gravity_error(self) -> Array:
-        """delta_G G-bar, (6,) [N; N m]."""
-        return self._offset
+    def jacobian(self, features: Array, depth: Array, poses: Poses) -> Array:
+        """Give J, (n, 8, 6), twist in B to feature rates, of images that are seen; depths as given."""
+        return self.probe.image_jacobian(features, depth, poses.quaternion)
 
-    def wrench(self, pose: Pose, view: View | None = None) -> Array:
-        """Give the wrench at a pose, (6,) in B [N; N m].
+    def acceleration(self, poses: Poses, twist: Array | None = None) -> Array:
+        """Give chi-ddot of the plant under the law, (n, 6) [m/s^2; rad/s^2], at rest or at twists (n, 6) in B.
 
-        Raises
-        ------
-        ValueError
-            Where the servo tick refuses the pose: a point behind the camera, a singular pose.
+        NaN where the camera does not see all points. Zero at rest: an equilibrium.
         """
-        seen = self._scene.view(pose) if view is None else view
-        wrench, _, _, status = self._tick.step(
-            seen.features, seen.depth * self._depth_factor, pose.position, pose.quaternion, np.zeros(6)
-        )
-        if status != _core.InputStatus.valid:
-            raise ValueError(f"pose: expected one that the servo tick can use, got {status.name}")
-        return np.asarray(wrench - self._held + self._offset)
+        features, depth = self.image(poses)
+        seen = np.asarray(np.isfinite(features).all(axis=1))
+        result = np.full((len(poses), 6), np.nan)
+        if seen.any():
+            there = poses[seen]
+            speed = np.zeros((len(there), 6)) if twist is None else twist[seen]
+            believed = self.probe.measured_depth(depth[seen])
+            wrench = self.probe.law(features[seen], believed, there.position, there.quaternion, speed).wrench
+            result[seen] = self.probe.acceleration(there.position, there.quaternion, speed, wrench)
+        return result
 
-    def stiffness(self, pose: Pose) -> Array:
-        """Give minus the derivative of the wrench by the displacement, (6, 6), by central differences."""
-        columns = []
-        for axis in range(6):
-            step = np.zeros(6)
-            step[axis] = _SHIFT if axis < 3 else _TURN
-            forward, backward = self.wrench(moved(pose, step)), self.wrench(moved(pose, -step))
-            columns.append((backward - forward) / (2 * step[axis]))
-        return np.column_stack(columns)
+    def stiffness(self, poses: Poses, step: float = 1e-6) -> Array:
+        """Give minus the derivative of `acceleration` by a displacement, (n, 6, 6) [1/s^2], in `unit` on both sides.
 
-
-@dataclass(frozen=True, eq=False)
-class RestSet:
-    """Displacements d from a pose that K_v holds, linearised there: a polytope.
-
-        low <= w - A d <= high          w: rest wrench at the pose, A: stiffness
-        -stroke <= t + H^T d <= stroke  t: leg travel at the pose
-        -span <= d <= span              where the linearisation ends at the latest
-
-    The image error at d is error - J d.
-    """
-
-    view: View
-    error: Array  # (8,) [px], desired minus seen, at the pose
-    wrench: Array  # w, (6,) [N; N m]
-    stiffness: Array  # A, (6, 6) [N/m ... N m/rad]
-    low: Array  # (6,) [N; N m]
-    high: Array  # (6,)
-    leg_rates: Array  # H^T, (6, 6): twist to leg rates
-    travel: Array  # t, (6,) [m]
-    stroke: float  # [m]
-    radius: float  # r_p [m]: makes turns comparable with shifts
-    span: Array  # (6,) [m; rad]
-
-    @classmethod
-    def at(cls, scene: Scene, law: RestLaw, view: View, low: Array, high: Array) -> RestSet:
-        """Linearise at a view."""
-        pose = view.pose
-        return cls(
-            view=view,
-            error=law.desired - view.features,
-            wrench=law.wrench(pose, view),
-            stiffness=law.stiffness(pose),
-            low=low,
-            high=high,
-            leg_rates=scene.hexapod.wrench_map(pose.position, pose.quaternion).T,
-            travel=scene.leg_travel(pose),
-            stroke=float(scene.settings.robot.stroke),
-            radius=scene.platform_radius,
-            span=SPAN * np.repeat([view.mean_depth, 1.0], 3),
-        )
-
-    def farthest(self, directions: Array, within: float | None = None) -> Array | None:
-        """Give the displacements of the set with the largest direction . d: one linear program for each direction.
-
-        They are solved as one program in blocks, which share nothing.
-
-        Parameters
-        ----------
-        directions
-            (k, 6), any scale.
-        within
-            Most that an entry of d may be, a share of the stroke (turns: times r_p) or of the span; None: any.
-
-        Returns
-        -------
-            (k, 6) [m; rad]; None where no displacement satisfies all inequalities.
-
-        Raises
-        ------
-        ArithmeticError
-            Where the solver gives up.
+        Central differences: with steps near 1e-6 truncation and rounding leave about 1e-12 of the largest entry.
         """
-        from scipy.optimize import linprog
-        from scipy.sparse import block_diag
+        count = len(poses)
+        moves = step * np.vstack([np.eye(6), -np.eye(6)]) * self.unit
+        # all twelve neighbours of every pose in one call
+        around = Poses(np.repeat(poses.position, 12, axis=0), np.repeat(poses.quaternion, 12, axis=0))
+        found = self.acceleration(around.moved(np.tile(moves, (count, 1)))).reshape(count, 12, 6) / self.unit
+        return np.asarray(-(found[:, :6] - found[:, 6:]).transpose(0, 2, 1) / (2 * step))
 
-        rows, limits, units = self._inequalities
-        costs = -directions * units
-        costs = costs / np.maximum(np.abs(costs).max(axis=1, keepdims=True), 1e-300)
-        found = linprog(
-            costs.ravel(),
-            block_diag([rows] * len(costs), format="csc"),
-            np.tile(limits, len(costs)),
-            bounds=(None, None) if within is None else (-within, within),
-        )
-        if found.status == 0:
-            return np.asarray(found.x.reshape(-1, 6) * units)
-        # By how much must all inequalities give way? The answer always exists.
-        widened = linprog(
-            np.eye(7)[6],
-            np.column_stack([rows, -np.ones(len(rows))]),
-            limits,
-            bounds=[((None, None) if within is None else (-within, within))] * 6 + [(0, None)],
-        )
-        if widened.status != 0 or widened.fun < 1e-7:
-            raise ArithmeticError(f"stiction set: expected an answer of the linear program, got: {found.message}")
+    def leg_travel(self, poses: Poses) -> Array:
+        """Give how much longer each leg is than at home, (n, 6) [m]."""
+        pairs = zip(poses.position, poses.quaternion, strict=True)
+        return np.asarray([self.hexapod.leg_lengths(*pose) for pose in pairs] - self.hexapod.home_lengths)
+
+    def reachable(self, poses: Poses) -> Mask:
+        """Tell which poses are within the stroke and on home's side of the singular poses (the sign of det H)."""
+
+        def side(of: Poses) -> Array:
+            pairs = zip(of.position, of.quaternion, strict=True)
+            return np.asarray(np.sign(np.linalg.det([self.hexapod.wrench_map(*pose) for pose in pairs])))
+
+        within = np.abs(self.leg_travel(poses)).max(axis=1) <= self.settings.robot.stroke
+        return np.asarray(within & (side(poses) == side(self.home)))
+
+    def nearest_images(self, starts: Poses, weights: Array | None = None, rounds: int = 30) -> Poses:
+        """Go down to the nearest poses of least weighted image error: Levenberg-Marquardt, all starts at once.
+
+        Minimises sum_k w_k (xi_d - xi)_k^2 [px^2]. A step that would raise it, or take a point behind the camera, is
+        refused and shortened. What a start reaches is a local minimum, or where the rounds end.
+        """
+        root = np.ones(8) if weights is None else np.sqrt(weights / weights.max())
+        poses, damping = starts, np.full(len(starts), 1e-2)
+        features, depth = self.image(poses)
+        error = root * (self.desired - features)
+        cost = np.nan_to_num((error**2).sum(axis=1), nan=np.inf)
+        for _ in range(rounds):
+            seen = np.isfinite(cost)
+            if not seen.any():
+                break
+            slope = np.zeros((len(poses), 8, 6))
+            slope[seen] = self.jacobian(features[seen], depth[seen], poses[seen]) * root[:, None] * self.unit
+            normal = slope.transpose(0, 2, 1) @ slope
+            largest = np.maximum(np.einsum("nii->ni", normal).max(axis=1), 1e-300)
+            normal += (damping * largest)[:, None, None] * np.eye(6)
+            pull = np.einsum("nkj,nk->nj", slope, np.where(seen[:, None], error, 0.0))
+            step = np.linalg.solve(normal, pull[..., None])[..., 0]
+            tried = poses.moved(_limited(step) * self.unit)
+            tried_features, tried_depth = self.image(tried)
+            tried_error = root * (self.desired - tried_features)
+            tried_cost = np.nan_to_num((tried_error**2).sum(axis=1), nan=np.inf)
+            better = tried_cost < cost
+            poses, cost = poses.chosen(better, tried), np.where(better, tried_cost, cost)
+            rows = better[:, None]
+            features, depth = np.where(rows, tried_features, features), np.where(rows, tried_depth, depth)
+            error = np.where(rows, tried_error, error)
+            damping = np.where(better, np.maximum(damping / 10, 1e-15), np.minimum(damping * 5, 1e3))
+        return poses
+
+    def settled(self, starts: Poses, rounds: int = 10) -> tuple[Poses, Mask]:
+        """Look for equilibria by Newton's method from each start, and tell which converged (last step below 1e-8)."""
+        poses, last = starts, np.full(len(starts), np.inf)
+        for _ in range(rounds):
+            slope, value = self.stiffness(poses), self.acceleration(poses) / self.unit
+            usable = np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(value).all(axis=1)
+            slope[~usable], value[~usable] = np.eye(6), 0.0
+            usable &= np.linalg.cond(slope) < 1e14  # beyond, a step is rounding
+            slope[~usable] = np.eye(6)
+            step = np.where(usable[:, None], np.linalg.solve(slope, value[..., None])[..., 0], 0.0)
+            last = np.where(usable, np.abs(step).max(axis=1), np.inf)
+            poses = poses.moved(_limited(step) * self.unit)
+        return poses, last < 1e-8
+
+    def spread(self, count: int, seed: int) -> Poses:
+        """Draw poses, at most `count`, that see all points, even over `WIDER` about home, within the stroke or not."""
+        moves = np.random.default_rng(seed).uniform(-1.0, 1.0, (8 * count, 6)) * WIDER * self.unit
+        poses = self.home.repeated(len(moves)).moved(moves)
+        return poses[np.flatnonzero(np.isfinite(self.image(poses)[0]).all(axis=1))[:count]]
+
+    def goal(self) -> Poses | None:
+        """Give the pose, one row, that shows the goal image to 1e-6 px; None where the search finds none.
+
+        Searched from home, from home turned about the optical axis in eighths, and, where these do not show it, from 64
+        poses of `spread`; of several the one nearest to home.
+        """
+        turns = np.zeros((8, 6))
+        turns[:, 5] = np.pi / 4 * np.array([0, 1, -1, 2, -2, 3, -3, 4])
+        for starts in (self.home.repeated(8).moved(turns), self.spread(64, seed=0)):
+            found = self.nearest_images(starts, rounds=60)
+            shown = np.flatnonzero(self.residual(found) < SHOWN)
+            if len(shown):
+                away = np.linalg.norm(found[shown].displacement_from(self.home) / self.unit, axis=1)
+                return found[shown[[int(np.argmin(away))]]]
         return None
 
-    @cached_property
-    def _inequalities(self) -> tuple[Array, Array, Array]:
-        """Give rows (36, 6), limits (36,) and units (6,), such that rows (d/units) <= limits, all near one."""
-        units = np.minimum(self.span, self.stroke / np.repeat([1.0, self.radius], 3))
-        pull = self.stiffness * units
-        size = np.maximum(np.maximum(np.abs(self.low), np.abs(self.high)), 1e-6 * np.abs(pull).max(axis=1))
-        legs = self.leg_rates * units / self.stroke
-        near = np.diag(units / self.span)
-        rows = np.vstack([pull / size[:, None], -pull / size[:, None], legs, -legs, near, -near])
-        limits = np.concatenate(
-            [
-                (self.wrench - self.low) / size,
-                (self.high - self.wrench) / size,
-                1.0 - self.travel / self.stroke,
-                1.0 + self.travel / self.stroke,
-                np.ones(12),
-            ]
-        )
-        return rows, limits, units
-
-    def limits_at(self, displacement: Array) -> tuple[Array, Array, Array]:
-        """Tell which axes of K_v, which legs and which axes of the span bound the set there, (6,) of bool each."""
-        rows, limits, units = self._inequalities
-        tight = (limits - rows @ (displacement / units) < 1e-6).reshape(6, 6)
-        return tight[0] | tight[1], tight[2] | tight[3], tight[4] | tight[5]
-
-    def image_error(self, displacement: Array) -> Array:
-        """Give the linearised image error at a displacement, (8,) [px]."""
-        return np.asarray(self.error - self.view.jacobian @ displacement)
+    def residual(self, poses: Poses) -> Array:
+        """Give the largest |xi_d - xi|, (n,) [px]; NaN where a point is not seen."""
+        return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class Extremes:
-    """How far off the points of a `RestSet` are."""
-
-    largest: float  # [px], of any coordinate of the image error: linear programs, exact for the linearised set
-    rms: float  # [px], over the eight coordinates: best of local searches, a lower bound of the largest
-    turn: float  # [rad], of the optical axis from the linearisation pose: the same
-    displacements: Array  # (k, 6) [m; rad] of the vertices found, largest image error first
-    pose: Array  # (6,) [m; rad], largest displacement along each axis from the linearisation pose
+def _gains(settings: Settings) -> Any:
+    return settings.gains
 
 
-def extremes(rest: RestSet) -> Extremes | None:
-    """Find the largest image error and the largest turn of the optical axis in the set.
+def _limited(step: Array) -> Array:
+    """Shorten steps (n, 6), in units of `Rest.unit`, to `_STEP`."""
+    longest = np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300)
+    return np.asarray(step * np.minimum(1.0, _STEP / longest))
 
-    Linear programs give the largest and the least value of each coordinate; what is convex (RMS, turn) has its largest
-    value at a vertex, and is climbed from the best one so far by the linear program of its gradient.
 
-    Returns
-    -------
-        None for a set without points.
+def direction_words(displacement: Array, depth: float) -> str:
+    """Say in words a direction (6,) [m; rad] in B, of any length and sign, for a target at a depth [m].
+
+    A part that moves the image less than 3 % of the other one is left out.
     """
-    jacobian = rest.view.jacobian
-    axis = _optical_axis(rest.view.pose)
-    across = np.zeros((6, 6))  # a turn about the optical axis does not move it
-    across[3:, 3:] = np.eye(3) - np.outer(axis, axis)
-    sideways = np.linalg.svd(across)[2][:2]
-    ways = np.vstack([jacobian, np.eye(6), sideways, sideways.sum(axis=0)])
-    ends = _only(rest, 2 * len(ways)) if (rest.low == rest.high).all() else rest.farthest(np.vstack([ways, -ways]))
-    if ends is None:
-        return None
-    errors = rest.error - ends @ jacobian.T
-    of_features = np.concatenate([ends[:8], ends[len(ways) : len(ways) + 8]])
-    largest = np.abs(rest.error - of_features @ jacobian.T).max(axis=1)
-    rms = _climb(rest, ends[np.square(errors).sum(axis=1).argmax()], -jacobian, rest.error)
-    turn = _climb(rest, ends[np.square(ends @ across).sum(axis=1).argmax()], across, np.zeros(6))
-    return Extremes(
-        largest=float(largest.max()),
-        rms=float(np.sqrt(np.square(rest.image_error(rms)).mean())),
-        turn=float(np.linalg.norm(across @ turn)),
-        displacements=of_features[np.argsort(-largest, kind="stable")],
-        pose=np.abs(ends).max(axis=0),
+    shift, turn = np.linalg.norm(displacement[:3]), np.linalg.norm(displacement[3:])
+    if turn * depth < 0.03 * shift:
+        return f"a shift along {_axis_words(displacement[:3] / shift)}"
+    if shift < 0.03 * turn * depth:
+        return f"a turn about {_axis_words(displacement[3:] / turn)}"
+    return (
+        f"10 mm along {_axis_words(displacement[:3] / shift)} with "
+        f"{10 * turn / shift:.3g} mrad about {_axis_words(displacement[3:] / turn)}"
     )
 
 
-def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) -> tuple[Pose, float] | None:
-    """Follow an extreme of the linearised set to a pose that K_v holds indeed, by the core's law and projection.
-
-    The set is linearised anew where the last linear program ended, with steps that become shorter.
-
-    Parameters
-    ----------
-    scene, law, rest
-        The set, and what it was linearised from.
-    displacement
-        Of `Extremes.displacements`, whose largest image error is followed.
-
-    Returns
-    -------
-        The pose and its largest image error [px]; None where none was found.
-    """
-    error = rest.image_error(displacement)
-    coordinate = int(np.abs(error).argmax())
-    sign = float(np.sign(error[coordinate]))
-    margin = 1 - 1e-6
-    found = None
-    pose = moved(rest.view.pose, displacement)
-    for within in (0.5, 0.25, 0.12, 0.06, 0.03, 0.015, 0.007):
-        view = scene.view(pose)
-        if not (view.depth < 0).all():
-            return found
-        here = RestSet.at(scene, law, view, margin * rest.low, margin * rest.high)
-        inside = (here.wrench >= rest.low).all() and (here.wrench <= rest.high).all()
-        if inside and (np.abs(here.travel) <= here.stroke).all():
-            reached = float(np.abs(here.error).max())
-            if found is None or reached > found[1]:
-                found = pose, reached
-        direction = -sign * view.jacobian[coordinate : coordinate + 1]
-        step = here.farthest(direction, within)
-        if step is None:
-            step = here.farthest(direction)
-        if step is None:
-            return found
-        pose = moved(pose, step[0])
-    return found
-
-
-def _optical_axis(pose: Pose) -> Array:
-    """Give z of E in B."""
-    w, x, y, z = pose.quaternion
-    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-
-
-def _only(rest: RestSet, copies: int) -> Array | None:
-    """Give the one point of a set without width, (copies, 6); None where it is beyond stroke or span."""
-    point = np.linalg.solve(rest.stiffness, rest.wrench - rest.low)
-    legs = (np.abs(rest.travel + rest.leg_rates @ point) <= rest.stroke).all()
-    return np.tile(point, (copies, 1)) if legs and (np.abs(point) <= rest.span).all() else None
-
-
-def _climb(rest: RestSet, start: Array, matrix: Array, offset: Array) -> Array:
-    """Climb |matrix d + offset|^2 over the set's vertices until no linear program leads higher."""
-    best = start
-    for _ in range(0 if (rest.low == rest.high).all() else 20):
-        value = matrix @ best + offset
-        found = rest.farthest((matrix.T @ value)[None])
-        if found is None:
-            return best
-        higher = matrix @ found[0] + offset
-        if higher @ higher <= value @ value * (1 + 1e-9):
-            return best
-        best = found[0]
-    return best
+def _axis_words(axis: Array) -> str:
+    largest = int(np.argmax(np.abs(axis)))
+    if abs(axis[largest]) > 0.995:
+        return ("-" if axis[largest] < 0 else "") + "xyz"[largest]
+    return "(" + ", ".join(f"{part:+.2f}" for part in axis) + ")"

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo._analysis._rest import Extremes, RestLaw, RestSet
 from hexservo._analysis._scene import Array, Pose, Scene, moved
+from hexservo._analysis._stiction_set import Extremes, RestLaw, RestSet
 from hexservo._batch import simulate_batch
 
 __all__ = ["COUNT", "Runs", "run"]

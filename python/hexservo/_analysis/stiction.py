@@ -8,9 +8,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hexservo._analysis._goal import Goals, find_goals
-from hexservo._analysis._rest import SETTLED, Extremes, RestLaw, RestSet, confirmed, extremes
 from hexservo._analysis._scene import Array, Scene, moved, scene_of
 from hexservo._analysis._stiction_runs import Runs, run
+from hexservo._analysis._stiction_set import SETTLED, Extremes, RestLaw, RestSet, confirmed, extremes
 from hexservo._analysis._words import number
 from hexservo._evidence import Section
 from hexservo._scenario import Fuzzy, Scenario
