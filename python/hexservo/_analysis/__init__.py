@@ -13,7 +13,14 @@ from hexservo._scenario import Scenario
 __all__ = ["PARTS", "Analysis", "analyse"]
 
 # name -> (module of this package, what it answers). Each module has analyse(scenario), whose result has section().
-PARTS: dict[str, tuple[str, str]] = {}
+PARTS: dict[str, tuple[str, str]] = {
+    "conditioning": ("conditioning", "what the image tells of the pose"),
+    "workspace": ("workspace", "reach, singularities and loads of the legs"),
+    "stiction": ("stiction", "the errors that the switching term holds"),
+    "equilibria": ("equilibria", "where a transpose law comes to rest, and whether a false equilibrium attracts"),
+    "drift": ("drift", "how slowly a law with a pose error creeps, or drifts away, under unequal depth errors"),
+    "largest_start": ("largest_start", "the largest starting error and slowest camera that settle, by trial"),
+}
 
 
 @dataclass(frozen=True, eq=False)

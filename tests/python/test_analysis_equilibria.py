@@ -1,0 +1,232 @@
+"""Equilibria of the transpose laws: against cases solved by hand, runs of the core, and the servo tick."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo._analysis import equilibria
+from hexservo._analysis._rest import Poses, Rest, direction_words
+from hexservo._analysis.equilibria import Equilibrium
+
+
+@pytest.fixture(scope="module")
+def trap() -> tuple[hs.Scenario, equilibria.Equilibria]:
+    scenario = hs.load_scenario("false-equilibrium")
+    return scenario, equilibria.analyse(scenario)
+
+
+def attracting(found: equilibria.Equilibria) -> Equilibrium:
+    (only,) = found.traps
+    return only
+
+
+# ---- A false equilibrium, and the run that ends there ---------------------------------------------------------------
+
+
+def test_a_run_of_kelly_ends_at_the_false_equilibrium(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    scenario, found = trap
+    predicted, result = attracting(found), hs.simulate(scenario)
+    assert result.outcome == "completed"
+    assert not result.events  # within stroke and force all the way
+    # what is left of the slowest mode, whose time constant is 1 s, after 20 s: exp(-20) of some 20 mm and 0.2 rad
+    np.testing.assert_allclose(result.position[-1], predicted.position, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(result.quaternion[-1], predicted.quaternion, rtol=0, atol=2e-7)
+    assert np.abs(result.feature_error[-1]).max() == pytest.approx(predicted.residual, abs=1e-6)
+    assert predicted.residual > 9.0
+    assert np.abs(result.twist[-1]).max() < 1e-6
+    assert found.section().verdict == "bad"
+
+
+def test_the_run_falls_into_it_as_its_slowest_mode_says(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    scenario, found = trap
+    predicted, result = attracting(found), hs.simulate(scenario)
+    away = np.linalg.norm(result.position - predicted.position, axis=1)
+    early, late = (int(np.argmin(np.abs(result.time - t))) for t in (13.0, 16.0))
+    assert predicted.growth is not None
+    rate = math.log(away[late] / away[early]) / (result.time[late] - result.time[early])
+    # 0.1 mm away the next term of the force is less than 1 % of the linear one
+    assert rate == pytest.approx(predicted.growth, rel=0.01)
+
+
+def test_the_goal_is_found_too_and_a_saddle_between_them(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    _, found = trap
+    (goal,) = found.goals
+    assert goal.kind == "goal"
+    assert goal.stability == "attracting"
+    assert goal.reachable
+    # the scenario's own words: home, carried about (0, 0, -0.3) m by 0.65 rad about y; features rounded to 1e-6 px
+    np.testing.assert_allclose(goal.displacement[3:], [0.0, 0.65, 0.0], rtol=0, atol=1e-6)
+    by_hand = [0.1 * math.sin(0.65), 0.0, 0.1 * math.cos(0.65) - 0.1]
+    np.testing.assert_allclose(goal.displacement[:3], by_hand, rtol=0, atol=1e-7)
+    assert goal.residual < 1e-6
+    (saddle,) = (e for e in found.found if e.stability == "saddle")
+    turns = sorted(e.displacement[4] for e in (attracting(found), saddle, goal))
+    assert turns[1] == saddle.displacement[4]
+    assert saddle.growth is not None
+    assert saddle.growth > 0
+    # the way over the hill: it starts at the false one's error, rises, and ends at zero
+    assert found.barrier is not None
+    error = found.barrier[1]
+    assert error.max() > error[0] > 1.0 > 1e-3 > error[-1]
+
+
+def test_the_servo_tick_gives_nothing_but_the_weight_there(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    """The other way through the core: the tick on the image that the camera takes at the pose."""
+    scenario, found = trap
+    rest = Rest(scenario)
+    for e in found.found:
+        features, depth = rest.image(Poses(e.position[None], e.quaternion[None]))
+        tick = hs.Controller(scenario, 1e-3)
+        output = tick.step(features[0], depth[0], e.position, e.quaternion, np.zeros(6))
+        weight = np.array([0.0, 0.0, -9.8 * scenario.robot.mass, 0.0, 0.0, 0.0])
+        if e.kind == "goal":  # the image is rounded to 1e-6 px, which asks up to 1e-6 px * 1e-5 * 8 * 6000 px/m
+            np.testing.assert_allclose(output.wrench, weight, rtol=0, atol=5e-7)
+        else:
+            np.testing.assert_allclose(output.wrench, weight, rtol=0, atol=1e-9)
+
+
+def test_hybrid_has_the_same_ones(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    """With one gain for all features the zeros of J^T K_p xi~ do not depend on it."""
+    scenario, found = trap
+    other = equilibria.analyse(scenario.updated({"controller.law": "hybrid"}))
+    np.testing.assert_allclose(attracting(other).position, attracting(found).position, rtol=0, atol=1e-9)
+    assert attracting(other).growth is None  # without K_v nothing damps
+    assert "K_v" in " ".join(other.section().sentences)
+
+
+def test_the_search_is_reproducible(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    scenario, found = trap
+    again = equilibria.analyse(scenario)
+    assert len(again.found) == len(found.found)
+    for one, two in zip(found.found, again.found, strict=True):
+        assert one.position.tobytes() == two.position.tobytes()
+        assert one.eigenvalues.tobytes() == two.eigenvalues.tobytes()
+
+
+# ---- Solved by hand -------------------------------------------------------------------------------------------------
+
+
+def test_the_papers_goal_is_the_only_one(paper: hs.Scenario) -> None:
+    found = equilibria.analyse(paper)
+    (goal,) = found.found
+    by_hand = np.array([20.0, 8.0, 0.0]) * 0.5 / (72727 * 0.008)
+    np.testing.assert_allclose(goal.displacement, [*by_hand, 0, 0, 0], rtol=0, atol=1e-9)
+    assert goal.stability == "attracting"
+    assert goal.reachable
+    assert found.section().verdict == "good"
+    assert (found.starts_within, found.starts_wider) == (64, 64)
+
+
+@pytest.mark.parametrize(("depth", "stability"), [(0.3, "attracting"), ([0.3, -0.3, -0.3, 0.3], "saddle")])
+def test_eigenvalues_at_the_goal_are_those_of_the_closed_form(
+    depth: float | list[float], stability: str, paper: hs.Scenario
+) -> None:
+    """Where xi~ is zero the stiffness is J-hat^T K_p J: no finite difference in it."""
+    scenario = paper.updated({"controller.law": "kelly", "uncertainty.depth": depth})
+    (goal,) = equilibria.analyse(scenario).goals
+    assert goal.stability == stability
+    rest = Rest(scenario)
+    pose = Poses(goal.position[None], goal.quaternion[None])
+    features, true = rest.image(pose)
+    known = rest.jacobian(features, (1 + np.asarray(depth)) * true, pose)[0]
+    stiffness = 1e-6 * known.T @ rest.jacobian(features, true, pose)[0]
+    inertia = 0.925 * np.diag([0.06, 0.06, 0.06, 1.5e-4, 1.5e-4, 3e-4])  # (1 - delta_D) D at R = I
+    expected = np.sort(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real)
+    # differences leave 1e-12 of the largest, 1e4 1/s^2
+    np.testing.assert_allclose(goal.eigenvalues.real, expected, rtol=1e-6, atol=3e-8)
+
+
+def on_the_axis(gravity: float, kp: float = 1e-4) -> hs.Scenario:
+    """Give a square of 240 px on the optical axis, 0.15 m away, seen from its goal."""
+    square = [120, 120, -120, 120, -120, -120, 120, -120]
+    return hs.Scenario.from_mapping(
+        {
+            "name": "square",
+            "target": {"initial_features": square, "desired_features": square, "depth": 0.15},
+            "uncertainty": {"gravity": gravity},
+            "controller": {"law": "kelly", "kelly": {"kp": kp}},
+        }
+    )
+
+
+@pytest.mark.parametrize("gravity", [0.075, -0.075])
+def test_a_gravity_error_moves_the_goal_where_the_forces_balance(gravity: float) -> None:
+    """On the axis every coordinate is h Z_0/Z, so 8 K_p h^2 Z_0 (Z - Z_0)/Z^3 = -delta_G m g: a cubic in Z."""
+    found = equilibria.analyse(on_the_axis(gravity))
+    pull = gravity * 0.06 * 9.8  # upward, towards the target, where positive
+    stiffness = 8 * 1e-4 * 120.0**2 * 0.15
+    roots = np.roots([pull, 0.0, stiffness, -stiffness * 0.15])
+    distance = min((float(root.real) for root in roots if abs(root.imag) < 1e-12), key=lambda z: abs(z - 0.15))
+    (goal,) = found.goals
+    assert goal.kind == "displaced goal"
+    # the camera looks along -z: closer to the target is up
+    np.testing.assert_allclose(goal.displacement, [0, 0, distance - 0.15, 0, 0, 0], rtol=0, atol=1e-9)
+    assert goal.residual == pytest.approx(120 * abs(0.15 / distance - 1), rel=1e-9)
+    assert found.gravity_force == pytest.approx(-pull, rel=1e-12)
+    assert found.gravity_stiffness == pytest.approx(8 * 1e-4 * (120 / 0.15) ** 2, rel=1e-6)
+
+
+def test_the_goal_repels_where_the_printed_sign_is_used(paper: hs.Scenario) -> None:
+    found = equilibria.analyse(paper.updated({"controller.law": "kelly", "controller.jacobian": "printed"}))
+    (goal,) = found.goals
+    assert goal.stability == "repelling"
+    assert found.section().verdict == "bad"
+    assert "does not attract" in found.section().sentences[0]
+
+
+def test_half_a_turn_has_no_false_equilibrium_near_but_a_goal_that_no_leg_reaches() -> None:
+    """The force on the way is that of retreat, at every distance: by symmetry nothing turns, and nothing stops it."""
+    found = equilibria.analyse(hs.load_scenario("textbook-half-turn").updated({"controller.law": "kelly"}))
+    (goal,) = found.goals
+    assert abs(goal.displacement[5]) == pytest.approx(math.pi, abs=1e-6)
+    assert not goal.reachable  # beyond the singular poses
+    assert not found.traps
+    assert found.section().verdict == "warning"
+
+
+def test_directions_in_words() -> None:
+    assert direction_words(np.array([-2.0, 0, 0, 0, 0, 0]), 0.5) == "a shift along -x"
+    assert direction_words(np.array([0, 0, 0, 0, 0, 3.0]), 0.5) == "a turn about z"
+    mixed = direction_words(np.array([0, 0.5, 0, 1.0, 0, 0]), 0.5)
+    assert mixed == "10 mm along y with 20 mrad about x"
+    assert "(+0.60, +0.80, +0.00)" in direction_words(np.array([3.0, 4.0, 0, 0, 0, 0]), 0.5)
+
+
+# ---- Where it does not apply ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", ["composite", "computed_torque", "resolved_rate", "pbvs"])
+def test_other_laws_get_no_numbers(law: str, paper: hs.Scenario) -> None:
+    section = equilibria.analyse(paper.updated({"controller.law": law})).section()
+    assert section.verdict == "open"
+    assert law in section.sentences[0]
+    assert not section.items
+    assert section.data["applies"] is False
+
+
+def test_without_gains_there_is_no_image_part(paper: hs.Scenario) -> None:
+    section = equilibria.analyse(paper.updated({"controller.law": "kelly", "controller.kelly.kp": 0.0})).section()
+    assert section.verdict == "open"
+    assert "K_p" in section.sentences[0]
+
+
+def test_a_camera_as_printed_has_no_poses(paper: hs.Scenario) -> None:
+    section = equilibria.analyse(paper.updated({"camera.convention": "as_printed"})).section()
+    assert section.verdict == "open"
+    assert "as_printed" in section.sentences[0]
+
+
+def test_what_the_section_holds(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    scenario, _ = trap
+    analysis = hs.analyse(scenario, ["equilibria"])
+    (section,) = analysis.sections()
+    assert section.name == "equilibria"
+    assert "9.09 px" in section.sentences[0]
+    assert any("not a proof" in sentence for sentence in section.sentences)
+    numbers = analysis.to_dict()["equilibria"]
+    assert numbers["false_attracting_reachable"] == 1
+    assert [e["kind"] for e in numbers["equilibria"]] == ["goal", "false", "false"]

@@ -1,0 +1,206 @@
+"""What settles, by trial: the search itself on known borders, and its answers against single runs of the core."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo._analysis import largest_start
+from hexservo._analysis._rest import Rest
+from hexservo._analysis.largest_start import Direction, LargestStart, border
+
+
+@pytest.fixture(scope="module")
+def found() -> LargestStart:
+    return largest_start.analyse(hs.load_scenario("paper"))
+
+
+@pytest.fixture(scope="module")
+def trap() -> LargestStart:
+    return largest_start.analyse(hs.load_scenario("false-equilibrium"))
+
+
+def direction(result: LargestStart, name: str) -> Direction:
+    (only,) = (d for d in result.directions if d.name == name)
+    return only
+
+
+def settles(scenario: hs.Scenario, duration: float) -> bool:
+    """Say it again with a single run: within 2 px during the last tenth."""
+    result = hs.simulate(scenario.updated({"simulation.duration": duration}))
+    last = result.time > 0.9 * duration + 1e-9
+    return result.outcome == "completed" and float(np.abs(result.feature_error[last]).max()) <= 2.0
+
+
+def goal_at(scenario: hs.Scenario, way: Direction, size: float) -> hs.Scenario:
+    rest = Rest(scenario)
+    features, _ = rest.image(rest.home.moved((size * way.unit)[None]))
+    return scenario.updated({"target.desired_features": features[0].tolist()})
+
+
+# ---- The border of what was tried -----------------------------------------------------------------------------------
+
+
+def test_a_border_lies_below_the_smallest_that_fails() -> None:
+    assert border({1.0: True, 2.0: True, 3.0: False}) == (2.0, 3.0)
+    assert border({1.0: True, 2.0: False, 3.0: True}) == (1.0, 2.0)  # not monotone: the larger one does not count
+    assert border({1.0: True, 2.0: True}) == (2.0, None)
+    assert border({1.0: False, 2.0: True}) == (0.0, 1.0)
+    assert border({}) == (0.0, None)
+
+
+def test_a_border_that_is_known_by_hand() -> None:
+    """A law without gain settles where it starts within 2 px: a shift of 2 px Z/f, a turn by 2 px about the axis."""
+    weak = hs.load_scenario("paper-nominal").updated({"controller.law": "kelly", "controller.kelly.kp": 0.0})
+    result = largest_start.analyse(weak)
+    by_hand = 2.0 * 0.5 / (72727 * 0.008)
+    for name in ("shift +x", "shift -x", "shift +y", "shift -y"):
+        way = direction(result, name)
+        assert way.fails_at is not None
+        assert way.settles_to <= by_hand * (1 + 1e-12) <= way.fails_at
+        # a grid of eighths, halves of them, and two rounds of quarters
+        assert way.fails_at - way.settles_to <= way.largest / 16 / 16 * 1.001
+        assert not way.settles_again
+        assert way.settles_later is False
+    turn = direction(result, "turn +z")
+    # a point at (x, y) moves by angle times the other coordinate; 65 px is the largest
+    assert turn.fails_at is not None
+    assert turn.settles_to <= 2.0 / 65 * 1.01 < turn.fails_at * 1.01
+    section = result.section()
+    assert section.verdict == "bad"  # the task itself is 20 px away
+    assert "camera times were not tried" in " ".join(section.sentences)
+
+
+# ---- The paper ------------------------------------------------------------------------------------------------------
+
+
+def test_the_papers_own_way_settles_to_the_end_of_the_stroke(found: LargestStart, paper: hs.Scenario) -> None:
+    own = found.own
+    assert own is not None
+    assert own.fails_at is None
+    assert own.limited_by == "stroke"
+    np.testing.assert_allclose(own.unit, [*np.array([20, 8, 0]) * 0.5 / 581.816, 0, 0, 0], rtol=0, atol=1e-9)
+    rest = Rest(paper)
+    travel = rest.leg_travel(rest.home.moved((own.largest * own.unit)[None]))
+    assert np.abs(travel).max() == pytest.approx(paper.robot.stroke, rel=1e-3)
+    assert np.abs(travel).max() <= paper.robot.stroke
+    assert 1.0 in own.tried
+    assert found.section().verdict == "good"
+
+
+def test_single_runs_agree(found: LargestStart, paper: hs.Scenario) -> None:
+    """The largest that settles and the smallest that fails, of each way, once more by `hs.simulate`."""
+    assert found.duration == 2.0
+    failing = 0
+    for way in found.directions:
+        assert settles(goal_at(paper, way, way.settles_to), found.duration)
+        if way.fails_at is not None:
+            failing += 1
+            smaller = goal_at(paper, way, way.fails_at)
+            assert not settles(smaller, found.duration)
+            assert settles(smaller, paper.simulation.duration) == way.settles_later
+    assert failing > 0
+    assert found.longer == paper.simulation.duration
+
+
+def test_the_papers_law_needs_a_fast_camera_or_prediction(found: LargestStart, paper: hs.Scenario) -> None:
+    """docs/errata.md, 6: frames or latency of a few ms destabilise the loop."""
+    sampled = paper.updated({"simulation.mode": "sampled", "controller.switching.kind": "implicit"})
+    times = {(t.what, t.prediction): t for t in found.timings}
+    assert set(times) == {(what, how) for what in ("period", "latency") for how in ("none", "encoder")}
+    for (what, how), t in times.items():
+        run = sampled.updated({"camera.prediction": how})
+        for time, expected in ((t.settles_to, True), (t.fails_at, False)):
+            if time is not None:
+                assert settles(run.updated({f"camera.{what}": time}), found.duration) == expected, (what, how, time)
+    assert times["period", "none"].fails_at == pytest.approx(0.003)
+    assert times["latency", "none"].fails_at == pytest.approx(0.001)
+    assert times["period", "encoder"].fails_at is None
+    assert "implicit switching" in found.assumed
+
+
+def test_runs_are_counted(found: LargestStart) -> None:
+    tried = sum(len(d.tried) for d in found.directions) + sum(len(t.tried) for t in found.timings)
+    later = sum(d.settles_later is not None for d in found.directions)
+    assert found.runs == tried + later + 1  # and the task itself, which decides the duration
+
+
+def test_smaller_sizes_than_the_border_were_tried(found: LargestStart) -> None:
+    for way in found.directions:
+        below = [size for size in way.tried if size <= way.settles_to]
+        assert len(below) >= 2 * math.floor(8 * way.settles_to / way.largest + 1e-9)
+
+
+# ---- Where a larger error settles again, and where the task fails ---------------------------------------------------
+
+
+def test_a_border_need_not_be_the_only_one(trap: LargestStart) -> None:
+    again = [d for d in trap.directions if d.settles_again]
+    assert again
+    for way in again:
+        assert way.fails_at is not None
+        assert any(good and size > way.fails_at for size, good in way.tried.items())
+    assert "a larger error settles again" in " ".join(trap.section().sentences)
+
+
+def test_the_task_that_ends_in_a_false_equilibrium_fails(trap: LargestStart) -> None:
+    own = trap.own
+    assert own is not None
+    assert own.tried[1.0] is False
+    assert own.fails_at is not None
+    assert own.fails_at < 1.0
+    assert trap.section().verdict == "bad"
+    assert not trap.timings
+
+
+def test_a_task_that_starts_at_its_goal_has_no_way_of_its_own(paper: hs.Scenario) -> None:
+    still = paper.updated(
+        {
+            "target.desired_features": list(paper.target.initial_features or ()),
+            "controller.law": "resolved_rate",
+            "simulation.duration": 0.5,
+        }
+    )
+    result = largest_start.analyse(still)
+    assert result.own is None
+    assert len(result.directions) == 12
+    assert "Home shows the goal image" in result.section().sentences[0]
+    assert result.section().verdict == "open"
+
+
+def test_a_task_that_needs_longer_gets_longer() -> None:
+    scenario = hs.load_scenario("paper-no-fuzzy")
+    trial = largest_start._Trial(scenario)
+    assert trial.task_settles
+    assert trial.duration == 10.0  # it settles after 5.06 s
+
+
+def test_a_goal_that_the_core_refuses_is_no_run(paper: hs.Scenario) -> None:
+    trial = largest_start._Trial(paper)
+    before = trial.runs
+    goals = np.tile(np.array(paper.target.desired_features), (3, 1))
+    goals[1] += 2e4  # more than 1e4 px away
+    good, times, _, ran = trial.settled({"target.desired_features": goals})
+    np.testing.assert_array_equal(ran, [True, False, True])
+    np.testing.assert_array_equal(good, [True, False, True])
+    assert np.isnan(times[1])
+    assert trial.runs == before + 2
+
+
+def test_a_camera_as_printed_is_not_tried(paper: hs.Scenario) -> None:
+    section = largest_start.analyse(paper.updated({"camera.convention": "as_printed"})).section()
+    assert section.verdict == "open"
+    assert section.data["applies"] is False
+
+
+def test_every_text_says_that_it_is_tried_out(found: LargestStart, trap: LargestStart) -> None:
+    for result in (found, trap):
+        section = result.section()
+        assert "empirical" in section.title
+        assert "(empirical)" in section.sentences[0]
+        assert f"{result.runs} runs" in section.sentences[-1]
+        assert "not derived" in section.sentences[-1]
+        assert section.data["empirical"] is True

@@ -1,0 +1,200 @@
+"""Reach, singularities and loads of the legs: closed forms of vertical motion and of a turn about z, and limits."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo._analysis import workspace
+from hexservo._analysis._scene import moved, scene_of
+from hexservo._analysis._words import number
+
+SEED = 21
+
+
+@pytest.fixture(scope="module")
+def found(paper: hs.Scenario) -> workspace.Workspace:
+    return workspace.analyse(paper)
+
+
+@pytest.mark.parametrize("preset", ["micro", "cubic"])
+def test_vertical_reach_by_hand(paper: hs.Scenario, preset: str) -> None:
+    """All legs are sqrt(rho^2 + z^2) long: z = sqrt((l_0 +- stroke)^2 - rho^2), rho between the joints of a leg."""
+    scenario = paper.updated({"robot.preset": preset})
+    robot = scenario.robot
+    angle = robot.platform_angles[0] - robot.base_angles[0]
+    across = robot.platform_radius**2 + robot.base_radius**2
+    rho2 = across - 2 * robot.platform_radius * robot.base_radius * np.cos(angle)
+    height = abs(robot.home_position[2])
+    length = np.sqrt(rho2 + height**2)
+    scene = scene_of(scenario)
+    down = workspace.reach(scene, np.array([0, 0, 1.0, 0, 0, 0]))  # z points down
+    up = workspace.reach(scene, np.array([0, 0, -1.0, 0, 0, 0]))
+    assert down.distance == pytest.approx(height - np.sqrt((length - robot.stroke) ** 2 - rho2), rel=1e-7)
+    assert up.distance == pytest.approx(np.sqrt((length + robot.stroke) ** 2 - rho2) - height, rel=1e-7)
+
+
+@pytest.mark.parametrize("preset", ["micro", "cubic"])
+def test_turn_about_z_by_hand(paper: hs.Scenario, preset: str) -> None:
+    """l_i^2 = r_p^2 + r_b^2 - 2 r_p r_b cos(phi_i + turn - beta_i) + z^2; the first leg at l_0 +- stroke ends it."""
+    scenario = paper.updated({"robot.preset": preset})
+    robot = scenario.robot
+    p, b, z = robot.platform_radius, robot.base_radius, robot.home_position[2]
+    between = np.array(robot.platform_angles) - np.array(robot.base_angles)
+    home = np.sqrt(p**2 + b**2 - 2 * p * b * np.cos(between) + z**2)
+    ends = []
+    for leg in range(6):
+        for sign in (1, -1):
+            cosine = (p**2 + b**2 + z**2 - (home[leg] + sign * robot.stroke) ** 2) / (2 * p * b)
+            if abs(cosine) <= 1:
+                for solution in (np.arccos(cosine), -np.arccos(cosine)):
+                    turn = (solution - between[leg] + np.pi) % (2 * np.pi) - np.pi
+                    ends.append(turn)
+    scene = scene_of(scenario)
+    ahead = workspace.reach(scene, np.array([0, 0, 0, 0, 0, 1.0]))
+    back = workspace.reach(scene, np.array([0, 0, 0, 0, 0, -1.0]))
+    assert ahead.distance == pytest.approx(min(turn for turn in ends if turn > 0), rel=1e-7)
+    assert back.distance == pytest.approx(-max(turn for turn in ends if turn < 0), rel=1e-7)
+
+
+def test_reach_ends_at_the_first_limit_in_every_direction(paper: hs.Scenario) -> None:
+    """Random directions, in small steps: nothing beyond the stroke before the end, and a leg at it there."""
+    scene = scene_of(paper)
+    stroke = paper.robot.stroke
+    random = np.random.default_rng(SEED)
+    for _ in range(20):
+        direction = random.normal(size=6) * np.repeat([1.0, 10.0], 3) * 10.0 ** random.uniform(-1, 1)
+        end = workspace.reach(scene, direction)
+        travel = [
+            np.abs(scene.leg_travel(moved(scene.home, share * end.distance * direction))).max()
+            for share in np.linspace(0, 1 - 1e-6, 300)
+        ]
+        assert max(travel) <= stroke
+        at_end = np.abs(scene.leg_travel(moved(scene.home, end.distance * direction)))
+        assert at_end.max() == pytest.approx(stroke, rel=1e-8)
+        assert int(at_end.argmax()) + 1 == end.leg
+
+
+def test_the_reach_of_the_axes_follows_the_symmetry_of_the_legs(found: workspace.Workspace) -> None:
+    """The joints of `micro` mirror about the x axis: +y is -y, and turns about x and z go as far both ways."""
+    distance = [end.distance for end in found.axes]
+    for ahead, back in ((2, 3), (6, 7), (10, 11)):
+        assert distance[ahead] == pytest.approx(distance[back], rel=1e-7)
+    assert found.least_shift.distance <= min(distance[:6]) * 1.05
+    assert found.least_turn.distance <= min(distance[6:]) * 1.05
+
+
+def test_a_long_stroke_never_ends_a_turn() -> None:
+    found = workspace.analyse(hs.load_scenario("textbook-general"))
+    assert all(np.isinf(end.distance) and end.leg == 0 for end in found.axes[6:])
+    section = found.section()
+    assert any("half a turn about every axis" in sentence for sentence in section.sentences)
+    assert hs.analyse(hs.load_scenario("textbook-general"), ["workspace"]).to_dict()["workspace"]["reach"][-1] == {
+        "direction": [0.0, 0.0, 0.0, 0.0, 0.0, -1.0],
+        "distance": None,
+        "leg": 0,
+    }
+
+
+@pytest.mark.parametrize(("preset", "force", "singularity"), [("micro", 0.1337, 0.9576), ("cubic", 0.1697, 0.7962)])
+def test_known_forces_and_singular_values_at_home(
+    paper: hs.Scenario, preset: str, force: float, singularity: float
+) -> None:
+    changes = {"robot.preset": preset, "uncertainty.gravity": -0.05}
+    start = workspace.analyse(paper.updated(changes)).start
+    assert np.abs(start.forces).max() == pytest.approx(force, abs=5e-5)
+    np.testing.assert_allclose(start.actual_forces, 1.05 * start.forces, rtol=1e-12)
+    assert start.singularity == pytest.approx(singularity, abs=5e-5)
+
+
+def test_forces_hold_the_weight_by_statics(found: workspace.Workspace, paper: hs.Scenario) -> None:
+    """At the goal: forces along the legs sum to the weight, and their moments about the platform's centre to zero."""
+    scene = scene_of(paper)
+    assert found.goal is not None
+    pose = found.goal.pose
+    np.testing.assert_allclose(pose.quaternion, [1, 0, 0, 0], atol=1e-9)  # a translation: R = I
+    p = np.array(scene.hexapod.platform_joints).reshape(6, 3)
+    legs = pose.position + p - np.array(scene.hexapod.base_joints).reshape(6, 3)
+    along = legs / np.linalg.norm(legs, axis=1)[:, None]
+    np.testing.assert_allclose(found.goal.forces @ along, [0, 0, -0.06 * 9.8], atol=1e-8)
+    np.testing.assert_allclose(found.goal.forces @ np.cross(p, along), np.zeros(3), atol=1e-9)
+    np.testing.assert_allclose(
+        found.goal.travel, np.linalg.norm(legs, axis=1) - np.array(scene.hexapod.home_lengths), atol=1e-9
+    )
+
+
+def test_margins_of_the_way_and_of_the_map(found: workspace.Workspace, paper: hs.Scenario) -> None:
+    stroke = paper.robot.stroke
+    assert found.goal is not None
+    at_goal = stroke - np.abs(found.goal.travel).max()
+    assert found.way_margin[0] == stroke
+    assert found.way_margin[-1] == pytest.approx(at_goal, rel=1e-12)
+    # The margin is nowhere steeper than the platform moves.
+    way = np.linalg.norm(found.goal.pose.position - scene_of(paper).home.position)
+    assert (np.abs(np.diff(found.way_margin)) <= way / 50 * (1 + 1e-9)).all()
+    # The goal of the paper is at the height and attitude of home: the map has the stroke at its middle, and is less
+    # than a step away from the margin of the goal where the goal is.
+    middle = len(found.map_x) // 2
+    assert found.map_margin[middle, middle] == pytest.approx(stroke, abs=1e-9)
+    step = found.map_x[1] - found.map_x[0]
+    shift = found.goal.pose.position - scene_of(paper).home.position
+    row, column = (
+        int(np.abs(ticks - value).argmin()) for ticks, value in ((found.map_y, shift[1]), (found.map_x, shift[0]))
+    )
+    assert found.map_margin[row, column] == pytest.approx(at_goal, abs=step)
+    np.testing.assert_allclose(found.map_margin, found.map_margin[::-1], atol=1e-9)  # y mirrors
+    # Along +x the map changes its sign between the two ticks around the reach.
+    reach = found.axes[0].distance
+    outside = int(np.flatnonzero(found.map_x > reach)[0])
+    assert found.map_margin[middle, outside - 1] > 0 > found.map_margin[middle, outside]
+
+
+def test_what_is_beyond_a_limit_is_bad_and_what_is_near_a_warning(paper: hs.Scenario) -> None:
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({}, "good"),
+        ({"robot.stroke": 0.0125}, "warning"),  # the goal takes 12.2 mm
+        ({"robot.stroke": 0.002}, "bad"),  # the nearest pose takes 2.8 mm
+        ({"robot.force_limit": 0.165}, "warning"),  # the goal takes 0.160 N
+        ({"robot.force_limit": 0.15}, "warning"),
+        ({"robot.force_limit": 0.15, "uncertainty.gravity": -0.2}, "bad"),
+        ({"robot.force_limit": 0.12}, "bad"),
+    ]
+    for changes, verdict in cases:
+        assert workspace.analyse(paper.updated(changes)).section().verdict == verdict, changes
+    short = workspace.analyse(paper.updated({"robot.stroke": 0.006})).section()
+    # 12.2 mm are needed and nearly in proportion to the way, so that 6 mm are passed at about one half of it.
+    words = next(sentence for sentence in short.sentences if "leaves the stroke after" in sentence)
+    assert "mm beyond its stroke" in words
+    share = float(words.split("leaves the stroke after ")[1].split(" %")[0])
+    assert 46 <= share <= 54
+
+
+def test_the_neighbourhood_is_no_better_than_the_goal(found: workspace.Workspace) -> None:
+    assert found.goal is not None
+    assert 0 < found.neighbourhood_singularity <= found.goal.singularity
+    assert found.neighbourhood_force >= np.abs(found.goal.actual_forces).max()
+
+
+def test_a_camera_as_printed_leaves_the_legs_around_home(paper: hs.Scenario) -> None:
+    found = workspace.analyse(paper.updated({"camera.convention": "as_printed"}))
+    assert found.goal is None
+    assert found.way_margin.size == 0
+    assert any("goal pose is open" in sentence for sentence in found.section().sentences)
+    assert [end.distance for end in found.axes] == [end.distance for end in workspace.analyse(paper).axes]
+
+
+def test_the_findings_name_the_leg_and_its_numbers(found: workspace.Workspace, paper: hs.Scenario) -> None:
+    assert found.goal is not None
+    leg = int(np.abs(found.goal.travel).argmax())
+    first = found.section().sentences[0]
+    assert f"leg {leg + 1} is {number(1e3 * abs(found.goal.travel[leg]))} mm" in first
+    data = hs.analyse(paper, ["workspace"]).to_dict()["workspace"]
+    assert data["goal"]["stroke_left"] == pytest.approx(paper.robot.stroke - np.abs(found.goal.travel).max())
+    ticks = found.section().items[2]
+    assert list(found.map_x) == sorted(found.map_x)
+    assert all(one < two for one, two in pairwise(found.map_y))
+    assert ticks.page == "docs/analysis/workspace.md"
