@@ -23,7 +23,15 @@ TIE = 1e-6
 """Weights count as tied whose error is larger than the smallest one by no more than this part of it."""
 
 _FLOOR = 1e-9  # errors below this part of the largest target count as zero
-_SOLVER = 1e-10  # feasibility that the linear programs are solved to, the smallest that HiGHS takes
+# How the linear programs are solved: presolve, method, feasibility. The first is the fastest; where columns of the basis
+# are nearly dependent it may fail. Whatever solves them, `_Problem.bound_of` tells how good the answer is.
+_ATTEMPTS = (
+    (False, "highs-ds", 1e-10),
+    (True, "highs-ds", 1e-10),
+    (False, "highs-ds", 1e-8),
+    (True, "highs-ds", 1e-7),
+    (True, "highs-ipm", 1e-8),
+)
 _FIRST = 120  # samples that the first program sees
 _MORE = 40  # at most that many join before the next one
 _ROUNDS = 60  # of either program; a handful is usual
@@ -40,7 +48,9 @@ class BestWeights:
     limited: bool  # the limit keeps the error from being smaller
 
 
-def best_weights(basis: Array, target: Array, limit: float | None = None) -> BestWeights:
+def best_weights(
+    basis: Array, target: Array, limit: float | None = None, *, smallest: bool = True
+) -> BestWeights:
     """Minimise ``max |target - basis @ weights|``, and among ties the Euclidean norm of the weights.
 
     Both programs begin with a subset of the samples and take in those that their solution violates most, until there
@@ -55,6 +65,9 @@ def best_weights(basis: Array, target: Array, limit: float | None = None) -> Bes
     limit
         Largest absolute weight, in units of the target; None: `LIMIT` times the largest absolute target. Without one
         the program has no solution in floating-point numbers where columns of the basis are nearly dependent.
+
+    smallest
+        False leaves out the second program: any weights of smallest error will do.
 
     Raises
     ------
@@ -75,7 +88,8 @@ def best_weights(basis: Array, target: Array, limit: float | None = None) -> Bes
         return BestWeights(np.zeros(basis.shape[1]), 0.0, 0.0, largest, limited=False)
     problem = _Problem(np.ascontiguousarray(basis), target / scale, largest / scale)
     weights, dual = problem.closest()
-    weights = problem.smallest(weights, dual)
+    if smallest:
+        weights = problem.smallest(weights, dual)
     lower_bound, price = problem.bound_of(dual)
     return BestWeights(
         weights=weights * scale,
@@ -123,9 +137,13 @@ class _Problem:
         rows[count] = np.r_[np.ones(2 * samples), np.zeros(2 * count)]
         cost = np.r_[-target, target, np.full(2 * count, self.limit)]
         right = np.r_[np.zeros(count), 1.0]
-        for presolve in (False, True):  # without, it is faster
-            options = {"presolve": presolve, "primal_feasibility_tolerance": _SOLVER, "dual_feasibility_tolerance": _SOLVER}
-            solution: Any = linprog(cost, A_eq=rows, b_eq=right, bounds=(0, None), method="highs-ds", options=options)
+        for presolve, method, accuracy in _ATTEMPTS:
+            options = {
+                "presolve": presolve,
+                "primal_feasibility_tolerance": accuracy,
+                "dual_feasibility_tolerance": accuracy,
+            }
+            solution: Any = linprog(cost, A_eq=rows, b_eq=right, bounds=(0, None), method=method, options=options)
             if solution.status == 0:
                 both = solution.x
                 return -solution.eqlin.marginals[:count], both[:samples] - both[samples : 2 * samples], -solution.fun
