@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from hexservo._certificate.batch import BatchCertificate, certify_batch
 from hexservo._certificate.energy import EnergyLedger, energy_ledger
 from hexservo._certificate.lyapunov import Lyapunov, lyapunov_of
 from hexservo._certificate.replay import Plant, Replay, replay
@@ -13,7 +14,7 @@ from hexservo._evidence import Section, as_data
 from hexservo._result import Result
 from hexservo._scenario import Scenario
 
-__all__ = ["Certificate", "certify"]
+__all__ = ["BatchCertificate", "Certificate", "certify", "certify_batch"]
 
 _TITLES = {
     "lyapunov": "Lyapunov function along the run",
@@ -42,7 +43,9 @@ class Certificate:
             if part is not None:
                 found.append(part.section())
             else:
-                found.append(Section(name, title, [self.open_questions[name]], data={"open": self.open_questions[name]}))
+                found.append(
+                    Section(name, title, [self.open_questions[name]], data={"open": self.open_questions[name]})
+                )
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:

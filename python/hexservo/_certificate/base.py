@@ -49,9 +49,10 @@ def base_accelerations(run: Replay) -> Array | None:
     steps = (len(run.time) - 1) * scenario.simulation.substeps
     if len(measured.time) < steps + 1:
         raise ArithmeticError(f"the platform that measures the base's motion ended early: {measured.detail}")
-    force = measured.wrench[:, :3] - run.probe.estimated_wrenches(
-        measured.quaternion[:1], np.zeros((1, 6)), np.zeros((1, 6))
-    )[2][:3]
+    force = (
+        measured.wrench[:, :3]
+        - run.probe.estimated_wrenches(measured.quaternion[:1], np.zeros((1, 6)), np.zeros((1, 6)))[2][:3]
+    )
     means = force[:-1] / mass - np.diff(measured.twist[:, :3], axis=0) / step
     return _from_means(means)[:steps]
 

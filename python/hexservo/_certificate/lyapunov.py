@@ -36,7 +36,7 @@ class Rise:
     samples: int
     rate: float  # largest V-dot [W]
     axis: int  # that adds most to it there, 0 to 5
-    term: str  # of that axis: the part of Delta-tau with the largest power, or what the weights' options do
+    term: str  # of that axis, with the largest power: a part of Delta-tau, -tau_f*, or what the weights' options do
     power: float  # of that part [W]
     gamma: float  # approximation error of that axis there [N; N m]
 
@@ -56,8 +56,6 @@ class Lyapunov:
     rises: tuple[Rise, ...]
     switched: int  # samples left out next to a step with a sign change of chi-dot_j, with `sign`
     limited: int  # samples left out next to a step at whose end the weights' limit acted
-    smooth: bool  # the switching function has all derivatives, so that both rates agree to fourth order in the step
-    remark: str
 
     @property
     def value(self) -> Array:
@@ -101,8 +99,11 @@ class Lyapunov:
                 f"V-dot by differences and by (20) agree to {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW RMS, "
                 f"of up to {scale * 1e6:.4g} uW."
             )
-        if top > 0:
-            sentences.append(f"V was at most {top * 1e6:.3g} uJ above its start.")
+        start = float(self.value[0])
+        sentences.append(
+            f"V starts at {start:.3g} J, of which {float(self.weight[0]):.3g} J are the distance of the weights from the "
+            f"best ones, and was at most {max(top, 0.0) * 1e6:.3g} uJ above its start."
+        )
         if self.switched:
             sentences.append(
                 f"{self.switched} of {len(self.time)} samples lie next to a step in which sgn changes and are left out: "
@@ -113,7 +114,6 @@ class Lyapunov:
                 f"{self.limited} samples lie next to a step that the weights' limit cut and are left out; the cut itself "
                 "never raises V, since w* keeps the limit."
             )
-        sentences.append(self.remark)
         sentences.append(
             "This is a numerical check at the samples of one trajectory. V contains w*, which is known only afterwards, "
             "and a V that does not grow means stability, not convergence: friction-like switching may hold an error for "
@@ -273,11 +273,11 @@ def lyapunov_of(run: Replay, plant: Plant, uncertainty: Uncertainty, assumption:
         differentiated=differentiated,
         predicted=predicted,
         bound=bound,
-        rises=_rises(run, predicted, bound, own, options, parts, assumption.gamma),
+        rises=_rises(
+            run, predicted, bound, own, options, parts, assumption.gamma, uncertainty.total - assumption.gamma
+        ),
         switched=_beside(breaks),
         limited=_beside(cut),
-        smooth=settings.switching.kind == _core.SwitchingKind.tanh,
-        remark=run.remark,
     )
 
 
@@ -333,6 +333,7 @@ def _rises(
     options: Array,
     parts: Mapping[str, Array],
     gamma: Array,
+    ideal: Array,
 ) -> tuple[Rise, ...]:
     """Find the stretches in which V grows beyond the error of its rate, each with the term to blame at its worst."""
     with np.errstate(invalid="ignore"):
@@ -343,6 +344,7 @@ def _rises(
         worst = int(first + np.argmax(predicted[first:end]))
         axis = int(np.argmax((own + options)[worst]))
         powers = {name: float(run.twist[worst, axis] * part[worst, axis]) for name, part in parts.items()}
+        powers["best weights' output, -tau_f*"] = float(run.twist[worst, axis] * -ideal[worst, axis])
         powers["dead zone and leakage of the weights"] = float(options[worst, axis])
         term = max(powers, key=lambda name: powers[name])
         rises.append(

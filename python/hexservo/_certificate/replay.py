@@ -15,7 +15,7 @@ from hexservo._result import Result
 from hexservo._scenario import Scenario
 from hexservo._simulation import simulate
 
-__all__ = ["Plant", "Replay", "probe_without", "replay", "sgn_breaks"]
+__all__ = ["Plant", "Replay", "every_step", "probe_without", "product", "replay", "replay_of", "sgn_breaks"]
 
 Array: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
@@ -84,6 +84,8 @@ def replay(result: Result) -> Replay:
 
     Raises
     ------
+    KeyboardInterrupt
+        Where the user stops the run on Ctrl-C.
     TypeError
         For anything but a `Result`.
     ValueError
@@ -99,8 +101,34 @@ def replay(result: Result) -> Replay:
             f"result: expected simulation.log_every = 1 of a run with a controller of one's own ({result.controller}), "
             f"since it cannot be run again, got {scenario.simulation.log_every}"
         )
-    run = result if own else simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True)
-    count = min(len(run.time), round(result.end_time / scenario.simulation.step) + 1)
+    run = result if own else every_step(scenario)
+    return replay_of(run, scenario, result.end_time, own=own, differences={} if own else _differences(result, run))
+
+
+def every_step(scenario: Scenario) -> Result:
+    """Run a scenario with every step and its weights logged.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Where the user stops the run: what is there of it is of no use here.
+    """
+    run = simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True)
+    if run.outcome == "interrupted":
+        raise KeyboardInterrupt
+    return run
+
+
+def replay_of(
+    run: Result,
+    scenario: Scenario,
+    end_time: float,
+    *,
+    own: bool = False,
+    differences: Mapping[str, float] | None = None,
+) -> Replay:
+    """Take the samples of a run that holds every step, up to a time [s]."""
+    count = min(len(run.time), round(end_time / scenario.simulation.step) + 1)
     settings = core_parameters(scenario)
     return Replay(
         scenario=scenario,
@@ -116,7 +144,7 @@ def replay(result: Result) -> Replay:
         fuzzy_output=run.fuzzy_output[:count],
         leg_forces=run.leg_forces[:count],
         weights=None if run.weight_history is None else run.weight_history[:count],
-        differences={} if own else _differences(result, run),
+        differences=differences or {},
         settings=settings,
         probe=_core.Probe(settings),
     )

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo._certificate.base import base_accelerations
 from hexservo._certificate.replay import Plant, Replay, product
+from hexservo._parameters import core_parameters
 
-__all__ = ["STAGE_WEIGHTS", "Stages", "stages_of"]
+__all__ = ["STAGE_WEIGHTS", "Stages", "doubled_stages_of", "stages_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -56,20 +57,31 @@ def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:
     for first in range(0, len(run.time) - 1, _CHUNK):
         ticks = np.arange(first, min(first + _CHUNK, len(run.time) - 1))
         if run.continuous:
-            yield _continuous(run, ticks)
+            yield _continuous(run, ticks, run.probe, run.step)
         else:
             yield from _sampled(run, plant, ticks, moving_base)
 
 
-def _continuous(run: Replay, ticks: NDArray[np.intp]) -> Stages:
+def doubled_stages_of(run: Replay) -> Iterator[Stages]:
+    """Give the stages of steps twice as long, from every other sample of a run in continuous mode."""
+    settings = core_parameters(run.scenario)
+    settings.simulation.step = 2 * run.step
+    settings.simulation.duration = 2 * run.step * len(run.time)  # any whole number of steps
+    probe = _core.Probe(settings)
+    starts = np.arange(0, len(run.time) - 2, 2)
+    for first in range(0, len(starts), _CHUNK):
+        yield _continuous(run, starts[first : first + _CHUNK], probe, 2 * run.step)
+
+
+def _continuous(run: Replay, ticks: NDArray[np.intp], probe: _core.Probe, step: float) -> Stages:
     """Let the core take the steps once more, law and all."""
     weights = None if run.weights is None else run.weights[ticks]
-    taken = run.probe.stages(
+    taken = probe.stages(
         run.features[ticks], run.depth[ticks], run.position[ticks], run.quaternion[ticks], run.twist[ticks], weights
     )
     return Stages(
         tick=ticks,
-        step=run.step,
+        step=step,
         features=taken.features,
         depth=taken.depth,
         position=taken.position,
@@ -83,7 +95,7 @@ def _continuous(run: Replay, ticks: NDArray[np.intp]) -> Stages:
         start_twist=run.twist[ticks],
         next_quaternion=taken.next_quaternion,
         next_twist=taken.next_twist,
-        to_sample=True,
+        to_sample=step == run.step,
     )
 
 
@@ -102,7 +114,9 @@ def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp], moving_base: Ar
             if before is not None:
                 place = run.probe.moved(*body, before["quaternion"], before["twist"], before["acceleration"], scale)
             position, quaternion, twist = place
-            wrench = run.wrench[ticks] if legs is None else _leg_wrench(legs, position, quaternion, run.leg_forces[ticks])
+            wrench = (
+                run.wrench[ticks] if legs is None else _leg_wrench(legs, position, quaternion, run.leg_forces[ticks])
+            )
             inertial = np.zeros_like(twist)
             if base is not None:
                 inertial[:, :3] = -base[:, (0, 1, 1, 2)[number]]

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog, nnls
 
 __all__ = ["LIMIT", "TIE", "BestWeights", "best_weights"]
 
@@ -48,9 +47,7 @@ class BestWeights:
     limited: bool  # the limit keeps the error from being smaller
 
 
-def best_weights(
-    basis: Array, target: Array, limit: float | None = None, *, smallest: bool = True
-) -> BestWeights:
+def best_weights(basis: Array, target: Array, limit: float | None = None, *, smallest: bool = True) -> BestWeights:
     """Minimise ``max |target - basis @ weights|``, and among ties the Euclidean norm of the weights.
 
     Both programs begin with a subset of the samples and take in those that their solution violates most, until there
@@ -130,6 +127,8 @@ class _Problem:
         With u, v >= 0 for the samples' two sides and a, b >= 0 for those of the limit L:
         maximise target.(u - v) - L sum(a + b) subject to basis^T (u - v) + a - b = 0, sum(u + v) = 1.
         """
+        from scipy.optimize import linprog  # takes a quarter of a second, where it is needed alone
+
         samples, count = basis.shape
         unit = np.eye(count)
         rows = np.empty((count + 1, 2 * (samples + count)))
@@ -203,6 +202,8 @@ class _Problem:
 
 def _least_distance(left: Array, right: Array) -> Array:
     """Give the shortest x with ``left @ x >= right``."""
+    from scipy.optimize import nnls
+
     augmented = np.vstack([left.T, right])
     multipliers, _ = nnls(augmented, np.r_[np.zeros(left.shape[1]), 1.0], maxiter=30 * len(right) + 100)
     residual = augmented @ multipliers
