@@ -93,9 +93,7 @@ class EnergyLedger:
                 "what acted is not what the log and the law say"
             )
         if not abs(self.residual) <= self.tolerance:
-            found.append(
-                f"a residual of {abs(self.residual):.3g} J is beyond the quadrature's tolerance of {self.tolerance:.3g} J"
-            )
+            found.append(f"a residual of {abs(self.residual):.3g} J is beyond the tolerance of {self.tolerance:.3g} J")
         if not self.tolerance <= COARSE * self.turnover + np.finfo(float).tiny:
             found.append(
                 f"the tolerance itself is {self.tolerance / self.turnover:.2g} of the energy turned over: "
@@ -310,16 +308,22 @@ class _Terms:
         run, scenario = self.run, self.run.scenario
         shape = stages.wrench.shape
         depth = run.probe.measured_depth(stages.rows("depth"))
-        state = (stages.rows("features"), depth, *(stages.rows(name) for name in ("position", "quaternion", "twist")))
+        features, position, quaternion, twist = (
+            stages.rows(name) for name in ("features", "position", "quaternion", "twist")
+        )
         # Inside a stage of the continuous loop, weights are the core's business; no difference below depends on them.
         weights = None
         if run.weights is not None and not run.continuous:
             weights = np.repeat(run.weights[stages.tick], 4, axis=0)
-        whole = run.probe.law(*state, weights)
+
+        def law_of(probe: _core.Probe) -> _core.LawProbe:
+            return probe.law(features, depth, position, quaternion, twist, weights)
+
+        whole = law_of(run.probe)
         found: dict[str, Array] = {}
         before = whole.wrench
         for term, probe in self.without:
-            after = probe.law(*state, weights).wrench
+            after = law_of(probe).wrench
             found[term] = (before - after).reshape(shape)
             before = after
         law, fuzzy = whole.wrench.reshape(shape), whole.fuzzy_output.reshape(shape)

@@ -101,23 +101,23 @@ class Lyapunov:
             )
         start = float(self.value[0])
         sentences.append(
-            f"V starts at {start:.3g} J, of which {float(self.weight[0]):.3g} J are the distance of the weights from the "
-            f"best ones, and was at most {max(top, 0.0) * 1e6:.3g} uJ above its start."
+            f"V starts at {start:.3g} J, of which {float(self.weight[0]):.3g} J are the distance of the weights from "
+            f"the best ones, and was at most {max(top, 0.0) * 1e6:.3g} uJ above its start."
         )
         if self.switched:
             sentences.append(
-                f"{self.switched} of {len(self.time)} samples lie next to a step in which sgn changes and are left out: "
-                "V-dot jumps there."
+                f"{self.switched} of {len(self.time)} samples lie next to a step in which sgn changes and are left "
+                "out: V-dot jumps there."
             )
         if self.limited:
             sentences.append(
-                f"{self.limited} samples lie next to a step that the weights' limit cut and are left out; the cut itself "
-                "never raises V, since w* keeps the limit."
+                f"{self.limited} samples lie next to a step that the weights' limit cut and are left out; the cut "
+                "itself never raises V, since w* keeps the limit."
             )
         sentences.append(
-            "This is a numerical check at the samples of one trajectory. V contains w*, which is known only afterwards, "
-            "and a V that does not grow means stability, not convergence: friction-like switching may hold an error for "
-            "good."
+            "This is a numerical check at the samples of one trajectory. V contains w*, which is known only "
+            "afterwards, and a V that does not grow means stability, not convergence: friction-like switching may hold "
+            "an error for good."
         )
         return Section(
             name="lyapunov",
@@ -302,10 +302,9 @@ def differentiate(values: Array, step: float, breaks: Flags) -> Array:
             continue
         middle = np.arange(half, count - half)
         free = ~np.any([blocked[middle + offset] for offset in range(1 - half, half + 1)], axis=0)
-        slope = sum(
-            weight * (values[middle + distance] - values[middle - distance])
-            for distance, weight in enumerate(weights, start=1)
-        )
+        slope = np.zeros(len(middle))
+        for distance, weight in enumerate(weights, start=1):
+            slope += weight * (values[middle + distance] - values[middle - distance])
         found[middle[free]] = (slope / step)[free]
     return found
 

@@ -194,7 +194,7 @@ class Plant:
 
     def inertia(self, quaternion: Array) -> Array:
         """(1 - delta_D) D-bar, (n, 6, 6): acceleration in B (m/s^2; rad/s^2) to wrench (N; N m)."""
-        return np.linalg.inv(_response(self.probe, quaternion))
+        return np.asarray(np.linalg.inv(_response(self.probe, quaternion)), dtype=np.float64)
 
     def coriolis(self, quaternion: Array, twist: Array, inertia: Array) -> Array:
         """(1 - delta_C) C-bar chi-dot, (n, 6) [N; N m]; `inertia` is that of the same attitudes."""

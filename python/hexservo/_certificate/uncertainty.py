@@ -98,9 +98,9 @@ class Assumption:
         if len(failed) == 0:
             axis = int(np.argmin(self.margin / np.where(self.kv > 0, self.kv, 1.0)))
             sentences = [
-                f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; the smallest "
-                f"relative margin is {self.margin[axis]:.3g} {UNITS[axis]} of k_v = {self.kv[axis]:.3g} {UNITS[axis]}, "
-                f"{AXES[axis]}."
+                f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; the "
+                f"smallest relative margin is {self.margin[axis]:.3g} {UNITS[axis]} of k_v = {self.kv[axis]:.3g} "
+                f"{UNITS[axis]}, {AXES[axis]}."
             ]
         else:
             axis = int(failed[np.argmax(self.eta[failed] / np.maximum(self.kv[failed], np.finfo(float).tiny))])
@@ -114,8 +114,8 @@ class Assumption:
             sentences.append("No fuzzy systems act: gamma is Delta-tau itself.")
         else:
             sentences.append(
-                "eta_Delta is that of the best weights for this run, found afterwards; weights that the law learned are "
-                "others."
+                "eta_Delta is that of the best weights for this run, found afterwards; weights that the law learned "
+                "are others."
             )
             limited = [j for j in failed if self.weights[j].limited]
             if limited:

@@ -1,7 +1,7 @@
-"""The best weights of a fuzzy system: a linear program, and of its solutions the smallest (docs/certificate/weights.md).
+"""The best weights of a fuzzy system: a linear program, and of its solutions the smallest.
 
-The system's output is ``basis @ weights``, one row of the basis per sample. The best weights come as close to a target
-as one set of weights can over all samples, in the maximum norm.
+docs/certificate/weights.md. The system's output is ``basis @ weights``, one row of the basis per sample. The best
+weights come as close to a target as one set of weights can over all samples, in the maximum norm.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ TIE = 1e-6
 """Weights count as tied whose error is larger than the smallest one by no more than this part of it."""
 
 _FLOOR = 1e-9  # errors below this part of the largest target count as zero
-# How the linear programs are solved: presolve, method, feasibility. The first is the fastest; where columns of the basis
-# are nearly dependent it may fail. Whatever solves them, `_Problem.bound_of` tells how good the answer is.
+# How the linear programs are solved: presolve, method, feasibility. The first is the fastest; where columns of the
+# basis are nearly dependent it may fail. Whatever solves them, `_Problem.bound_of` tells how good the answer is.
 _ATTEMPTS = (
     (False, "highs-ds", 1e-10),
     (True, "highs-ds", 1e-10),
