@@ -33,7 +33,9 @@ _ATTEMPTS = (
 )
 _FIRST = 120  # samples that the first program sees
 _MORE = 40  # at most that many join before the next one
-_ROUNDS = 60  # of either program; a handful is usual
+_APART = 1e-20  # squared sine of the angle from which a constraint counts as independent of others
+_ROUNDS = 60  # of the linear program; a handful is usual
+_STEPS = 2000  # of the second program; one or two hundred are usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,6 @@ def best_weights(basis: Array, target: Array, limit: float | None = None, *, sma
     limit
         Largest absolute weight, in units of the target; None: `LIMIT` times the largest absolute target. Without one
         the program has no solution in floating-point numbers where columns of the basis are nearly dependent.
-
     smallest
         False leaves out the second program: any weights of smallest error will do.
 
@@ -86,7 +87,7 @@ def best_weights(basis: Array, target: Array, limit: float | None = None, *, sma
     problem = _Problem(np.ascontiguousarray(basis), target / scale, largest / scale)
     weights, dual = problem.closest()
     if smallest:
-        weights = problem.smallest(weights, dual)
+        weights = problem.smallest(weights)
     lower_bound, price = problem.bound_of(dual)
     return BestWeights(
         weights=weights * scale,
@@ -154,35 +155,62 @@ class _Problem:
         For every d with sum |d| = 1 and weights within the limit L:
         max |target - basis w| >= d.(target - basis w) >= d.target - L |basis^T d|_1.
         """
-        direction = dual / np.abs(dual).sum()
+        length = float(np.abs(dual).sum())
+        if length < _FLOOR:  # both sides of the same samples hold: no error is left
+            return 0.0, 0.0
+        direction = dual / length
         price = self.limit * float(np.abs(self.basis.T @ direction).sum())
         return float(direction @ self.target) - price, price
 
-    def smallest(self, start: Array, dual: Array) -> Array:
-        """Give the weights of smallest norm among those that are as good as `start`, which has the multipliers `dual`.
+    def smallest(self, start: Array) -> Array:
+        """Give the weights of smallest norm among those that are as good as `start`.
 
-        A least-distance program, min |w| subject to G w >= h, by non-negative least squares (Lawson and Hanson,
-        "Solving Least Squares Problems", 1974, chapter 23).
+        min |w|^2 subject to |target - basis w| <= e and |w| <= L, by the dual method of D. Goldfarb and A. Idnani ("A
+        numerically stable dual method for solving strictly convex quadratic programs", Mathematical Programming 27,
+        1983): from w = 0 it takes in the constraint that is violated most, and drops those that no longer hold w back.
         """
         error = float(np.abs(self.target - self.basis @ start).max()) * (1 + TIE) + _FLOOR
-        if error >= 1.0:  # as good as none
-            return np.zeros_like(start)
-        chosen = dual != 0.0
-        boxed = np.abs(start) >= 0.5 * self.limit
-        unit = np.eye(len(start))
-        length = float(np.linalg.norm(start))  # brings the unknowns near 1, which the method's accuracy needs
-        for _ in range(_ROUNDS):
-            rows, target = self.basis[chosen], self.target[chosen]
-            left = np.vstack([rows, -rows, unit[boxed], -unit[boxed]])
-            right = np.r_[target - error, -target - error, np.full(2 * np.count_nonzero(boxed), -self.limit)]
-            weights = _least_distance(left, right / length) * length
-            new = self._violated(weights, error, chosen)
-            over = (np.abs(weights) > self.limit * (1 + _FLOOR)) & ~boxed
-            if len(new) == 0 and not over.any():
-                return weights if np.linalg.norm(weights) <= length else start
-            chosen[new] = True
-            boxed |= over
-        return start  # as good, if larger
+        size = np.r_[np.linalg.norm(self.basis, axis=1), np.ones(len(start))]
+        size[size == 0.0] = np.inf  # a row that no weights can help
+        weights = np.zeros_like(start)
+        normals = np.empty((len(start), 0))  # of the constraints that hold w, one per column
+        forces = np.empty(0)  # their multipliers, >= 0
+        for _ in range(_STEPS):
+            rest = np.r_[self.target - self.basis @ weights, -weights]
+            excess = (np.abs(rest) - np.r_[np.full(len(self.target), error), np.full(len(start), self.limit)]) / size
+            worst = int(np.argmax(excess))
+            if excess[worst] <= _FLOOR * error + 1e-13:
+                return weights
+            row = self.basis[worst] if worst < len(self.target) else np.eye(len(start))[worst - len(self.target)]
+            normal = row * (np.sign(rest[worst]) / size[worst])
+            lacking, force = float(excess[worst]), 0.0
+            while True:  # until the constraint holds
+                share = np.empty(0)
+                free = normal
+                if len(forces):
+                    base, triangle = np.linalg.qr(normals)
+                    along = base.T @ normal
+                    free = normal - base @ along
+                    free -= base @ (base.T @ free)  # once more: what is left may be small
+                    share = np.linalg.solve(triangle, along)
+                reach = float(free @ normal)
+                full = lacking / reach if reach > _APART else np.inf
+                pushed = share > 0.0
+                partial = float((forces[pushed] / share[pushed]).min(initial=np.inf))
+                length = min(full, partial)
+                if not np.isfinite(length):
+                    return start  # rounding has closed the set of solutions: as good, if larger
+                forces = forces - length * share
+                force += length
+                if np.isfinite(full):
+                    weights = weights + length * free
+                    lacking -= length * reach
+                if length == full:
+                    normals, forces = np.column_stack([normals, normal]), np.r_[forces, force]
+                    break
+                dropped = np.flatnonzero(pushed)[np.argmin(forces[pushed])]
+                normals, forces = np.delete(normals, dropped, axis=1), np.delete(forces, dropped)
+        return start
 
     def _violated(self, weights: Array, error: float, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Give the worst samples beyond an error that are not yet chosen: first one of each run of neighbours."""
@@ -198,22 +226,3 @@ class _Problem:
         steps = np.abs(np.diff(self.basis, axis=0)).sum(axis=1) + np.abs(np.diff(self.target))
         way = np.r_[0.0, np.cumsum(steps)]
         return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count)).clip(0, len(way) - 1))
-
-
-def _least_distance(left: Array, right: Array) -> Array:
-    """Give the shortest x with ``left @ x >= right``."""
-    from scipy.optimize import nnls
-
-    augmented = np.vstack([left.T, right])
-    multipliers, _ = nnls(augmented, np.r_[np.zeros(left.shape[1]), 1.0], maxiter=30 * len(right) + 100)
-    residual = augmented @ multipliers
-    residual[-1] -= 1.0
-    shortest = -residual[:-1] / residual[-1]
-    active = multipliers > 0.0
-    if not active.any():
-        return np.zeros(left.shape[1])
-    # The same point from the constraints that hold it, to more digits.
-    polished = np.linalg.lstsq(left[active], right[active], rcond=None)[0]
-    if float((right - left @ polished).max()) <= float((right - left @ shortest).max()):
-        return np.asarray(polished)
-    return np.asarray(shortest)
