@@ -94,7 +94,11 @@ def test_a_run_without_best_weights_has_no_verdict(paper: hs.Scenario, monkeypat
 @pytest.mark.parametrize(
     ("changes", "variations", "words"),
     [
-        ({"controller.law": "composite"}, {"uncertainty.gravity": [0.0]}, "controller.law: expected hybrid, .*composite"),
+        (
+            {"controller.law": "composite"},
+            {"uncertainty.gravity": [0.0]},
+            "controller.law: expected hybrid, .*composite",
+        ),
         (
             {"simulation.mode": "sampled", "controller.switching.kind": "implicit"},
             {"uncertainty.gravity": [0.0]},

@@ -230,7 +230,7 @@ def test_with_smooth_switching_it_closes_to_the_order_of_the_method(paper: hs.Sc
 
 
 def test_with_sign_it_closes_to_first_order(paper: hs.Scenario) -> None:
-    """A platform that sticks chatters: every step has a sign change, and misses about h k_v times its change of speed."""
+    """A platform that sticks chatters: every step has a sign change, and misses about h k_v times its change of v."""
     sticking = {"controller.hybrid.kv": [0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3], "simulation.duration": 0.5}
     ledgers = [ledger_of(varied(paper, sticking, {"simulation.step": step})) for step in (1e-3, 5e-4, 2.5e-4)]
     for ledger in ledgers:

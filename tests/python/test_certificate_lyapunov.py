@@ -58,10 +58,10 @@ def gap(lyapunov: Lyapunov) -> Array:
 
 
 def test_differences_are_exact_for_polynomials() -> None:
-    x = np.arange(12) * 0.1
-    slope = differentiate(x**6, 0.1, np.zeros(11, dtype=bool))
+    x: Array = np.linspace(0.0, 1.1, 12)
+    slope = differentiate(np.power(x, 6), 0.1, np.zeros(11, dtype=bool))
     np.testing.assert_allclose(slope[3:-3], 6 * x[3:-3] ** 5, rtol=1e-11)
-    slope = differentiate(x**4, 0.1, np.zeros(11, dtype=bool))
+    slope = differentiate(np.power(x, 4), 0.1, np.zeros(11, dtype=bool))
     np.testing.assert_allclose(slope[2:-2], 4 * x[2:-2] ** 3, rtol=1e-11)
     assert np.isnan(slope[[0, 1, -2, -1]]).all()
 
@@ -93,7 +93,7 @@ def test_the_uncertainty_is_the_sum_of_its_parts(paper: hs.Scenario) -> None:
 
 
 def test_each_part_by_hand(paper: hs.Scenario) -> None:
-    """With plain numbers for errors: delta_D/(1 - delta_D) of what accelerates, delta_C C, delta_G G, (J-hat - J)^T K_p xi~."""
+    """Plain errors: delta_D/(1 - delta_D) of what accelerates, delta_C C, delta_G G, (J-hat - J)^T K_p xi~."""
     delta_d, delta_c, delta_g, delta_z = 0.075, 0.125, 0.03, 0.3
     result, found = uncertainty(paper.updated({**SHORT, "uncertainty.gravity": delta_g}))
     weight = np.array([0, 0, -MASS * GRAVITY, 0, 0, 0])
@@ -118,9 +118,7 @@ def test_each_part_by_hand(paper: hs.Scenario) -> None:
     scale = -delta_z / (1 + delta_z)
     whole = np.zeros(6)
     f = 581.816
-    for (px, py), (ex, ey) in zip(
-        result.features[0].reshape(4, 2), result.feature_error[0].reshape(4, 2), strict=True
-    ):
+    for (px, py), (ex, ey) in zip(result.features[0].reshape(4, 2), result.feature_error[0].reshape(4, 2), strict=True):
         row_x, row_y = np.array([f, 0, px]) / -0.5, np.array([0, f, py]) / -0.5  # -J_im, and s = -1: J = -J_im
         whole[:3] += 1e-6 * (ex * row_x + ey * row_y)
     np.testing.assert_allclose(start, scale * whole, rtol=1e-9, atol=1e-15)
@@ -228,7 +226,7 @@ def test_an_uncompensated_weight_breaks_the_assumption_along_z(paper: hs.Scenari
 
 
 def test_fuzzy_systems_could_have_held_the_weight(paper: hs.Scenario) -> None:
-    """A constant is within what weights can do: eta_Delta is zero but for rounding, although the law never learns it."""
+    """A constant is within what weights can do: eta_Delta is all but zero, although the law never learns it."""
     _, assumption = parts_of(paper.updated({**SHORT, **NOMINAL, "uncertainty.gravity": 0.02}))
     assert assumption.held.all()
     assert assumption.eta[2] < 1e-6 * assumption.largest[2]
@@ -333,7 +331,7 @@ def test_other_runs_have_the_ledger_alone(paper: hs.Scenario, changes: dict[str,
 
 def test_a_controller_of_ones_own_has_the_ledger_alone(paper: hs.Scenario) -> None:
     def own(seen: hs.Observation) -> Array:
-        return np.array([0, 0, -MASS * GRAVITY, 0, 0, 0]) - 0.5 * np.r_[seen.twist[:3], 0, 0, 0]
+        return np.asarray(np.array([0, 0, -MASS * GRAVITY, 0, 0, 0]) - 0.5 * np.r_[seen.twist[:3], 0, 0, 0])
 
     sampled = {**SHORT, "simulation.mode": "sampled"}
     certificate = hs.certify(hs.simulate(paper.updated(sampled), controller=own))
