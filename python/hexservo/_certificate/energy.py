@@ -96,7 +96,7 @@ class EnergyLedger:
             found.append(f"a residual of {abs(self.residual):.3g} J is beyond the tolerance of {self.tolerance:.3g} J")
         if not self.tolerance <= COARSE * self.turnover + np.finfo(float).tiny:
             found.append(
-                f"the tolerance itself is {self.tolerance / self.turnover:.2g} of the energy turned over: "
+                f"the tolerance itself is {100 * self.tolerance / self.turnover:.2g} % of the energy turned over: "
                 "the step is too coarse for a ledger"
                 if self.turnover > 0
                 else "a tolerance without any work"
