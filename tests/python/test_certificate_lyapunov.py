@@ -197,6 +197,10 @@ def test_with_sign_samples_next_to_a_switch_are_left_out_and_counted(paper: hs.S
     assert lyapunov.switched == beside.sum() > 0
     assert np.isnan(lyapunov.differentiated[beside]).all()
     assert f"{beside.sum()} of 501 samples" in " ".join(lyapunov.section().sentences)
+    jumps = [lyapunov.value[k + 1] - lyapunov.value[k] for k in range(500) if (signs[k] != signs[k + 1]).any()]
+    rounding = 294 * np.finfo(float).eps * lyapunov.value[0]  # of a sum of 294 squares
+    assert lyapunov.change_in_switches == pytest.approx(sum(jumps), abs=len(jumps) * rounding)
+    assert lyapunov.rise_in_a_switch == pytest.approx(max(0.0, *jumps), abs=rounding)
     # where nothing switches, both rates are near each other
     assert np.median(gap(lyapunov)) < 1e-2 * np.abs(lyapunov.predicted).max()
 

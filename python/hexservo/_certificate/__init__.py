@@ -70,6 +70,8 @@ def certify(result: Result) -> Certificate:
 
     Raises
     ------
+    KeyboardInterrupt
+        On Ctrl-C, also while the scenario runs.
     TypeError
         For anything but a `Result`.
     ValueError

@@ -56,6 +56,9 @@ class Lyapunov:
     rises: tuple[Rise, ...]
     switched: int  # samples left out next to a step with a sign change of chi-dot_j, with `sign`
     limited: int  # samples left out next to a step at whose end the weights' limit acted
+    change_in_switches: float  # of V, over all steps with a sign change [J]
+    rise_in_a_switch: float  # largest of one such step; 0 where V falls in all of them [J]
+    switching: str  # kind of the switching function
 
     @property
     def value(self) -> Array:
@@ -84,20 +87,22 @@ class Lyapunov:
             sentences.append("No sample has enough neighbours without a switch: V-dot could not be compared.")
         elif rising == 0:
             sentences.append(
-                f"V-dot was not positive beyond the integrator's error at any of the {self.compared} samples compared; "
-                f"V changed by {change * 1e6:.4g} uJ in all."
+                f"V-dot was not positive beyond the integrator's error at any of the {self.compared} samples compared "
+                f"(of {len(self.time)}); V changed by {change * 1e6:.4g} uJ in all."
             )
         else:
             worst = max(self.rises, key=lambda rise: rise.rate)
             sentences.append(
-                f"V grew at {rising} of {self.compared} samples compared, by up to {worst.rate * 1e6:.3g} uW at "
-                f"t = {worst.first:.4g} to {worst.last:.4g} s, most of it by {_blame(worst)}; "
+                f"V grew at {rising} of {self.compared} samples compared (of {len(self.time)}), by up to "
+                f"{worst.rate * 1e6:.3g} uW at t = {worst.first:.4g} to {worst.last:.4g} s, most of it by "
+                f"{_blame(worst)}; "
                 f"over the whole run V changed by {change * 1e6:.4g} uJ."
             )
         if len(gap):
             sentences.append(
                 f"V-dot by differences and by (20) agree to {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW RMS, "
-                f"of up to {scale * 1e6:.4g} uW."
+                f"of up to {scale * 1e6:.4g} uW; where all is smooth the difference falls with the fourth power of the "
+                "step."
             )
         start = float(self.value[0])
         sentences.append(
@@ -107,12 +112,18 @@ class Lyapunov:
         if self.switched:
             sentences.append(
                 f"{self.switched} of {len(self.time)} samples lie next to a step in which sgn changes and are left "
-                "out: V-dot jumps there."
+                f"out: V-dot jumps there. In those steps V changed by {self.change_in_switches * 1e6:.3g} uJ in all, "
+                f"and grew by at most {self.rise_in_a_switch * 1e6:.2g} uJ in one."
             )
         if self.limited:
             sentences.append(
                 f"{self.limited} samples lie next to a step that the weights' limit cut and are left out; the cut "
                 "itself never raises V, since w* keeps the limit."
+            )
+        if rising and self.switching in ("tanh", "saturation"):
+            sentences.append(
+                f"With {self.switching} K_v acts in full only outside of its layer: V may grow inside it although the "
+                "assumption holds."
             )
         sentences.append(
             "This is a numerical check at the samples of one trajectory. V contains w*, which is known only "
@@ -147,6 +158,8 @@ class Lyapunov:
                 "samples_compared": self.compared,
                 "samples_left_out_switching": self.switched,
                 "samples_left_out_limit": self.limited,
+                "change_in_switches": self.change_in_switches,
+                "rise_in_a_switch": self.rise_in_a_switch,
                 "samples_rising": rising,
                 "rises": [vars(rise) for rise in self.rises],
             },
@@ -278,6 +291,9 @@ def lyapunov_of(run: Replay, plant: Plant, uncertainty: Uncertainty, assumption:
         ),
         switched=_beside(breaks),
         limited=_beside(cut),
+        change_in_switches=float(np.diff(change)[breaks].sum()),
+        rise_in_a_switch=float(np.diff(change)[breaks].max(initial=0.0)),
+        switching=settings.switching.kind.name,
     )
 
 

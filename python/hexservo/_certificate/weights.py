@@ -172,12 +172,13 @@ class _Problem:
         error = float(np.abs(self.target - self.basis @ start).max()) * (1 + TIE) + _FLOOR
         size = np.r_[np.linalg.norm(self.basis, axis=1), np.ones(len(start))]
         size[size == 0.0] = np.inf  # a row that no weights can help
+        allowed = np.r_[np.full(len(self.target), error), np.full(len(start), self.limit)]
         weights = np.zeros_like(start)
         normals = np.empty((len(start), 0))  # of the constraints that hold w, one per column
         forces = np.empty(0)  # their multipliers, >= 0
         for _ in range(_STEPS):
-            rest = np.r_[self.target - self.basis @ weights, -weights]
-            excess = (np.abs(rest) - np.r_[np.full(len(self.target), error), np.full(len(start), self.limit)]) / size
+            rest = np.concatenate([self.target - self.basis @ weights, -weights])
+            excess = (np.abs(rest) - allowed) / size
             worst = int(np.argmax(excess))
             if excess[worst] <= _FLOOR * error + 1e-13:
                 return weights
