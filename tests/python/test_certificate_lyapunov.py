@@ -124,6 +124,18 @@ def test_each_part_by_hand(paper: hs.Scenario) -> None:
     np.testing.assert_allclose(start, scale * whole, rtol=1e-9, atol=1e-15)
 
 
+def test_the_printed_sign_is_an_error_of_the_jacobian(paper: hs.Scenario) -> None:
+    """With exact depths J-hat = -J: Delta-tau is -2 J^T K_p xi~, twice what the law asks for."""
+    changes = {**NOMINAL, "controller.jacobian": "printed", "controller.hybrid.fuzzy.enabled": False}
+    scenario = paper.updated({**SHORT, **changes, "controller.hybrid.kv": 0.0, "simulation.duration": 0.02})
+    result, found = uncertainty(scenario)
+    asked = result.wrench - np.array([0, 0, -MASS * GRAVITY, 0, 0, 0])  # J-hat^T K_p xi~
+    np.testing.assert_allclose(found.total, 2 * asked, rtol=1e-9, atol=1e-14)
+    lyapunov, _ = parts_of(scenario)
+    assert lyapunov.rises[0].term == "image Jacobian error"
+    assert gap(lyapunov).max() < 1e-4 * np.abs(lyapunov.predicted).max()
+
+
 def test_without_errors_there_is_no_uncertainty(paper: hs.Scenario) -> None:
     """Then gamma = 0, w* = 0, and V-dot = -chi-dot^T K_v sw(chi-dot), never positive."""
     scenario = paper.updated({**SHORT, **NOMINAL, **SMOOTH})
