@@ -76,7 +76,6 @@ class EnergyLedger:
     tossed: int  # steps in which rounding decided a sign, one way in the run and the other way here
     crossings: int  # steps in which a component of the twist changes its sign
     remarks: tuple[str, ...]
-    law: str
 
     @property
     def closes(self) -> bool:
@@ -257,7 +256,6 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
         tossed=tossed,
         crossings=int(np.count_nonzero((run.twist[1:] * run.twist[:-1] < 0).any(axis=1))),
         remarks=(*terms.remarks, run.remark),
-        law=run.scenario.controller.law,
     )
 
 
