@@ -21,6 +21,7 @@ except ImportError as error:  # a source tree, or a wheel of another Python
 
 from hexservo._analysis import Analysis, analyse
 from hexservo._batch import BatchResult, simulate_batch
+from hexservo._certificate import BatchCertificate, Certificate, certify, certify_batch
 from hexservo._compare import Comparison, ComparisonRow, compare
 from hexservo._controller import Controller, ControllerOutput
 from hexservo._metrics import METRICS, metrics
@@ -33,7 +34,9 @@ from hexservo._variant import VariantError
 __all__ = [
     "METRICS",
     "Analysis",
+    "BatchCertificate",
     "BatchResult",
+    "Certificate",
     "Comparison",
     "ComparisonRow",
     "Controller",
@@ -47,6 +50,8 @@ __all__ = [
     "VariantError",
     "__version__",
     "analyse",
+    "certify",
+    "certify_batch",
     "compare",
     "load_scenario",
     "metrics",

@@ -1,0 +1,229 @@
+"""The best weights of a fuzzy system: a linear program, and of its solutions the smallest.
+
+docs/certificate/weights.md. The system's output is ``basis @ weights``, one row of the basis per sample. The best
+weights come as close to a target as one set of weights can over all samples, in the maximum norm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LIMIT", "TIE", "BestWeights", "best_weights"]
+
+Array = NDArray[np.float64]
+
+LIMIT = 1e3
+"""Largest weight that is tried, in units of the largest target."""
+TIE = 1e-6
+"""Weights count as tied whose error is larger than the smallest one by no more than this part of it."""
+
+_FLOOR = 1e-9  # errors below this part of the largest target count as zero
+# How the linear programs are solved: presolve, method, feasibility. The first is the fastest; where columns of the
+# basis are nearly dependent it may fail. Whatever solves them, `_Problem.bound_of` tells how good the answer is.
+_ATTEMPTS = (
+    (False, "highs-ds", 1e-10),
+    (True, "highs-ds", 1e-10),
+    (False, "highs-ds", 1e-8),
+    (True, "highs-ds", 1e-7),
+    (True, "highs-ipm", 1e-8),
+)
+_FIRST = 120  # samples that the first program sees
+_MORE = 40  # at most that many join before the next one
+_APART = 1e-20  # squared sine of the angle from which a constraint counts as independent of others
+_ROUNDS = 60  # of the linear program; a handful is usual
+_STEPS = 2000  # of the second program; one or two hundred are usual
+
+
+@dataclass(frozen=True, eq=False)
+class BestWeights:
+    """Weights that minimise the largest error, the smallest of them, and what proves it."""
+
+    weights: Array  # (p,), in units of the target
+    error: float  # largest |target - basis @ weights| over all samples
+    lower_bound: float  # no weights within the limit do better: from the dual of the linear program
+    limit: float  # that the weights had to keep
+    limited: bool  # the limit keeps the error from being smaller
+
+
+def best_weights(basis: Array, target: Array, limit: float | None = None, *, smallest: bool = True) -> BestWeights:
+    """Minimise ``max |target - basis @ weights|``, and among ties the Euclidean norm of the weights.
+
+    Both programs begin with a subset of the samples and take in those that their solution violates most, until there
+    are none: what is returned is a solution for all samples.
+
+    Parameters
+    ----------
+    basis
+        (n, p), one row per sample [1].
+    target
+        (n,).
+    limit
+        Largest absolute weight, in units of the target; None: `LIMIT` times the largest absolute target. Without one
+        the program has no solution in floating-point numbers where columns of the basis are nearly dependent.
+    smallest
+        False leaves out the second program: any weights of smallest error will do.
+
+    Raises
+    ------
+    ValueError
+        For arrays of other shapes, numbers that are not finite, and a limit that is not positive.
+    ArithmeticError
+        Where the solver of the linear program gives up.
+    """
+    if basis.ndim != 2 or target.shape != basis.shape[:1] or len(target) == 0:
+        raise ValueError(f"basis: expected (n, p) with a target of (n,), n > 0, got {basis.shape} and {target.shape}")
+    if not (np.isfinite(basis).all() and np.isfinite(target).all()):
+        raise ValueError("basis: expected finite numbers, and so of the target, got others")
+    scale = float(np.abs(target).max())
+    largest = LIMIT * scale if limit is None else float(limit)
+    if limit is not None and not largest > 0:
+        raise ValueError(f"limit: expected a number > 0, got {limit!r}")
+    if scale == 0.0:  # nothing to approximate
+        return BestWeights(np.zeros(basis.shape[1]), 0.0, 0.0, largest, limited=False)
+    problem = _Problem(np.ascontiguousarray(basis), target / scale, largest / scale)
+    weights, dual = problem.closest()
+    if smallest:
+        weights = problem.smallest(weights)
+    lower_bound, price = problem.bound_of(dual)
+    return BestWeights(
+        weights=weights * scale,
+        error=float(np.abs(problem.target - problem.basis @ weights).max()) * scale,
+        lower_bound=max(0.0, lower_bound) * scale,
+        limit=largest,
+        limited=price > 1e-5 * max(lower_bound, _FLOOR),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """In units in which the largest target is 1."""
+
+    basis: Array  # (n, p)
+    target: Array  # (n,)
+    limit: float
+
+    def closest(self) -> tuple[Array, Array]:
+        """Solve the linear program; give weights, and (n,) multipliers: positive where the target is above."""
+        chosen = np.zeros(len(self.target), dtype=bool)
+        chosen[self._spread(_FIRST)] = True
+        for _ in range(_ROUNDS):
+            weights, multipliers, error = self._program(self.basis[chosen], self.target[chosen])
+            new = self._violated(weights, error * (1 + TIE / 10) + _FLOOR / 10, chosen)
+            if len(new) == 0:
+                break
+            chosen[new] = True
+        dual = np.zeros(len(self.target))
+        if len(new) == 0:
+            dual[chosen] = multipliers
+            return weights, dual
+        raise ArithmeticError("the linear program for the best weights did not end")
+
+    def _program(self, basis: Array, target: Array) -> tuple[Array, Array, float]:
+        """Solve the program of some samples through its dual, which has a row per weight and not per sample.
+
+        With u, v >= 0 for the samples' two sides and a, b >= 0 for those of the limit L:
+        maximise target.(u - v) - L sum(a + b) subject to basis^T (u - v) + a - b = 0, sum(u + v) = 1.
+        """
+        from scipy.optimize import linprog  # takes a quarter of a second, where it is needed alone
+
+        samples, count = basis.shape
+        unit = np.eye(count)
+        rows = np.empty((count + 1, 2 * (samples + count)))
+        rows[:count] = np.hstack([basis.T, -basis.T, unit, -unit])
+        rows[count] = np.r_[np.ones(2 * samples), np.zeros(2 * count)]
+        cost = np.r_[-target, target, np.full(2 * count, self.limit)]
+        right = np.r_[np.zeros(count), 1.0]
+        for presolve, method, accuracy in _ATTEMPTS:
+            options = {
+                "presolve": presolve,
+                "primal_feasibility_tolerance": accuracy,
+                "dual_feasibility_tolerance": accuracy,
+            }
+            solution: Any = linprog(cost, A_eq=rows, b_eq=right, bounds=(0, None), method=method, options=options)
+            if solution.status == 0:
+                both = solution.x
+                return -solution.eqlin.marginals[:count], both[:samples] - both[samples : 2 * samples], -solution.fun
+        raise ArithmeticError(f"the linear program for the best weights has no solution: {solution.message}")
+
+    def bound_of(self, dual: Array) -> tuple[float, float]:
+        """Give a bound below which no error can be, and the part of it that the limit would take off.
+
+        For every d with sum |d| = 1 and weights within the limit L:
+        max |target - basis w| >= d.(target - basis w) >= d.target - L |basis^T d|_1.
+        """
+        length = float(np.abs(dual).sum())
+        if length < _FLOOR:  # both sides of the same samples hold: no error is left
+            return 0.0, 0.0
+        direction = dual / length
+        price = self.limit * float(np.abs(self.basis.T @ direction).sum())
+        return float(direction @ self.target) - price, price
+
+    def smallest(self, start: Array) -> Array:
+        """Give the weights of smallest norm among those that are as good as `start`.
+
+        min |w|^2 subject to |target - basis w| <= e and |w| <= L, by the dual method of D. Goldfarb and A. Idnani ("A
+        numerically stable dual method for solving strictly convex quadratic programs", Mathematical Programming 27,
+        1983): from w = 0 it takes in the constraint that is violated most, and drops those that no longer hold w back.
+        """
+        error = float(np.abs(self.target - self.basis @ start).max()) * (1 + TIE) + _FLOOR
+        size = np.r_[np.linalg.norm(self.basis, axis=1), np.ones(len(start))]
+        size[size == 0.0] = np.inf  # a row that no weights can help
+        allowed = np.r_[np.full(len(self.target), error), np.full(len(start), self.limit)]
+        weights = np.zeros_like(start)
+        normals = np.empty((len(start), 0))  # of the constraints that hold w, one per column
+        forces = np.empty(0)  # their multipliers, >= 0
+        for _ in range(_STEPS):
+            rest = np.concatenate([self.target - self.basis @ weights, -weights])
+            excess = (np.abs(rest) - allowed) / size
+            worst = int(np.argmax(excess))
+            if excess[worst] <= _FLOOR * error + 1e-13:
+                return weights
+            row = self.basis[worst] if worst < len(self.target) else np.eye(len(start))[worst - len(self.target)]
+            normal = row * (np.sign(rest[worst]) / size[worst])
+            lacking, force = float(excess[worst]), 0.0
+            while True:  # until the constraint holds
+                share = np.empty(0)
+                free = normal
+                if len(forces):
+                    base, triangle = np.linalg.qr(normals)
+                    along = base.T @ normal
+                    free = normal - base @ along
+                    free -= base @ (base.T @ free)  # once more: what is left may be small
+                    share = np.linalg.solve(triangle, along)
+                reach = float(free @ normal)
+                full = lacking / reach if reach > _APART else np.inf
+                pushed = share > 0.0
+                partial = float((forces[pushed] / share[pushed]).min(initial=np.inf))
+                length = min(full, partial)
+                if not np.isfinite(length):
+                    return start  # rounding has closed the set of solutions: as good, if larger
+                forces = forces - length * share
+                force += length
+                if np.isfinite(full):
+                    weights = weights + length * free
+                    lacking -= length * reach
+                if length == full:
+                    normals, forces = np.column_stack([normals, normal]), np.r_[forces, force]
+                    break
+                dropped = np.flatnonzero(pushed)[np.argmin(forces[pushed])]
+                normals, forces = np.delete(normals, dropped, axis=1), np.delete(forces, dropped)
+        return start
+
+    def _violated(self, weights: Array, error: float, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Give the worst samples beyond an error that are not yet chosen: first one of each run of neighbours."""
+        beyond = np.abs(self.target - self.basis @ weights)
+        wrong = (beyond > error * (1 + _FLOOR) + 1e-13) & ~chosen
+        padded = np.r_[-np.inf, beyond, -np.inf]
+        peak = wrong & (beyond >= padded[:-2]) & (beyond >= padded[2:])
+        new = np.flatnonzero(peak if peak.any() else wrong)
+        return np.asarray(new[np.argsort(-beyond[new], kind="stable")][:_MORE])
+
+    def _spread(self, count: int) -> NDArray[np.intp]:
+        """Spread samples evenly over the way of basis and target, of which most runs go the most part at once."""
+        steps = np.abs(np.diff(self.basis, axis=0)).sum(axis=1) + np.abs(np.diff(self.target))
+        way = np.r_[0.0, np.cumsum(steps)]
+        return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count)).clip(0, len(way) - 1))

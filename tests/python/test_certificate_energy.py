@@ -1,0 +1,338 @@
+"""The energy ledger: works by hand, conservation, and the order to which it closes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hexservo as hs
+from hexservo._certificate.base import _from_means
+from hexservo._certificate.energy import EnergyLedger, energy_ledger
+from hexservo._certificate.replay import Plant, replay, replay_of
+from hexservo._evidence import Curves, Table
+
+Array = NDArray[np.float64]
+
+MASS, GRAVITY = 0.06, 9.8
+FREE: dict[str, Any] = {"controller.law": "kelly", "controller.kelly.kp": 0.0, "controller.kelly.kd": 0.0}
+SAMPLED: dict[str, Any] = {"simulation.mode": "sampled", "camera.period": 1e-3}
+
+
+def ledger_of(scenario: hs.Scenario) -> EnergyLedger:
+    certificate = hs.certify(hs.simulate(scenario))
+    assert certificate.energy is not None, certificate.open_questions
+    return certificate.energy
+
+
+def varied(paper: hs.Scenario, *changes: dict[str, Any]) -> hs.Scenario:
+    whole: dict[str, Any] = {}
+    for some in changes:
+        whole |= some
+    return paper.updated(whole)
+
+
+def trapezoid(values: Array, step: float) -> float:
+    return float(step * (values.sum() - (values[0] + values[-1]) / 2))
+
+
+# ---- By hand --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", [{}, SAMPLED])
+def test_a_constant_force_does_force_times_way(paper: hs.Scenario, mode: dict[str, Any]) -> None:
+    """Nothing acts but the error of the weight: delta_G G, along z, on a mass of (1 - delta_D) m."""
+    time = 0.2
+    scenario = varied(paper, FREE, mode, {"uncertainty.gravity": 0.01, "simulation.duration": time})
+    ledger = ledger_of(scenario)
+    force = 0.01 * -MASS * GRAVITY
+    acceleration = force / ((1 - 0.075) * MASS)
+    way = acceleration * time**2 / 2
+    assert ledger.work("gravity") == pytest.approx(force * way, rel=1e-12)
+    assert ledger.energy[-1] == pytest.approx(0.5 * (1 - 0.075) * MASS * (acceleration * time) ** 2, rel=1e-12)
+    np.testing.assert_allclose(np.delete(ledger.by_axis["gravity"], 2), 0.0, atol=1e-25)
+    assert abs(ledger.residual) <= 2 * 200 * np.finfo(float).eps * ledger.energy[-1]  # rounding of 200 steps
+    assert ledger.closes
+
+
+def test_what_viscous_damping_takes_is_its_closed_form(paper: hs.Scenario) -> None:
+    """m v' = F - c v from rest: the work is -(F^2/c) (t - 2 T (1 - e) + T/2 (1 - e^2)) with T = m/c, e = exp(-t/T)."""
+    damping, time, mass = 0.6, 0.3, (1 - 0.075) * MASS
+    changes = {"controller.kelly.kd": damping, "uncertainty.gravity": 0.01, "simulation.duration": time}
+    ledger = ledger_of(varied(paper, FREE, changes))
+    force, lag = 0.01 * -MASS * GRAVITY, mass / damping
+    left = np.exp(-time / lag)
+    taken = -(force**2) / damping * (time - 2 * lag * (1 - left) + lag / 2 * (1 - left**2))
+    assert ledger.work("damping") == pytest.approx(taken, rel=1e-9)
+    speed = force / damping * (1 - left)
+    assert ledger.energy[-1] == pytest.approx(0.5 * mass * speed**2, rel=1e-9)
+    assert ledger.closes
+
+
+def test_what_a_hold_injects_is_its_sum_over_the_ticks(paper: hs.Scenario) -> None:
+    """A damping that holds from tick to tick lags behind the velocity: it gives back what it takes too little."""
+    step, damping, mass, force = 1e-2, 1.5, (1 - 0.075) * MASS, 0.01 * -MASS * GRAVITY
+    scenario = varied(
+        paper,
+        FREE,
+        SAMPLED,
+        {
+            "controller.kelly.kd": damping,
+            "uncertainty.gravity": 0.01,
+            "simulation.step": step,
+            "simulation.duration": 0.2,
+            "camera.period": step,
+        },
+    )
+    speed = injected = 0.0
+    for _ in range(20):
+        acceleration = (force - damping * speed) / mass
+        # -c (v_k - v(s)) v(s) over the tick, with v(s) = v_k + a s
+        injected += damping * (acceleration * speed * step**2 / 2 + acceleration**2 * step**3 / 3)
+        speed += acceleration * step
+    ledger = ledger_of(scenario)
+    assert ledger.energy[-1] == pytest.approx(0.5 * mass * speed**2, rel=1e-12)
+    assert ledger.work("held") == pytest.approx(injected, rel=1e-12)
+    assert injected > 0
+    assert ledger.closes
+    section = ledger.section()
+    assert f"put {injected * 1e6:.4g} uJ into the platform" in " ".join(section.sentences)
+
+
+def test_a_base_that_shakes_does_its_work(paper: hs.Scenario) -> None:
+    """A free platform answers a = A sin(2 pi f t) with v = A (cos(2 pi f t) - 1)/(2 pi f), whatever its mass."""
+    amplitude, frequency, time = 0.5, 5.0, 0.43
+    scenario = varied(
+        paper,
+        FREE,
+        SAMPLED,
+        {
+            "base_motion.kind": "sinusoid",
+            "base_motion.amplitude": [amplitude, 0.0, 0.0],
+            "base_motion.frequency": frequency,
+            "simulation.duration": time,
+        },
+    )
+    ledger = ledger_of(scenario)
+    turn = 2 * np.pi * frequency
+    speed = amplitude * (np.cos(turn * time) - 1) / turn
+    energy = 0.5 * (1 - 0.075) * MASS * speed**2
+    assert ledger.energy[-1] == pytest.approx(energy, rel=1e-6)
+    assert ledger.work("base") == pytest.approx(energy, rel=1e-6)
+    assert ledger.mismatch < 1e-12
+    assert ledger.closes
+
+
+def test_the_base_is_measured_to_fourth_order(paper: hs.Scenario) -> None:
+    """From Simpson means of neighbouring steps, as an integration of 1, 5 and 9 rad per unit time takes them."""
+
+    def error(cells: int) -> float:
+        borders = np.linspace(0.0, 1.0, 2 * cells + 1)[:, None]
+        values = np.sin(borders * [1.0, 5.0, 9.0])
+        means = (values[:-2:2] + 4 * values[1:-1:2] + values[2::2]) / 6
+        found = _from_means(means)
+        expected = np.stack([values[:-2:2], values[1:-1:2], values[2::2]], axis=1)
+        return float(np.abs(found - expected)[3:-3].max())  # the outermost cells have no neighbours on one side
+
+    ratios = [error(cells) / error(2 * cells) for cells in (20, 40, 80)]
+    assert all(14 < ratio < 18 for ratio in ratios), ratios
+
+
+def test_the_image_spring_gives_what_the_image_loses(paper: hs.Scenario) -> None:
+    """Without depth errors J-hat = J, and the spring's work is the loss of 1/2 xi~^T K_p xi~."""
+    smooth = {"controller.switching.kind": "tanh", "controller.switching.width": 1.0, "simulation.step": 5e-4}
+    result = hs.simulate(varied(paper, smooth, {"uncertainty.depth": 0.0, "simulation.duration": 0.4}))
+    ledger = hs.certify(result).energy
+    assert ledger is not None
+    stored = 0.5 * 1e-6 * (result.feature_error**2).sum(axis=1)
+    assert ledger.work("image_spring") == pytest.approx(stored[0] - stored[-1], rel=1e-7)
+    assert ledger.turnover > 0
+
+
+def test_switching_and_fuzzy_work_are_integrals_over_the_samples(paper: hs.Scenario) -> None:
+    """Against the trapezoidal rule over the log, where everything is smooth."""
+    switching = {"controller.switching.kind": "tanh", "controller.switching.width": 1.0}
+    result = hs.simulate(varied(paper, switching, {"simulation.duration": 0.3}))
+    ledger = hs.certify(result).energy
+    assert ledger is not None
+    kv = np.array([2e-3] * 3 + [1e-4] * 3)
+    power = (-kv * np.tanh(result.twist) * result.twist).sum(axis=1)
+    assert ledger.work("switching") == pytest.approx(trapezoid(power, 1e-3), rel=1e-4)
+    power = -(result.fuzzy_output * result.twist).sum(axis=1)
+    assert ledger.work("fuzzy") == pytest.approx(trapezoid(power, 1e-3), rel=1e-3)
+
+
+# ---- Conservation ---------------------------------------------------------------------------------------------------
+
+
+def tumbling(paper: hs.Scenario, **errors: Any) -> tuple[hs.Result, EnergyLedger]:
+    """A platform that is pushed for 20 ms about a skew axis, then left alone but for its weight."""
+
+    def push(seen: hs.Observation) -> Array:
+        hold = np.array([0, 0, -MASS * GRAVITY, 0, 0, 0])
+        return np.asarray(hold + (seen.tick < 20) * np.array([1e-3, 0, 0, 2e-2, 1e-2, 3e-2]))
+
+    changes = {"uncertainty.gravity": 0.0, "simulation.duration": 0.1} | {
+        f"uncertainty.{name}": value for name, value in errors.items()
+    }
+    body = {"robot.inertia": [1.5e-4, 2.0e-4, 3.0e-4]}
+    result = hs.simulate(varied(paper, SAMPLED, changes, body), controller=push)
+    run = replay(result)
+    return result, energy_ledger(run, Plant.of(run.probe))
+
+
+def test_free_motion_conserves_energy(paper: hs.Scenario) -> None:
+    result, ledger = tumbling(paper)
+    assert result.outcome == "completed"
+    assert np.abs(result.twist[-1, 3:]).min() > 0.1  # it does turn, about no axis of symmetry
+    assert np.ptp(ledger.energy[20:]) < 1e-8 * ledger.energy[-1]
+    assert set(ledger.works) == {"own", "gravity"}
+    assert np.abs(ledger.works["own"][20:]).sum() < 1e-12 * ledger.energy[-1]
+    assert ledger.work("own") == pytest.approx(ledger.energy[-1], rel=1e-8)
+    assert ledger.closes, ledger.faults
+
+
+def test_gyroscopic_terms_do_work_where_errors_are_uneven(paper: hs.Scenario) -> None:
+    """Entry by entry, (1 - delta) o C has no skew symmetry left: the free platform gains or loses energy."""
+    inertia = np.zeros((6, 6))
+    inertia[3:, 3:] = np.diag([0.1, -0.1, 0.05])
+    coriolis = np.zeros((6, 6))
+    coriolis[3, 4] = coriolis[4, 5] = 0.3
+    _, ledger = tumbling(paper, inertia=inertia.tolist(), coriolis=coriolis.tolist())
+    gained = float(ledger.energy[-1] - ledger.energy[20])
+    assert abs(gained) > 1e-3 * ledger.energy[-1]
+    assert ledger.works["coriolis"][20:].sum() == pytest.approx(gained, rel=1e-4)
+    assert ledger.closes, ledger.faults
+
+
+# ---- How well it closes ---------------------------------------------------------------------------------------------
+
+
+def test_with_smooth_switching_it_closes_to_the_order_of_the_method(paper: hs.Scenario) -> None:
+    smooth = {
+        "controller.switching.kind": "tanh",
+        "controller.switching.width": 1.0,
+        "controller.hybrid.fuzzy.error_scale": 0.5,
+        "controller.hybrid.fuzzy.rate_scale": 0.02,  # no input of a fuzzy system at its limit
+        "simulation.duration": 0.2,
+    }
+    ledgers = [ledger_of(varied(paper, smooth, {"simulation.step": step})) for step in (1e-3, 5e-4, 2.5e-4)]
+    for coarse, fine in pairwise(ledgers):
+        assert abs(coarse.residual) / abs(fine.residual) > 14  # 2^4, less what is not yet asymptotic
+        assert 12 < coarse.tolerance / fine.tolerance < 40
+    for ledger in ledgers:
+        assert abs(ledger.residual) <= ledger.tolerance < 1e-3 * ledger.turnover
+        assert ledger.closes
+
+
+def test_with_sign_it_closes_to_first_order(paper: hs.Scenario) -> None:
+    """A platform that sticks chatters: every step has a sign change, and misses about h k_v times its change of v."""
+    sticking = {"controller.hybrid.kv": [0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3], "simulation.duration": 0.5}
+    ledgers = [ledger_of(varied(paper, sticking, {"simulation.step": step})) for step in (1e-3, 5e-4, 2.5e-4)]
+    for ledger in ledgers:
+        assert ledger.crossings > 100
+        assert abs(ledger.residual) <= ledger.tolerance < 3 * abs(ledger.residual)
+    ratios = [coarse.residual / fine.residual for coarse, fine in pairwise(ledgers)]
+    assert all(1.7 < ratio < 2.4 for ratio in ratios), ratios
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "paper",
+        "paper-gravity",
+        "paper-composite",
+        "task-tilt",
+        "textbook-half-turn",
+        "composite-30hz",
+        "real-machine",
+        "rough-road",
+        "saturation",
+    ],
+)
+def test_shipped_scenarios_close(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    ledger = ledger_of(scenario.updated({"simulation.duration": 0.6}))
+    assert ledger.closes, ledger.faults
+    total = sum(ledger.work(term) for term in ledger.works)
+    assert total + ledger.residual == pytest.approx(float(ledger.energy[-1] - ledger.energy[0]), abs=1e-15)
+    for term, axes in ledger.by_axis.items():
+        assert axes.sum() == pytest.approx(ledger.work(term), rel=1e-9, abs=1e-18)
+
+
+@pytest.mark.parametrize("law", ["kelly", "resolved_rate", "pbvs", "computed_torque"])
+@pytest.mark.parametrize("mode", [{}, SAMPLED])
+def test_every_law_closes(paper: hs.Scenario, law: str, mode: dict[str, Any]) -> None:
+    ledger = ledger_of(varied(paper, mode, {"controller.law": law, "simulation.duration": 0.4}))
+    assert ledger.closes, ledger.faults
+    assert ledger.work("damping") < 0
+    assert ("held" in ledger.works) == bool(mode)
+
+
+def test_substeps_and_leg_forces_that_hold_close(paper: hs.Scenario) -> None:
+    legs = {"actuators.hold": "leg_forces", "controller.law": "composite", "controller.switching.kind": "implicit"}
+    scenario = varied(paper, SAMPLED, legs, {"simulation.substeps": 3, "simulation.duration": 0.3})
+    ledger = ledger_of(scenario)
+    assert ledger.mismatch < 1e-12
+    assert ledger.closes, ledger.faults
+
+
+def test_a_camera_as_printed_is_accounted_for(paper: hs.Scenario) -> None:
+    printed = {"camera.convention": "as_printed", "simulation.duration": 0.3}
+    assert ledger_of(varied(paper, printed)).closes
+    sampled = ledger_of(varied(paper, printed, SAMPLED, {"controller.switching.kind": "implicit"}))
+    assert sampled.closes
+    assert set(sampled.works) == {"acting", "gravity"}
+    assert any("not split into terms" in sentence for sentence in sampled.section().sentences)
+
+
+# ---- When it does not -----------------------------------------------------------------------------------------------
+
+
+def test_a_log_that_is_not_what_acted_is_flagged(paper: hs.Scenario) -> None:
+    scenario = varied(paper, FREE, SAMPLED, {"uncertainty.gravity": 0.01, "simulation.duration": 0.2})
+    result = hs.simulate(scenario)
+    wrench = result.wrench.copy()
+    wrench[50:60, 2] *= 0.99
+    run = replay_of(replace(result, wrench=wrench), scenario, result.end_time)
+    ledger = energy_ledger(run, Plant.of(run.probe))
+    assert not ledger.closes
+    section = ledger.section()
+    assert section.verdict == "bad"
+    assert section.sentences[0].startswith("The energy ledger does not close: ")
+    assert "miss the next sample" in section.sentences[0]
+    assert "a residual of" in section.sentences[0]
+
+
+def test_a_step_that_is_too_coarse_is_flagged(paper: hs.Scenario) -> None:
+    """Switching of 2 N at 20 ms steps is nothing but chatter."""
+    scenario = varied(
+        paper,
+        {
+            "controller.law": "composite",
+            "controller.composite.kv": [0.5, 0.5, 0.5, 0.01, 0.01, 0.01],
+            "simulation.step": 5e-3,
+            "simulation.duration": 0.5,
+        },
+    )
+    ledger = ledger_of(scenario)
+    assert not ledger.closes
+    assert any("too coarse" in fault for fault in ledger.faults), ledger.faults
+
+
+def test_the_section_shows_the_books(paper: hs.Scenario) -> None:
+    ledger = ledger_of(varied(paper, {"simulation.duration": 0.3}))
+    section = ledger.section()
+    assert section.name == "energy"
+    assert section.verdict == "good"
+    table, curves = section.items
+    assert isinstance(table, Table)
+    assert isinstance(curves, Curves)
+    works = [row[1] for row in table.rows[: len(ledger.works)]]
+    assert works == pytest.approx([ledger.work(term) * 1e6 for term in ledger.works])
+    assert curves.lines[0].y[0] == 0.0
+    assert section.data["residual"] == ledger.residual
