@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hexservo import _core
 
-__all__ = ["DRIFT_TIME", "EARLY", "THRESHOLD", "Judgement", "Record", "judge", "make_record"]
+__all__ = ["DRIFT_TIME", "THRESHOLD", "Judgement", "Record", "judge", "make_record"]
 
 Array = NDArray[np.float64]
 
@@ -19,8 +19,7 @@ THRESHOLD: float = _core.MetricsSettings().settling_threshold
 """[px], of the metric ``settling_time``: a larger error at the end of a run is a failure."""
 DRIFT_TIME = 30.0
 """[s]: a leg that still moves so fast at the end that it would leave its stroke within this time is a failure."""
-EARLY = 3.0
-"""Severity of a run that completes, at most; one that ends early has more."""
+_DECADES = 3.0  # of what is allowed, over which the severity of a kind of failure grows
 _TAIL = 0.2  # the last part of a run, over which the error that remains is averaged
 _DRIFT_WINDOWS = ((0.5, 0.75), (0.75, 1.0))  # parts of a run, over each of which the legs' drift is fitted
 
@@ -99,11 +98,12 @@ def _drift(time: Array, lengths: Array, end_time: float) -> float:
     return float(np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0).max())
 
 
-def judge(record: Record, stroke: float, duration: float) -> Judgement:
+def judge(record: Record, stroke: float, duration: float, *, stroke_counts: bool = True) -> Judgement:
     """Judge a run.
 
-    The severity of a run that completes is the sum of the decades by which it exceeds what is allowed, at most
-    `EARLY`; that of one that ends early is `EARLY` and the share of the time that it did not run.
+    The severity says how much of the task was missed: up to 1 for legs that leave their stroke or drift, and twice as
+    much for an error that remains, each by decades of what is allowed, 2 in all; from 2 to 3 for a run that ends early,
+    by the share of the time that it did not run.
 
     Parameters
     ----------
@@ -113,13 +113,17 @@ def judge(record: Record, stroke: float, duration: float) -> Judgement:
         Of a leg, each way [m].
     duration
         That the run should have had [s].
+    stroke_counts
+        False: a leg beyond the stroke is no failure; drift still is.
     """
     early = record.outcome != "completed"
     remaining = max(record.metrics["final_error"], record.tail_error) / THRESHOLD
     travel = record.metrics["peak_leg_excursion"] / stroke
     drift = record.drift * DRIFT_TIME / stroke
+    legs = sum(math.log10(max(1.0, ratio)) for ratio in ((travel, drift) if stroke_counts else (drift,)))
     if early:
-        severity = EARLY + 1.0 - record.end_time / duration
+        severity = 3.0 - record.end_time / duration
     else:
-        severity = min(EARLY, sum(max(0.0, math.log10(max(ratio, 1e-300))) for ratio in (remaining, travel, drift)))
+        image = math.log10(max(1.0, remaining))
+        severity = min(2.0, (2.0 * min(_DECADES, image) + min(_DECADES, legs)) / _DECADES)
     return Judgement(early, remaining, travel, drift, severity)

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 _SAMPLES = 500  # about so many of a run are kept
 _MAX_BATCH = 64  # runs: bounds the memory of their samples
-_KEPT = ("feature_error", "position", "twist", "wrench", "fuzzy_output", "leg_lengths", "leg_forces")
+_KEPT = ("feature_error", "position", "quaternion", "twist", "wrench", "fuzzy_output", "leg_lengths", "leg_forces")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +62,11 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
         if id(scenario) not in cache:
             cache[id(scenario)] = (repr(_shared(scenario)), _numbers(scenario))
         shared, own = cache[id(scenario)]
-        numbers, others = dict(own), {}
-        keys = numeric_keys(scenario.controller.law)
+        others: dict[str, Any] = {}
+        keys = numeric_keys(run.changes.get("controller.law", scenario.controller.law))
+        numbers = {name: values for name, values in own.items() if name in keys}
         for name, value in run.changes.items():
-            if name in own and value is not None:
+            if name in numbers and value is not None:
                 numbers[name] = _wide(keys[name], value)
             else:
                 others[name] = value
