@@ -287,7 +287,7 @@ CAUSES: tuple[Cause, ...] = (
         "latency or rate of the camera",
         _late_camera,
         _late_camera_remedies,
-        frozenset({"lost_features", "poor_image"}),
+        frozenset({"lost_features"}),
     ),
     # A target that is seen better makes every law stiffer, and depth errors matter less.
     Cause(
@@ -295,7 +295,7 @@ CAUSES: tuple[Cause, ...] = (
         "a target that the image shows badly",
         _poor_image,
         _same,
-        frozenset({"gravity", "unequal_depth", "stiction", "spring", "lost_features"}),
+        frozenset({"gravity", "unequal_depth", "stiction", "spring", "lost_features", "late_camera"}),
     ),
     # Without limits nothing that the legs do is a failure.
     Cause("leg_limits", "limits of the legs", _leg_limits, _leg_limits_remedies, _ALL - {"leg_limits"}),

@@ -20,6 +20,7 @@ THRESHOLD: float = _core.MetricsSettings().settling_threshold
 DRIFT_TIME = 30.0
 """[s]: a leg that still moves so fast at the end that it would leave its stroke within this time is a failure."""
 _DECADES = 3.0  # of what is allowed, over which the severity of a kind of failure grows
+_CURED = 0.5  # of the error that is allowed: below it nothing is left of a failure
 _TAIL = 0.2  # the last part of a run, over which the error that remains is averaged
 _DRIFT_WINDOWS = ((0.5, 0.75), (0.75, 1.0))  # parts of a run, over each of which the legs' drift is fitted
 
@@ -47,12 +48,8 @@ class Judgement:
     error: float  # error that remains, of `THRESHOLD`
     stroke: float  # largest leg travel, of the stroke
     drift: float  # of the speed that would take a leg out of its stroke within `DRIFT_TIME`
-    severity: float  # 0: it did not fail
-
-    @property
-    def failed(self) -> bool:
-        """Whether any criterion was missed."""
-        return self.severity > 0.0
+    failed: bool
+    severity: float  # 0: far from failing
 
 
 def make_record(
@@ -102,8 +99,9 @@ def judge(record: Record, stroke: float, duration: float, *, stroke_counts: bool
     """Judge a run.
 
     The severity says how much of the task was missed: up to 1 for legs that leave their stroke or drift, and twice as
-    much for an error that remains, each by decades of what is allowed, 2 in all; from 2 to 3 for a run that ends early,
-    by the share of the time that it did not run.
+    much for an error that remains, each by decades, 2 in all; from 2 to 3 for a run that ends early, by the share of
+    the time that it did not run. The error counts from half of what is allowed, so that a change that just passes has
+    not cured what failed.
 
     Parameters
     ----------
@@ -120,10 +118,14 @@ def judge(record: Record, stroke: float, duration: float, *, stroke_counts: bool
     remaining = max(record.metrics["final_error"], record.tail_error) / THRESHOLD
     travel = record.metrics["peak_leg_excursion"] / stroke
     drift = record.drift * DRIFT_TIME / stroke
-    legs = sum(math.log10(max(1.0, ratio)) for ratio in ((travel, drift) if stroke_counts else (drift,)))
+    legs = [travel, drift] if stroke_counts else [drift]
     if early:
         severity = 3.0 - record.end_time / duration
     else:
-        image = math.log10(max(1.0, remaining))
-        severity = min(2.0, (2.0 * min(_DECADES, image) + min(_DECADES, legs)) / _DECADES)
-    return Judgement(early, remaining, travel, drift, severity)
+        travelled = min(_DECADES, sum(map(_decades, legs)))
+        severity = min(2.0, (2.0 * min(_DECADES, _decades(remaining / _CURED)) + travelled) / _DECADES)
+    return Judgement(early, remaining, travel, drift, early or max(remaining, *legs) > 1.0, severity)
+
+
+def _decades(ratio: float) -> float:
+    return max(0.0, math.log10(max(ratio, 1e-300)))

@@ -92,6 +92,8 @@ def seen_from_home(scenario: Scenario) -> tuple[_core.Camera, Array, Array]:
 def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float]:
     """Put a square about the optical axis of home in place of the target, with the goal at the same pose.
 
+    The border of the image, where it has one, is as far out as before in parts of the target's farthest feature.
+
     Returns
     -------
     tuple
@@ -99,16 +101,17 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
     """
     camera, features, depth = seen_from_home(scenario)
     distance = float(np.abs(depth).mean())
-    side = _SPREAD
-    if scenario.camera.image_size is not None and scenario.simulation.mode == "sampled":
-        side = min(side, 0.3 * min(scenario.camera.image_size) / camera.focal_pixels)
     corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     home = np.asarray(scenario.robot.home_position, dtype=float)
-    points = home + distance * (side * corners - [0.0, 0.0, 1.0])
+    points = home + distance * (_SPREAD * corners - [0.0, 0.0, 1.0])
     start, start_depth = _core.take_image(camera, home, [1.0, 0.0, 0.0, 0.0], points)
     end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
     gain = pixels_per_metre(camera, start, start_depth) / pixels_per_metre(camera, features, depth)
     changes: dict[str, Any] = {"target.desired_features": end.tolist()}
+    if scenario.camera.image_size is not None:  # whoever leaves the image does so as before
+        before = np.abs(np.concatenate([features, np.asarray(scenario.target.desired_features)]).reshape(8, 2)).max(0)
+        after = np.abs(np.concatenate([start, end]).reshape(8, 2)).max(0)
+        changes["camera.image_size"] = (np.asarray(scenario.camera.image_size) * after / before).tolist()
     if scenario.target.points is not None:
         changes["target.points"] = points.tolist()
     else:

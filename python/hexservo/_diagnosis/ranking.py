@@ -89,6 +89,8 @@ def rank(
         discount = _SIDE_EFFECT * min(1.0, max(0.0, (explained - _EXPLAINED) / (1.0 - _EXPLAINED)))
         look = _NEUTRAL if signature.strength is None else signature.strength
         score = trial.cure * (1.0 - discount) * (1.0 - _LOOK * (1.0 - look))
+        if key == "leg_limits" and case.goal is not None:  # the legs may also go farther than the goal asks
+            score *= min(1.0, case.goal.leg_travel / trial.record.metrics["peak_leg_excursion"])
         trials.append(replace(trial, signature=signature, score=score))
     if "leg_limits" in best:
         reach = _out_of_reach(case, before, best)
@@ -103,7 +105,7 @@ def _out_of_reach(case: Case, before: Judgement, best: Mapping[str, Trial]) -> f
     """Score the limits of the legs where the goal itself lies beyond them: nothing else can cure that.
 
     0 where the legs did not leave their stroke, where another removal leads to the goal within it, or where the image
-    is far from its goal even without limits. Else from 0.75, the more the farther the goal is.
+    is far from its goal even without limits. Else from 0.5, the more the farther the goal is.
     """
     free = best["leg_limits"].judgement
     if (
@@ -115,4 +117,4 @@ def _out_of_reach(case: Case, before: Judgement, best: Mapping[str, Trial]) -> f
     ):
         return 0.0
     excess = case.goal.leg_travel / case.scenario.robot.stroke - 1.0
-    return 0.75 + 0.25 * min(1.0, excess / 0.5) if excess > 0.0 else 0.0
+    return 0.5 + 0.5 * min(1.0, excess / 0.5) if excess > 0.0 else 0.0
