@@ -151,14 +151,23 @@ def _gravity(case: Case) -> list[Removal]:
 
 
 def _gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    gravity = case.scenario.uncertainty.gravity
-    remedies = [Removal("the law composite, which integrates what is left of the weight", {"controller.law": "composite"})]
-    if case.scenario.controller.law == "composite":
-        remedies = []
-    words = removal.words
-    if isinstance(gravity, float):
-        words += f" (weigh it: {(1.0 - gravity) * case.scenario.robot.mass:.4g} kg act)"
-    return [Removal(words, removal.changes), *remedies]
+    robot, model = case.scenario.robot, case.scenario.uncertainty
+    remedies = []
+    if isinstance(model.gravity, float) and isinstance(model.inertia, float) and isinstance(model.coriolis, float):
+        # The same plant, told to the controller: its terms are (1 - delta) times the estimated ones.
+        share = 1.0 - model.gravity
+        changes = {
+            "robot.mass": share * robot.mass,
+            "robot.inertia": (share * np.asarray(robot.inertia)).tolist(),
+            "uncertainty.gravity": 0.0,
+            "uncertainty.inertia": 1.0 - (1.0 - model.inertia) / share,
+            "uncertainty.coriolis": 1.0 - (1.0 - model.coriolis) / share,
+        }
+        if all(-1.0 < changes[f"uncertainty.{name}"] < 1.0 for name in ("inertia", "coriolis")):
+            remedies.append(Removal(f"the platform weighed, and {share * robot.mass:.4g} kg told to the law", changes))
+    if case.scenario.controller.law != "composite":
+        remedies.append(Removal("the law composite, which integrates a wrong weight", {"controller.law": "composite"}))
+    return [*remedies, removal]
 
 
 def _unequal_depth(case: Case) -> list[Removal]:
@@ -211,9 +220,7 @@ def _lost_features_remedies(case: Case, removal: Removal, record: Record) -> lis
             Removal(f"an image of {size[0]:.0f} x {size[1]:.0f} px", {**removal.changes, "camera.image_size": size})
         )
     if camera.convention == "eye_in_hand" and camera.prediction == "none":
-        remedies.append(
-            Removal("lost images carried along by the joint sensors", {"camera.prediction": "encoder"})
-        )
+        remedies.append(Removal("lost images carried along by the joint sensors", {"camera.prediction": "encoder"}))
     return [*remedies, removal]
 
 
@@ -235,13 +242,10 @@ def _coarse_step(case: Case) -> list[Removal]:
 
 
 def _leg_limits(case: Case) -> list[Removal]:
-    return [
-        Removal(
-            "legs of any length",
-            {"robot.stroke": 1e3 * case.scenario.robot.stroke, "robot.on_limit": "report"},
-            stroke_counts=False,
-        )
-    ]
+    changes: dict[str, Any] = {"robot.stroke": 1e3 * case.scenario.robot.stroke}
+    if case.scenario.robot.on_limit != "report":
+        changes["robot.on_limit"] = "report"
+    return [Removal("legs of any length", changes, stroke_counts=False)]
 
 
 def _leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
@@ -280,7 +284,13 @@ CAUSES: tuple[Cause, ...] = (
     Cause("lost_features", "lost features", _lost_features, _lost_features_remedies, frozenset()),
     Cause("gravity", "a wrong weight", _gravity, _gravity_remedies, frozenset()),
     Cause("unequal_depth", "unequal depth errors", _unequal_depth, _unequal_depth_remedies, frozenset()),
-    Cause("spring", "adaptation that acts as a spring", _spring, _same, frozenset({"coarse_step", "late_camera", "lost_features"})),
+    Cause(
+        "spring",
+        "adaptation that acts as a spring",
+        _spring,
+        _same,
+        frozenset({"coarse_step", "late_camera", "lost_features"}),
+    ),
     Cause("stiction", "stiction: K_v is too large", _stiction, _same, frozenset({"coarse_step", "late_camera"})),
     Cause(
         "late_camera",

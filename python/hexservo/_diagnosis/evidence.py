@@ -67,7 +67,9 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
     if camera.dropout:
         strength = max(strength, min(1.0, 2.0 * camera.dropout))
         gap = camera.period / (1.0 - camera.dropout) if camera.dropout < 1.0 else np.inf
-        sentences.append(f"A frame that is not lost comes every {gap:.3g} s in the mean, not every {camera.period:.3g} s.")
+        sentences.append(
+            f"A frame that is not lost comes every {gap:.3g} s in the mean, not every {camera.period:.3g} s."
+        )
     return Signature(strength, " ".join(sentences))
 
 
@@ -102,7 +104,9 @@ def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
     scale = np.repeat([1.0, 1.0 / case.scenario.robot.platform_radius], 3)
     held = float(np.linalg.norm(scale * record.samples["fuzzy_output"][-1]))
     friction = float(np.linalg.norm(scale * np.broadcast_to(getattr(case.scenario.controller, law).kv, 6)))
-    sentence = f"At the end the fuzzy systems hold {held:.3g} N against {friction:.3g} N of K_v (moments by the radius)."
+    sentence = (
+        f"At the end the fuzzy systems hold {held:.3g} N against {friction:.3g} N of K_v (moments by the radius)."
+    )
     return Signature(min(1.0, held / (2.0 * friction)) if friction else 1.0, sentence)
 
 
@@ -135,7 +139,7 @@ def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
     camera, features, depth = seen_from_home(case.scenario)
     worst = pixels_per_metre(camera, features, depth)
     noise = case.scenario.camera.noise if case.scenario.simulation.mode == "sampled" else 0.0
-    wander = max(noise, 1e-12) / worst
+    wander = noise / worst
     sentence = f"In the worst direction 1 px is {1e3 / worst:.3g} mm at the target's distance"
     sentence += f", and the noise of {noise:.3g} px is {wander * 1e3:.3g} mm." if noise else "; there is no noise."
     return Signature(min(1.0, wander / (_WANDER * case.scenario.robot.stroke)), sentence)

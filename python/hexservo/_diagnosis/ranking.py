@@ -14,7 +14,9 @@ from hexservo._scenario import Scenario
 
 __all__ = ["Trial", "judged", "make_cases", "rank", "try_removals"]
 
-_SIDE_EFFECT = 0.6  # share of the score that a removal loses where a cause that it cures by side effect explains as much
+_SIDE_EFFECT = (
+    0.6  # share of the score that a removal loses where a cause that it cures by side effect explains as much
+)
 _EXPLAINED = 0.9  # of a cure, from which on another cause begins to explain it
 _LOOK = 0.3  # share of the score that a removal loses where the run does not look like the cause at all
 _AT_LIMIT = 0.99  # of the stroke: a run that stops at a limit ends before it
@@ -66,9 +68,7 @@ def try_removals(cases: Sequence[Case], threads: int = 1) -> list[list[tuple[Cau
     return found
 
 
-def rank(
-    case: Case, record: Record, before: Judgement, tried: Sequence[tuple[Cause, Removal, Record]]
-) -> list[Trial]:
+def rank(case: Case, record: Record, before: Judgement, tried: Sequence[tuple[Cause, Removal, Record]]) -> list[Trial]:
     """Rank the causes of a run that failed, the likeliest one first.
 
     The score is the share of the severity that the removal takes away, less where another cause explains as much that
