@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hexservo._diagnosis.causes import CAUSES, Case, Cause, Removal
-from hexservo._diagnosis.criterion import DRIFT_TIME, THRESHOLD, Judgement, Record
+from hexservo._diagnosis.criterion import DRIFT_TIME, THRESHOLD, Judgement, Record, judge
 from hexservo._diagnosis.evidence import SIGNATURES
 from hexservo._diagnosis.goal import goal_of, goal_run
 from hexservo._diagnosis.ranking import Trial, judged, rank, try_removals
@@ -23,10 +23,12 @@ _PAGE = "docs/diagnosis/ranking.md"
 _LIKELY = 0.3  # score from which on a cause gets a remedy
 _REMEDIES = 3  # causes that get one, at most
 _NEAR = 0.7  # of what is allowed: a warning
-_HELPS = 0.1  # of the severity, that one more removal has to take away
-_TOGETHER = 3  # removals at once, at most
+_EARLIER, _FALLS = 0.8, 0.8  # where the error at the end is below this share of that of this share of the time,
+_LONGER = 3  # the run is tried so many times as long
 _OF_THE_LAW = frozenset({"wrong_sign", "stiction", "spring"})  # causes that a controller of one's own does not have
 _OTHERWISE = 0.3  # difference in severity between a run and the same run repeated
+_SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not worth a word
+_TITLES = {cause.key: cause.title for cause in CAUSES}
 _FLOOR = 1e-3  # [px], of the curves
 
 
@@ -40,6 +42,7 @@ class Remedy:
     outcome: str  # of that run
     error: float  # that then remains [px]: the larger one of the last error and its RMS over the last fifth
     leg_travel: float  # then, of the leg that goes farthest [m]
+    drift: float  # then, of the leg that moves fastest at the end [m/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,7 @@ class Diagnosis:
     criteria: tuple[str, ...]  # a sentence for each criterion, with what was and what is allowed
     causes: tuple[Finding, ...]  # ranked
     together: tuple[str, ...]  # keys of causes that have to go together, where the first one alone is not enough
+    too_short: float | None  # a duration with which the run passes, where its error still falls at the end [s]
     warnings: tuple[str, ...]
     absent: tuple[str, ...]  # titles of causes that the scenario has nothing of, or that could not be tried
     _record: Record | None
@@ -112,6 +116,7 @@ class Diagnosis:
                 "severity": judgement.severity,
                 "causes": [_finding_data(finding) for finding in self.causes],
                 "together": list(self.together),
+                "too_short": self.too_short,
                 "warnings": list(self.warnings),
                 "absent": list(self.absent),
             }
@@ -119,7 +124,12 @@ class Diagnosis:
         return found
 
     def _verdict(self) -> str:
+        together = _joined([_TITLES[key] for key in self.together])
+        if self.too_short:
+            return f"The run is too short: with simulation.duration={self.too_short:g} it passes."
         if not self.causes or self.causes[0].score < _LIKELY:
+            if self.together:
+                return f"No listed cause explains the failure by itself; it passes without these together: {together}."
             return "None of the listed causes explains the failure by itself."
         first = self.causes[0]
         if first.without is None:
@@ -130,14 +140,10 @@ class Diagnosis:
         assert self._record is not None
         after = first.without
         sentence = (
-            f"The likeliest cause is {first.title}: with {after.words} the run "
-            f"{_how(after.works, after.outcome, after.error, after.leg_travel)}; as it was it "
-            f"{_how(False, self._record.outcome, self._judgement.error * THRESHOLD, self._leg_travel)}."
+            f"The likeliest cause is {first.title}: with {after.words} the run {_how(after)}; as it was it "
+            f"{_ends(self._record.outcome, self._judgement.error * THRESHOLD, self._leg_travel, self._record.drift)}."
         )
-        if len(self.together) > 1:
-            titles = {cause.key: cause.title for cause in CAUSES}
-            sentence += f" It passes once these are gone together: {_joined([titles[key] for key in self.together])}."
-        return sentence
+        return sentence + (f" It passes without these together: {together}." if together else "")
 
     @property
     def _leg_travel(self) -> float:
@@ -205,17 +211,19 @@ def diagnose(result: Result) -> Diagnosis:
     if not isinstance(result, Result):
         raise TypeError(f"result: expected a Result (see hs.simulate), got {type(result).__name__}")
     if result.outcome == "interrupted":
-        return Diagnosis(result, None, (), (), (), (), (), None, None, None)
+        return Diagnosis(result, None, (), (), (), None, (), (), None, None, None)
     record = record_of(result)
     before = judged(result.scenario, record)
     warnings = _warnings(result, before)
     if not before.failed:
-        return Diagnosis(result, False, _margins(result, record, before), (), (), warnings, (), record, before, None)
+        return Diagnosis(
+            result, False, _margins(result, record, before), (), (), None, warnings, (), record, before, None
+        )
     case = Case(result.scenario, goal_of(run_all([goal_run(result.scenario)])[0]))
     criteria = _misses(result, record, before)
     if result.controller != result.scenario.controller.law:
         findings, absent = _by_looks(case, record, before)
-        return Diagnosis(result, True, criteria, findings, (), warnings, absent, record, before, None)
+        return Diagnosis(result, True, criteria, findings, (), None, warnings, absent, record, before, None)
     tried = try_removals([case])[0]
     trials = rank(case, record, before, tried)
     if _ends_otherwise(case, before, tried):
@@ -228,7 +236,8 @@ def diagnose(result: Result) -> Diagnosis:
         True,
         criteria,
         findings,
-        _together(case, before, trials),
+        _together(case, trials),
+        _too_short(case, record, before),
         warnings,
         tuple(cause.title for cause in CAUSES if cause.key not in present),
         record,
@@ -278,15 +287,13 @@ def _as_remedy(removal: Removal, record: Record, after: Judgement) -> Remedy:
         record.outcome,
         after.error * THRESHOLD,
         record.metrics["peak_leg_excursion"],
+        record.drift,
     )
 
 
 def _finding(case: Case, trial: Trial, remedy: Remedy | None) -> Finding:
     without = _as_remedy(trial.removal, trial.record, trial.judgement)
-    evidence = [
-        f"With {without.words} the run {_how(without.works, without.outcome, without.error, without.leg_travel)}: "
-        f"{trial.cure:.0%} of the failure is gone."
-    ]
+    evidence = [f"With {without.words} the run {_how(without)}; {trial.cure:.0%} of the failure is gone."]
     if trial.signature.sentence:
         evidence.append(trial.signature.sentence)
     return Finding(
@@ -315,47 +322,56 @@ def _by_looks(case: Case, record: Record, before: Judgement) -> tuple[tuple[Find
     return tuple(sorted(findings, key=lambda finding: -finding.score)), tuple(absent)
 
 
-def _together(case: Case, before: Judgement, trials: list[Trial]) -> tuple[str, ...]:
-    """Add removals to the first one, as long as the run fails and each helps; () where they do not lead to a pass."""
-    if not trials or not trials[0].judgement.failed or trials[0].score < _LIKELY:
+def _together(case: Case, trials: list[Trial]) -> tuple[str, ...]:
+    """Remove two causes at once where no removal alone leads to a pass; () where no pair does."""
+    if not all(trial.judgement.failed for trial in trials):
         return ()
-    chosen = [trials[0]]
-    severity = trials[0].judgement.severity
-    while len(chosen) < _TOGETHER:
-        changes = {key: value for trial in chosen for key, value in trial.removal.changes.items()}
-        others = [
-            trial for trial in trials if trial not in chosen and not changes.keys() & trial.removal.changes.keys()
-        ]
-        free = all(trial.removal.stroke_counts for trial in chosen)
-        joint = [
-            Removal("", {**changes, **trial.removal.changes}, free and trial.removal.stroke_counts) for trial in others
-        ]
-        records = run_all([Run(case.scenario, removal.changes) for removal in joint])
-        after = [
-            (judged(case.scenario, record, removal), trial)
-            for record, removal, trial in zip(records, joint, others, strict=True)
-            if record is not None
-        ]
-        if not after:
-            return ()
-        best, trial = min(after, key=lambda pair: (pair[0].failed, pair[0].severity))
-        chosen.append(trial)
-        if not best.failed:
-            return tuple(trial.cause.key for trial in chosen)
-        if severity - best.severity < _HELPS * before.severity:
-            return ()
-        severity = best.severity
-    return ()
+    pairs = [
+        (one, other)
+        for number, one in enumerate(trials)
+        for other in trials[number + 1 :]
+        if not one.removal.changes.keys() & other.removal.changes.keys()
+    ]
+    joint = [
+        Removal(
+            "",
+            {**one.removal.changes, **other.removal.changes},
+            one.removal.stroke_counts and other.removal.stroke_counts,
+        )
+        for one, other in pairs
+    ]
+    records = run_all([Run(case.scenario, removal.changes) for removal in joint])
+    passing = [
+        (one.score + other.score, one.cause.key, other.cause.key)
+        for (one, other), removal, record in zip(pairs, joint, records, strict=True)
+        if record is not None and not judged(case.scenario, record, removal).failed
+    ]
+    return max(passing, key=lambda pair: pair[0])[1:] if passing else ()
+
+
+def _too_short(case: Case, record: Record, before: Judgement) -> float | None:
+    """Run longer where the error still falls at the end."""
+    earlier = record.error[record.time <= _EARLIER * record.end_time]
+    if before.early or not len(earlier) or record.error[-1] > _FALLS * earlier[-1]:
+        return None
+    duration = _LONGER * case.scenario.simulation.duration
+    longer = run_all([Run(case.scenario, {"simulation.duration": duration})])[0]
+    robot = case.scenario.robot
+    return None if longer is None or judge(longer, robot.stroke, duration).failed else duration
 
 
 # ---- Words ----------------------------------------------------------------------------------------------------------
 
 
-def _how(works: bool, outcome: str, error: float, leg_travel: float) -> str:
+def _how(run: Remedy) -> str:
+    return f"{'passes' if run.works else 'still fails'}: it {_ends(run.outcome, run.error, run.leg_travel, run.drift)}"
+
+
+def _ends(outcome: str, error: float, leg_travel: float, drift: float) -> str:
     if outcome != "completed":
         return f"ends early ({outcome.replace('_', ' ')})"
     words = f"ends with {error:.3g} px left and {leg_travel * 1e3:.3g} mm of leg travel"
-    return f"passes: it {words}" if works else words
+    return words + (f", and still drifts at {drift * 1e3:.2g} mm/s" if drift > _SHOWN_DRIFT else "")
 
 
 def _misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
@@ -408,11 +424,9 @@ def _remedy_sentence(finding: Finding) -> str:
     remedy = finding.remedy
     assert remedy is not None
     keys = ", ".join(f"{key}={_value(value)}" for key, value in remedy.changes.items())
-    how = _how(remedy.works, remedy.outcome, remedy.error, remedy.leg_travel)
+    how = _how(remedy)
     if finding.without is not None and remedy.changes == finding.without.changes:
-        return (
-            f"Against {finding.title}: {remedy.words} ({keys}); {'that' if remedy.works else 'alone, that'} run {how}."
-        )
+        return f"Against {finding.title}: {remedy.words} ({keys}); that run {how}."
     return f"Against {finding.title}: {remedy.words} ({keys}). Tried: the run {how}."
 
 

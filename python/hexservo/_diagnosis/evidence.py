@@ -76,7 +76,7 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
 def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
     moved = record.samples["position"] - record.samples["position"][0]
     rise = -moved[np.argmax(np.abs(moved[:, 2])), 2]
-    share = abs(rise) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
+    share = float(abs(rise)) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
     error = float(np.mean(np.asarray(case.scenario.uncertainty.gravity)))
     sentence = (
         f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {abs(rise) * 1e3:.3g} mm; "
