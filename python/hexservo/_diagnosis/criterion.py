@@ -49,7 +49,8 @@ class Judgement:
     stroke: float  # largest leg travel, of the stroke
     drift: float  # of the speed that would take a leg out of its stroke within `DRIFT_TIME`
     failed: bool
-    severity: float  # 0: far from failing
+    severity: float  # 0: nothing is left of a failure
+    cured: float  # share of the allowed error from which on it counts in the severity
 
 
 def make_record(
@@ -95,13 +96,15 @@ def _drift(time: Array, lengths: Array, end_time: float) -> float:
     return float(np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0).max())
 
 
-def judge(record: Record, stroke: float, duration: float, *, stroke_counts: bool = True) -> Judgement:
+def judge(
+    record: Record, stroke: float, duration: float, *, stroke_counts: bool = True, cured: float | None = None
+) -> Judgement:
     """Judge a run.
 
     The severity says how much of the task was missed: up to 1 for legs that leave their stroke or drift, and twice as
     much for an error that remains, each by decades, 2 in all; from 2 to 3 for a run that ends early, by the share of
-    the time that it did not run. The error counts from half of what is allowed, so that a change that just passes has
-    not cured what failed.
+    the time that it did not run. Where the error failed it counts from half of what is allowed, so that a change that
+    just passes has not cured it.
 
     Parameters
     ----------
@@ -113,18 +116,22 @@ def judge(record: Record, stroke: float, duration: float, *, stroke_counts: bool
         That the run should have had [s].
     stroke_counts
         False: a leg beyond the stroke is no failure; drift still is.
+    cured
+        From which share of the allowed error on it counts: `Judgement.cured` of the run that this one is compared to.
     """
     early = record.outcome != "completed"
     remaining = max(record.metrics["final_error"], record.tail_error) / THRESHOLD
     travel = record.metrics["peak_leg_excursion"] / stroke
     drift = record.drift * DRIFT_TIME / stroke
+    if cured is None:
+        cured = _CURED if early or remaining > 1.0 else 1.0
     legs = [travel, drift] if stroke_counts else [drift]
     if early:
         severity = 3.0 - record.end_time / duration
     else:
         travelled = min(_DECADES, sum(map(_decades, legs)))
-        severity = min(2.0, (2.0 * min(_DECADES, _decades(remaining / _CURED)) + travelled) / _DECADES)
-    return Judgement(early, remaining, travel, drift, early or max(remaining, *legs) > 1.0, severity)
+        severity = min(2.0, (2.0 * min(_DECADES, _decades(remaining / cured)) + travelled) / _DECADES)
+    return Judgement(early, remaining, travel, drift, early or max(remaining, *legs) > 1.0, severity, cured)
 
 
 def _decades(ratio: float) -> float:

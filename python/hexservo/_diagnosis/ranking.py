@@ -43,12 +43,18 @@ def make_cases(scenarios: Sequence[Scenario], threads: int = 1) -> list[Case]:
     return [Case(scenario, goal_of(record)) for scenario, record in zip(scenarios, records, strict=True)]
 
 
-def judged(scenario: Scenario, record: Record, removal: Removal | None = None) -> Judgement:
-    """Judge a run of a scenario, perhaps with changes."""
+def judged(
+    scenario: Scenario, record: Record, removal: Removal | None = None, before: Judgement | None = None
+) -> Judgement:
+    """Judge a run of a scenario, perhaps with changes, perhaps to be compared to how it was before them."""
     free = removal is not None and not removal.stroke_counts
-    stroke = float(removal.changes.get("robot.stroke", scenario.robot.stroke)) if removal else scenario.robot.stroke
+    stroke = scenario.robot.stroke if free or removal is None else removal.changes.get("robot.stroke")
     return judge(
-        record, scenario.robot.stroke if free else stroke, scenario.simulation.duration, stroke_counts=not free
+        record,
+        scenario.robot.stroke if stroke is None else float(stroke),
+        scenario.simulation.duration,
+        stroke_counts=not free,
+        cured=None if before is None else before.cured,
     )
 
 
@@ -76,7 +82,7 @@ def rank(case: Case, record: Record, before: Judgement, tried: Sequence[tuple[Ca
     """
     best: dict[str, Trial] = {}
     for cause, removal, after_record in tried:
-        after = judged(case.scenario, after_record, removal)
+        after = judged(case.scenario, after_record, removal, before)
         cure = max(0.0, 1.0 - after.severity / before.severity)
         if cause.key not in best or cure > best[cause.key].cure:
             nothing = Signature(None, "")
