@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo import _core
 from hexservo._diagnosis.causes import Case
 from hexservo._diagnosis.criterion import THRESHOLD, Judgement, Record
 from hexservo._diagnosis.goal import pixels_per_metre, seen_from_home
@@ -16,7 +17,6 @@ __all__ = ["SIGNATURES", "Signature"]
 
 Array = NDArray[np.float64]
 
-_GRAVITY = 9.8  # [m/s^2], docs/model.md section 3
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
 _AT_REST = 0.02  # of the stroke, that the legs may move in it
 _AT_LIMIT = 0.999  # of the force limit
@@ -78,9 +78,12 @@ def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
     rise = -moved[np.argmax(np.abs(moved[:, 2])), 2]
     share = float(abs(rise)) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
     error = float(np.mean(np.asarray(case.scenario.uncertainty.gravity)))
+    body = _core.RigidBody()
+    body.mass = case.scenario.robot.mass
+    excess = abs(error * body.gravity_wrench[2])
     sentence = (
         f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {abs(rise) * 1e3:.3g} mm; "
-        f"{abs(error) * case.scenario.robot.mass * _GRAVITY:.3g} N of weight are fed forward "
+        f"{excess:.3g} N of weight are fed forward "
         f"{'that are not there' if error > 0.0 else 'too little'}."
     )
     return Signature(min(1.0, 1.5 * share) if rise * error > 0.0 else 0.2, sentence)
