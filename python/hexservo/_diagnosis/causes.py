@@ -139,8 +139,7 @@ def _spring(case: Case) -> list[Removal]:
 
 
 def _gravity(case: Case) -> list[Removal]:
-    model = case.scenario.uncertainty
-    if not np.any(model.gravity):
+    if np.broadcast_to(case.scenario.uncertainty.gravity, 6)[2] == 0.0:  # the weight has no other entry
         return []
     return [
         Removal(

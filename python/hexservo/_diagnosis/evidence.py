@@ -77,7 +77,7 @@ def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
     moved = record.samples["position"] - record.samples["position"][0]
     rise = -moved[np.argmax(np.abs(moved[:, 2])), 2]
     share = float(abs(rise)) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
-    error = float(np.mean(np.asarray(case.scenario.uncertainty.gravity)))
+    error = float(np.broadcast_to(case.scenario.uncertainty.gravity, 6)[2])  # the weight has no other entry
     body = _core.RigidBody()
     body.mass = case.scenario.robot.mass
     excess = abs(error * body.gravity_wrench[2])
