@@ -387,6 +387,13 @@ def test_what_is_near_failing_is_a_warning() -> None:
     assert any("travel of the legs is 82%" in warning for warning in diagnosis.warnings)
 
 
+def test_a_thin_log_is_a_warning() -> None:
+    result = hs.simulate(hs.load_scenario("paper").updated({"simulation.log_every": 500}))
+    diagnosis = hs.diagnose(result)
+    assert diagnosis.failed is False
+    assert diagnosis.warnings == ("The run logged 11 samples: too few to tell a drift or a swing.",)
+
+
 def test_sections_have_words_a_table_and_curves_and_strict_json() -> None:
     diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("fails-late-camera")))
     (section,) = diagnosis.sections()

@@ -29,6 +29,7 @@ _OF_THE_LAW = frozenset({"wrong_sign", "stiction", "spring"})  # causes that a c
 _OTHERWISE = 0.3  # difference in severity between a run and the same run repeated
 _SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not worth a word
 _TITLES = {cause.key: cause.title for cause in CAUSES}
+_FEW = 40  # samples
 _FLOOR = 1e-3  # [px], of the curves
 
 
@@ -401,8 +402,10 @@ def _margins(result: Result, record: Record, judgement: Judgement) -> tuple[str,
 
 
 def _warnings(result: Result, judgement: Judgement) -> tuple[str, ...]:
-    """Say what is near its limit, and what the run passed without being stopped by it."""
+    """Say what is near its limit, what the run passed without being stopped by it, and what its log cannot show."""
     found = []
+    if len(result.time) < _FEW:
+        found.append(f"The run logged {len(result.time)} samples: too few to tell a drift or a swing.")
     if not judgement.failed:
         for what, ratio in (
             ("the error that remains", judgement.error),
