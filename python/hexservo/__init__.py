@@ -24,6 +24,7 @@ from hexservo._batch import BatchResult, simulate_batch
 from hexservo._certificate import BatchCertificate, Certificate, certify, certify_batch
 from hexservo._compare import Comparison, ComparisonRow, compare
 from hexservo._controller import Controller, ControllerOutput
+from hexservo._diagnosis import Diagnosis, diagnose
 from hexservo._metrics import METRICS, metrics
 from hexservo._own_controller import LegForces, Observation
 from hexservo._result import LimitEvent, Result
@@ -41,6 +42,7 @@ __all__ = [
     "ComparisonRow",
     "Controller",
     "ControllerOutput",
+    "Diagnosis",
     "LegForces",
     "LimitEvent",
     "Observation",
@@ -53,6 +55,7 @@ __all__ = [
     "certify",
     "certify_batch",
     "compare",
+    "diagnose",
     "load_scenario",
     "metrics",
     "plots",
