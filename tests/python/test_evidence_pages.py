@@ -172,16 +172,21 @@ def pages_of_quantities(root: Path) -> list[str]:
     return [page.relative_to(root).as_posix() for page in pages if page.name != "README.md"]
 
 
-def linked_pages(root: Path) -> set[str]:
-    """Pages that an index leads to: the README, a page directly in docs/, or a README further down."""
+def reached_pages(root: Path, named: set[str]) -> set[str]:
+    """Pages that readers come to: named by a source, or linked by an index, or by a page that they come to.
+
+    An index is the README, a page directly in docs/, or a README further down.
+    """
     docs = root / "docs"
-    targets = [
-        (index.parent / link.target.partition("#")[0]).resolve()
-        for index in (root / "README.md", *docs.glob("*.md"), *docs.glob("*/README.md"))
-        if index.is_file()
-        for link in links_in(prose_of(index))
-    ]
-    return {file.relative_to(root.resolve()).as_posix() for file in targets if file.is_relative_to(root.resolve())}
+    to_read = [root / "README.md", *docs.glob("*.md"), *docs.glob("*/README.md"), *(root / name for name in named)]
+    reached: set[Path] = set()
+    while to_read:
+        page = to_read.pop().resolve()
+        if page in reached or page.suffix != ".md" or not page.is_file():
+            continue
+        reached.add(page)
+        to_read += [page.parent / link.target.partition("#")[0] for link in links_in(prose_of(page))]
+    return {page.relative_to(root.resolve()).as_posix() for page in reached if page.is_relative_to(root.resolve())}
 
 
 def problems_of(root: Path) -> list[str]:
@@ -190,8 +195,8 @@ def problems_of(root: Path) -> list[str]:
     there = pages_of_quantities(root)
     for name in sorted({*named, *there}):
         problems += problems_of_page(root, name)
-    for name in sorted(set(there) - set(named) - linked_pages(root)):
-        problems.append(f"{name}: no source names this page, and no index links to it")
+    for name in sorted(set(there) - reached_pages(root, set(named))):
+        problems.append(f"{name}: no source names this page, and no index and no named page leads to it")
     return problems
 
 
@@ -333,6 +338,12 @@ def test_whatever_is_missing_is_found(tmp_path: Path, changed: dict[str, str], e
     write_tree(tmp_path, changed)
     problems = problems_of(tmp_path)
     assert any(expected in problem for problem in problems), problems
+
+
+def test_a_page_may_be_led_to_by_another_one(tmp_path: Path) -> None:
+    linking = replaced(PAGE, "Nobody claims it.", "It is half of [the other part](other.md).")
+    write_tree(tmp_path, linking | {INDEX: "# Index\n"})
+    assert problems_of(tmp_path) == []
 
 
 def test_a_report_may_show_tables_that_need_no_page(tmp_path: Path) -> None:
