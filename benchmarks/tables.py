@@ -52,18 +52,34 @@ def where(bench: dict[str, Any]) -> str:
 
 
 def tick_rows(bench: dict[str, Any]) -> list[list[str]]:
-    """Two lines for a rate: latency and jitter."""
+    """Two lines for a rate of the paper's law: latency and jitter."""
     rows = []
     for tick in bench["ticks"]:
+        if tick["law"] != bench["ticks"][0]["law"]:
+            continue
         rate = "one after another" if tick["rate"] is None else f"{tick['rate'] / 1e3:g} kHz"
         for name in ("latency", "lateness"):
             if (times := tick[name]) is None:
                 continue
-            numbers = [spell(times[key]) for key in ("median", "percentile_99", "percentile_99_9", "maximum")]
+            numbers = quantiles(times)
             missed = f"{tick['missed']} of {tick['periods']}" if tick["rate"] and name == "latency" else ""
             what = "latency" if name == "latency" else "jitter"
             rows.append([rate, str(tick["ticks"]), what, *numbers, missed, f"{tick['load_average']:.1f}"])
     return rows
+
+
+def law_rows(bench: dict[str, Any]) -> list[list[str]]:
+    """One line for each law, one tick after another."""
+    return [
+        [f"`{tick['law']}`", str(tick["ticks"]), *quantiles(tick["latency"]), f"{tick['load_average']:.1f}"]
+        for tick in bench["ticks"]
+        if tick["rate"] is None
+    ]
+
+
+def quantiles(times: dict[str, Any]) -> list[str]:
+    """Spell what the tables show of a distribution."""
+    return [spell(times[key]) for key in ("median", "percentile_99", "percentile_99_9", "maximum")]
 
 
 def speed_rows(bench: dict[str, Any]) -> list[list[str]]:
@@ -105,9 +121,12 @@ def benchmarks_block(bench: dict[str, Any], kernels: dict[str, Any] | None) -> s
     """Give the block of BENCHMARKS.md."""
     first = bench["ticks"][0]
     lines = ["", f"{where(bench)}; scheduling: {first['scheduling']}; memory: {first['memory']}.", ""]
-    lines += table("ticks | count: | time | median: | 99 %: | 99.9 %: | max: | missed: | load:", tick_rows(bench))
+    head = f"ticks of `{first['law']}` | count: | time | median: | 99 %: | 99.9 %: | max: | missed: | load:"
+    lines += table(head, tick_rows(bench))
     lines += ["", f"Each latency has one reading of the clock in it, {spell(first['clock_cost'])}.", ""]
     lines += ["![How often a tick took how long, and how late its clock was](docs/figures/bench.svg)", ""]
+    head = "law, one tick after another | count: | median: | 99 %: | 99.9 %: | max: | load:"
+    lines += [*table(head, law_rows(bench)), ""]
     head = "closed loop | variant | threads: | wall: | processor: | × real time: | peak of a core [GFLOP/s]: | share:"
     lines += [*table(head, speed_rows(bench)), ""]
     ratios = [

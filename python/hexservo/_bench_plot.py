@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from hexservo.plots import _BLACK, _BLUE, _DASH_DOT, _DASHED, _GREEN, _ORANGE, _PAGE, _VERMILION, _Ink, _styled
+from hexservo.plots import _BLACK, _BLUE, _DASH_DOT, _DASHED, _GREEN, _ORANGE, _PAGE, _PURPLE, _VERMILION, _Ink, _styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,24 +18,33 @@ if TYPE_CHECKING:
 
 __all__ = ["tick_figure"]
 
-_INKS = (_Ink(_BLACK), _Ink(_BLUE), _Ink(_VERMILION, _DASHED), _Ink(_GREEN, _DASH_DOT), _Ink(_ORANGE, (0, (1, 1))))
+_RATE_INKS = (_Ink(_BLACK), _Ink(_BLUE), _Ink(_VERMILION, _DASHED), _Ink(_GREEN, _DASH_DOT), _Ink(_ORANGE, (0, (1, 1))))
+_LAW_INKS = (*_RATE_INKS, _Ink(_PURPLE, _DASHED))
 
 
 @_styled
 def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
-    """Draw latencies of the tick, and how late the paced ones woke up, both axes logarithmic."""
-    figure = Figure(figsize=(_PAGE, 3.2), layout="constrained")
-    latency, lateness = figure.subplots(1, 2, sharey=True)
-    for timing, ink in zip(ticks, _INKS, strict=False):
-        name = "one after another" if timing.rate is None else f"at {timing.rate / 1e3:g} kHz"
-        count = f"{timing.ticks:,}".replace(",", "\N{THIN SPACE}")
-        _draw(latency, timing.latency, ink, f"{name}, {count} ticks")
+    """Draw latencies of the tick by rate and by law, and how late the paced ones woke up, all axes logarithmic.
+
+    Parameters
+    ----------
+    ticks
+        The first one's law is the one that is drawn by rate.
+    """
+    figure = Figure(figsize=(_PAGE, 3.4), layout="constrained")
+    latency, lateness, laws = figure.subplots(1, 3, sharey=True)
+    for timing, ink in zip((timing for timing in ticks if timing.law == ticks[0].law), _RATE_INKS, strict=False):
+        name = "one after another" if timing.rate is None else f"{timing.rate / 1e3:g} kHz"
+        _draw(latency, timing.latency, ink, name)
         if timing.lateness is not None:
             _draw(lateness, timing.lateness, ink, name)
+    for timing, ink in zip((timing for timing in ticks if timing.rate is None), _LAW_INKS, strict=False):
+        _draw(laws, timing.latency, ink, timing.law)
     smallest = min(1.0 / timing.ticks for timing in ticks)
     for axes, title, label in (
-        (latency, "Latency of a tick", "input to leg forces [µs]"),
+        (latency, f"Latency of {ticks[0].law}", "input to leg forces [µs]"),
         (lateness, "Jitter of the clock", "wake-up behind its time [µs]"),
+        (laws, "Latency, one after another", "input to leg forces [µs]"),
     ):
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -48,8 +57,9 @@ def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
         axes.grid(visible=True, which="major", linewidth=0.4, color="0.88")
         axes.set_axisbelow(True)
     latency.set_ylabel(f"share of ticks per bin of 1/{_bins_per_decade(ticks[0].latency)} decade")
-    # above both, where no curve is
-    figure.legend(*latency.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    # above the panels, where no curve is
+    figure.legend(*latency.get_legend_handles_labels(), loc="outside upper left", ncols=3, frameon=False)
+    figure.legend(*laws.get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False)
     return figure
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +18,8 @@ import pytest
 
 import hexservo as hs
 from hexservo import _bench, _core
+from hexservo._parameters import core_parameters
+from hexservo._scenario import LAWS
 from hexservo._variant import _load, available_variants
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,7 +44,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     parent = tmp_path_factory.mktemp("bench")
     run = bench(*SHORT, "--realtime", "--out", "out", cwd=parent)
     assert run.returncode == 0, run.stderr
-    assert "servo tick: SCHED_FIFO" in run.stdout
+    assert "servo tick of hybrid: SCHED_FIFO" in run.stdout
+    assert "servo tick of each law, one after another" in run.stdout
+    assert all(re.search(rf"^{law} +{1000 if law != 'hybrid' else 5000} ", run.stdout, re.MULTILINE) for law in LAWS)
     assert "share of the peak by a count of 10000 operations a step" in run.stdout
     return parent / "out"
 
@@ -83,7 +88,9 @@ def test_the_json_says_what_was_measured_on_what(document: dict[str, Any]) -> No
     assert machine["core"]["compiler"] == _core.build_info()["compiler"]
     assert set(document["variants"]) == set(available_variants())
     assert all("-O3" in variant["flags"] for variant in document["variants"].values())
-    assert [tick["rate"] for tick in document["ticks"]] == [None, 1000.0, 2000.0, 4000.0, 10000.0]
+    paced = [("hybrid", rate) for rate in (1000.0, 2000.0, 4000.0, 10000.0)]
+    others = [(law, None) for law in LAWS if law != "hybrid"]
+    assert [(tick["law"], tick["rate"]) for tick in document["ticks"]] == [("hybrid", None), *paced, *others]
     for tick in document["ticks"]:
         for times in filter(None, (tick["latency"], tick["lateness"])):
             assert 0 < times["median"] <= times["percentile_99"] <= times["percentile_99_9"] <= times["maximum"]
@@ -136,6 +143,29 @@ def test_ticks_repeat_the_run_that_they_replay(paper: hs.Scenario) -> None:
     # Zero weights at the start make the first ticks alike; then forward Euler and Runge-Kutta differ, but by little.
     assert 0.0 < times.wrench_difference < 5e-4
     assert times.latency.min() > 0
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_repeats_its_run(paper: hs.Scenario, law: str) -> None:
+    timing = _bench._time_ticks(_bench._replayed(paper, law), None, _bench.Plan(ticks=5000))  # wrong answers raise
+    assert (timing.law, timing.rate, timing.lateness) == (law, None, None)
+    assert timing.ticks == timing.periods == (5000 if law == "hybrid" else 1000)
+    half = _bench._replayed(paper, law).updated({"simulation.step": 0.5e-3})
+    finer = _core.time_ticks(core_parameters(half), 10).wrench_difference
+    if law in ("hybrid", "composite"):  # forward Euler: of first order in the period
+        assert timing.wrench_difference / finer == pytest.approx(2.0, rel=0.05)
+    else:
+        assert max(timing.wrench_difference, finer) < 1e-9
+
+
+def test_a_tick_that_differs_from_its_run_is_not_timed(paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The run's law of pbvs believes other points than the tick's where the depth has an error.
+    pbvs = paper.updated({"controller.law": "pbvs"})
+    with pytest.raises(_bench.BenchmarkError, match="ticks of pbvs, one after another: expected the run's wrenches"):
+        _bench._time_ticks(pbvs, None, _bench.Plan(ticks=1000))
+    monkeypatch.setitem(_bench._TICK_TOLERANCES, "hybrid", 1e-6)
+    with pytest.raises(_bench.BenchmarkError, match="ticks of hybrid at 2000 Hz: expected the run's wrenches to 1e-06"):
+        _bench._time_ticks(paper, 2000.0, _bench.Plan(seconds=0.01))
 
 
 def test_a_clock_that_is_too_fast_is_missed(paper: hs.Scenario) -> None:
@@ -251,6 +281,12 @@ def test_the_tables_hold_what_was_measured(tables: ModuleType, document: dict[st
     assert "| servo tick | 400 ns | – |" in text
     for speed in document["speeds"]:
         assert f"| {speed['variant']} | {speed['threads']} | {_bench.spell(speed['wall'])} |" in text
+    for tick in document["ticks"]:
+        median = _bench.spell(tick["latency"]["median"])
+        if tick["rate"] is None:
+            assert f"| `{tick['law']}` | {tick['ticks']} | {median} |" in text
+        else:
+            assert f"| {tick['rate'] / 1e3:g} kHz | {tick['ticks']} | latency | {median} |" in text
     assert "not measured" in tables.benchmarks_block(document, None)
     assert _bench.spell(document["ticks"][0]["latency"]["median"]) in tables.readme_sentence(document)
 
