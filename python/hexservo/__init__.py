@@ -28,6 +28,7 @@ from hexservo._diagnosis import Diagnosis, diagnose
 from hexservo._metrics import METRICS, metrics
 from hexservo._own_controller import LegForces, Observation
 from hexservo._result import LimitEvent, Result
+from hexservo._saved import ResultError, load_result
 from hexservo._scenario import Scenario, ScenarioError, load_scenario, scenario_names
 from hexservo._simulation import simulate
 from hexservo._variant import VariantError
@@ -47,6 +48,7 @@ __all__ = [
     "LimitEvent",
     "Observation",
     "Result",
+    "ResultError",
     "Scenario",
     "ScenarioError",
     "VariantError",
@@ -56,6 +58,7 @@ __all__ = [
     "certify_batch",
     "compare",
     "diagnose",
+    "load_result",
     "load_scenario",
     "metrics",
     "plots",
