@@ -27,6 +27,7 @@ from hexservo._controller import Controller, ControllerOutput
 from hexservo._diagnosis import Diagnosis, diagnose
 from hexservo._metrics import METRICS, metrics
 from hexservo._own_controller import LegForces, Observation
+from hexservo._report import write_report
 from hexservo._result import LimitEvent, Result
 from hexservo._saved import ResultError, load_result
 from hexservo._scenario import Scenario, ScenarioError, load_scenario, scenario_names
@@ -65,6 +66,7 @@ __all__ = [
     "scenario_names",
     "simulate",
     "simulate_batch",
+    "write_report",
 ]
 
 __version__: str = _core.build_info()["hexservo"]

@@ -48,18 +48,20 @@ def rotation_vectors(quaternion: Array) -> Array:
     return np.asarray(unit[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0))
 
 
-def extremes(values: Array) -> NDArray[np.intp]:
+def extremes(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:
     """Give the indices of the samples to draw: all, or first, last and the extremes of as many bins as print resolves.
 
     Parameters
     ----------
     values
         Samples of one line, (n,).
+    most
+        Of the samples that are drawn, about.
     """
     count = len(values)
-    if count <= _MAX_POINTS:
+    if count <= most:
         return np.arange(count)
-    size = -(-count // (_MAX_POINTS // 2))
+    size = -(-count // (most // 2))
     bins = -(-count // size)
     padded = np.pad(values, (0, bins * size - count), mode="edge").reshape(bins, size)
     starts = size * np.arange(bins)

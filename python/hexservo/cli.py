@@ -1,4 +1,4 @@
-"""The command line, ``hexservo run | compare | scenarios | show | check | export | bench | version`` and `_cli_evidence`.
+"""The command line: ``hexservo run | compare | report | scenarios | show | check | export | bench | version`` and more.
 
 Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
 numerical outcome; 130 interrupted; 141 the reader of the output left.

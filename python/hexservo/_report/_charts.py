@@ -1,0 +1,165 @@
+"""Charts for plotly.js, as plain data: colours are roles ("@blue") that the page turns into those of its scheme."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hexservo._evidence import Curves, HeatMap, Line
+from hexservo._report._html import Html, element, json_script, paragraphs
+from hexservo._samples import extremes
+
+__all__ = ["LINE_COLOURS", "Spec", "chart", "curves", "encoded", "heat_map", "label"]
+
+Spec: TypeAlias = dict[str, Any]
+"""``data`` and ``layout`` of a chart, as plotly.js has them."""
+
+LINE_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange", "@grey")
+_DASHES = ("solid", "dash", "dashdot", "dot")
+_MAX_CELLS = 250  # of a heat map along each side
+
+
+def encoded(values: ArrayLike) -> Spec:
+    """Give numbers as plotly.js reads them fastest: single precision in base64, NaN where there is nothing."""
+    array = np.ascontiguousarray(np.where(np.isfinite(values), values, np.nan), dtype="<f4")
+    spec = {"dtype": "f4", "bdata": base64.b64encode(array.data).decode("ascii")}
+    return spec if array.ndim == 1 else {**spec, "shape": ", ".join(map(str, array.shape))}
+
+
+def label(text: str) -> str:
+    """Give text as plotly.js shows it: it reads a few HTML tags, which are none here."""
+    return escape(text, quote=False)
+
+
+def chart(
+    spec: Spec, title: str, *, note: str = "", page: str = "", height: int = 300, wide: bool = True, alt: str = ""
+) -> Html:
+    """Give a chart with its title above and its note below.
+
+    Parameters
+    ----------
+    page
+        That explains it, such as "docs/analysis/conditioning.md"; shown as text.
+    height
+        Of the chart [px].
+    wide
+        Over the whole width; else two stand side by side where there is room.
+    alt
+        What it shows, for those who do not see it.
+    """
+    return element(
+        "figure",
+        element("figcaption", title),
+        element("div", class_="chart", role="img", aria_label=alt or title, style=f"height:{height}px"),
+        json_script(spec),
+        paragraphs(note),
+        explained(page),
+        class_="plot" if wide else "plot half",
+    )
+
+
+def explained(page: str) -> Html:
+    """Say which page explains something, if there is one."""
+    return element("p", "Explained in ", element("code", page), class_="page") if page else Html()
+
+
+def curves(item: Curves) -> Html:
+    """Draw lines over one axis."""
+    data = [_line(line, number) for number, line in enumerate(item.lines)]
+    layout = {"xaxis": _axis(item.x_label, item.x_log), "yaxis": _axis(item.y_label, item.y_log)}
+    names = ", ".join(line.name for line in item.lines if line.name)
+    return chart(
+        {"data": data, "layout": layout},
+        item.title,
+        note=item.note,
+        page=item.page,
+        alt=f"{item.title}: {item.y_label} over {item.x_label}" + (f"; lines: {names}" if names else ""),
+    )
+
+
+def heat_map(item: HeatMap) -> Html:
+    """Draw a quantity over a rectangle, with contours and lines over it."""
+    x, y, z = (np.asarray(values, dtype=float) for values in (item.x, item.y, item.z))
+    rows, columns = (slice(None, None, -(-count // _MAX_CELLS)) for count in z.shape)
+    x, y, z = x[columns], y[rows], z[rows, columns]
+    cells = {"x": encoded(x), "y": encoded(y), "z": encoded(z)}
+    hover = {"hovertemplate": f"%{{x:.4g}}, %{{y:.4g}}: %{{z:.4g}}<extra>{label(item.z_label)}</extra>"}
+    bar = {"title": {"text": label(item.z_label), "side": "right"}, "thickness": 12, "outlinewidth": 0}
+    data: list[Spec] = [{"type": "heatmap", **cells, "colorscale": "Cividis", "colorbar": bar, **hover}]
+    data += [
+        {
+            "type": "contour",
+            **cells,
+            "contours": {
+                "start": level,
+                "end": level,
+                "size": 1,
+                "coloring": "none",
+                "showlabels": True,
+                "labelfont": {"color": "@ink", "size": 11},
+            },
+            "line": {"color": "@ink", "width": 1.5},
+            "showscale": False,
+            "showlegend": False,
+            "hoverinfo": "skip",
+        }
+        for level in item.levels
+    ]
+    data += [_line(line, number) for number, line in enumerate(item.lines)]
+    layout = {"xaxis": _axis(item.x_label), "yaxis": _axis(item.y_label)}
+    return chart(
+        {"data": data, "layout": layout},
+        item.title,
+        note=item.note,
+        page=item.page,
+        height=360,
+        alt=f"{item.title}: map of {item.z_label} over {item.x_label} and {item.y_label}",
+    )
+
+
+def trace(x: ArrayLike, y: ArrayLike, name: str, line: Mapping[str, Any], **more: Any) -> Spec:
+    """Give one line; plotly.js draws nothing where a number is not finite."""
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": encoded(x),
+        "y": encoded(y),
+        "name": label(name),
+        "line": dict(line),
+        "hovertemplate": "%{x:.5g}, %{y:.4g}",
+        **more,
+    }
+
+
+def _line(line: Line, number: int) -> Spec:
+    x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
+    kept = _kept(x, y)
+    colour = LINE_COLOURS[number % len(LINE_COLOURS)]
+    dash = "dash" if line.style == "dashed" else _DASHES[number // len(LINE_COLOURS) % len(_DASHES)]
+    more: Spec = {"showlegend": bool(line.name)}
+    if line.style == "points" or len(kept) == 1:
+        more |= {"mode": "markers", "marker": {"color": colour, "size": 6}}
+    return trace(x[kept], y[kept], line.name, {"color": colour, "dash": dash, "width": 1.6}, **more)
+
+
+def _kept(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Thin a line out where it runs along x; one that turns back, as a circle does, keeps the extremes of both."""
+    if not np.isfinite(y).all() or not np.isfinite(x).all():
+        return np.arange(len(y))[:: max(1, len(y) // 2500)]
+    if len(x) and (np.diff(x) >= 0).all():
+        return extremes(y)
+    return np.union1d(extremes(x), extremes(y))
+
+
+def _axis(title: str, log: bool = False) -> Spec:
+    return {"title": {"text": label(title)}, **({"type": "log"} if log else {})}
+
+
+def axes(x: str, y: str, **more: Sequence[Any] | Mapping[str, Any]) -> Spec:
+    """Give a layout with two titled axes."""
+    return {"xaxis": _axis(x), "yaxis": _axis(y), **more}
