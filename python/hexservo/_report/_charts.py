@@ -21,6 +21,9 @@ Spec: TypeAlias = dict[str, Any]
 
 LINE_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange", "@grey")
 _DASHES = ("solid", "dash", "dashdot", "dot")
+# Of maps, in both schemes: dark enough everywhere for white contours, lighter from end to end for every eye.
+_SCALE = [[0, "#0a1a33"], [0.5, "#1d5a85"], [1, "#4f9c72"]]
+_MAP_COLOURS = ("#ffb000", "#ff86c2", "#8be3ff")
 _MAX_CELLS = 250  # of a heat map along each side
 
 
@@ -44,7 +47,7 @@ def chart(
     Parameters
     ----------
     page
-        That explains it, such as "docs/analysis/conditioning.md"; shown as text.
+        That explains it, such as "docs/model.md"; shown as text.
     height
         Of the chart [px].
     wide
@@ -90,7 +93,7 @@ def heat_map(item: HeatMap) -> Html:
     cells = {"x": encoded(x), "y": encoded(y), "z": encoded(z)}
     hover = {"hovertemplate": f"%{{x:.4g}}, %{{y:.4g}}: %{{z:.4g}}<extra>{label(item.z_label)}</extra>"}
     bar = {"title": {"text": label(item.z_label), "side": "right"}, "thickness": 12, "outlinewidth": 0}
-    data: list[Spec] = [{"type": "heatmap", **cells, "colorscale": "Cividis", "colorbar": bar, **hover}]
+    data: list[Spec] = [{"type": "heatmap", **cells, "colorscale": _SCALE, "colorbar": bar, **hover}]
     data += [
         {
             "type": "contour",
@@ -101,16 +104,16 @@ def heat_map(item: HeatMap) -> Html:
                 "size": 1,
                 "coloring": "none",
                 "showlabels": True,
-                "labelfont": {"color": "@ink", "size": 11},
+                "labelfont": {"color": "#ffffff", "size": 12},
             },
-            "line": {"color": "@ink", "width": 1.5},
+            "line": {"color": "#ffffff", "width": 1.5},
             "showscale": False,
             "showlegend": False,
             "hoverinfo": "skip",
         }
         for level in item.levels
     ]
-    data += [_line(line, number) for number, line in enumerate(item.lines)]
+    data += [_line(line, number, _MAP_COLOURS) for number, line in enumerate(item.lines)]
     layout = {"xaxis": _axis(item.x_label), "yaxis": _axis(item.y_label)}
     return chart(
         {"data": data, "layout": layout},
@@ -136,11 +139,11 @@ def trace(x: ArrayLike, y: ArrayLike, name: str, line: Mapping[str, Any], **more
     }
 
 
-def _line(line: Line, number: int) -> Spec:
+def _line(line: Line, number: int, colours: Sequence[str] = LINE_COLOURS) -> Spec:
     x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
     kept = _kept(x, y)
-    colour = LINE_COLOURS[number % len(LINE_COLOURS)]
-    dash = "dash" if line.style == "dashed" else _DASHES[number // len(LINE_COLOURS) % len(_DASHES)]
+    colour = colours[number % len(colours)]
+    dash = "dash" if line.style == "dashed" else _DASHES[number // len(colours) % len(_DASHES)]
     more: Spec = {"showlegend": bool(line.name)}
     if line.style == "points" or len(kept) == 1:
         more |= {"mode": "markers", "marker": {"color": colour, "size": 6}}

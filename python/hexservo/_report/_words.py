@@ -19,7 +19,8 @@ def summary_sentences(result: Result) -> list[str]:
 
 
 def _outcome(result: Result) -> str:
-    law = result.controller
+    ours = result.controller == result.scenario.controller.law
+    law = f"the law {result.controller}" if ours else f"the function {result.controller}"
     steps = f"{result.end_time:.4g} s in {result.scenario.simulation.mode} mode, controlled by {law}"
     if result.outcome == "completed":
         return f"The run completed: {steps}."

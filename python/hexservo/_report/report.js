@@ -11,6 +11,7 @@
     grey: "#9a9a9a", soft: "#4a525c",
   };
   const PRINTED_WIDTH = 660; // px: A4 and Letter hold it
+  const PRINTED_GAP = 20;
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const coarse = matchMedia("(pointer: coarse)").matches; // fingers scroll the page, they do not zoom charts
   let printing = false;
@@ -59,7 +60,9 @@
   }));
 
   function draw(chart) {
-    const width = printing ? PRINTED_WIDTH : Math.max(220, Math.floor(chart.box.clientWidth));
+    const half = chart.box.parentElement.classList.contains("half");
+    const printed = half ? (PRINTED_WIDTH - PRINTED_GAP) / 2 : PRINTED_WIDTH;
+    const width = printing ? printed : Math.max(220, Math.floor(chart.box.clientWidth));
     const colours = palette();
     chart.drawn = true;
     chart.width = width;
@@ -192,7 +195,7 @@
   }
   function ratio() {
     const size = [0, 1, 2].map((at) => scene.high[at] - scene.low[at]);
-    const scale = 1.25 / Math.cbrt(size[0] * size[1] * size[2]);
+    const scale = Math.min(1.25 / Math.cbrt(size[0] * size[1] * size[2]), 2 / Math.max(...size));
     return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
   }
 
@@ -338,12 +341,14 @@
       if (movable) Plotly.relayout(gl, { width: gl.clientWidth, height: gl.clientHeight });
     }, 120);
   });
-  addEventListener("beforeprint", () => {
-    printing = true;
-    charts.forEach(draw); // all of them, in the light scheme and of the page's width
-  });
-  addEventListener("afterprint", () => {
-    printing = false;
-    charts.forEach(draw);
-  });
+  /** Draws all charts anew: what plotly.js keeps of a chart does not fit a page's width. */
+  function turn(paper) {
+    printing = paper;
+    for (const chart of charts) {
+      Plotly.purge(chart.box);
+      draw(chart);
+    }
+  }
+  addEventListener("beforeprint", () => turn(true));
+  addEventListener("afterprint", () => turn(false));
 })();
