@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -118,6 +119,8 @@ def _result(run: str, settings: list[str]) -> hs.Result:
         return hs.load_result(run)
     scenario = load(run, settings)
     try:
+        with contextlib.suppress(ValueError):  # the log would not fit, or else the next line raises it again
+            return hs.simulate(scenario, log_weights=True)
         return hs.simulate(scenario)
     except ValueError as error:
         raise hs.ScenarioError(str(error).splitlines(), scenario.name) from error

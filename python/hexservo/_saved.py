@@ -25,6 +25,7 @@ FORMAT = 1
 """Of the files; a larger number is a format that this version does not know."""
 
 _DIGEST = "sha256"
+_HISTORY = "weight_history"  # the only array that a result may lack
 _EVENT_HEAD = "kind leg time peak limit"  # of the table of events; seconds, and metres (stroke) or newtons (force)
 _TEXTS = ("controller", "outcome", "detail", "scenario", "hexservo_version", "event_table")
 _NUMBERS = ("end_time", *(f"metric_{name}" for name in METRICS))
@@ -47,7 +48,7 @@ def saved_attributes(result: Result) -> dict[str, Any]:
         "event_table": _event_table(result.events),
     }
     numbers = {"end_time": result.end_time, **{f"metric_{name}": value for name, value in metrics(result).items()}}
-    arrays = {name: getattr(result, name) for name in _array_shapes()}
+    arrays = {name: getattr(result, name) for name in _array_shapes(result.weight_history is not None)}
     return {"format": FORMAT, **texts, **numbers, _DIGEST: _digest(arrays, texts, numbers)}
 
 
@@ -91,7 +92,8 @@ def load_result(path: str | os.PathLike[str]) -> Result:
             names = ("format", *_TEXTS, *_NUMBERS, _DIGEST)
             attributes = {name: _plain(file.attrs[name]) for name in names if name in file.attrs}
             _check_format(attributes, place)
-            arrays = {name: np.ascontiguousarray(file[name][...]) for name in _array_shapes()}
+            shapes = _array_shapes(_HISTORY in file)
+            arrays = {name: np.ascontiguousarray(file[name][...]) for name in shapes}
     except ResultError:
         raise
     except Exception as error:  # whatever HDF5 and its wrappers raise for bytes that nobody wrote so
@@ -125,7 +127,7 @@ def _result(arrays: Mapping[str, NDArray[np.float64]], attributes: Mapping[str, 
         if not isinstance(attributes.get(name), float if name in _NUMBERS else str):
             raise ResultError(f"{damaged} (attribute {name})")
     count = len(arrays["time"]) if arrays["time"].ndim else 0
-    for name, shape in _array_shapes().items():
+    for name, shape in _array_shapes(_HISTORY in arrays).items():
         if arrays[name].dtype != np.float64 or arrays[name].shape != ((count, *shape[1:]) if shape[0] < 0 else shape):
             raise ResultError(f"{damaged} (variable {name})")
     texts, numbers = ({name: attributes[name] for name in names} for names in (_TEXTS, _NUMBERS))
@@ -177,10 +179,11 @@ def _events(table: str, damaged: str) -> tuple[LimitEvent, ...]:
 # ---- Parts ----------------------------------------------------------------------------------------------------------
 
 
-def _array_shapes() -> dict[str, tuple[int, ...]]:
+def _array_shapes(with_history: bool) -> dict[str, tuple[int, ...]]:
     """Give the arrays of a result with their shapes; -1 stands for the number of samples."""
     widths = {name: (-1, len(labels)) for name, (_, labels, _, _) in _QUANTITIES.items()}
-    return {"time": (-1,), **widths, "fuzzy_weights": (6, 7, 7)}
+    history: dict[str, tuple[int, ...]] = {_HISTORY: (-1, 6, 7, 7)} if with_history else {}
+    return {"time": (-1,), **widths, "fuzzy_weights": (6, 7, 7), **history}
 
 
 def _digest(arrays: Mapping[str, NDArray[np.float64]], texts: Mapping[str, str], numbers: Mapping[str, float]) -> str:

@@ -85,6 +85,18 @@ def test_other_runs_come_back_too(paper: hs.Scenario, tmp_path: Path, changes: d
     assert_same(hs.load_result(saved(tmp_path, result)), result)
 
 
+def test_the_history_of_the_weights_comes_back(paper: hs.Scenario, tmp_path: Path) -> None:
+    result = hs.simulate(paper.updated({"simulation.duration": 0.02}), log_weights=True)
+    assert result.weight_history is not None
+    assert_same(hs.load_result(saved(tmp_path, result)), result)
+
+    def sample(file: Any) -> None:
+        file.variables["weight_history"][3, 0, 0, 0] = 1.0
+
+    with pytest.raises(hs.ResultError, match="its checksum is another"):
+        hs.load_result(changed((tmp_path / "result.nc").read_bytes(), tmp_path / "x.nc", sample))
+
+
 def test_numbers_without_a_value_come_back(limited: hs.Result, tmp_path: Path) -> None:
     event = hs.LimitEvent("force", 6, 0.1, math.inf, 5e-324)
     odd = dataclasses.replace(
