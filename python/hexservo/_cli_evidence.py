@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -21,9 +21,6 @@ from hexservo._terminal import (
     spell_time,
     write,
 )
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["analyse", "certify", "diagnose", "report"]
 
