@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["FORMAT", "ResultError", "load_result", "netcdf_bytes", "saved_attributes"]
 
 FORMAT = 1
-"""Of the files; a larger number is a format that this version does not know."""
+"""Of the files: raised with every change of what a file holds, metrics included. A larger number is not known here."""
 
 _DIGEST = "sha256"
 _HISTORY = "weight_history"  # the only array that a result may lack

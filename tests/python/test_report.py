@@ -578,7 +578,7 @@ def test_it_prints_to_readable_pages(visit: Callable[..., Visit], tmp_path: Path
             ["pdftotext", "-layout", tmp_path / "report.pdf", "-"], capture_output=True, text=True, check=True
         ).stdout
         words = " ".join(told.split())
-        for part in ("All features are within 2 px", "feature error [px]", "platform", "docs/model.md"):
+        for part in ("All features are within 2 px", "time [s]", "platform", "docs/model.md"):
             assert part in words
         assert all(len(sheet.split()) > 10 for sheet in told.split("\f")[:pages])
 
