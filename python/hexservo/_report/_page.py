@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 __all__ = ["page"]
 
 # The browser itself keeps the page from loading anything, whatever a library tries.
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:"
+_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:; form-action 'none'; "
+    "base-uri 'none'"
+)
+_SLIDER = "The slider takes smaller steps until the run has settled."
 _MAX_SCENARIO = 60_000  # characters of the scenario that are shown: a recorded motion can be far longer
 
 
@@ -126,7 +130,7 @@ def _space(seen: Scene) -> Html:
     words = (
         "Grey: base and legs. Blue: platform. Before the camera, in the middle of the platform, stands its image: "
         f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B points down; the "
-        "view is upright. The slider takes smaller steps until the run has settled."
+        "view is upright. "
     )
     half = max(abs(corner) for corner in seen.corners[:, :2].ravel())
     image = element(
@@ -146,7 +150,7 @@ def _space(seen: Scene) -> Html:
         controls,
         still(seen),
         element("p", "", id="webgl-missing", hidden=True),
-        element("figcaption", words),
+        element("figcaption", words, element("span", _SLIDER, class_="slider")),
         json_script({**seen.to_plain(), "view": VIEW}, id="scene"),
         id="view",
     )

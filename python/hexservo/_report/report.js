@@ -54,7 +54,12 @@
     };
   }
 
-  const CONFIG = { displaylogo: false, responsive: false, scrollZoom: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
+  // Buttons are named one by one: among plotly.js's own is one that sends a chart to somebody's server.
+  const config = (...buttons) => ({
+    displaylogo: false, responsive: false, scrollZoom: false, displayModeBar: coarse ? false : "hover", showSendToCloud: false,
+    plotlyServerURL: "", modeBarButtons: [buttons],
+  });
+  const CONFIG = config("toImage", "zoom2d", "pan2d", "resetScale2d");
   const charts = [...document.querySelectorAll(".chart")].map((box) => ({
     box, spec: JSON.parse(box.nextElementSibling.textContent), drawn: false, width: 0,
   }));
@@ -304,7 +309,7 @@
 
   function drawSpace() {
     const colours = palette();
-    return Plotly.react(gl, traces(colours, Number(slider.value)), sceneLayout(colours), { displaylogo: false, responsive: false, scrollZoom: false });
+    return Plotly.react(gl, traces(colours, Number(slider.value)), sceneLayout(colours), config("toImage", "pan3d", "tableRotation", "resetCameraDefault3d"));
   }
   let movable = false;
   if (hasWebGL()) {
