@@ -27,8 +27,8 @@ __all__ = ["page"]
 
 # The browser itself keeps the page from loading anything, whatever a library tries.
 _POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:; form-action 'none'; "
-    "base-uri 'none'"
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:; "
+    "form-action 'none'; base-uri 'none'"
 )
 _SLIDER = "The slider takes smaller steps until the run has settled."
 _MAX_SCENARIO = 60_000  # characters of the scenario that are shown: a recorded motion can be far longer
