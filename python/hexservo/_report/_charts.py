@@ -3,28 +3,53 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hexservo._evidence import Curves, HeatMap, Line
 from hexservo._report._html import Html, element, json_script, paragraphs
 from hexservo._samples import extremes
 
-__all__ = ["LINE_COLOURS", "Spec", "chart", "curves", "encoded", "heat_map", "label"]
+__all__ = [
+    "LINE_COLOURS",
+    "MOST",
+    "TOLERANCE",
+    "Spec",
+    "axes",
+    "chart",
+    "curves",
+    "encoded",
+    "heat_map",
+    "label",
+    "needed",
+    "thinned",
+    "trace",
+]
 
 Spec: TypeAlias = dict[str, Any]
 """``data`` and ``layout`` of a chart, as plotly.js has them."""
+
+Array: TypeAlias = NDArray[np.float64]
+
+MOST = 700
+"""Samples of one line, about: half of them can be told apart where a chart is widest."""
+
+_MOST_LOOKED_AT = 8000
+
+TOLERANCE = 3e-4
+"""Of the samples that are left out, in parts of what the axis shows: a tenth of a pixel."""
 
 LINE_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange", "@grey")
 _DASHES = ("solid", "dash", "dashdot", "dot")
 # Of maps, in both schemes: dark enough everywhere for white contours, lighter from end to end for every eye.
 _SCALE = [[0, "#0a1a33"], [0.5, "#1d5a85"], [1, "#4f9c72"]]
 _MAP_COLOURS = ("#ffb000", "#ff86c2", "#8be3ff")
-_MAX_CELLS = 250  # of a heat map along each side
+_MAX_CELLS = 160  # of a heat map along each side
 
 
 def encoded(values: ArrayLike) -> Spec:
@@ -73,7 +98,7 @@ def explained(page: str) -> Html:
 
 def curves(item: Curves) -> Html:
     """Draw lines over one axis."""
-    data = [_line(line, number) for number, line in enumerate(item.lines)]
+    data = [_line(line, number, y_log=item.y_log) for number, line in enumerate(item.lines)]
     layout = {"xaxis": _axis(item.x_label, item.x_log), "yaxis": _axis(item.y_label, item.y_log)}
     names = ", ".join(line.name for line in item.lines if line.name)
     return chart(
@@ -96,8 +121,7 @@ def heat_map(item: HeatMap) -> Html:
     data: list[Spec] = [{"type": "heatmap", **cells, "colorscale": _SCALE, "colorbar": bar, **hover}]
     data += [
         {
-            "type": "contour",
-            **cells,
+            "type": "contour",  # of the cells above: the page's script puts them here too
             "contours": {
                 "start": level,
                 "end": level,
@@ -139,9 +163,52 @@ def trace(x: ArrayLike, y: ArrayLike, name: str, line: Mapping[str, Any], **more
     }
 
 
-def _line(line: Line, number: int, colours: Sequence[str] = LINE_COLOURS) -> Spec:
+def needed(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
+    """Give the indices of samples between which straight lines pass all others within a tolerance, the ends included.
+
+    From each sample that is kept, the cone of slopes that pass all samples so far narrows until a sample is outside;
+    the one before it is kept. All are, where one is not finite or x does not grow.
+
+    Parameters
+    ----------
+    x, y
+        Samples of one line, (n,).
+    tolerance
+        In the unit of y.
+    """
+    count = len(y)
+    if (
+        count < 3
+        or not tolerance > 0
+        or not np.isfinite(x).all()
+        or not np.isfinite(y).all()
+        or (np.diff(x) <= 0).any()
+    ):
+        return np.arange(count)
+    xs, ys = x.tolist(), y.tolist()  # plain numbers: this loop is no work for arrays
+    kept = [0]
+    start_x, start_y, steepest, flattest = xs[0], ys[0], math.inf, -math.inf
+    for index in range(1, count):
+        run, rise = xs[index] - start_x, ys[index] - start_y
+        if not flattest <= rise / run <= steepest:
+            start_x, start_y = xs[index - 1], ys[index - 1]
+            kept.append(index - 1)
+            run, rise = xs[index] - start_x, ys[index] - start_y
+            steepest, flattest = math.inf, -math.inf
+        steepest, flattest = min(steepest, (rise + tolerance) / run), max(flattest, (rise - tolerance) / run)
+    return np.array([*kept, count - 1])
+
+
+def thinned(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
+    """Give the indices of the samples that show a line: those it needs, or the extremes where it needs too many."""
+    kept = extremes(y, _MOST_LOOKED_AT)
+    kept = kept[needed(x[kept], y[kept], tolerance)]
+    return kept[extremes(y[kept], MOST)]
+
+
+def _line(line: Line, number: int, colours: Sequence[str] = LINE_COLOURS, *, y_log: bool = False) -> Spec:
     x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
-    kept = _kept(x, y)
+    kept = np.arange(len(y)) if line.style == "points" else _kept(x, y, y_log)
     colour = colours[number % len(colours)]
     dash = "dash" if line.style == "dashed" else _DASHES[number // len(colours) % len(_DASHES)]
     more: Spec = {"showlegend": bool(line.name)}
@@ -150,13 +217,22 @@ def _line(line: Line, number: int, colours: Sequence[str] = LINE_COLOURS) -> Spe
     return trace(x[kept], y[kept], line.name, {"color": colour, "dash": dash, "width": 1.6}, **more)
 
 
-def _kept(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Thin a line out where it runs along x; one that turns back, as a circle does, keeps the extremes of both."""
-    if not np.isfinite(y).all() or not np.isfinite(x).all():
-        return np.arange(len(y))[:: max(1, len(y) // 2500)]
-    if len(x) and (np.diff(x) >= 0).all():
-        return extremes(y)
-    return np.union1d(extremes(x), extremes(y))
+def _kept(x: Array, y: Array, y_log: bool) -> NDArray[np.intp]:
+    """Thin out each part of a line between its gaps, which stay; on a logarithmic axis, as that shows it."""
+    if y_log:
+        y = np.log10(y, where=y > 0, out=np.full_like(y, np.nan))
+    finite = np.isfinite(x) & np.isfinite(y)
+    tolerance = TOLERANCE * float(np.ptp(y[finite])) if finite.any() else 0.0
+    parts = np.split(np.arange(len(y)), np.flatnonzero(np.diff(finite)) + 1)
+    return np.concatenate([part[_kept_of_part(x[part], y[part], tolerance)] for part in parts])
+
+
+def _kept_of_part(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
+    if not (len(y) and np.isfinite(x[0]) and np.isfinite(y[0])):
+        return np.arange(len(y))[:1]  # of a gap
+    if (np.diff(x) <= 0).any():  # it turns back, as a circle does
+        return np.union1d(extremes(x), extremes(y))
+    return thinned(x, y, tolerance)
 
 
 def _axis(title: str, log: bool = False) -> Spec:

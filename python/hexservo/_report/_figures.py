@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo._parameters import core_parameters
-from hexservo._report._charts import Spec, axes, chart, encoded, trace
+from hexservo._report._charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
 from hexservo._report._html import Html
 from hexservo._samples import SETTLED, extremes, mean_samples, moving_mean, parts, rotation_vectors
 from hexservo._scenario import _TERMS
@@ -41,7 +41,6 @@ _LEGS = (
     _Ink("@purple", "dashdot"),
 )
 _DIVERGING = [[0, "#2d004b"], [0.25, "#998ec3"], [0.5, "#f7f7f7"], [0.75, "#f1a340"], [1, "#7f3b08"]]
-_MOST = 700  # samples of one line: half of them can be told apart where a chart is widest
 _FIRST_SHARE, _GAP = 0.62, 0.015  # of the width: the panel of the transient, and between the two
 
 
@@ -99,8 +98,8 @@ def _feature_errors(result: Result) -> list[Html]:
     charts = []
     for part, title in zip(shown, titles, strict=True):
         time, errors = result.time[part], result.feature_error[part]
-        data = _lines(time, errors, _FEATURE_NAMES, _FEATURES)
         low, high = _range(errors)
+        data = _lines(time, errors, _FEATURE_NAMES, _FEATURES, tolerance=TOLERANCE * (high - low))
         within = low >= -SETTLED and high <= SETTLED
         note = f"All of it is within ±{SETTLED:g} px." if within else f"Shaded: ±{SETTLED:g} px."
         layout = axes("time [s]", "feature error [px]", shapes=[] if within else [_band(SETTLED)])
@@ -232,14 +231,17 @@ def _over_time(
     means = moving_mean(values, count)
     data: list[Spec] = []
     layout = axes("time [s]", unit, shapes=list(shapes))
-    layout["yaxis"]["range"] = _range(values if also is None else np.append(values, also))
+    low, high = layout["yaxis"]["range"] = _range(values if also is None else np.append(values, also))
+    tolerance = TOLERANCE * (high - low)
     for place, part in enumerate(shown):
         time, axis = result.time[part], "x" if place == 0 else "x2"
         if count > 1:
             thin = [_Ink(ink.colour) for ink in inks]
             looks: Spec = {"opacity": 0.45, "hoverinfo": "skip", "hovertemplate": None}
-            data += _lines(time, values[part], names, thin, axis=axis, width=0.7, legend=False, **looks)
-        data += _lines(time, means[part], names, inks, axis=axis, legend=place == 0)
+            data += _lines(
+                time, values[part], names, thin, axis=axis, width=0.7, legend=False, tolerance=tolerance, **looks
+            )
+        data += _lines(time, means[part], names, inks, axis=axis, legend=place == 0, tolerance=tolerance)
         layout[f"xaxis{axis[1:]}"] = {**layout["xaxis"], "range": _time_range(time)}
     if len(shown) == 2:
         layout["xaxis"]["domain"] = [0, _FIRST_SHARE - _GAP]
@@ -256,11 +258,12 @@ def _lines(
     axis: str = "x",
     width: float = 1.6,
     legend: bool = True,
+    tolerance: float,
     **more: Any,
 ) -> list[Spec]:
     data = []
     for column, name, ink in zip(values.T, names, inks, strict=False):  # there are more inks than lines
-        kept = extremes(column, _MOST)
+        kept = thinned(time, column, tolerance)
         line = {"color": ink.colour, "dash": ink.dash, "width": width}
         drawn = trace(time[kept], column[kept], name, line, xaxis=axis, legendgroup=name, showlegend=legend, **more)
         if len(time) < 3:

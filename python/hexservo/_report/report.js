@@ -71,8 +71,10 @@
     const colours = palette();
     chart.drawn = true;
     chart.width = width;
+    const data = painted(chart.spec.data, colours);
+    const cells = { x: data[0].x, y: data[0].y, z: data[0].z };
     return Plotly.react(
-      chart.box, painted(chart.spec.data, colours), layoutOf(chart.spec, colours, width, parseInt(chart.box.style.height, 10)),
+      chart.box, data.map((trace) => (trace.type === "contour" ? { ...trace, ...cells } : trace)), layoutOf(chart.spec, colours, width, parseInt(chart.box.style.height, 10)),
       CONFIG,
     );
   }
