@@ -143,7 +143,12 @@ def _feature_paths(result: Result) -> Html:
                 "hovertemplate": "x %{x:.4g} px, y %{y:.4g} px",
             }
         )
+    everything = np.concatenate([features.reshape(-1, 2), goals])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    half = max(0.57 * float((high - low).max()), 1.0)
     layout = axes("image x [px]", "image y [px]")
+    for axis, middle in zip(("xaxis", "yaxis"), (low + high) / 2, strict=True):
+        layout[axis]["range"] = [float(middle) - half, float(middle) + half]
     layout["yaxis"] |= {"scaleanchor": "x", "constrain": "domain"}
     layout["xaxis"] |= {"constrain": "domain"}
     layout |= {"maxWidth": 620, "square": True}
