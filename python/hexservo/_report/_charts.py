@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, TypeAlias
@@ -49,6 +50,7 @@ _DASHES = ("solid", "dash", "dashdot", "dot")
 # Of maps, in both schemes: dark enough everywhere for white contours, lighter from end to end for every eye.
 _SCALE = [[0, "#0a1a33"], [0.5, "#1d5a85"], [1, "#4f9c72"]]
 _MAP_COLOURS = ("#ffb000", "#ff86c2", "#8be3ff")
+_LEVEL, _UPRIGHT = 48, 34  # characters of an axis' title in a line, across a phone and up a chart
 _MAX_CELLS = 160  # of a heat map along each side
 
 
@@ -99,7 +101,9 @@ def explained(page: str) -> Html:
 def curves(item: Curves) -> Html:
     """Draw lines over one axis."""
     data = [_line(line, number, y_log=item.y_log) for number, line in enumerate(item.lines)]
-    layout = {"xaxis": _axis(item.x_label, item.x_log), "yaxis": _axis(item.y_label, item.y_log)}
+    layout = axes(item.x_label, item.y_label)
+    for axis, is_log in (("xaxis", item.x_log), ("yaxis", item.y_log)):
+        layout[axis] |= {"type": "log"} if is_log else {}
     names = ", ".join(line.name for line in item.lines if line.name)
     return chart(
         {"data": data, "layout": layout},
@@ -117,7 +121,7 @@ def heat_map(item: HeatMap) -> Html:
     x, y, z = x[columns], y[rows], z[rows, columns]
     cells = {"x": encoded(x), "y": encoded(y), "z": encoded(z)}
     hover = {"hovertemplate": f"%{{x:.4g}}, %{{y:.4g}}: %{{z:.4g}}<extra>{label(item.z_label)}</extra>"}
-    bar = {"title": {"text": label(item.z_label), "side": "right"}, "thickness": 12, "outlinewidth": 0}
+    bar = {"title": {"text": _folded(item.z_label, _UPRIGHT), "side": "right"}, "thickness": 12, "outlinewidth": 0}
     data: list[Spec] = [{"type": "heatmap", **cells, "colorscale": _SCALE, "colorbar": bar, **hover}]
     data += [
         {
@@ -138,7 +142,7 @@ def heat_map(item: HeatMap) -> Html:
         for level in item.levels
     ]
     data += [_line(line, number, _MAP_COLOURS) for number, line in enumerate(item.lines)]
-    layout = {"xaxis": _axis(item.x_label), "yaxis": _axis(item.y_label)}
+    layout = axes(item.x_label, item.y_label)
     return chart(
         {"data": data, "layout": layout},
         item.title,
@@ -235,10 +239,11 @@ def _kept_of_part(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
     return thinned(x, y, tolerance)
 
 
-def _axis(title: str, log: bool = False) -> Spec:
-    return {"title": {"text": label(title)}, **({"type": "log"} if log else {})}
-
-
 def axes(x: str, y: str, **more: Sequence[Any] | Mapping[str, Any]) -> Spec:
-    """Give a layout with two titled axes."""
-    return {"xaxis": _axis(x), "yaxis": _axis(y), **more}
+    """Give a layout with two titled axes; long titles are broken into lines."""
+    titles = {"xaxis": _folded(x, _LEVEL), "yaxis": _folded(y, _UPRIGHT)}
+    return {**{axis: {"title": {"text": title}} for axis, title in titles.items()}, **more}
+
+
+def _folded(text: str, width: int) -> str:
+    return "<br>".join(label(line) for line in textwrap.wrap(text, width, break_long_words=False)) or label(text)
