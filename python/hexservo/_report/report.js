@@ -61,7 +61,7 @@
   });
   const CONFIG = config("toImage", "zoom2d", "pan2d", "resetScale2d");
   const charts = [...document.querySelectorAll(".chart")].map((box) => ({
-    box, spec: JSON.parse(box.nextElementSibling.textContent), drawn: false, width: 0,
+    box, spec: JSON.parse(box.nextElementSibling.textContent), height: parseInt(box.style.height, 10), drawn: false, width: 0,
   }));
 
   function draw(chart) {
@@ -72,9 +72,14 @@
     chart.drawn = true;
     chart.width = width;
     const data = painted(chart.spec.data, colours);
+    // Names of lines take rows of their own where a chart is narrow.
+    const letters = data.filter((trace) => trace.showlegend !== false).reduce((sum, trace) => sum + 7 + (trace.name || "").length, 0);
+    const height = chart.height + 18 * Math.min(6, Math.max(0, Math.floor((7 * letters) / width) - 2));
+    const layout = layoutOf(chart.spec, colours, width, height);
+    chart.box.style.height = `${layout.height}px`;
     const cells = { x: data[0].x, y: data[0].y, z: data[0].z };
     return Plotly.react(
-      chart.box, data.map((trace) => (trace.type === "contour" ? { ...trace, ...cells } : trace)), layoutOf(chart.spec, colours, width, parseInt(chart.box.style.height, 10)),
+      chart.box, data.map((trace) => (trace.type === "contour" ? { ...trace, ...cells } : trace)), layout,
       CONFIG,
     );
   }
