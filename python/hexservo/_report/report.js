@@ -77,11 +77,9 @@
     const height = chart.height + 18 * Math.min(6, Math.max(0, Math.floor((7 * letters) / width) - 2));
     const layout = layoutOf(chart.spec, colours, width, height);
     chart.box.style.height = `${layout.height}px`;
-    const cells = { x: data[0].x, y: data[0].y, z: data[0].z };
-    return Plotly.react(
-      chart.box, data.map((trace) => (trace.type === "contour" ? { ...trace, ...cells } : trace)), layout,
-      CONFIG,
-    );
+    const { x, y, z } = data[0] || {}; // a map's contours are drawn from its own cells
+    const traces = data.map((trace) => (trace.type === "contour" ? { ...trace, x, y, z } : trace));
+    return Plotly.react(chart.box, traces, layout, CONFIG);
   }
 
   // What is looked at first is drawn first; the rest when it comes near.
