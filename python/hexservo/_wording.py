@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from hexservo._evidence import Cell, Column, Table
@@ -24,7 +25,8 @@ def cell_text(cell: Cell, column: Column) -> str:
     if not math.isfinite(cell):
         return "–" if math.isnan(cell) else "∞" if cell > 0 else "−∞"
     whole = isinstance(cell, int) and column.format == Column.format  # 123456 and not 1.235e+05
-    return (str(cell) if whole else format(cell, column.format)).replace("-", "−")
+    shown = str(cell) if whole else format(cell, column.format)
+    return re.sub(r"^-(?=0(\.0*)?$)", "", shown).replace("-", "−")  # minus zero is zero
 
 
 def numeric_columns(table: Table) -> Sequence[bool]:

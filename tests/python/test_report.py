@@ -34,6 +34,7 @@ from hexservo._report._scene import scene
 from hexservo._report._words import summary_sentences
 from hexservo._samples import parts
 from hexservo._sections import Group, Source
+from hexservo._wording import cell_text
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -272,6 +273,25 @@ def test_a_long_recording_is_cut(monkeypatch: pytest.MonkeyPatch, result: hs.Res
     monkeypatch.setattr("hexservo._report._page._MAX_SCENARIO", 100)
     words = words_of(page(result))
     assert f"{len(result.scenario.to_yaml()) - 100} more characters are left out here." in words
+
+
+@pytest.mark.parametrize(
+    ("cell", "column", "expected"),
+    [
+        (-0.0, Column("c"), "0"),
+        (-0.0001, Column("c", "", ".2f"), "0.00"),
+        (-0.01, Column("c", "", ".2f"), "−0.01"),
+        (1e-7, Column("c"), "1e−07"),
+        (1234567, Column("c"), "1234567"),
+        (12, Column("c", "", ".1f"), "12.0"),
+        (float("nan"), Column("c"), "–"),
+        (None, Column("c"), "–"),
+        (False, Column("c"), "no"),
+        ("-5", Column("c"), "-5"),
+    ],
+)
+def test_cells_as_people_read_them(cell: Any, column: Column, expected: str) -> None:
+    assert cell_text(cell, column) == expected
 
 
 # ---- The machine in space -------------------------------------------------------------------------------------------

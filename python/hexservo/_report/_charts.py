@@ -46,6 +46,7 @@ TOLERANCE = 3e-4
 """Of the samples that are left out, in parts of what the axis shows: a tenth of a pixel."""
 
 LINE_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange", "@grey")
+_SYMBOLS = ("circle", "square", "diamond", "cross")
 _DASHES = ("solid", "dash", "dashdot", "dot")
 # Of maps, in both schemes: dark enough everywhere for white contours, lighter from end to end for every eye.
 _SCALE = [[0, "#0a1a33"], [0.5, "#1d5a85"], [1, "#4f9c72"]]
@@ -217,7 +218,10 @@ def _line(line: Line, number: int, colours: Sequence[str] = LINE_COLOURS, *, y_l
     dash = "dash" if line.style == "dashed" else _DASHES[number // len(colours) % len(_DASHES)]
     more: Spec = {"showlegend": bool(line.name)}
     if line.style == "points" or len(kept) == 1:
-        more |= {"mode": "markers", "marker": {"color": colour, "size": 6}}
+        more |= {
+            "mode": "markers",
+            "marker": {"color": colour, "size": 6, "symbol": _SYMBOLS[number // len(colours) % len(_SYMBOLS)]},
+        }
     return trace(x[kept], y[kept], line.name, {"color": colour, "dash": dash, "width": 1.6}, **more)
 
 
