@@ -5,7 +5,8 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test asan bench bench-peers format clean setup test-setup benchmark-setup peer-setup system FORCE
+.PHONY: help paper test asan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
+  system FORCE
 
 PYTHON ?= python3
 # The tools are those of the environment, whatever else the machine or an active shell offers.
@@ -77,6 +78,12 @@ benchmark-setup:
 	@if [ "$(APT)" = no ]; then exit 0; fi
 	$(SETUP) system PEER=libbenchmark-dev PEER_FILE=benchmark/benchmark.h || echo "Going on without Google Benchmark."
 
+# A browser is wanted, for the tests of the report, and a reader of what it prints; neither is needed.
+browser-setup:
+	@if [ "$(APT)" = no ]; then exit 0; fi
+	$(SETUP) system PEER=chromium PEER_PROGRAM=chromium || echo "Going on without Chromium: tests in a browser are skipped."
+	$(SETUP) system PEER=poppler-utils PEER_PROGRAM=pdftotext || echo "Going on without pdftotext: printed words are not read."
+
 KERNELS := build/benchmarks
 bench: $(PACKAGE) benchmark-setup
 	@hexservo bench --out out/bench --force
@@ -121,10 +128,10 @@ clean:
 
 setup: $(PACKAGE)
 
-test-setup: $(PACKAGE) $(ALL_TOOLS) benchmark-setup
+test-setup: $(PACKAGE) $(ALL_TOOLS) benchmark-setup browser-setup
 
 # What only the system can give: checked each time, installed through apt where it is missing. PEER is one package more,
-# whose header is PEER_FILE.
+# whose header is PEER_FILE, or whose program is PEER_PROGRAM.
 system:
 	@python=$$(command -v .venv/bin/python || command -v "$(PYTHON)" || true)
 	if [ -z "$$python" ] || ! "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 10))'; then
@@ -142,15 +149,17 @@ system:
 	  done
 	  return 1
 	}
+	has_peer() {
+	  if [ -n "$(PEER_PROGRAM)" ]; then command -v "$(PEER_PROGRAM)" >/dev/null; return; fi
+	  has_file "include/$(PEER_FILE)" || has_file "include/$$($(CXX) -print-multiarch)/$(PEER_FILE)"
+	}
 	missing() {
 	  command -v "$(firstword $(CXX))" >/dev/null || echo g++
 	  has_venv || echo "python$$version-venv"
 	  has_headers || echo "python$$version-dev"
 	  has_file share/eigen3/cmake/Eigen3Config.cmake || echo libeigen3-dev
 	  has_file include/doctest/doctest.h || echo doctest-dev
-	  if [ -n "$(PEER)" ]; then
-	    has_file "include/$(PEER_FILE)" || has_file "include/$$($(CXX) -print-multiarch)/$(PEER_FILE)" || echo "$(PEER)"
-	  fi
+	  if [ -n "$(PEER)" ]; then has_peer || echo "$(PEER)"; fi
 	}
 	packages=$$(missing | paste -s -d ' ')
 	if [ -z "$$packages" ]; then exit 0; fi

@@ -27,7 +27,9 @@ from hexservo._controller import Controller, ControllerOutput
 from hexservo._diagnosis import Diagnosis, diagnose
 from hexservo._metrics import METRICS, metrics
 from hexservo._own_controller import LegForces, Observation
+from hexservo._report import write_report
 from hexservo._result import LimitEvent, Result
+from hexservo._saved import ResultError, load_result
 from hexservo._scenario import Scenario, ScenarioError, load_scenario, scenario_names
 from hexservo._simulation import simulate
 from hexservo._variant import VariantError
@@ -47,6 +49,7 @@ __all__ = [
     "LimitEvent",
     "Observation",
     "Result",
+    "ResultError",
     "Scenario",
     "ScenarioError",
     "VariantError",
@@ -56,12 +59,14 @@ __all__ = [
     "certify_batch",
     "compare",
     "diagnose",
+    "load_result",
     "load_scenario",
     "metrics",
     "plots",
     "scenario_names",
     "simulate",
     "simulate_batch",
+    "write_report",
 ]
 
 __version__: str = _core.build_info()["hexservo"]

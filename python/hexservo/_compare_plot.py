@@ -14,6 +14,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from numpy.typing import NDArray
 
 from hexservo._compare import Comparison, ComparisonRow
+from hexservo._samples import SETTLED as _SETTLED
 from hexservo.plots import (
     _BLACK,
     _BLUE,
@@ -24,7 +25,6 @@ from hexservo.plots import (
     _ORANGE,
     _PAGE,
     _PURPLE,
-    _SETTLED,
     _VERMILION,
     _axes,
     _Ink,

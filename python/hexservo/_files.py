@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
-__all__ = ["MARKER", "OutputError", "check_folder", "write_file", "write_folder"]
+__all__ = ["MARKER", "OutputError", "check_file", "check_folder", "write_file", "write_folder"]
 
 MARKER = ".hexservo-output"
 """Name of the file that tells a folder of results from any other; it lists the other files with their SHA-256."""
@@ -283,6 +283,23 @@ def write_file(text: str, file: str | os.PathLike[str], title: str, author: str,
                 temporary.rename(path)
         finally:
             temporary.unlink(missing_ok=True)  # gone, if all went well
+    except (OSError, ValueError) as error:
+        if isinstance(error, OutputError):
+            raise
+        _refuse_unwritable(path, error, "place")
+
+
+def check_file(file: str | os.PathLike[str], title: str, author: str, *, force: bool = False) -> None:
+    """Refuse a file that `write_file` would refuse, before long work rather than after it.
+
+    Raises
+    ------
+    OutputError
+        As `write_file`, as far as it can be told without writing anything.
+    """
+    path = Path(file)
+    try:
+        _check_file(path, title, author, force)
     except (OSError, ValueError) as error:
         if isinstance(error, OutputError):
             raise

@@ -10,9 +10,9 @@ from typing import Any
 
 from hexservo import _core
 from hexservo._batch import _thread_count
-from hexservo._variant import chosen_kernel
+from hexservo._variant import available_variants, chosen_kernel
 
-__all__ = ["describe_machine"]
+__all__ = ["describe_machine", "versions"]
 
 
 def describe_machine() -> dict[str, Any]:
@@ -27,6 +27,25 @@ def describe_machine() -> dict[str, Any]:
         "python": platform.python_version(),
         "load_average": os.getloadavg()[0],
         "core": {**_core.build_info(), "variant": kernel.name, "flags": kernel.flags},
+    }
+
+
+def versions() -> dict[str, str]:
+    """Tell what was built and runs here."""
+    import numpy as np
+
+    build = _core.build_info()
+    kernel = chosen_kernel()
+    return {
+        "hexservo": build["hexservo"],
+        "compiler": build["compiler"],
+        "flags": build["flags"],
+        "variant": f"{kernel.name}, {kernel.lanes} scenarios per vector (available: {', '.join(available_variants())})",
+        "its flags": kernel.flags,
+        "Eigen": build["eigen"],
+        "Python": f"{platform.python_version()} ({platform.python_implementation()})",
+        "numpy": np.__version__,
+        "platform": platform.platform(),
     }
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hexservo._result import Result
 
-__all__ = ["METRICS", "metrics"]
+__all__ = ["METRICS", "metrics", "readable"]
 
 # name -> (unit, what it is)
 METRICS: dict[str, tuple[str, str]] = {
@@ -31,6 +31,16 @@ METRICS: dict[str, tuple[str, str]] = {
     "chatter": ("N/s", "total variation of that wrench per second"),
 }
 
+# Unit of a metric -> the unit people read, and how many of it make one.
+_READABLE_UNITS = {
+    "m": ("mm", 1e3),
+    "rad": ("mrad", 1e3),
+    "m/s": ("mm/s", 1e3),
+    "rad/s": ("mrad/s", 1e3),
+    "N m": ("mN m", 1e3),
+    "1": ("%", 100.0),
+}
+
 
 def metrics(result: Result) -> dict[str, float]:
     """Give the metrics of a run by name, in SI units and pixels; `METRICS` says what each is.
@@ -40,3 +50,11 @@ def metrics(result: Result) -> dict[str, float]:
     one that ends before 1 s, ``chatter`` of one that ends where it starts.
     """
     return dict(result.streamed_metrics)
+
+
+def readable(name: str, value: float) -> tuple[str, str]:
+    """Give a metric as people read it: the number in words, and its unit (mm for m, and so on)."""
+    if value != value:
+        return "never" if name == "settling_time" else "none", ""  # NaN: docs/model.md section 8
+    unit, scale = _READABLE_UNITS.get(METRICS[name][0], (METRICS[name][0], 1.0))
+    return f"{value * scale:.4g}", unit

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import os
@@ -32,23 +31,13 @@ def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool
 
 
 def _write_files(result: Result, folder: Path) -> None:
+    from hexservo._saved import netcdf_bytes
     from hexservo.plots import paper_figures
 
     (folder / "scenario.yaml").write_text(result.scenario.to_yaml(), encoding="utf-8")
     (folder / "metrics.json").write_text(_metrics_json(result), encoding="utf-8")
-    _write_netcdf(result, folder / "result.nc")
+    (folder / "result.nc").write_bytes(netcdf_bytes(result.to_xarray()))
     paper_figures(result, folder)
-
-
-def _write_netcdf(result: Result, path: Path) -> None:
-    """Make the file in memory, then write it: on a full disk HDF5 itself does not fail but crashes the process."""
-    import h5netcdf
-    from xarray.backends import H5NetCDFStore
-
-    content = io.BytesIO()
-    with h5netcdf.File(content, "w") as file:
-        result.to_xarray().dump_to_store(H5NetCDFStore(file))
-    path.write_bytes(content.getbuffer())
 
 
 def _metrics_json(result: Result) -> str:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo import _core
+
 if TYPE_CHECKING:
     import xarray
 
@@ -94,6 +96,7 @@ class Result:
     fuzzy_weights: Array  # (6, 7, 7) [N, N m], at the end; row: term of u, column: term of its rate
     streamed_metrics: dict[str, float] = field(repr=False)  # read them through hs.metrics(result)
     weight_history: Array | None = field(default=None, repr=False)  # (n, 6, 7, 7) like fuzzy_weights, where logged
+    version: str = field(default_factory=lambda: _core.build_info()["hexservo"], repr=False)  # of hexservo that ran it
 
     @property
     def features(self) -> Array:
@@ -103,13 +106,14 @@ class Result:
     def to_xarray(self) -> xarray.Dataset:
         """Give the run as a dataset with labelled dimensions and units.
 
-        Attributes hold text and numbers only: the outcome, the metrics (``metric_...``) and the scenario as one YAML
-        string (``scenario``), so that every netCDF reader can open the file.
+        Attributes hold text and numbers only: the outcome, the metrics (``metric_...``), the events in sentences
+        (``events``) and as numbers (``event_table``: seconds, and metres or newtons), and the scenario as one YAML
+        string (``scenario``), so that every netCDF reader can open the file. ``sha256`` covers all that `load_result`
+        reads.
         """
         import xarray
 
-        from hexservo import __version__
-        from hexservo._metrics import metrics
+        from hexservo._saved import saved_attributes
 
         data = {
             name: xarray.DataArray(
@@ -137,14 +141,8 @@ class Result:
         dataset.attrs.update(
             {
                 "title": f"hexservo run of {self.scenario.name}",
-                "hexservo_version": __version__,
-                "controller": self.controller,
-                "outcome": self.outcome,
-                "end_time": self.end_time,
-                "detail": self.detail,
                 "events": "\n".join(map(str, self.events)),
-                "scenario": self.scenario.to_yaml(),
-                **{f"metric_{name}": value for name, value in metrics(self).items()},
+                **saved_attributes(self),
             }
         )
         return dataset

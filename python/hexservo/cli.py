@@ -1,4 +1,4 @@
-"""The command line: ``hexservo run | compare | scenarios | show | check | export | bench | version``.
+"""The command line: ``hexservo run | compare | report | scenarios | show | check | export | bench | version`` and more.
 
 Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
 numerical outcome; 130 interrupted; 141 the reader of the output left.
@@ -6,17 +6,31 @@ numerical outcome; 130 interrupted; 141 the reader of the output left.
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import hexservo as hs
+from hexservo import _cli_evidence, _terminal
+from hexservo._terminal import (
+    ENDED_EARLY,
+    INTERRUPTED,
+    ForceOption,
+    ScenarioArgument,
+    SettingsOption,
+    complain,
+    ending,
+    load,
+    reporting,
+    show_parts,
+    spell_time,
+    whisper,
+    write,
+)
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -25,21 +39,6 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-BAD_INPUT = 2
-ENDED_EARLY = 3
-INTERRUPTED = 130  # 128 + SIGINT, as shells count
-READER_LEFT = 141  # 128 + SIGPIPE
-
-# Unit of a metric -> the unit people read, and how many of it make one.
-_READABLE_UNITS = {
-    "m": ("mm", 1e3),
-    "rad": ("mrad", 1e3),
-    "m/s": ("mm/s", 1e3),
-    "rad/s": ("mrad/s", 1e3),
-    "N m": ("mN m", 1e3),
-    "1": ("%", 100.0),
-}
-_ANY_WIDTH = 10_000  # of what no terminal shows: nothing is wrapped or cut
 _WIDTH_FOR_COMPARISON = 170  # in a narrower terminal the table of a comparison is split in two
 _WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table leaves out what the metrics mean
 
@@ -53,21 +52,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-ScenarioArgument = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="Name of a packaged scenario, or path of a YAML file.")
-]
-ForceOption = Annotated[
-    bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
-]
-SettingsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change one key of the scenario, as uncertainty.gravity=0.075; the value is YAML. May be repeated.",
-    ),
-]
-
 
 def main() -> None:
     """Run the command line with the arguments of the process, and exit."""
@@ -78,7 +62,7 @@ def main() -> None:
 
 def _print_version(asked: bool) -> None:
     if asked:
-        _write(f"hexservo {hs.__version__}\n")
+        write(f"hexservo {hs.__version__}\n")
         raise typer.Exit
 
 
@@ -106,11 +90,11 @@ def run(
 
     The results are printed as a table; --out writes figures and data too.
     """
-    with _reporting():
+    with reporting():
         from hexservo._files import OutputError, check_folder
         from hexservo._output import write_results
 
-        chosen = _load(scenario, settings or [])
+        chosen = load(scenario, settings or [])
         if out is not None:
             check_folder(out, force=force)
         started = time.perf_counter()
@@ -127,11 +111,11 @@ def run(
                 failure = error
         if not quiet:
             written = out if failure is None else None
-            _print(*_report(result, elapsed, written, hint=out is None))
+            show_parts(*_report(result, elapsed, written, hint=out is None))
         if failure is not None:
             raise failure
         if result.outcome != "completed":
-            _complain(f"{chosen.name}: {_ending(result)}", head="Ended early")
+            complain(f"{chosen.name}: {ending(result)}", head="Ended early")
             raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
 
 
@@ -161,10 +145,10 @@ def compare(
     A scenario runs with its law replaced and everything else as it stands. The table says which run settled and why,
     when, how far off, and at what cost; --out writes it as Markdown and CSV too, with a page of pictures.
     """
-    with _reporting():
+    with reporting():
         from hexservo._files import OutputError, check_folder
 
-        chosen = [_load(name, settings or []) for name in _expanded(scenarios)]
+        chosen = [load(name, settings or []) for name in _expanded(scenarios)]
         if out is not None:
             check_folder(out, force=force)
         started = time.perf_counter()
@@ -181,18 +165,22 @@ def compare(
             except OutputError as error:
                 failure = error
         if not quiet:
-            _print(*_comparison_report(comparison, elapsed, out if failure is None else None, hint=out is None))
+            show_parts(*_comparison_report(comparison, elapsed, out if failure is None else None, hint=out is None))
         if failure is not None:
             raise failure
         if comparison.interrupted:
-            _complain(f"{comparison.finished} of {len(comparison.rows)} runs were finished", head="Interrupted")
+            complain(f"{comparison.finished} of {len(comparison.rows)} runs were finished", head="Interrupted")
             raise typer.Exit(INTERRUPTED)
+
+
+for command in (_cli_evidence.report, _cli_evidence.certify, _cli_evidence.analyse, _cli_evidence.diagnose):
+    app.command()(command)
 
 
 @app.command()
 def scenarios() -> None:
     """List the packaged scenarios."""
-    with _reporting():
+    with reporting():
         from rich.table import Table
 
         table = Table.grid(padding=(0, 2))
@@ -200,7 +188,7 @@ def scenarios() -> None:
         table.add_column(overflow="fold")
         for name in hs.scenario_names():
             table.add_row(name, hs.load_scenario(name).description)
-        _print(table)
+        show_parts(table)
 
 
 @app.command()
@@ -209,8 +197,8 @@ def show(scenario: ScenarioArgument, settings: SettingsOption = None) -> None:
 
     Every default is filled in, so that the output is a good start for a scenario of one's own.
     """
-    with _reporting():
-        _write(_load(scenario, settings or []).to_yaml(), encoding="utf-8")  # what a scenario is read with
+    with reporting():
+        write(load(scenario, settings or []).to_yaml(), encoding="utf-8")  # what a scenario is read with
 
 
 @app.command()
@@ -221,10 +209,10 @@ def check(
 
     Every problem is a line on standard error, and the exit code is 2; without any it is 0.
     """
-    with _reporting():
+    with reporting():
         scenario = hs.load_scenario(file)
         simulation = scenario.simulation
-        _write(
+        write(
             f'{file}: valid (scenario "{scenario.name}", {simulation.duration:.6g} s in steps of '
             f"{simulation.step * 1e3:.6g} ms)\n"
         )
@@ -244,16 +232,16 @@ def export(
 
     A robot's control program includes it, calls its controller_gains() once and hexservo::step at every period.
     """
-    with _reporting():
+    with reporting():
         from hexservo._export import gains_header, write_header
 
-        chosen = _load(scenario, settings or [])
+        chosen = load(scenario, settings or [])
         try:
             text = gains_header(chosen, period)
         except ValueError as error:
             raise hs.ScenarioError(str(error).splitlines()) from error
         write_header(text, header, force=force)
-        _write(f'{header}: gains of the scenario "{chosen.name}" for a period of {period * 1e3:.6g} ms\n')
+        write(f'{header}: gains of the scenario "{chosen.name}" for a period of {period * 1e3:.6g} ms\n')
 
 
 @app.command()
@@ -280,7 +268,7 @@ def bench(
     Latency of the servo tick, one after another and paced by a clock, and the rates of single runs and batches by
     variant and threads, beside the measured peak of the vector units. Answers are checked.
     """
-    with _reporting():
+    with reporting():
         from dataclasses import replace
 
         from hexservo import _bench
@@ -290,70 +278,24 @@ def bench(
         plan = replace(plan, ticks=ticks or plan.ticks, seconds=seconds or plan.seconds)
         if out is not None:
             check_folder(out, force=force)
-        result = _bench.benchmark(plan, _whisper)
+        result = _bench.benchmark(plan, whisper)
         if out is not None:
             write_folder(out, result.write, "a benchmark", force=force)
-        _print(*_bench.report(result))
+        show_parts(*_bench.report(result))
         if out is not None:
-            _write(f"bench.json, bench.png and bench.svg are in {out}\n")
+            write(f"bench.json, bench.png and bench.svg are in {out}\n")
 
 
 @app.command()
 def version() -> None:
     """Tell what was built and runs here."""
-    with _reporting():
-        import platform
+    with reporting():
+        from hexservo._machine import versions
 
-        import numpy as np
-
-        from hexservo import _core
-        from hexservo._variant import available_variants, chosen_kernel
-
-        build = _core.build_info()
-        kernel = chosen_kernel()
-        available = ", ".join(available_variants())
-        facts = {
-            "hexservo": build["hexservo"],
-            "compiler": build["compiler"],
-            "flags": build["flags"],
-            "variant": f"{kernel.name}, {kernel.lanes} scenarios per vector (available: {available})",
-            "its flags": kernel.flags,
-            "Eigen": build["eigen"],
-            "Python": f"{platform.python_version()} ({platform.python_implementation()})",
-            "numpy": np.__version__,
-            "platform": platform.platform(),
-        }
-        _write("".join(f"{name + ':':<11}{value}\n" for name, value in facts.items()))
+        write("".join(f"{name + ':':<11}{value}\n" for name, value in versions().items()))
 
 
 # ---- Input ----------------------------------------------------------------------------------------------------------
-
-
-def _load(scenario: str, settings: list[str]) -> hs.Scenario:
-    """Load a scenario and change it as --set says; everything wrong with the settings is reported together."""
-    from hexservo._yaml import load_yaml
-
-    loaded = hs.load_scenario(scenario)
-    problems: list[str] = []
-    changes: dict[str, object] = {}
-    for setting in settings:
-        key, equals, value = setting.partition("=")
-        key = key.strip()
-        if not equals or not key:
-            problems.append(f'expected KEY=VALUE, as uncertainty.gravity=0.075, got "{setting}"')
-            continue
-        changes.pop(key, None)  # of a key that is set twice the last value counts, in its place
-        try:
-            changes[key] = load_yaml(value)
-        except hs.ScenarioError as error:
-            problems += [f"{key}: {problem}" for problem in error.problems]
-    try:
-        changed = loaded.updated(changes) if changes else loaded
-    except hs.ScenarioError as error:
-        problems += error.problems
-    if problems:
-        raise hs.ScenarioError(problems, "--set")
-    return changed
 
 
 def _split(names: str) -> list[str]:
@@ -380,34 +322,15 @@ def _expanded(names: str) -> list[str]:
 # ---- Output ---------------------------------------------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def _reporting() -> Iterator[None]:
-    """Turn bad input and Ctrl-C into words on standard error and an exit code; anything else is a bug with a trace."""
-    from hexservo._files import OutputError
-
-    try:
-        yield
-    except (hs.ScenarioError, hs.VariantError, OutputError) as error:
-        _complain(*str(error).splitlines())
-        raise typer.Exit(BAD_INPUT) from None
-    except KeyboardInterrupt:
-        _complain("nothing more was written", head="Interrupted")
-        raise typer.Exit(INTERRUPTED) from None
-
-
-def _ending(result: hs.Result) -> str:
-    return f"{result.outcome.replace('_', ' ')} at t = {result.end_time:.6g} s: {result.detail}"
-
-
 def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool) -> Iterator[RenderableType]:
     """Say how a run ended, its metrics, the limits it passed, and where its files are."""
     from rich.text import Text
 
     name = result.scenario.name
     if result.outcome == "completed":
-        yield Text.assemble((name, "bold"), f": completed, {result.end_time:.6g} s simulated in {_spell_time(elapsed)}")
+        yield Text.assemble((name, "bold"), f": completed, {result.end_time:.6g} s simulated in {spell_time(elapsed)}")
     else:
-        yield Text(f"{name}: {_ending(result)} (simulated in {_spell_time(elapsed)})", style="bold red")
+        yield Text(f"{name}: {ending(result)} (simulated in {spell_time(elapsed)})", style="bold red")
     yield _metrics_table(result)
     if result.events:
         yield Text("\n".join(f"limit passed: {event}" for event in result.events), style="yellow")
@@ -420,7 +343,9 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
 def _metrics_table(result: hs.Result) -> RenderableType:
     from rich.table import Table
 
-    with_meanings = _width() >= _WIDTH_FOR_MEANINGS
+    from hexservo._metrics import readable
+
+    with_meanings = _terminal.width() >= _WIDTH_FOR_MEANINGS
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(overflow="fold")
     table.add_column(justify="right", overflow="fold", style="bold")
@@ -428,11 +353,8 @@ def _metrics_table(result: hs.Result) -> RenderableType:
     if with_meanings:
         table.add_column(overflow="fold", style="dim")
     for name, value in hs.metrics(result).items():
-        unit, meaning = hs.METRICS[name]
-        unit, scale = _READABLE_UNITS.get(unit, (unit, 1.0))
-        absent = "never" if name == "settling_time" else "none"  # NaN: docs/model.md section 8
-        shown = [f"{value * scale:.4g}", unit] if value == value else [absent, ""]
-        table.add_row(name.replace("_", " "), *shown, *([meaning] if with_meanings else []))
+        meaning = hs.METRICS[name][1]
+        table.add_row(name.replace("_", " "), *readable(name, value), *([meaning] if with_meanings else []))
     return table
 
 
@@ -444,8 +366,7 @@ def _comparison_report(
 
     from hexservo._compare import COLUMNS
 
-    width = _width()
-    parts = [COLUMNS] if width >= _WIDTH_FOR_COMPARISON else [COLUMNS[:7], COLUMNS[7:]]
+    parts = [COLUMNS] if _terminal.width() >= _WIDTH_FOR_COMPARISON else [COLUMNS[:7], COLUMNS[7:]]
     for number, columns in enumerate(parts):
         yield _comparison_table(comparison, columns, verdict=number == 0)
         yield Text("")
@@ -453,7 +374,7 @@ def _comparison_report(
         if not row.settled or row.passed_limits:
             yield Text(f"{row.scenario.name}, {row.law}: {row.verdict}: {row.why}", style="yellow")
     runs = f"{len(comparison.rows)} runs" if len(comparison.rows) > 1 else "1 run"
-    yield Text(f"{runs} in {_spell_time(elapsed)}; what the columns are: docs/compare.md", style="dim")
+    yield Text(f"{runs} in {spell_time(elapsed)}; what the columns are: docs/compare.md", style="dim")
     if folder is not None:
         yield Text(f"comparison.md, .csv, .svg, .png and the scenarios are in {folder}")
     elif hint:
@@ -480,69 +401,3 @@ def _comparison_table(comparison: hs.Comparison, columns: Sequence[Column], *, v
         passed = [f"{shown(row, column)}{'!' if column.limit in row.passed_limits else ''}" for column in columns]
         table.add_row(name, row.law, *cells, *passed)
     return table
-
-
-def _spell_time(seconds: float) -> str:
-    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"
-
-
-def _width() -> int:
-    """Width of the terminal; as wide as it takes where standard output is none."""
-    import shutil
-
-    return shutil.get_terminal_size().columns if sys.stdout is not None and sys.stdout.isatty() else _ANY_WIDTH
-
-
-def _print(*parts: RenderableType) -> None:
-    """Print with colours and line breaks that suit the terminal; plain and unbroken into files and pipes."""
-    from rich.console import Console
-
-    text = io.StringIO()  # written in one place, with its errors; rich has ways of its own with them
-    console = Console(
-        file=text,
-        force_terminal=True if sys.stdout is not None and sys.stdout.isatty() else None,
-        width=_width(),
-        color_system=None if os.environ.get("NO_COLOR") else "auto",
-        highlight=False,
-        markup=False,
-        emoji=False,
-    )
-    for part in parts:
-        console.print(part)
-    _write("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()))
-
-
-def _write(text: str, encoding: str | None = None) -> None:
-    """Write to standard output at once: here a reader that left and a full disk can still be told from bugs."""
-    if sys.stdout is None:
-        return
-    try:
-        if encoding is None:
-            sys.stdout.write(text)
-        else:
-            sys.stdout.buffer.write(text.encode(encoding))
-        sys.stdout.flush()
-    except BrokenPipeError:
-        _give_up_output(READER_LEFT)
-    except OSError as error:
-        _complain(f"standard output: cannot be written: {error.strerror}")
-        _give_up_output(BAD_INPUT)
-
-
-def _whisper(text: str) -> None:
-    """Say what is going on, where somebody is looking."""
-    if sys.stderr is not None and sys.stderr.isatty():
-        print(f"measuring: {text}", file=sys.stderr, flush=True)
-
-
-def _give_up_output(code: int) -> NoReturn:
-    """Exit, and let what Python still holds for standard output go nowhere, not into an error at shutdown."""
-    with contextlib.suppress(OSError, io.UnsupportedOperation):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    raise typer.Exit(code)
-
-
-def _complain(*lines: str, head: str = "Error") -> None:
-    with contextlib.suppress(OSError):  # nobody is left to be told
-        for line in lines:
-            print(f"{head}: {line}", file=sys.stderr)

@@ -27,6 +27,12 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo._metrics import metrics
 from hexservo._parameters import core_parameters
+from hexservo._samples import SETTLED as _SETTLED
+from hexservo._samples import extremes as _extremes
+from hexservo._samples import mean_samples as _mean_samples
+from hexservo._samples import moving_mean as _moving_mean
+from hexservo._samples import parts as _parts
+from hexservo._samples import rotation_vectors as _rotation_vector
 from hexservo._scenario import _TERMS
 
 if TYPE_CHECKING:
@@ -45,9 +51,6 @@ _T = TypeVar("_T")
 # ---- Style ----------------------------------------------------------------------------------------------------------
 
 _COLUMN, _PAGE = 3.5, 7.16  # widths of a figure in a two-column paper [in]
-_SETTLED = 2.0  # the settling band of the metrics [px]
-_MAX_POINTS = 1200  # of one line in one panel: more than print resolves
-_MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings
 _THIN = 0.6  # width of samples under their mean [pt]
 _FAINT = 0.45  # opacity of samples under their mean
 
@@ -378,21 +381,6 @@ def _axes(figure: Figure, left: float, bottom: float, width: float, height: floa
     return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
-def _parts(result: Result) -> list[slice]:
-    """Split the samples where the run has settled for as long again as it took; the parts share a sample.
-
-    One part where the run does not settle, starts settled, or has too few samples.
-    """
-    settled, time = metrics(result)["settling_time"], result.time
-    whole = [slice(0, len(time))]
-    if not settled > 0:
-        return whole
-    split = min(2 * settled, (settled + time[-1]) / 2)
-    rounded = float(f"{split:.1g}")
-    cut = int(np.searchsorted(time, rounded if settled < rounded < time[-1] else split))
-    return [slice(0, cut + 1), slice(cut, len(time))] if 2 <= cut <= len(time) - 3 else whole
-
-
 def _panels(
     figure: Figure, result: Result, box: tuple[float, float, float, float], values: Sequence[Array]
 ) -> list[_Panel]:
@@ -605,55 +593,6 @@ def _cell_text(value: float) -> str:
 
 
 # ---- Numbers --------------------------------------------------------------------------------------------------------
-
-
-def _rotation_vector(quaternion: Array) -> Array:
-    """Give axis times angle of unit quaternions (n, 4), w x y z, as (n, 3) [rad]; of the two angles the one up to pi.
-
-    Accurate to rounding from 0 to pi: the angle comes from both parts of the quaternion.
-    """
-    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    unit = np.where(unit[:, :1] < 0, -unit, unit)
-    sine = np.linalg.norm(unit[:, 1:], axis=1, keepdims=True)
-    angle = 2 * np.arctan2(sine, unit[:, :1])
-    return np.asarray(unit[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0))
-
-
-def _extremes(values: Array) -> NDArray[np.intp]:
-    """Give the indices of the samples to draw: all, or first, last and the extremes of as many bins as print resolves.
-
-    Parameters
-    ----------
-    values
-        Samples of one line, (n,).
-    """
-    count = len(values)
-    if count <= _MAX_POINTS:
-        return np.arange(count)
-    size = -(-count // (_MAX_POINTS // 2))
-    bins = -(-count // size)
-    padded = np.pad(values, (0, bins * size - count), mode="edge").reshape(bins, size)
-    starts = size * np.arange(bins)
-    chosen = np.concatenate([starts + padded.argmin(axis=1), starts + padded.argmax(axis=1), [0, count - 1]])
-    return np.unique(np.minimum(chosen, count - 1))
-
-
-def _mean_samples(time: Array) -> int:
-    """Give the odd number of samples of the moving mean, about 7 ms; 1 for short or coarse runs."""
-    if len(time) < 3:
-        return 1
-    half = round(_MEAN_TIME / 2 / float(np.median(np.diff(time))))
-    return 2 * half + 1 if 2 <= half <= len(time) / 100 else 1
-
-
-def _moving_mean(values: Array, count: int) -> Array:
-    """Give the mean of the `count` (odd) samples about each of (n, k) samples; near the ends, of fewer."""
-    if count == 1:
-        return values
-    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    index = np.arange(len(values))
-    first, last = np.maximum(index - count // 2, 0), np.minimum(index + count // 2 + 1, len(values))
-    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
 
 
 # ---- Files ----------------------------------------------------------------------------------------------------------

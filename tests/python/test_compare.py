@@ -342,7 +342,7 @@ def test_ctrl_c_is_told_and_what_is_finished_is_written(monkeypatch: pytest.Monk
 
 def test_a_narrow_terminal_gets_two_tables() -> None:
     program = (
-        "import sys, hexservo.cli as cli; cli._width = lambda: 100; sys.argv[1:] = "
+        "import sys, hexservo.cli as cli; cli._terminal.width = lambda: 100; sys.argv[1:] = "
         "['compare', '--scenarios', 'paper', '--set', 'simulation.duration=0.01']; cli.main()"
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

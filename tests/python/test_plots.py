@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import plots
+from hexservo._samples import rotation_vectors
 
 Array = NDArray[np.float64]
 
@@ -366,21 +367,21 @@ AXIS = np.array([2.0, -3.0, 6.0]) / 7
 @pytest.mark.parametrize("angle", [0.0, 1e-200, 1e-16, 1e-8, 1e-3, 1.0, np.pi / 2, 3.0, np.pi - 1e-8, np.pi])
 @pytest.mark.parametrize("scale", [1.0, -1.0, 1.001])
 def test_rotation_vector_of_a_known_turn(angle: float, scale: float) -> None:
-    vector = plots._rotation_vector(scale * quaternion_of(AXIS, angle)[None])[0]
+    vector = rotation_vectors(scale * quaternion_of(AXIS, angle)[None])[0]
     if angle == np.pi and vector @ AXIS < 0:  # half a turn either way is the same
         vector = -vector
     np.testing.assert_allclose(vector, angle * AXIS, rtol=4e-16 * 8, atol=0)
 
 
 def test_rotation_vector_takes_the_shorter_way() -> None:
-    vector = plots._rotation_vector(quaternion_of(AXIS, 1.5 * np.pi)[None])[0]
+    vector = rotation_vectors(quaternion_of(AXIS, 1.5 * np.pi)[None])[0]
     np.testing.assert_allclose(vector, -0.5 * np.pi * AXIS, rtol=1e-15 * 8)
 
 
 def test_rotation_vector_of_random_quaternions_gives_their_rotation() -> None:
     print(f"seed {SEED}")
     quaternions = np.random.default_rng(SEED).normal(size=(500, 4))
-    vectors = plots._rotation_vector(quaternions)
+    vectors = rotation_vectors(quaternions)
     assert vectors.shape == (500, 3)
     assert np.linalg.norm(vectors, axis=1).max() <= np.pi
     for quaternion, vector in zip(quaternions, vectors, strict=True):

@@ -1,0 +1,77 @@
+"""Findings as HTML: sections with their words, tables, curves and maps, whoever made them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hexservo._evidence import Cell, Column, Curves, HeatMap, Item, Section, Table
+from hexservo._report._charts import curves, explained, heat_map
+from hexservo._report._html import Html, element, paragraphs
+from hexservo._wording import VERDICTS, cell_text, numeric_columns
+
+__all__ = ["badge", "section_html", "table_html"]
+
+_SHORT = 22  # characters of a cell that is not broken into lines
+
+
+def badge(verdict: str) -> Html:
+    """Give a verdict in words on its colour."""
+    return element("span", VERDICTS[verdict], class_=f"badge {verdict}")
+
+
+def section_html(section: Section, anchor: str) -> Html:
+    """Give a section: its title with the verdict, what was found in words, then what shows it."""
+    return element(
+        "section",
+        element("h3", section.title, " ", badge(section.verdict)),
+        paragraphs(*section.sentences),
+        *[_item_html(item) for item in section.items],
+        id=anchor,
+    )
+
+
+def table_html(table: Table) -> Html:
+    """Give a table in a box that scrolls by itself where the page is narrow."""
+    numeric = numeric_columns(table)
+    heads = [
+        element("th", column.title, *_unit(column), scope="col", class_="number" if is_number else "text")
+        for column, is_number in zip(table.columns, numeric, strict=True)
+    ]
+    rows = [element("tr", *_cells(row, table.columns, numeric)) for row in table.rows]
+    return element(
+        "figure",
+        element("figcaption", table.title),
+        element(
+            "div",
+            element("table", element("thead", element("tr", *heads)), element("tbody", *rows)),
+            class_="scroll",
+            tabindex="0",
+            role="region",
+            aria_label=table.title,
+        ),
+        paragraphs(table.note),
+        explained(table.page),
+        class_="table",
+    )
+
+
+def _item_html(item: Item) -> Html:
+    match item:
+        case Table():
+            return table_html(item)
+        case Curves():
+            return curves(item)
+        case HeatMap():
+            return heat_map(item)
+
+
+def _cells(row: Sequence[Cell], columns: Sequence[Column], numeric: Sequence[bool]) -> list[Html]:
+    return [
+        element("td", text, class_="number" if is_number else "short" if len(text) <= _SHORT else "text")
+        for cell, column, is_number in zip(row, columns, numeric, strict=True)
+        for text in [cell_text(cell, column)]
+    ]
+
+
+def _unit(column: Column) -> list[str]:
+    return [Html("<br>"), element("span", f"[{column.unit}]", class_="unit")] if column.unit else []

@@ -1,0 +1,42 @@
+"""HTML from Python: text is escaped unless it is HTML already, so that no name of a scenario can become markup."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from typing import Any
+
+__all__ = ["Html", "element", "json_script", "paragraphs"]
+
+
+class Html(str):
+    """Text that is HTML."""
+
+    __slots__ = ()
+
+
+def element(tag: str, *children: str, **attributes: str | bool) -> Html:
+    """Give an element; children that are not `Html` are escaped, as are all attributes.
+
+    ``class_`` stands for class, ``aria_label`` for aria-label and so on; True gives an attribute without a value.
+    """
+    head = "".join(
+        f" {name.rstrip('_').replace('_', '-')}" + ("" if isinstance(value, bool) else f'="{escape(value)}"')
+        for name, value in attributes.items()
+        if not isinstance(value, bool) or value
+    )
+    inside = "".join(child if isinstance(child, Html) else escape(child, quote=False) for child in children)
+    return Html(f"<{tag}{head}>{inside}</{tag}>")
+
+
+def paragraphs(*texts: str) -> Html:
+    """Give one paragraph for each text that is not empty."""
+    return Html("".join(element("p", text) for text in texts if text))
+
+
+def json_script(value: Any, **attributes: str) -> Html:
+    """Give plain data inside a script element that does not run; no text in it can end the element."""
+    text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return element("script", Html(text), type="application/json", **attributes)

@@ -1,0 +1,65 @@
+"""The summary of a run in sentences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hexservo._metrics import metrics, readable
+from hexservo._samples import SETTLED
+
+if TYPE_CHECKING:
+    from hexservo._result import Result
+
+__all__ = ["summary_sentences"]
+
+
+def summary_sentences(result: Result) -> list[str]:
+    """Say how a run ended, whether it settled, what error remains, and how near the legs came to their limits."""
+    return [_outcome(result), _settling(result), _residual(result), *_legs(result)]
+
+
+def _outcome(result: Result) -> str:
+    ours = result.controller == result.scenario.controller.law
+    law = f"the law {result.controller}" if ours else f"the function {result.controller}"
+    steps = f"{result.end_time:.4g} s in {result.scenario.simulation.mode} mode, controlled by {law}"
+    if result.outcome == "completed":
+        return f"The run completed: {steps}."
+    asked = f"{result.scenario.simulation.duration:.4g} s"
+    return f"The run ended early, at {result.end_time:.4g} s of {asked} ({result.outcome.replace('_', ' ')}): " + (
+        f"{result.detail}. It was controlled by {law}."
+    )
+
+
+def _settling(result: Result) -> str:
+    values = metrics(result)
+    settled = values["settling_time"]
+    if settled != settled:
+        return f"The features did not settle: at the end an error is larger than {SETTLED:g} px."
+    if result.outcome != "completed":
+        return f"Until then the features had been within {SETTLED:g} px since {settled:.4g} s."
+    if settled == 0:
+        return f"All features stayed within {SETTLED:g} px from the start."
+    return f"All features are within {SETTLED:g} px of their goals from {settled:.4g} s on."
+
+
+def _residual(result: Result) -> str:
+    values = metrics(result)
+    text = f"The largest feature error at the end is {values['final_error']:.3g} px"
+    rms = values["rms_error"]
+    return text + (f"; from 1 s on their RMS is {rms:.3g} px." if rms == rms else ".")
+
+
+def _legs(result: Result) -> list[str]:
+    """Compare the largest travel and force of a leg with what is allowed."""
+    values, robot = metrics(result), result.scenario.robot
+    sentences = []
+    for name, limit, unit, scale, what in (
+        ("peak_leg_excursion", robot.stroke, "mm", 1e3, "travel"),
+        ("peak_leg_force", robot.force_limit, "N", 1.0, "force"),
+    ):
+        number, shown = readable(name, values[name])
+        share = values[name] / limit
+        verdict = f"{1 - share:.0%} of it is left" if share <= 1 else f"that is {share - 1:.0%} too much"
+        allowed = f"{limit * scale:.4g} {unit}"
+        sentences.append(f"The largest {what} of a leg is {number} {shown} of the {allowed} allowed; {verdict}.")
+    return sentences

@@ -1,0 +1,364 @@
+"use strict";
+(() => {
+  const LIGHT = {
+    ink: "#1c1f23", muted: "#5a626b", grid: "#e3e6ea", zero: "#b5bcc4", band: "rgba(90,98,107,0.13)", paper: "#ffffff",
+    blue: "#0072b2", vermilion: "#d55e00", green: "#009e73", black: "#000000", purple: "#b85f93", orange: "#cc8400",
+    grey: "#737373", soft: "#c9ced4",
+  };
+  const DARK = {
+    ink: "#e6e8eb", muted: "#a3abb5", grid: "#2c3138", zero: "#555d67", band: "rgba(163,171,181,0.18)", paper: "#15181c",
+    blue: "#56b4e9", vermilion: "#ff8a4c", green: "#2fcfa0", black: "#f2f2f2", purple: "#e59ac8", orange: "#f0b429",
+    grey: "#9a9a9a", soft: "#4a525c",
+  };
+  const PRINTED_WIDTH = 660; // px: A4 and Letter hold it
+  const PRINTED_GAP = 20;
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const coarse = matchMedia("(pointer: coarse)").matches; // fingers scroll the page, they do not zoom charts
+  let printing = false;
+  const palette = () => (dark.matches && !printing ? DARK : LIGHT);
+
+  // ---- Charts -------------------------------------------------------------------------------------------------------
+
+  /** Copies plain data with colour roles turned into colours; numbers are shared, not copied. */
+  function painted(value, colours, key = "") {
+    if (Array.isArray(value)) return value.map((item) => painted(item, colours, key));
+    if (value !== null && typeof value === "object") {
+      if ("bdata" in value) return value;
+      return Object.fromEntries(Object.entries(value).map(([name, item]) => [name, painted(item, colours, name)]));
+    }
+    const role = typeof value === "string" && /color$/.test(key) && value.startsWith("@") ? value.slice(1) : "";
+    return role in colours ? colours[role] : value;
+  }
+
+  function layoutOf(spec, colours, width, height) {
+    const layout = painted(spec.layout, colours);
+    for (const name of Object.keys(layout).filter((key) => /^[xy]axis\d*$/.test(key))) {
+      layout[name] = {
+        gridcolor: colours.grid, zerolinecolor: colours.zero, linecolor: colours.zero, automargin: true, nticks: 7,
+        exponentformat: "power", ...layout[name],
+      };
+      const title = layout[name].title;
+      if (title) layout[name].title = { standoff: 8, ...title, font: { size: 12 } };
+    }
+    const widest = layout.maxWidth;
+    delete layout.maxWidth;
+    const tallest = layout.square ? Math.min(width, widest || width) + 40 : height;
+    delete layout.square;
+    return {
+      width: Math.min(width, widest || width), height: Math.min(height, tallest), autosize: false, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+      font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif", size: 12, color: colours.ink },
+      margin: { l: 56, r: 10, t: 10, b: 42 }, hovermode: "closest", uirevision: "keep", dragmode: coarse ? false : "zoom",
+      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: { size: 11 } },
+      hoverlabel: { bgcolor: colours.paper, bordercolor: colours.muted, font: { color: colours.ink } },
+      ...layout,
+    };
+  }
+
+  // Buttons are named one by one: among plotly.js's own is one that sends a chart to somebody's server.
+  const config = (...buttons) => ({
+    displaylogo: false, responsive: false, scrollZoom: false, displayModeBar: coarse ? false : "hover", showSendToCloud: false,
+    plotlyServerURL: "", modeBarButtons: [buttons],
+  });
+  const CONFIG = config("toImage", "zoom2d", "pan2d", "resetScale2d");
+  const charts = [...document.querySelectorAll(".chart")].map((box) => ({
+    box, spec: JSON.parse(box.nextElementSibling.textContent), height: parseInt(box.style.height, 10), drawn: false, width: 0,
+  }));
+
+  function draw(chart) {
+    const half = chart.box.parentElement.classList.contains("half");
+    const printed = half ? (PRINTED_WIDTH - PRINTED_GAP) / 2 : PRINTED_WIDTH;
+    const width = printing ? printed : Math.max(220, Math.floor(chart.box.clientWidth));
+    const colours = palette();
+    chart.drawn = true;
+    chart.width = width;
+    const data = painted(chart.spec.data, colours);
+    // Names of lines take rows of their own where a chart is narrow.
+    const letters = data.filter((trace) => trace.showlegend !== false).reduce((sum, trace) => sum + 7 + (trace.name || "").length, 0);
+    const height = chart.height + 18 * Math.min(6, Math.max(0, Math.floor((7 * letters) / width) - 2));
+    const layout = layoutOf(chart.spec, colours, width, height);
+    chart.box.style.height = `${layout.height}px`;
+    const { x, y, z } = data[0] || {}; // a map's contours are drawn from its own cells
+    const traces = data.map((trace) => (trace.type === "contour" ? { ...trace, x, y, z } : trace));
+    return Plotly.react(chart.box, traces, layout, CONFIG);
+  }
+
+  // What is looked at first is drawn first; the rest when it comes near.
+  const watcher = new IntersectionObserver(
+    (entries) => {
+      for (const entry of entries) {
+        const chart = charts.find((one) => one.box === entry.target);
+        if (entry.isIntersecting && !chart.drawn) draw(chart);
+      }
+    },
+    { rootMargin: "1200px 0px" },
+  );
+  charts.forEach((chart) => watcher.observe(chart.box));
+
+  // ---- The machine in space -----------------------------------------------------------------------------------------
+
+  const view = document.getElementById("view");
+  const scene = JSON.parse(document.getElementById("scene").textContent);
+  const gl = document.getElementById("webgl");
+  const slider = document.getElementById("instant");
+  const button = document.getElementById("play");
+  const readout = document.getElementById("readout");
+  const numbers = (spec) => {
+    const bytes = Uint8Array.from(atob(spec.bdata), (letter) => letter.charCodeAt(0));
+    return new Float32Array(bytes.buffer);
+  };
+  const runs = {};
+  for (const name of ["time", "position", "rotation", "joints", "image", "displacement", "turn", "error"]) {
+    runs[name] = numbers(scene[name]);
+  }
+  const POINTS = ["blue", "vermilion", "green", "black"];
+  const GAP = [null, null, null];
+
+  /** Puts a point of E into B at an instant. */
+  function placed(frame, p) {
+    const R = runs.rotation.subarray(9 * frame, 9 * frame + 9);
+    const o = runs.position.subarray(3 * frame, 3 * frame + 3);
+    return [0, 1, 2].map((row) => o[row] + R[3 * row] * p[0] + R[3 * row + 1] * p[1] + R[3 * row + 2] * p[2]);
+  }
+  const coordinates = (points) => ({
+    x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]),
+  });
+  const imagePoint = (frame, point) => {
+    const at = 12 * frame + 3 * point;
+    return runs.image.subarray(at, at + 3);
+  };
+
+  /** What moves: the coordinates of each trace at an instant. */
+  function moving(frame) {
+    const camera = placed(frame, [0, 0, 0]);
+    const joints = [0, 1, 2, 3, 4, 5].map((leg) => [...runs.joints.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)]);
+    const corners = scene.corners.map((corner) => placed(frame, corner));
+    const traces = [
+      scene.base.flatMap((foot, leg) => [foot, joints[leg], GAP]),
+      [camera, ...joints],
+      [...joints, joints[0]],
+      [...corners.flatMap((corner) => [camera, corner, GAP]), ...corners, corners[0]],
+      scene.goals.map((goal) => placed(frame, goal)),
+      [0, 1, 2, 3].map((point) => (isNaN(imagePoint(frame, point)[0]) ? GAP : placed(frame, imagePoint(frame, point)))),
+    ];
+    for (let point = 0; point < 4; point += 1) {
+      const path = [];
+      for (let past = 0; past <= frame; past += 1) {
+        const place = imagePoint(past, point);
+        path.push(isNaN(place[0]) ? GAP : placed(frame, place));
+      }
+      traces.push(path);
+      if (scene.targets) traces.push([camera, scene.targets[point]]);
+    }
+    return traces.map(coordinates);
+  }
+
+  function traces(colours, frame) {
+    const four = POINTS.map((name) => colours[name]);
+    const line = (color, width, more = {}) => ({ type: "scatter3d", mode: "lines", line: { color, width, ...more }, hoverinfo: "skip" });
+    const dots = (color, size, symbol, name) => ({
+      type: "scatter3d", mode: "markers", marker: { color, size, symbol, line: { width: 0 } }, name,
+      text: [1, 2, 3, 4].map((point) => `${name} ${point}`), hoverinfo: "text",
+    });
+    const moved = [
+      line(colours.muted, 9),
+      {
+        type: "mesh3d", color: colours.blue, opacity: 0.75, hoverinfo: "skip", flatshading: true, lighting: { ambient: 0.9, diffuse: 0.3 },
+        i: [0, 0, 0, 0, 0, 0], j: [1, 2, 3, 4, 5, 6], k: [2, 3, 4, 5, 6, 1],
+      },
+      line(colours.blue, 4),
+      line(colours.muted, 2),
+      dots(four, 5, "square-open", "goal"),
+      dots(four, 4, "circle", "feature"),
+    ];
+    for (let point = 0; point < 4; point += 1) {
+      moved.push(line(four[point], 5));
+      if (scene.targets) moved.push(line(four[point], 1.5));
+    }
+    const places = moving(frame);
+    const still = [{ ...line(colours.muted, 3), ...coordinates([...scene.base, scene.base[0]]) }];
+    still.push({
+      type: "mesh3d", color: colours.soft, opacity: 0.6, hoverinfo: "skip", ...coordinates(scene.base),
+      i: [0, 0, 0, 0], j: [1, 2, 3, 4], k: [2, 3, 4, 5],
+    });
+    if (scene.targets) still.push({ ...dots(four, 6, "circle", "target"), ...coordinates(scene.targets) });
+    return [...moved.map((trace, number) => ({ ...trace, ...places[number] })), ...still].map((trace) => ({ ...trace, showlegend: false }));
+  }
+
+  function sceneLayout(colours) {
+    const axis = (name, at, reversed) => ({
+      title: { text: `${name} [m]`, font: { size: 11 } }, color: colours.muted, gridcolor: colours.grid, zerolinecolor: colours.grid,
+      showbackground: false, showspikes: false, nticks: 5, tickfont: { size: 10 },
+      range: reversed ? [scene.high[at], scene.low[at]] : [scene.low[at], scene.high[at]],
+    });
+    const [x, y, z] = scene.view;
+    return {
+      width: gl.clientWidth, height: gl.clientHeight, autosize: false, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "keep",
+      font: { family: "system-ui, sans-serif", color: colours.ink },
+      hoverlabel: { bgcolor: colours.paper, bordercolor: colours.muted, font: { color: colours.ink } },
+      scene: {
+        aspectmode: "manual", dragmode: "turntable", uirevision: "keep",
+        aspectratio: ratio(),
+        xaxis: axis("x", 0, false), yaxis: axis("y", 1, true), zaxis: axis("z", 2, true),
+        camera: { eye: { x, y, z }, up: { x: 0, y: 0, z: 1 }, projection: { type: "perspective" } },
+      },
+    };
+  }
+  function ratio() {
+    const size = [0, 1, 2].map((at) => scene.high[at] - scene.low[at]);
+    const scale = Math.min(1.25 / Math.cbrt(size[0] * size[1] * size[2]), 2 / Math.max(...size));
+    return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
+  }
+
+  // What the camera sees: places on the image plane, y up.
+  const SVG = "http://www.w3.org/2000/svg";
+  const picture = document.getElementById("image");
+  const half = Math.max(...scene.corners.flatMap((corner) => [Math.abs(corner[0]), Math.abs(corner[1])]));
+  function shape(tag, className, attributes) {
+    const made = document.createElementNS(SVG, tag);
+    made.setAttribute("class", className);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    picture.append(made);
+    return made;
+  }
+  picture.setAttribute("viewBox", "-100 -100 200 200");
+  const onPicture = (place) => [(100 * place[0]) / half, (-100 * place[1]) / half];
+  function walk(point, frames) {
+    let text = "";
+    for (let frame = 0; frame < frames; frame += 1) {
+      const place = onPicture(imagePoint(frame, point));
+      if (!isNaN(place[0])) text += `${text ? "L" : "M"}${place[0].toFixed(2)} ${place[1].toFixed(2)}`;
+    }
+    return text;
+  }
+  shape("path", "axis", { d: "M-100 0H100M0 -100V100" });
+  const seen = POINTS.map((name, point) => {
+    const [x, y] = onPicture(scene.goals[point]);
+    shape("rect", name, { x: x - 4, y: y - 4, width: 8, height: 8 });
+    shape("path", `past ${name}`, { d: walk(point, runs.time.length) });
+    return { path: shape("path", name, {}), dot: shape("circle", `dot ${name}`, { r: 2.4 }) };
+  });
+  function showImage(frame) {
+    seen.forEach(({ path, dot }, point) => {
+      const [x, y] = onPicture(imagePoint(frame, point));
+      path.setAttribute("d", walk(point, frame + 1));
+      dot.style.display = isNaN(x) ? "none" : "";
+      if (!isNaN(x)) { dot.setAttribute("cx", x); dot.setAttribute("cy", y); }
+    });
+  }
+
+  function tell(frame) {
+    showImage(frame);
+    const vector = (values) => [...values.subarray(3 * frame, 3 * frame + 3)].map((value) => (Math.round(value * 100) / 100 || 0).toFixed(2)).join(", ");
+    const error = runs.error[frame];
+    const text = `t = ${runs.time[frame].toFixed(3)} s; largest feature error ${error.toPrecision(3)} px; ` +
+      `moved (${vector(runs.displacement)}) mm; turned (${vector(runs.turn)}) mrad`;
+    readout.textContent = text;
+    slider.setAttribute("aria-valuetext", `t = ${runs.time[frame].toFixed(3)} s`);
+  }
+
+  function show(frame) {
+    const places = moving(frame);
+    tell(frame);
+    return Plotly.restyle(
+      gl, { x: places.map((at) => at.x), y: places.map((at) => at.y), z: places.map((at) => at.z) }, places.map((_, number) => number),
+    );
+  }
+
+  function hasWebGL() {
+    try {
+      const canvas = document.createElement("canvas");
+      return Boolean(canvas.getContext("webgl") || canvas.getContext("experimental-webgl"));
+    } catch (error) {
+      return false;
+    }
+  }
+  function standIn(reason) {
+    view.classList.remove("moving");
+    const words = document.getElementById("webgl-missing");
+    words.textContent = `${reason}: this is a still picture of the end of the run.`;
+    words.hidden = false;
+    stop();
+  }
+
+  let timer = 0;
+  function stop() {
+    clearTimeout(timer);
+    timer = 0;
+    button.textContent = "Play";
+  }
+  function step() {
+    const frame = Number(slider.value);
+    if (frame >= Number(slider.max)) return stop();
+    slider.value = String(frame + 1);
+    return show(frame + 1).then(() => {
+      if (timer) timer = setTimeout(step, 30);
+    });
+  }
+  button.addEventListener("click", () => {
+    if (timer) return stop();
+    if (Number(slider.value) >= Number(slider.max)) slider.value = "0";
+    button.textContent = "Stop";
+    timer = setTimeout(step, 0);
+    return undefined;
+  });
+  let wanted = false;
+  slider.addEventListener("input", () => {
+    stop();
+    if (wanted) return;
+    wanted = true; // many events, one picture each time the browser paints
+    requestAnimationFrame(() => {
+      wanted = false;
+      show(Number(slider.value));
+    });
+  });
+
+  function drawSpace() {
+    const colours = palette();
+    return Plotly.react(gl, traces(colours, Number(slider.value)), sceneLayout(colours), config("toImage", "pan3d", "tableRotation", "resetCameraDefault3d"));
+  }
+  let movable = false;
+  if (hasWebGL()) {
+    view.classList.add("moving");
+    slider.value = slider.max;
+    const begin = new IntersectionObserver((entries) => {
+      if (!entries.some((entry) => entry.isIntersecting)) return;
+      begin.disconnect();
+      tell(Number(slider.value));
+      drawSpace().then(() => {
+        movable = true;
+        gl.dataset.ready = "yes";
+        gl.on("plotly_webglcontextlost", () => standIn("The browser gave up WebGL"));
+      }).catch(() => standIn("The view in space could not be drawn"));
+    }, { rootMargin: "600px 0px" });
+    begin.observe(gl);
+  } else {
+    standIn("This browser has no WebGL");
+  }
+
+  // ---- Scheme, width, print -----------------------------------------------------------------------------------------
+
+  function redraw() {
+    charts.filter((chart) => chart.drawn).forEach(draw);
+    if (movable && !printing) drawSpace();
+  }
+  dark.addEventListener("change", redraw);
+  let resizing = 0;
+  addEventListener("resize", () => {
+    clearTimeout(resizing);
+    resizing = setTimeout(() => {
+      if (printing) return;
+      charts.filter((chart) => chart.drawn && Math.floor(chart.box.clientWidth) !== chart.width).forEach(draw);
+      if (movable) Plotly.relayout(gl, { width: gl.clientWidth, height: gl.clientHeight });
+    }, 120);
+  });
+  /** Draws all charts anew: what plotly.js keeps of a chart does not fit a page's width. */
+  function turn(paper) {
+    printing = paper;
+    for (const chart of charts) {
+      Plotly.purge(chart.box);
+      draw(chart);
+    }
+  }
+  addEventListener("beforeprint", () => turn(true));
+  addEventListener("afterprint", () => turn(false));
+})();

@@ -1,0 +1,228 @@
+"""The commands report, certify, analyse and diagnose: what they print and write, and their exit codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo import cli
+from hexservo._evidence import Column, Curves, Line, Section, Table, as_data
+from hexservo._output import write_results
+from hexservo._print_sections import printed
+from hexservo._report import TITLE
+
+SHORT = ["--set", "simulation.duration=0.02"]
+COMMANDS = ["certify", "analyse", "diagnose"]
+
+
+class Findings:
+    """Findings of a made-up judge."""
+
+    def __init__(self, judged: object) -> None:
+        self.judged = judged
+
+    def sections(self) -> list[Section]:
+        columns = (Column("direction"), Column("value", "px/mm", ".3f"), Column("holds"))
+        table = Table(
+            "Values", columns, [("[red]along x", -1.5, True), ("none", None, False)], "A note.", "docs/model.md"
+        )
+        line = Line("V", np.arange(3.0), np.arange(3.0))
+        curves = Curves("V over time", "time [s]", "V [J]", [line])
+        return [
+            Section(
+                "one", "Theme one", [f"Judged: {type(self.judged).__name__}.", "More."], [table, curves], "warning"
+            ),
+            Section("two", "Theme two", ["Does not apply."]),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"one": as_data({"rise": np.float64(1.5), "none": np.nan, "per_axis": np.arange(2.0)})}
+
+
+@pytest.fixture(autouse=True)
+def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in COMMANDS:
+        monkeypatch.setattr(hs, name, Findings, raising=False)
+
+
+def invoke(*arguments: str | Path) -> tuple[int, str, str]:
+    done = CliRunner().invoke(cli.app, [str(argument) for argument in arguments], prog_name="hexservo")
+    assert done.exception is None or isinstance(done.exception, SystemExit)
+    return done.exit_code, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hexservo.plots.paper_figures", lambda *_: [])
+        run = hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.02}))
+        return write_results(run, tmp_path_factory.mktemp("saved") / "out") / "result.nc"
+
+
+# ---- certify, analyse, diagnose -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_sections_are_printed_in_words_and_tables(command: str) -> None:
+    code, out, error = invoke(command, "paper", *SHORT)
+    assert (code, error) == (0, "")
+    judged = "Scenario" if command == "analyse" else "Result"
+    assert out.splitlines() == [
+        "Theme one: warning",
+        f"Judged: {judged}.",
+        "More.",
+        "",
+        "Values",
+        "                value",
+        "direction     [px/mm]  holds",
+        "[red]along x   −1.500  yes",
+        "none                –  no",
+        "A note.",
+        "Explained in docs/model.md",
+        "",
+        "V over time: `hexservo report` draws it",
+        "",
+        "Theme two: nothing to judge",
+        "Does not apply.",
+    ]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_numbers_as_json(command: str, tmp_path: Path) -> None:
+    file = tmp_path / "numbers.json"
+    assert invoke(command, "paper", *SHORT, "--json", file)[0] == 0
+    written = file.read_text(encoding="utf-8")
+    assert json.loads(written) == {
+        f"hexservo {command}": 1,
+        "version": hs.__version__,
+        "one": {"rise": 1.5, "none": None, "per_axis": [0.0, 1.0]},
+    }
+    code, out, error = invoke(command, "paper", *SHORT, "--json", file)
+    assert (code, out) == (2, "")  # told before the work
+    assert "the file exists" in error
+    assert invoke(command, "paper", *SHORT, "--json", file, "--force")[0] == 0
+    assert file.read_text(encoding="utf-8") == written
+    file.write_text("{}")
+    code, _, error = invoke(command, "paper", *SHORT, "--json", file, "--force")
+    assert code == 2
+    assert f"was not written by `hexservo {command}`, so it is kept" in error
+    assert file.read_text() == "{}"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_run_that_a_judge_refuses_is_bad_input(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: object) -> None:
+        raise ValueError("controller.law: expected hybrid, got kelly")
+
+    monkeypatch.setattr(hs, command, refuse)
+    code, out, error = invoke(command, "paper", *SHORT)
+    assert (code, out, error) == (2, "", "Error: controller.law: expected hybrid, got kelly\n")
+
+
+def test_a_saved_result_is_judged_too(saved: Path) -> None:
+    for command in COMMANDS:
+        code, out, _ = invoke(command, saved)
+        assert code == 0
+        assert f"Judged: {'Scenario' if command == 'analyse' else 'Result'}." in out
+
+
+def test_the_weights_are_logged_for_the_judge(monkeypatch: pytest.MonkeyPatch) -> None:
+    judged: list[hs.Result] = []
+
+    def judge(result: hs.Result) -> Findings:
+        judged.append(result)
+        return Findings(result)
+
+    monkeypatch.setattr(hs, "certify", judge)
+    invoke("certify", "paper", *SHORT)
+    assert judged[0].weight_history is not None
+    assert judged[0].weight_history.shape == (21, 6, 7, 7)
+
+
+def test_exit_codes_are_those_of_a_run() -> None:
+    diverging = ["paper", "--set", "controller.jacobian=printed"]
+    for command in ("certify", "diagnose"):
+        code, out, error = invoke(command, *diverging)
+        assert code == 3
+        assert "Theme one" in out
+        assert error.startswith("Ended early: paper: diverged at t = 0.04 s: ")
+    assert invoke("analyse", *diverging)[0] == 0  # nothing was run
+
+
+def test_a_section_in_a_narrow_terminal_is_not_cut() -> None:
+    from rich.console import Console
+
+    console = Console(width=30, record=True, file=None, color_system=None)
+    with console.capture() as capture:
+        for part in printed(Findings(None).sections()):
+            console.print(part)
+    text = capture.get()
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= 30
+
+
+# ---- report ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_report_of_a_scenario_and_of_its_result_are_the_same(saved: Path, tmp_path: Path) -> None:
+    code, out, error = invoke("report", "paper", *SHORT, "--out", tmp_path / "a.html")
+    assert (code, error) == (0, "")
+    assert out.startswith(f"{tmp_path / 'a.html'}: report of paper, made in ")
+    assert invoke("report", saved, "--out", tmp_path / "b.html")[0] == 0
+    first = (tmp_path / "a.html").read_bytes()
+    assert first == (tmp_path / "b.html").read_bytes()
+    assert first.startswith(TITLE.encode())
+    assert b"Theme one" in first
+
+
+def test_a_report_is_replaced_with_force_alone(saved: Path, tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    out.write_text("mine")
+    for more in ([], ["--force"]):
+        code, _, error = invoke("report", saved, "--out", out, *more)
+        assert code == 2
+        assert "was not written by `hexservo report`" in error
+        assert out.read_text() == "mine"
+    out.unlink()
+    assert invoke("report", saved, "--out", out)[0] == 0
+    assert invoke("report", saved, "--out", out)[0] == 2
+    assert invoke("report", saved, "--out", out, "--force")[0] == 0
+
+
+def test_a_report_that_cannot_be_written_is_told_before_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hs, "simulate", lambda *_, **__: pytest.fail("it ran"))
+    code, _, error = invoke("report", "paper", "--out", tmp_path / "none" / "r.html")
+    assert code == 2
+    assert "expected a folder that exists" in error
+
+
+def test_a_run_that_ends_early_is_reported(tmp_path: Path) -> None:
+    code, out, error = invoke("report", "paper", "--set", "controller.jacobian=printed", "-o", tmp_path / "r.html")
+    assert code == 3
+    assert "report of paper" in out
+    assert error.startswith("Ended early: paper: diverged")
+    assert "diverged" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", ["report", *COMMANDS])
+def test_bad_input(command: str, saved: Path, tmp_path: Path) -> None:
+    more: list[str | Path] = ["--out", tmp_path / "r.html"] if command == "report" else []
+    code, out, error = invoke(command, saved, "--set", "seed=1", *more)
+    assert (code, out) == (2, "")
+    assert "--set: expected a scenario to change, got a saved result" in error
+    (tmp_path / "x.nc").write_bytes(b"none")
+    code, out, error = invoke(command, tmp_path / "x.nc", *more)
+    assert (code, out) == (2, "")
+    assert "expected a result.nc of `hexservo run --out`" in error
+    code, out, error = invoke(command, "papr", *more)
+    assert (code, out) == (2, "")
+    assert "paper" in error
+    assert not (tmp_path / "r.html").exists()

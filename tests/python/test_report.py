@@ -1,0 +1,710 @@
+"""The report of a run: what is in it, that it cannot be broken by what it shows, and how browsers show it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from numpy.typing import NDArray
+
+import hexservo as hs
+from hexservo import _core, _sections
+from hexservo._evidence import Column, Curves, HeatMap, Line, Section, Table
+from hexservo._files import OutputError
+from hexservo._parameters import core_parameters
+from hexservo._report import TITLE
+from hexservo._report._charts import curves, needed
+from hexservo._report._html import Html, element, json_script
+from hexservo._report._page import page
+from hexservo._report._scene import scene
+from hexservo._report._words import summary_sentences
+from hexservo._samples import parts
+from hexservo._sections import Group, Source
+from hexservo._wording import cell_text
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+EVIL = "</script><script>window.broken = 1</script><img src=x onerror='window.broken = 2'>"
+SHOWN = "paper & <b>its</b> " + EVIL
+
+
+def made_up_sections() -> list[Section]:
+    """One of everything, with what could break the page in every text."""
+    x = np.linspace(0, 5, 5001)
+    grid_x, grid_y = np.linspace(1, 40, 60), np.linspace(0, 50, 50)
+    z = np.exp((grid_x + grid_y[:, None]) / 40 - 1)
+    z[:5, :5] = np.nan
+    table = Table(
+        f"Values {EVIL}",
+        (Column("direction"), Column("value", "px/mm"), Column("count"), Column("holds")),
+        [("along <x>", 1.23456, 123456, True), ("none", None, 7, None), ("far", -math.inf, 1, False)],
+        note="A note & more.",
+        page="docs/model.md",
+    )
+    lines = [
+        Line("V", x, np.exp(-x) + 1e-6),
+        Line(EVIL, x, np.exp(-2 * x) + 1e-7, "dashed"),
+        Line("instants", x[::500], np.exp(-x[::500]), "points"),
+    ]
+    curves = Curves("V and its terms", "time [s]", "V [J]", lines, y_log=True, page="docs/model.md")
+    point = Line("here", np.array([33.0]), np.array([33.0]), "points")
+    heat = HeatMap("Radius", "period [ms]", "latency [ms]", "radius [1]", grid_x, grid_y, z, (1.0, 2.0), [point])
+    return [
+        Section("first", f"First {EVIL}", [f"The largest rise is 1.2e-9 J. {EVIL}", "More."], [curves, table], "good"),
+        Section("map", "A map", ["The largest stable period is 41 ms."], [heat], "warning"),
+        Section("open", "Not for this law", ["Does not apply."]),
+    ]
+
+
+@pytest.fixture(scope="module")
+def result() -> hs.Result:
+    return hs.simulate(hs.load_scenario("paper").updated({"description": SHOWN}))
+
+
+@pytest.fixture(scope="module")
+def text(result: hs.Result) -> str:
+    """The page of a run with made-up findings: whatever analyses there are, they have tests of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        groups = [
+            Group(Source("certify", "Certificate", False, "What it is."), made_up_sections()),
+            Group(Source("diagnose", "Diagnosis", False, "What it is."), (), f"expected another law, got {EVIL}"),
+        ]
+        patch.setattr("hexservo._report._page.groups", lambda _: groups)
+        return page(result)
+
+
+@pytest.fixture(scope="module")
+def file(text: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def no_slow_findings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the findings that are worked out, but for the test that asks for them."""
+    monkeypatch.setattr("hexservo._report._page.groups", lambda _: [])
+
+
+def words_of(text: str) -> str:
+    """What a reader reads: no script, no style, no tags."""
+    text = re.sub(r"<(script|style)\b.*?</\1>", " ", text, flags=re.DOTALL)
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", text)).split())
+
+
+def specs(text: str) -> dict[str, dict[str, Any]]:
+    """The charts of a page by their titles."""
+    found = re.findall(
+        r'<figcaption>([^<]*)</figcaption><div class="chart"[^>]*></div><script type="application/json">(.*?)</script>',
+        text,
+        re.DOTALL,
+    )
+    return {html.unescape(title): json.loads(spec) for title, spec in found}
+
+
+def numbers(encoded: dict[str, str]) -> NDArray[np.float64]:
+    assert encoded["dtype"] == "f4"
+    return np.frombuffer(base64.b64decode(encoded["bdata"]), "<f4").astype(float)
+
+
+# ---- What is in it --------------------------------------------------------------------------------------------------
+
+
+def test_the_order_and_the_words(text: str) -> None:
+    assert text.startswith(TITLE + "\n")
+    heads = re.findall(r"<h2>([^<]*)</h2>", text)
+    assert heads == [
+        "Summary", "Figures", "The machine in space", "Certificate", "Diagnosis", "Metrics", "Scenario", "Versions",
+    ]  # fmt: skip
+    words = words_of(text)
+    for sentence in (
+        "The run completed: 5 s in continuous mode, controlled by the law hybrid.",
+        "All features are within 2 px of their goals from 0.353 s on.",
+        "The largest feature error at the end is 0.0797 px; from 1 s on their RMS is 0.0519 px.",
+        "warning A map : The largest stable period is 41 ms.",
+        "nothing to judge Not for this law : Does not apply.",
+        "It could not be made for this run: expected another law",
+        "value [px/mm]",
+        "along <x> 1.235 123456 yes none – 7 – far −∞ 1 no",
+        "Explained in docs/model.md",
+        "plotly.js 4" if "plotly.js v4" in text else "plotly.js",
+    ):
+        assert sentence in words, sentence
+
+
+def test_metrics_versions_and_the_scenario_are_there(text: str, result: hs.Result) -> None:
+    (scenario,) = re.findall(r"<pre[^>]*><code>(.*?)</code></pre>", text, re.DOTALL)
+    assert hs.Scenario.from_yaml(html.unescape(scenario)) == result.scenario
+    words = words_of(text)
+    for name in hs.METRICS:
+        assert name.replace("_", " ") in words
+    assert f"simulated by hexservo {hs.__version__}" in words
+    assert "seed 0" in words
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (
+            {"controller.jacobian": "printed"},
+            ["ended early, at 0.04 s of 5 s (diverged)", "did not settle", "too much"],
+        ),
+        ({"simulation.duration": 0.01}, ["completed", "did not settle: at the end an error is larger than 2 px"]),
+        ({"target.desired_features": [30.5, 18, 65, -65, -44, 37, -10, -15]}, ["stayed within 2 px from the start"]),
+        ({"robot.force_limit": 0.2}, ["0.3582 N of the 0.2 N allowed; that is 79% too much"]),
+    ],
+)
+def test_the_summary_of_other_runs(changes: dict[str, Any], expected: list[str]) -> None:
+    words = " ".join(summary_sentences(hs.simulate(hs.load_scenario("paper").updated(changes))))
+    for part in expected:
+        assert part in words
+
+
+def test_a_function_of_ones_own_is_named() -> None:
+    scenario = hs.load_scenario("paper").updated({"simulation.mode": "sampled", "simulation.duration": 0.01})
+    run = hs.simulate(scenario, controller=lambda observation: np.array([0, 0, -0.588, 0, 0, 0]))
+    assert "controlled by the function" in summary_sentences(run)[0]
+
+
+def test_charts_show_the_samples_of_the_run(text: str, result: hs.Result) -> None:
+    charts = specs(text)
+    first, rest = parts(result)
+    for title, part in (("Until the run has settled", first), ("The rest, magnified", rest)):
+        low, high = charts[title]["layout"]["yaxis"]["range"]
+        for column, trace in enumerate(charts[title]["data"]):
+            x, y = numbers(trace["x"]), numbers(trace["y"])
+            expected = result.feature_error[part, column]
+            at = np.searchsorted(result.time[part] + 1e-6, x)  # the time axis is in single precision
+            np.testing.assert_allclose(y, expected[at], rtol=1e-6, atol=1e-9)
+            no_peak_is_lost = pytest.approx((expected.max(), expected.min()), abs=1e-3 * (high - low))
+            assert (y.max(), y.min()) == no_peak_is_lost
+            if part is first:  # all samples are near the line, and few are needed for it
+                np.testing.assert_allclose(np.interp(result.time[part], x, y), expected, atol=4e-4 * (high - low))
+                assert len(x) < 400
+    legs = [trace for trace in charts["Leg forces (positive: pushing)"]["data"] if trace.get("line", {})["width"] < 1]
+    assert max(numbers(trace["y"]).max() for trace in legs) == pytest.approx(result.leg_forces.max(), abs=1e-3)
+    weight = charts["Vertical force, in B (z points down)"]["layout"]["shapes"][0]["y0"]
+    assert weight == pytest.approx(-9.8 * 0.06)
+    table = charts["Output term of each rule"]["data"][0]
+    assert table["text"][0] == ["NB", "NB", "NB", "NB", "NM", "NS", "ZE"]
+    ends = charts["Paths of the four features"]["data"][5]
+    np.testing.assert_allclose(numbers(ends["x"]), result.features[-1, ::2], rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_samples_that_are_left_out_lie_near_the_line(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    x = np.cumsum(generator.uniform(0.1, 1.0, 500))
+    y = np.cumsum(generator.normal(size=500)) if seed else np.sin(x / 20)
+    for tolerance in (1e-3, 0.1, 10.0):
+        kept = needed(x, y, tolerance)
+        assert (kept[0], kept[-1]) == (0, 499)
+        assert (np.diff(kept) > 0).all()
+        assert np.abs(np.interp(x, x[kept], y[kept]) - y).max() <= tolerance * (1 + 1e-9)
+    assert len(needed(x, 2 * x, 1e-6)) == 2
+    assert len(needed(x, np.sin(x / 20), 0.01)) < 60
+    y[7] = np.nan
+    np.testing.assert_array_equal(needed(x, y, 1.0), np.arange(500))
+    np.testing.assert_array_equal(needed(np.zeros(3), np.zeros(3), 1.0), np.arange(3))
+
+
+def test_lines_of_findings_are_thinned_as_their_axis_shows_them() -> None:
+    def drawn(x: NDArray[np.float64], y: NDArray[np.float64], *, log: bool = False) -> Any:
+        return specs(curves(Curves("c", "x", "y", [Line("l", x, y)], y_log=log)))["c"]["data"][0]
+
+    x = np.linspace(0, 5, 5001)
+    falling = 10.0 ** (-2 * x)
+    assert len(numbers(drawn(x, falling, log=True)["x"])) == 2  # a straight line
+    assert 5 < len(numbers(drawn(x, falling)["x"])) < 100
+    turn = np.linspace(0, 2 * np.pi, 5001)
+    circle = drawn(np.cos(turn), np.sin(turn))
+    np.testing.assert_allclose(np.hypot(numbers(circle["x"]), numbers(circle["y"])), 1, rtol=1e-6)
+    assert 500 < len(numbers(circle["x"])) < 2600
+    for place in (0, 1, 2501, 5000):  # a gap stays one
+        for log in (True, False):
+            gap = numbers(drawn(x, np.where(np.arange(5001) == place, np.nan, falling), log=log)["y"])
+            assert np.isnan(gap).sum() == 1
+            assert len(gap) < 100
+    assert len(numbers(drawn(x[:0], x[:0])["x"])) == 0
+    assert np.isnan(numbers(drawn(x, np.full(5001, np.nan))["y"])).all()
+    mixed = numbers(drawn(x, np.where(x > 2, 0.0, falling), log=True)["y"])
+    np.testing.assert_allclose(mixed, [1, 1e-4, 0], atol=1e-7)
+
+
+def test_charts_are_as_the_library_wants_them(text: str) -> None:
+    """Every name and value is known to plotly's own description of charts."""
+    import plotly.graph_objects as go
+
+    def coloured(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: coloured(item) for name, item in value.items()}
+        if isinstance(value, list):
+            return [coloured(item) for item in value]
+        return "#123456" if isinstance(value, str) and value.startswith("@") else value
+
+    charts = specs(text)
+    assert len(charts) == 12
+    for spec in charts.values():
+        layout = {name: value for name, value in spec["layout"].items() if name not in ("maxWidth", "square")}
+        go.Figure(coloured(spec["data"]), coloured(layout))
+
+
+def test_a_law_without_fuzzy_systems_has_no_rule_table() -> None:
+    run = hs.simulate(hs.load_scenario("paper").updated({"controller.law": "kelly", "simulation.duration": 0.02}))
+    assert "Output term of each rule" not in specs(page(run))
+
+
+def test_a_long_recording_is_cut(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
+    monkeypatch.setattr("hexservo._report._page._MAX_SCENARIO", 100)
+    words = words_of(page(result))
+    assert f"{len(result.scenario.to_yaml()) - 100} more characters are left out here." in words
+
+
+@pytest.mark.parametrize(
+    ("cell", "column", "expected"),
+    [
+        (-0.0, Column("c"), "0"),
+        (-0.0001, Column("c", "", ".2f"), "0.00"),
+        (-0.01, Column("c", "", ".2f"), "−0.01"),
+        (1e-7, Column("c"), "1e−07"),
+        (1234567, Column("c"), "1234567"),
+        (12, Column("c", "", ".1f"), "12.0"),
+        (float("nan"), Column("c"), "–"),
+        (None, Column("c"), "–"),
+        (False, Column("c"), "no"),
+        ("-5", Column("c"), "-5"),
+    ],
+)
+def test_cells_as_people_read_them(cell: Any, column: Column, expected: str) -> None:
+    assert cell_text(cell, column) == expected
+
+
+# ---- The machine in space -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["paper", "task-general"])
+def test_the_scene_is_where_the_core_puts_it(name: str) -> None:
+    """Legs have the run's lengths, and the core's camera sees targets and drawn image exactly where features are."""
+    result = hs.simulate(hs.load_scenario(name))
+    view = scene(result)
+    settings = core_parameters(result.scenario)
+    chosen = np.searchsorted(result.time, view.time)
+    assert 100 < len(chosen) <= 210
+    assert (chosen[0], chosen[-1]) == (0, len(result.time) - 1)
+    lengths = np.linalg.norm(view.joints - view.base, axis=-1)
+    np.testing.assert_allclose(lengths, result.leg_lengths[chosen], rtol=1e-12)
+    assert view.targets is not None
+    for frame, sample in enumerate(chosen):
+        pose = result.position[sample], result.quaternion[sample]
+        rotation = view.rotation[frame]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        seen, depth = _core.take_image(settings.camera, *pose, view.targets)
+        np.testing.assert_allclose(seen, result.features[sample], atol=1e-8)
+        np.testing.assert_allclose(depth, result.depth[sample], atol=1e-12)
+        drawn, _ = _core.take_image(settings.camera, *pose, view.placed(frame, view.image[frame]))
+        np.testing.assert_allclose(drawn, result.features[sample], atol=1e-8)
+        goals, _ = _core.take_image(settings.camera, *pose, view.placed(frame, view.goals))
+        np.testing.assert_allclose(goals, result.scenario.target.desired_features, atol=1e-8)
+
+
+def test_a_plant_without_points_has_no_targets() -> None:
+    run = hs.simulate(
+        hs.load_scenario("paper").updated({"camera.convention": "as_printed", "simulation.duration": 0.05})
+    )
+    assert scene(run).targets is None
+    assert "This plant has no targets in space." in words_of(page(run))
+
+
+def test_features_far_outside_are_not_drawn() -> None:
+    view = scene(hs.simulate(hs.load_scenario("paper").updated({"controller.jacobian": "printed"})))
+    assert np.isnan(view.image).any()
+    assert np.nanmax(np.abs(view.image[..., :2])) <= 0.2  # as far to the side as ahead
+    assert "NaN" not in json.dumps(view.to_plain(), allow_nan=False)
+
+
+# ---- Text cannot become markup --------------------------------------------------------------------------------------
+
+
+def test_elements_escape_their_text_and_their_attributes() -> None:
+    made = element("p", "<a>", Html("<b>x</b>"), "&", class_='"><i>', aria_label="x", hidden=True, inert=False)
+    assert made == '<p class="&quot;&gt;&lt;i&gt;" aria-label="x" hidden>&lt;a&gt;<b>x</b>&amp;</p>'
+    script = json_script({"</script>": "<!--\u2028&"})
+    assert script.count("<") == 2
+    assert json.loads(script[script.index(">") + 1 : script.rindex("<")]) == {"</script>": "<!--\u2028&"}
+
+
+def test_no_text_of_a_scenario_or_finding_is_markup(text: str) -> None:
+    assert "<script>window.broken" not in text
+    assert "<img" not in text
+    assert len(re.findall(r"<script\b", text)) == len(re.findall(r"</script\b", text))
+    assert EVIL in words_of(text)
+
+
+class Attributes(HTMLParser):
+    """Collects the attributes of all elements."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[tuple[str, str | None]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found += attrs
+
+
+def test_nothing_refers_to_anything_outside(text: str) -> None:
+    ours = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
+    parser = Attributes()
+    parser.feed(ours)
+    assert len(parser.found) > 200
+    assert not {"src", "action", "data", "srcset", "poster", "xlink:href"} & {name for name, _ in parser.found}
+    assert all((value or "").startswith("#") for name, value in parser.found if name == "href")
+    assert "url(" not in ours
+    assert "@import" not in ours
+    assert "://" not in ours
+
+
+# ---- The file -------------------------------------------------------------------------------------------------------
+
+
+def test_the_file_is_whole_and_never_in_place_of_another(result: hs.Result, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    hs.write_report(result, path)
+    first = path.read_bytes()
+    assert first.startswith(TITLE.encode())
+    with pytest.raises(OutputError, match="--force"):
+        hs.write_report(result, path)
+    hs.write_report(result, path, force=True)
+    assert path.read_bytes() == first  # the same run gives the same bytes
+    path.write_text("<!DOCTYPE html>\nmine")
+    with pytest.raises(OutputError, match="was not written by `hexservo report`, so it is kept"):
+        hs.write_report(result, path, force=True)
+    assert path.read_text() == "<!DOCTYPE html>\nmine"
+    with pytest.raises(OutputError, match="expected a folder that exists"):
+        hs.write_report(result, tmp_path / "none" / "report.html")
+    assert [item.name for item in tmp_path.iterdir()] == ["report.html"]
+    with pytest.raises(TypeError, match="result: expected a Result"):
+        hs.write_report("paper", path)  # type: ignore[arg-type]
+
+
+def test_the_report_of_the_paper_is_small_and_quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With all that certificate, analysis and diagnosis have to say."""
+    monkeypatch.setattr("hexservo._report._page.groups", _sections.groups)
+    scenario = hs.load_scenario("paper")
+    taken = []
+    for number in range(3):
+        started = time.process_time()
+        hs.write_report(hs.simulate(scenario, log_weights=True), tmp_path / f"{number}.html")
+        taken.append(time.process_time() - started)
+        if taken[-1] <= 3.0:
+            break
+    assert min(taken) <= 3.0
+    assert (tmp_path / "0.html").stat().st_size <= 6_000_000
+
+
+# ---- In a browser ---------------------------------------------------------------------------------------------------
+
+CHROMIUM = shutil.which("chromium")
+GL = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # by the processor alone
+in_browser = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed (apt-get install chromium)")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=CHROMIUM, args=GL)
+        yield running
+        running.close()
+
+
+class Visit:
+    """A page, with everything that went wrong on it or was asked for over the network."""
+
+    def __init__(self, browser: Browser, file: Path, **context: Any) -> None:
+        self.context = browser.new_context(**context)
+        self.page = self.context.new_page()
+        self.problems: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: self.problems.append(message.text) if message.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.problems.append(str(error)))
+        self.page.on("dialog", lambda dialog: self.problems.append(dialog.message))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.url = file.as_uri()
+
+    def open(self) -> Page:
+        self.page.goto(self.url)
+        return self.page
+
+    def to_view(self) -> Page:
+        """Open the page and go to the view in space, drawn."""
+        self.open()
+        self.page.locator("#webgl").scroll_into_view_if_needed()
+        self.page.wait_for_selector("#webgl[data-ready=yes]", state="attached")
+        self.page.locator("#view").evaluate("view => view.scrollIntoView()")
+        return self.page
+
+
+@pytest.fixture
+def visit(browser: Browser, file: Path) -> Iterator[Callable[..., Visit]]:
+    made: list[Visit] = []
+
+    def make(**context: Any) -> Visit:
+        made.append(Visit(browser, file, **context))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.context.close()
+
+
+def until(shown: Page, expression: str) -> None:
+    """Wait for something to become true; playwright's own way needs `eval`, which the page's policy forbids."""
+    for _ in range(200):
+        if shown.evaluate(expression):
+            return
+        shown.wait_for_timeout(50)
+    raise AssertionError(f"never true: {expression}")
+
+
+LAPTOP, PHONE = {"width": 1280, "height": 800}, {"width": 375, "height": 720}
+DRAW_ALL = """async () => {
+  for (const box of document.querySelectorAll(".chart")) {
+    box.scrollIntoView();
+    for (let wait = 0; wait < 100 && !box.querySelector(".main-svg"); wait += 1) {
+      await new Promise(requestAnimationFrame);
+    }
+  }
+  return [...document.querySelectorAll(".chart")].map(box => box.querySelectorAll(".trace, .hm").length);
+}"""
+
+
+@in_browser
+def test_it_loads_without_an_error_or_a_request(visit: Callable[..., Visit]) -> None:
+    seen = visit(viewport=LAPTOP)
+    seen.to_view()
+    drawn = seen.page.evaluate(DRAW_ALL)
+    assert len(drawn) == 12
+    assert all(drawn)
+    assert seen.problems == []
+    assert seen.requests == [seen.url]
+    assert seen.page.evaluate("window.broken") is None
+    assert seen.page.title() == "paper: hexservo report"
+    assert seen.page.evaluate("document.documentElement.lang") == "en"
+    assert seen.page.locator("img").count() == 0
+    buttons = seen.page.evaluate(
+        "[...new Set([...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title))]"
+    )
+    assert "Download plot as a PNG" in buttons
+    assert not [button for button in buttons if re.search("share|send|cloud|edit", button, re.IGNORECASE)]
+    stopped = seen.page.evaluate(  # what a library might ask for
+        """() => new Promise(resolve => {
+          document.addEventListener("securitypolicyviolation", event => resolve(event.effectiveDirective));
+          fetch("http://127.0.0.1:9/").catch(() => {});
+        })"""
+    )
+    assert stopped == "connect-src"
+    assert seen.requests == [seen.url]
+
+
+def pixels(shown: Page) -> NDArray[np.float32]:
+    return np.asarray(imread(BytesIO(shown.locator("#webgl").screenshot()), format="png"))
+
+
+@in_browser
+def test_the_slider_moves_the_machine_and_the_button_plays(visit: Callable[..., Visit]) -> None:
+    seen = visit(viewport=LAPTOP)
+    shown = seen.to_view()
+    end = pixels(shown)
+    assert len(np.unique(end.reshape(-1, end.shape[-1]), axis=0)) > 50  # a picture, not an empty canvas
+    np.testing.assert_array_equal(pixels(shown), end)  # it changes for no other reason
+    assert "t = 5.000 s" in shown.locator("#readout").inner_text()
+    shown.locator("#instant").focus()
+    shown.keyboard.press("Home")
+    until(shown, "document.getElementById('readout').textContent.startsWith('t = 0.000 s')")
+    shown.wait_for_timeout(300)
+    start = pixels(shown)
+    assert (np.abs(start - end).max(axis=-1) > 0.1).sum() > 20
+    assert "largest feature error 20.0 px" in shown.locator("#readout").inner_text()
+    shown.keyboard.press("ArrowRight")
+    until(shown, "document.getElementById('instant').getAttribute('aria-valuetext') !== 't = 0.000 s'")
+    shown.locator("#play").click()
+    until(shown, "Number(document.getElementById('instant').value) > 3")
+    assert shown.locator("#play").inner_text() == "Stop"
+    shown.locator("#play").click()
+    assert shown.locator("#play").inner_text() == "Play"
+    shown.wait_for_timeout(300)
+    held = shown.locator("#instant").input_value()
+    shown.wait_for_timeout(300)
+    assert shown.locator("#instant").input_value() == held
+    assert seen.problems == []
+
+
+@in_browser
+@pytest.mark.parametrize("viewport", [PHONE, LAPTOP])
+def test_the_page_does_not_scroll_sideways(visit: Callable[..., Visit], viewport: dict[str, int]) -> None:
+    seen = visit(viewport=viewport, has_touch=viewport["width"] < 500)
+    seen.open().evaluate(DRAW_ALL)
+    width = viewport["width"]
+    assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
+    outside = seen.page.evaluate(
+        """width => [...document.querySelectorAll("body *")].filter(item => {
+          const box = item.getBoundingClientRect();
+          return box.width > 0 && box.right > width + 1 && !item.closest(".scroll, pre, .chart, #webgl");
+        }).map(item => item.outerHTML.slice(0, 100))""",
+        width,
+    )
+    assert outside == []
+    charts = seen.page.evaluate(
+        "[...document.querySelectorAll('.chart .main-svg')].map(svg => svg.getBoundingClientRect().right)"
+    )
+    assert max(charts) <= width
+    assert seen.problems == []
+
+
+COLOURS = """() => ({
+  page: getComputedStyle(document.body).backgroundColor,
+  words: getComputedStyle(document.body).color,
+  ticks: getComputedStyle(document.querySelector(".chart .xtick text")).fill,
+  line: getComputedStyle(document.querySelectorAll(".chart")[1].querySelector(".js-line")).stroke,
+})"""
+
+
+TWO_DRAWN = "[...document.querySelectorAll('.chart')].slice(0, 2).every(box => box.querySelector('.xtick text'))"
+
+
+def brightness(colour: str) -> float:
+    red, green, blue = map(int, re.findall(r"\d+", colour)[:3])
+    return (red + green + blue) / 765
+
+
+@in_browser
+def test_the_dark_scheme(visit: Callable[..., Visit]) -> None:
+    seen = visit(viewport=LAPTOP, color_scheme="light")
+    shown = seen.open()
+    until(shown, TWO_DRAWN)
+    light = shown.evaluate(COLOURS)
+    shown.emulate_media(color_scheme="dark")  # while it is open
+    until(shown, f"getComputedStyle(document.querySelector('.chart .xtick text')).fill !== '{light['ticks']}'")
+    dark = shown.evaluate(COLOURS)
+    assert brightness(light["page"]) > 0.95
+    assert brightness(dark["page"]) < 0.15
+    for name in ("words", "ticks"):
+        assert brightness(light[name]) < 0.3
+        assert brightness(dark[name]) > 0.7
+    assert dark["line"] != light["line"]
+    other = visit(viewport=LAPTOP, color_scheme="dark")  # from the start
+    until(other.open(), TWO_DRAWN)
+    assert other.page.evaluate(COLOURS) == dark
+    assert seen.problems == other.problems == []
+
+
+NO_WEBGL = """
+const original = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  return /webgl/.test(kind) ? null : original.call(this, kind, ...rest);
+};
+"""
+
+
+@in_browser
+def test_without_webgl_a_still_picture_stands_in(visit: Callable[..., Visit]) -> None:
+    seen = visit(viewport=LAPTOP)
+    seen.context.add_init_script(NO_WEBGL)
+    shown = seen.open()
+    until(shown, TWO_DRAWN)
+    picture = shown.locator("svg.still")
+    assert picture.is_visible()
+    assert picture.bounding_box()["height"] > 300  # type: ignore[index]
+    assert picture.locator("polyline.leg").count() == 6
+    assert "no WebGL" in shown.locator("#webgl-missing").inner_text()
+    for hidden in ("#webgl", "#play", "#instant"):
+        assert not shown.locator(hidden).is_visible()
+    assert seen.problems == []
+
+
+@in_browser
+def test_without_scripts_words_tables_and_the_still_picture_remain(visit: Callable[..., Visit]) -> None:
+    seen = visit(viewport=PHONE, java_script_enabled=False)
+    shown = seen.open()
+    assert shown.locator("svg.still").is_visible()
+    assert "Charts need JavaScript" in shown.locator("noscript").inner_text()
+    assert shown.get_by_text("along <x>").is_visible()
+    assert not shown.locator("#play").is_visible()
+
+
+# ---- On paper -------------------------------------------------------------------------------------------------------
+
+PAGE_WIDTH, PAGE_HEIGHT = 688, 1016  # px of A4 within its margins
+
+
+@in_browser
+def test_it_prints_to_readable_pages(visit: Callable[..., Visit], tmp_path: Path) -> None:
+    seen = visit(viewport=LAPTOP, color_scheme="dark")
+    content = seen.open().pdf(format="A4", prefer_css_page_size=True, path=tmp_path / "report.pdf")
+    boxes = re.findall(rb"/MediaBox\s*\[\s*0 0 ([\d.]+) ([\d.]+)\s*\]", content)
+    pages = len(re.findall(rb"/Type\s*/Page\b", content))
+    assert 6 <= pages <= 14
+    assert len(boxes) == pages
+    assert {(round(float(width)), round(float(height))) for width, height in boxes} == {(596, 843)}  # A4, upright
+    assert seen.problems == []
+    if shutil.which("pdftotext") is not None:
+        told = subprocess.run(
+            ["pdftotext", "-layout", tmp_path / "report.pdf", "-"], capture_output=True, text=True, check=True
+        ).stdout
+        words = " ".join(told.split())
+        for part in ("All features are within 2 px", "time [s]", "platform", "docs/model.md"):
+            assert part in words
+        assert all(len(sheet.split()) > 10 for sheet in told.split("\f")[:pages])
+
+
+@in_browser
+def test_nothing_is_cut_on_paper(visit: Callable[..., Visit]) -> None:
+    """What the printer gets, laid out on the width of a page: no chart is wider or taller than it."""
+    seen = visit(viewport={"width": PAGE_WIDTH, "height": PAGE_HEIGHT}, color_scheme="dark")
+    shown = seen.open()
+    shown.emulate_media(media="print")
+    shown.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert shown.evaluate("document.documentElement.scrollWidth") <= PAGE_WIDTH
+    boxes = shown.evaluate(
+        """() => [...document.querySelectorAll("figure.plot, #view")].map(item => {
+          const inside = [...item.querySelectorAll(".main-svg, svg.still")].map(svg => svg.getBoundingClientRect());
+          return [item.getBoundingClientRect().height, Math.max(...inside.map(box => box.right)), inside.length];
+        })"""
+    )
+    assert len(boxes) == 13
+    for height, right, count in boxes:
+        assert height < PAGE_HEIGHT
+        assert right <= PAGE_WIDTH
+        assert count > 0
+    legends = shown.evaluate(
+        """() => [...document.querySelectorAll(".chart")].map(box => {
+          const legend = box.querySelector(".legend"), plot = box.querySelector(".plot, .cartesianlayer .plot");
+          return legend && plot ? plot.getBoundingClientRect().top - legend.getBoundingClientRect().bottom : 0;
+        })"""
+    )
+    assert min(legends) > -12  # a legend stands above its chart, not over it
+    assert shown.locator("svg.still").is_visible()
+    assert not shown.locator("#webgl").is_visible()
+    ticks = shown.evaluate("getComputedStyle(document.querySelector('.chart .xtick text')).fill")
+    assert brightness(ticks) < 0.3  # dark ink on white paper, whatever the screen's scheme
+    shown.emulate_media(media="screen")
+    shown.evaluate("dispatchEvent(new Event('afterprint'))")
+    ticks = shown.evaluate("getComputedStyle(document.querySelector('.chart .xtick text')).fill")
+    assert brightness(ticks) > 0.7
+    assert seen.problems == []
