@@ -33,7 +33,9 @@ def test_the_examples_of_batches_run(tmp_path: Path) -> None:
 
 
 def test_the_examples_of_a_real_camera_run(tmp_path: Path) -> None:
-    prediction, own = (example for example in examples(README)[1:] if "simulate(" in example)
+    prediction, own = (
+        example for example in examples(README)[1:] if "simulate(" in example and "diagnose(" not in example
+    )
     without, with_prediction = output_of(prediction, tmp_path).splitlines()
     assert re.fullmatch(r"none diverged \d+\.\d\d px", without)
     assert re.fullmatch(r"encoder completed 0\.\d\d px", with_prediction)
@@ -56,7 +58,8 @@ def test_the_first_example_runs(tmp_path: Path) -> None:
 
 
 def test_the_examples_of_comparisons_run(tmp_path: Path) -> None:
-    (*_, of_readme), (of_page,) = examples(README), examples(ROOT / "docs" / "compare.md")
+    (of_readme,) = (example for example in examples(README) if "hs.compare(" in example)
+    (of_page,) = examples(ROOT / "docs" / "compare.md")
     lines = output_of(of_readme, tmp_path).splitlines()
     assert lines[0] == "paper hybrid settled - within 2 px from 0.353 s on"
     assert len(lines) == 6
@@ -65,3 +68,14 @@ def test_the_examples_of_comparisons_run(tmp_path: Path) -> None:
     assert len(table) == 6
     assert last.startswith("settled within 2 px from 0.552 s on ")
     assert (tmp_path / "comparison.png").stat().st_size > 0
+
+
+def test_the_example_of_what_is_known_runs(tmp_path: Path) -> None:
+    (example,) = (example for example in examples(README) if "diagnose(" in example)
+    cause, remedy, conditioning, stiction, *certified = output_of(example, tmp_path).splitlines()
+    assert cause == "latency or rate of the camera"
+    assert "camera.prediction=encoder" in remedy
+    assert "mm" in conditioning
+    assert "px" in stiction
+    assert [line.split(" - ")[0] for line in certified] == ["warning", "warning", "good"]
+    assert (tmp_path / "report.html").stat().st_size > 0
