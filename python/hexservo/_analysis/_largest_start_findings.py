@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hexservo._analysis._rest import Array
+from hexservo._analysis._poses import Array
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["DWELL", "Direction", "LargestStart", "Timing", "Tried", "border"]

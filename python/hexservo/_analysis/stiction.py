@@ -8,9 +8,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hexservo._analysis._goal import Goals, find_goals
-from hexservo._analysis._scene import Array, Scene, moved, scene_of
+from hexservo._analysis._poses import Array
+from hexservo._analysis._rest import RestLaw
+from hexservo._analysis._scene import SETTLED, Scene, scene_of
 from hexservo._analysis._stiction_runs import Runs, run
-from hexservo._analysis._stiction_set import SETTLED, Extremes, RestLaw, RestSet, confirmed, extremes
+from hexservo._analysis._stiction_set import Extremes, RestSet, confirmed, extremes
 from hexservo._analysis._words import number
 from hexservo._evidence import Section
 from hexservo._scenario import Fuzzy, Scenario
@@ -18,10 +20,6 @@ from hexservo._scenario import Fuzzy, Scenario
 __all__ = ["Case", "Creep", "Stiction", "analyse"]
 
 PAGE = "docs/analysis/stiction.md"
-__AXES = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
-
-_SHORT = ("along x", "along y", "along z", "about x", "about y", "about z")
-
 _GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
 
 Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]
@@ -235,7 +233,7 @@ def _prior_error(scene: Scene, goals: Goals) -> float | None:
     law = RestLaw(only_e)
 
     def error(x: Array) -> Array:
-        return law.wrench(moved(goals.nearest.view.pose, x)) - law.gravity_error
+        return law.wrench(goals.nearest.view.pose.moved(x)) - law.gravity_error
 
     try:
         found = root(error, np.zeros(6), options={"xtol": 1e-12})
@@ -243,5 +241,5 @@ def _prior_error(scene: Scene, goals: Goals) -> float | None:
         return None
     if np.abs(error(found.x)).max() > 1e-9:
         return None
-    view = scene.view(moved(goals.nearest.view.pose, found.x))
+    view = scene.view(goals.nearest.view.pose.moved(found.x))
     return float(np.abs(scene.desired - view.features).max())
