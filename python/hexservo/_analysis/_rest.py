@@ -42,8 +42,7 @@ class Rest(Scene):
         dynamics.gravity = gravity * dynamics.gravity
         self.probe = _core.Probe(self.settings)  # that of the scene has all of the gravity error
         self.gains: Any = self.settings.gains  # of the scenario's law
-        upright, still = self.home.rows.quaternion, np.zeros((1, 6))
-        self.weight: Array = self.probe.estimated_wrenches(upright, still, still)[2]  # G-bar, (6,) [N; N m]
+        self.weight: Array = np.array(self.body.gravity_wrench)  # G-bar, (6,) [N; N m]
         self.gravity_error: Array = np.asarray(dynamics.gravity * self.weight)  # delta_G G-bar, (6,) [N; N m]
 
     def aimed_at(self, desired: Array) -> Rest:

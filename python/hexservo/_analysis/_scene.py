@@ -77,6 +77,13 @@ class Scene:
             return np.array(target.points)
         return self.points_seen_as(np.array(target.initial_features), -np.array(target.depth))
 
+    @cached_property
+    def body(self) -> _core.RigidBody:
+        """The platform's estimated mass properties."""
+        body = _core.RigidBody()
+        body.mass, body.inertia = self.settings.robot.mass, self.settings.robot.inertia
+        return body
+
     def points_seen_as(self, features: Array, depth: Array) -> Array:
         """Give the points in B, (4, 3) [m], that look so from home: features (8,) [px], depth (4,) [m], negative."""
         beside = np.column_stack([np.ones((4, 2)), depth])  # in E, one metre off the axis each way

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from hexservo import _core
 from hexservo._analysis._goal import TOLERANCE, Goals, find_goals
 from hexservo._analysis._poses import Array, Poses
 from hexservo._analysis._scene import Scene, scene_of
@@ -325,9 +324,7 @@ def _reaches(scene: Scene, directions: Array) -> list[Reach]:
 
 
 def _place(scene: Scene, name: str, pose: Poses) -> Place:
-    body = _core.RigidBody()
-    body.mass, body.inertia = scene.settings.robot.mass, scene.settings.robot.inertia
-    weight = np.array(body.gravity_wrench)
+    weight = np.array(scene.body.gravity_wrench)
     actual = (1.0 - np.array(scene.settings.uncertainty.dynamics.gravity)) * weight
     legs, at = scene.hexapod, (pose.position, pose.quaternion)
 
