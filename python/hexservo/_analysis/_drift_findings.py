@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hexservo._analysis._poses import Array
-from hexservo._analysis._words import direction_words
+from hexservo._analysis._words import direction_words, open_section
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["GRID", "LARGEST", "SIZES", "Drift", "Pattern", "Size"]
@@ -86,7 +86,7 @@ class Drift:
         """Words, the sixteen patterns, the sizes, and the smallest eigenvalue over the size."""
         title = "Slow drift under unequal depth errors"
         if self.open_because:
-            return Section("drift", title, [self.open_because], data={"applies": False, "reason": self.open_because})
+            return open_section("drift", title, self.open_because)
         return Section("drift", title, self._sentences(), self._items(), self._verdict(), self._data())
 
     @property

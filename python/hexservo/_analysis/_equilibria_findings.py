@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo._analysis._poses import Array
 from hexservo._analysis._scene import SETTLED, WIDER
-from hexservo._analysis._words import direction_words, displacement_words, vector_words
+from hexservo._analysis._words import direction_words, displacement_words, open_section, vector_words
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["SEED", "Equilibria", "Equilibrium"]
@@ -65,9 +65,7 @@ class Equilibria:
         """Words, the table of equilibria, and the hill between a false one and the goal."""
         title = "Equilibria of the transpose law"
         if self.open_because:
-            return Section(
-                "equilibria", title, [self.open_because], data={"applies": False, "reason": self.open_because}
-            )
+            return open_section("equilibria", title, self.open_because)
         return Section("equilibria", title, self._sentences(), self._items(), self._verdict(), self._data())
 
     def _verdict(self) -> Any:

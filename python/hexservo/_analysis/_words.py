@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo._analysis._poses import Array
+from hexservo._evidence import Section
 
-__all__ = ["along", "direction_words", "displacement_words", "motion_in_words", "number", "numbers", "vector_words"]
+__all__ = [
+    "along",
+    "direction_words",
+    "displacement_words",
+    "motion_in_words",
+    "number",
+    "numbers",
+    "open_section",
+    "vector_words",
+]
 
 _AXES = "xyz"
 _STRAIGHT = 0.98  # cosine from which a direction is called that of an axis
@@ -83,3 +93,8 @@ def displacement_words(displacement: Array) -> str:
 def vector_words(values: Array) -> str:
     """Write the entries of a vector with three digits, those below 0.005 as zero."""
     return "(" + ", ".join(number(0.0 if abs(value) < 0.005 else value) for value in values) + ")"
+
+
+def open_section(name: str, title: str, reason: str) -> Section:
+    """Say why an analysis does not apply."""
+    return Section(name, title, [reason], data={"applies": False, "reason": reason})
