@@ -1,0 +1,345 @@
+"""The servo tick of a scenario at its pose of rest, as matrices: derivatives by finite differences of the core.
+
+No equation of camera, law or plant stands here: images, Jacobians, ticks and motions are the core's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo._parameters import Settings, core_parameters
+from hexservo._scenario import Scenario
+
+__all__ = ["LinearLaw", "LinearPlant", "NoRestError", "Rest", "linear_law", "linear_plant", "moved", "rest_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+Pose: TypeAlias = tuple[Array, Array]
+"""Position (3,) in B [m] and quaternion (4,) w x y z."""
+
+_POSE_STEP = 1e-6  # of the finite differences [m; rad]: far below a membership's width, far above rounding
+_TWIST_STEP = 1e-6  # [m/s; rad/s], and at most a thousandth of the switching width
+_ROUNDS = 40  # of the searches for the pose of rest
+
+
+class NoRestError(ValueError):
+    """No pose was found at which the loop rests at its goal."""
+
+
+def moved(pose: Pose, displacement: Array) -> Pose:
+    """Move a pose by a displacement (6,) in B [m; rad], as docs/model.md section 2 does; exact to second order."""
+    w, x, y, z = pose[1].tolist()
+    a, b, c = (0.5 * displacement[3:]).tolist()  # plain numbers: six times as fast as arrays of three
+    turned = (w - a * x - b * y - c * z, x + w * a + b * z - c * y, y + w * b + c * x - a * z, z + w * c + a * y - b * x)
+    length = math.sqrt(sum(part * part for part in turned))
+    return pose[0] + displacement[:3], np.array([part / length for part in turned])
+
+
+def _between(pose: Pose, start: Pose) -> Array:
+    """Small displacement (6,) in B [m; rad] that takes one pose to the other; the rotation to second order."""
+    q, r = pose[1], start[1]
+    turn = 2.0 * (r[0] * q[1:] - q[0] * r[1:] - np.cross(q[1:], r[1:]))
+    return np.concatenate([pose[0] - start[0], np.sign(q @ r) * turn])
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Where a scenario's loop comes to rest, with the weight known, K_v = 0, and a camera that is always new."""
+
+    pose: Pose
+    features: Array  # (8,) true features there [px]
+    depth: Array  # (4,) true depths Z there, negative [m]
+    points: Array  # (4, 3) the target in B [m]
+    residual: float  # largest |xi_d - xi| there [px]: 0 where the goal can be reached and the law asks for nothing else
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLaw:
+    """A servo tick at rest, to first order; displacements are (6,) in B [m; rad], twists (6,) [m/s; rad/s].
+
+    The law's output is ``wrench - G = frame @ f + pose @ x + twist @ v - s`` with f what is known of the frame in use,
+    x the pose of the joint sensors, v their twist and s the scalar outputs of the fuzzy systems [N; N m]. Without
+    prediction f is the displacement of the true pose at the exposure, (6,); with it the error of the sensors' pose at
+    the exposure follows, (12,).
+    A tick takes s to ``decay * s + drive_frame @ f + drive_pose @ x + drive_twist @ v``. Only the axes whose systems
+    can change are states: ``axes``.
+    """
+
+    frame: Array  # (6, 6) or (6, 12)
+    pose: Array  # (6, 6)
+    twist: Array  # (6, 6)
+    axes: tuple[int, ...]  # of the fuzzy systems that adapt
+    decay: Array  # (m,) for m axes; 1 without leakage
+    drive_frame: Array  # (m, 6) or (m, 12)
+    drive_pose: Array  # (m, 6)
+    drive_twist: Array  # (m, 6)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearPlant:
+    """The plant about rest, to first order, with wrenches (6,) [N; N m] and leg forces as the wrenches they give."""
+
+    acceleration: Array  # (6, 6) of a wrench: inverse of the actual inertia
+    stiffness: Array  # (6, 6) d(H f)/dx with f the leg forces at rest [N/m, ...]
+    held_state: Array  # (12, 12) (x, v) over one tick with held leg forces
+    held_force: Array  # (12, 6) what leg forces H f = w add to it over one tick
+
+
+class _Tick:
+    """Camera, prediction and servo tick of a scenario at poses near rest."""
+
+    def __init__(self, scenario: Scenario, *, smooth: bool) -> None:
+        settings = core_parameters(scenario)
+        self.scenario = scenario
+        self.points = _points(scenario, settings)
+        self.home: Pose = (np.asarray(scenario.robot.home_position, dtype=float), np.array([1.0, 0.0, 0.0, 0.0]))
+        self.depth_scale = 1.0 + np.broadcast_to(np.asarray(scenario.uncertainty.depth, dtype=float), (4,))
+        self.predicts = scenario.camera.prediction == "encoder"
+        self.desired = np.asarray(scenario.target.desired_features, dtype=float)
+        self.camera = settings.camera
+        self.weight = _core_body(scenario).gravity_wrench
+        # The tick knows no `uncertainty`: laws that believe in points get those that the loop would give them.
+        settings.target.points = self._believed(self.home)
+        if scenario.controller.law in ("hybrid", "composite"):
+            if smooth:
+                settings.switching.kind = _core.SwitchingKind.tanh
+            else:
+                gains: Any = settings.gains
+                gains.kv = np.zeros(6)
+        self.core = _core.Controller(settings, scenario.simulation.step)
+
+    def _believed(self, pose: Pose) -> Array:
+        """Lift the image of a pose with the depths that the controller knows: the points as it believes them, (4, 3).
+
+        Along the ray of each point the distance is scaled as its depth is, (9) and (10).
+        """
+        return pose[0] + self.depth_scale[:, None] * (self.points - pose[0])
+
+    def image(self, frame: Array, pose: Pose) -> tuple[Array, Array]:
+        """Features and depths that the law sees at a pose, from a frame of another pose.
+
+        `frame` is (12,): the displacement of the exposure from rest, then the error of the sensors' pose there.
+        """
+        exposure = moved(self.rest, frame[:6])
+        if not self.predicts:
+            features, depth = _core.take_image(self.camera, *exposure, self.points)
+            return features, depth * self.depth_scale
+        # What counts is the move from the exposure on as the sensors tell it: their error there acts the other way.
+        return _core.take_image(self.camera, *moved(pose, -frame[6:]), self._believed(exposure))
+
+    def step(self, frame: Array, pose: Pose, twist: Array) -> tuple[Array, Array]:
+        """Wrench and fuzzy output of a tick."""
+        features, depth = self.image(frame, pose)
+        wrench, _, fuzzy, status = self.core.step(features, depth, *pose, twist)
+        if status != _core.InputStatus.valid:
+            raise NoRestError(f"the law cannot be evaluated near its goal ({status.name})")
+        return wrench, fuzzy
+
+    def response(self, frame: Array, displacement: Array, twist: Array) -> Array:
+        """Wrench of one tick away from rest, and the fuzzy outputs of the two ticks at rest that follow it, (18,)."""
+        self.core.reset()
+        wrench, _ = self.step(frame, moved(self.rest, displacement), twist)
+        following = [self.core.step(*self.resting)[2] for _ in range(2)]
+        return np.concatenate([wrench, *following])
+
+    def balance(self, displacement: Array) -> Array:
+        """Wrench beyond the weight where the platform rests beside `rest`, and what a tick there teaches, (12,)."""
+        frame = np.concatenate([displacement, np.zeros(6)])
+        pose = moved(self.rest, displacement)
+        self.core.reset()
+        wrench, before = self.step(frame, pose, np.zeros(6))
+        return np.concatenate([wrench - self.weight, self.step(frame, pose, np.zeros(6))[1] - before])
+
+    def at(self, pose: Pose) -> None:
+        """Take a pose for that of rest."""
+        self.rest = pose
+        self.resting = (*self.image(np.zeros(12), pose), *pose, np.zeros(6))
+
+
+def _core_body(scenario: Scenario) -> _core.RigidBody:
+    """Give the estimated mass properties in the core's form."""
+    body = _core.RigidBody()
+    inertia = np.asarray(scenario.robot.inertia, dtype=float)
+    body.mass = scenario.robot.mass
+    body.inertia = np.diag(inertia) if inertia.ndim == 1 else inertia
+    return body
+
+
+def _points(scenario: Scenario, settings: Settings) -> Array:
+    """Give the target's points in B (4, 3) [m]; at a known depth an image is proportional to where the point is."""
+    if scenario.target.points is not None:
+        return np.asarray(scenario.target.points, dtype=float)
+    depth = -np.broadcast_to(np.asarray(scenario.target.depth, dtype=float), (4,))
+    probe = np.column_stack([np.ones(4), np.ones(4), depth])  # a metre to the side, as seen from the origin
+    scale, _ = _core.take_image(settings.camera, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), probe)
+    seen = np.asarray(scenario.target.initial_features, dtype=float)
+    side = (seen / scale).reshape(4, 2)
+    return np.asarray(scenario.robot.home_position, dtype=float) + np.column_stack([side, depth])
+
+
+def _goal_pose(tick: _Tick) -> Pose:
+    """Find the pose that shows the desired features, in the least squares, from home turned about the optical axis."""
+    best: tuple[float, Pose] | None = None
+    for turn in np.arange(8) * np.pi / 4:
+        pose: Pose = (tick.home[0], np.array([np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)]))
+        size = np.inf
+        for _ in range(_ROUNDS):
+            features, depth = _core.take_image(tick.camera, *pose, tick.points)
+            if not (np.isfinite(features).all() and (depth < 0).all()):
+                break
+            jacobian = _core.image_jacobian(tick.camera, features, depth, pose[1])
+            step = np.linalg.lstsq(jacobian, tick.desired - features, rcond=None)[0]
+            size = float(np.max(np.abs(step) / np.repeat([abs(depth.mean()), 1.0], 3)))
+            pose = moved(pose, step * min(1.0, 0.5 / max(size, 1e-300)))
+            if size < 1e-12:
+                break
+        features, depth = _core.take_image(tick.camera, *pose, tick.points)
+        error = float(np.max(np.abs(tick.desired - features)))
+        if size < 1e-9 and (depth < 0).all() and (best is None or error < best[0]):
+            best = error, pose
+            if error < 1e-6:
+                break
+    if best is None:
+        raise NoRestError("target.desired_features: no pose near home was found that shows them")
+    return best[1]
+
+
+def _differences(count: int, step: float, at: Callable[[Array], Array]) -> Array:
+    """Central differences of a function of `count` numbers, a column each."""
+    return np.column_stack([(at(step * e) - at(-step * e)) / (2.0 * step) for e in np.eye(count)])
+
+
+def _by_twist(tick: _Tick, step: float) -> tuple[Array, tuple[int, ...], Array]:
+    """Give the response to a twist (18, 6), the axes whose fuzzy systems it teaches, and what a tick leaves of that."""
+    zero = np.zeros(6)
+    response = _differences(6, step, lambda v: tick.response(np.zeros(12), zero, v))
+    # A twist teaches the system of its own axis; with a dead zone, or without fuzzy systems, none.
+    taught = np.diag(response[6:12])
+    axes = tuple(int(j) for j in np.flatnonzero(taught))
+    decay = np.array([response[12 + j, j] / response[6 + j, j] for j in axes])
+    decay[np.abs(decay - 1.0) < 1e-9] = 1.0  # rounding, where nothing is forgotten
+    return response, axes, decay
+
+
+def _law_at(tick: _Tick, twist_step: float) -> LinearLaw:
+    zero = np.zeros(6)
+    wide = 12 if tick.predicts else 6
+    frame = _differences(wide, _POSE_STEP, lambda d: tick.response(np.append(d, np.zeros(12 - wide)), zero, zero))
+    pose = _differences(6, _POSE_STEP, lambda d: tick.response(np.zeros(12), d, zero))
+    twist, axes, decay = _by_twist(tick, twist_step)
+    rows = [6 + j for j in axes]
+    return LinearLaw(frame[:6], pose[:6], twist[:6], axes, decay, frame[rows], pose[rows], twist[rows])
+
+
+def rest_of(scenario: Scenario) -> Rest:
+    """Find where a scenario's loop rests: no wrench beyond the weight, nor anything to learn.
+
+    Newton's method on the tick of the core, from the pose that shows the desired features. With an integrating law
+    (fuzzy systems whose drive is the pose error) that is where its error vanishes; otherwise where its wrench does.
+    A prior (`composite`, `computed_torque`) moves it from the goal's pose towards home.
+
+    Raises
+    ------
+    NoRestError
+        Where there is none to be found.
+    """
+    return _found_rest(_Tick(scenario, smooth=False))
+
+
+def _found_rest(tick: _Tick) -> Rest:
+    tick.at(_goal_pose(tick))
+    _, axes, decay = _by_twist(tick, _TWIST_STEP)
+    forgets = np.ones(6)
+    forgets[list(axes)] -= decay
+
+    def away(displacement: Array) -> Array:
+        """Zero at rest: what a system learns is what it forgets; without learning, the wrench alone."""
+        balance = tick.balance(displacement)
+        return forgets * balance[:6] - balance[6:]
+
+    size = np.inf
+    for _ in range(_ROUNDS):
+        slope = _differences(6, _POSE_STEP, away)
+        scale = np.maximum(np.abs(slope).max(axis=1), 1e-300)
+        step = -np.linalg.lstsq(slope / scale[:, None], away(np.zeros(6)) / scale, rcond=1e-12)[0]
+        if not np.isfinite(step).all():
+            break
+        size = float(np.max(np.abs(step)))
+        tick.at(moved(tick.rest, step * min(1.0, 0.1 / max(size, 1e-300))))
+        if size < 1e-9:
+            break
+    if not size < 1e-9:
+        raise NoRestError("no pose near the goal was found at which the law rests")
+    features, depth = _core.take_image(tick.camera, *tick.rest, tick.points)
+    residual = float(np.max(np.abs(tick.desired - features)))
+    return Rest(tick.rest, features, depth, tick.points, residual)
+
+
+def linear_law(scenario: Scenario, *, smooth: bool = False) -> tuple[LinearLaw, Rest]:
+    """Linearise the servo tick of a scenario where its loop rests.
+
+    Parameters
+    ----------
+    scenario
+        In sampled mode; its camera's period and latency do not enter.
+    smooth
+        K_v acts with the slope ``k_v / controller.switching.width`` that ``tanh`` and ``saturation`` have at rest;
+        otherwise K_v = 0.
+
+    Raises
+    ------
+    NoRestError
+        Where the loop rests nowhere near its goal.
+    """
+    rest = _found_rest(_Tick(scenario, smooth=False))
+    tick = _Tick(scenario, smooth=smooth)
+    tick.at(rest.pose)
+    width = scenario.controller.switching.width
+    return _law_at(tick, min(_TWIST_STEP, 1e-3 * width) if smooth else _TWIST_STEP), rest
+
+
+def linear_plant(scenario: Scenario, pose: Pose) -> LinearPlant:
+    """Linearise the actual plant about a pose at which the legs hold it, with its weight known (delta_G = 0)."""
+    settings = core_parameters(scenario)
+    hexapod = _core.Hexapod(settings.robot)
+    body = _core_body(scenario)
+    error = settings.uncertainty.dynamics
+    error.gravity = np.zeros(6)
+    resting = hexapod.leg_forces(*pose, body.gravity_wrench)
+    still = np.zeros(6)
+    to_legs = np.linalg.inv(hexapod.wrench_map(*pose))
+    tick, substeps = scenario.simulation.step, scenario.simulation.substeps
+
+    def pushed(start: Pose, twist: Array, forces: Array, step: float, steps: int) -> tuple[Pose, Array]:
+        position, quaternion, rates = _core.drive_legs(
+            hexapod, body, error, *start, twist, forces, step, steps
+        )
+        return (position.reshape(-1, 3)[-1], quaternion.reshape(-1, 4)[-1]), rates.reshape(-1, 6)[-1]
+
+    def columns(at: Any, size: float, step: float, steps: int) -> Array:
+        both = [(pushed(*at(size * e), step, steps), pushed(*at(-size * e), step, steps)) for e in np.eye(6)]
+        found = [np.concatenate([_between(up[0], down[0]), up[1] - down[1]]) for up, down in both]
+        return np.column_stack(found) / (2.0 * size)
+
+    held = [
+        columns(lambda d: (moved(pose, d), still, resting), _POSE_STEP, tick / substeps, substeps),
+        columns(lambda d: (pose, d, resting), _TWIST_STEP, tick / substeps, substeps),
+    ]
+    force = columns(lambda w: (pose, still, resting + to_legs @ w), 1e-3, tick / substeps, substeps)
+    instant = 1e-6  # [s]: so short that nothing has moved yet
+    acceleration = columns(lambda w: (pose, still, resting + to_legs @ w), 1e-3, instant, 1)[6:] / instant
+    stiffness = np.column_stack(
+        [
+            (hexapod.wrench_map(*moved(pose, _POSE_STEP * e)) - hexapod.wrench_map(*moved(pose, -_POSE_STEP * e)))
+            @ resting
+            / (2.0 * _POSE_STEP)
+            for e in np.eye(6)
+        ]
+    )
+    return LinearPlant(acceleration, stiffness, np.hstack(held), force)
