@@ -6,8 +6,8 @@ No equation of camera, law or plant stands here: images, Jacobians, ticks and mo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -36,7 +36,12 @@ def moved(pose: Pose, displacement: Array) -> Pose:
     """Move a pose by a displacement (6,) in B [m; rad], as docs/model.md section 2 does; exact to second order."""
     w, x, y, z = pose[1].tolist()
     a, b, c = (0.5 * displacement[3:]).tolist()  # plain numbers: six times as fast as arrays of three
-    turned = (w - a * x - b * y - c * z, x + w * a + b * z - c * y, y + w * b + c * x - a * z, z + w * c + a * y - b * x)
+    turned = (
+        w - a * x - b * y - c * z,
+        x + w * a + b * z - c * y,
+        y + w * b + c * x - a * z,
+        z + w * c + a * y - b * x,
+    )
     length = math.sqrt(sum(part * part for part in turned))
     return pose[0] + displacement[:3], np.array([part / length for part in turned])
 
@@ -194,7 +199,7 @@ def _goal_pose(tick: _Tick) -> Pose:
             if not (np.isfinite(features).all() and (depth < 0).all()):
                 break
             jacobian = _core.image_jacobian(tick.camera, features, depth, pose[1])
-            step = np.linalg.lstsq(jacobian, tick.desired - features, rcond=None)[0]
+            step = np.asarray(np.linalg.lstsq(jacobian, tick.desired - features, rcond=None)[0], dtype=float)
             size = float(np.max(np.abs(step) / np.repeat([abs(depth.mean()), 1.0], 3)))
             pose = moved(pose, step * min(1.0, 0.5 / max(size, 1e-300)))
             if size < 1e-12:
@@ -212,7 +217,7 @@ def _goal_pose(tick: _Tick) -> Pose:
 
 def _differences(count: int, step: float, at: Callable[[Array], Array]) -> Array:
     """Central differences of a function of `count` numbers, a column each."""
-    return np.column_stack([(at(step * e) - at(-step * e)) / (2.0 * step) for e in np.eye(count)])
+    return np.asarray(np.column_stack([(at(step * e) - at(-step * e)) / (2.0 * step) for e in np.eye(count)]))
 
 
 def _by_twist(tick: _Tick, step: float) -> tuple[Array, tuple[int, ...], Array]:
@@ -249,10 +254,7 @@ def rest_of(scenario: Scenario) -> Rest:
     NoRestError
         Where there is none to be found.
     """
-    return _found_rest(_Tick(scenario, smooth=False))
-
-
-def _found_rest(tick: _Tick) -> Rest:
+    tick = _Tick(scenario, smooth=False)
     tick.at(_goal_pose(tick))
     _, axes, decay = _by_twist(tick, _TWIST_STEP)
     forgets = np.ones(6)
@@ -281,13 +283,15 @@ def _found_rest(tick: _Tick) -> Rest:
     return Rest(tick.rest, features, depth, tick.points, residual)
 
 
-def linear_law(scenario: Scenario, *, smooth: bool = False) -> tuple[LinearLaw, Rest]:
+def linear_law(scenario: Scenario, rest: Rest, *, smooth: bool = False) -> LinearLaw:
     """Linearise the servo tick of a scenario where its loop rests.
 
     Parameters
     ----------
     scenario
         In sampled mode; its camera's period and latency do not enter.
+    rest
+        As `rest_of` gives it.
     smooth
         K_v acts with the slope ``k_v / controller.switching.width`` that ``tanh`` and ``saturation`` have at rest;
         otherwise K_v = 0.
@@ -295,13 +299,12 @@ def linear_law(scenario: Scenario, *, smooth: bool = False) -> tuple[LinearLaw, 
     Raises
     ------
     NoRestError
-        Where the loop rests nowhere near its goal.
+        Where the law cannot be evaluated there.
     """
-    rest = _found_rest(_Tick(scenario, smooth=False))
     tick = _Tick(scenario, smooth=smooth)
     tick.at(rest.pose)
     width = scenario.controller.switching.width
-    return _law_at(tick, min(_TWIST_STEP, 1e-3 * width) if smooth else _TWIST_STEP), rest
+    return _law_at(tick, min(_TWIST_STEP, 1e-3 * width) if smooth else _TWIST_STEP)
 
 
 def linear_plant(scenario: Scenario, pose: Pose) -> LinearPlant:
@@ -317,15 +320,13 @@ def linear_plant(scenario: Scenario, pose: Pose) -> LinearPlant:
     tick, substeps = scenario.simulation.step, scenario.simulation.substeps
 
     def pushed(start: Pose, twist: Array, forces: Array, step: float, steps: int) -> tuple[Pose, Array]:
-        position, quaternion, rates = _core.drive_legs(
-            hexapod, body, error, *start, twist, forces, step, steps
-        )
+        position, quaternion, rates = _core.drive_legs(hexapod, body, error, *start, twist, forces, step, steps)
         return (position.reshape(-1, 3)[-1], quaternion.reshape(-1, 4)[-1]), rates.reshape(-1, 6)[-1]
 
-    def columns(at: Any, size: float, step: float, steps: int) -> Array:
-        both = [(pushed(*at(size * e), step, steps), pushed(*at(-size * e), step, steps)) for e in np.eye(6)]
+    def columns(at: Callable[[Array], tuple[Pose, Array, Array]], size: float, step: float, steps: int) -> Array:
+        both = [[pushed(*at(sign * size * e), step, steps) for sign in (1.0, -1.0)] for e in np.eye(6)]
         found = [np.concatenate([_between(up[0], down[0]), up[1] - down[1]]) for up, down in both]
-        return np.column_stack(found) / (2.0 * size)
+        return np.asarray(np.column_stack(found) / (2.0 * size))
 
     held = [
         columns(lambda d: (moved(pose, d), still, resting), _POSE_STEP, tick / substeps, substeps),

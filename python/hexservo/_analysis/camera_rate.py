@@ -1,0 +1,186 @@
+"""How fast must the camera be? Borders of the linear sampled loop in period, latency and gain.
+
+docs/analysis/camera_rate.md has formulas and limits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo._analysis.camera_margins import (
+    MOST_FRAMES,
+    Margins,
+    crossing,
+    gain_border,
+    margins,
+    radius_map,
+)
+from hexservo._analysis.camera_rate_words import section
+from hexservo._analysis.linear_loop import FEW, Clock, SampledLoop
+from hexservo._analysis.loop_of_scenario import (
+    OFFSET,
+    LoopAtRest,
+    NotApplicableError,
+    clock_of,
+    growth,
+    loop_at_rest,
+    scaled,
+    seen_from_home,
+)
+from hexservo._evidence import Section
+from hexservo._scenario import Scenario
+
+__all__ = ["CameraRate", "Run", "analyse"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+NEARLY = 0.05
+"""A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
+SMALL_OFFSET = 1e-4
+"""Taken where 0.01 px is already too much for a loop to be linear [px]."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run by the core beside a border, against the linear loop."""
+
+    key: Literal["gain", "latency", "period"]
+    value: float  # factor, or [s]
+    predicted: float  # growth [1/s]
+    measured: float  # [1/s]; infinite where the run ended early
+    offset: float  # largest feature offset at its start [px]
+    apart: float  # from the border, relative to it; of latency and period at least one tick
+
+    @property
+    def agrees(self) -> bool:
+        """Whether it grows where that is predicted, and decays where that is."""
+        return (self.predicted > 0.0) == (self.measured > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraRate:
+    """What periods and latencies of the camera a scenario's loop endures."""
+
+    scenario: Scenario
+    open: str | None  # why the analysis does not apply; then everything below is None or empty
+    at_rest: LoopAtRest | None = None
+    clock: Clock | None = None
+    free: Margins | None = None  # K_v = 0
+    smooth: Margins | None = None  # with the slope k_v/width, where the law has K_v
+    periods: Array | None = None  # (m,) of the map [s]
+    latencies: Array | None = None  # (k,) [s]
+    radii: Array | None = None  # (k, m) spectral radius over one camera period, without drifts
+    runs: tuple[Run, ...] = ()
+
+    @property
+    def acting(self) -> Margins | None:
+        """Margins of the loop that small motions meet: with the slope of K_v only where the scenario has one."""
+        smoothing = self.scenario.controller.switching.kind in ("tanh", "saturation")
+        return self.smooth if smoothing and self.smooth is not None else self.free
+
+    def section(self) -> Section:
+        """Give words, margins, the map and the runs that check it."""
+        return section(self)
+
+
+# --- the check by simulation ------------------------------------------------------------------------------------------
+def _check(at_rest: LoopAtRest, found: Margins) -> tuple[Run, ...]:
+    """Run the loop just inside and just outside of its border: by gain where it has one, else by latency or period."""
+    home = seen_from_home(at_rest)
+    loop = loop_at_rest(home).free
+    clock, tick = clock_of(home), home.simulation.step
+    drifts = found.drifts
+    if loop.growing(Clock(1, 0)) != drifts:  # another attitude, another verdict: nothing to compare
+        return ()
+    border = found.gain[1] if found.gain[1] is not None else found.gain[0]
+    places: list[_Place] = []
+    if border is not None:
+        # At home the attitude is another: the border is found anew, from just below the one at the goal.
+        start = border / 1.05
+        nearby = gain_border(lambda g: replace(loop, gain=g * start).growing(clock) <= drifts, up=True)
+        if nearby is None:
+            return ()
+        beside = ((1.0 - NEARLY) * nearby * start, (1.0 + NEARLY) * nearby * start)
+        places = [_Place("gain", g, replace(loop, gain=g), clock, scaled(home, g)) for g in beside]
+    else:
+        key: Literal["latency", "period"] = "latency" if found.latency.unstable is not None else "period"
+        edge = found.latency if key == "latency" else found.period
+        if edge.unstable is None or edge.stable is None or edge.unstable > FEW * clock.period:
+            return ()
+        for ticks in (edge.stable - edge.stable // 20, edge.unstable + edge.unstable // 20):
+            at = Clock(clock.period, ticks) if key == "latency" else Clock(ticks, clock.latency)
+            places.append(_Place(key, ticks * tick, loop, at, home.updated({f"camera.{key}": ticks * tick})))
+    places.sort(key=lambda place: place.loop.growing(place.clock))
+    inside, outside = places
+    if inside.loop.growing(inside.clock) > drifts or outside.loop.growing(outside.clock) <= drifts:
+        return ()  # a second border within so little: no run of some seconds tells them apart
+    old, new = crossing((inside.loop, inside.clock), (outside.loop, outside.clock))
+    return _run(inside, old), _run(outside, new)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A loop beside a border, and its scenario with the goal at home."""
+
+    key: Literal["gain", "latency", "period"]
+    value: float
+    loop: SampledLoop
+    clock: Clock
+    scenario: Scenario
+
+
+def _run(place: _Place, exponent: complex) -> Run:
+    seconds = place.loop.seconds(place.clock)
+    predicted, turning = exponent.real, abs(exponent.imag)
+    # Long enough for many turns and for a change that shows, short enough for a mode that grows to stay small.
+    turns = 32.0 * np.pi / turning if turning > 1e-3 else 0.0
+    duration = float(np.clip(3.0 / max(abs(predicted), 1e-300), min(turns, 10.0), 10.0))
+    measured, offset = 0.0, OFFSET
+    for offset in (OFFSET, SMALL_OFFSET):
+        measured = growth(
+            place.scenario,
+            duration,
+            every=round(seconds / place.loop.tick),
+            angle=turning * seconds,
+            offset=offset,
+        )
+        if (measured > 0.0) == (predicted > 0.0):
+            break
+    return Run(place.key, place.value, predicted, measured, offset, NEARLY)
+
+
+def analyse(scenario: Scenario) -> CameraRate:
+    """Linearise the sampled loop at its goal and find the borders of its camera.
+
+    Parameters
+    ----------
+    scenario
+        With any law but `hybrid`; one in continuous mode is taken as sampled with the keys of its camera. Two short
+        runs check the border.
+
+    Returns
+    -------
+    CameraRate
+        With `open` in words where the analysis does not apply.
+    """
+    try:
+        at_rest = loop_at_rest(scenario)
+    except NotApplicableError as error:
+        return CameraRate(scenario, str(error))
+    clock = clock_of(at_rest.scenario)
+    if clock.latency > MOST_FRAMES * clock.period:
+        return CameraRate(
+            scenario, f"more than {MOST_FRAMES} frames are under way at once; take a longer camera.period"
+        )
+    radius = scenario.robot.platform_radius
+    free = margins(at_rest.free, clock, radius)
+    smooth = margins(at_rest.smooth, clock, radius) if at_rest.smooth is not None else None
+    result = CameraRate(scenario, None, at_rest, clock, free, smooth)
+    if not free.perfect:  # nothing that a camera could mend: see `_section`
+        return result
+    periods, latencies, radii = radius_map(at_rest.free, clock, free)
+    return replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free))
