@@ -9,19 +9,20 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo._analysis.linear_loop import BORDER, FEW, Clock, SampledLoop
+from hexservo._analysis.linear_loop import BORDER, Clock, SampledLoop
 
 __all__ = [
     "LARGEST_FACTOR",
     "LONGEST",
     "MOST_DRIFTS",
-    "MOST_FRAMES",
     "Border",
     "Margins",
     "crossing",
     "exponents",
     "gain_border",
     "margins",
+    "most_frames",
+    "motion_of",
     "radius_map",
 ]
 
@@ -36,8 +37,7 @@ LARGEST_FACTOR = 1e3
 MOST_DRIFTS = 2
 """Unequal depth errors turn one or two directions of the image around; more that grow are no drift but a wrong sign."""
 
-MOST_FRAMES = 60
-"""Under way at once at the loop's own clocks; more make matrices too large."""
+_MOST_FRAMES = 60  # under way at once at a loop's own clocks; more make matrices too large
 
 _MAP_POINTS = 16  # of each axis
 
@@ -130,6 +130,11 @@ def exponents(loop: SampledLoop, clock: Clock) -> Complex:
     return np.asarray((growth + 1j * np.angle(values)) / loop.seconds(clock), dtype=complex)
 
 
+def motion_of(loop: SampledLoop, clock: Clock, exponent: complex) -> Complex:
+    """Give the displacement (n,) of the mode with that exponent, of length 1."""
+    return loop.motion(clock, complex(np.exp(exponent * loop.seconds(clock))))
+
+
 def crossing(inside: tuple[SampledLoop, Clock], outside: tuple[SampledLoop, Clock]) -> tuple[complex, complex]:
     """Give the exponent of the mode that begins to grow between two neighbours: its value inside, and outside.
 
@@ -147,10 +152,12 @@ def crossing(inside: tuple[SampledLoop, Clock], outside: tuple[SampledLoop, Cloc
         raise ValueError("inside, outside: expected a mode that grows outside alone, got none")
     new = max(grows, key=lambda value: float(value.real))
     stays = before[~grew]
+    # The one nearest to it, or one that turns as fast and decays more slowly: pairs of axes are often nearly alike.
+    old = stays[int(np.argmin(np.minimum(np.abs(stays - new), np.abs(stays - np.conj(new)))))]
     alike = stays[np.abs(np.abs(stays.imag) - abs(new.imag)) <= 0.1 * abs(new.imag)]
-    if abs(new.imag) < 1e-9 or len(alike) == 0:  # it does not turn: slower ones are no relatives
-        return complex(stays[int(np.argmin(np.abs(stays - new)))]), complex(new)
-    return complex(max(alike, key=lambda value: float(value.real))), complex(new)
+    if abs(new.imag) > 1e-9 and len(alike):
+        old = max(old, alike[int(np.argmax(alike.real))], key=lambda value: float(value.real))
+    return complex(old), complex(new)
 
 
 def _sides(
@@ -162,11 +169,16 @@ def _sides(
             sides = [(replace(loop, gain=loop.gain * factor * (1.0 + part)), clock) for part in (-1e-4, 1e-4)]
             sides.sort(key=lambda side: side[0].growing(clock))
             return sides[0], sides[1]
-    if latency.stable is not None and latency.unstable is not None and latency.unstable <= FEW * clock.period:
+    if latency.stable is not None and latency.unstable is not None and latency.unstable <= loop.few * clock.period:
         return (loop, Clock(clock.period, latency.stable)), (loop, Clock(clock.period, latency.unstable))
-    if period.stable is not None and period.unstable is not None and clock.latency <= FEW * period.stable:
+    if period.stable is not None and period.unstable is not None and clock.latency <= loop.few * period.stable:
         return (loop, Clock(period.stable, clock.latency)), (loop, Clock(period.unstable, clock.latency))
     return None
+
+
+def most_frames(loop: SampledLoop) -> int:
+    """Give how many frames may be under way at once in an analysis: few where the joint sensors have a period."""
+    return _MOST_FRAMES if loop.reading == 1 else loop.few
 
 
 def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
@@ -180,6 +192,11 @@ def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
         The camera's.
     radius
         Of the platform [m], to compare moves with turns.
+
+    Raises
+    ------
+    ValueError
+        With more than `most_frames` under way at the loop's own clocks.
     """
     drifts, drift_rate, perfect = _drifts(loop)
 
@@ -189,19 +206,18 @@ def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
     def holds_at(factor: float) -> bool:
         return replace(loop, gain=loop.gain * factor).growing(clock) <= drifts
 
-    if clock.latency > MOST_FRAMES * clock.period:
-        raise ValueError(f"clock: expected at most {MOST_FRAMES} frames under way, got {clock}")
+    if clock.latency > most_frames(loop) * clock.period:
+        raise ValueError(f"clock: expected at most {most_frames(loop)} frames under way, got {clock}")
     slowest = exponents(loop, clock)[0]
     stable = holds(clock.period, clock.latency)
     most = round(LONGEST / loop.tick)
+    most_period, most_latency, least_period = max(most, 10 * clock.period), max(most, 10 * clock.latency), 1
+    if loop.reading > 1:  # where growing modes cannot be counted
+        most_latency, least_period = min(most_latency, loop.few * clock.period), max(1, -(-clock.latency // loop.few))
     none: tuple[float | None, float | None] = (None, None)
     if perfect:
-        period = _first_border(
-            lambda value: holds(value, clock.latency), clock.period, 1, max(most, 10 * clock.period), 0
-        )
-        latency = _first_border(
-            lambda value: holds(clock.period, value), clock.latency, 0, max(most, 10 * clock.latency), clock.period
-        )
+        period = _first_border(lambda value: holds(value, clock.latency), clock.period, least_period, most_period, 0)
+        latency = _first_border(lambda value: holds(clock.period, value), clock.latency, 0, most_latency, clock.period)
         gain = (gain_border(holds_at, up=False), gain_border(holds_at, up=True))
     else:
         period, latency, gain = Border(None, clock.period, 1), Border(None, clock.latency, 0), none
@@ -211,8 +227,7 @@ def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
     if sides is not None:
         _, new = crossing(*sides)
         frequency = abs(new.imag) / (2.0 * np.pi)
-        sizes = sides[1][0].motion(sides[1][1], complex(np.exp(new * sides[1][0].seconds(sides[1][1]))))
-        sizes = sizes * np.repeat([1.0, radius], 3)
+        sizes = np.abs(motion_of(*sides[1], new)) * np.repeat([1.0, radius], 3)
         motion = sizes / max(float(sizes.max()), 1e-300)
     return Margins(
         stable=stable and perfect,
@@ -234,7 +249,7 @@ def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
 def radius_map(loop: SampledLoop, clock: Clock, found: Margins) -> tuple[Array, Array, Array]:
     """Give the spectral radius over periods (m,) and latencies (k,) [s] that show the borders, (k, m).
 
-    NaN where more than `FEW` frames are under way.
+    NaN where more than `SampledLoop.few` frames are under way.
     """
 
     def up_to(border: Border, own: int) -> int:
@@ -244,12 +259,13 @@ def radius_map(loop: SampledLoop, clock: Clock, found: Margins) -> tuple[Array, 
         return max(round(1.5 * max(edge, own)), 8)
 
     most_period, most_latency = up_to(found.period, clock.period), up_to(found.latency, clock.latency)
-    periods = np.unique(np.linspace(most_period / _MAP_POINTS, most_period, _MAP_POINTS).round().astype(int))
+    periods = np.linspace(most_period / _MAP_POINTS, most_period, _MAP_POINTS).round().astype(int)
+    periods = np.unique(np.maximum(periods, 1))
     latencies = np.unique(np.linspace(0, most_latency, _MAP_POINTS).round().astype(int))
     radii = np.full((len(latencies), len(periods)), np.nan)
     for row, latency in enumerate(latencies):
         for column, period in enumerate(periods):
-            if latency <= FEW * period:
+            if latency <= loop.few * period:
                 value = exponents(loop, Clock(int(period), int(latency)))[found.drifts]
                 radii[row, column] = np.exp(value.real * period * loop.tick)
     return periods * loop.tick, latencies * loop.tick, radii

@@ -12,15 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo._analysis.camera_margins import (
-    MOST_FRAMES,
     Margins,
     crossing,
     gain_border,
     margins,
+    most_frames,
+    motion_of,
     radius_map,
 )
 from hexservo._analysis.camera_rate_words import section
-from hexservo._analysis.linear_loop import FEW, Clock, SampledLoop
+from hexservo._analysis.linear_loop import Clock, SampledLoop
 from hexservo._analysis.loop_of_scenario import (
     OFFSET,
     LoopAtRest,
@@ -40,7 +41,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
-SMALL_OFFSET = 1e-4
+SMALL_OFFSET = 1e-6
 """Taken where 0.01 px is already too much for a loop to be linear [px]."""
 
 
@@ -97,7 +98,6 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[Run, ...]:
     if loop.growing(Clock(1, 0)) != drifts:  # another attitude, another verdict: nothing to compare
         return ()
     border = found.gain[1] if found.gain[1] is not None else found.gain[0]
-    places: list[_Place] = []
     if border is not None:
         # At home the attitude is another: the border is found anew, from just below the one at the goal.
         start = border / 1.05
@@ -106,20 +106,22 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[Run, ...]:
             return ()
         beside = ((1.0 - NEARLY) * nearby * start, (1.0 + NEARLY) * nearby * start)
         places = [_Place("gain", g, replace(loop, gain=g), clock, scaled(home, g)) for g in beside]
+        places.sort(key=lambda place: place.loop.growing(clock))
     else:
         key: Literal["latency", "period"] = "latency" if found.latency.unstable is not None else "period"
         edge = found.latency if key == "latency" else found.period
-        if edge.unstable is None or edge.stable is None or edge.unstable > FEW * clock.period:
+        if edge.unstable is None or edge.stable is None or edge.unstable > loop.few * clock.period:
             return ()
+        places = []
         for ticks in (edge.stable - edge.stable // 20, edge.unstable + edge.unstable // 20):
             at = Clock(clock.period, ticks) if key == "latency" else Clock(ticks, clock.latency)
             places.append(_Place(key, ticks * tick, loop, at, home.updated({f"camera.{key}": ticks * tick})))
-    places.sort(key=lambda place: place.loop.growing(place.clock))
     inside, outside = places
     if inside.loop.growing(inside.clock) > drifts or outside.loop.growing(outside.clock) <= drifts:
         return ()  # a second border within so little: no run of some seconds tells them apart
-    old, new = crossing((inside.loop, inside.clock), (outside.loop, outside.clock))
-    return _run(inside, old), _run(outside, new)
+    modes = crossing((inside.loop, inside.clock), (outside.loop, outside.clock))
+    runs = [_run(place, mode, drifts) for place, mode in zip(places, modes, strict=True)]
+    return tuple(run for run in runs if run is not None) if None not in runs else ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,23 +135,37 @@ class _Place:
     scenario: Scenario
 
 
-def _run(place: _Place, exponent: complex) -> Run:
+def _run(place: _Place, exponent: complex, drifts: int) -> Run | None:
+    """Measure the growth of a mode; None where no run shows it."""
     seconds = place.loop.seconds(place.clock)
     predicted, turning = exponent.real, abs(exponent.imag)
     # Long enough for many turns and for a change that shows, short enough for a mode that grows to stay small.
     turns = 32.0 * np.pi / turning if turning > 1e-3 else 0.0
-    duration = float(np.clip(3.0 / max(abs(predicted), 1e-300), min(turns, 10.0), 10.0))
+    longest = float(np.clip(3.0 / max(abs(predicted), 1e-300), min(turns, 10.0), 10.0))
+    multipliers = place.loop.multipliers(place.clock)
+    real = np.sort(multipliers.real[(np.abs(multipliers.imag) < 1e-9) & (multipliers.real > 1.0)])[:drifts]
+    drift = float(np.log(real.max(initial=1.0)) / seconds)
+    way = motion_of(place.loop, place.clock, exponent)
+    way = way * np.exp(-1j * np.angle(way[int(np.argmax(np.abs(way)))]))  # its largest part is real
+    if drift * 64.0 * seconds > np.log(0.1 / SMALL_OFFSET):
+        return None  # `growth` takes 64 samples, and by then the drift would be all that is seen
     measured, offset = 0.0, OFFSET
     for offset in (OFFSET, SMALL_OFFSET):
+        # A drift must not have left the linear range by then, a tenth of a pixel.
+        duration = longest if drift * longest < np.log(0.1 / offset) else float(np.log(0.1 / offset)) / drift
         measured = growth(
             place.scenario,
             duration,
             every=round(seconds / place.loop.tick),
             angle=turning * seconds,
+            way=way.real,
+            without=real.tolist(),
             offset=offset,
         )
         if (measured > 0.0) == (predicted > 0.0):
             break
+    if np.isnan(measured):
+        return None
     return Run(place.key, place.value, predicted, measured, offset, NEARLY)
 
 
@@ -172,10 +188,9 @@ def analyse(scenario: Scenario) -> CameraRate:
     except NotApplicableError as error:
         return CameraRate(scenario, str(error))
     clock = clock_of(at_rest.scenario)
-    if clock.latency > MOST_FRAMES * clock.period:
-        return CameraRate(
-            scenario, f"more than {MOST_FRAMES} frames are under way at once; take a longer camera.period"
-        )
+    most = most_frames(at_rest.free)
+    if clock.latency > most * clock.period:
+        return CameraRate(scenario, f"more than {most} frames are under way at once; take a longer camera.period")
     radius = scenario.robot.platform_radius
     free = margins(at_rest.free, clock, radius)
     smooth = margins(at_rest.smooth, clock, radius) if at_rest.smooth is not None else None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hexservo._analysis.camera_margins import LARGEST_FACTOR, Border, Margins
-from hexservo._analysis.linear_loop import FEW, Clock
+from hexservo._analysis.linear_loop import Clock
 from hexservo._analysis.loop_of_scenario import LoopAtRest
 from hexservo._evidence import Cell, Column, HeatMap, Line, Section, Table
 
@@ -272,7 +272,7 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
                 lines=(here,),
                 note="K_v = 0. Beyond the contour at 1 the loop is unstable"
                 + (", drifts aside." if free.drifts else ".")
-                + f" Empty where more than {FEW} frames are under way at once.",
+                + f" Empty where more than {at_rest.free.few} frames are under way at once.",
                 page=PAGE,
             )
         )

@@ -8,12 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import lcm
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BORDER", "FEW", "Actuation", "Clock", "SampledLoop"]
+__all__ = ["BORDER", "Actuation", "Clock", "SampledLoop"]
 
 Array: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
@@ -21,8 +21,7 @@ Complex: TypeAlias = NDArray[np.complex128]
 BORDER = 1.0 + 1e-8
 """A spectral radius beyond it counts as unstable: closer to 1 rounding and finite differences decide."""
 
-FEW = 10
-"""Frames under way up to which growing modes are found from the eigenvalues; from there on they are counted."""
+_LARGEST = 95  # numbers of a pattern's state up to which its eigenvalues are cheap (BLAS stays on one thread)
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class SampledLoop:
     differences: bool = False  # the sensors' rate is the difference of two readings over their time
     actuation: Actuation = field(default_factory=Actuation)
     gain: float = 1.0  # factor on everything that answers to a displacement
-    _powers: dict[tuple[bool, int], Array] = field(default_factory=dict, init=False, repr=False)
+    _powers: dict[tuple[str, int], Array] = field(default_factory=dict, init=False, repr=False)
 
     # --- the state of a tick: x, v | s | sensors' x, v | commands under way, lag | frame in use -------------------
     @property
@@ -103,6 +102,14 @@ class SampledLoop:
     def size(self) -> int:
         """Numbers of the state at a tick, without the frames under way."""
         return int(self._parts["f"].stop)
+
+    @property
+    def few(self) -> int:
+        """Frames under way up to which growing modes are found from the eigenvalues; beyond it they are counted.
+
+        They cannot be counted where the joint sensors have a period of their own.
+        """
+        return max(1, (_LARGEST - self.size) // self.frame.shape[1])
 
     def _read(self) -> Array:
         """Give what a reading of the joint sensors does to the state."""
@@ -158,31 +165,32 @@ class SampledLoop:
         return change
 
     # --- from tick to tick: always after the reading of a tick, before the law's turn -----------------------------
-    def _power(self, ticks: int, reads: bool) -> Array:
-        """Give the state some ticks later, with or without a reading at each of them."""
+    def _power(self, of: Literal["pauses", "reads", "readings"], count: int) -> Array:
+        """Give the state after some ticks without a reading, with one at each, or after some whole readings."""
         known = self._powers
-        if (reads, ticks) not in known:
-            if ticks == 0:
-                known[reads, ticks] = np.eye(self.size)
-            elif ticks == 1:
-                known[reads, ticks] = self._read() @ self._act() if reads else self._act()
-            else:  # by halves, whose own halves are soon known
-                known[reads, ticks] = self._power(ticks // 2, reads) @ self._power(ticks - ticks // 2, reads)
-        return known[reads, ticks]
+        if (of, count) not in known:
+            if count == 0:
+                known[of, count] = np.eye(self.size)
+            elif count > 1:  # by halves, whose own halves are soon known
+                known[of, count] = self._power(of, count // 2) @ self._power(of, count - count // 2)
+            elif of == "pauses":
+                known[of, count] = self._act()
+            else:
+                known[of, count] = self._read() @ self._power("pauses", 1 if of == "reads" else self.reading)
+        return known[of, count]
 
     def _passage(self, start: int, stop: int) -> Array:
         """Give the state from one tick to another."""
         if self.reading == 1:
-            return self._power(stop - start, True)
-        change = np.eye(self.size)
-        now = start
-        while now < stop:
-            read = (now // self.reading + 1) * self.reading
-            change = self._power(min(read, stop) - now, False) @ change
-            now = min(read, stop)
-            if now == read:
-                change = self._read() @ change
-        return change
+            return self._power("reads", stop - start)
+        first = -(-start // self.reading) * self.reading  # the next reading, or one that is just over
+        if stop < first:
+            return self._power("pauses", stop - start)
+        change = self._power("pauses", first - start)
+        if first > start:
+            change = self._read() @ change
+        readings, rest = divmod(stop - first, self.reading)
+        return self._power("pauses", rest) @ self._power("readings", readings) @ change
 
     def _exposed(self) -> Array:
         """Give what a frame exposed now knows, (f, state)."""
@@ -282,16 +290,17 @@ class SampledLoop:
         """Spectral radius of the pattern without the modes of `resting`."""
         return float(np.abs(self.multipliers(clock)[0]))
 
-    def motion(self, clock: Clock, multiplier: complex) -> Array:
-        """Displacements (n,) of a mode, as sizes: where x goes at the exposures while that mode lives."""
+    def motion(self, clock: Clock, multiplier: complex) -> Complex:
+        """Give the displacement (n,) at the pattern's start of the mode whose multiplier is nearest, of length 1."""
         whole, basis = self._reduced(clock)
         values, vectors = np.linalg.eig(whole)
         mode = basis @ vectors[:, int(np.argmin(np.abs(values - multiplier)))]
-        return np.asarray(np.abs(mode[self._parts["x"]]))
+        shape = mode[self._parts["x"]].astype(complex)
+        return np.asarray(shape / max(float(np.linalg.norm(shape)), 1e-300))
 
     def growing(self, clock: Clock) -> int:
         """Count the modes that grow: multipliers beyond `BORDER`."""
-        if self.reading == 1 and clock.latency // clock.period > FEW:
+        if self.reading == 1 and clock.latency // clock.period > self.few:
             return self._counted(clock)
         return int(np.sum(np.abs(self.multipliers(clock)) > BORDER))
 
