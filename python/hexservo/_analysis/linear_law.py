@@ -185,7 +185,7 @@ def _points(scenario: Scenario, settings: Settings) -> Array:
     scale, _ = _core.take_image(settings.camera, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), probe)
     seen = np.asarray(scenario.target.initial_features, dtype=float)
     side = (seen / scale).reshape(4, 2)
-    return np.asarray(scenario.robot.home_position, dtype=float) + np.column_stack([side, depth])
+    return np.asarray(np.asarray(scenario.robot.home_position, dtype=float) + np.column_stack([side, depth]))
 
 
 def _goal_pose(tick: _Tick) -> Pose:

@@ -109,7 +109,7 @@ class SampledLoop:
 
         They cannot be counted where the joint sensors have a period of their own.
         """
-        return max(1, (_LARGEST - self.size) // self.frame.shape[1])
+        return max(1, (_LARGEST - self.size) // int(self.frame.shape[1]))
 
     def _read(self) -> Array:
         """Give what a reading of the joint sensors does to the state."""
@@ -323,26 +323,33 @@ class SampledLoop:
         seen = np.flatnonzero(added.any(axis=0))
         added = added[:, seen]
 
-        def phase(angle: Array) -> Array:
+        def determinant(angle: Array) -> tuple[Array, Array]:
             z = BORDER * np.exp(1j * angle)
             matrices = np.empty((len(z), size, size), dtype=complex)
             matrices[:] = -known
             matrices[:, range(size), range(size)] += z[:, None]
             matrices[:, :, seen] -= (z ** float(-under_way))[:, None, None] * added
-            return np.asarray(np.angle(np.linalg.slogdet(matrices)[0]))
+            sign, logarithm = np.linalg.slogdet(matrices)
+            return np.asarray(np.angle(sign)), np.asarray(logarithm)
 
         # Fine about z = 1, where slow modes are, and fine enough elsewhere for the turns of z^-q.
-        fine = np.geomspace(1e-10, np.pi, 250)
-        even = np.linspace(0.0, np.pi, 64 + 3 * under_way)
+        fine = np.geomspace(1e-10, np.pi, 160)
+        even = np.linspace(0.0, np.pi, 128 + 3 * under_way)
         angle = np.unique(np.concatenate([fine, even]))
-        values = phase(angle)
-        for _ in range(30):
-            turn = np.angle(np.exp(1j * np.diff(values)))
-            wide = np.flatnonzero(np.abs(turn) > 0.7)
-            if len(wide) == 0:
+        phase, size_of = determinant(angle)
+        for _ in range(40):
+            steep = np.abs(np.diff(size_of)) > 1.0
+            steep |= np.abs(np.angle(np.exp(1j * np.diff(phase)))) > 0.7
+            # Several zeros near each other may turn the phase by a whole turn in one step: neighbours tell.
+            near = steep.copy()
+            near[1:] |= steep[:-1]
+            near[:-1] |= steep[1:]
+            wide = np.flatnonzero(near)
+            if not steep.any():
                 break
             between = 0.5 * (angle[wide] + angle[wide + 1])
+            more = determinant(between)
             angle = np.insert(angle, wide + 1, between)
-            values = np.insert(values, wide + 1, phase(between))
-        turns = float(np.sum(np.angle(np.exp(1j * np.diff(values)))) / np.pi)  # of the whole circle
+            phase, size_of = np.insert(phase, wide + 1, more[0]), np.insert(size_of, wide + 1, more[1])
+        turns = float(np.sum(np.angle(np.exp(1j * np.diff(phase)))) / np.pi)  # of the whole circle
         return size - round(turns)

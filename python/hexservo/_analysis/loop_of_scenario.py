@@ -212,10 +212,11 @@ def growth(
     way: Array | None = None,
     without: Sequence[float] = (),
     offset: float = OFFSET,
+    with_kv: bool = False,
 ) -> float:
     """Run a scenario whose goal is home from beside it, and measure how fast a mode of its twist grows [1/s].
 
-    K_v is zero. The twist at every so many ticks, angular parts times the platform's radius, is multiplied by the
+    The twist at every so many ticks, angular parts times the platform's radius, is multiplied by the
     turning of the mode, so that others average out (slow ones already in second differences, where the mode turns);
     the rate is that from the third quarter of the run to the last one, each under a Hann window. Infinite where the
     run ends early, NaN where it does without having gone anywhere.
@@ -236,6 +237,8 @@ def growth(
         Multipliers of real modes to be filtered out.
     offset
         Largest distance of a feature from its goal at the start [px].
+    with_kv
+        Whether K_v stays as it is; otherwise it is zero.
     """
     seen = np.asarray(scenario.target.initial_features, dtype=float)
     depth = -np.broadcast_to(np.asarray(scenario.target.depth, dtype=float), (4,))
@@ -251,7 +254,7 @@ def growth(
         "simulation.duration": 4 * quarter * every * tick,
         "simulation.log_every": 1,
     }
-    if scenario.controller.law == "composite":
+    if scenario.controller.law == "composite" and not with_kv:
         changes["controller.composite.kv"] = 0.0
     result = simulate(scenario.updated(changes))
     if result.outcome != "completed":
