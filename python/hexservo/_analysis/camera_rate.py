@@ -6,12 +6,11 @@ docs/analysis/camera_rate.md has formulas and limits.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hexservo._analysis.camera_margins import (
+from hexservo._analysis._camera_margins import (
     Margins,
     crossing,
     gain_border,
@@ -20,9 +19,9 @@ from hexservo._analysis.camera_margins import (
     motion_of,
     radius_map,
 )
-from hexservo._analysis.camera_rate_words import section
-from hexservo._analysis.linear_loop import Clock, SampledLoop
-from hexservo._analysis.loop_of_scenario import (
+from hexservo._analysis._camera_words import section
+from hexservo._analysis._linear_loop import Clock, SampledLoop
+from hexservo._analysis._loop_of_scenario import (
     OFFSET,
     LoopAtRest,
     NotApplicableError,
@@ -32,12 +31,12 @@ from hexservo._analysis.loop_of_scenario import (
     scaled,
     seen_from_home,
 )
+from hexservo._analysis._scene import Array
 from hexservo._evidence import Section
 from hexservo._scenario import Scenario
 
 __all__ = ["CameraRate", "Run", "analyse"]
 
-Array: TypeAlias = NDArray[np.float64]
 
 NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""

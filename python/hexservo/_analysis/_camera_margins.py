@@ -9,7 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo._analysis.linear_loop import BORDER, Clock, SampledLoop
+from hexservo._analysis._linear_loop import BORDER, Clock, SampledLoop
+from hexservo._analysis._scene import Array
 
 __all__ = [
     "LARGEST_FACTOR",
@@ -26,7 +27,6 @@ __all__ = [
     "radius_map",
 ]
 
-Array: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
 
 LONGEST = 0.5

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hexservo import _core
-from hexservo._analysis.linear_law import LinearLaw, LinearPlant, NoRestError, Rest, linear_law, linear_plant, rest_of
-from hexservo._analysis.linear_loop import Actuation, Clock, SampledLoop
-from hexservo._parameters import core_parameters
+from hexservo._analysis._linear_law import LinearLaw, LinearPlant, NoRestError, Rest, linear_law, linear_plant, rest_of
+from hexservo._analysis._linear_loop import Actuation, Clock, SampledLoop
+from hexservo._analysis._scene import Array, scene_of
 from hexservo._scenario import Scenario, ScenarioError
 from hexservo._simulation import simulate
 
@@ -26,8 +24,6 @@ __all__ = [
     "scaled",
     "seen_from_home",
 ]
-
-Array: TypeAlias = NDArray[np.float64]
 
 OFFSET = 0.01
 """Largest feature offset from which a check by simulation starts [px]."""
@@ -114,10 +110,12 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         kv = np.broadcast_to(np.asarray(scenario.controller.composite.kv, dtype=float), (6,))
         slope = kv / scenario.controller.switching.width
     try:
-        rest = rest_of(calm)
-        plant = linear_plant(calm, rest.pose)
-        free = _loop(calm, linear_law(calm, rest), plant)
-        smooth = _loop(calm, linear_law(calm, rest, smooth=True), plant) if slope.any() else None
+        scene = scene_of(scenario)
+        rest = rest_of(calm, scene)
+        pose = rest.view.pose
+        plant = linear_plant(calm, pose)
+        free = _loop(calm, linear_law(calm, scene, pose), plant)
+        smooth = _loop(calm, linear_law(calm, scene, pose, smooth=True), plant) if slope.any() else None
     except NoRestError as error:
         raise NotApplicableError(str(error)) from error
     return LoopAtRest(calm, scenario.simulation.mode == "continuous", rest, free, smooth, slope)
@@ -196,9 +194,9 @@ def seen_from_home(at_rest: LoopAtRest) -> Scenario:
     return at_rest.scenario.updated(
         {
             "target.points": None,
-            "target.initial_features": at_rest.rest.features.tolist(),
-            "target.depth": np.abs(at_rest.rest.depth).tolist(),
-            "target.desired_features": at_rest.rest.features.tolist(),
+            "target.initial_features": at_rest.rest.view.features.tolist(),
+            "target.depth": np.abs(at_rest.rest.view.depth).tolist(),
+            "target.desired_features": at_rest.rest.view.features.tolist(),
         }
     )
 
@@ -242,8 +240,8 @@ def growth(
     """
     seen = np.asarray(scenario.target.initial_features, dtype=float)
     depth = -np.broadcast_to(np.asarray(scenario.target.depth, dtype=float), (4,))
-    camera = core_parameters(scenario).camera
-    jacobian = _core.image_jacobian(camera, seen, depth, np.array([1.0, 0.0, 0.0, 0.0]))
+    scene = scene_of(scenario)
+    jacobian = scene.jacobian(seen, depth, scene.home.quaternion)
     if way is None:  # metres as far as the target is, times radians
         way = np.array([1.0, -0.8, 0.6, 0.9, 0.7, -1.0]) * np.repeat([abs(float(depth.mean())), 1.0], 3)
     shift = jacobian @ way

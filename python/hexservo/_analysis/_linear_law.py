@@ -5,23 +5,20 @@ No equation of camera, law or plant stands here: images, Jacobians, ticks and mo
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo._parameters import Settings, core_parameters
+from hexservo._analysis._goal import find_goals
+from hexservo._analysis._scene import Array, Pose, Scene, View, moved
+from hexservo._parameters import core_parameters
 from hexservo._scenario import Scenario
 
-__all__ = ["LinearLaw", "LinearPlant", "NoRestError", "Rest", "linear_law", "linear_plant", "moved", "rest_of"]
+__all__ = ["LinearLaw", "LinearPlant", "NoRestError", "Rest", "linear_law", "linear_plant", "rest_of"]
 
-Array: TypeAlias = NDArray[np.float64]
-Pose: TypeAlias = tuple[Array, Array]
-"""Position (3,) in B [m] and quaternion (4,) w x y z."""
 
 _POSE_STEP = 1e-6  # of the finite differences [m; rad]: far below a membership's width, far above rounding
 _TWIST_STEP = 1e-6  # [m/s; rad/s], and at most a thousandth of the switching width
@@ -32,35 +29,18 @@ class NoRestError(ValueError):
     """No pose was found at which the loop rests at its goal."""
 
 
-def moved(pose: Pose, displacement: Array) -> Pose:
-    """Move a pose by a displacement (6,) in B [m; rad], as docs/model.md section 2 does; exact to second order."""
-    w, x, y, z = pose[1].tolist()
-    a, b, c = (0.5 * displacement[3:]).tolist()  # plain numbers: six times as fast as arrays of three
-    turned = (
-        w - a * x - b * y - c * z,
-        x + w * a + b * z - c * y,
-        y + w * b + c * x - a * z,
-        z + w * c + a * y - b * x,
-    )
-    length = math.sqrt(sum(part * part for part in turned))
-    return pose[0] + displacement[:3], np.array([part / length for part in turned])
-
-
 def _between(pose: Pose, start: Pose) -> Array:
     """Small displacement (6,) in B [m; rad] that takes one pose to the other; the rotation to second order."""
-    q, r = pose[1], start[1]
+    q, r = pose.quaternion, start.quaternion
     turn = 2.0 * (r[0] * q[1:] - q[0] * r[1:] - np.cross(q[1:], r[1:]))
-    return np.concatenate([pose[0] - start[0], np.sign(q @ r) * turn])
+    return np.concatenate([pose.position - start.position, np.sign(q @ r) * turn])
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
     """Where a scenario's loop comes to rest, with the weight known, K_v = 0, and a camera that is always new."""
 
-    pose: Pose
-    features: Array  # (8,) true features there [px]
-    depth: Array  # (4,) true depths Z there, negative [m]
-    points: Array  # (4, 3) the target in B [m]
+    view: View
     residual: float  # largest |xi_d - xi| there [px]: 0 where the goal can be reached and the law asks for nothing else
 
 
@@ -99,18 +79,16 @@ class LinearPlant:
 class _Tick:
     """Camera, prediction and servo tick of a scenario at poses near rest."""
 
-    def __init__(self, scenario: Scenario, *, smooth: bool) -> None:
+    def __init__(self, scenario: Scenario, scene: Scene, *, smooth: bool) -> None:
         settings = core_parameters(scenario)
         self.scenario = scenario
-        self.points = _points(scenario, settings)
-        self.home: Pose = (np.asarray(scenario.robot.home_position, dtype=float), np.array([1.0, 0.0, 0.0, 0.0]))
-        self.depth_scale = 1.0 + np.broadcast_to(np.asarray(scenario.uncertainty.depth, dtype=float), (4,))
+        self.points = scene.points
+        self.camera = scene.camera
+        self.depth_scale = 1.0 + settings.uncertainty.depth
         self.predicts = scenario.camera.prediction == "encoder"
-        self.desired = np.asarray(scenario.target.desired_features, dtype=float)
-        self.camera = settings.camera
         self.weight = _core_body(scenario).gravity_wrench
         # The tick knows no `uncertainty`: laws that believe in points get those that the loop would give them.
-        settings.target.points = self._believed(self.home)
+        settings.target.points = self._believed(scene.home)
         if scenario.controller.law in ("hybrid", "composite"):
             if smooth:
                 settings.switching.kind = _core.SwitchingKind.tanh
@@ -124,7 +102,7 @@ class _Tick:
 
         Along the ray of each point the distance is scaled as its depth is, (9) and (10).
         """
-        return pose[0] + self.depth_scale[:, None] * (self.points - pose[0])
+        return pose.position + self.depth_scale[:, None] * (self.points - pose.position)
 
     def image(self, frame: Array, pose: Pose) -> tuple[Array, Array]:
         """Features and depths that the law sees at a pose, from a frame of another pose.
@@ -133,15 +111,16 @@ class _Tick:
         """
         exposure = moved(self.rest, frame[:6])
         if not self.predicts:
-            features, depth = _core.take_image(self.camera, *exposure, self.points)
+            features, depth = _core.take_image(self.camera, exposure.position, exposure.quaternion, self.points)
             return features, depth * self.depth_scale
         # What counts is the move from the exposure on as the sensors tell it: their error there acts the other way.
-        return _core.take_image(self.camera, *moved(pose, -frame[6:]), self._believed(exposure))
+        seen_from = moved(pose, -frame[6:])
+        return _core.take_image(self.camera, seen_from.position, seen_from.quaternion, self._believed(exposure))
 
     def step(self, frame: Array, pose: Pose, twist: Array) -> tuple[Array, Array]:
         """Wrench and fuzzy output of a tick."""
         features, depth = self.image(frame, pose)
-        wrench, _, fuzzy, status = self.core.step(features, depth, *pose, twist)
+        wrench, _, fuzzy, status = self.core.step(features, depth, pose.position, pose.quaternion, twist)
         if status != _core.InputStatus.valid:
             raise NoRestError(f"the law cannot be evaluated near its goal ({status.name})")
         return wrench, fuzzy
@@ -164,7 +143,7 @@ class _Tick:
     def at(self, pose: Pose) -> None:
         """Take a pose for that of rest."""
         self.rest = pose
-        self.resting = (*self.image(np.zeros(12), pose), *pose, np.zeros(6))
+        self.resting = (*self.image(np.zeros(12), pose), pose.position, pose.quaternion, np.zeros(6))
 
 
 def _core_body(scenario: Scenario) -> _core.RigidBody:
@@ -174,45 +153,6 @@ def _core_body(scenario: Scenario) -> _core.RigidBody:
     body.mass = scenario.robot.mass
     body.inertia = np.diag(inertia) if inertia.ndim == 1 else inertia
     return body
-
-
-def _points(scenario: Scenario, settings: Settings) -> Array:
-    """Give the target's points in B (4, 3) [m]; at a known depth an image is proportional to where the point is."""
-    if scenario.target.points is not None:
-        return np.asarray(scenario.target.points, dtype=float)
-    depth = -np.broadcast_to(np.asarray(scenario.target.depth, dtype=float), (4,))
-    probe = np.column_stack([np.ones(4), np.ones(4), depth])  # a metre to the side, as seen from the origin
-    scale, _ = _core.take_image(settings.camera, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), probe)
-    seen = np.asarray(scenario.target.initial_features, dtype=float)
-    side = (seen / scale).reshape(4, 2)
-    return np.asarray(np.asarray(scenario.robot.home_position, dtype=float) + np.column_stack([side, depth]))
-
-
-def _goal_pose(tick: _Tick) -> Pose:
-    """Find the pose that shows the desired features, in the least squares, from home turned about the optical axis."""
-    best: tuple[float, Pose] | None = None
-    for turn in np.arange(8) * np.pi / 4:
-        pose: Pose = (tick.home[0], np.array([np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)]))
-        size = np.inf
-        for _ in range(_ROUNDS):
-            features, depth = _core.take_image(tick.camera, *pose, tick.points)
-            if not (np.isfinite(features).all() and (depth < 0).all()):
-                break
-            jacobian = _core.image_jacobian(tick.camera, features, depth, pose[1])
-            step = np.asarray(np.linalg.lstsq(jacobian, tick.desired - features, rcond=None)[0], dtype=float)
-            size = float(np.max(np.abs(step) / np.repeat([abs(depth.mean()), 1.0], 3)))
-            pose = moved(pose, step * min(1.0, 0.5 / max(size, 1e-300)))
-            if size < 1e-12:
-                break
-        features, depth = _core.take_image(tick.camera, *pose, tick.points)
-        error = float(np.max(np.abs(tick.desired - features)))
-        if size < 1e-9 and (depth < 0).all() and (best is None or error < best[0]):
-            best = error, pose
-            if error < 1e-6:
-                break
-    if best is None:
-        raise NoRestError("target.desired_features: no pose near home was found that shows them")
-    return best[1]
 
 
 def _differences(count: int, step: float, at: Callable[[Array], Array]) -> Array:
@@ -242,7 +182,7 @@ def _law_at(tick: _Tick, twist_step: float) -> LinearLaw:
     return LinearLaw(frame[:6], pose[:6], twist[:6], axes, decay, frame[rows], pose[rows], twist[rows])
 
 
-def rest_of(scenario: Scenario) -> Rest:
+def rest_of(scenario: Scenario, scene: Scene) -> Rest:
     """Find where a scenario's loop rests: no wrench beyond the weight, nor anything to learn.
 
     Newton's method on the tick of the core, from the pose that shows the desired features. With an integrating law
@@ -254,8 +194,11 @@ def rest_of(scenario: Scenario) -> Rest:
     NoRestError
         Where there is none to be found.
     """
-    tick = _Tick(scenario, smooth=False)
-    tick.at(_goal_pose(tick))
+    goals = find_goals(scene)
+    if goals is None:
+        raise NoRestError("a camera as_printed has no points, and so no pose at which the goal is seen")
+    tick = _Tick(scenario, scene, smooth=False)
+    tick.at(goals.best.view.pose)
     _, axes, decay = _by_twist(tick, _TWIST_STEP)
     forgets = np.ones(6)
     forgets[list(axes)] -= decay
@@ -278,20 +221,21 @@ def rest_of(scenario: Scenario) -> Rest:
             break
     if not size < 1e-9:
         raise NoRestError("no pose near the goal was found at which the law rests")
-    features, depth = _core.take_image(tick.camera, *tick.rest, tick.points)
-    residual = float(np.max(np.abs(tick.desired - features)))
-    return Rest(tick.rest, features, depth, tick.points, residual)
+    view = scene.view(tick.rest)
+    return Rest(view, float(np.max(np.abs(scene.desired - view.features))))
 
 
-def linear_law(scenario: Scenario, rest: Rest, *, smooth: bool = False) -> LinearLaw:
+def linear_law(scenario: Scenario, scene: Scene, pose: Pose, *, smooth: bool = False) -> LinearLaw:
     """Linearise the servo tick of a scenario where its loop rests.
 
     Parameters
     ----------
     scenario
         In sampled mode; its camera's period and latency do not enter.
-    rest
-        As `rest_of` gives it.
+    scene
+        Of that scenario, or of one that differs from it in times, faults or gains alone.
+    pose
+        Where it rests, see `rest_of`.
     smooth
         K_v acts with the slope ``k_v / controller.switching.width`` that ``tanh`` and ``saturation`` have at rest;
         otherwise K_v = 0.
@@ -301,8 +245,8 @@ def linear_law(scenario: Scenario, rest: Rest, *, smooth: bool = False) -> Linea
     NoRestError
         Where the law cannot be evaluated there.
     """
-    tick = _Tick(scenario, smooth=smooth)
-    tick.at(rest.pose)
+    tick = _Tick(scenario, scene, smooth=smooth)
+    tick.at(pose)
     width = scenario.controller.switching.width
     return _law_at(tick, min(_TWIST_STEP, 1e-3 * width) if smooth else _TWIST_STEP)
 
@@ -314,14 +258,20 @@ def linear_plant(scenario: Scenario, pose: Pose) -> LinearPlant:
     body = _core_body(scenario)
     error = settings.uncertainty.dynamics
     error.gravity = np.zeros(6)
-    resting = hexapod.leg_forces(*pose, body.gravity_wrench)
+    resting = hexapod.leg_forces(pose.position, pose.quaternion, body.gravity_wrench)
     still = np.zeros(6)
-    to_legs = np.linalg.inv(hexapod.wrench_map(*pose))
+
+    def wrench_map(displacement: Array) -> Array:
+        place = moved(pose, displacement)
+        return hexapod.wrench_map(place.position, place.quaternion)
+
+    to_legs = np.linalg.inv(wrench_map(still))
     tick, substeps = scenario.simulation.step, scenario.simulation.substeps
 
     def pushed(start: Pose, twist: Array, forces: Array, step: float, steps: int) -> tuple[Pose, Array]:
-        position, quaternion, rates = _core.drive_legs(hexapod, body, error, *start, twist, forces, step, steps)
-        return (position.reshape(-1, 3)[-1], quaternion.reshape(-1, 4)[-1]), rates.reshape(-1, 6)[-1]
+        place = (start.position, start.quaternion, twist)
+        position, quaternion, rates = _core.drive_legs(hexapod, body, error, *place, forces, step, steps)
+        return Pose(position.reshape(-1, 3)[-1], quaternion.reshape(-1, 4)[-1]), rates.reshape(-1, 6)[-1]
 
     def columns(at: Callable[[Array], tuple[Pose, Array, Array]], size: float, step: float, steps: int) -> Array:
         both = [[pushed(*at(sign * size * e), step, steps) for sign in (1.0, -1.0)] for e in np.eye(6)]
@@ -333,14 +283,10 @@ def linear_plant(scenario: Scenario, pose: Pose) -> LinearPlant:
         columns(lambda d: (pose, d, resting), _TWIST_STEP, tick / substeps, substeps),
     ]
     force = columns(lambda w: (pose, still, resting + to_legs @ w), 1e-3, tick / substeps, substeps)
-    instant = 1e-6  # [s]: so short that nothing has moved yet
-    acceleration = columns(lambda w: (pose, still, resting + to_legs @ w), 1e-3, instant, 1)[6:] / instant
-    stiffness = np.column_stack(
-        [
-            (hexapod.wrench_map(*moved(pose, _POSE_STEP * e)) - hexapod.wrench_map(*moved(pose, -_POSE_STEP * e)))
-            @ resting
-            / (2.0 * _POSE_STEP)
-            for e in np.eye(6)
-        ]
-    )
+    # Affine in the wrench: differences are exact.
+    wrenches = np.vstack([np.zeros(6), np.eye(6)])
+    poses = (np.tile(pose.position, (7, 1)), np.tile(pose.quaternion, (7, 1)))
+    given = _core.Probe(settings).acceleration(*poses, np.zeros((7, 6)), wrenches)
+    acceleration = np.asarray((given[1:] - given[0]).T)
+    stiffness = _differences(6, _POSE_STEP, lambda d: wrench_map(d) @ resting)
     return LinearPlant(acceleration, stiffness, np.hstack(held), force)

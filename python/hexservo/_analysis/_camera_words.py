@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hexservo._analysis.camera_margins import LARGEST_FACTOR, Border, Margins
-from hexservo._analysis.linear_loop import Clock
-from hexservo._analysis.loop_of_scenario import LoopAtRest
+from hexservo._analysis._camera_margins import LARGEST_FACTOR, Border, Margins
+from hexservo._analysis._linear_loop import Clock
+from hexservo._analysis._loop_of_scenario import LoopAtRest
 from hexservo._evidence import Cell, Column, HeatMap, Line, Section, Table
 
 if TYPE_CHECKING:
@@ -335,8 +335,8 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         "latency": clock.latency * tick,
         "as_if_sampled": at_rest.as_if_sampled,
         "residual": at_rest.rest.residual,
-        "position": at_rest.rest.pose[0],
-        "quaternion": at_rest.rest.pose[1],
+        "position": at_rest.rest.view.pose.position,
+        "quaternion": at_rest.rest.view.pose.quaternion,
         "without_kv": numbers(free),
         "with_slope": None if result.smooth is None else {"slope": at_rest.slope, **numbers(result.smooth)},
         "acting": "with_slope" if result.acting is result.smooth and result.smooth is not None else "without_kv",
