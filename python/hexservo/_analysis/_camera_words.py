@@ -77,6 +77,12 @@ def _at_most(border: Border, tick: float, what: str) -> str:
     return f"the {what} may be at most {_ms(border.stable * tick)}"
 
 
+def _delay_margin(acting: Margins, clock: Clock, tick: float) -> str:
+    if not acting.stable or acting.latency.stable is None or acting.latency.unstable is None:
+        return ""
+    return f": a delay margin of {_ms((acting.latency.stable - clock.latency) * tick)}"
+
+
 def _mode(frequency: float) -> str:
     return "without turning" if frequency < 1e-3 else f"at {frequency:.3g} Hz"
 
@@ -87,7 +93,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
     law = scenario.controller.law
     borders = (
         f"at its latency of {latency} {_at_most(acting.period, tick, 'period')} (it is {period}), and at its period "
-        f"{_at_most(acting.latency, tick, 'latency')} (it is {latency})"
+        f"{_at_most(acting.latency, tick, 'latency')} (it is {latency}{_delay_margin(acting, clock, tick)})"
     )
     if not acting.perfect:
         first = (

@@ -197,8 +197,21 @@ def rest_of(scenario: Scenario, scene: Scene) -> Rest:
     goals = find_goals(scene)
     if goals is None:
         raise NoRestError("a camera as_printed has no points, and so no pose at which the goal is seen")
-    tick = _Tick(scenario, scene, smooth=False)
-    tick.at(goals.best.view.pose)
+    pose = goals.best.view.pose
+    if scenario.controller.law == "composite" and scenario.controller.composite.fuzzy.enabled:
+        # Far from rest what fuzzy systems learn bends with their memberships; the law without them leads near it.
+        plain = scenario.updated({"controller.composite.fuzzy.enabled": False})
+        pose, _ = _settled(_Tick(plain, scene, smooth=False), pose)
+    pose, settled = _settled(_Tick(scenario, scene, smooth=False), pose)
+    if not settled:
+        raise NoRestError("no pose near the goal was found at which the law rests")
+    view = scene.view(pose)
+    return Rest(view, float(np.max(np.abs(scene.desired - view.features))))
+
+
+def _settled(tick: _Tick, pose: Pose) -> tuple[Pose, bool]:
+    """Search for rest by Newton's method from a pose; give the last pose, and whether the search converged."""
+    tick.at(pose)
     _, axes, decay = _by_twist(tick, _TWIST_STEP)
     forgets = np.ones(6)
     forgets[list(axes)] -= decay
@@ -208,21 +221,17 @@ def rest_of(scenario: Scenario, scene: Scene) -> Rest:
         balance = tick.balance(displacement)
         return forgets * balance[:6] - balance[6:]
 
-    size = np.inf
     for _ in range(_ROUNDS):
         slope = _differences(6, _POSE_STEP, away)
         scale = np.maximum(np.abs(slope).max(axis=1), 1e-300)
         step = -np.linalg.lstsq(slope / scale[:, None], away(np.zeros(6)) / scale, rcond=1e-12)[0]
         if not np.isfinite(step).all():
-            break
+            return tick.rest, False
         size = float(np.max(np.abs(step)))
         tick.at(moved(tick.rest, step * min(1.0, 0.1 / max(size, 1e-300))))
         if size < 1e-9:
-            break
-    if not size < 1e-9:
-        raise NoRestError("no pose near the goal was found at which the law rests")
-    view = scene.view(tick.rest)
-    return Rest(view, float(np.max(np.abs(scene.desired - view.features))))
+            return tick.rest, True
+    return tick.rest, False
 
 
 def linear_law(scenario: Scenario, scene: Scene, pose: Pose, *, smooth: bool = False) -> LinearLaw:
