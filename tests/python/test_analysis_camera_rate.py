@@ -530,6 +530,10 @@ def test_the_part_of_composite_30hz() -> None:
     assert all(run.agrees for run in found.runs)
     for item in section.items:
         assert item.page == "docs/analysis/camera_rate.md"
+    margins_table = section.items[0]
+    assert isinstance(margins_table, Table)
+    assert ["largest stable period at this latency", "ms", "at least 500", "at least 500"] in margins_table.rows
+    assert ["delay margin", "ms", "at least 467", "at least 467"] in margins_table.rows
     (heat,) = (item for item in section.items if isinstance(item, HeatMap))
     assert heat.levels == (1.0,)
     assert heat.z.shape == (len(heat.y), len(heat.x))

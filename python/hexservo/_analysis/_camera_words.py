@@ -9,6 +9,7 @@ import numpy as np
 
 from hexservo._analysis._camera_margins import LARGEST_FACTOR, Border, Margins
 from hexservo._analysis._linear_loop import Clock
+from hexservo._analysis._loop_of_scenario import OFFSET as START
 from hexservo._analysis._loop_of_scenario import LoopAtRest
 from hexservo._evidence import Cell, Column, HeatMap, Line, Section, Table
 
@@ -184,6 +185,8 @@ def _about_runs(result: CameraRate) -> list[str]:
     )
     if not agree:
         return [text + " They disagree: the linear loop does not describe these runs."]
+    if any(run.offset < START for run in result.runs):
+        text += f" From {START:g} px that run behaves otherwise: so far from its goal this loop is not linear any more."
     if inside.key == "gain":
         return [text + f" The border lies where it is predicted, within {100 * inside.apart:g} %."]
     return [text + " The border lies between them, as predicted."]
@@ -220,8 +223,12 @@ def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting:
     return found
 
 
-def _number(border: Border, tick: float) -> Cell:
-    return None if border.stable is None else 1e3 * border.stable * tick
+def _number(border: Border, tick: float, less: int = 0) -> Cell:
+    """Give a border in ms, less some ticks; in words where none was found."""
+    if border.stable is None:
+        return None
+    value = 1e3 * (border.stable - less) * tick
+    return value if border.unstable is not None else f"at least {value:.4g}"
 
 
 def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> list[Table | HeatMap]:
@@ -240,9 +247,7 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
         row(
             "delay margin",
             "ms",
-            lambda m: (
-                None if m.latency.stable is None or not m.stable else 1e3 * (m.latency.stable - clock.latency) * tick
-            ),
+            lambda m: _number(m.latency, tick, clock.latency) if m.stable else None,
         ),
         row("gain factor at the border, upwards", "", lambda m: m.gain[1]),
         row("gain factor at the border, downwards", "", lambda m: m.gain[0]),
