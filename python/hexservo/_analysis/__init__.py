@@ -19,6 +19,7 @@ PARTS: dict[str, tuple[str, str]] = {
     "stiction": ("stiction", "the errors that the switching term holds"),
     "equilibria": ("equilibria", "where a transpose law comes to rest, and whether a false equilibrium attracts"),
     "drift": ("drift", "how slowly a law with a pose error creeps, or drifts away, under unequal depth errors"),
+    "camera_rate": ("camera_rate", "the slowest and latest camera that a linear loop endures, gain and delay margins"),
     "largest_start": ("largest_start", "the largest starting error and slowest camera that settle, by trial"),
 }
 

@@ -1,0 +1,359 @@
+"""What the part camera_rate of an analysis has to say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hexservo._analysis._camera_margins import LARGEST_FACTOR, Border, Margins
+from hexservo._analysis._linear_loop import Clock
+from hexservo._analysis._loop_of_scenario import OFFSET as START
+from hexservo._analysis._loop_of_scenario import LoopAtRest
+from hexservo._evidence import Cell, Column, HeatMap, Line, Section, Table
+
+if TYPE_CHECKING:
+    from hexservo._analysis.camera_rate import CameraRate
+
+__all__ = ["section"]
+
+PAGE = "docs/analysis/camera_rate.md"
+
+ENOUGH_GAIN = 2.0
+"""Factor on the gain below which the margin counts as small: 6 dB."""
+
+_TITLE = "How fast must the camera be?"
+_AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
+_SCALED = {
+    "composite": "kp, kt and drive",
+    "kelly": "kp",
+    "pbvs": "kp",
+    "computed_torque": "kp",
+    "resolved_rate": "gain and gain_far",
+}
+
+
+def section(result: CameraRate) -> Section:
+    """Give words, margins, the map and the runs that check it."""
+    if result.open is not None or result.at_rest is None or result.clock is None or result.free is None:
+        reason = result.open or "nothing was found"
+        sentences = [f"No answer from a linear loop: {reason}."]
+        if result.scenario.controller.law == "hybrid":
+            sentences.append(
+                "Which starting errors still settle with this camera is found by runs instead, and is empirical: see "
+                "the part largest_start."
+            )
+        return Section("camera_rate", _TITLE, sentences, verdict="open", data={"open": reason})
+    at_rest, clock, free = result.at_rest, result.clock, result.free
+    acting = free if result.acting is None else result.acting
+    return Section(
+        "camera_rate",
+        _TITLE,
+        _sentences(result, at_rest, clock, free, acting),
+        items=_items(result, at_rest, clock, free),
+        verdict=_verdict(result, clock, acting),
+        data=_data(result, at_rest, clock, free),
+    )
+
+
+def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Literal["good", "warning", "bad"]:
+    if not acting.stable:
+        return "warning" if result.smooth is not None and result.smooth.stable else "bad"
+    small = acting.gain[1] is not None and acting.gain[1] < ENOUGH_GAIN
+    late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency <= clock.period
+    doubtful = any(not run.agrees for run in result.runs)
+    return "warning" if small or late or acting.drifts or doubtful else "good"
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.4g} ms"
+
+
+def _at_most(border: Border, tick: float, what: str) -> str:
+    if border.stable is None:
+        return f"no {what} is short enough"
+    if border.unstable is None:
+        return f"any {what} will do up to {_ms(border.looked_at * tick)}, the largest looked at"
+    return f"the {what} may be at most {_ms(border.stable * tick)}"
+
+
+def _delay_margin(acting: Margins, clock: Clock, tick: float) -> str:
+    if not acting.stable or acting.latency.stable is None or acting.latency.unstable is None:
+        return ""
+    return f": a delay margin of {_ms((acting.latency.stable - clock.latency) * tick)}"
+
+
+def _mode(frequency: float) -> str:
+    return "without turning" if frequency < 1e-3 else f"at {frequency:.3g} Hz"
+
+
+def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins, acting: Margins) -> list[str]:
+    scenario, tick = at_rest.scenario, at_rest.scenario.simulation.step
+    period, latency = _ms(clock.period * tick), _ms(clock.latency * tick)
+    law = scenario.controller.law
+    borders = (
+        f"at its latency of {latency} {_at_most(acting.period, tick, 'period')} (it is {period}), and at its period "
+        f"{_at_most(acting.latency, tick, 'latency')} (it is {latency}{_delay_margin(acting, clock, tick)})"
+    )
+    if not acting.perfect:
+        first = (
+            "No camera is fast enough: even with a frame at every tick and no latency a mode of the loop grows. "
+            + (
+                "Several directions are driven the wrong way, as with a wrong sign of the image Jacobian "
+                "(controller.jacobian, camera.convention)."
+                if acting.drifts
+                else "The law's gains do not suit the servo period, the sensors or the actuators."
+            )
+        )
+    elif not acting.stable:
+        damped = result.smooth is not None and result.smooth.stable
+        first = f"{'Without K_v this' if damped else 'This'} camera is too slow for the loop: {borders}."
+    else:
+        first = f"The camera is fast enough for the loop: {borders}."
+    found = [first]
+
+    how = "grows" if acting.rate > 0.0 else "decays"
+    found.append(
+        f"Over one period of {period} the spectral radius is {acting.radius:.4g}: the slowest mode {how} at "
+        f"{abs(acting.rate):.3g} 1/s {_mode(acting.frequency)}."
+    )
+    below, above = acting.gain
+    what = f"What answers to a displacement ({_SCALED[law]})"
+    if acting.stable and above is not None:
+        found.append(f"{what} may be multiplied by up to {above:.3g}; then a mode begins to grow{_which(acting)}.")
+    if acting.stable and below is not None:
+        found.append(f"{what} must not be multiplied by less than {below:.3g}.")
+    if not acting.stable and below is not None:
+        found.append(
+            f"{what} times {below:.3g} or less would be stable with this camera; at that border a mode turns"
+            f"{_which(acting)}."
+        )
+    if acting.stable and above is None and below is None:
+        found.append(f"{what} may be multiplied or divided by {LARGEST_FACTOR:g}: no border was found.")
+    if acting.perfect and acting.drifts:
+        found.append(
+            f"{acting.drifts} of the modes drifts away with any camera, at {acting.drift_rate:.3g} 1/s with a perfect "
+            "one: the depths that the controller believes turn a direction around that the image hardly shows. The "
+            "borders are those of all other modes; see the part drift."
+        )
+    if acting.resting:
+        found.append(
+            f"{acting.resting} modes stay as they are whatever the camera does, and are left out: no gain answers to "
+            "them, or fuzzy systems that learn from the rate alone (drive 0) make them a spring towards the start."
+        )
+    found.extend(_about_kv(result, free, tick))
+    found.extend(_about_runs(result))
+    found.extend(_about_limits(result, at_rest, clock, acting))
+    return found
+
+
+def _which(margin: Margins) -> str:
+    if margin.motion is None:
+        return ""
+    return f" {_mode(margin.border_frequency)}, mostly {_AXES[int(np.argmax(margin.motion))]}"
+
+
+def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
+    if result.smooth is None:
+        return []
+    width = result.scenario.controller.switching.width
+    smooth = result.smooth
+    kind = result.scenario.controller.switching.kind
+    slope = f"the slope k_v/width of tanh or saturation (width {width:g} m/s and rad/s)"
+    other, text = (free, "With K_v = 0") if result.acting is smooth else (smooth, f"With {slope}")
+    taken = f"K_v acts with {slope}" if result.acting is smooth else f"K_v counts as zero, since {kind} has no slope"
+    if other.perfect:
+        verdict = "would be stable" if other.stable else "would be unstable"
+        rest = f"{verdict}; {_at_most(other.period, tick, 'period')}, and {_at_most(other.latency, tick, 'latency')}"
+    else:
+        rest = "would be unstable with any camera"
+    return [f"{taken}. {text} the loop {rest}."]
+
+
+def _about_runs(result: CameraRate) -> list[str]:
+    if not result.runs:
+        return ["No border was there to be checked by simulation."]
+    inside, outside = result.runs
+    agree = inside.agrees and outside.agrees
+    name = {"gain": "gain", "latency": "latency", "period": "camera period"}[inside.key]
+    offsets = " and ".join(dict.fromkeys(f"{run.offset:g} px" for run in result.runs))
+    text = (
+        f"A numerical check by two runs with K_v = 0 beside the border in {name}, from {offsets}: inside predicted "
+        f"{inside.predicted:+.3g} 1/s, measured {inside.measured:+.3g} 1/s; outside {outside.predicted:+.3g} 1/s, "
+        f"measured {outside.measured:+.3g} 1/s."
+    )
+    if not agree:
+        return [text + " They disagree: the linear loop does not describe these runs."]
+    if any(run.offset < START for run in result.runs):
+        text += f" From {START:g} px that run behaves otherwise: so far from its goal this loop is not linear any more."
+    if inside.key == "gain":
+        return [text + f" The border lies where it is predicted, within {100 * inside.apart:g} %."]
+    return [text + " The border lies between them, as predicted."]
+
+
+def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting: Margins) -> list[str]:
+    scenario, tick = result.scenario, at_rest.scenario.simulation.step
+    found = []
+    if at_rest.as_if_sampled:
+        found.append(
+            "The scenario is in continuous mode, where no camera acts: this is the loop that it would be in sampled "
+            f"mode, with a servo period of {_ms(tick)} and the period and latency of its camera block."
+        )
+    if scenario.camera.latency_jitter > 0.0:
+        longest = clock.latency + round(scenario.camera.latency_jitter / tick)
+        beyond = acting.latency.stable is not None and longest > acting.latency.stable
+        found.append(
+            f"The latency is taken as constant. The longest one with jitter, {_ms(longest * tick)}, is "
+            + ("beyond the border." if beyond else "inside the border, if it were constant.")
+        )
+    if scenario.camera.dropout > 0.0:
+        found.append("Lost frames are not part of the linear loop; each one is a period twice as long.")
+    if scenario.camera.timeout is not None and scenario.camera.timeout < (clock.latency + clock.period - 1) * tick:
+        found.append(
+            f"The camera's timeout of {_ms(scenario.camera.timeout)} is shorter than the age that frames reach, "
+            f"{_ms((clock.latency + clock.period - 1) * tick)}: the loop is open part of the time, which is not seen "
+            "here."
+        )
+    if at_rest.rest.residual > 1.0:
+        found.append(
+            f"The loop rests where a feature is {at_rest.rest.residual:.3g} px from its goal: the prior draws it "
+            "towards home, or the goal is an image that no pose shows."
+        )
+    return found
+
+
+def _number(border: Border, tick: float, less: int = 0) -> Cell:
+    """Give a border in ms, less some ticks; in words where none was found."""
+    if border.stable is None:
+        return None
+    value = 1e3 * (border.stable - less) * tick
+    return value if border.unstable is not None else f"at least {value:.4g}"
+
+
+def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> list[Table | HeatMap]:
+    tick = at_rest.scenario.simulation.step
+    both = [free] + ([result.smooth] if result.smooth is not None else [])
+    heads = ["K_v = 0"] + (["slope k_v/width"] if result.smooth is not None else [])
+
+    def row(name: str, unit: str, of: Callable[[Margins], Cell]) -> list[Cell]:
+        return [name, unit, *(of(one) for one in both)]
+
+    rows = [
+        row("spectral radius over one period", "", lambda m: m.radius),
+        row("growth of the slowest mode", "1/s", lambda m: m.rate),
+        row("largest stable period at this latency", "ms", lambda m: _number(m.period, tick)),
+        row("largest stable latency at this period", "ms", lambda m: _number(m.latency, tick)),
+        row(
+            "delay margin",
+            "ms",
+            lambda m: _number(m.latency, tick, clock.latency) if m.stable else None,
+        ),
+        row("gain factor at the border, upwards", "", lambda m: m.gain[1]),
+        row("gain factor at the border, downwards", "", lambda m: m.gain[0]),
+        row("frequency of the mode at the border", "Hz", lambda m: _finite(m.border_frequency)),
+        row("modes that drift with any camera", "", lambda m: m.drifts),
+        row("modes that stay, left out", "", lambda m: m.resting),
+    ]
+    longest = _ms(max(free.period.looked_at, free.latency.looked_at) * tick)
+    items: list[Table | HeatMap] = [
+        Table(
+            "Margins of the linear sampled loop at the goal",
+            [Column("quantity"), Column("unit"), *(Column(head) for head in heads)],
+            rows,
+            note=f"Periods and latencies are whole ticks, looked at up to {longest}; gain factors between "
+            f"{1 / LARGEST_FACTOR:g} and {LARGEST_FACTOR:g}. An empty cell: there is none.",
+            page=PAGE,
+        )
+    ]
+    if result.periods is not None and result.latencies is not None and result.radii is not None:
+        here = Line(
+            "this scenario", np.array([1e3 * clock.period * tick]), np.array([1e3 * clock.latency * tick]), "points"
+        )
+        items.append(
+            HeatMap(
+                "Spectral radius over one camera period",
+                "camera period [ms]",
+                "camera latency [ms]",
+                "spectral radius",
+                1e3 * result.periods,
+                1e3 * result.latencies,
+                result.radii,
+                levels=(1.0,),
+                lines=(here,),
+                note="K_v = 0. Beyond the contour at 1 the loop is unstable"
+                + (", drifts aside." if free.drifts else ".")
+                + f" Empty where more than {at_rest.free.few} frames are under way at once.",
+                page=PAGE,
+            )
+        )
+    if result.runs:
+        items.append(
+            Table(
+                "Runs beside the border",
+                [
+                    Column("varied"),
+                    Column("value", "1 or s"),
+                    Column("start", "px"),
+                    Column("predicted growth", "1/s", "+.3g"),
+                    Column("measured growth", "1/s", "+.3g"),
+                    Column("agrees"),
+                ],
+                [
+                    [run.key, run.value, run.offset, run.predicted, _finite(run.measured), run.agrees]
+                    for run in result.runs
+                ],
+                note="The goal's image is seen from home, no noise, K_v = 0. An empty growth: the run ended early.",
+                page=PAGE,
+            )
+        )
+    return items
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> dict[str, Any]:
+    tick = at_rest.scenario.simulation.step
+
+    def times(border: Border) -> dict[str, float | None]:
+        return {
+            "largest_stable": None if border.stable is None else border.stable * tick,
+            "smallest_unstable": None if border.unstable is None else border.unstable * tick,
+            "looked_at": border.looked_at * tick,
+        }
+
+    def numbers(one: Margins) -> dict[str, Any]:
+        return {
+            "stable": one.stable,
+            "spectral_radius": one.radius,
+            "growth": one.rate,
+            "frequency": one.frequency,
+            "drifts": one.drifts,
+            "drift_growth": one.drift_rate,
+            "stable_with_perfect_camera": one.perfect,
+            "resting_modes": one.resting,
+            "period": times(one.period),
+            "latency": times(one.latency),
+            "gain": {"below": one.gain[0], "above": one.gain[1]},
+            "border_frequency": one.border_frequency,
+            "border_motion": one.motion,
+        }
+
+    return {
+        "period": clock.period * tick,
+        "latency": clock.latency * tick,
+        "as_if_sampled": at_rest.as_if_sampled,
+        "residual": at_rest.rest.residual,
+        "position": at_rest.rest.view.pose.position,
+        "quaternion": at_rest.rest.view.pose.quaternion,
+        "without_kv": numbers(free),
+        "with_slope": None if result.smooth is None else {"slope": at_rest.slope, **numbers(result.smooth)},
+        "acting": "with_slope" if result.acting is result.smooth and result.smooth is not None else "without_kv",
+        "map": {"periods": result.periods, "latencies": result.latencies, "spectral_radius": result.radii},
+        "runs": [
+            {"varied": r.key, "value": r.value, "offset": r.offset, "predicted": r.predicted, "measured": r.measured}
+            for r in result.runs
+        ],
+    }
