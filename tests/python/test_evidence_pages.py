@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from test_docs import ROOT, cpp_tests, links_in, prose_of, python_tests
+from test_docs import ROOT, cpp_tests, links_in, prose_of, python_tests, tables_in
 
 SOURCES = ("_analysis", "_certificate", "_diagnosis", "_report")  # packages of hexservo
 FOLDERS = ("analysis", "certificate", "diagnosis")  # of docs/: nothing but pages of quantities, and an index
@@ -206,6 +206,21 @@ def problems_of(root: Path) -> list[str]:
 def test_every_quantity_has_its_page() -> None:
     problems = problems_of(ROOT)
     assert not problems, "\n".join(problems)
+
+
+def test_the_overview_has_every_page_and_says_what_kind_of_statement_it_makes() -> None:
+    overview = ROOT / "docs" / "proof.md"
+    kinds: set[str] = set()
+    used: set[str] = set()
+    for head, rows in tables_in(prose_of(overview)):
+        if head[0] == "kind":
+            kinds = {row[0] for row in rows}
+        if head == ["question", "quantity", "kind", "page"]:
+            used |= {row[2] for row in rows}
+    assert used == kinds != set()
+    linked = {(overview.parent / link.target).resolve() for link in links_in(prose_of(overview))}
+    missing = [page for page in pages_of_quantities(ROOT) if (ROOT / page).resolve() not in linked]
+    assert not missing, f"docs/proof.md has no link to {', '.join(missing)}"
 
 
 # ---- What the test would find: a small tree, sound, and then broken in each way -------------------------------------
