@@ -15,7 +15,8 @@ import hexservo as hs
 from hexservo import _core
 from hexservo._analysis import conditioning
 from hexservo._analysis._goal import TOLERANCE, Goals, _turn_rate, find_goals
-from hexservo._analysis._scene import Array, Scene, View, moved, scene_of
+from hexservo._analysis._poses import Array
+from hexservo._analysis._scene import Scene, View, scene_of
 from hexservo._analysis._words import along, motion_in_words, number, numbers
 from hexservo._analysis.placement import DEPTH_SHARE, image_radius, in_circle, place, placements
 
@@ -84,7 +85,7 @@ def test_pose_sigma_is_the_spread_of_poses_estimated_from_noisy_images(name: str
         for _ in range(2):
             view = scene.view(pose)
             step: Array = np.linalg.pinv(view.jacobian) @ (measured - view.features)
-            pose, way = moved(pose, step), way + step
+            pose, way = pose.moved(step), way + step
         estimates.append(way)
     # A standard deviation of 3000 samples is itself known to 1.3 %.
     np.testing.assert_allclose(np.std(estimates, axis=0) / noise, found.pose_sigma, rtol=0.05)
@@ -97,7 +98,7 @@ def test_singular_directions_do_to_the_image_what_they_are_said_to(paper: hs.Sce
     for value, direction in zip(found.scaled_values, found.directions, strict=True):
         assert np.linalg.norm(found.view.jacobian @ direction) == pytest.approx(value, rel=1e-9)
         # A millionth of it, by the projection itself.
-        moved_view = scene_of(paper).view(moved(found.view.pose, 1e-6 * direction))
+        moved_view = scene_of(paper).view(found.view.pose.moved(1e-6 * direction))
         change = np.linalg.norm(moved_view.features - found.view.features) / 1e-6
         assert change == pytest.approx(value, rel=1e-3, abs=5e-3)
     assert np.linalg.norm(found.hidden[:3]) == pytest.approx(0.01)
@@ -154,7 +155,7 @@ def test_no_pose_near_the_nearest_one_is_nearer(paper: hs.Scenario) -> None:
     tried = 0
     for _ in range(4000):
         d = goals.nearest.displacement + rows.T @ (random.normal(size=6) * [1e-6, 1e-6, 1e-5, 1e-5, 1e-4, 1e-3])
-        if np.abs(scene.desired - scene.view(moved(scene.home, d)).features).max() <= TOLERANCE:
+        if np.abs(scene.desired - scene.view(scene.home.moved(d)).features).max() <= TOLERANCE:
             tried += 1
             assert np.linalg.norm(metric * d) >= least * (1 - 1e-4)
     assert tried > 100
@@ -189,7 +190,7 @@ def test_a_displacement_turns_and_shifts_in_the_base_frame() -> None:
     random = np.random.default_rng(SEED)
     for size in (1e-9, 1e-3, 1.0, 3.0):
         first, second = random.normal(size=(2, 6)) * size
-        pose = moved(moved(scene.home, first), second)
+        pose = scene.home.moved(first).moved(second)
         turned = Rotation.from_rotvec(second[3:]) * Rotation.from_rotvec(first[3:])
         w, x, y, z = pose.quaternion
         np.testing.assert_allclose(Rotation.from_quat([x, y, z, w]).as_matrix(), turned.as_matrix(), atol=1e-14)

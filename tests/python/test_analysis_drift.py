@@ -10,7 +10,9 @@ import pytest
 import hexservo as hs
 from hexservo._analysis import drift
 from hexservo._analysis._drift_findings import Drift, Pattern, Size
-from hexservo._analysis._rest import Poses, Rest
+from hexservo._analysis._goal import find_goals
+from hexservo._analysis._rest import Rest
+from hexservo._analysis._scene import scene_of
 from hexservo._analysis.drift import loop_matrix
 
 WORST = "(+,-,-,+)"
@@ -46,7 +48,7 @@ def jacobians(scenario: hs.Scenario, factor: float, seed: int) -> tuple[np.ndarr
     move = np.random.default_rng(seed).uniform(-1, 1, (1, 6)) * [0.02, 0.02, 0.02, 0.2, 0.2, 0.2]
     pose = rest.home.moved(move)
     features, depth = rest.image(pose)
-    return rest.jacobian(features, factor * depth, pose)[0], rest.jacobian(features, depth, pose)[0]
+    return tuple(rest.jacobian(features, z, pose.quaternion)[0] for z in (factor * depth, depth))
 
 
 @pytest.mark.parametrize("error", [-0.5, -0.3, 0.05, 0.3, 0.8])
@@ -189,9 +191,11 @@ def test_resolved_rate_drifts_away_as_fast_as_its_eigenvalue_says(paper: hs.Scen
     assert result.own.end is None
     assert result.section().verdict == "bad"
     run = hs.simulate(scenario)
-    goal = Rest(scenario).goal()
+    goals = find_goals(scene_of(scenario))
+    assert goals is not None
+    goal = goals.shown_at
     assert goal is not None
-    gap = np.linalg.norm(run.position - goal.position[0], axis=1)
+    gap = np.linalg.norm(run.position - goal.position, axis=1)
     growth = math.log(gap[80] / gap[60]) / 2.0
     # beside the fastest mode slower ones are left after 6 s
     assert growth == pytest.approx(-result.own.rate, rel=0.05)
@@ -260,8 +264,7 @@ def test_an_image_that_no_pose_shows_leaves_the_goal_out(composite: hs.Scenario)
 def test_directions_are_those_of_the_eigenvectors(found: Drift, composite: hs.Scenario) -> None:
     rest = Rest(composite)
     worst = pattern_of(found, WORST)
-    home = Poses(rest.home.position, rest.home.quaternion)
-    features, depth = rest.image(home)
-    known = rest.jacobian(features, (1 + worst.errors) * depth, home)[0]
-    matrix = loop_matrix(known, rest.jacobian(features, depth, home)[0], PRIOR, PRIOR)
+    features, depth = rest.image(rest.home)
+    known = rest.jacobian(features, (1 + worst.errors) * depth, rest.home.quaternion)
+    matrix = loop_matrix(known, rest.jacobian(features, depth, rest.home.quaternion), PRIOR, PRIOR)
     np.testing.assert_allclose(matrix @ worst.direction, worst.start * worst.direction, rtol=0, atol=1e-9)

@@ -9,7 +9,9 @@ import pytest
 
 import hexservo as hs
 from hexservo._analysis import equilibria
-from hexservo._analysis._rest import Poses, Rest, direction_words
+from hexservo._analysis._poses import Poses
+from hexservo._analysis._rest import Rest
+from hexservo._analysis._words import direction_words
 from hexservo._analysis.equilibria import Equilibrium
 
 
@@ -132,8 +134,8 @@ def test_eigenvalues_at_the_goal_are_those_of_the_closed_form(
     rest = Rest(scenario)
     pose = Poses(goal.position[None], goal.quaternion[None])
     features, true = rest.image(pose)
-    known = rest.jacobian(features, (1 + np.asarray(depth)) * true, pose)[0]
-    stiffness = 1e-6 * known.T @ rest.jacobian(features, true, pose)[0]
+    known = rest.jacobian(features, (1 + np.asarray(depth)) * true, pose.quaternion)[0]
+    stiffness = 1e-6 * known.T @ rest.jacobian(features, true, pose.quaternion)[0]
     inertia = 0.925 * np.diag([0.06, 0.06, 0.06, 1.5e-4, 1.5e-4, 3e-4])  # (1 - delta_D) D at R = I
     expected = np.sort(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real)
     # differences leave 1e-12 of the largest, 1e4 1/s^2
@@ -193,7 +195,7 @@ def test_directions_in_words() -> None:
     assert direction_words(np.array([0, 0, 0, 0, 0, 3.0]), 0.5) == "a turn about z"
     mixed = direction_words(np.array([0, 0.5, 0, 1.0, 0, 0]), 0.5)
     assert mixed == "10 mm along y with 20 mrad about x"
-    assert "(+0.60, +0.80, +0.00)" in direction_words(np.array([3.0, 4.0, 0, 0, 0, 0]), 0.5)
+    assert "(0.60, 0.80, 0.00)" in direction_words(np.array([3.0, 4.0, 0, 0, 0, 0]), 0.5)
 
 
 # ---- Where it does not apply ----------------------------------------------------------------------------------------

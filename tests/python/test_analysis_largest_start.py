@@ -9,7 +9,7 @@ import pytest
 
 import hexservo as hs
 from hexservo._analysis import largest_start
-from hexservo._analysis._rest import Rest
+from hexservo._analysis._scene import Scene
 from hexservo._analysis.largest_start import Direction, LargestStart, border
 
 
@@ -36,7 +36,7 @@ def settles(scenario: hs.Scenario, duration: float) -> bool:
 
 
 def goal_at(scenario: hs.Scenario, way: Direction, size: float) -> hs.Scenario:
-    rest = Rest(scenario)
+    rest = Scene(scenario)
     features, _ = rest.image(rest.home.moved((size * way.unit)[None]))
     return scenario.updated({"target.desired_features": features[0].tolist()})
 
@@ -83,7 +83,7 @@ def test_the_papers_own_way_settles_to_the_end_of_the_stroke(found: LargestStart
     assert own.fails_at is None
     assert own.limited_by == "stroke"
     np.testing.assert_allclose(own.unit, [*np.array([20, 8, 0]) * 0.5 / 581.816, 0, 0, 0], rtol=0, atol=1e-9)
-    rest = Rest(paper)
+    rest = Scene(paper)
     travel = rest.leg_travel(rest.home.moved((own.largest * own.unit)[None]))
     assert np.abs(travel).max() == pytest.approx(paper.robot.stroke, rel=1e-3)
     assert np.abs(travel).max() <= paper.robot.stroke

@@ -12,9 +12,11 @@ from scipy.spatial import HalfspaceIntersection
 import hexservo as hs
 from hexservo._analysis import stiction
 from hexservo._analysis._goal import find_goals
-from hexservo._analysis._scene import Array, moved, scene_of
+from hexservo._analysis._poses import Array
+from hexservo._analysis._rest import RestLaw
+from hexservo._analysis._scene import scene_of
 from hexservo._analysis._stiction_runs import Runs
-from hexservo._analysis._stiction_set import RestLaw, RestSet, confirmed, extremes
+from hexservo._analysis._stiction_set import RestSet, confirmed, extremes
 from hexservo._analysis._words import number
 
 KV = np.array([2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 1e-4])
@@ -286,7 +288,7 @@ def test_a_point_makes_up_for_the_gravity_error(paper: hs.Scenario) -> None:
     assert ends.largest == pytest.approx(z * size / depth, rel=1e-6)
     # The same by the law itself, not linearised: less than 1 % of the depth away.
     scene = scene_of(scenario)
-    held = [RestLaw(scene).wrench(moved(scene.home, np.array([0, 0, sign * z, 0, 0, 0])))[2] for sign in (-1, 1)]
+    held = [RestLaw(scene).wrench(scene.home.moved(np.array([0, 0, sign * z, 0, 0, 0])))[2] for sign in (-1, 1)]
     assert min(np.abs(held)) < 0.05 * gravity * 0.06 * 9.8
 
 
@@ -304,7 +306,7 @@ def test_smooth_switching_creeps_as_fast_as_it_is_said_to(paper: hs.Scenario, ki
     ends = found.cases[0].ends
     assert ends is not None
     share = 0.3  # of the way to the extremes: the image is still linear
-    goals = np.array([scene.view(moved(scene.home, share * d)).features for d in ends.displacements])
+    goals = np.array([scene.view(scene.home.moved(share * d)).features for d in ends.displacements])
     runs = hs.simulate_batch(scenario, {"target.desired_features": goals}, threads=1)
     final = np.abs(runs.samples["feature_error"]).max(axis=1)
     assert final.max() <= share * found.creep.left * 1.05

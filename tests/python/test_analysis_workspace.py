@@ -10,7 +10,7 @@ import pytest
 
 import hexservo as hs
 from hexservo._analysis import workspace
-from hexservo._analysis._scene import moved, scene_of
+from hexservo._analysis._scene import scene_of
 from hexservo._analysis._words import number
 
 SEED = 21
@@ -70,11 +70,11 @@ def test_reach_ends_at_the_first_limit_in_every_direction(paper: hs.Scenario) ->
         direction = random.normal(size=6) * np.repeat([1.0, 10.0], 3) * 10.0 ** random.uniform(-1, 1)
         end = workspace.reach(scene, direction)
         travel = [
-            np.abs(scene.leg_travel(moved(scene.home, share * end.distance * direction))).max()
+            np.abs(scene.leg_travel(scene.home.moved(share * end.distance * direction))).max()
             for share in np.linspace(0, 1 - 1e-6, 300)
         ]
         assert max(travel) <= stroke
-        at_end = np.abs(scene.leg_travel(moved(scene.home, end.distance * direction)))
+        at_end = np.abs(scene.leg_travel(scene.home.moved(end.distance * direction)))
         assert at_end.max() == pytest.approx(stroke, rel=1e-8)
         assert int(at_end.argmax()) + 1 == end.leg
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo._analysis._linear_loop import BORDER, Clock, SampledLoop
-from hexservo._analysis._scene import Array
+from hexservo._analysis._poses import Array
 
 __all__ = [
     "LARGEST_FACTOR",

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hexservo._analysis._rest import Array, direction_words
+from hexservo._analysis._poses import Array
+from hexservo._analysis._words import direction_words, open_section
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["GRID", "LARGEST", "SIZES", "Drift", "Pattern", "Size"]
@@ -57,7 +58,7 @@ class Size:
     @property
     def worst(self) -> Pattern:
         """The pattern with the smallest eigenvalue at start or goal."""
-        return min(self.patterns, key=lambda p: np.nanmin([p.start, p.goal]))
+        return min(self.patterns, key=_order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,7 @@ class Drift:
         """Words, the sixteen patterns, the sizes, and the smallest eigenvalue over the size."""
         title = "Slow drift under unequal depth errors"
         if self.open_because:
-            return Section("drift", title, [self.open_because], data={"applies": False, "reason": self.open_because})
+            return open_section("drift", title, self.open_because)
         return Section("drift", title, self._sentences(), self._items(), self._verdict(), self._data())
 
     @property
@@ -179,7 +180,7 @@ class Drift:
                 _number(1e3 * p.end_travel),
                 direction_words(p.direction, self.depth),
             ]
-            for p in sorted(chosen.patterns, key=_smallest)
+            for p in sorted(chosen.patterns, key=_order)
         ]
         columns = [
             Column("signs"),
@@ -286,6 +287,10 @@ class Drift:
 
 def _smallest(pattern: Pattern) -> float:
     return float(np.nanmin([pattern.start, pattern.goal]))
+
+
+def _order(pattern: Pattern) -> float:
+    return round(_smallest(pattern), 9)  # of two that symmetry makes equal the first is taken, not what rounding says
 
 
 def _number(value: float) -> float | None:

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from hexservo._analysis._rest import WIDER, Array, direction_words
+from hexservo._analysis._poses import Array
+from hexservo._analysis._scene import SETTLED, WIDER
+from hexservo._analysis._words import direction_words, displacement_words, open_section, vector_words
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["SEED", "Equilibria", "Equilibrium"]
 
 PAGE = "docs/analysis/equilibria.md"
 SEED = 20  # of the starts; the same in every analysis
-SETTLED = 2.0  # [px], beyond which a run does not count as settled (docs/model.md, section 8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +65,7 @@ class Equilibria:
         """Words, the table of equilibria, and the hill between a false one and the goal."""
         title = "Equilibria of the transpose law"
         if self.open_because:
-            return Section(
-                "equilibria", title, [self.open_because], data={"applies": False, "reason": self.open_because}
-            )
+            return open_section("equilibria", title, self.open_because)
         return Section("equilibria", title, self._sentences(), self._items(), self._verdict(), self._data())
 
     def _verdict(self) -> Any:
@@ -88,8 +87,8 @@ class Equilibria:
         if self.traps:
             trap = max(self.traps, key=lambda e: e.starts)
             text = (
-                f"A false equilibrium attracts within the stroke: at {_pose_words(trap)} from home the image part of "
-                f"{self.law} is zero with {trap.residual:.3g} px of error"
+                f"A false equilibrium attracts within the stroke: at {displacement_words(trap.displacement)} from "
+                f"home the image part of {self.law} is zero with {trap.residual:.3g} px of error"
             )
             if goal is not None:
                 away = 1e3 * np.linalg.norm(trap.position - goal.position)
@@ -153,7 +152,8 @@ class Equilibria:
         if self.gravity_stiffness is not None:
             text += f" against a stiffness of {self.gravity_stiffness:.3g} N/m"
         if goal is not None and goal.kind == "displaced goal":
-            return f"{text}: the goal moves to {_pose_words(goal)} from home and keeps {goal.residual:.3g} px of error."
+            place = displacement_words(goal.displacement)
+            return f"{text}: the goal moves to {place} from home and keeps {goal.residual:.3g} px of error."
         return f"{text}: the goal's equilibrium is lost on the way to this error, or leaves the region searched."
 
     def _items(self) -> list[Item]:
@@ -162,8 +162,8 @@ class Equilibria:
                 e.kind,
                 e.stability,
                 e.residual,
-                _numbers(1e3 * e.displacement[:3]),
-                _numbers(1e3 * e.displacement[3:]),
+                vector_words(1e3 * e.displacement[:3]),
+                vector_words(1e3 * e.displacement[3:]),
                 1e3 * float(np.abs(e.leg_travel).max()),
                 "yes" if e.reachable else "no",
                 float(e.eigenvalues[0].real),
@@ -233,14 +233,6 @@ class Equilibria:
                 for e in self.found
             ],
         }
-
-
-def _pose_words(e: Equilibrium) -> str:
-    return f"{_numbers(1e3 * e.displacement[:3])} mm and a turn of {_numbers(1e3 * e.displacement[3:])} mrad"
-
-
-def _numbers(values: Array) -> str:
-    return "(" + ", ".join(f"{0.0 if abs(value) < 0.005 else value:.4g}" for value in values) + ")"
 
 
 def _article(word: str) -> str:

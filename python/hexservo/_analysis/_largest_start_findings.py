@@ -8,7 +8,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hexservo._analysis._rest import Array
+from hexservo._analysis._poses import Array
+from hexservo._analysis._words import open_section
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["DWELL", "Direction", "LargestStart", "Timing", "Tried", "border"]
@@ -105,9 +106,7 @@ class LargestStart:
         """Words, the directions, the camera's times, and settling times over the size."""
         title = "Largest starting error and slowest camera that still settle (empirical)"
         if self.open_because:
-            return Section(
-                "largest_start", title, [self.open_because], data={"applies": False, "reason": self.open_because}
-            )
+            return open_section("largest_start", title, self.open_because)
         return Section("largest_start", title, self._sentences(), self._items(), self._verdict(), self._data())
 
     def _verdict(self) -> Any:

@@ -13,11 +13,12 @@ import numpy as np
 
 from hexservo import _core
 from hexservo._analysis._goal import find_goals
-from hexservo._analysis._scene import Array, Pose, Scene, View, moved
+from hexservo._analysis._poses import Array, Poses
+from hexservo._analysis._scene import Scene, View, scene_of
 from hexservo._parameters import core_parameters
 from hexservo._scenario import Scenario
 
-__all__ = ["LinearLaw", "LinearPlant", "NoRestError", "Rest", "linear_law", "linear_plant", "rest_of"]
+__all__ = ["LinearLaw", "LinearPlant", "NoRestError", "RestPose", "linear_law", "linear_plant", "rest_of"]
 
 
 _POSE_STEP = 1e-6  # of the finite differences [m; rad]: far below a membership's width, far above rounding
@@ -29,15 +30,8 @@ class NoRestError(ValueError):
     """No pose was found at which the loop rests at its goal."""
 
 
-def _between(pose: Pose, start: Pose) -> Array:
-    """Small displacement (6,) in B [m; rad] that takes one pose to the other; the rotation to second order."""
-    q, r = pose.quaternion, start.quaternion
-    turn = 2.0 * (r[0] * q[1:] - q[0] * r[1:] - np.cross(q[1:], r[1:]))
-    return np.concatenate([pose.position - start.position, np.sign(q @ r) * turn])
-
-
 @dataclass(frozen=True, eq=False)
-class Rest:
+class RestPose:
     """Where a scenario's loop comes to rest, with the weight known, K_v = 0, and a camera that is always new."""
 
     view: View
@@ -86,7 +80,7 @@ class _Tick:
         self.camera = scene.camera
         self.depth_scale = 1.0 + settings.uncertainty.depth
         self.predicts = scenario.camera.prediction == "encoder"
-        self.weight = _core_body(scenario).gravity_wrench
+        self.weight = scene.body.gravity_wrench
         # The tick knows no `uncertainty`: laws that believe in points get those that the loop would give them.
         settings.target.points = self._believed(scene.home)
         if scenario.controller.law in ("hybrid", "composite"):
@@ -97,27 +91,27 @@ class _Tick:
                 gains.kv = np.zeros(6)
         self.core = _core.Controller(settings, scenario.simulation.step)
 
-    def _believed(self, pose: Pose) -> Array:
+    def _believed(self, pose: Poses) -> Array:
         """Lift the image of a pose with the depths that the controller knows: the points as it believes them, (4, 3).
 
         Along the ray of each point the distance is scaled as its depth is, (9) and (10).
         """
         return pose.position + self.depth_scale[:, None] * (self.points - pose.position)
 
-    def image(self, frame: Array, pose: Pose) -> tuple[Array, Array]:
+    def image(self, frame: Array, pose: Poses) -> tuple[Array, Array]:
         """Features and depths that the law sees at a pose, from a frame of another pose.
 
         `frame` is (12,): the displacement of the exposure from rest, then the error of the sensors' pose there.
         """
-        exposure = moved(self.rest, frame[:6])
+        exposure = self.rest.moved(frame[:6])
         if not self.predicts:
             features, depth = _core.take_image(self.camera, exposure.position, exposure.quaternion, self.points)
             return features, depth * self.depth_scale
         # What counts is the move from the exposure on as the sensors tell it: their error there acts the other way.
-        seen_from = moved(pose, -frame[6:])
+        seen_from = pose.moved(-frame[6:])
         return _core.take_image(self.camera, seen_from.position, seen_from.quaternion, self._believed(exposure))
 
-    def step(self, frame: Array, pose: Pose, twist: Array) -> tuple[Array, Array]:
+    def step(self, frame: Array, pose: Poses, twist: Array) -> tuple[Array, Array]:
         """Wrench and fuzzy output of a tick."""
         features, depth = self.image(frame, pose)
         wrench, _, fuzzy, status = self.core.step(features, depth, pose.position, pose.quaternion, twist)
@@ -128,31 +122,22 @@ class _Tick:
     def response(self, frame: Array, displacement: Array, twist: Array) -> Array:
         """Wrench of one tick away from rest, and the fuzzy outputs of the two ticks at rest that follow it, (18,)."""
         self.core.reset()
-        wrench, _ = self.step(frame, moved(self.rest, displacement), twist)
+        wrench, _ = self.step(frame, self.rest.moved(displacement), twist)
         following = [self.core.step(*self.resting)[2] for _ in range(2)]
         return np.concatenate([wrench, *following])
 
     def balance(self, displacement: Array) -> Array:
         """Wrench beyond the weight where the platform rests beside `rest`, and what a tick there teaches, (12,)."""
         frame = np.concatenate([displacement, np.zeros(6)])
-        pose = moved(self.rest, displacement)
+        pose = self.rest.moved(displacement)
         self.core.reset()
         wrench, before = self.step(frame, pose, np.zeros(6))
         return np.concatenate([wrench - self.weight, self.step(frame, pose, np.zeros(6))[1] - before])
 
-    def at(self, pose: Pose) -> None:
+    def at(self, pose: Poses) -> None:
         """Take a pose for that of rest."""
         self.rest = pose
         self.resting = (*self.image(np.zeros(12), pose), pose.position, pose.quaternion, np.zeros(6))
-
-
-def _core_body(scenario: Scenario) -> _core.RigidBody:
-    """Give the estimated mass properties in the core's form."""
-    body = _core.RigidBody()
-    inertia = np.asarray(scenario.robot.inertia, dtype=float)
-    body.mass = scenario.robot.mass
-    body.inertia = np.diag(inertia) if inertia.ndim == 1 else inertia
-    return body
 
 
 def _differences(count: int, step: float, at: Callable[[Array], Array]) -> Array:
@@ -182,7 +167,7 @@ def _law_at(tick: _Tick, twist_step: float) -> LinearLaw:
     return LinearLaw(frame[:6], pose[:6], twist[:6], axes, decay, frame[rows], pose[rows], twist[rows])
 
 
-def rest_of(scenario: Scenario, scene: Scene) -> Rest:
+def rest_of(scenario: Scenario, scene: Scene) -> RestPose:
     """Find where a scenario's loop rests: no wrench beyond the weight, nor anything to learn.
 
     Newton's method on the tick of the core, from the pose that shows the desired features. With an integrating law
@@ -206,10 +191,10 @@ def rest_of(scenario: Scenario, scene: Scene) -> Rest:
     if not settled:
         raise NoRestError("no pose near the goal was found at which the law rests")
     view = scene.view(pose)
-    return Rest(view, float(np.max(np.abs(scene.desired - view.features))))
+    return RestPose(view, float(np.max(np.abs(scene.desired - view.features))))
 
 
-def _settled(tick: _Tick, pose: Pose) -> tuple[Pose, bool]:
+def _settled(tick: _Tick, pose: Poses) -> tuple[Poses, bool]:
     """Search for rest by Newton's method from a pose; give the last pose, and whether the search converged."""
     tick.at(pose)
     _, axes, decay = _by_twist(tick, _TWIST_STEP)
@@ -228,13 +213,13 @@ def _settled(tick: _Tick, pose: Pose) -> tuple[Pose, bool]:
         if not np.isfinite(step).all():
             return tick.rest, False
         size = float(np.max(np.abs(step)))
-        tick.at(moved(tick.rest, step * min(1.0, 0.1 / max(size, 1e-300))))
+        tick.at(tick.rest.moved(step * min(1.0, 0.1 / max(size, 1e-300))))
         if size < 1e-9:
             return tick.rest, True
     return tick.rest, False
 
 
-def linear_law(scenario: Scenario, scene: Scene, pose: Pose, *, smooth: bool = False) -> LinearLaw:
+def linear_law(scenario: Scenario, scene: Scene, pose: Poses, *, smooth: bool = False) -> LinearLaw:
     """Linearise the servo tick of a scenario where its loop rests.
 
     Parameters
@@ -260,35 +245,35 @@ def linear_law(scenario: Scenario, scene: Scene, pose: Pose, *, smooth: bool = F
     return _law_at(tick, min(_TWIST_STEP, 1e-3 * width) if smooth else _TWIST_STEP)
 
 
-def linear_plant(scenario: Scenario, pose: Pose) -> LinearPlant:
+def linear_plant(scenario: Scenario, pose: Poses) -> LinearPlant:
     """Linearise the actual plant about a pose at which the legs hold it, with its weight known (delta_G = 0)."""
     settings = core_parameters(scenario)
-    hexapod = _core.Hexapod(settings.robot)
-    body = _core_body(scenario)
+    scene = scene_of(scenario)
+    hexapod, body = scene.hexapod, scene.body
     error = settings.uncertainty.dynamics
     error.gravity = np.zeros(6)
     resting = hexapod.leg_forces(pose.position, pose.quaternion, body.gravity_wrench)
     still = np.zeros(6)
 
     def wrench_map(displacement: Array) -> Array:
-        place = moved(pose, displacement)
+        place = pose.moved(displacement)
         return hexapod.wrench_map(place.position, place.quaternion)
 
     to_legs = np.linalg.inv(wrench_map(still))
     tick, substeps = scenario.simulation.step, scenario.simulation.substeps
 
-    def pushed(start: Pose, twist: Array, forces: Array, step: float, steps: int) -> tuple[Pose, Array]:
+    def pushed(start: Poses, twist: Array, forces: Array, step: float, steps: int) -> tuple[Poses, Array]:
         place = (start.position, start.quaternion, twist)
         position, quaternion, rates = _core.drive_legs(hexapod, body, error, *place, forces, step, steps)
-        return Pose(position.reshape(-1, 3)[-1], quaternion.reshape(-1, 4)[-1]), rates.reshape(-1, 6)[-1]
+        return Poses(position.reshape(-1, 3)[-1], quaternion.reshape(-1, 4)[-1]), rates.reshape(-1, 6)[-1]
 
-    def columns(at: Callable[[Array], tuple[Pose, Array, Array]], size: float, step: float, steps: int) -> Array:
+    def columns(at: Callable[[Array], tuple[Poses, Array, Array]], size: float, step: float, steps: int) -> Array:
         both = [[pushed(*at(sign * size * e), step, steps) for sign in (1.0, -1.0)] for e in np.eye(6)]
-        found = [np.concatenate([_between(up[0], down[0]), up[1] - down[1]]) for up, down in both]
+        found = [np.concatenate([up[0].displacement_from(down[0]), up[1] - down[1]]) for up, down in both]
         return np.asarray(np.column_stack(found) / (2.0 * size))
 
     held = [
-        columns(lambda d: (moved(pose, d), still, resting), _POSE_STEP, tick / substeps, substeps),
+        columns(lambda d: (pose.moved(d), still, resting), _POSE_STEP, tick / substeps, substeps),
         columns(lambda d: (pose, d, resting), _TWIST_STEP, tick / substeps, substeps),
     ]
     force = columns(lambda w: (pose, still, resting + to_legs @ w), 1e-3, tick / substeps, substeps)

@@ -8,9 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from hexservo._analysis._linear_law import LinearLaw, LinearPlant, NoRestError, Rest, linear_law, linear_plant, rest_of
+from hexservo._analysis._linear_law import (
+    LinearLaw,
+    LinearPlant,
+    NoRestError,
+    RestPose,
+    linear_law,
+    linear_plant,
+    rest_of,
+)
 from hexservo._analysis._linear_loop import Actuation, Clock, SampledLoop
-from hexservo._analysis._scene import Array, scene_of
+from hexservo._analysis._poses import Array
+from hexservo._analysis._scene import scene_of
 from hexservo._scenario import Scenario, ScenarioError
 from hexservo._simulation import simulate
 
@@ -39,7 +48,7 @@ class LoopAtRest:
 
     scenario: Scenario  # in sampled mode, without what does not act at rest
     as_if_sampled: bool  # the scenario itself is in continuous mode
-    rest: Rest
+    rest: RestPose
     free: SampledLoop  # with K_v = 0
     smooth: SampledLoop | None  # with the slope k_v/width; None for laws without K_v, and where it is 0
     slope: Array  # (6,) of it [N s/m; N m s/rad]
@@ -238,17 +247,15 @@ def growth(
     with_kv
         Whether K_v stays as it is; otherwise it is zero.
     """
-    seen = np.asarray(scenario.target.initial_features, dtype=float)
-    depth = -np.broadcast_to(np.asarray(scenario.target.depth, dtype=float), (4,))
     scene = scene_of(scenario)
-    jacobian = scene.jacobian(seen, depth, scene.home.quaternion)
-    if way is None:  # metres as far as the target is, times radians
-        way = np.array([1.0, -0.8, 0.6, 0.9, 0.7, -1.0]) * np.repeat([abs(float(depth.mean())), 1.0], 3)
-    shift = jacobian @ way
+    home = scene.view(scene.home)
+    if way is None:
+        way = np.array([1.0, -0.8, 0.6, 0.9, 0.7, -1.0]) * scene.unit
+    shift = home.jacobian @ way
     tick = scenario.simulation.step
     quarter = max(16, -(-round(duration / tick) // (4 * every)))  # in samples
     changes: dict[str, Any] = {
-        "target.desired_features": (seen + shift * offset / np.max(np.abs(shift))).tolist(),
+        "target.desired_features": (home.features + shift * offset / np.max(np.abs(shift))).tolist(),
         "simulation.duration": 4 * quarter * every * tick,
         "simulation.log_every": 1,
     }

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hexservo._analysis._scene import Array, Pose, Scene, moved
-from hexservo._analysis._stiction_set import Extremes, RestLaw, RestSet
+from hexservo._analysis._poses import Array, Mask, Poses
+from hexservo._analysis._rest import RestLaw
+from hexservo._analysis._scene import Scene
+from hexservo._analysis._stiction_set import Extremes, RestSet
 from hexservo._batch import simulate_batch
 
 __all__ = ["COUNT", "Runs", "run"]
@@ -28,10 +29,10 @@ class Runs:
 
     fuzzy: bool  # whether the fuzzy systems were on
     duration: float  # [s]
-    completed: NDArray[np.bool_]  # (n,)
+    completed: Mask  # (n,)
     # (n,) which are compared with the set around home: at rest at the end, but for the chatter of the switching term;
     # no leg more than a stroke from its length at the goal, as in that set; and not the scenario's own goal
-    counted: NDArray[np.bool_]
+    counted: Mask
     start_error: Array  # (n,) [px], largest coordinate
     final_error: Array  # (n,) [px]
     start_share: Array  # (n,) largest |w_j|/k_v,j at the start; NaN where every k_v,j is 0
@@ -79,8 +80,8 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
     inertia = np.concatenate([np.full(3, settings.robot.mass), np.diag(settings.robot.inertia)])
     speed = np.abs(batch.samples["twist"])
     laws = [law.aimed_at(goal) for goal in goals]
-    poses = [Pose(p, q) for p, q in zip(batch.samples["position"], batch.samples["quaternion"], strict=True)]
-    start = np.array([aimed.wrench(scene.home, home) for aimed in laws])
+    poses = Poses(batch.samples["position"], batch.samples["quaternion"])
+    start = np.array([aimed.wrench(scene.home) for aimed in laws])
     tau = np.array(batch.samples["fuzzy_output"])
     final = np.full((len(goals), 6), np.nan)
     completed = np.asarray(batch.outcome == "completed")
@@ -92,7 +93,8 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
         with np.errstate(divide="ignore"):
             still = np.minimum(still, _DAMPED * kv / kd)
     at_rest = np.asarray((speed <= still).all(axis=1))
-    near = _near(scene, poses, _displacements(rest, ends), rest.stroke)
+    aims = Poses.joined(scene.home, scene.home.moved(_displacements(rest, ends)))  # that of the first is not used
+    near = np.abs(scene.leg_travel(poses) - scene.leg_travel(aims)).max(axis=1) <= scene.stroke
     counted = completed & at_rest & near
     counted[0] = False
     taken = np.abs(tau[counted]).max(axis=0, initial=0.0)
@@ -133,15 +135,4 @@ def _displacements(rest: RestSet, ends: Extremes) -> Array:
 
 
 def _goals(scene: Scene, rest: RestSet, ends: Extremes) -> Array:
-    seen = [scene.view(moved(scene.home, d)).features for d in _displacements(rest, ends)]
-    return np.vstack([scene.desired, *seen])
-
-
-def _near(scene: Scene, poses: list[Pose], displacements: Array, stroke: float) -> NDArray[np.bool_]:
-    goals = [scene.home, *(moved(scene.home, d) for d in displacements)]  # that of the first is not used
-    return np.array(
-        [
-            bool(np.abs(scene.leg_travel(pose) - scene.leg_travel(goal)).max() <= stroke)
-            for pose, goal in zip(poses, goals, strict=True)
-        ]
-    )
+    return np.vstack([scene.desired, scene.image(scene.home.moved(_displacements(rest, ends)))[0]])

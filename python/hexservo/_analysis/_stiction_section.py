@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hexservo._analysis._stiction_set import SETTLED, SPAN
+from hexservo._analysis._scene import SETTLED
+from hexservo._analysis._stiction_set import SPAN
 from hexservo._analysis._words import number
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 

@@ -1,97 +1,19 @@
-"""What a law does to a platform at rest, asked of the core's servo tick, and the poses where K_v holds it."""
+"""The displacements that K_v holds, as a polytope, and the farthest of them."""
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from hexservo import _core
-from hexservo._analysis._scene import Array, Pose, Scene, View, moved
-from hexservo._parameters import core_parameters
-from hexservo._scenario import Scenario
+from hexservo._analysis._poses import Array, Poses
+from hexservo._analysis._rest import RestLaw
+from hexservo._analysis._scene import Scene, View
 
-__all__ = ["SETTLED", "SPAN", "Extremes", "RestLaw", "RestSet", "confirmed", "extremes", "without_friction"]
+__all__ = ["SPAN", "Extremes", "RestSet", "confirmed", "extremes"]
 
-SETTLED = 2.0  # [px], the threshold of the settling time
 SPAN = 0.2  # of the points' mean depth, and in rad: farther than this no image is called linear
-_SHIFT, _TURN = 1e-5, 1e-5  # [m], [rad], steps of the central differences
-
-
-def without_friction(scenario: Scenario) -> Scenario:
-    """Give the scenario with a law that has neither switching term nor fuzzy systems."""
-    law = scenario.controller.law
-    changes: dict[str, Any] = {"controller.switching.kind": "sign", f"controller.{law}.kv": 0.0}
-    changes[f"controller.{law}.fuzzy.enabled"] = False
-    return scenario.updated(changes)
-
-
-class RestLaw:
-    """The wrench that acts on a platform at rest, but for friction and fuzzy systems.
-
-    It is the law's own, from the core's servo tick, less what holds the estimated weight, plus the gravity error:
-    tau - G-bar + delta_G G-bar.
-
-    Parameters
-    ----------
-    scene
-        With the law, its gains and its goal.
-    exact_depth
-        Whether the controller knows the true depths, that is, J in place of J-hat.
-    """
-
-    def __init__(self, scene: Scene, *, exact_depth: bool = False) -> None:
-        self._scene = scene
-        self._settings = core_parameters(without_friction(scene.scenario))
-        body = _core.RigidBody()
-        body.mass, body.inertia = self._settings.robot.mass, self._settings.robot.inertia
-        self._held = np.array(body.gravity_wrench)
-        self._offset = np.array(self._settings.uncertainty.dynamics.gravity) * self._held
-        self._depth_factor = np.ones(4) if exact_depth else 1.0 + np.array(self._settings.uncertainty.depth)
-        self.desired: Array = scene.desired  # (8,) [px]
-        self._tick = _core.Controller(self._settings, self._settings.simulation.step)
-
-    def aimed_at(self, desired: Array) -> RestLaw:
-        """Give the same law with another goal image, (8,) [px]."""
-        other = copy(self)
-        self._settings.target.desired_features = desired
-        other.desired = desired
-        other._tick = _core.Controller(self._settings, self._settings.simulation.step)  # takes what it needs
-        return other
-
-    @property
-    def gravity_error(self) -> Array:
-        """delta_G G-bar, (6,) [N; N m]."""
-        return self._offset
-
-    def wrench(self, pose: Pose, view: View | None = None) -> Array:
-        """Give the wrench at a pose, (6,) in B [N; N m].
-
-        Raises
-        ------
-        ValueError
-            Where the servo tick refuses the pose: a point behind the camera, a singular pose.
-        """
-        seen = self._scene.view(pose) if view is None else view
-        wrench, _, _, status = self._tick.step(
-            seen.features, seen.depth * self._depth_factor, pose.position, pose.quaternion, np.zeros(6)
-        )
-        if status != _core.InputStatus.valid:
-            raise ValueError(f"pose: expected one that the servo tick can use, got {status.name}")
-        return np.asarray(wrench - self._held + self._offset)
-
-    def stiffness(self, pose: Pose) -> Array:
-        """Give minus the derivative of the wrench by the displacement, (6, 6), by central differences."""
-        columns = []
-        for axis in range(6):
-            step = np.zeros(6)
-            step[axis] = _SHIFT if axis < 3 else _TURN
-            forward, backward = self.wrench(moved(pose, step)), self.wrench(moved(pose, -step))
-            columns.append((backward - forward) / (2 * step[axis]))
-        return np.column_stack(columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,13 +46,13 @@ class RestSet:
         return cls(
             view=view,
             error=law.desired - view.features,
-            wrench=law.wrench(pose, view),
+            wrench=law.wrench(pose),
             stiffness=law.stiffness(pose),
             low=low,
             high=high,
             leg_rates=scene.hexapod.wrench_map(pose.position, pose.quaternion).T,
             travel=scene.leg_travel(pose),
-            stroke=float(scene.settings.robot.stroke),
+            stroke=scene.stroke,
             radius=scene.platform_radius,
             span=SPAN * np.repeat([view.mean_depth, 1.0], 3),
         )
@@ -256,7 +178,7 @@ def extremes(rest: RestSet) -> Extremes | None:
     )
 
 
-def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) -> tuple[Pose, float] | None:
+def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) -> tuple[Poses, float] | None:
     """Follow an extreme of the linearised set to a pose that K_v holds indeed, by the core's law and projection.
 
     The set is linearised anew where the last linear program ended, with steps that become shorter.
@@ -277,7 +199,7 @@ def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) ->
     sign = float(np.sign(error[coordinate]))
     margin = 1 - 1e-6
     found = None
-    pose = moved(rest.view.pose, displacement)
+    pose = rest.view.pose.moved(displacement)
     for within in (0.5, 0.25, 0.12, 0.06, 0.03, 0.015, 0.007):
         view = scene.view(pose)
         if not (view.depth < 0).all():
@@ -294,11 +216,11 @@ def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) ->
             step = here.farthest(direction)
         if step is None:
             return found
-        pose = moved(pose, step[0])
+        pose = pose.moved(step[0])
     return found
 
 
-def _optical_axis(pose: Pose) -> Array:
+def _optical_axis(pose: Poses) -> Array:
     """Give z of E in B."""
     w, x, y, z = pose.quaternion
     return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])

@@ -31,7 +31,7 @@ from hexservo._analysis._loop_of_scenario import (
     scaled,
     seen_from_home,
 )
-from hexservo._analysis._scene import Array
+from hexservo._analysis._poses import Array
 from hexservo._evidence import Section
 from hexservo._scenario import Scenario
 

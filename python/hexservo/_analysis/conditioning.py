@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 
 from hexservo._analysis._goal import TOLERANCE, Goals, find_goals
-from hexservo._analysis._scene import Array, Scene, View, moved, scene_of
-from hexservo._analysis._words import motion_in_words, number, numbers
+from hexservo._analysis._poses import Array, without_sign
+from hexservo._analysis._scene import Scene, View, scene_of
+from hexservo._analysis._words import displacement_words, motion_in_words, number, numbers
 from hexservo._analysis.placement import DEPTH_SHARE, Placement, image_radius, in_circle, place, placements
 from hexservo._evidence import Cell, Column, Curves, Line, Section, Table
 from hexservo._scenario import Scenario
@@ -96,7 +97,7 @@ class Conditioning:
     def _verdict(self, sights: list[Sight]) -> Literal["good", "warning", "bad"]:
         if self.goals is not None and self.goals.best.largest_residual > _MISSED:
             return "bad"
-        uncertain = self.noise * max(found.worst for found in sights) > _GRIP * self.scene.settings.robot.stroke
+        uncertain = self.noise * max(found.worst for found in sights) > _GRIP * self.scene.stroke
         return "warning" if uncertain else "good"
 
     def _sentences(self, sights: list[Sight]) -> list[str]:
@@ -140,7 +141,7 @@ class Conditioning:
         """Give the largest change of a coordinate that a motion from a pose makes [px], not linearised."""
         if not self.scene.has_points:
             return float(np.abs(seen.view.jacobian @ motion).max())
-        view = self.scene.view(moved(seen.view.pose, motion))
+        view = self.scene.view(seen.view.pose.moved(motion))
         return float(np.abs(view.features - seen.view.features).max())
 
     def _goal_in_words(self) -> str:
@@ -153,12 +154,12 @@ class Conditioning:
         if not self.goals.reachable and best.largest_residual > TOLERANCE:
             return (
                 f"No pose that was found shows the goal image: the best one leaves {best.largest_residual:.3g} px, "
-                f"home moved by {_displacement(best.displacement)}."
+                f"home moved by {displacement_words(best.displacement)}."
             )
         return (
-            f"The goal image is seen from home moved by {_displacement(best.displacement)}; the nearest pose that "
+            f"The goal image is seen from home moved by {displacement_words(best.displacement)}; the nearest pose that "
             f"leaves no coordinate more than {TOLERANCE} px further off is home moved by "
-            f"{_displacement(nearest.displacement)}."
+            f"{displacement_words(nearest.displacement)}."
         )
 
     def _curves(self) -> Curves:
@@ -260,8 +261,7 @@ def sight(place: str, view: View, length: float) -> Sight:
     """
     units = np.repeat([1.0, length], 3)
     _, scaled_values, rows = np.linalg.svd(view.jacobian / units, full_matrices=False)
-    # The sign of a singular direction means nothing: its largest entry is positive.
-    rows = rows * np.sign(rows[np.arange(6), np.abs(rows).argmax(axis=1)])[:, None]
+    rows = without_sign(rows)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = np.sqrt(((rows / scaled_values[:, None]) ** 2).sum(axis=0)) / units
     return Sight(
@@ -281,14 +281,6 @@ def _ratio(values: Array) -> float:
 
 def _times(factor: float) -> str:
     return f"{number(factor)} times better" if factor > 1.005 else "no better"
-
-
-def _displacement(displacement: Array) -> str:
-    shift, turn = 1e3 * displacement[:3], 1e3 * displacement[3:]
-    return (
-        f"({', '.join(f'{value:.1f}' for value in shift + 0.0)}) mm and turned by "
-        f"({', '.join(f'{value:.1f}' for value in turn + 0.0)}) mrad"
-    ).replace("-0.0", "0.0")
 
 
 def _sights_table(sights: list[Sight]) -> Table:

@@ -9,7 +9,10 @@ import numpy as np
 
 from hexservo import _core
 from hexservo._analysis._drift_findings import GRID, LARGEST, SIZES, Drift, Pattern, Size
-from hexservo._analysis._rest import Array, Mask, Poses, Rest
+from hexservo._analysis._goal import find_goals
+from hexservo._analysis._poses import Array, Mask, Poses, without_sign
+from hexservo._analysis._rest import Rest
+from hexservo._analysis._scene import scene_of
 from hexservo._scenario import Scenario
 
 __all__ = ["Drift", "Pattern", "Size", "analyse", "loop_matrix"]
@@ -75,10 +78,11 @@ class _Worker:
         self.rest = Rest(scenario)
         self.law = scenario.controller.law
         self.gains = self.rest.gains
-        self.goal = self.rest.goal()
+        goals = find_goals(scene_of(scenario))
+        self.goal = None if goals is None else goals.shown_at
         places = [self.rest.home] if self.goal is None else [self.rest.home, self.goal]
         self.places = [(pose, *self.rest.image(pose)) for pose in places]
-        self.true = [self.rest.jacobian(features, depth, pose)[0] for pose, features, depth in self.places]
+        self.true = [self.rest.jacobian(features, depth, pose.quaternion) for pose, features, depth in self.places]
         if self.law == "resolved_rate":
             self.inverse, self.expected = np.array(self.gains.damping), np.zeros(6)
         else:
@@ -99,7 +103,8 @@ class _Worker:
         """Give J-hat (n, 8, 6) at a place for depth errors (n, 4): the core's J at Z-hat = (1 + delta) Z, (9)."""
         pose, features, depth = self.places[place]
         count = len(errors)
-        return self.rest.jacobian(np.repeat(features, count, axis=0), (1.0 + errors) * depth, pose.repeated(count))
+        attitudes = pose.repeated(count).quaternion
+        return self.rest.jacobian(np.tile(features, (count, 1)), (1.0 + errors) * depth, attitudes)
 
     def smallest(self, place: int, errors: Array, inverse: Array, expected: Array) -> Array:
         """Give the smallest real part of an eigenvalue of the loop matrix, (n,)."""
@@ -125,14 +130,14 @@ class _Worker:
         found = []
         for i, error in enumerate(errors):
             least = int(np.argmin(values[i].real))
-            direction = vectors[i, :, least].real * unit
+            direction = without_sign(vectors[i, :, least].real)
             found.append(
                 Pattern(
                     "(" + ",".join("+" if part >= 0 else "-" for part in error) + ")",
                     error,
                     float(values[i, least].real),
                     float(at_goal[i]),
-                    direction / np.linalg.norm(direction / unit),
+                    direction * unit / np.linalg.norm(direction),
                     float(rates[i]),
                     moved[i] if ended[i] else None,
                     float(end_rates[i]) if ended[i] else np.nan,
@@ -149,7 +154,6 @@ class _Worker:
         home = self.rest.home
         poses = home.repeated(count)
         still = np.zeros((count, 6))
-        _, _, weight = probe.estimated_wrenches(home.quaternion, still[:1], still[:1])
         last = np.full(count, np.inf)
         for _ in range(_CREEP_ROUNDS if self.expected.any() else 0):
             features, depth = self.rest.image(poses)
@@ -158,7 +162,7 @@ class _Worker:
                 break
             there, believed = poses[seen], (1.0 + errors[seen]) * depth[seen]
             law = probe.law(features[seen], believed, there.position, there.quaternion, still[seen])
-            error = law.wrench - weight  # K_t is one and everything else zero: the wrench is e
+            error = law.wrench - self.rest.weight  # K_t is one and everything else zero: the wrench is e
             known = probe.image_jacobian(features[seen], believed, there.quaternion)
             true = probe.image_jacobian(features[seen], depth[seen], there.quaternion)
             slope = loop_matrix(known, true, self.inverse, self.expected)
@@ -175,8 +179,9 @@ class _Worker:
         if rows.any():
             there = poses[rows]
             features, depth = self.rest.image(there)
-            known = self.rest.jacobian(features, (1.0 + errors[rows]) * depth, there)
-            matrix = loop_matrix(known, self.rest.jacobian(features, depth, there), self.inverse, self.expected)
+            known = self.rest.jacobian(features, (1.0 + errors[rows]) * depth, there.quaternion)
+            true = self.rest.jacobian(features, depth, there.quaternion)
+            matrix = loop_matrix(known, true, self.inverse, self.expected)
             result[rows] = np.linalg.eigvals(matrix * self.drive).real.min(axis=1)
         return result
 
@@ -237,7 +242,7 @@ class _Worker:
             "",
             self.driven_by,
             self.rest.depth,
-            float(self.rest.settings.robot.stroke),
+            self.rest.stroke,
             self.patterns(own[None])[0],
             tuple(self.size(s) for s in sizes),
             limits[0],

@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo._analysis._equilibria_findings import SEED, Equilibria, Equilibrium
-from hexservo._analysis._rest import SHOWN, WIDER, Array, Mask, Poses, Rest
+from hexservo._analysis._goal import SHOWN, nearest_images
+from hexservo._analysis._poses import Array, Mask, Poses, without_sign
+from hexservo._analysis._rest import Rest
+from hexservo._analysis._scene import WIDER
 from hexservo._scenario import Scenario
 
 __all__ = ["Equilibria", "Equilibrium", "analyse"]
@@ -56,7 +59,7 @@ def analyse(scenario: Scenario) -> Equilibria:
     poses = poses[np.array([group[0] for group in groups], dtype=int)]
     kinds = ["goal" if shown else "false" for shown in level.residual(poses) < SHOWN]
     counts = [len(set(origin[group].tolist())) for group in groups]
-    goal_stiffness, gravity = None, _gravity_force(rest)
+    goal_stiffness, gravity = None, rest.gravity_error
     if gravity.any():
         if "goal" in kinds:
             goal_stiffness = _stiffness_along_z(level, poses[[kinds.index("goal")]])
@@ -69,7 +72,7 @@ def analyse(scenario: Scenario) -> Equilibria:
         tuple(found),
         len(within),
         len(wider),
-        float(rest.settings.robot.stroke),
+        rest.stroke,
         rest.depth,
         float(gravity[2]),
         goal_stiffness,
@@ -85,12 +88,12 @@ _BARE: dict[str, dict[str, Any]] = {
 
 def _starts_within(rest: Rest) -> Poses:
     """Draw poses whose leg lengths are spread evenly over the stroke, in the linearised kinematics of home."""
-    leg_map = np.asarray(rest.hexapod.wrench_map(rest.home.position[0], rest.home.quaternion[0])).T  # twist to rates
-    lengths = np.random.default_rng(SEED).uniform(-1.0, 1.0, (8 * _WITHIN, 6)) * rest.settings.robot.stroke
+    leg_map = np.asarray(rest.hexapod.wrench_map(rest.home.position, rest.home.quaternion)).T  # twist to rates
+    lengths = np.random.default_rng(SEED).uniform(-1.0, 1.0, (8 * _WITHIN, 6)) * rest.stroke
     moves: Array = np.linalg.solve(leg_map, lengths.T).T.astype(np.float64)
     # not farther than the wider region, where the stroke of a large robot goes beyond it
     moves /= np.maximum((np.abs(moves) / (WIDER * rest.unit)).max(axis=1, keepdims=True), 1.0)
-    poses = rest.home.repeated(len(moves)).moved(moves)
+    poses = rest.home.moved(moves)
     usable = rest.reachable(poses) & np.isfinite(rest.image(poses)[0]).all(axis=1)
     return poses[np.flatnonzero(usable)[:_WITHIN]]
 
@@ -100,17 +103,10 @@ def _search(rest: Rest, starts: Poses, weights: Array) -> tuple[Poses, Mask, NDA
 
     Gives the poses, whether each converged, and the start that each came from.
     """
-    low, low_found = rest.settled(rest.nearest_images(starts, weights), rounds=8)
+    low, low_found = rest.settled(nearest_images(rest, starts, weights), rounds=8)
     raw, raw_found = rest.settled(starts, rounds=16)
     number = np.arange(len(starts))
     return Poses.joined(low, raw), np.concatenate([low_found, raw_found]), np.concatenate([number, number])
-
-
-def _gravity_force(rest: Rest) -> Array:
-    """Give what the actual platform feels, (6,) [N; N m], under the wrench that the estimate calls weight."""
-    upright, still = rest.home.quaternion, np.zeros((1, 6))
-    _, _, weight = rest.probe.estimated_wrenches(upright, still, still)
-    return np.asarray(rest.settings.uncertainty.dynamics.gravity * weight)
 
 
 def _stiffness_along_z(rest: Rest, pose: Poses) -> float:
@@ -165,7 +161,7 @@ def _described(rest: Rest, pose: Poses, kind: str, starts: int) -> Equilibrium:
     slope = rest.stiffness(pose)[0]
     values, vectors = np.linalg.eig(slope)
     order = np.argsort(values.real)
-    values, weakest = values[order], vectors[:, order[0]].real * rest.unit
+    values, weakest = values[order], without_sign(vectors[:, order[0]].real)
     return Equilibrium(
         kind,
         pose.position[0],
@@ -173,7 +169,7 @@ def _described(rest: Rest, pose: Poses, kind: str, starts: int) -> Equilibrium:
         pose.displacement_from(rest.home)[0],
         float(rest.residual(pose)[0]),
         values,
-        weakest / np.linalg.norm(weakest / rest.unit),
+        weakest * rest.unit / np.linalg.norm(weakest),
         _stability(values.real),
         _growth(rest, pose, slope),
         rest.leg_travel(pose)[0],
@@ -203,9 +199,9 @@ def _barrier(rest: Rest, result: Equilibria) -> tuple[Array, Array] | None:
     """Give the image error along the straight way in pose from a false equilibrium that attracts to the goal."""
     if not result.traps or not result.goals:
         return None
-    trap, goal = (Poses(e.position[None], e.quaternion[None]) for e in (result.traps[0], result.goals[0]))
+    trap, goal = (Poses(e.position, e.quaternion) for e in (result.traps[0], result.goals[0]))
     part = np.linspace(0.0, 1.0, 101)
-    way = trap.repeated(len(part)).moved(part[:, None] * goal.displacement_from(trap))
+    way = trap.moved(part[:, None] * goal.displacement_from(trap))
     weights = np.array(rest.gains.kp)
     error = rest.desired - rest.image(way)[0]
     return part, np.sqrt((weights * error**2).sum(axis=1) / weights.sum())

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo._analysis._goal import SHOWN, find_goals
 from hexservo._analysis._largest_start_findings import DWELL, Direction, LargestStart, Timing, Tried, border
-from hexservo._analysis._rest import SHOWN, WIDER, Array, Rest
+from hexservo._analysis._poses import Array
+from hexservo._analysis._scene import WIDER, Scene, scene_of
 from hexservo._batch import simulate_batch
 from hexservo._scenario import Scenario
 
@@ -38,12 +40,12 @@ def analyse(scenario: Scenario) -> LargestStart:
     law = scenario.controller.law
     if scenario.camera.convention == "as_printed":
         return LargestStart(law, "A camera as_printed has no points in space, so goals have no pose: not tried.")
-    rest = Rest(scenario)
+    scene = scene_of(scenario)
     trial = _Trial(scenario)
-    directions = _directions(rest, trial)
+    directions = _directions(scene, trial)
     timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
     longer = trial.longer if any(d.settles_later is not None for d in directions) else 0.0
-    at_goal = bool(rest.residual(rest.home)[0] < SHOWN)
+    at_goal = bool(scene.residual(scene.home) < SHOWN)
     return LargestStart(law, "", directions, timings, trial.duration, longer, trial.runs, at_goal, assumed)
 
 
@@ -124,9 +126,9 @@ class _Way:
     travel: dict[float, float]
 
 
-def _directions(rest: Rest, trial: _Trial) -> tuple[Direction, ...]:
+def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
     """Try goals along the task's own way, the axes and the turns, all ways in one batch per round."""
-    ways = [_Way(name, unit, *_largest(rest, unit), {}, {}, {}) for name, unit in _units(rest)]
+    ways = [_Way(name, unit, *_largest(scene, unit), {}, {}, {}) for name, unit in _units(scene)]
     ways = [way for way in ways if way.largest > 0.0]
 
     def run(sizes: Callable[[_Way], list[float]]) -> None:
@@ -134,7 +136,7 @@ def _directions(rest: Rest, trial: _Trial) -> tuple[Direction, ...]:
         if not rows:
             return
         moves = np.array([size * way.unit for way, size in rows])
-        features, _ = rest.image(rest.home.repeated(len(rows)).moved(moves))
+        features, _ = scene.image(scene.home.moved(moves))
         good, times, travel, ran = trial.settled({"target.desired_features": features})
         for (way, size), settled, time, legs, there in zip(rows, good, times, travel, ran, strict=True):
             if not there:
@@ -161,49 +163,49 @@ def _directions(rest: Rest, trial: _Trial) -> tuple[Direction, ...]:
     run(between)
     for _ in range(_ROUNDS):
         run(quarters)
-    later = _settles_later(rest, trial, ways)
-    return tuple(_described(rest, way, settles) for way, settles in zip(ways, later, strict=True))
+    later = _settles_later(scene, trial, ways)
+    return tuple(_described(scene, way, settles) for way, settles in zip(ways, later, strict=True))
 
 
-def _settles_later(rest: Rest, trial: _Trial, ways: list[_Way]) -> list[bool | None]:
+def _settles_later(scene: Scene, trial: _Trial, ways: list[_Way]) -> list[bool | None]:
     """Run the smallest sizes that fail for longer: are they only slow."""
     failed = [border(way.tried)[1] for way in ways]
     rows = [i for i, size in enumerate(failed) if size is not None]
     found: list[bool | None] = [None] * len(ways)
     if rows and trial.duration < trial.longer:
         moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows])
-        features, _ = rest.image(rest.home.repeated(len(rows)).moved(moves))
+        features, _ = scene.image(scene.home.moved(moves))
         good = trial.settled({"target.desired_features": features}, trial.longest())[0]
         for i, settled in zip(rows, good, strict=True):
             found[i] = bool(settled)
     return found
 
 
-def _units(rest: Rest) -> list[tuple[str, Array]]:
-    goal = rest.goal()
-    units = [] if goal is None else [("own", goal.displacement_from(rest.home)[0])]
+def _units(scene: Scene) -> list[tuple[str, Array]]:
+    goals = find_goals(scene)
+    units = [("own", goals.best.displacement)] if goals is not None and goals.reachable else []
     for j in range(6):
         for sign, value in (("+", 1.0), ("-", -1.0)):
             unit = np.zeros(6)
             unit[j] = value
             units.append((f"{'shift' if j < 3 else 'turn'} {sign}{'xyz'[j % 3]}", unit))
-    return [(name, unit) for name, unit in units if np.abs(unit / rest.unit).max() > 1e-9]
+    return [(name, unit) for name, unit in units if np.abs(unit / scene.unit).max() > 1e-9]
 
 
-def _largest(rest: Rest, unit: Array) -> tuple[float, str]:
+def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
     """Give the largest size along a way that is reachable, seen and in the region, and what limits it.
 
     Every pose on the way to it is reachable and seen as well, on a grid.
     """
-    farthest = WIDER * rest.unit
+    farthest = WIDER * scene.unit
     farthest[3:] = np.pi  # one turn at a time may be larger
     most = float(1.0 / (np.abs(unit) / farthest).max())
     low, limit = 0.0, "region"
     for _ in range(2):  # the grid, and once more inside the cell that has the border
         sizes = np.linspace(low, most, 201)[1:]
-        there = rest.home.repeated(200).moved(sizes[:, None] * unit)
-        seen = np.asarray(np.isfinite(rest.image(there)[0]).all(axis=1))
-        good = seen & rest.reachable(there)
+        there = scene.home.moved(sizes[:, None] * unit)
+        seen = np.asarray(np.isfinite(scene.image(there)[0]).all(axis=1))
+        good = seen & scene.reachable(there)
         if good.all():
             return float(sizes[-1]), limit
         first = int(np.argmin(good))
@@ -212,13 +214,13 @@ def _largest(rest: Rest, unit: Array) -> tuple[float, str]:
     return low, limit
 
 
-def _described(rest: Rest, way: _Way, settles_later: bool | None) -> Direction:
+def _described(scene: Scene, way: _Way, settles_later: bool | None) -> Direction:
     settles_to = border(way.tried)[0]
     error = np.nan
     if settles_to > 0.0:
-        goal = rest.home.moved((settles_to * way.unit)[None])
-        error = float(np.abs(rest.image(goal)[0] - rest.image(rest.home)[0]).max())
-    beyond = [size for size, good in way.tried.items() if good and way.travel[size] > rest.settings.robot.stroke]
+        goal = scene.home.moved(settles_to * way.unit)
+        error = float(np.abs(scene.image(goal)[0] - scene.image(scene.home)[0]).max())
+    beyond = [size for size, good in way.tried.items() if good and way.travel[size] > scene.stroke]
     return Direction(
         way.name,
         way.unit,

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo._analysis._scene import Array, Scene
+from hexservo._analysis._poses import Array
+from hexservo._analysis._scene import Scene
 
 __all__ = ["DEPTH_SHARE", "Placement", "image_radius", "in_circle", "place", "placements"]
 

@@ -8,9 +8,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hexservo._analysis._goal import Goals, find_goals
-from hexservo._analysis._scene import Array, Scene, moved, scene_of
+from hexservo._analysis._poses import Array
+from hexservo._analysis._rest import Rest, RestLaw, without_friction
+from hexservo._analysis._scene import SETTLED, Scene, scene_of
 from hexservo._analysis._stiction_runs import Runs, run
-from hexservo._analysis._stiction_set import SETTLED, Extremes, RestLaw, RestSet, confirmed, extremes
+from hexservo._analysis._stiction_set import Extremes, RestSet, confirmed, extremes
 from hexservo._analysis._words import number
 from hexservo._evidence import Section
 from hexservo._scenario import Fuzzy, Scenario
@@ -18,10 +20,6 @@ from hexservo._scenario import Fuzzy, Scenario
 __all__ = ["Case", "Creep", "Stiction", "analyse"]
 
 PAGE = "docs/analysis/stiction.md"
-__AXES = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
-
-_SHORT = ("along x", "along y", "along z", "about x", "about y", "about z")
-
 _GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
 
 Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]
@@ -228,20 +226,8 @@ def _creep(rest: RestSet, at_goal: Array, scenario: Scenario, kv: Array) -> Cree
 
 def _prior_error(scene: Scene, goals: Goals) -> float | None:
     """Give the image error where the pose error e of `composite` vanishes [px], near the goal; None if not found."""
-    from scipy.optimize import root
-
     changes = {"kp": 0.0, "kd": 0.0, "kt": 1.0}  # the law's wrench is then e
-    only_e = Scene(scene.scenario.updated({f"controller.composite.{key}": value for key, value in changes.items()}))
-    law = RestLaw(only_e)
-
-    def error(x: Array) -> Array:
-        return law.wrench(moved(goals.nearest.view.pose, x)) - law.gravity_error
-
-    try:
-        found = root(error, np.zeros(6), options={"xtol": 1e-12})
-    except ValueError:  # a step behind the camera or to a singular pose
-        return None
-    if np.abs(error(found.x)).max() > 1e-9:
-        return None
-    view = scene.view(moved(goals.nearest.view.pose, found.x))
-    return float(np.abs(scene.desired - view.features).max())
+    only_e = scene.scenario.updated({f"controller.composite.{key}": value for key, value in changes.items()})
+    rest = Rest(without_friction(only_e), gravity=0.0)
+    poses, found = rest.settled(goals.nearest.view.pose.rows, rounds=30)
+    return float(rest.residual(poses)[0]) if found[0] else None

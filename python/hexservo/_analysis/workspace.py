@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from hexservo import _core
 from hexservo._analysis._goal import TOLERANCE, Goals, find_goals
-from hexservo._analysis._scene import Array, Pose, Scene, moved, scene_of
+from hexservo._analysis._poses import Array, Poses
+from hexservo._analysis._scene import Scene, scene_of
 from hexservo._analysis._words import number
 from hexservo._evidence import Column, HeatMap, Line, Section, Table
 from hexservo._scenario import Scenario
@@ -40,7 +40,7 @@ class Place:
     """The legs at one pose."""
 
     name: str
-    pose: Pose
+    pose: Poses
     travel: Array  # (6,) [m], longer than at home
     singularity: float  # smallest singular value of H, moments divided by r_p
     forces: Array  # (6,) [N], that hold the estimated weight; infinite at a singular pose
@@ -71,7 +71,7 @@ class Workspace:
     @property
     def stroke(self) -> float:
         """Travel of a leg each way [m]."""
-        return float(self.scene.settings.robot.stroke)
+        return self.scene.stroke
 
     @property
     def force_limit(self) -> float:
@@ -111,8 +111,8 @@ class Workspace:
         if self.goals is None:
             words.append("The goal pose is open: a camera as printed has no points in space.")
         words.append(
-            f"From home the legs allow {_reaches(self.axes[:6], 'mm', 'along')} and "
-            f"{_reaches(self.axes[6:], 'mrad', 'about')}; the shortest of {_RANDOM} random shifts and turns are "
+            f"From home the legs allow {_reach_words(self.axes[:6], 'mm', 'along')} and "
+            f"{_reach_words(self.axes[6:], 'mrad', 'about')}; the shortest of {_RANDOM} random shifts and turns are "
             f"{_distance(self.least_shift)} mm and {_distance(self.least_turn)} mrad."
         )
         places = self._places[:2]
@@ -260,13 +260,14 @@ def analyse(scenario: Scenario) -> Workspace:
     units = [sign * row for row in np.eye(6) for sign in (1.0, -1.0)]
     sideways = random.normal(size=(_RANDOM, 3))
     sideways /= np.linalg.norm(sideways, axis=1)[:, None]
-    shifts = [reach(scene, np.concatenate([way, np.zeros(3)])) for way in sideways]
-    turns = [reach(scene, np.concatenate([np.zeros(3), way])) for way in sideways]
+    none = np.zeros((_RANDOM, 3))
+    ends = _reaches(scene, np.vstack([units, np.hstack([sideways, none]), np.hstack([none, sideways])]))
+    shifts, turns = ends[len(units) : -_RANDOM], ends[-_RANDOM:]
     start = _place(scene, "start", scene.home)
     goal = None if goals is None else _place(scene, "goal", goals.best.view.pose)
     centre = goal or start
     around = _neighbourhood(scene, centre.pose, random)
-    near = [_place(scene, "", pose) for pose in around]
+    near = [_place(scene, "", around[row]) for row in range(len(around))]
     x, y, margin = _margin_map(scene, centre.pose)
     return Workspace(
         scene=scene,
@@ -274,7 +275,7 @@ def analyse(scenario: Scenario) -> Workspace:
         start=start,
         goal=goal,
         nearest=None if goals is None else _place(scene, "nearest goal", goals.nearest.view.pose),
-        axes=tuple(reach(scene, unit) for unit in units),
+        axes=tuple(ends[: len(units)]),
         least_shift=min(shifts, key=lambda end: end.distance),
         least_turn=min(turns, key=lambda end: end.distance),
         way_margin=np.empty(0) if goals is None else _way_margin(scene, goals.best.displacement),
@@ -299,25 +300,31 @@ def reach(scene: Scene, direction: Array) -> Reach:
     direction
         (6,): shift [m] and rotation vector [rad] per unit of distance, in B.
     """
-    stroke = float(scene.settings.robot.stroke)
-    speed = float(np.linalg.norm(direction[:3]) + scene.platform_radius * np.linalg.norm(direction[3:]))
-    turning = float(np.linalg.norm(direction[3:]))
-    distance = 0.0
+    return _reaches(scene, direction[None])[0]
+
+
+def _reaches(scene: Scene, directions: Array) -> list[Reach]:
+    """Give `reach` of all directions (n, 6), which march side by side."""
+    turning = np.linalg.norm(directions[:, 3:], axis=1)
+    speed = np.linalg.norm(directions[:, :3], axis=1) + scene.platform_radius * turning
+    distance, leg = np.zeros(len(directions)), np.zeros(len(directions), dtype=int)
+    marching = np.arange(len(directions))
     for _ in range(_ROUNDS):
-        travel = np.abs(scene.leg_travel(moved(scene.home, distance * direction)))
-        left = stroke - float(travel.max())
-        if left <= _TOLERANCE * stroke:
-            return Reach(direction, distance, int(travel.argmax()) + 1)
-        if turning * distance > np.pi:
+        travel = np.abs(scene.leg_travel(scene.home.moved(distance[marching, None] * directions[marching])))
+        left = scene.stroke - travel.max(axis=1)
+        ended = left <= _TOLERANCE * scene.stroke
+        leg[marching[ended]] = travel[ended].argmax(axis=1) + 1
+        on = ~ended & (turning[marching] * distance[marching] <= np.pi)
+        marching, left = marching[on], left[on]
+        if not len(marching):
             break
-        distance += left / speed
-    return Reach(direction, np.inf, 0)
+        distance[marching] += left / speed[marching]
+    distance[leg == 0] = np.inf
+    return [Reach(*end) for end in zip(directions, distance.tolist(), leg.tolist(), strict=True)]
 
 
-def _place(scene: Scene, name: str, pose: Pose) -> Place:
-    body = _core.RigidBody()
-    body.mass, body.inertia = scene.settings.robot.mass, scene.settings.robot.inertia
-    weight = np.array(body.gravity_wrench)
+def _place(scene: Scene, name: str, pose: Poses) -> Place:
+    weight = np.array(scene.body.gravity_wrench)
     actual = (1.0 - np.array(scene.settings.uncertainty.dynamics.gravity)) * weight
     legs, at = scene.hexapod, (pose.position, pose.quaternion)
 
@@ -337,41 +344,33 @@ def _place(scene: Scene, name: str, pose: Pose) -> Place:
     )
 
 
-def _neighbourhood(scene: Scene, centre: Pose, random: np.random.Generator) -> list[Pose]:
+def _neighbourhood(scene: Scene, centre: Poses, random: np.random.Generator) -> Poses:
     """Draw poses around one and keep those within the stroke.
 
     They are shifted by up to half a stroke and turned by as much at the platform joints; no more than a quarter of r_p.
     """
-    stroke = float(scene.settings.robot.stroke)
-    size = min(0.5 * stroke, 0.25 * scene.platform_radius)
-    kept = []
-    for _ in range(_RANDOM):
-        way = random.normal(size=6)
+    size = min(0.5 * scene.stroke, 0.25 * scene.platform_radius)
+    ways = np.empty((_RANDOM, 6))
+    for way in ways:
+        way[:] = random.normal(size=6)
         way[:3] *= size * random.uniform() / np.linalg.norm(way[:3])
         way[3:] *= size * random.uniform() / np.linalg.norm(way[3:]) / scene.platform_radius
-        pose = moved(centre, way)
-        if np.abs(scene.leg_travel(pose)).max() <= stroke:
-            kept.append(pose)
-    return kept
+    poses = centre.moved(ways)
+    return poses[scene.stroke_left(poses) >= 0]
 
 
 def _way_margin(scene: Scene, displacement: Array) -> Array:
-    shares = np.linspace(0.0, 1.0, _WAY)
-    travel = [np.abs(scene.leg_travel(moved(scene.home, share * displacement))).max() for share in shares]
-    return float(scene.settings.robot.stroke) - np.array(travel)
+    return scene.stroke_left(scene.home.moved(np.linspace(0.0, 1.0, _WAY)[:, None] * displacement))
 
 
-def _margin_map(scene: Scene, centre: Pose) -> tuple[Array, Array, Array]:
+def _margin_map(scene: Scene, centre: Poses) -> tuple[Array, Array, Array]:
     """Give x and y from home [m] and the stroke that is left [m], over what the stroke may reach and the goal."""
-    stroke = float(scene.settings.robot.stroke)
     home = scene.home.position
-    half = max(2.0 * stroke, 1.2 * float(np.abs((centre.position - home)[:2]).max()))
+    half = max(2.0 * scene.stroke, 1.2 * float(np.abs((centre.position - home)[:2]).max()))
     ticks = np.linspace(-half, half, _GRID)
-    lengths = scene.hexapod.leg_lengths
-    rest = np.array(scene.hexapod.home_lengths)
-    places = [(home[0] + x, home[1] + y, centre.position[2]) for y in ticks for x in ticks]
-    travel = np.array([lengths(place, centre.quaternion) for place in places]) - rest
-    return ticks, ticks, (stroke - np.abs(travel).max(axis=1)).reshape(_GRID, _GRID)
+    x, y = np.meshgrid(home[0] + ticks, home[1] + ticks)
+    places = np.stack([x, y, np.full(x.shape, centre.position[2])], axis=-1)
+    return ticks, ticks, scene.stroke_left(Poses(places, np.broadcast_to(centre.quaternion, (*x.shape, 4))))
 
 
 def _distance(end: Reach) -> str:
@@ -382,7 +381,7 @@ def _cell(end: Reach) -> float | None:
     return 1e3 * end.distance if np.isfinite(end.distance) else None
 
 
-def _reaches(ends: tuple[Reach, ...], unit: str, word: str) -> str:
+def _reach_words(ends: tuple[Reach, ...], unit: str, word: str) -> str:
     """Say how far the motions of three axes go, ahead and back."""
     if not any(np.isfinite(end.distance) for end in ends):
         return f"half a turn {word} every axis"

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
+from hexservo._analysis._scene import scene_of
 from hexservo._diagnosis.criterion import Record
 from hexservo._diagnosis.runs import Run
-from hexservo._parameters import core_parameters
 from hexservo._scenario import Scenario
 
 __all__ = ["Goal", "goal_of", "goal_run", "pixels_per_metre", "spread_target"]
@@ -79,14 +79,9 @@ def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array) -> flo
 
 def seen_from_home(scenario: Scenario) -> tuple[_core.Camera, Array, Array]:
     """Give the camera, and features (8,) [px] and depths (4,) [m] that it sees at the start."""
-    camera = core_parameters(scenario).camera
-    target = scenario.target
-    if target.points is not None:
-        features, depth = _core.take_image(
-            camera, scenario.robot.home_position, [1.0, 0.0, 0.0, 0.0], np.asarray(target.points)
-        )
-        return camera, features, depth
-    return camera, np.asarray(target.initial_features), -np.broadcast_to(np.asarray(target.depth, dtype=float), 4)
+    scene = scene_of(scenario)
+    home = scene.view(scene.home)
+    return scene.camera, home.features, home.depth
 
 
 def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float]:

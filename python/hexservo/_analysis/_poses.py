@@ -1,0 +1,122 @@
+"""Poses of the platform, one or many at once, and displacements between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Array", "Mask", "Poses", "by_displacement", "without_sign"]
+
+Array: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Place and attitude of E in B: of one pose, or of many, as the leading axes of both arrays say.
+
+    A displacement is a shift [m] and a rotation vector [rad], (..., 6), both in B; the platform turns about E's origin.
+    """
+
+    position: Array  # (..., 3) [m]
+    quaternion: Array  # (..., 4) w x y z, of unit length
+
+    def __len__(self) -> int:
+        """Give the number of rows."""
+        return len(self.position)
+
+    def __getitem__(self, rows: int | np.int_ | slice | Mask | NDArray[np.int_] | list[int]) -> Poses:
+        """Give some of the rows."""
+        return Poses(self.position[rows], self.quaternion[rows])
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Give the leading axes: () for one pose."""
+        return self.position.shape[:-1]
+
+    @property
+    def rows(self) -> Poses:
+        """The same poses, one per row."""
+        return Poses(self.position.reshape(-1, 3), self.quaternion.reshape(-1, 4))
+
+    def moved(self, displacement: Array) -> Poses:
+        """Give the poses after displacements, of as many rows or of one that serves all."""
+        half = 0.5 * displacement[..., 3:]
+        angle = np.sqrt((half * half).sum(axis=-1))
+        vector = np.sinc(angle / np.pi)[..., None] * half  # sin(angle)/angle, also at zero
+        quaternion = _product(np.concatenate([np.cos(angle)[..., None], vector], axis=-1), self.quaternion)
+        length = np.sqrt((quaternion * quaternion).sum(axis=-1, keepdims=True))
+        return Poses(self.position + displacement[..., :3], quaternion / length)
+
+    def displacement_from(self, other: Poses) -> Array:
+        """Give what `moved` takes from other poses to these, (..., 6) [m; rad], turned by half a turn at most."""
+        turn = _product(self.quaternion, other.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
+        turn = np.where(turn[..., :1] < 0, -turn, turn)
+        sine = np.sqrt((turn[..., 1:] ** 2).sum(axis=-1, keepdims=True))
+        angle = np.arctan2(sine, turn[..., :1])
+        vector = 2.0 * turn[..., 1:] / np.sinc(angle / np.pi)
+        return np.concatenate([self.position - other.position, vector], axis=-1)
+
+    def repeated(self, count: int) -> Poses:
+        """Give one pose several times, as rows."""
+        return Poses(np.tile(self.position, (count, 1)), np.tile(self.quaternion, (count, 1)))
+
+    def chosen(self, rows: Mask, others: Poses) -> Poses:
+        """Give the other's pose in the rows that are True, one's own elsewhere."""
+        return Poses(
+            np.where(rows[:, None], others.position, self.position),
+            np.where(rows[:, None], others.quaternion, self.quaternion),
+        )
+
+    @staticmethod
+    def joined(*parts: Poses) -> Poses:
+        """Put poses one after the other, as rows."""
+        return Poses(np.vstack([p.position for p in parts]), np.vstack([p.quaternion for p in parts]))
+
+
+def by_displacement(values: Callable[[Poses], Array], poses: Poses, steps: Array) -> Array:
+    """Give the derivative of what depends on the pose by a displacement, (..., k, 6), by central differences.
+
+    Parameters
+    ----------
+    values
+        Of poses (..., 12) at once, (..., 12, k).
+    poses
+        Where.
+    steps
+        (6,) [m; rad].
+    """
+    moves = np.vstack([np.diag(steps), -np.diag(steps)])
+    around = Poses(poses.position[..., None, :], poses.quaternion[..., None, :]).moved(moves)
+    found = values(around)
+    slope: Array = (found[..., :6, :] - found[..., 6:, :]) / (2.0 * steps[:, None])
+    return slope.swapaxes(-1, -2)
+
+
+def without_sign(directions: Array) -> Array:
+    """Give directions (..., 6) whose sign means nothing with that for which the first of the large entries is positive.
+
+    Large is what has at least 0.9 of the largest, so that rounding does not choose between two that are equal.
+    """
+    size = np.abs(directions)
+    first = (size >= 0.9 * size.max(axis=-1, keepdims=True)).argmax(axis=-1)[..., None]
+    return np.asarray(directions * np.sign(np.take_along_axis(directions, first, axis=-1)))
+
+
+def _product(first: Array, second: Array) -> Array:
+    """Multiply quaternions (..., 4): the turn of the second, then that of the first, both in B."""
+    a, b, c, d = np.moveaxis(first, -1, 0)
+    w, x, y, z = np.moveaxis(second, -1, 0)
+    return np.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
+        axis=-1,
+    )
