@@ -333,8 +333,9 @@ void Probe::image(Rows position, Rows quaternion, Column features, Column depth)
   require_room("depth", depth, kPoints, n);
   for (std::size_t i = 0; i < n; ++i) {
     Vector<double, kPoints> inverse_depth;
-    Image<double> seen = take_image(parts_->focal_pixels, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)),
-                                    parts_->points_B, inverse_depth);
+    Image<double> seen;
+    take_image(parts_->focal_pixels, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)), parts_->points_B,
+               seen, inverse_depth);
     for (int point = 0; point < kPoints; ++point)
       if (!(seen.depth(point) < 0.0))
         seen.features.segment<2>(2 * point).setConstant(std::numeric_limits<double>::quiet_NaN());
