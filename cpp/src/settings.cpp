@@ -275,7 +275,7 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
     refuse("controller.switching.kind", "sign, tanh or saturation in continuous mode (implicit needs a servo period)",
            "implicit");
   }
-  if constexpr (requires { p.gains.fuzzy; })
+  if constexpr (kHasFuzzySystems<Law>)
     require_resolved(p.gains.fuzzy, words("controller.", Law::name, ".fuzzy."), p.step);
   detail::require_positive("metrics.settling_threshold", settings.metrics.settling_threshold);
   detail::require_finite("metrics.rms_start", settings.metrics.rms_start);
