@@ -252,6 +252,12 @@ Image<S, N> measured_image(const Image<S, N>& image, const Vector<S, N>& depth_e
   return {image.features, image.depth + depth_error.cwiseProduct(image.depth)};
 }
 
+/// What makes 1/Z-hat_i of 1/Z_i: 1/(1 + delta_Z,i) [1].
+template <class S, int N>
+Vector<S, N> measured_inverse_share(const Vector<S, N>& depth_error) {
+  return (Vector<S, N>::Ones() + depth_error).cwiseInverse();
+}
+
 /// Delta-J of (12): measured minus real image Jacobian, 2N x 6, at one pose.
 template <class S, int N>
 Eigen::Matrix<S, 2 * N, 6> image_jacobian_error(const S& f, const S& sign, const Image<S, N>& image,

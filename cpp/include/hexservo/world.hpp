@@ -43,6 +43,25 @@ S nearest_depth(const Image<S, N>& image) noexcept {
   return nearest;
 }
 
+/// body + scale rate: the platform in a Runge-Kutta stage; its quaternion is not normalised inside a step.
+template <class S>
+[[gnu::always_inline]] inline void move_body(const BodyMotion<S>& body, const S& scale, const BodyMotion<S>& rate,
+                                             BodyMotion<S>& out) noexcept {
+  out.position = body.position + scale * rate.position;
+  out.quaternion = body.quaternion + scale * rate.quaternion;
+  out.twist = body.twist + scale * rate.twist;
+}
+
+/// The platform after a step of h [s] from the rates of its four stages, its quaternion normalised.
+template <class S>
+[[gnu::always_inline]] inline BodyMotion<S> body_after(BodyMotion<S> body, double h,
+                                                       const std::array<const BodyMotion<S>*, 4>& rates) noexcept {
+#pragma GCC unroll 4
+  for (std::size_t i = 0; i < 4; ++i) body = body + S(h * kRungeKuttaWeights[i]) * *rates[i];
+  normalise_quaternion(body);
+  return body;
+}
+
 /// What is, in `active` lanes, and what was in the others.
 template <class S, int N>
 void replace(WorldState<S, N>& state, const WorldState<S, N>& next, const Mask<S>& active) noexcept {
@@ -95,9 +114,7 @@ class World {
   /// state + scale rate: a Runge-Kutta stage.
   WorldState<S, N> moved(const WorldState<S, N>& state, const S& scale, const WorldRate<S, N>& rate) const noexcept {
     WorldState<S, N> next;
-    next.body.position = state.body.position + scale * rate.body.position;
-    next.body.quaternion = state.body.quaternion + scale * rate.body.quaternion;
-    next.body.twist = state.body.twist + scale * rate.body.twist;
+    move_body(state.body, scale, rate.body, next.body);
     if (printed_camera())
       next.view = View<S, N>({state.view.image.features + scale * rate.printed_image.features,
                               state.view.image.depth + scale * rate.printed_image.depth},
@@ -111,11 +128,7 @@ class World {
   WorldState<S, N> after(const WorldState<S, N>& state, double h,
                          const std::array<const WorldRate<S, N>*, 4>& rates) const noexcept {
     WorldState<S, N> next;
-    BodyMotion<S> body = state.body;
-#pragma GCC unroll 4
-    for (std::size_t i = 0; i < 4; ++i) body = body + S(h * kRungeKuttaWeights[i]) * rates[i]->body;
-    normalise_quaternion(body);
-    next.body = body;
+    next.body = body_after<S>(state.body, h, {&rates[0]->body, &rates[1]->body, &rates[2]->body, &rates[3]->body});
     if (!printed_camera()) {
       look(next.body, next.view);
       return next;
