@@ -1,8 +1,10 @@
 #include "bindings.hpp"
 
 #include "hexservo/probe.hpp"
+#include "hexservo/runge_kutta.hpp"
 
 #include <optional>
+#include <string_view>
 #include <vector>
 
 namespace hexservo::bindings {
@@ -14,10 +16,10 @@ using Shape = std::vector<py::ssize_t>;
 
 const Shape kEight = {2 * kPoints}, kFour = {kPoints}, kThree = {3}, kSix = {6}, kWeightShape = {6, kTerms, kTerms};
 const Shape kMembershipShape = {6, kTerms}, kJacobianShape = {2 * kPoints, 6}, kInertiaShape = {6, 6};
-constexpr py::ssize_t kStages = 4;
+constexpr auto kStages = static_cast<py::ssize_t>(kRungeKuttaWeights.size());
 
 /// A shape as Python writes it; the first extent may be unknown.
-std::string text(const Shape& shape) {
+std::string shape_text(const Shape& shape) {
   std::string out = "(";
   for (std::size_t i = 0; i < shape.size(); ++i) {
     if (i > 0) out += ", ";
@@ -26,31 +28,37 @@ std::string text(const Shape& shape) {
   return out + (shape.size() == 1 ? ",)" : ")");
 }
 
-Shape with(py::ssize_t first, const Shape& rest) {
+Shape prefixed(py::ssize_t first, const Shape& rest) {
   Shape shape = {first};
   shape.insert(shape.end(), rest.begin(), rest.end());
   return shape;
 }
-Shape staged(const Shape& rest) { return with(kStages, rest); }
+Shape staged(const Shape& rest) { return prefixed(kStages, rest); }
+
+/// An array of doubles; nothing where that would turn text into numbers or leave out imaginary parts.
+Array real_numbers(const py::object& value) {
+  const py::array given = py::array::ensure(value);
+  const bool real = given && std::string_view("SUc").find(given.dtype().kind()) == std::string_view::npos;
+  return real ? Array::ensure(given) : py::reinterpret_steal<Array>(py::handle());
+}
 
 /// Rows that were given, and keep their memory.
 class Given {
  public:
   /// @param n rows that are expected; -1: any number of them
-  Given(const char* name, const py::object& value, const Shape& row, py::ssize_t n = -1)
-      : array_(Array::ensure(value)) {
-    const Shape expected = with(n, row);
+  Given(const char* name, const py::object& value, const Shape& row, py::ssize_t n = -1) : array_(real_numbers(value)) {
+    const Shape expected = prefixed(n, row);
     const auto refuse = [&](const std::string& got) {
-      throw std::invalid_argument(std::string(name) + ": expected numbers of shape " + text(expected) + ", got " + got);
+      throw std::invalid_argument(std::string(name) + ": expected numbers of shape " + shape_text(expected) + ", got " +
+                                  got);
     };
     if (!array_) {
-      PyErr_Clear();
       refuse("something else (" + std::string(py::str(py::type::of(value).attr("__name__"))) + ")");
     }
     const Shape shape(array_.shape(), array_.shape() + array_.ndim());
     bool fits = shape.size() == expected.size();
     for (std::size_t i = 0; fits && i < shape.size(); ++i) fits = shape[i] == expected[i] || (i == 0 && n < 0);
-    if (!fits) refuse("shape " + text(shape));
+    if (!fits) refuse("shape " + shape_text(shape));
   }
 
   py::ssize_t count() const { return array_.shape(0); }
@@ -63,7 +71,7 @@ class Given {
 /// Rows to be filled in.
 class Made {
  public:
-  Made(py::ssize_t n, const Shape& row) : array_(with(n, row)) {}
+  Made(py::ssize_t n, const Shape& row) : array_(prefixed(n, row)) {}
 
   Column column() { return {array_.mutable_data(), static_cast<std::size_t>(array_.size())}; }
   py::array_t<double> array() const { return array_; }
@@ -73,8 +81,8 @@ class Made {
 };
 
 /// The same, or nothing.
-Column column(std::optional<Made>& made) { return made ? made->column() : Column{}; }
-py::object object(const std::optional<Made>& made) {
+Column column_or_none(std::optional<Made>& made) { return made ? made->column() : Column{}; }
+py::object array_or_none(const std::optional<Made>& made) {
   if (!made) return py::none();
   return made->array();
 }
@@ -157,11 +165,12 @@ LawProbe law(const Probe& probe, const py::object& f, const py::object& z, const
     adaptation.emplace(n, kSix);
   }
   {
-    const ProbedLaw out{wrench.column(), fuzzy_output.column(), column(error), column(rate), column(adaptation)};
+    const ProbedLaw out{wrench.column(), fuzzy_output.column(), column_or_none(error), column_or_none(rate),
+                        column_or_none(adaptation)};
     const py::gil_scoped_release no_gil;
     probe.law(states.rows(), out);
   }
-  return {wrench.array(), fuzzy_output.array(), object(error), object(rate), object(adaptation)};
+  return {wrench.array(), fuzzy_output.array(), array_or_none(error), array_or_none(rate), array_or_none(adaptation)};
 }
 
 py::array_t<double> acceleration(const Probe& probe, const py::object& p, const py::object& q, const py::object& v,
@@ -173,7 +182,7 @@ py::array_t<double> acceleration(const Probe& probe, const py::object& p, const 
   {
     const Column to = made.column();
     const py::gil_scoped_release no_gil;
-    probe.acceleration(quaternion.rows(), twist.rows(), wrench.rows(), to);
+    probe.acceleration(position.rows(), quaternion.rows(), twist.rows(), wrench.rows(), to);
   }
   return made.array();
 }
@@ -209,17 +218,23 @@ StageProbe stages(const Probe& probe, const py::object& f, const py::object& z, 
   std::optional<Made> next_weights;
   if (probe.has_fuzzy_systems()) next_weights.emplace(n, kWeightShape);
   {
-    const ProbedStages out{features.column(),     depth.column(),         position.column(),
-                           quaternion.column(),   twist.column(),         wrench.column(),
-                           fuzzy_output.column(), rate.column(),          next_features.column(),
-                           next_depth.column(),   next_position.column(), next_quaternion.column(),
-                           next_twist.column(),   column(next_weights)};
+    const ProbedStages out{features.column(),      depth.column(),
+                           position.column(),      quaternion.column(),
+                           twist.column(),         wrench.column(),
+                           fuzzy_output.column(),  rate.column(),
+                           next_features.column(), next_depth.column(),
+                           next_position.column(), next_quaternion.column(),
+                           next_twist.column(),    column_or_none(next_weights)};
     const py::gil_scoped_release no_gil;
     probe.stages(states.rows(), out);
   }
-  return {features.array(),      depth.array(),           position.array(),   quaternion.array(),    twist.array(),
-          wrench.array(),        fuzzy_output.array(),    rate.array(),       next_features.array(), next_depth.array(),
-          next_position.array(), next_quaternion.array(), next_twist.array(), object(next_weights)};
+  return {features.array(),      depth.array(),
+          position.array(),      quaternion.array(),
+          twist.array(),         wrench.array(),
+          fuzzy_output.array(),  rate.array(),
+          next_features.array(), next_depth.array(),
+          next_position.array(), next_quaternion.array(),
+          next_twist.array(),    array_or_none(next_weights)};
 }
 
 /// A body at the start of a step.

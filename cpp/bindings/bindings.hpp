@@ -2,9 +2,8 @@
 /// What the binding files share. Bindings convert and check shapes; they compute nothing.
 #pragma once
 
-#include "hexservo/fuzzy.hpp"
-#include "hexservo/laws/stateless_law.hpp"
 #include "hexservo/rigid_body.hpp"
+#include "weight_rows.hpp"
 
 #include <pybind11/eigen.h>
 #include <pybind11/numpy.h>
@@ -51,20 +50,12 @@ inline Pose<double> checked_pose(const Vector3<double>& position, const Vector4<
 }
 
 /// Weights of the six systems as a (6, 7, 7) array, row: term of u, column: term of u-dot.
-inline py::array_t<double> weight_array(const FuzzyWeights<double>& weights) {
+/// @param weights FuzzyWeights, or NoState of a law without weights: zeros
+template <class Weights>
+py::array_t<double> weight_array(const Weights& weights) {
   py::array_t<double> out({kAxes, kTerms, kTerms});
-  auto view = out.mutable_unchecked<3>();
-  for (int axis = 0; axis < kAxes; ++axis) {
-    const Matrix7<double> W = weight_matrix(weights, axis);
-    for (int row = 0; row < kTerms; ++row)
-      for (int column = 0; column < kTerms; ++column) view(axis, row, column) = W(row, column);
-  }
+  detail::write_weights(weights, 0, out.mutable_data());
   return out;
-}
-
-/// The same of a law without weights: zeros.
-inline py::array_t<double> weight_array(const NoState<double>& /*none*/) {
-  return weight_array(FuzzyWeights<double>{});
 }
 
 }  // namespace hexservo::bindings

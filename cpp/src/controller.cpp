@@ -41,7 +41,7 @@ ControllerGains<Law> controller_gains(const Settings<Law>& settings, double peri
   ticking.actuators = {};
   ticking.base_motion = {};
   const LoopParameters<double, Law> p = loop_parameters(ticking);
-  if constexpr (requires { p.gains.fuzzy; })
+  if constexpr (kHasFuzzySystems<Law>)
     require_resolved(p.gains.fuzzy, detail::words("controller.", Law::name, ".fuzzy."), period);
   return {p.hexapod,
           LegGeometry<double>(p.hexapod),

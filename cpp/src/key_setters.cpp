@@ -131,7 +131,7 @@ Keys<Law> scene_keys() {
 
 template <class Law>
 Keys<Law> fuzzy_keys()
-  requires requires(Settings<Law>& s) { s.gains.fuzzy; }
+  requires kHasFuzzySystems<Law>
 {
   using S = Settings<Law>;
   const std::string fuzzy = std::string("controller.") + Law::name + ".fuzzy.";

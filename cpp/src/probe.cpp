@@ -1,8 +1,8 @@
 #include "hexservo/probe.hpp"
 
 #include "check.hpp"
-#include "run_loop.hpp"
-#include "trajectory_log.hpp"
+#include "hexservo/closed_loop.hpp"
+#include "weight_rows.hpp"
 
 #include <algorithm>
 #include <limits>
@@ -15,8 +15,10 @@ using detail::words;
 namespace {
 
 constexpr int kFeatures = 2 * kPoints;
+constexpr double kMinQuaternion = 1e-150, kMaxQuaternion = 1e150;
 constexpr int kMemberships = kAxes * kTerms;
-constexpr std::size_t kStages = 4;
+constexpr std::size_t kStages = kRungeKuttaWeights.size();
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // ---- Rows that are given --------------------------------------------------------------------------------------------
 
@@ -45,9 +47,13 @@ std::size_t row_count(const char* name, Rows values, int width) {
 void require_quaternions(const char* name, Rows values, std::size_t n) {
   require_rows(name, values, 4, n);
   for (std::size_t i = 0; i < n; ++i) {
-    const double* q = values.data() + 4 * i;
-    if (!(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] > 0.0))
-      refuse(words(name, "[", i, "]"), "a quaternion that is not zero", "zero");
+    const Eigen::Map<const Vector4<double>> q(values.data() + 4 * i);
+    const double largest = q.cwiseAbs().maxCoeff();
+    if (largest == 0.0) refuse(words(name, "[", i, "]"), "a quaternion that is not zero", "zero");
+    if (!(largest >= kMinQuaternion && largest <= kMaxQuaternion))  // its square has to be a number that divides
+      refuse(words(name, "[", i, "]"),
+             words("a quaternion whose largest number is between ", kMinQuaternion, " and ", kMaxQuaternion),
+             words(largest));
   }
 }
 
@@ -100,7 +106,7 @@ void put_body(const BodyMotion<double>& body, std::size_t i, Column position, Co
   put(twist, i, twist_of(body));
 }
 
-/// The rate of a platform that has an acceleration.
+/// The rate of a platform whose acceleration is given; `body_rate` is the one of a plant.
 BodyMotion<double> rate_at(const Probe::BodyStage& rows, std::size_t i) {
   const Vector6<double> twist = row<6>(rows.twist, i);
   return {SideBySide<double, 3>(Vector3<double>(twist.head<3>())),
@@ -142,8 +148,13 @@ std::size_t require_states(const ProbeStates& states, bool fuzzy) {
   return n;
 }
 
-template <class Law>
-constexpr bool is_fuzzy = requires(typename Law::template Gains<double> gains) { gains.fuzzy; };
+/// The same where they are known, and NaN elsewhere.
+template <class Derived>
+auto known(bool where, const Eigen::MatrixBase<Derived>& numbers) {
+  auto kept = numbers.eval();
+  if (!where) kept.setConstant(kNaN);
+  return kept;
+}
 
 }  // namespace
 
@@ -159,11 +170,9 @@ struct Probe::Parts {
         controller_sign(hexservo::controller_sign(p.convention, p.jacobian)),
         projects(p.convention == CameraConvention::eye_in_hand),
         points_B(p.points_B),
-        depth_error(p.depth_error) {
-    if constexpr (is_fuzzy<Law>) {
-      fuzzy = p.gains.fuzzy.enabled;
-      weights = Law::initial_state(p.gains);
-    }
+        depth_error(p.depth_error),
+        fuzzy(fuzzy_systems_act<Law>(p.gains)) {
+    if constexpr (kHasFuzzySystems<Law>) weights = Law::initial_state(p.gains);
   }
   virtual ~Parts() = default;
 
@@ -176,7 +185,7 @@ struct Probe::Parts {
   bool projects;  ///< whether the camera has points
   Vectors3<double, kPoints> points_B;
   Vector<double, kPoints> depth_error;
-  bool fuzzy = false;                 ///< whether fuzzy systems act
+  bool fuzzy;                         ///< whether fuzzy systems act
   FuzzyWeights<double> weights = {};  ///< initial ones
 };
 
@@ -184,32 +193,24 @@ template <class Law>
 struct Probe::PartsOf final : Probe::Parts {
   using State = typename Law::template State<double>;
   using Stage = typename Law::template Stage<double>;
-  using Rate = typename Law::template Rate<double>;
-  using Evaluation = typename Law::template Evaluation<double>;
+  using Equations = LoopEquations<double, Law>;
+  using Instant = typename Equations::Instant;
 
   explicit PartsOf(LoopParameters<double, Law> parameters)
       : Parts(parameters),
         mode(parameters.mode),
         step(parameters.step),
-        task(control_task(parameters)),
-        constants(parameters.gains),
         initial(Law::initial_state(parameters.gains)),
-        world(parameters),
-        inverse_depth_share((Vector<double, kPoints>::Ones() + parameters.depth_error).cwiseInverse()) {}
-
-  /// Compiled once per law: it is long, and so is the time that each further copy takes.
-  [[gnu::noinline]] void evaluate(const Stage& stage, const LawInput<double>& input, Evaluation& out) const {
-    Law::evaluate(task, constants, stage, input, out);
-  }
+        equations(parameters) {}
 
   State state_at(const ProbeStates& states, std::size_t i) const {
-    if constexpr (is_fuzzy<Law>)
+    if constexpr (kHasFuzzySystems<Law>)
       if (!states.weights.empty()) return detail::weights_from(states.weights.data() + i * kWeightNumbers);
     return initial;
   }
 
   void law(const ProbeStates& states, std::size_t n, const ProbedLaw& out) const override {
-    Evaluation now;
+    typename Law::template Evaluation<double> now;
     for (std::size_t i = 0; i < n; ++i) {
       const State state = state_at(states, i);
       const Pose<double> pose{row<3>(states.position, i), row<4>(states.quaternion, i)};
@@ -217,10 +218,10 @@ struct Probe::PartsOf final : Probe::Parts {
       const Vector<double, kFeatures> features = row<kFeatures>(states.features, i);
       const Vector<double, kPoints> inverse_depth = row<kPoints>(states.depth, i).cwiseInverse();
       const Vector6<double> twist = row<6>(states.twist, i);
-      evaluate(Stage{&state}, LawInput<double>{features, inverse_depth, R_BE, twist, pose}, now);
+      equations.evaluate(Stage{&state}, LawInput<double>{features, inverse_depth, R_BE, twist, pose}, now);
       put(out.wrench, i, now.wrench);
       if (!out.fuzzy_output.empty()) put(out.fuzzy_output, i, now.fuzzy_output);
-      if constexpr (is_fuzzy<Law>) {
+      if constexpr (kHasFuzzySystems<Law>) {
         if (!out.error_memberships.empty()) put_memberships(out.error_memberships, i, now.rate.basis.error);
         if (!out.rate_memberships.empty()) put_memberships(out.rate_memberships, i, now.rate.basis.rate);
         if (!out.adaptation.empty()) put(out.adaptation, i, now.rate.strength.vector());
@@ -228,86 +229,67 @@ struct Probe::PartsOf final : Probe::Parts {
     }
   }
 
-  /// How everything changes in a stage, and what the law does there.
-  struct Instant {
-    WorldState<double> state;
-    Evaluation law;
-    WorldRate<double> world;
-  };
-
-  [[gnu::noinline]] Instant instant(const WorldState<double>& state, const Stage& stage) const {
-    Instant now{state, {}, {}};
-    const Vector6<double> twist = twist_of(state.body);
-    // As ClosedLoop has it, to the last bit: 1/Z-hat from 1/Z.
-    const Vector<double, kPoints> inverse_depth = inverse_depth_share.cwiseProduct(state.view.inverse_depth);
-    const Pose<double> pose{position_of(state.body), quaternion_of(state.body)};
-    evaluate(stage, LawInput<double>{state.view.image.features, inverse_depth, state.view.R_BE, twist, pose}, now.law);
-    world.rate(state, now.law.wrench, now.world);
-    return now;
-  }
-
   void stages(const ProbeStates& states, std::size_t n, const ProbedStages& out) const override {
     if (mode != LoopMode::continuous)
       refuse("simulation.mode", "continuous for the stages of a step, which hold the law", "sampled");
     for (std::size_t i = 0; i < n; ++i) {
-      State weights_now = state_at(states, i);
+      State law_state = state_at(states, i);
       const Image<double> image{row<kFeatures>(states.features, i), row<kPoints>(states.depth, i)};
       const BodyMotion<double> body = body_at({states.position, states.quaternion, states.twist}, i);
       const WorldState<double> start{body, View<double>(image, rotation_matrix(quaternion_of(body)))};
+      Instant first;
+      equations.evaluate(start, Stage{&law_state}, first);
+      std::size_t place = kStages * i;
+      bool seen = put_stage(start, first, true, place, out);
       const auto derivative_at = [&](double scale, const Instant& before) {
-        return instant(world.moved(start, scale, before.world), Stage{&weights_now, &before.law.rate, scale});
+        Instant now;
+        const WorldState<double> state = equations.stage(start, law_state, scale, before, now);
+        seen = put_stage(state, now, seen, ++place, out);
+        return now;
       };
-      runge_kutta_step(step, instant(start, Stage{&weights_now}), derivative_at,
-                       [&](const std::array<const Instant*, kStages>& k) {
-                         for (std::size_t s = 0; s < kStages; ++s) put_stage(*k[s], kStages * i + s, out);
-                         put_next(start, weights_now, k, i, out);
-                       });
+      runge_kutta_step(step, first, derivative_at, [&](const typename Equations::Instants& k) {
+        double nearest;
+        const WorldState<double> next = equations.after(start, step, k, nearest);
+        equations.advance(law_state, step, k, true);
+        put_next(next, law_state, nearest < 0.0, i, out);
+      });
     }
   }
 
-  static void put_stage(const Instant& now, std::size_t place, const ProbedStages& out) {
-    put(out.features, place, now.state.view.image.features);
-    put(out.depth, place, now.state.view.image.depth);
-    put_body(now.state.body, place, out.position, out.quaternion, out.twist);
-    put(out.wrench, place, now.law.wrench);
-    put(out.fuzzy_output, place, now.law.fuzzy_output);
-    put(out.acceleration, place, now.world.body.twist.vector());
+  /// @param reached whether the stages before have all points in front of the camera: otherwise there is no such stage
+  /// @return the same with this one; what follows from a point behind the camera means nothing
+  static bool put_stage(const WorldState<double>& state, const Instant& now, bool reached, std::size_t place,
+                        const ProbedStages& out) {
+    const bool seen = reached && now.world.nearest_depth < 0.0;
+    put(out.depth, place, known(reached, state.view.image.depth));
+    put(out.position, place, known(reached, position_of(state.body)));
+    put(out.quaternion, place, known(reached, quaternion_of(state.body)));
+    put(out.twist, place, known(reached, twist_of(state.body)));
+    put(out.features, place, known(seen, state.view.image.features));
+    put(out.wrench, place, known(seen, now.law.wrench));
+    put(out.fuzzy_output, place, known(seen, now.law.fuzzy_output));
+    put(out.acceleration, place, known(seen, now.world.body.twist.vector()));
+    return seen;
   }
 
-  void put_next(const WorldState<double>& start, State& weights_now, const std::array<const Instant*, kStages>& k,
-                std::size_t i, const ProbedStages& out) const {
-    const std::array<const WorldRate<double>*, kStages> world_rates{&k[0]->world, &k[1]->world, &k[2]->world,
-                                                                    &k[3]->world};
-    const std::array<const Rate*, kStages> law_rates{&k[0]->law.rate, &k[1]->law.rate, &k[2]->law.rate,
-                                                     &k[3]->law.rate};
-    std::array<double, kStages> scales;
-    for (std::size_t s = 0; s < kStages; ++s) scales[s] = step * kRungeKuttaWeights[s];
-    WorldState<double> next = world.after(start, step, world_rates);
-    Law::advance(constants, weights_now, law_rates, scales, true);
-    const bool seen = nearest_depth(next, world_rates) < 0.0;  // otherwise the loop would end here
-    const auto known = [seen](const auto& numbers) {
-      auto kept = numbers.eval();
-      if (!seen) kept.setConstant(std::numeric_limits<double>::quiet_NaN());
-      return kept;
-    };
-    put(out.next_features, i, known(next.view.image.features));
-    put(out.next_depth, i, known(next.view.image.depth));
-    put(out.next_position, i, known(position_of(next.body)));
-    put(out.next_quaternion, i, known(quaternion_of(next.body)));
-    put(out.next_twist, i, known(twist_of(next.body)));
+  /// @param seen whether the points stay in front of the camera on the way: otherwise a loop ends here
+  static void put_next(const WorldState<double>& next, const State& law_state, bool seen, std::size_t i,
+                       const ProbedStages& out) {
+    put(out.next_features, i, known(seen, next.view.image.features));
+    put(out.next_depth, i, known(seen, next.view.image.depth));
+    put(out.next_position, i, known(seen, position_of(next.body)));
+    put(out.next_quaternion, i, known(seen, quaternion_of(next.body)));
+    put(out.next_twist, i, known(seen, twist_of(next.body)));
     if (out.next_weights.empty()) return;
     double* to = out.next_weights.data() + i * kWeightNumbers;
-    detail::write_weights(weights_now, 0, to);
-    if (!seen) std::fill_n(to, kWeightNumbers, std::numeric_limits<double>::quiet_NaN());
+    detail::write_weights(law_state, 0, to);
+    if (!seen) std::fill_n(to, kWeightNumbers, kNaN);
   }
 
   LoopMode mode;
   double step;
-  ControlTask<double> task;
-  typename Law::template Constants<double> constants;
   State initial;
-  World<double> world;
-  Vector<double, kPoints> inverse_depth_share;  ///< 1/(1 + delta_Z,i) [1]
+  Equations equations;
 };
 
 // ---- The face -------------------------------------------------------------------------------------------------------
@@ -333,11 +315,11 @@ void Probe::image(Rows position, Rows quaternion, Column features, Column depth)
   require_room("depth", depth, kPoints, n);
   for (std::size_t i = 0; i < n; ++i) {
     Vector<double, kPoints> inverse_depth;
-    Image<double> seen = take_image(parts_->focal_pixels, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)),
-                                    parts_->points_B, inverse_depth);
+    Image<double> seen;
+    take_image(parts_->focal_pixels, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)), parts_->points_B,
+               seen, inverse_depth);
     for (int point = 0; point < kPoints; ++point)
-      if (!(seen.depth(point) < 0.0))
-        seen.features.segment<2>(2 * point).setConstant(std::numeric_limits<double>::quiet_NaN());
+      if (!(seen.depth(point) < 0.0)) seen.features.segment<2>(2 * point).setConstant(kNaN);
     put(features, i, seen.features);
     put(depth, i, seen.depth);
   }
@@ -359,7 +341,7 @@ void Probe::image_jacobian(Rows features, Rows depth, Rows quaternion, bool cont
 
 void Probe::measured_depth(Rows depth, Column measured) const {
   const std::size_t n = row_count("depth", depth, kPoints);
-  require_rows("depth", depth, kPoints, n);
+  require_depths(depth, n);
   require_room("measured", measured, kPoints, n);
   for (std::size_t i = 0; i < n; ++i) {
     const Image<double> image{Vector<double, kFeatures>::Zero(), row<kPoints>(depth, i)};
@@ -379,8 +361,9 @@ void Probe::law(const ProbeStates& states, const ProbedLaw& out) const {
   parts_->law(states, n, out);
 }
 
-void Probe::acceleration(Rows quaternion, Rows twist, Rows wrench, Column acceleration) const {
-  const std::size_t n = row_count("twist", twist, 6);
+void Probe::acceleration(Rows position, Rows quaternion, Rows twist, Rows wrench, Column acceleration) const {
+  const std::size_t n = row_count("position", position, 3);
+  require_rows("position", position, 3, n);
   require_quaternions("quaternion", quaternion, n);
   require_rows("twist", twist, 6, n);
   require_rows("wrench", wrench, 6, n);
@@ -437,8 +420,11 @@ void Probe::moved(const Body& start, const BodyStage& stage, double scale, Colum
   require_stages(stage, n);
   detail::require_finite("scale", scale);
   require_body_room(position, quaternion, twist, n);
-  for (std::size_t i = 0; i < n; ++i)
-    put_body(body_at(start, i) + scale * rate_at(stage, i), i, position, quaternion, twist);
+  for (std::size_t i = 0; i < n; ++i) {
+    BodyMotion<double> body;
+    move_body(body_at(start, i), scale, rate_at(stage, i), body);
+    put_body(body, i, position, quaternion, twist);
+  }
 }
 
 void Probe::after(const Body& start, const BodyStage& stages, double step, Column position, Column quaternion,
@@ -448,11 +434,13 @@ void Probe::after(const Body& start, const BodyStage& stages, double step, Colum
   detail::require_positive("step", step);
   require_body_room(position, quaternion, twist, n);
   for (std::size_t i = 0; i < n; ++i) {
-    BodyMotion<double> body = body_at(start, i);
-    for (std::size_t s = 0; s < kStages; ++s)
-      body = body + step * kRungeKuttaWeights[s] * rate_at(stages, kStages * i + s);
-    normalise_quaternion(body);
-    put_body(body, i, position, quaternion, twist);
+    std::array<BodyMotion<double>, kStages> rates;
+    std::array<const BodyMotion<double>*, kStages> each;
+    for (std::size_t s = 0; s < kStages; ++s) {
+      rates[s] = rate_at(stages, kStages * i + s);
+      each[s] = &rates[s];
+    }
+    put_body(body_after(body_at(start, i), step, each), i, position, quaternion, twist);
   }
 }
 

@@ -5,10 +5,9 @@
 
 #include "flatten.hpp"
 #include "hexservo/closed_loop.hpp"
-#include "hexservo/fuzzy.hpp"
-#include "hexservo/laws/stateless_law.hpp"
 #include "hexservo/sampled_loop.hpp"
 #include "kernel_lanes.hpp"
+#include "weight_rows.hpp"
 
 #include <algorithm>
 #include <cstddef>
@@ -27,20 +26,6 @@ template <class S, class Place>
 void write_sample(const Sample<S>& sample, int lane, Place&& place) {
   std::size_t quantity = 0;
   Sample<S>::visit([&](const auto& values, const auto&) { write(values, lane, place(quantity++)); }, sample, sample);
-}
-
-/// Weights of one lane: axis, term of u, term of u-dot.
-template <class S>
-void write_weights(const FuzzyWeights<S>& weights, int lane, double* to) {
-  for (int axis = 0; axis < kAxes; ++axis)
-    for (int row = 0; row < kTerms; ++row)
-      for (int column = 0; column < kTerms; ++column) *to++ = of_lane(weights[rule(row, column)](axis), lane);
-}
-
-/// A law without weights has zeros.
-template <class S>
-void write_weights(const NoState<S>& /*weights*/, int /*lane*/, double* to) {
-  std::fill_n(to, kWeightNumbers, 0.0);
 }
 
 /// The parameters of all lanes; those without a scenario repeat the last one.

@@ -89,18 +89,17 @@ FrameSettings<double> frame_settings(const CameraSampling& sampling, double peri
   frames.period = ticks("camera.period", sampling.period, period, 1);
   frames.latency = ticks("camera.latency", sampling.latency, period, 0);
   frames.jitter = ticks("camera.latency_jitter", sampling.latency_jitter, period, 0);
-  if (!(sampling.timeout >= sampling.period + sampling.latency + sampling.latency_jitter))  // infinite: never too old
-    refuse("camera.timeout",
-           words("at least period, latency and latency_jitter together, ",
-                 sampling.period + sampling.latency + sampling.latency_jitter, " s"),
+  // In ticks, since the sum of three rounded times may be more than a timeout that equals it; infinite: never too old.
+  const auto oldest = static_cast<double>(frames.period + frames.latency + frames.jitter);
+  if (!(std::round(sampling.timeout / period) >= oldest))
+    refuse("camera.timeout", words("at least period, latency and latency_jitter together, ", oldest * period, " s"),
            words(sampling.timeout));
   frames.timeout = std::isfinite(sampling.timeout)
                        ? static_cast<double>(ticks("camera.timeout", sampling.timeout, period, 1))
                        : sampling.timeout;
-  for (const auto& [key, value] :
-       {std::pair{"camera.noise", frames.noise}, std::pair{"camera.quantisation", frames.quantisation},
-        std::pair{"camera.outlier_size", frames.outlier_size}})
-    if (!(std::isfinite(value) && value >= 0.0)) refuse(key, "a finite number >= 0", words(value));
+  detail::require_not_negative("camera.noise", frames.noise);
+  detail::require_not_negative("camera.quantisation", frames.quantisation);
+  detail::require_not_negative("camera.outlier_size", frames.outlier_size);
   require_probability("camera.dropout", frames.dropout);
   require_probability("camera.outlier_probability", frames.outlier_probability);
   for (int i = 0; i < 2; ++i)  // infinite: every feature is seen
@@ -113,9 +112,8 @@ FrameSettings<double> frame_settings(const CameraSampling& sampling, double peri
 EncoderParameters<double> encoder_parameters(const SensorSettings& sensors, double period) {
   EncoderParameters<double> encoders = sensors.encoders;
   encoders.period = sensors.period == 0.0 ? 1 : ticks("sensors.period", sensors.period, period, 1);
-  for (const auto& [key, value] :
-       {std::pair{"sensors.resolution", encoders.resolution}, std::pair{"sensors.noise", encoders.noise}})
-    if (!(std::isfinite(value) && value >= 0.0)) refuse(key, "a finite number >= 0", words(value));
+  detail::require_not_negative("sensors.resolution", encoders.resolution);
+  detail::require_not_negative("sensors.noise", encoders.noise);
   return encoders;
 }
 
@@ -127,8 +125,7 @@ ActuatorParameters<double> actuator_parameters(const ActuatorSettings& settings,
            words("at most ", kMaxActuatorDelay, " servo periods (", kMaxActuatorDelay * period, " s)"),
            words(settings.delay));
   if (!(actuators.bandwidth > 0.0)) refuse("actuators.bandwidth", "a number > 0", words(actuators.bandwidth));
-  if (!(std::isfinite(actuators.quantisation) && actuators.quantisation >= 0.0))
-    refuse("actuators.quantisation", "a finite number >= 0", words(actuators.quantisation));
+  detail::require_not_negative("actuators.quantisation", actuators.quantisation);
   return actuators;
 }
 
@@ -278,7 +275,7 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
     refuse("controller.switching.kind", "sign, tanh or saturation in continuous mode (implicit needs a servo period)",
            "implicit");
   }
-  if constexpr (requires { p.gains.fuzzy; })
+  if constexpr (kHasFuzzySystems<Law>)
     require_resolved(p.gains.fuzzy, words("controller.", Law::name, ".fuzzy."), p.step);
   detail::require_positive("metrics.settling_threshold", settings.metrics.settling_threshold);
   detail::require_finite("metrics.rms_start", settings.metrics.rms_start);

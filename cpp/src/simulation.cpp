@@ -66,21 +66,11 @@ void check_settings(const Settings<Law>& settings) {
   detail::sample_count(settings.simulation);
 }
 
-namespace {
-
-template <class Law>
-bool has_fuzzy_systems(const Settings<Law>& settings) {
-  if constexpr (requires { settings.gains.fuzzy; }) return settings.gains.fuzzy.enabled;
-  return false;
-}
-
-}  // namespace
-
 template <class Law>
 Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested, const Kernel& kernel,
                     bool log_weights) {
   const LoopParameters<double, Law> parameters = loop_parameters(settings);
-  detail::TrajectoryLog log(settings.simulation, log_weights && has_fuzzy_systems(settings));
+  detail::TrajectoryLog log(settings.simulation, log_weights && fuzzy_systems_act<Law>(settings.gains));
   const std::vector<double> numbers = detail::flattened(parameters);
   const double* scenario = numbers.data();
   Question question{stop_requested, nullptr};

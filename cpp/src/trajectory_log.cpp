@@ -1,6 +1,7 @@
 #include "trajectory_log.hpp"
 
 #include "check.hpp"
+#include "weight_rows.hpp"
 
 #include <algorithm>
 
@@ -49,14 +50,6 @@ void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const do
 }
 
 }  // namespace
-
-FuzzyWeights<double> weights_from(const double* numbers) {
-  FuzzyWeights<double> weights{};
-  for (int axis = 0; axis < kAxes; ++axis)
-    for (int row = 0; row < kTerms; ++row)
-      for (int column = 0; column < kTerms; ++column) weights[rule(row, column)].set(axis, *numbers++);
-  return weights;
-}
 
 std::size_t sample_count(const SimulationSettings& simulation, bool log_weights) {
   const auto every = static_cast<double>(simulation.log_every);

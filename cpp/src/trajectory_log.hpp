@@ -12,9 +12,6 @@ namespace hexservo::detail {
 /// @throws std::invalid_argument where their log would not fit into `kMaxLogBytes`
 std::size_t sample_count(const SimulationSettings& simulation, bool log_weights = false);
 
-/// Weights from `kWeightNumbers` numbers: axis, term of u, term of u-dot.
-FuzzyWeights<double> weights_from(const double* numbers);
-
 /// Where a run writes, and what is made of that. The answer refers to the log's memory: it stays where it is made.
 class TrajectoryLog {
  public:

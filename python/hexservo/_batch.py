@@ -54,7 +54,7 @@ class BatchResult:
     stop_time: Array = field(repr=False)  # (n,) [s], time of the step that failed, else of the end; NaN likewise
     metrics: Mapping[str, Array] = field(repr=False)  # name of hs.METRICS -> (n,); NaN where interrupted
     # log "final": the last good sample, each (n, k); log "trajectory": (n, m, k), NaN from where a run stopped; names,
-    # units and orders as in Result; fuzzy_weights (n, 6, 7, 7) at the end. log "metrics": empty. NaN where interrupted.
+    # units and orders as in Result; fuzzy_weights (n, 6, 7, 7) likewise. log "metrics": empty. NaN where interrupted.
     samples: Mapping[str, Array] = field(repr=False)
     time: Array | None = field(repr=False)  # (m,) [s], of trajectories
 

@@ -17,16 +17,16 @@ def probe(scenario: Scenario) -> _core.Probe:
     """Give the parts of a scenario's loop, to be evaluated at n states at once (docs/model.md, sections 3 to 7).
 
     Arrays hold one state per row: features (n, 8) [px], depth (n, 4) [m] and negative in front of the camera, position
-    (n, 3) in B [m], quaternion (n, 4) w x y z of any length but zero, twist, wrench and acceleration (n, 6) in B
-    [m/s; rad/s], [N; N m], [m/s^2; rad/s^2], weights (n, 6, 7, 7) [N; N m] with row: term of u, column: term of u-dot.
-    Quaternions are used as they stand: inside a Runge-Kutta step they are not normalised.
+    (n, 3) in B [m], quaternion (n, 4) w x y z of any length but zero (1e-150 to 1e150), twist, wrench and acceleration
+    (n, 6) in B [m/s; rad/s], [N; N m], [m/s^2; rad/s^2], weights (n, 6, 7, 7) [N; N m] with row: term of u, column:
+    term of u-dot. Quaternions are used as they stand: inside a Runge-Kutta step they are not normalised.
 
     ``image(position, quaternion)``
         True features and Z, (4). Features are NaN for a point that is not in front of the camera.
     ``image_jacobian(features, depth, quaternion, controller=False)``
         (n, 8, 6), (12): twist to feature rates, with the depths as given and the plant's sign or the controller's.
     ``measured_depth(depth)``
-        The controller's depths for the true ones.
+        The controller's depths (n, 4) for the true ones.
     ``law(features, depth, position, quaternion, twist, weights=None)``
         Wrench, fuzzy output, normalised memberships and adaptation; `depth` as the controller believes it. The weights
         follow omega_j-dot = adaptation_j phi-bar_j - sigma_j omega_j, phi-bar_j being the outer product of the two
@@ -41,7 +41,10 @@ def probe(scenario: Scenario) -> _core.Probe:
     ``stages(features, depth, position, quaternion, twist, weights=None)``
         One step of the loop in continuous mode from each state, `depth` being the true one: features, depth, position,
         quaternion, twist, wrench, fuzzy output and acceleration of its four stages, (n, 4, k), and the state after it
-        (``next_...``). A quadrature over the step with weights 1/6, 1/3, 1/3, 1/6 is what the method itself does. The
+        (``next_...``). From the first stage on that has a point behind the camera, features, wrench, fuzzy output and
+        acceleration are NaN; so are depth and body of the stages after it, and all of ``next_...``. Whether the loop
+        would stop there for another reason is not asked.
+        A quadrature over the step with weights 1/6, 1/3, 1/3, 1/6 is what the method itself does. The
         weights inside a stage are those of the step plus the stage's way along one rate; ``law`` gives memberships and
         adaptation of a stage without them, since neither depends on weights.
     ``moved(position, quaternion, twist, stage_quaternion, stage_twist, stage_acceleration, scale)``
@@ -50,7 +53,7 @@ def probe(scenario: Scenario) -> _core.Probe:
         The body after a step from its four stages (n, 4, k), normalised.
 
     All of them raise ``ValueError("name: expected ..., got ...")`` for arrays of another shape, numbers that are not
-    finite, a quaternion that is zero, depths that are not negative.
+    finite or not real, a quaternion that is zero, depths that are not negative.
 
     Raises
     ------

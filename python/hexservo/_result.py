@@ -93,7 +93,9 @@ class Result:
     fuzzy_output: Array  # (n, 6) [N, N m]
     leg_lengths: Array  # (n, 6) [m]
     leg_forces: Array  # (n, 6) [N]
-    fuzzy_weights: Array  # (6, 7, 7) [N, N m], at the end; row: term of u, column: term of its rate
+    # (6, 7, 7) [N, N m], row: term of u, column: term of its rate; after the last step, which is one beyond the last
+    # sample where leg_limit, singular or solver_failed ended the run (docs/model.md, section 8)
+    fuzzy_weights: Array
     streamed_metrics: dict[str, float] = field(repr=False)  # read them through hs.metrics(result)
     weight_history: Array | None = field(default=None, repr=False)  # (n, 6, 7, 7) like fuzzy_weights, where logged
     version: str = field(default_factory=lambda: _core.build_info()["hexservo"], repr=False)  # of hexservo that ran it

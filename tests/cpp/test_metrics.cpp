@@ -283,6 +283,27 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
   }
 }
 
+TEST_CASE("samples that are known to be finite give the same metrics and limits, to the last bit") {
+  Random random(7806);
+  CAPTURE(random.seed());
+  const Hexapod<double> hexapod = make_hexapod({});
+  std::vector<Sample<double>> samples;
+  for (int i = 0; i <= 200; ++i) samples.push_back(random_sample(random, 5.0 * std::exp(-0.02 * i)));
+  const MetricsSettings settings{2.0, 0.05};
+  MetricsAccumulator<double> any(settings, hexapod, kGravity, kDesired, samples.front()), finite = any;
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    any.add(static_cast<double>(i) * 1e-3, samples[i], true);
+    finite.add_finite(static_cast<double>(i) * 1e-3, samples[i]);
+  }
+  const Metrics<double> a = any.metrics(), b = finite.metrics();
+  Metrics<double>::visit([](double x, double y) { CHECK(x == y); }, a, b);
+  CHECK(any.stroke().peak == finite.stroke().peak);
+  CHECK(any.stroke().first_time == finite.stroke().first_time);
+  CHECK(any.force().peak == finite.force().peak);
+  CHECK(any.force().first_time == finite.force().first_time);
+  CHECK(any.stroke().peak.maxCoeff() > hexapod.stroke);  // limits were passed
+}
+
 TEST_CASE("NaN in a sample is not swallowed by a peak") {
   Random random(7805);
   CAPTURE(random.seed());

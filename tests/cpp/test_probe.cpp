@@ -177,6 +177,65 @@ TEST_CASE("a step that takes a point behind the camera leaves no numbers") {
   }
 }
 
+TEST_CASE("what follows from a stage behind the camera is NaN, and what comes before it is not") {
+  const Settings<Hybrid> settings = nominal_settings();
+  const Probe probe(settings);
+  const Vector3<double> home = settings.robot.home_position;
+  const Vector4<double> upright(1.0, 0.0, 0.0, 0.0);
+  Vector<double, 8> features;
+  Vector<double, 4> depth;
+  probe.image(rows(home), rows(upright), column(features), column(depth));
+  struct Case {
+    double speed;        // towards the target, which is 0.5 m away [m/s]
+    std::size_t behind;  // first stage of a step of 1 ms that has it behind: the second is half way, the fourth its end
+  };
+  for (const auto [speed, behind] : {Case{-400.0, 4}, Case{-600.0, 3}, Case{-1200.0, 1}}) {
+    CAPTURE(speed);
+    Vector6<double> twist = Vector6<double>::Zero();
+    twist(2) = speed;
+    Stages s;
+    probe.stages({rows(features), rows(depth), rows(home), rows(upright), rows(twist)}, s.out());
+    for (std::size_t k = 0; k < 4; ++k) {
+      CAPTURE(k);
+      const auto finite = [k](const std::vector<double>& values) {
+        const std::size_t width = values.size() / 4;
+        std::size_t count = 0;
+        for (std::size_t i = 0; i < width; ++i)
+          if (std::isfinite(values[width * k + i])) ++count;
+        REQUIRE((count == 0 || count == width));
+        return count > 0;
+      };
+      for (const auto* values : {&s.features, &s.wrench, &s.fuzzy_output, &s.acceleration})
+        CHECK(finite(*values) == (k < behind));
+      for (const auto* values : {&s.depth, &s.position, &s.quaternion, &s.twist})
+        CHECK(finite(*values) == (k <= behind));
+      if (k <= behind) CHECK((s.depth[4 * k] >= 0.0) == (k == behind));
+    }
+    CHECK(s.next_twist.hasNaN() == (behind < 4));
+  }
+}
+
+TEST_CASE("quaternions whose squares are no numbers to divide by are refused") {
+  const Probe probe(paper_settings());
+  const Vector3<double> home = Settings<Hybrid>{}.robot.home_position;
+  Vector<double, 8> features, scaled;
+  Vector<double, 4> depth;
+  const Vector4<double> direction(1.4, 1.2, -0.3, 0.2);
+  probe.image(rows(home), rows(direction), column(features), column(depth));
+  for (const double length : {1e-170, 1e-160, 1e-151, 1e-150, 1e-100, 1e100, 5e149, 1e150, 1e154, 1e160}) {
+    CAPTURE(length);
+    const Vector4<double> quaternion = length * direction;
+    const std::string answer =
+        refusal([&] { probe.image(rows(home), rows(quaternion), column(scaled), column(depth)); });
+    if (length >= 1e-150 && length <= 5e149) {
+      CHECK(answer == "(accepted)");
+      CHECK(distance(scaled, features) <= 1e-9);
+    } else {
+      CHECK(is_about(answer, "quaternion[0]"));
+    }
+  }
+}
+
 TEST_CASE("rows that do not fit are refused by name, and so are numbers without a meaning") {
   const Probe probe(paper_settings());
   Vector<double, 8> features = Vector<double, 8>::Constant(10.0);
@@ -220,11 +279,11 @@ TEST_CASE("rows that do not fit are refused by name, and so are numbers without 
   Settings<Hybrid> sampled = paper_settings();
   sampled.simulation.mode = LoopMode::sampled;
   Stages s;
-  CHECK(is_about(refusal([&] {
-                   Probe(sampled).stages({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist)},
-                                         s.out());
-                 }),
-                 "simulation.mode"));
+  CHECK(is_about(
+      refusal([&] {
+        Probe(sampled).stages({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist)}, s.out());
+      }),
+      "simulation.mode"));
   Settings<Hybrid> printed = paper_settings();
   printed.convention = CameraConvention::as_printed;
   CHECK(is_about(

@@ -222,6 +222,26 @@ TEST_CASE("numbers that must be positive, or within a range, are refused beyond 
   CHECK(verdict([](PaperSettings& s) { s.uncertainty.depth(0) = -0.999; }) == "(accepted)");
 }
 
+TEST_CASE("an image may be as old as period, latency and jitter together, however their sum is rounded") {
+  const auto with_timeout = [](double timeout) {
+    return verdict([timeout](PaperSettings& s) {
+      s.simulation.mode = LoopMode::sampled;
+      s.sampling.period = 0.1;
+      s.sampling.latency = 0.1;
+      s.sampling.latency_jitter = 0.1;
+      s.sampling.timeout = timeout;
+    });
+  };
+  REQUIRE(0.1 + 0.1 + 0.1 > 0.3);
+  CHECK(with_timeout(0.3) == "(accepted)");
+  CHECK(with_timeout(0.1 + 0.1 + 0.1) == "(accepted)");
+  CHECK(with_timeout(kInfinity) == "(accepted)");
+  for (const double bad : {0.299, 0.0, -1.0, 0.3005, kNaN}) {
+    CAPTURE(bad);
+    CHECK(is_about(with_timeout(bad), "camera.timeout"));
+  }
+}
+
 TEST_CASE("targets that no camera can use are refused") {
   const Points good = paper_points();
   CHECK(verdict([&](PaperSettings& s) { s.target.points_B = good; }) == "(accepted)");

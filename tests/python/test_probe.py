@@ -61,6 +61,20 @@ def test_a_point_that_is_not_in_front_has_no_features(paper: hs.Scenario) -> Non
     np.testing.assert_allclose(depth[1], 0.1, atol=1e-12)
 
 
+def test_some_points_in_front_and_some_behind(paper: hs.Scenario) -> None:
+    """A quarter turn about x, by hand: X' = X, Y' = Z, Z' = -Y = y Z/f, and so x' = f x/y, y' = -f^2/y."""
+    home = np.asarray(paper.robot.home_position)
+    features, depth = probe(paper).image([home, home], [[1, 0, 0, 0], [1, 1, 0, 0]])
+    x, y = features[0].reshape(4, 2).T
+    focal = paper.camera.focal_length * paper.camera.pixel_scale
+    np.testing.assert_allclose(depth[1], y * depth[0] / focal, rtol=1e-12)
+    front = y > 0
+    assert front.tolist() == [True, False, True, False]
+    turned = features[1].reshape(4, 2)
+    assert np.isnan(turned[~front]).all()
+    np.testing.assert_allclose(turned[front], np.stack([focal * x / y, -(focal**2) / y], axis=1)[front], rtol=1e-11)
+
+
 @pytest.mark.parametrize(
     ("convention", "jacobian", "plant", "controller"),
     [
@@ -420,3 +434,97 @@ def test_what_a_scenario_does_not_have(paper: hs.Scenario) -> None:
     printed = probe(paper.updated({"camera.convention": "as_printed"}))
     with pytest.raises(ValueError, match=r"^camera.convention: expected eye_in_hand"):
         printed.image(at["position"], at["quaternion"])
+
+
+ROWS: dict[str, Any] = {
+    "features": np.full((3, 8), 10.0),
+    "depth": np.full((3, 4), -0.5),
+    "position": np.zeros((3, 3)),
+    "quaternion": np.tile([1.0, 0, 0, 0], (3, 1)),
+    "twist": np.zeros((3, 6)),
+    "wrench": np.zeros((3, 6)),
+    "acceleration": np.zeros((3, 6)),
+    "stage_quaternion": np.tile([1.0, 0, 0, 0], (3, 1)),
+    "stage_twist": np.zeros((3, 6)),
+    "stage_acceleration": np.zeros((3, 6)),
+    "scale": STEP,
+    "step": STEP,
+}
+FUNCTIONS: dict[str, tuple[str, ...]] = {
+    "image": ("position", "quaternion"),
+    "image_jacobian": ("features", "depth", "quaternion"),
+    "measured_depth": ("depth",),
+    "law": ("features", "depth", "position", "quaternion", "twist"),
+    "stages": ("features", "depth", "position", "quaternion", "twist"),
+    "acceleration": ("position", "quaternion", "twist", "wrench"),
+    "estimated_wrenches": ("quaternion", "twist", "acceleration"),
+    "inertia": ("quaternion",),
+    "moved": ("position", "quaternion", "twist", "stage_quaternion", "stage_twist", "stage_acceleration", "scale"),
+    "after": ("position", "quaternion", "twist", "stage_quaternion", "stage_twist", "stage_acceleration", "step"),
+}
+
+
+def given(function: str) -> dict[str, Any]:
+    """Numbers that the function takes."""
+    rows = {name: ROWS[name] for name in FUNCTIONS[function]}
+    if function == "after":
+        rows |= {name: np.stack([ROWS[name]] * 4, axis=1) for name in rows if name.startswith("stage_")}
+    return rows
+
+
+def bad_numbers(name: str, values: Any) -> list[tuple[Any, str]]:
+    """What each of its arguments refuses, with the words for it."""
+    if name in ("scale", "step"):
+        bad = [(np.nan, f"{name}: expected a finite number"), (np.inf, f"{name}: expected a finite number")]
+        return (
+            bad if name == "scale" else [*bad, (0.0, "step: expected a finite number > 0"), (-STEP, "step: expected")]
+        )
+    row = 2 if values.ndim == 2 else 8
+    bad = []
+    for number, words in ((np.nan, "a finite number"), (-np.inf, "a finite number")):
+        changed = values.copy()
+        changed.reshape(-1, changed.shape[-1])[row, -1] = number
+        bad.append((changed, rf"{name}\[{row}\]: expected {words}, got "))
+    bad.append((values[:, ..., :-1], rf"{name}: expected numbers of shape \("))
+    bad.append((values.astype(complex), rf"{name}: expected numbers of shape \(.*\), got something else \(ndarray\)"))
+    bad.append((values.astype(str).tolist(), rf"{name}: expected numbers of shape \(.*\), got something else \(list\)"))
+    if name == "depth":
+        bad.extend((-values * share, r"depth\[0\]: expected numbers < 0, in front") for share in (1.0, 0.0))
+    if name.endswith("quaternion"):
+        bad.append((values * 0.0, rf"{name}\[0\]: expected a quaternion that is not zero, got zero"))
+        for scale in (1e-170, 1e-160, 1e160):
+            bad.append((values * scale, rf"{name}\[0\]: expected a quaternion whose largest number is between"))
+    return bad
+
+
+@pytest.mark.parametrize(("function", "name"), [(f, name) for f, names in FUNCTIONS.items() for name in names])
+def test_every_argument_of_every_function(paper: hs.Scenario, function: str, name: str) -> None:
+    of = getattr(probe(paper), function)
+    of(**given(function))
+    values = given(function)[name]
+    for bad, sentence in bad_numbers(name, values):
+        with pytest.raises(ValueError, match=f"^{sentence}"):
+            of(**(given(function) | {name: bad}))
+
+
+@pytest.mark.parametrize("speed", [-600.0, -1200.0])
+def test_a_step_through_the_target(paper: hs.Scenario, speed: float) -> None:
+    """Towards the target, 0.5 m away, in 1 ms: where `image` has no features, a stage has no wrench either."""
+    home = np.asarray(paper.robot.home_position)[None]
+    quaternion = np.array([[1.0, 0, 0, 0]])
+    of = probe(paper)
+    features, depth = of.image(home, quaternion)
+    steps = of.stages(features, depth, home, quaternion, [[0, 0, speed, 0, 0, 0]])
+    assert steps.next_weights is not None
+    for values in (steps.next_features, steps.next_depth, steps.next_position, steps.next_twist, steps.next_weights):
+        assert np.isnan(values).all()
+    reached = np.isfinite(steps.position[0]).all(axis=1)
+    assert reached.tolist() == ([True] * 4 if speed == -600.0 else [True, True, False, False])
+    again, depth_again = of.image(steps.position[0, reached], steps.quaternion[0, reached])
+    np.testing.assert_allclose(steps.depth[0, reached], depth_again, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(steps.features[0, reached], again, rtol=0, atol=1e-11)
+    seen = np.isfinite(steps.features[0]).all(axis=1)
+    assert seen.tolist() == ([True] * 3 + [False] if speed == -600.0 else [True, False, False, False])
+    for values in (steps.wrench, steps.fuzzy_output, steps.acceleration):
+        np.testing.assert_array_equal(np.isfinite(values[0]).all(axis=1), seen)
+        assert np.isnan(values[0, ~seen]).all()

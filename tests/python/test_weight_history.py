@@ -71,6 +71,20 @@ def test_a_run_that_ends_early_logs_the_weights_of_its_last_good_sample(paper: h
         np.testing.assert_array_equal(thin.weight_history[:-1], full.weight_history[:-1:every][: len(thin.time) - 1])
 
 
+def test_the_weights_at_the_end_of_a_run_that_its_legs_stop(paper: hs.Scenario) -> None:
+    """One step beyond the last good sample: those of the run that only reports the limit, a row later."""
+    changes: dict[str, Any] = {"simulation": {"mode": "sampled", "duration": 0.5}, "robot": {"stroke": 3e-3}}
+    on = hs.simulate(paper.updated(changes), log_weights=True)
+    stopped = hs.simulate(paper.updated(changes).updated({"robot.on_limit": "stop"}), log_weights=True)
+    assert stopped.outcome == "leg_limit"
+    assert stopped.weight_history is not None
+    assert on.weight_history is not None
+    rows = len(stopped.time)
+    np.testing.assert_array_equal(stopped.weight_history, on.weight_history[:rows])
+    np.testing.assert_array_equal(stopped.fuzzy_weights, on.weight_history[rows])
+    assert (stopped.fuzzy_weights != stopped.weight_history[-1]).any()
+
+
 @pytest.mark.parametrize("law", ["kelly", "resolved_rate", "pbvs", "computed_torque"])
 def test_laws_without_fuzzy_systems(paper: hs.Scenario, law: str) -> None:
     result = hs.simulate(paper.updated(SHORT | {"controller.law": law}), log_weights=True)

@@ -60,7 +60,7 @@ struct BatchResult {
   Buffer time;                         ///< m, of the trajectories [s]
   /// In the order of `Sample`: n x k, or n x m x k with NaN where a run had stopped; NaN where interrupted.
   std::array<Buffer, 9> samples;
-  Buffer fuzzy_weights;  ///< n x 6 x 7 x 7 at the end; NaN where interrupted [N; N m]
+  Buffer fuzzy_weights;  ///< n x 6 x 7 x 7 like Trajectory::fuzzy_weights; NaN where interrupted [N; N m]
 };
 
 /// Bytes that the result of one batch may take; more is refused before it is allocated.

@@ -79,10 +79,12 @@ using PointVector = SideBySide<S, N>;
 
 /// What the camera at a pose sees of points fixed in B: P_i = R^T (P_i^B - x_p), then (4).
 /// @param points_B of N points [m]
-/// @param inverse_depth 1/Z_i [1/m], which falls off on the way
+/// @param image filled in
+/// @param inverse_depth 1/Z_i [1/m], which falls off on the way; filled in
 template <class S, int N>
-Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE, const Vectors3<S, N>& points_B,
-                       Vector<S, N>& inverse_depth) {
+[[gnu::always_inline]] inline void take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
+                                              const Vectors3<S, N>& points_B, Image<S, N>& image,
+                                              Vector<S, N>& inverse_depth) {
   using R = typename PointVector<S, N>::Register;
   const Vector3<R> position = broadcast<R>(p_BE);
   const Matrix3<R> attitude = broadcast<R>(R_BE);
@@ -98,16 +100,19 @@ Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_B
     features.y.part[r] = feature(1);
     depth.part[r] = p_E(2);
   }
+  features.store(image.features.data());
+  depth.store(image.depth.data());
   inverse.store(inverse_depth.data());
-  return {features.vector(), depth.vector()};
 }
 /// The same, for image and depth alone.
 /// @param points_B 3xN, one column per point [m]
 template <class S, int N>
 Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
                        const Eigen::Matrix<S, 3, N>& points_B) {
+  Image<S, N> image;
   Vector<S, N> inverse_depth;
-  return take_image(f, p_BE, R_BE, Vectors3<S, N>(points_B), inverse_depth);
+  take_image(f, p_BE, R_BE, Vectors3<S, N>(points_B), image, inverse_depth);
+  return image;
 }
 
 /// (8) applied to one point: image velocity [px/s] for the camera's velocity v and angular velocity w, both in E.
@@ -245,6 +250,12 @@ class ImageJacobian {
 template <class S, int N>
 Image<S, N> measured_image(const Image<S, N>& image, const Vector<S, N>& depth_error) {
   return {image.features, image.depth + depth_error.cwiseProduct(image.depth)};
+}
+
+/// What makes 1/Z-hat_i of 1/Z_i: 1/(1 + delta_Z,i) [1].
+template <class S, int N>
+Vector<S, N> measured_inverse_share(const Vector<S, N>& depth_error) {
+  return (Vector<S, N>::Ones() + depth_error).cwiseInverse();
 }
 
 /// Delta-J of (12): measured minus real image Jacobian, 2N x 6, at one pose.

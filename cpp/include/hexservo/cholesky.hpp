@@ -32,7 +32,7 @@ class Cholesky {
       const S pivot = L_(j, j);
       const Mask<S> good = pivot > S(kPivotFloor) * largest;
       failed_ = failed_ | !good;
-      inverse_D_(j) = S(1.0) / select(good, pivot, S(1.0));
+      inverse_D_(j) = select(good, S(S(1.0) / pivot), S(1.0));  // the division need not wait for the verdict
 #pragma GCC unroll 6
       for (int i = j + 1; i < N; ++i) {
         const S factor = L_(i, j) * inverse_D_(j);

@@ -83,11 +83,14 @@ class Frames {
     lost_.setZero();
   }
 
+  /// Whether a tick has a frame.
+  bool exposes(long long tick) const noexcept { return tick % settings_.period == 0; }
+
   /// Takes a frame, if it is time for one.
   /// @param image true features and measured depths
   /// @param pose that the joint sensors give now
   void expose(long long tick, const Image<S, N>& image, const Pose<S>& pose, const Matrix3<S>& R_BE) noexcept {
-    if (tick % settings_.period != 0) return;
+    if (!exposes(tick)) return;
     const auto event = static_cast<std::uint64_t>(tick / settings_.period);
     Frame& frame = ring_[static_cast<std::size_t>(exposed_ % static_cast<long long>(ring_.size()))];
     frame.tick = tick;
@@ -107,8 +110,9 @@ class Frames {
       const S x = frame.image.features(2 * i), y = frame.image.features(2 * i + 1);
       const Mask<S> seen = (abs(x) <= S(0.5) * settings_.image_size(0)) & (abs(y) <= S(0.5) * settings_.image_size(1));
       frame.seen(i) = select(seen, S(1.0), S(0.0));
-      const Vector3<S> p_E = back_project<S>(f_, Vector2<S>(x, y), frame.image.depth(i));
-      frame.points_B.col(i) = pose.position + rotate<S>(R_BE, p_E);
+      if (predicts())
+        frame.points_B.col(i) =
+            pose.position + rotate<S>(R_BE, back_project<S>(f_, Vector2<S>(x, y), frame.image.depth(i)));
     }
     ++exposed_;
   }
@@ -135,8 +139,7 @@ class Frames {
   /// Features and measured depths that the law sees at a pose that the joint sensors give.
   Image<S, N> image(const Pose<S>& pose, const Matrix3<S>& R_BE) const noexcept {
     const bool predicting = settings_.prediction == Prediction::encoder;
-    const bool lost_predicted = settings_.on_lost == LostFeature::predict;
-    if (!predicting && !lost_predicted) return held_;
+    if (!predicts()) return held_;
     const Image<S, N> projected = take_image(f_, pose.position, R_BE, points_B_);
     if (predicting && settings_.on_lost != LostFeature::hold) return projected;
     Image<S, N> image;
@@ -154,10 +157,15 @@ class Frames {
   struct Frame {
     long long tick;
     Image<S, N> image;                ///< as measured
-    Eigen::Matrix<S, 3, N> points_B;  ///< where the law believes the points to be [m]
+    Eigen::Matrix<S, 3, N> points_B;  ///< where the law believes the points to be; only where it predicts [m]
     Vector<S, N> seen;                ///< 1 or 0
     S due;                            ///< first tick of use; infinite: never
   };
+
+  /// Whether a law ever sees points that were lifted from a frame.
+  bool predicts() const noexcept {
+    return settings_.prediction == Prediction::encoder || settings_.on_lost == LostFeature::predict;
+  }
 
   static Mask<S> any_of(const Vector<S, N>& flags) noexcept {
     S sum = flags(0);
@@ -188,7 +196,7 @@ class Frames {
       for (int k = 2 * i; k < 2 * i + 2; ++k)
         held_.features(k) = select(seen, frame.image.features(k), held_.features(k));
       held_.depth(i) = select(seen, frame.image.depth(i), held_.depth(i));
-      for (int k = 0; k < 3; ++k) points_B_(k, i) = select(seen, frame.points_B(k, i), points_B_(k, i));
+      for (int k = 0; predicts() && k < 3; ++k) points_B_(k, i) = select(seen, frame.points_B(k, i), points_B_(k, i));
     }
   }
 

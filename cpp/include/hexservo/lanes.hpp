@@ -300,10 +300,16 @@ template <class S>
 S min(const S& a, const S& b) {
   return select(a < b, a, select(a != a, a, b));
 }
-/// x limited to [low, high]; NaN stays NaN.
+/// Larger of two, of which neither is NaN, or NaN does not matter: one instruction.
+template <class S>
+S larger(const S& a, const S& b) {
+  return select(a > b, a, b);
+}
+/// x limited to [low, high]; NaN stays NaN. Two instructions, the processor's own minimum and maximum.
 template <class S>
 S clip(const S& x, const S& low, const S& high) {
-  return select(x < low, low, select(x > high, high, x));
+  const S below = select(x > high, high, x);
+  return select(low > below, low, below);
 }
 /// -1, 0 or 1 with sgn(0) = 0; NaN stays NaN.
 template <class S>

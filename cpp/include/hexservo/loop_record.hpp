@@ -44,9 +44,17 @@ class LoopRecord {
   /// @param nearest largest Z_i on the way there [m]
   void judge(const WorldState<S, N>& next, const S& nearest) noexcept {
     const Image<S, N>& image = next.view.image;
+    const Vector<S, 2 * N> error = desired_features_ - image.features;
+    const Vector6<S> twist = twist_of(next.body);
+    // Where this sum is finite, each number is: then a maximum need not look for NaN.
+    const Mask<S> finite = is_finite(S((image.features.sum() + image.depth.sum()) +
+                                       (position_of(next.body).sum() + quaternion_of(next.body).sum()) + twist.sum()));
+    const Mask<S> usual = (detail::largest_abs(error, detail::TakeAll{}) <= S(kMaxFeatureError)) &
+                          (detail::largest_abs(twist, detail::TakeAll{}) <= S(kMaxTwist)) & (nearest < S(0.0));
+    if (all(finite & usual)) return;
     stop(StopCause::not_finite, !(is_finite(next.body) & is_finite(image.features) & is_finite(image.depth)));
-    stop(StopCause::feature_error, largest_abs<S, 2 * N, 1>(desired_features_ - image.features) > S(kMaxFeatureError));
-    stop(StopCause::twist, largest_abs<S, 6, 1>(twist_of(next.body)) > S(kMaxTwist));
+    stop(StopCause::feature_error, largest_abs(error) > S(kMaxFeatureError));
+    stop(StopCause::twist, largest_abs(twist) > S(kMaxTwist));
     stop(StopCause::behind_camera, nearest >= S(0.0));
   }
 
@@ -65,22 +73,33 @@ class LoopRecord {
   void accept(double time, const WorldState<S, N>& state, const Vector6<S>& lengths, const Mask<S>& singular,
               const Vector6<S>& wrench, const Vector6<S>& leg_forces, const Vector6<S>& fuzzy_output,
               const Mask<S>& unsensed) noexcept {
-    const Sample<S, N> next{desired_features_ - state.view.image.features,
-                            state.view.image.depth,
-                            position_of(state.body),
-                            quaternion_of(state.body),
-                            twist_of(state.body),
-                            wrench,
-                            fuzzy_output,
-                            lengths,
-                            leg_forces};
-    const Mask<S> finite = is_finite(next.wrench) & is_finite(next.fuzzy_output) & is_finite(next.leg_forces);
+    const auto fill = [&](Sample<S, N>& sample) {
+      sample.feature_error = desired_features_ - state.view.image.features;
+      sample.depth = state.view.image.depth;
+      sample.position = position_of(state.body);
+      sample.quaternion = quaternion_of(state.body);
+      sample.twist = twist_of(state.body);
+      sample.wrench = wrench;
+      sample.fuzzy_output = fuzzy_output;
+      sample.leg_lengths = lengths;
+      sample.leg_forces = leg_forces;
+    };
+    // What `judge` let pass is finite already.
+    const Mask<S> finite = is_finite(S((wrench.sum() + fuzzy_output.sum()) + (leg_forces.sum() + lengths.sum())));
+    if (!stops_at_limit_ && all(running() & finite & (!singular) & !unsensed)) {
+      fill(sample_);
+      sample_time_ = S(time);
+      metrics_->add_finite(time, sample_);
+      return;
+    }
     const Mask<S> regular = !singular;  // leg forces of a singular pose have no meaning
-    stop(StopCause::not_finite, (!finite) & regular);
+    stop(StopCause::not_finite, (!(is_finite(wrench) & is_finite(fuzzy_output) & is_finite(leg_forces))) & regular);
     if (stops_at_limit_) stop_at_limit(lengths);
     stop(StopCause::singular, singular);
     stop(StopCause::solver_failed, unsensed);
     const Mask<S> good = running();
+    Sample<S, N> next;
+    fill(next);
     Sample<S, N>::visit([&good](auto& value, const auto& from) { value = select(good, from, value); }, sample_, next);
     sample_time_ = select(good, S(time), sample_time_);
     metrics_->add(time, sample_, good);

@@ -93,6 +93,43 @@ struct Metrics {
   }
 };
 
+namespace detail {
+/// How books take over numbers where every lane runs and each number is finite: there is nothing to choose.
+struct TakeAll {
+  template <class S>
+  S keep(const S& /*old*/, const S& next) const {
+    return next;
+  }
+  template <class S>
+  S larger(const S& a, const S& b) const {
+    return hexservo::larger(a, b);
+  }
+};
+/// The same anywhere: lanes that do not run keep their numbers, and no NaN is swallowed.
+template <class M>
+struct TakeWhere {
+  M active;
+
+  template <class S>
+  S keep(const S& old, const S& next) const {
+    return select(active, next, old);
+  }
+  template <class S>
+  S larger(const S& a, const S& b) const {
+    return max(a, b);
+  }
+};
+
+/// Largest absolute entry.
+template <class S, int N, class Take>
+S largest_abs(const Vector<S, N>& values, const Take& take) {
+  using std::abs;
+  S result = abs(values(0));
+  for (int i = 1; i < N; ++i) result = take.larger(result, S(abs(values(i))));
+  return result;
+}
+}  // namespace detail
+
 /// How far the features leave the straight ways to their goals. Coordinates and features that start within the settling
 /// threshold of their goal have no side to overshoot to and no line: they count for the distance alone.
 template <class S, int N>
@@ -113,17 +150,18 @@ class FeatureExcursions {
     }
   }
 
-  void add(const Vector<S, 2 * N>& error, const Mask<S>& active) {
-    for (int i = 0; i < 2 * N; ++i) beyond_(i) = select(active, max(beyond_(i), S(side_(i) * error(i))), beyond_(i));
+  template <class Take>
+  void add(const Vector<S, 2 * N>& error, const Take& take) {
+    for (int i = 0; i < 2 * N; ++i) beyond_(i) = take.keep(beyond_(i), take.larger(beyond_(i), S(side_(i) * error(i))));
     S distance = distance_squared_, deviation = deviation_;
     for (int i = 0; i < N; ++i) {
       const int x = 2 * i, y = x + 1;
       const S u = desired_(x) - error(x), v = desired_(y) - error(y);
-      distance = max(distance, S(u * u + v * v));
-      deviation = max(deviation, abs_of(S(normal_(x) * error(x) + normal_(y) * error(y))));
+      distance = take.larger(distance, S(u * u + v * v));
+      deviation = take.larger(deviation, abs_of(S(normal_(x) * error(x) + normal_(y) * error(y))));
     }
-    distance_squared_ = select(active, distance, distance_squared_);
-    deviation_ = select(active, deviation, deviation_);
+    distance_squared_ = take.keep(distance_squared_, distance);
+    deviation_ = take.keep(deviation_, deviation);
   }
 
   void write(Metrics<S>& m) const {
@@ -157,7 +195,8 @@ class ControlCost {
  public:
   explicit ControlCost(const S& platform_radius) : per_radius_(S(1.0) / platform_radius) {}
 
-  void add(double time, const Vector6<S>& control, const Mask<S>& active) {
+  template <class Take>
+  void add(double time, const Vector6<S>& control, const Take& take) {
     using std::abs;
     const S lasted(is_first_ ? 0.0 : time - time_);
     S square(0.0), change(0.0);
@@ -168,9 +207,9 @@ class ControlCost {
       last_(j) = w;
     }
     // what was applied since the last sample is the last sample's; a lane that has stopped needs no right `last_`
-    effort_ = select(active, S(effort_ + square_ * lasted), effort_);
-    variation_ = select(active & Mask<S>(!is_first_), S(variation_ + change), variation_);
-    duration_ = select(active, S(duration_ + lasted), duration_);
+    effort_ = take.keep(effort_, S(effort_ + square_ * lasted));
+    if (!is_first_) variation_ = take.keep(variation_, S(variation_ + change));
+    duration_ = take.keep(duration_, S(duration_ + lasted));
     square_ = square;
     time_ = time;
     is_first_ = false;
@@ -196,11 +235,16 @@ struct LegLimitMonitor {
   Vector6<S> peak = Vector6<S>::Zero();                                                      ///< [m] or [N]
 
   void add(double time, const Vector6<S>& values, const S& limit, const Mask<S>& active) {
+    add(time, values, limit, detail::TakeWhere<Mask<S>>{active});
+  }
+  template <class Take>
+  void add(double time, const Vector6<S>& values, const S& limit, const Take& take) {
     using std::abs;
+    for (int i = 0; i < 6; ++i) peak(i) = take.keep(peak(i), take.larger(peak(i), S(abs(values(i)))));
+    if (!any(detail::largest_abs(values, take) > limit)) return;
     for (int i = 0; i < 6; ++i) {
-      const S value = abs(values(i));
-      first_time(i) = select(active & (value > limit), min(first_time(i), S(time)), first_time(i));
-      peak(i) = select(active, max(peak(i), value), peak(i));
+      const S since = select(abs(values(i)) > limit, min(first_time(i), S(time)), first_time(i));
+      first_time(i) = take.keep(first_time(i), since);
     }
   }
 };
@@ -220,43 +264,17 @@ class MetricsAccumulator {
         cost_(hexapod.platform_radius) {}
 
   void add(double time, const Sample<S, N>& sample, const Mask<S>& active) {
-    const auto keep = [&active](S& value, const S& next) { value = select(active, next, value); };
-    const auto peak = [&keep](S& value, const S& next) { keep(value, max(value, next)); };
-
-    const S error = largest_abs(sample.feature_error);
-    const Mask<S> outside = !(error <= S(settings_.settling_threshold));  // NaN is outside
-    keep(last_outside_, select(outside, S(time), last_outside_));
-    keep(ends_outside_, select(outside, S(1.0), S(0.0)));
-    keep(final_error_, error);
-    peak(peak_error_, error);
-    if (time >= settings_.rms_start * (1.0 - 1e-12)) {
-      keep(square_sum_, square_sum_ + sample.feature_error.squaredNorm());
-      keep(square_count_, square_count_ + S(2.0 * N));
-    }
-
-    peak(peak_displacement_squared_, (sample.position - start_position_).squaredNorm());
-    // vector part of q conj(q_0): its square is sin^2 of half the rotation angle
-    const Vector3<S> v = sample.quaternion.template tail<3>(), v0 = start_quaternion_.template tail<3>();
-    const Vector3<S> half = start_quaternion_(0) * v - sample.quaternion(0) * v0 + v0.cross(v);
-    peak(peak_half_sine_squared_, half.squaredNorm());
-    keep(linear_speed_squared_, sample.twist.template head<3>().squaredNorm());
-    keep(angular_speed_squared_, sample.twist.template tail<3>().squaredNorm());
-
-    const Vector6<S> control = sample.wrench - gravity_wrench_;
-    peak(peak_control_force_, largest_abs<S, 3, 1>(control.template head<3>()));
-    peak(peak_control_moment_, largest_abs<S, 3, 1>(control.template tail<3>()));
-    features_.add(sample.feature_error, active);
-    cost_.add(time, control, active);
-    stroke_.add(time, sample.leg_lengths - hexapod_.home_lengths, hexapod_.stroke, active);
-    force_.add(time, sample.leg_forces, hexapod_.force_limit, active);
+    add(time, sample, detail::TakeWhere<Mask<S>>{active});
   }
+  /// The same where every lane is active and each number is finite.
+  void add_finite(double time, const Sample<S, N>& sample) { add(time, sample, detail::TakeAll{}); }
 
   /// Metrics of what was added so far.
   Metrics<S> metrics() const {
     using std::sqrt;
     const S nan(std::numeric_limits<double>::quiet_NaN());
     Metrics<S> m;
-    m.settling_time = select(ends_outside_ > S(0.5), nan, last_outside_);
+    m.settling_time = select(final_error_ <= S(settings_.settling_threshold), last_outside_, nan);
     m.final_error = final_error_;
     m.rms_error = select(square_count_ > S(0.0), S(sqrt(S(square_sum_ / square_count_))), nan);
     m.peak_error = peak_error_;
@@ -277,6 +295,38 @@ class MetricsAccumulator {
   const LegLimitMonitor<S>& force() const { return force_; }
 
  private:
+  template <class Take>
+  void add(double time, const Sample<S, N>& sample, const Take& take) {
+    const auto keep = [&take](S& value, const S& next) { value = take.keep(value, next); };
+    const auto peak = [&take, &keep](S& value, const S& next) { keep(value, take.larger(value, next)); };
+
+    const S error = detail::largest_abs(sample.feature_error, take);
+    const Mask<S> outside = !(error <= S(settings_.settling_threshold));  // NaN is outside
+    keep(last_outside_, select(outside, S(time), last_outside_));
+    keep(final_error_, error);
+    peak(peak_error_, error);
+    if (time >= settings_.rms_start * (1.0 - 1e-12)) {
+      keep(square_sum_, square_sum_ + sample.feature_error.squaredNorm());
+      keep(square_count_, square_count_ + S(2.0 * N));
+    }
+
+    peak(peak_displacement_squared_, (sample.position - start_position_).squaredNorm());
+    // vector part of q conj(q_0): its square is sin^2 of half the rotation angle
+    const Vector3<S> v = sample.quaternion.template tail<3>(), v0 = start_quaternion_.template tail<3>();
+    const Vector3<S> half = start_quaternion_(0) * v - sample.quaternion(0) * v0 + v0.cross(v);
+    peak(peak_half_sine_squared_, half.squaredNorm());
+    keep(linear_speed_squared_, sample.twist.template head<3>().squaredNorm());
+    keep(angular_speed_squared_, sample.twist.template tail<3>().squaredNorm());
+
+    const Vector6<S> control = sample.wrench - gravity_wrench_;
+    peak(peak_control_force_, detail::largest_abs<S, 3>(control.template head<3>(), take));
+    peak(peak_control_moment_, detail::largest_abs<S, 3>(control.template tail<3>(), take));
+    features_.add(sample.feature_error, take);
+    cost_.add(time, control, take);
+    stroke_.add(time, sample.leg_lengths - hexapod_.home_lengths, hexapod_.stroke, take);
+    force_.add(time, sample.leg_forces, hexapod_.force_limit, take);
+  }
+
   static double rotation_angle(double half_sine) { return 2.0 * std::asin(half_sine); }
   template <int W>
   static Lanes<W> rotation_angle(Lanes<W> half_sine) {
@@ -290,7 +340,7 @@ class MetricsAccumulator {
   Vector4<S> start_quaternion_;
   FeatureExcursions<S, N> features_;
   ControlCost<S> cost_;
-  S last_outside_{0.0}, ends_outside_{0.0}, final_error_{0.0}, peak_error_{0.0}, square_sum_{0.0}, square_count_{0.0};
+  S last_outside_{0.0}, final_error_{0.0}, peak_error_{0.0}, square_sum_{0.0}, square_count_{0.0};
   S peak_displacement_squared_{0.0}, peak_half_sine_squared_{0.0}, linear_speed_squared_{0.0},
       angular_speed_squared_{0.0};
   S peak_control_force_{0.0}, peak_control_moment_{0.0};

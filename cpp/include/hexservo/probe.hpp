@@ -26,12 +26,12 @@ struct ProbeStates {
   Rows features;  ///< n x 8 [px]
   Rows depth;  ///< n x 4, negative in front of the camera; the controller's for `law`, the true ones for `stages` [m]
   Rows position;    ///< n x 3, p_BE [m]
-  Rows quaternion;  ///< n x 4, (w, x, y, z) of any length but zero, used as it stands
+  Rows quaternion;  ///< n x 4, (w, x, y, z) of any length but zero, 1e-150 to 1e150, used as it stands
   Rows twist;       ///< n x 6, in B [m/s; rad/s]
   Rows weights{};   ///< n x 6 x 7 x 7, axis, term of u, term of u-dot [N; N m]; empty: the scenario's initial ones
 };
 
-/// What a law gives; the memory is the caller's, and an empty column is not asked for.
+/// What a law gives; the memory is the caller's. All but the wrench may be empty: they are then not asked for.
 struct ProbedLaw {
   Column wrench;               ///< n x 6, tau in B [N; N m]; NaN where the law has none
   Column fuzzy_output{};       ///< n x 6, tau_f [N; N m]; zero where no fuzzy systems act
@@ -42,7 +42,10 @@ struct ProbedLaw {
   Column adaptation{};
 };
 
-/// The four stages of a Runge-Kutta step, and the state after it; likewise.
+/// The four stages of a Runge-Kutta step, and the state after it. Only next_weights may be empty, and is not asked for.
+///
+/// From the first stage on that has a point behind the camera, features, wrench, fuzzy_output and acceleration are NaN,
+/// since the law does not see them; in the stages after it so are depth and body, which follow from that wrench.
 struct ProbedStages {
   Column features, depth, position, quaternion, twist;  ///< n x 4 x 8, 4, 3, 4, 6; true, the quaternion of any length
   Column wrench, fuzzy_output;                          ///< n x 4 x 6, in B [N; N m]
@@ -54,7 +57,7 @@ struct ProbedStages {
 /// Parts of the loop of one scenario. All functions are const, work row by row, and may run side by side.
 ///
 /// @throws std::invalid_argument("name: expected ..., got ...") where rows are not n of their width, numbers are not
-/// finite, a quaternion is zero or a depth is not negative
+/// finite, a quaternion is zero (or beyond 1e-150 to 1e150) or a depth is not negative
 class Probe {
  public:
   /// @throws std::invalid_argument as `loop_parameters`
@@ -88,7 +91,8 @@ class Probe {
   void law(const ProbeStates& states, const ProbedLaw& out) const;
 
   /// chi-ddot of the actual plant under a wrench, (3), n x 6 [m/s^2; rad/s^2].
-  void acceleration(Rows quaternion, Rows twist, Rows wrench, Column acceleration) const;
+  /// @param position it is the same at each, but only finite ones are states
+  void acceleration(Rows position, Rows quaternion, Rows twist, Rows wrench, Column acceleration) const;
 
   /// D-bar chi-ddot and C-bar chi-dot of the estimated dynamics (1), n x 6 each [N; N m].
   void estimated_wrenches(Rows quaternion, Rows twist, Rows acceleration, Column inertial, Column coriolis) const;
@@ -98,7 +102,8 @@ class Probe {
   /// D-bar of (1), n x 6 x 6: acceleration in B (m/s^2; rad/s^2) to wrench.
   void inertia(Rows quaternion, Column inertia) const;
 
-  /// All of a step of a loop in continuous mode, as `ClosedLoop` takes it from a state.
+  /// All of a step of a loop in continuous mode, as `ClosedLoop` takes it from a state: both are `LoopEquations`.
+  /// Whether the loop would stop there for another reason than a point behind the camera is not asked.
   /// @param states with the true depths; image and pose are used as given, whether or not they agree
   /// @throws std::invalid_argument also in `sampled` mode, where the law is not in the stages
   void stages(const ProbeStates& states, const ProbedStages& out) const;
@@ -107,7 +112,8 @@ class Probe {
   struct Body {
     Rows position, quaternion, twist;
   };
-  /// What makes the rate of a stage: its quaternion, twist and acceleration.
+  /// What makes the rate of stages, its quaternion, twist and acceleration: one row of each for every body in `moved`,
+  /// four in `after`.
   struct BodyStage {
     Rows quaternion, twist, acceleration;
   };

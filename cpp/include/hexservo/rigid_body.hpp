@@ -59,7 +59,7 @@ struct Pose {
 
 /// R_BE of q/|q| (docs/model.md, section 1): no square root is needed.
 template <class S>
-Matrix3<S> rotation_matrix(const Vector4<S>& q) {
+[[gnu::always_inline]] inline Matrix3<S> rotation_matrix(const Vector4<S>& q) {
   const S w = q(0), x = q(1), y = q(2), z = q(3);
   const S s = S(2.0) / ((w * w + x * x) + (y * y + z * z));
   Matrix3<S> R_BE;

@@ -147,7 +147,8 @@ class SampledPlant {
       seen_.twist = encoders_->twist();
       unsensed_ = encoders_->failed();
     }
-    frames_.expose(ticks_, measured_image(state_.view.image, depth_error_), seen_.pose, seen_.R_BE);
+    if (frames_.exposes(ticks_))
+      frames_.expose(ticks_, measured_image(state_.view.image, depth_error_), seen_.pose, seen_.R_BE);
     frames_.deliver(ticks_);
     seen_.image = frames_.image(seen_.pose, seen_.R_BE);
     seen_.newest = frames_.newest();

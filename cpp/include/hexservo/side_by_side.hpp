@@ -282,18 +282,22 @@ struct Pairs {
 
   Vector<S, 2 * K> vector() const {
     Vector<S, 2 * K> alternating;
+    store(alternating.data());
+    return alternating;
+  }
+  /// Writes 2 K numbers.
+  void store(S* alternating) const {
     if constexpr (width > 1 && K % width == 0) {
       for (std::size_t r = 0; r < SideBySide<S, K>::registers; ++r) {
         const std::array two = {alternate_low(x.part[r], y.part[r]), alternate_high(x.part[r], y.part[r])};
-        std::memcpy(alternating.data() + 2 * width * static_cast<int>(r), &two, sizeof two);
+        std::memcpy(alternating + 2 * width * static_cast<int>(r), &two, sizeof two);
       }
     } else {
       for (int k = 0; k < K; ++k) {
-        alternating(2 * k) = x(k);
-        alternating(2 * k + 1) = y(k);
+        alternating[2 * k] = x(k);
+        alternating[2 * k + 1] = y(k);
       }
     }
-    return alternating;
   }
 
   friend Pairs operator-(const Pairs& a, const Pairs& b) { return {a.x - b.x, a.y - b.y}; }

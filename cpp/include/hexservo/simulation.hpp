@@ -30,6 +30,9 @@ struct LimitEvent {
 using Column = std::span<double>;
 
 /// Logged samples of a run, row after row: `time` has n entries, a k-wide quantity n k. All columns lie in one block.
+///
+/// A sample is judged with the weights that belong to it: where a leg limit, a singular pose, sensors without a pose or
+/// a wrench that is not finite end a run, `fuzzy_weights` have advanced once more than the last row.
 struct Trajectory {
   Buffer block;
   Column time;                         ///< [s]
@@ -43,7 +46,7 @@ struct Trajectory {
   Column leg_lengths;                  ///< n x 6 [m]
   Column leg_forces;                   ///< n x 6 [N]
   Column weight_history;               ///< n x 6 x 7 x 7, axis, term of u, term of u-dot [N or N m]; empty: not logged
-  FuzzyWeights<double> fuzzy_weights;  ///< at the end [N or N m]
+  FuzzyWeights<double> fuzzy_weights;  ///< after the last step, which may be one beyond the last sample [N or N m]
 
   Outcome outcome = Outcome::completed;
   std::string detail;              ///< one sentence

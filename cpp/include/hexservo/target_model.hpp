@@ -34,7 +34,9 @@ Eigen::Matrix<S, 3, N> believed_points(const S& f, const Pose<S>& home, const Im
 template <class S, int N>
 TargetModel<S, N> target_model(const S& f, const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& goal) {
   TargetModel<S, N> model{points_B, goal, {}};
-  take_image(f, goal.position, rotation_matrix(goal.quaternion), Vectors3<S, N>(points_B), model.goal_inverse_depth);
+  Image<S, N> image;
+  take_image(f, goal.position, rotation_matrix(goal.quaternion), Vectors3<S, N>(points_B), image,
+             model.goal_inverse_depth);
   return model;
 }
 
@@ -67,7 +69,8 @@ PoseEstimate<S> estimate_pose(const S& f, const Eigen::Matrix<S, 3, N>& points_B
   for (int round = 0; round < rounds; ++round) {
     const Matrix3<S> R_BE = rotation_matrix(pose.quaternion);
     Vector<S, N> inverse_depth;
-    const Image<S, N> image = take_image(f, pose.position, R_BE, points, inverse_depth);
+    Image<S, N> image;
+    take_image(f, pose.position, R_BE, points, image, inverse_depth);
     const ImageJacobian<S, N> J(f, S(-1.0), image.features, inverse_depth, R_BE);
     const Cholesky<S, 6> solver(J.normal_matrix());
     Vector6<S> d = solver.solve(J.pull(features - image.features));

@@ -35,12 +35,31 @@ struct WorldRate {
   S nearest_depth;            ///< largest Z_i of the state [m]
 };
 
-/// Largest Z_i: a point is behind the camera where it is not negative [m].
+/// Largest Z_i: a point is behind the camera where it is not negative [m]; NaN shows in the state that follows.
 template <class S, int N>
 S nearest_depth(const Image<S, N>& image) noexcept {
   S nearest = image.depth(0);
-  for (int i = 1; i < N; ++i) nearest = max(nearest, image.depth(i));
+  for (int i = 1; i < N; ++i) nearest = larger(nearest, image.depth(i));
   return nearest;
+}
+
+/// body + scale rate: the platform in a Runge-Kutta stage; its quaternion is not normalised inside a step.
+template <class S>
+[[gnu::always_inline]] inline void move_body(const BodyMotion<S>& body, const S& scale, const BodyMotion<S>& rate,
+                                             BodyMotion<S>& out) noexcept {
+  out.position = body.position + scale * rate.position;
+  out.quaternion = body.quaternion + scale * rate.quaternion;
+  out.twist = body.twist + scale * rate.twist;
+}
+
+/// The platform after a step of h [s] from the rates of its four stages, its quaternion normalised.
+template <class S>
+[[gnu::always_inline]] inline BodyMotion<S> body_after(BodyMotion<S> body, double h,
+                                                       const std::array<const BodyMotion<S>*, 4>& rates) noexcept {
+#pragma GCC unroll 4
+  for (std::size_t i = 0; i < 4; ++i) body = body + S(h * kRungeKuttaWeights[i]) * *rates[i];
+  normalise_quaternion(body);
+  return body;
 }
 
 /// What is, in `active` lanes, and what was in the others.
@@ -94,35 +113,46 @@ class World {
 
   /// state + scale rate: a Runge-Kutta stage.
   WorldState<S, N> moved(const WorldState<S, N>& state, const S& scale, const WorldRate<S, N>& rate) const noexcept {
-    const BodyMotion<S> body = state.body + scale * rate.body;
-    if (!printed_camera()) return {body, view_of(body)};
-    const Image<S, N> image{state.view.image.features + scale * rate.printed_image.features,
-                            state.view.image.depth + scale * rate.printed_image.depth};
-    return {body, View<S, N>(image, rotation_matrix(quaternion_of(body)))};
+    WorldState<S, N> next;
+    move_body(state.body, scale, rate.body, next.body);
+    if (printed_camera())
+      next.view = View<S, N>({state.view.image.features + scale * rate.printed_image.features,
+                              state.view.image.depth + scale * rate.printed_image.depth},
+                             rotation_matrix(quaternion_of(next.body)));
+    else
+      look(next.body, next.view);
+    return next;
   }
 
   /// The state after a step of h [s], from the rates of its four stages.
   WorldState<S, N> after(const WorldState<S, N>& state, double h,
                          const std::array<const WorldRate<S, N>*, 4>& rates) const noexcept {
-    BodyMotion<S> body = state.body;
-    for (std::size_t i = 0; i < 4; ++i) body = body + S(h * kRungeKuttaWeights[i]) * rates[i]->body;
-    normalise_quaternion(body);
-    if (!printed_camera()) return {body, view_of(body)};
+    WorldState<S, N> next;
+    next.body = body_after<S>(state.body, h, {&rates[0]->body, &rates[1]->body, &rates[2]->body, &rates[3]->body});
+    if (!printed_camera()) {
+      look(next.body, next.view);
+      return next;
+    }
     Image<S, N> image = state.view.image;
     for (std::size_t i = 0; i < 4; ++i) {
       image.features += S(h * kRungeKuttaWeights[i]) * rates[i]->printed_image.features;
       image.depth += S(h * kRungeKuttaWeights[i]) * rates[i]->printed_image.depth;
     }
-    return {body, View<S, N>(image, rotation_matrix(quaternion_of(body)))};
+    next.view = View<S, N>(image, rotation_matrix(quaternion_of(next.body)));
+    return next;
   }
 
  private:
   bool printed_camera() const noexcept { return convention_ == CameraConvention::as_printed; }
 
+  /// Fills in what the camera sees; in place, since a copy would be waited for.
+  [[gnu::always_inline]] inline void look(const BodyMotion<S>& body, View<S, N>& view) const noexcept {
+    view.R_BE = rotation_matrix(quaternion_of(body));
+    take_image(focal_pixels_, position_of(body), view.R_BE, points_B_, view.image, view.inverse_depth);
+  }
   View<S, N> view_of(const BodyMotion<S>& body) const noexcept {
     View<S, N> view;
-    view.R_BE = rotation_matrix(quaternion_of(body));
-    view.image = take_image(focal_pixels_, position_of(body), view.R_BE, points_B_, view.inverse_depth);
+    look(body, view);
     return view;
   }
 
@@ -136,7 +166,7 @@ class World {
 template <class S, int N>
 S nearest_depth(const WorldState<S, N>& end, const std::array<const WorldRate<S, N>*, 4>& rates) noexcept {
   S nearest = nearest_depth(end.view.image);
-  for (std::size_t i = 1; i < 4; ++i) nearest = max(nearest, rates[i]->nearest_depth);
+  for (std::size_t i = 1; i < 4; ++i) nearest = larger(nearest, rates[i]->nearest_depth);
   return nearest;
 }
 

@@ -105,6 +105,19 @@ Vector3<S> coupled_moment(const Matrix3<S>& I_B, const S& period, const Vector3<
   return m;
 }
 
+/// Whether a law has fuzzy systems.
+template <class Law>
+inline constexpr bool kHasFuzzySystems = requires(const typename Law::template Gains<double>& gains) {
+  gains.fuzzy;
+};
+
+/// Whether it has some that act with these gains.
+template <class Law>
+bool fuzzy_systems_act(const typename Law::template Gains<double>& gains) noexcept {
+  if constexpr (kHasFuzzySystems<Law>) return gains.fuzzy.enabled;
+  return false;
+}
+
 /// What a law knows of robot, camera and goal: estimates, never the plant's own values.
 template <class S, int N = kPoints>
 struct ControlTask {
