@@ -281,6 +281,22 @@ def test_the_limit_of_the_weights_binds_the_best_ones_too(paper: hs.Scenario) ->
     assert assumption.eta[0] > 2 * free.eta[0]
 
 
+@pytest.mark.parametrize(("width", "step"), [(0.1, 2e-2), (1e-3, 1e-2)])
+def test_rates_that_do_not_agree_are_no_good_news(paper: hs.Scenario, width: float, step: float) -> None:
+    """The loop is unstable at such steps, or nearly: nothing that (20) says of the samples is known of the run."""
+    changes = {"controller.switching.kind": "tanh", "controller.switching.width": width, "simulation.duration": 2.0}
+    lyapunov, _ = parts_of(paper.updated({**changes, "simulation.step": step}))
+    assert not lyapunov.rises  # the bound, which is the disagreement, is above everything
+    assert not lyapunov.agrees
+    assert lyapunov.change.max() > 0
+    section = lyapunov.section()
+    assert section.verdict == "warning"  # V did rise above its start
+    assert "too coarse" in section.sentences[0]
+    assert replace(lyapunov, change=-np.abs(lyapunov.change)).section().verdict == "open"
+    fine, _ = parts_of(paper.updated({**changes, "simulation.duration": 0.1, "simulation.step": 5e-4}))
+    assert fine.agrees
+
+
 # ---- Certificates ---------------------------------------------------------------------------------------------------
 
 
