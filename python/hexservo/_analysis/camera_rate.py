@@ -139,7 +139,7 @@ class _Place:
 def _run(
     place: _Place, exponent: complex, drifts: int, offsets: tuple[float, ...] = (OFFSET, SMALL_OFFSET)
 ) -> Run | None:
-    """Measure the growth of a mode from the first offset [px] that tells it as predicted; None where no run shows it."""
+    """Measure the growth of a mode from the first offset [px] that tells its sign; None where no run shows it."""
     seconds = place.loop.seconds(place.clock)
     predicted, turning = exponent.real, abs(exponent.imag)
     # Long enough for many turns and for a change that shows, short enough for a mode that grows to stay small.
