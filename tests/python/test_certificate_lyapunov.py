@@ -297,6 +297,19 @@ def test_rates_that_do_not_agree_are_no_good_news(paper: hs.Scenario, width: flo
     assert fine.agrees
 
 
+def test_a_v_above_its_start_is_told_where_no_sample_shows_it() -> None:
+    """Fuzzy inputs that race to their limits within 6 ms: the differences are too coarse, but V itself is known."""
+    lyapunov, _ = parts_of(hs.load_scenario("fails-spring").updated({"simulation.duration": 0.5}))
+    fine, _ = parts_of(
+        hs.load_scenario("fails-spring").updated({"simulation.duration": 0.5, "simulation.step": 1.25e-4})
+    )
+    assert not lyapunov.rises
+    assert fine.rises  # seen with shorter steps
+    section = lyapunov.section()
+    assert section.verdict == "warning"
+    assert "uJ above its start" in section.sentences[1]
+
+
 # ---- Certificates ---------------------------------------------------------------------------------------------------
 
 

@@ -111,6 +111,11 @@ class Lyapunov:
                 f"V-dot was not positive beyond the integrator's error at any of the {self.compared} samples compared "
                 f"(of {len(self.time)}); V changed by {change * 1e6:.4g} uJ in all."
             )
+            if self.above_start:
+                sentences.append(
+                    f"Yet V was {top * 1e6:.3g} uJ above its start at t = {self.time[int(self.change.argmax())]:.4g} s: "
+                    "it grew where that error is large, or at samples that are left out."
+                )
         else:
             worst = max(self.rises, key=lambda rise: rise.rate)
             sentences.append(
