@@ -112,9 +112,10 @@ class Lyapunov:
                 f"(of {len(self.time)}); V changed by {change * 1e6:.4g} uJ in all."
             )
             if self.above_start:
+                highest = float(self.time[int(self.change.argmax())])
                 sentences.append(
-                    f"Yet V was {top * 1e6:.3g} uJ above its start at t = {self.time[int(self.change.argmax())]:.4g} s: "
-                    "it grew where that error is large, or at samples that are left out."
+                    f"Yet V was {top * 1e6:.3g} uJ above its start at t = {highest:.4g} s: it grew where that "
+                    "error is large, or at samples that are left out."
                 )
         else:
             worst = max(self.rises, key=lambda rise: rise.rate)
@@ -126,7 +127,7 @@ class Lyapunov:
             )
         if len(gap):
             sentences.append(
-                f"V-dot by differences and by (20) agree to {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW RMS, "
+                f"V-dot by differences and by (20) differ by {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW RMS, "
                 f"of up to {scale * 1e6:.4g} uW; where all is smooth the difference falls with the fourth power of the "
                 "step."
             )
