@@ -127,9 +127,9 @@ class Lyapunov:
             )
         if len(gap):
             sentences.append(
-                f"V-dot by differences and by (20) differ by {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW RMS, "
-                f"of up to {scale * 1e6:.4g} uW; where all is smooth the difference falls with the fourth power of the "
-                "step."
+                f"V-dot by differences and by (20) differ by {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW "
+                f"RMS, of up to {scale * 1e6:.4g} uW; where all is smooth the difference falls with the fourth power "
+                "of the step."
             )
         start = float(self.value[0])
         sentences.append(
