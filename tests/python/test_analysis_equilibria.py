@@ -155,6 +155,34 @@ def on_the_axis(gravity: float, kp: float = 1e-4) -> hs.Scenario:
     )
 
 
+def test_too_little_damping_lets_an_oscillation_grow_at_the_goal() -> None:
+    """Unequal depth errors make the stiffness unsymmetric; runs from a nanometre beside the goal tell what it does."""
+    stiff = hs.load_scenario("false-equilibrium").updated({"uncertainty.depth": [-0.249, -0.158, 0.181, 0.049]})
+    for damping, name in ((0.01, "oscillating"), (0.3, "attracting")):
+        kd = (damping * np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.04])).tolist()
+        scenario = stiff.updated({"controller.kelly.kd": kd})
+        found = equilibria.analyse(scenario)
+        (goal,) = found.goals
+        assert goal.growth is not None
+        assert goal.stability == name
+        assert goal.eigenvalues.real.min() > 0
+        assert (found.section().verdict == "bad") == (name == "oscillating")
+        assert ("does not attract" in found.section().sentences[0]) == (name == "oscillating")
+        # A run starts at home: the points are put where home sees what the goal's pose does, but for a nanometre.
+        w, (x, y, z) = goal.quaternion[0], goal.quaternion[1:]
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        attitude = np.eye(3) + 2 * w * cross + 2 * cross @ cross
+        points = (np.array(scenario.target.points) - goal.position + [1e-9, 0, 0]) @ attitude
+        home = np.array(scenario.robot.home_position)
+        changes = {"target.points": (points + home).tolist(), "simulation.duration": 4.0}
+        error = np.abs(hs.simulate(scenario.updated(changes)).feature_error).max(axis=1)
+        second, fourth = error[1000:2000].max(), error[3000:].max()
+        if name == "oscillating":
+            assert np.log(fourth / second) / 2.0 == pytest.approx(goal.growth, rel=0.03)
+        else:
+            assert fourth < second
+
+
 @pytest.mark.parametrize("gravity", [0.075, -0.075])
 def test_a_gravity_error_moves_the_goal_where_the_forces_balance(gravity: float) -> None:
     """On the axis every coordinate is h Z_0/Z, so 8 K_p h^2 Z_0 (Z - Z_0)/Z^3 = -delta_G m g: a cubic in Z."""

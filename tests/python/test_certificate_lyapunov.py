@@ -281,6 +281,35 @@ def test_the_limit_of_the_weights_binds_the_best_ones_too(paper: hs.Scenario) ->
     assert assumption.eta[0] > 2 * free.eta[0]
 
 
+@pytest.mark.parametrize(("width", "step"), [(0.1, 2e-2), (1e-3, 1e-2)])
+def test_rates_that_do_not_agree_are_no_good_news(paper: hs.Scenario, width: float, step: float) -> None:
+    """The loop is unstable at such steps, or nearly: nothing that (20) says of the samples is known of the run."""
+    changes = {"controller.switching.kind": "tanh", "controller.switching.width": width, "simulation.duration": 2.0}
+    lyapunov, _ = parts_of(paper.updated({**changes, "simulation.step": step}))
+    assert not lyapunov.rises  # the bound, which is the disagreement, is above everything
+    assert not lyapunov.agrees
+    assert lyapunov.change.max() > 0
+    section = lyapunov.section()
+    assert section.verdict == "warning"  # V did rise above its start
+    assert "too coarse" in section.sentences[0]
+    assert replace(lyapunov, change=-np.abs(lyapunov.change)).section().verdict == "open"
+    fine, _ = parts_of(paper.updated({**changes, "simulation.duration": 0.1, "simulation.step": 5e-4}))
+    assert fine.agrees
+
+
+def test_a_v_above_its_start_is_told_where_no_sample_shows_it() -> None:
+    """Fuzzy inputs that race to their limits within 6 ms: the differences are too coarse, but V itself is known."""
+    lyapunov, _ = parts_of(hs.load_scenario("fails-spring").updated({"simulation.duration": 0.5}))
+    fine, _ = parts_of(
+        hs.load_scenario("fails-spring").updated({"simulation.duration": 0.5, "simulation.step": 1.25e-4})
+    )
+    assert not lyapunov.rises
+    assert fine.rises  # seen with shorter steps
+    section = lyapunov.section()
+    assert section.verdict == "warning"
+    assert "uJ above its start" in section.sentences[1]
+
+
 # ---- Certificates ---------------------------------------------------------------------------------------------------
 
 

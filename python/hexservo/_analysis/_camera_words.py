@@ -186,7 +186,7 @@ def _about_runs(result: CameraRate) -> list[str]:
     if not agree:
         return [text + " They disagree: the linear loop does not describe these runs."]
     if any(run.offset < START for run in result.runs):
-        text += f" From {START:g} px that run behaves otherwise: so far from its goal this loop is not linear any more."
+        text += f" From {START:g} px a run behaves otherwise: so far from its goal this loop is not linear any more."
     if inside.key == "gain":
         return [text + f" The border lies where it is predicted, within {100 * inside.apart:g} %."]
     return [text + " The border lies between them, as predicted."]

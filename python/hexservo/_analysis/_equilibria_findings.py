@@ -29,7 +29,9 @@ class Equilibrium:
     residual: float  # [px], largest |xi_d - xi|
     eigenvalues: Array  # (6,) complex [1/s^2], of the stiffness over the actual inertia, by their real parts
     weakest: Array  # (6,) [m; rad], in B, the direction of the first of them
-    stability: str  # attracting | saddle | repelling | undecided (an eigenvalue is zero to rounding)
+    # attracting | oscillating (stiff, but damped too little) | saddle | repelling | undecided (an eigenvalue is zero to
+    # rounding)
+    stability: str
     growth: float | None  # [1/s], largest real part of the loop linearised with its viscous damping; None without any
     leg_travel: Array  # (6,) [m], against home
     reachable: bool  # within the stroke, and on home's side of the singular poses
@@ -84,6 +86,12 @@ class Equilibria:
             f"a wider region ({1e3 * WIDER[0] * self.depth:.3g} mm either way, half a turn about z, {WIDER[3]:g} rad "
             "about x and y)"
         )
+        if goal is not None and goal.stability == "oscillating":
+            words.append(
+                "The goal does not attract: the stiffness pulls back in every direction, but is not symmetric, and the "
+                f"damping of {self.law} is too small for the oscillation that it feeds, which grows by "
+                f"{goal.growth:.3g} 1/s."
+            )
         if self.traps:
             trap = max(self.traps, key=lambda e: e.starts)
             text = (
@@ -108,7 +116,7 @@ class Equilibria:
                 f"eigenvalue, {goal.eigenvalues[0].real:.3g} 1/s^2, is zero to rounding beside the largest, "
                 f"{goal.eigenvalues[-1].real:.3g}."
             )
-        elif goal.stability != "attracting":
+        elif goal.stability not in ("attracting", "oscillating"):
             words.append(
                 f"The goal itself does not attract: it is {_article(goal.stability)}, and the image part drives the "
                 f"platform away along {direction_words(goal.weakest, self.depth)}, where its eigenvalue is "
@@ -143,8 +151,6 @@ class Equilibria:
         )
         if goal.growth is not None and goal.growth < 0:
             text += f"; with the damping of {self.law} it needs {-1 / goal.growth:.3g} s to fall to 37 %"
-        elif goal.growth is not None:
-            text += f"; with the damping of {self.law} the loop is unstable there ({goal.growth:.3g} 1/s)"
         return text + "."
 
     def _gravity_words(self, goal: Equilibrium | None) -> str:
@@ -185,8 +191,8 @@ class Equilibria:
             Column("searches that ended here", "", "d"),
         ]
         note = (
-            "Eigenvalues of the stiffness over the inertia: attracting where all real parts are positive. The slowest "
-            "mode is that of the loop with the law's viscous damping; negative decays."
+            "Eigenvalues of the stiffness over the inertia: attracting where all real parts are positive and, with "
+            "viscous damping, all modes decay. The slowest mode is that of the loop with this damping; negative decays."
         )
         items: list[Item] = [Table("Equilibria found", columns, rows, note, PAGE)]
         if self.barrier is not None:

@@ -120,6 +120,8 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[Run, ...]:
         return ()  # a second border within so little: no run of some seconds tells them apart
     modes = crossing((inside.loop, inside.clock), (outside.loop, outside.clock))
     runs = [_run(place, mode, drifts) for place, mode in zip(places, modes, strict=True)]
+    if any(run is not None and run.offset < OFFSET for run in runs):  # both sides from where the loop is linear
+        runs = [_run(place, mode, drifts, (SMALL_OFFSET,)) for place, mode in zip(places, modes, strict=True)]
     return tuple(run for run in runs if run is not None) if None not in runs else ()
 
 
@@ -134,8 +136,10 @@ class _Place:
     scenario: Scenario
 
 
-def _run(place: _Place, exponent: complex, drifts: int) -> Run | None:
-    """Measure the growth of a mode; None where no run shows it."""
+def _run(
+    place: _Place, exponent: complex, drifts: int, offsets: tuple[float, ...] = (OFFSET, SMALL_OFFSET)
+) -> Run | None:
+    """Measure the growth of a mode from the first offset [px] that tells its sign; None where no run shows it."""
     seconds = place.loop.seconds(place.clock)
     predicted, turning = exponent.real, abs(exponent.imag)
     # Long enough for many turns and for a change that shows, short enough for a mode that grows to stay small.
@@ -149,7 +153,7 @@ def _run(place: _Place, exponent: complex, drifts: int) -> Run | None:
     if drift * 64.0 * seconds > np.log(0.1 / SMALL_OFFSET):
         return None  # `growth` takes 64 samples, and by then the drift would be all that is seen
     measured, offset = 0.0, OFFSET
-    for offset in (OFFSET, SMALL_OFFSET):
+    for offset in offsets:
         # A drift must not have left the linear range by then, a tenth of a pixel.
         duration = longest if drift * longest < np.log(0.1 / offset) else float(np.log(0.1 / offset)) / drift
         measured = growth(

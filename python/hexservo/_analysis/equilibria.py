@@ -161,6 +161,7 @@ def _described(rest: Rest, pose: Poses, kind: str, starts: int) -> Equilibrium:
     slope = rest.stiffness(pose)[0]
     values, vectors = np.linalg.eig(slope)
     order = np.argsort(values.real)
+    growth = _growth(rest, pose, slope)
     values, weakest = values[order], without_sign(vectors[:, order[0]].real)
     return Equilibrium(
         kind,
@@ -170,18 +171,26 @@ def _described(rest: Rest, pose: Poses, kind: str, starts: int) -> Equilibrium:
         float(rest.residual(pose)[0]),
         values,
         weakest * rest.unit / np.linalg.norm(weakest),
-        _stability(values.real),
-        _growth(rest, pose, slope),
+        _stability(values.real, growth),
+        growth,
         rest.leg_travel(pose)[0],
         bool(rest.reachable(pose)[0]),
         starts,
     )
 
 
-def _stability(real: Array) -> str:
+def _stability(real: Array, growth: float | None) -> str:
+    """Name an equilibrium by the real parts of the stiffness [1/s^2] and, with damping, the growth of its modes [1/s].
+
+    A stiffness that is not symmetric (unequal depth errors) may have complex eigenvalues: it then feeds an oscillation,
+    which too little damping does not take out, although every real part is positive.
+    """
     if np.abs(real).min() <= _ZERO * np.abs(real).max():
         return "undecided"
-    return "attracting" if (real > 0).all() else "repelling" if (real < 0).all() else "saddle"
+    if (real > 0).all():
+        fed = growth is not None and growth > 1e-9 * np.sqrt(real.max())
+        return "oscillating" if fed else "attracting"
+    return "repelling" if (real < 0).all() else "saddle"
 
 
 def _growth(rest: Rest, pose: Poses, slope: Array) -> float | None:

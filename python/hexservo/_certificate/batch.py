@@ -82,8 +82,8 @@ class BatchCertificate:
                 f"{len(self) - done} of {len(self)} runs have no verdict: not run, or without best weights."
             )
         sentences.append(
-            "The assumption is sufficient for a V that does not grow, along the run it was checked on, and neither "
-            "sufficient nor necessary for settling."
+            "With sign, and weights without dead zone and leakage, the assumption is sufficient for a V that does not "
+            "grow, at the samples it was checked at; it is neither sufficient nor necessary for settling."
         )
         both = Table(
             "Runs by assumption and settling",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ _SHOWN = 1500  # points of a curve, at most
 # Central differences of a function at distances 1, 2, 3, by half width; errors of order 4 and 6.
 _STENCILS = {2: (8 / 12, -1 / 12), 3: (45 / 60, -9 / 60, 1 / 60)}
 _WIDEST = max(_STENCILS)
+_AGREE = 0.5  # RMS of the difference of the two rates, by that of the rate: beyond it neither is known
+_ABOVE = 0.01  # of the range of V: what it may be above its start by error alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,20 @@ class Lyapunov:
         """(n,), difference of the two rates; NaN where there is none [W]."""
         return self.differentiated - self.predicted
 
+    @property
+    def agrees(self) -> bool:
+        """Whether the two rates are the same on the whole; otherwise the step is too coarse to say where V grows."""
+        known = np.isfinite(self.differentiated)
+        if not known.any():
+            return False
+        gap, rate = (float(np.sqrt(np.mean(values[known] ** 2))) for values in (self.disagreement, self.predicted))
+        return gap <= _AGREE * rate + _rounding(self.change, float(self.time[1] - self.time[0]))
+
+    @property
+    def above_start(self) -> bool:
+        """Whether V was above its start anywhere, also in steps that are left out, by more than error explains."""
+        return float(self.change.max()) > _ABOVE * float(np.ptp(self.change))
+
     def section(self) -> Section:
         """Words, the table of rises, curves of V, of its change and of its rate."""
         gap = np.abs(self.disagreement[np.isfinite(self.differentiated)])
@@ -85,11 +101,22 @@ class Lyapunov:
         sentences = []
         if not len(gap):
             sentences.append("No sample has enough neighbours without a switch: V-dot could not be compared.")
+        elif not self.agrees:
+            sentences.append(
+                "The two rates of V do not agree: their RMS difference is more than half of the rate itself. The step "
+                f"is too coarse to say where V grows; from start to end it changed by {change * 1e6:.4g} uJ."
+            )
         elif rising == 0:
             sentences.append(
                 f"V-dot was not positive beyond the integrator's error at any of the {self.compared} samples compared "
                 f"(of {len(self.time)}); V changed by {change * 1e6:.4g} uJ in all."
             )
+            if self.above_start:
+                highest = float(self.time[int(self.change.argmax())])
+                sentences.append(
+                    f"Yet V was {top * 1e6:.3g} uJ above its start at t = {highest:.4g} s: it grew where that "
+                    "error is large, or at samples that are left out."
+                )
         else:
             worst = max(self.rises, key=lambda rise: rise.rate)
             sentences.append(
@@ -100,9 +127,9 @@ class Lyapunov:
             )
         if len(gap):
             sentences.append(
-                f"V-dot by differences and by (20) agree to {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW RMS, "
-                f"of up to {scale * 1e6:.4g} uW; where all is smooth the difference falls with the fourth power of the "
-                "step."
+                f"V-dot by differences and by (20) differ by {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW "
+                f"RMS, of up to {scale * 1e6:.4g} uW; where all is smooth the difference falls with the fourth power "
+                "of the step."
             )
         start = float(self.value[0])
         sentences.append(
@@ -126,16 +153,16 @@ class Lyapunov:
                 "assumption holds."
             )
         sentences.append(
-            "This is a numerical check at the samples of one trajectory. V contains w*, which is known only "
-            "afterwards, and a V that does not grow means stability, not convergence: friction-like switching may hold "
-            "an error for good."
+            "This is a numerical check at the samples of one trajectory and proves no stability. V contains w*, which "
+            "is known only afterwards; and even a V that falls from every start means stability, not convergence: "
+            "friction-like switching may hold an error for good."
         )
         return Section(
             name="lyapunov",
             title="Lyapunov function along the run",
             sentences=sentences,
             items=self._items(),
-            verdict="open" if not len(gap) else "warning" if rising else "good",
+            verdict=self._verdict(),
             data={
                 "start": {
                     "total": float(self.value[0]),
@@ -153,6 +180,7 @@ class Lyapunov:
                 "largest_above_start": top,
                 "disagreement_max": largest,
                 "disagreement_rms": rms,
+                "rates_agree": self.agrees,
                 "largest_rate": scale,
                 "samples": len(self.time),
                 "samples_compared": self.compared,
@@ -164,6 +192,11 @@ class Lyapunov:
                 "rises": [vars(rise) for rise in self.rises],
             },
         )
+
+    def _verdict(self) -> Literal["good", "warning", "open"]:
+        if not self.agrees:
+            return "warning" if self.above_start else "open"
+        return "warning" if self.rises or self.above_start else "good"
 
     def _items(self) -> tuple[Table | Curves, ...]:
         stride = slice(None, None, -(-len(self.time) // _SHOWN))
@@ -331,8 +364,12 @@ def _error_bound(disagreement: Array, change: Array, step: float) -> Array:
     known = np.abs(np.nan_to_num(disagreement, nan=0.0))
     padded = np.pad(known, _WIDEST)
     nearby = np.max([padded[offset : offset + count] for offset in range(2 * _WIDEST + 1)], axis=0)
-    rounding = 4 * np.finfo(float).eps * float(np.abs(change).max(initial=0.0)) / step
-    return np.where(np.isfinite(disagreement), nearby + rounding, np.nan)
+    return np.where(np.isfinite(disagreement), nearby + _rounding(change, step), np.nan)
+
+
+def _rounding(change: Array, step: float) -> float:
+    """Give what rounding may make of a difference of V [W]."""
+    return 4 * np.finfo(float).eps * float(np.abs(change).max(initial=0.0)) / step
 
 
 def _beside(breaks: Flags) -> int:
