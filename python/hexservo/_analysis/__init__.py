@@ -63,6 +63,8 @@ def analyse(
 
     Raises
     ------
+    KeyboardInterrupt
+        On Ctrl-C, also while something runs.
     TypeError
         For anything but a `Scenario`.
     ValueError

@@ -211,6 +211,8 @@ def diagnose(result: Result) -> Diagnosis:
 
     Raises
     ------
+    KeyboardInterrupt
+        On Ctrl-C, also while something runs.
     TypeError
         For anything but a `Result`.
     """
