@@ -184,10 +184,10 @@ def test_a_table_too_wide_for_the_terminal_is_a_list(monkeypatch: pytest.MonkeyP
         ),
     ):
         monkeypatch.setattr("hexservo._print_sections.width", lambda there=columns_there: there)
-        console = Console(width=45, file=StringIO())
+        console = Console(width=45, file=(shown_there := StringIO()))
         for part in printed([Section("one", "Theme", ["Words."], [table])]):
             console.print(part)
-        shown = [" ".join(line.split()) for line in console.file.getvalue().splitlines()]
+        shown = [" ".join(line.split()) for line in shown_there.getvalue().splitlines()]
         assert {" ".join(line.split()) for line in lines} <= set(shown), shown
 
 

@@ -163,7 +163,7 @@ def test_metrics_versions_and_the_scenario_are_there(text: str, result: hs.Resul
     [
         (
             {"controller.jacobian": "printed"},
-            ["ended early, at 0.04 s of 5 s (diverged)", "did not settle", "too much"],
+            ["ended early, at 0.04 s of 5 s (diverged)", "did not settle", "that is 564 times as much"],
         ),
         ({"simulation.duration": 0.01}, ["completed", "did not settle: at the end an error is larger than 2 px"]),
         ({"target.desired_features": [30.5, 18, 65, -65, -44, 37, -10, -15]}, ["stayed within 2 px from the start"]),
@@ -309,6 +309,18 @@ def test_numbers_below_a_million_have_no_exponent() -> None:
         "-17.18 J",
     ]
     assert joules(78.8, 3, "W") == "78.8 W"
+
+
+def test_the_summary_says_the_worst_first(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
+    verdicts = ("open", "good", "bad", "warning", "bad")
+    sections = [Section(f"s{place}", f"Title {place}", ["Words."], verdict=v) for place, v in enumerate(verdicts)]
+    found = [
+        Group(Source("certify", "Certificate", False, ""), sections),
+        Group(Source("diagnose", "Diagnosis", False, ""), [Section("cause", "Cause", ["Words."], verdict="bad")]),
+    ]
+    monkeypatch.setattr("hexservo._report._page.groups", lambda _: found)
+    (listed,) = re.findall(r'<ul class="verdicts">(.*?)</ul>', page(result), re.DOTALL)
+    assert re.findall(r"Title \d|Cause", listed) == ["Cause", "Title 2", "Title 4", "Title 3", "Title 1", "Title 0"]
 
 
 def test_a_limit_that_is_far_exceeded_is_a_multiple(result: hs.Result) -> None:
