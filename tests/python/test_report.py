@@ -15,7 +15,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
@@ -312,7 +312,7 @@ def test_numbers_below_a_million_have_no_exponent() -> None:
 
 
 def test_the_summary_says_the_worst_first(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
-    verdicts = ("open", "good", "bad", "warning", "bad")
+    verdicts: tuple[Literal["open", "good", "bad", "warning"], ...] = ("open", "good", "bad", "warning", "bad")
     sections = [Section(f"s{place}", f"Title {place}", ["Words."], verdict=v) for place, v in enumerate(verdicts)]
     found = [
         Group(Source("certify", "Certificate", False, ""), sections),
