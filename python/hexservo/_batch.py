@@ -22,7 +22,7 @@ from hexservo._variant import chosen_kernel
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["BatchResult", "simulate_batch"]
+__all__ = ["BatchResult", "simulate_batch", "whole"]
 
 Array: TypeAlias = NDArray[np.float64]
 Log: TypeAlias = Literal["final", "metrics", "trajectory"]
@@ -119,6 +119,19 @@ class BatchResult:
                 "scenario": self.scenario.to_yaml(),
             },
         )
+
+
+def whole(batch: BatchResult) -> BatchResult:
+    """Give a batch on which findings rest: every run of it came to its own end.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C ended it, which `simulate_batch` only notes: what is there of it says nothing.
+    """
+    if (batch.outcome == "interrupted").any():
+        raise KeyboardInterrupt
+    return batch
 
 
 def simulate_batch(

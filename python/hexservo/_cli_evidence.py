@@ -111,16 +111,23 @@ def _judge(name: str, run: str, settings: list[str] | None, json: str | None, fo
 
 
 def _result(run: str, settings: list[str]) -> hs.Result:
-    """Read a saved result, or run a scenario."""
+    """Read a saved result, or run a scenario; a run that Ctrl-C ends here is not judged."""
     if _is_saved(run, settings):
         return hs.load_result(run)
     scenario = load(run, settings)
     try:
-        with contextlib.suppress(ValueError):  # the log would not fit, or else the next line raises it again
-            return hs.simulate(scenario, log_weights=True)
-        return hs.simulate(scenario)
+        result = _simulated(scenario)
     except ValueError as error:
         raise hs.ScenarioError(str(error).splitlines(), scenario.name) from error
+    if result.outcome == "interrupted":
+        raise KeyboardInterrupt
+    return result
+
+
+def _simulated(scenario: hs.Scenario) -> hs.Result:
+    with contextlib.suppress(ValueError):  # the log would not fit, or else the next line raises it again
+        return hs.simulate(scenario, log_weights=True)
+    return hs.simulate(scenario)
 
 
 def _scenario(run: str, settings: list[str]) -> hs.Scenario:

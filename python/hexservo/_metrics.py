@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hexservo._wording import number
+
 if TYPE_CHECKING:
     from hexservo._result import Result
 
@@ -57,4 +59,4 @@ def readable(name: str, value: float) -> tuple[str, str]:
     if value != value:
         return "never" if name == "settling_time" else "none", ""  # NaN: docs/model.md section 8
     unit, scale = _READABLE_UNITS.get(METRICS[name][0], (METRICS[name][0], 1.0))
-    return f"{value * scale:.4g}", unit
+    return f"{number(value * scale, 4)}", unit

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from hexservo._evidence import Item, Section, Table
+from hexservo._terminal import width
 from hexservo._wording import VERDICTS, cell_text, numeric_columns
 
 if TYPE_CHECKING:
@@ -36,12 +37,41 @@ def _printed_item(item: Item) -> Iterator[RenderableType]:
     yield Text("")
     if isinstance(item, Table):
         yield Text(item.title, style="underline")
-        yield _table(item)
+        yield _table(item) if _least_width(item) <= width() else _listed(item)
     else:
         yield Text(f"{item.title}: `hexservo report` draws it", style="dim")
     for words in (item.note, f"Explained in {item.page}" if item.page else ""):
         if words:
             yield Text(words, style="dim")
+
+
+def _least_width(item: Table) -> int:
+    """Give the width that a table takes with every word and every number in one piece."""
+    least = [
+        max(map(len, " ".join([column.title, f"[{column.unit}]", *texts]).split()))
+        for column, *texts in zip(
+            item.columns,
+            *[[cell_text(cell, column) for cell, column in zip(row, item.columns, strict=True)] for row in item.rows],
+            strict=True,
+        )
+    ]
+    return sum(least) + 2 * (len(least) - 1)
+
+
+def _listed(item: Table) -> RenderableType:
+    """Give a table that is too wide as one list of its cells per row."""
+    from rich.text import Text
+
+    lines = []
+    for row in item.rows:
+        indent = ""
+        for cell, column in zip(row, item.columns, strict=True):
+            text = cell_text(cell, column)
+            unit = f" {column.unit}" if column.unit and text != "–" else ""
+            if text:
+                lines.append(f"{indent}{column.title}: {text}{unit}")
+            indent = "  "
+    return Text("\n".join(lines))
 
 
 def _table(item: Table) -> RenderableType:

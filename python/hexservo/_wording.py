@@ -8,10 +8,21 @@ from collections.abc import Sequence
 
 from hexservo._evidence import Cell, Column, Table
 
-__all__ = ["VERDICTS", "cell_text", "numeric_columns"]
+__all__ = ["VERDICTS", "cell_text", "joules", "number", "numeric_columns"]
 
 VERDICTS = {"good": "good", "warning": "warning", "bad": "bad", "open": "nothing to judge"}
 """Words for a section's verdict."""
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Write a number with so many digits, and without an exponent below a million: "0.0123", "190", "28800"."""
+    rounded = float(f"{value:.{digits}g}") + 0.0  # minus zero is zero
+    return f"{rounded:.0f}" if 10.0**digits <= abs(rounded) < 1e6 else f"{rounded:.{digits}g}"
+
+
+def joules(value: float, digits: int = 4, unit: str = "J") -> str:
+    """Write an energy [J], or a power with the unit W, in millionths where these are fewer than a million."""
+    return f"{number(value * 1e6, digits)} u{unit}" if abs(value) < 1.0 else f"{number(value, digits)} {unit}"
 
 
 def cell_text(cell: Cell, column: Column) -> str:
@@ -25,7 +36,8 @@ def cell_text(cell: Cell, column: Column) -> str:
     if not math.isfinite(cell):
         return "–" if math.isnan(cell) else "∞" if cell > 0 else "−∞"
     whole = isinstance(cell, int) and column.format == Column.format  # 123456 and not 1.235e+05
-    shown = str(cell) if whole else format(cell, column.format)
+    digits = re.fullmatch(r"\.(\d+)g", column.format)
+    shown = str(cell) if whole else number(cell, int(digits[1])) if digits else format(cell, column.format)
     return re.sub(r"^-(?=0(\.0*)?$)", "", shown).replace("-", "−")  # minus zero is zero
 
 

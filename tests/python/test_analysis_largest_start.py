@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,6 +51,13 @@ def test_a_border_lies_below_the_smallest_that_fails() -> None:
     assert border({1.0: True, 2.0: True}) == (2.0, None)
     assert border({1.0: False, 2.0: True}) == (0.0, 1.0)
     assert border({}) == (0.0, None)
+
+
+def test_two_sides_of_a_border_read_as_two() -> None:
+    turn = Direction("turn +z", np.array([0.0, 0, 0, 0, 0, math.radians(14.2)]), 1.0, "stroke", {}, {}, None, None, 2.0)
+    near = replace(turn, tried={0.8120: True, 0.8130: False})
+    assert near.border_words() == ("11.53 deg", "11.54 deg")
+    assert replace(turn, tried={0.5: True, 0.75: False}).border_words() == ("7.1 deg", "10.6 deg")
 
 
 def test_a_border_that_is_known_by_hand() -> None:

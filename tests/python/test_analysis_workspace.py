@@ -165,6 +165,9 @@ def test_what_is_beyond_a_limit_is_bad_and_what_is_near_a_warning(paper: hs.Scen
     ]
     for changes, verdict in cases:
         assert workspace.analyse(paper.updated(changes)).section().verdict == verdict, changes
+    for force, first in ((1.0, "At the goal"), (0.165, "Holding the platform"), (0.12, "Holding the platform")):
+        section = workspace.analyse(paper.updated({"robot.force_limit": force})).section()
+        assert section.sentences[0].startswith(first)  # what the verdict is about
     short = workspace.analyse(paper.updated({"robot.stroke": 0.006})).section()
     # 12.2 mm are needed and nearly in proportion to the way, so that 6 mm are passed at about one half of it.
     words = next(sentence for sentence in short.sentences if "leaves the stroke after" in sentence)

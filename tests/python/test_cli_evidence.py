@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 import hexservo as hs
@@ -168,6 +170,25 @@ def test_a_section_in_a_narrow_terminal_is_not_cut() -> None:
 
 
 # ---- report ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_table_too_wide_for_the_terminal_is_a_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = (Column("direction"), Column("smallest eigenvalue", "1/s^2", ".4g"), Column("reachable"))
+    table = Table("Values", columns, [("force x", -0.000264, True), ("moment y", None, False)])
+    wide = len("direction") + 2 + len("eigenvalue") + 2 + len("reachable")
+    for columns_there, lines in (
+        (wide, ["direction [1/s^2] reachable", "force x −0.000264 yes"]),
+        (
+            wide - 1,
+            ["direction: force x", "  smallest eigenvalue: −0.000264 1/s^2", "  reachable: yes", "direction: moment y"],
+        ),
+    ):
+        monkeypatch.setattr("hexservo._print_sections.width", lambda there=columns_there: there)
+        console = Console(width=45, file=(shown_there := StringIO()))
+        for part in printed([Section("one", "Theme", ["Words."], [table])]):
+            console.print(part)
+        shown = [" ".join(line.split()) for line in shown_there.getvalue().splitlines()]
+        assert {" ".join(line.split()) for line in lines} <= set(shown), shown
 
 
 def test_a_report_of_a_scenario_and_of_its_result_are_the_same(saved: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+import hexservo as hs
 from hexservo._evidence import Column, Table, as_data
 
 
@@ -37,3 +38,8 @@ def test_data_is_strict_json_whatever_numpy_gives() -> None:
     }
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert type(data["flag"]) is bool
+
+
+def test_a_lone_name_of_a_part_is_refused_in_words() -> None:
+    with pytest.raises(ValueError, match=r"parts: expected a list of names, got the text 'drift'; write \['drift'\]"):
+        hs.analyse(hs.load_scenario("paper"), "drift")

@@ -11,10 +11,11 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ from hexservo._report._scene import scene
 from hexservo._report._words import summary_sentences
 from hexservo._samples import parts
 from hexservo._sections import Group, Source
-from hexservo._wording import cell_text
+from hexservo._wording import cell_text, joules, number
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -162,7 +163,7 @@ def test_metrics_versions_and_the_scenario_are_there(text: str, result: hs.Resul
     [
         (
             {"controller.jacobian": "printed"},
-            ["ended early, at 0.04 s of 5 s (diverged)", "did not settle", "too much"],
+            ["ended early, at 0.04 s of 5 s (diverged)", "did not settle", "that is 564 times as much"],
         ),
         ({"simulation.duration": 0.01}, ["completed", "did not settle: at the end an error is larger than 2 px"]),
         ({"target.desired_features": [30.5, 18, 65, -65, -44, 37, -10, -15]}, ["stayed within 2 px from the start"]),
@@ -283,6 +284,8 @@ def test_a_long_recording_is_cut(monkeypatch: pytest.MonkeyPatch, result: hs.Res
         (-0.01, Column("c", "", ".2f"), "−0.01"),
         (1e-7, Column("c"), "1e−07"),
         (1234567, Column("c"), "1234567"),
+        (28764.0, Column("c", "", ".3g"), "28800"),
+        (-1.4e6, Column("c", "", ".3g"), "−1.4e+06"),
         (12, Column("c", "", ".1f"), "12.0"),
         (float("nan"), Column("c"), "–"),
         (None, Column("c"), "–"),
@@ -292,6 +295,42 @@ def test_a_long_recording_is_cut(monkeypatch: pytest.MonkeyPatch, result: hs.Res
 )
 def test_cells_as_people_read_them(cell: Any, column: Column, expected: str) -> None:
     assert cell_text(cell, column) == expected
+
+
+def test_numbers_below_a_million_have_no_exponent() -> None:
+    assert [number(value, 2) for value in (190.4, 99.6, 0.0123, -0.0, 23456.0, 2e6)] == [
+        *("190", "100", "0.012", "0", "23000", "2e+06"),
+    ]
+    assert number(999.6) == "1000"
+    assert [joules(value) for value in (1.9e-4, 0.123456, 61.08, -17.18)] == [
+        "190 uJ",
+        "123500 uJ",
+        "61.08 J",
+        "-17.18 J",
+    ]
+    assert joules(78.8, 3, "W") == "78.8 W"
+
+
+def test_the_summary_says_the_worst_first(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
+    verdicts: tuple[Literal["open", "good", "bad", "warning"], ...] = ("open", "good", "bad", "warning", "bad")
+    sections = [Section(f"s{place}", f"Title {place}", ["Words."], verdict=v) for place, v in enumerate(verdicts)]
+    found = [
+        Group(Source("certify", "Certificate", False, ""), sections),
+        Group(Source("diagnose", "Diagnosis", False, ""), [Section("cause", "Cause", ["Words."], verdict="bad")]),
+    ]
+    monkeypatch.setattr("hexservo._report._page.groups", lambda _: found)
+    (listed,) = re.findall(r'<ul class="verdicts">(.*?)</ul>', page(result), re.DOTALL)
+    assert re.findall(r"Title \d|Cause", listed) == ["Cause", "Title 2", "Title 4", "Title 3", "Title 1", "Title 0"]
+
+
+def test_a_limit_that_is_far_exceeded_is_a_multiple(result: hs.Result) -> None:
+    for force, words in (
+        (0.5, "50% of it is left"),
+        (1.5, "that is 50% too much"),
+        (1747.0, "that is 1750 times as much"),
+    ):
+        measured = {**result.streamed_metrics, "peak_leg_force": force * result.scenario.robot.force_limit}
+        assert words in summary_sentences(replace(result, streamed_metrics=measured))[-1]
 
 
 # ---- The machine in space -------------------------------------------------------------------------------------------
@@ -406,9 +445,9 @@ def test_the_report_of_the_paper_is_small_and_quick(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("hexservo._report._page.groups", _sections.groups)
     scenario = hs.load_scenario("paper")
     taken = []
-    for number in range(3):
+    for count in range(3):
         started = time.process_time()
-        hs.write_report(hs.simulate(scenario, log_weights=True), tmp_path / f"{number}.html")
+        hs.write_report(hs.simulate(scenario, log_weights=True), tmp_path / f"{count}.html")
         taken.append(time.process_time() - started)
         if taken[-1] <= 3.0:
             break

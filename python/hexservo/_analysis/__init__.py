@@ -63,6 +63,8 @@ def analyse(
 
     Raises
     ------
+    KeyboardInterrupt
+        On Ctrl-C, also while something runs.
     TypeError
         For anything but a `Scenario`.
     ValueError
@@ -70,6 +72,8 @@ def analyse(
     """
     if not isinstance(scenario, Scenario):
         raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+    if isinstance(parts, str):
+        raise ValueError(f"parts: expected a list of names, got the text {parts!r}; write [{parts!r}]")
     asked = list(PARTS) if parts is None else list(parts)
     if unknown := [part for part in asked if part not in PARTS]:
         raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo._analysis._poses import Array
 from hexservo._analysis._scene import SETTLED, WIDER
-from hexservo._analysis._words import direction_words, displacement_words, open_section, vector_words
+from hexservo._analysis._words import direction_words, displacement_words, number, open_section, vector_words
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["SEED", "Equilibria", "Equilibrium"]
@@ -113,14 +113,14 @@ class Equilibria:
         elif goal.stability == "undecided":
             words.append(
                 f"Whether the goal attracts is not decided: along {direction_words(goal.weakest, self.depth)} its "
-                f"eigenvalue, {goal.eigenvalues[0].real:.3g} 1/s^2, is zero to rounding beside the largest, "
-                f"{goal.eigenvalues[-1].real:.3g}."
+                f"eigenvalue, {number(goal.eigenvalues[0].real)} 1/s^2, is zero to rounding beside the largest, "
+                f"{number(goal.eigenvalues[-1].real)}."
             )
         elif goal.stability not in ("attracting", "oscillating"):
             words.append(
                 f"The goal itself does not attract: it is {_article(goal.stability)}, and the image part drives the "
                 f"platform away along {direction_words(goal.weakest, self.depth)}, where its eigenvalue is "
-                f"{goal.eigenvalues[0].real:.3g} 1/s^2 (the largest is {goal.eigenvalues[-1].real:.3g})."
+                f"{number(goal.eigenvalues[0].real)} 1/s^2 (the largest is {number(goal.eigenvalues[-1].real)})."
             )
         else:
             words.append(f"No false equilibrium that attracts within the stroke was found beside the goal, {searched}.")
@@ -147,16 +147,16 @@ class Equilibria:
     def _softness(self, goal: Equilibrium) -> str:
         text = (
             f"At the goal the softest direction is {direction_words(goal.weakest, self.depth)}: its eigenvalue is "
-            f"{goal.eigenvalues[0].real:.3g} 1/s^2 where the stiffest has {goal.eigenvalues[-1].real:.3g}"
+            f"{number(goal.eigenvalues[0].real)} 1/s^2 where the stiffest has {number(goal.eigenvalues[-1].real)}"
         )
         if goal.growth is not None and goal.growth < 0:
-            text += f"; with the damping of {self.law} it needs {-1 / goal.growth:.3g} s to fall to 37 %"
+            text += f"; with the damping of {self.law} it needs {number(-1 / goal.growth)} s to fall to 37 %"
         return text + "."
 
     def _gravity_words(self, goal: Equilibrium | None) -> str:
         text = f"The gravity error leaves {self.gravity_force:+.3g} N along z (down is positive)"
         if self.gravity_stiffness is not None:
-            text += f" against a stiffness of {self.gravity_stiffness:.3g} N/m"
+            text += f" against a stiffness of {number(self.gravity_stiffness)} N/m"
         if goal is not None and goal.kind == "displaced goal":
             place = displacement_words(goal.displacement)
             return f"{text}: the goal moves to {place} from home and keeps {goal.residual:.3g} px of error."

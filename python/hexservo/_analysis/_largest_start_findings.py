@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -9,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hexservo._analysis._poses import Array
-from hexservo._analysis._words import open_section
+from hexservo._analysis._words import number, open_section
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["DWELL", "Direction", "LargestStart", "Timing", "Tried", "border"]
@@ -51,13 +52,20 @@ class Direction:
         failed = self.fails_at
         return failed is not None and any(good for size, good in self.tried.items() if size > failed)
 
-    def amount(self, size: float) -> str:
+    def amount(self, size: float, digits: int = 3) -> str:
         """Say a size in mm and degrees."""
-        shift, turn = 1e3 * np.linalg.norm(size * self.unit[:3]), np.degrees(np.linalg.norm(size * self.unit[3:]))
-        parts = ([f"{shift:.3g} mm"] if shift > 1e-3 * turn else []) + (
-            [f"{turn:.3g} deg"] if turn > 1e-3 * shift else []
+        shift = 1e3 * float(np.linalg.norm(size * self.unit[:3]))
+        turn = math.degrees(float(np.linalg.norm(size * self.unit[3:])))
+        parts = ([f"{number(shift, digits)} mm"] if shift > 1e-3 * turn else []) + (
+            [f"{number(turn, digits)} deg"] if turn > 1e-3 * shift else []
         )
         return " and ".join(parts) or "0 mm"
+
+    def border_words(self) -> tuple[str, str]:
+        """Say the largest size that settles and the smallest that fails, so that they read as two."""
+        assert self.fails_at is not None
+        both = [(self.amount(self.settles_to, digits), self.amount(self.fails_at, digits)) for digits in (3, 4, 5)]
+        return next((pair for pair in both if pair[0] != pair[1]), both[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +169,12 @@ class LargestStart:
                 "the end of the stroke, of what the camera sees or of the region searched."
             )
         worst = min(failing, key=lambda d: d.settles_to / d.largest)
-        assert worst.fails_at is not None
+        settles, fails = worst.border_words()
         return (
             f"Of {len(others)} axes and turns {len(failing)} have goals that do not settle within "
             f"{self.duration:g} s; the worst is {worst.name}: "
-            + (f"up to {worst.amount(worst.settles_to)} settle" if worst.settles_to else "none that was tried settles")
-            + f", {worst.amount(worst.fails_at)} {self._failure(worst)}, of "
+            + (f"up to {settles} settle" if worst.settles_to else "none that was tried settles")
+            + f", {fails} {self._failure(worst)}, of "
             f"{worst.amount(worst.largest)} that were possible."
         )
 
@@ -200,9 +208,9 @@ class LargestStart:
         rows: list[list[Cell]] = [
             [
                 _NAMES[d.name],
-                d.amount(d.settles_to) if d.settles_to else "none",
+                "none" if not d.settles_to else d.amount(d.settles_to) if d.fails_at is None else d.border_words()[0],
                 None if np.isnan(d.error) else d.error,
-                None if d.fails_at is None else d.amount(d.fails_at),
+                None if d.fails_at is None else d.border_words()[1],
                 None if d.settles_later is None else "yes" if d.settles_later else "no",
                 d.amount(d.largest),
                 d.limited_by,

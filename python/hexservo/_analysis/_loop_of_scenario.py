@@ -262,6 +262,8 @@ def growth(
     if scenario.controller.law == "composite" and not with_kv:
         changes["controller.composite.kv"] = 0.0
     result = simulate(scenario.updated(changes))
+    if result.outcome == "interrupted":  # says nothing of stability
+        raise KeyboardInterrupt
     if result.outcome != "completed":
         # Forward kinematics of legs of some metres may miss its tolerance: that says nothing of stability.
         lost = result.outcome == "solver_failed" and np.max(np.abs(result.feature_error[-1])) < 1.0

@@ -11,7 +11,7 @@ from hexservo._analysis._poses import Array, Mask, Poses
 from hexservo._analysis._rest import RestLaw
 from hexservo._analysis._scene import Scene
 from hexservo._analysis._stiction_set import Extremes, RestSet
-from hexservo._batch import simulate_batch
+from hexservo._batch import simulate_batch, whole
 
 __all__ = ["COUNT", "Runs", "run"]
 
@@ -73,7 +73,7 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
         changes |= {f"camera.{key}": value for key, value in quiet.items()}
         changes |= {"base_motion.kind": "none", "sensors.noise": 0.0}
     goals = _goals(scene, rest, ends)
-    batch = simulate_batch(scenario.updated(changes), {"target.desired_features": goals}, threads=2)
+    batch = whole(simulate_batch(scenario.updated(changes), {"target.desired_features": goals}, threads=2))
 
     home = scene.view(scene.home)
     settings = scene.settings

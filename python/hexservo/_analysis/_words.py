@@ -6,6 +6,7 @@ import numpy as np
 
 from hexservo._analysis._poses import Array
 from hexservo._evidence import Section
+from hexservo._wording import number
 
 __all__ = [
     "along",
@@ -21,11 +22,6 @@ __all__ = [
 _AXES = "xyz"
 _STRAIGHT = 0.98  # cosine from which a direction is called that of an axis
 _LITTLE = 0.03  # of what the other part does to the image: a part that is left out
-
-
-def number(value: float) -> str:
-    """Write a number with three digits, and without an exponent below a million: "0.0123", "1.23", "28800"."""
-    return f"{float(f'{value:.3g}') + 0.0:g}"
 
 
 def numbers(values: Array) -> str:

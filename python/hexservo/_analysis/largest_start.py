@@ -16,7 +16,7 @@ from hexservo._analysis._goal import SHOWN, find_goals
 from hexservo._analysis._largest_start_findings import DWELL, Direction, LargestStart, Timing, Tried, border
 from hexservo._analysis._poses import Array
 from hexservo._analysis._scene import WIDER, Scene, scene_of
-from hexservo._batch import simulate_batch
+from hexservo._batch import simulate_batch, whole
 from hexservo._scenario import Scenario
 
 __all__ = ["Direction", "LargestStart", "Timing", "analyse", "border"]
@@ -90,7 +90,8 @@ class _Trial:
         while ran.any():
             rows = np.flatnonzero(ran)
             try:
-                batch = simulate_batch(base, {key: values[rows] for key, values in variations.items()}, log="metrics")
+                varied = {key: values[rows] for key, values in variations.items()}
+                batch = whole(simulate_batch(base, varied, log="metrics"))
             except ValueError as error:
                 refused = re.match(r"scenario (\d+): ", str(error))
                 if refused is None:

@@ -128,7 +128,15 @@ class Workspace:
             f"{heaviest.name}, and up to {number(self.neighbourhood_force)} N around the {places[-1].name}, of "
             f"{number(self.force_limit)} N allowed; this is without motion."
         )
+        if self._overloaded():  # what decides the verdict comes first
+            words.insert(0, words.pop())
         return words
+
+    def _overloaded(self) -> bool:
+        """Whether holding the platform takes nearly all that the legs allow, or more, and their stroke is no worse."""
+        force = max(float(np.abs(place.actual_forces).max()) for place in self._places)
+        beyond = self._margin(self.nearest or self.start) < 0
+        return not beyond and force > (1 - _SLIM) * self.force_limit
 
     def _of_goal(self) -> str:
         assert self.goal is not None

@@ -46,6 +46,8 @@ def base_accelerations(run: Replay) -> Array | None:
         simulation={"mode": "sampled", "step": step, "duration": scenario.simulation.duration},
     )
     measured = simulate(measuring)
+    if measured.outcome == "interrupted":
+        raise KeyboardInterrupt
     steps = (len(run.time) - 1) * scenario.simulation.substeps
     if len(measured.time) < steps + 1:
         raise ArithmeticError(f"the platform that measures the base's motion ended early: {measured.detail}")

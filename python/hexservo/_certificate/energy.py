@@ -13,6 +13,7 @@ from hexservo import _core
 from hexservo._certificate.replay import Plant, Replay, probe_without, product
 from hexservo._certificate.stages import STAGE_WEIGHTS, Stages, doubled_stages_of, stages_of
 from hexservo._evidence import Column, Curves, Line, Section, Table
+from hexservo._wording import joules, number
 
 __all__ = ["EnergyLedger", "energy_ledger"]
 
@@ -95,8 +96,8 @@ class EnergyLedger:
             found.append(f"a residual of {abs(self.residual):.3g} J is beyond the tolerance of {self.tolerance:.3g} J")
         if not self.tolerance <= COARSE * self.turnover + np.finfo(float).tiny:
             found.append(
-                f"the tolerance itself is {100 * self.tolerance / self.turnover:.2g} % of the energy turned over: "
-                "the step is too coarse for a ledger"
+                f"the tolerance itself is {number(100 * self.tolerance / self.turnover, 2)} % of the energy turned "
+                "over: the step is too coarse for a ledger"
                 if self.turnover > 0
                 else "a tolerance without any work"
             )
@@ -112,8 +113,8 @@ class EnergyLedger:
         largest = sorted(self.works, key=lambda term: -float(np.abs(self.works[term]).sum()))
         gap = (
             f"the change of kinetic energy and the works of {len(self.works)} terms differ by "
-            f"{abs(self.residual) * 1e6:.2g} uJ, {_part(abs(self.residual), self.turnover)} of the "
-            f"{self.turnover * 1e6:.4g} uJ that were turned over (tolerance {self.tolerance * 1e6:.2g} uJ)"
+            f"{joules(abs(self.residual), 2)}, {_part(abs(self.residual), self.turnover)} of the "
+            f"{joules(self.turnover)} that were turned over (tolerance {joules(self.tolerance, 2)})"
         )
         verdict = (
             f"The energy ledger closes: {gap}."
@@ -124,12 +125,12 @@ class EnergyLedger:
         if "held" in self.works:
             injected = self.work("held")
             sentences.append(
-                f"Sampling, delay and devices {'put' if injected > 0 else 'took'} {abs(injected) * 1e6:.4g} uJ "
+                f"Sampling, delay and devices {'put' if injected > 0 else 'took'} {joules(abs(injected))} "
                 f"{'into' if injected > 0 else 'out of'} the platform, compared with the law at each instant's true "
                 "state."
             )
         sentences += [
-            f"{name} {'took out' if self.work(term) < 0 else 'put in'} {abs(self.work(term)) * 1e6:.4g} uJ."
+            f"{name} {'took out' if self.work(term) < 0 else 'put in'} {joules(abs(self.work(term)))}."
             for term, name in (("switching", "The switching term"), ("damping", "Viscous damping"))
             if term in self.works
         ]

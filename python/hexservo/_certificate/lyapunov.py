@@ -13,6 +13,7 @@ from hexservo import _core
 from hexservo._certificate.replay import Plant, Replay, probe_without, sgn_breaks
 from hexservo._certificate.uncertainty import AXES, Assumption, Uncertainty
 from hexservo._evidence import Column, Curves, Line, Section, Table
+from hexservo._wording import joules, number
 
 __all__ = ["Lyapunov", "Rise", "differentiate", "lyapunov_of"]
 
@@ -104,43 +105,44 @@ class Lyapunov:
         elif not self.agrees:
             sentences.append(
                 "The two rates of V do not agree: their RMS difference is more than half of the rate itself. The step "
-                f"is too coarse to say where V grows; from start to end it changed by {change * 1e6:.4g} uJ."
+                f"is too coarse to say where V grows; from start to end it changed by {joules(change)}."
             )
         elif rising == 0:
             sentences.append(
                 f"V-dot was not positive beyond the integrator's error at any of the {self.compared} samples compared "
-                f"(of {len(self.time)}); V changed by {change * 1e6:.4g} uJ in all."
+                f"(of {len(self.time)}); V changed by {joules(change)} in all."
             )
             if self.above_start:
                 highest = float(self.time[int(self.change.argmax())])
                 sentences.append(
-                    f"Yet V was {top * 1e6:.3g} uJ above its start at t = {highest:.4g} s: it grew where that "
+                    f"Yet V was {joules(top, 3)} above its start at t = {highest:.4g} s: it grew where that "
                     "error is large, or at samples that are left out."
                 )
         else:
             worst = max(self.rises, key=lambda rise: rise.rate)
             sentences.append(
                 f"V grew at {rising} of {self.compared} samples compared (of {len(self.time)}), by up to "
-                f"{worst.rate * 1e6:.3g} uW at t = {worst.first:.4g} to {worst.last:.4g} s, most of it by "
+                f"{joules(worst.rate, 3, 'W')} at t = {worst.first:.4g} to {worst.last:.4g} s, most of it by "
                 f"{_blame(worst)}; "
-                f"over the whole run V changed by {change * 1e6:.4g} uJ."
+                f"over the whole run V changed by {joules(change)}."
             )
         if len(gap):
             sentences.append(
-                f"V-dot by differences and by (20) differ by {largest * 1e6:.2g} uW at most and {rms * 1e6:.2g} uW "
-                f"RMS, of up to {scale * 1e6:.4g} uW; where all is smooth the difference falls with the fourth power "
-                "of the step."
+                f"V-dot by differences and by (20) differ by {joules(largest, 2, 'W')} at most and "
+                f"{joules(rms, 2, 'W')} RMS, "
+                f"of up to {joules(scale, 4, 'W')}; where all is smooth the difference falls with the fourth power of "
+                "the step."
             )
         start = float(self.value[0])
         sentences.append(
-            f"V starts at {start:.3g} J, of which {float(self.weight[0]):.3g} J are the distance of the weights from "
-            f"the best ones, and was at most {max(top, 0.0) * 1e6:.3g} uJ above its start."
+            f"V starts at {number(start)} J, of which {number(float(self.weight[0]))} J are the distance of the "
+            f"weights from the best ones, and was at most {joules(max(top, 0.0), 3)} above its start."
         )
         if self.switched:
             sentences.append(
                 f"{self.switched} of {len(self.time)} samples lie next to a step in which sgn changes and are left "
-                f"out: V-dot jumps there. In those steps V changed by {self.change_in_switches * 1e6:.3g} uJ in all, "
-                f"and grew by at most {self.rise_in_a_switch * 1e6:.2g} uJ in one."
+                f"out: V-dot jumps there. In those steps V changed by {joules(self.change_in_switches, 3)} in all, "
+                f"and grew by at most {joules(self.rise_in_a_switch, 2)} in one."
             )
         if self.limited:
             sentences.append(

@@ -98,9 +98,9 @@ class Assumption:
         if len(failed) == 0:
             axis = int(np.argmin(self.margin / np.where(self.kv > 0, self.kv, 1.0)))
             sentences = [
-                f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; the "
-                f"smallest relative margin is {self.margin[axis]:.3g} {UNITS[axis]} of k_v = {self.kv[axis]:.3g} "
-                f"{UNITS[axis]}, {AXES[axis]}."
+                f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; it was "
+                f"closest on {AXES[axis]}, where an error of {self.eta[axis]:.3g} {UNITS[axis]} stands against "
+                f"k_v = {self.kv[axis]:.3g} {UNITS[axis]}."
             ]
         else:
             axis = int(failed[np.argmax(self.eta[failed] / np.maximum(self.kv[failed], np.finfo(float).tiny))])

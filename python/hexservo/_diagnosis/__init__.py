@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from hexservo._diagnosis.ranking import Trial, judged, rank, try_removals
 from hexservo._diagnosis.runs import Run, record_of, run_all
 from hexservo._evidence import Column, Curves, Line, Section, Table, as_data
 from hexservo._result import Result
+from hexservo._wording import number
 
 __all__ = ["Diagnosis", "Finding", "Remedy", "diagnose"]
 
@@ -82,9 +83,11 @@ class Diagnosis:
             return Section("diagnosis", "Diagnosis", ["The run was interrupted: there is nothing to judge."])
         data = self.to_dict()
         if not self.failed:
-            first = f"Nothing to diagnose: {_joined(self.criteria)}."
-            verdict: Literal["warning", "good"] = "warning" if self.warnings else "good"
-            return Section("diagnosis", "Diagnosis", [first, *self.warnings], (), verdict, data)
+            if not self.warnings:
+                words = [f"Nothing to diagnose: {_joined(self.criteria)}."]
+                return Section("diagnosis", "Diagnosis", words, (), "good", data)
+            words = [f"The run passes. {self.warnings[0]}", *self.warnings[1:], f"In all: {_joined(self.criteria)}."]
+            return Section("diagnosis", "Diagnosis", words, (), "warning", data)
         sentences = [self._verdict(), f"What failed: {_joined(self.criteria)}."]
         if self.causes and self.causes[0].score >= _LIKELY:
             sentences += self.causes[0].evidence[1:]
@@ -168,7 +171,7 @@ class Diagnosis:
                 "as it was",
                 None,
                 "",
-                self._record.outcome,
+                _spelt(self._record.outcome),
                 self._judgement.error * THRESHOLD,
                 1e3 * self._leg_travel,
                 None,
@@ -176,7 +179,9 @@ class Diagnosis:
         ]
         for finding in self.causes:
             run = finding.without
-            after = ("", "", None, None) if run is None else (run.words, run.outcome, run.error, 1e3 * run.leg_travel)
+            after: tuple[str, str, float | None, float | None] = ("", "", None, None)
+            if run is not None:
+                after = (run.words, _spelt(run.outcome), run.error, 1e3 * run.leg_travel)
             rows.append((finding.title, finding.score, *after, finding.look))
         note = f"Not tried, since the scenario has nothing of it: {', '.join(self.absent)}." if self.absent else ""
         return Table("Causes, each removed by itself", columns, rows, note, _PAGE)
@@ -206,6 +211,8 @@ def diagnose(result: Result) -> Diagnosis:
 
     Raises
     ------
+    KeyboardInterrupt
+        On Ctrl-C, also while something runs.
     TypeError
         For anything but a `Result`.
     """
@@ -368,11 +375,15 @@ def _how(run: Remedy) -> str:
     return f"{'passes' if run.works else 'still fails'}: it {_ends(run.outcome, run.error, run.leg_travel, run.drift)}"
 
 
+def _spelt(outcome: str) -> str:
+    return outcome.replace("_", " ")
+
+
 def _ends(outcome: str, error: float, leg_travel: float, drift: float) -> str:
     if outcome != "completed":
-        return f"ends early ({outcome.replace('_', ' ')})"
-    words = f"ends with {error:.3g} px left and {leg_travel * 1e3:.3g} mm of leg travel"
-    return words + (f", and still drifts at {drift * 1e3:.2g} mm/s" if drift > _SHOWN_DRIFT else "")
+        return f"ends early ({_spelt(outcome)})"
+    words = f"ends with {number(error)} px left and {number(leg_travel * 1e3)} mm of leg travel"
+    return words + (f", and still drifts at {number(drift * 1e3, 2)} mm/s" if drift > _SHOWN_DRIFT else "")
 
 
 def _misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
@@ -380,12 +391,13 @@ def _misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, 
     if judgement.early:
         return (result.detail.rstrip("."),)
     stroke = result.scenario.robot.stroke
+    allowed = stroke / DRIFT_TIME * 1e3
     clauses = {
-        f"{judgement.error * THRESHOLD:.3g} px are left at the end, above {THRESHOLD:g} px": judgement.error,
-        f"a leg goes {judgement.stroke * stroke * 1e3:.3g} mm, beyond its stroke of {stroke * 1e3:.3g} mm": (
+        f"{number(judgement.error * THRESHOLD)} px are left at the end, above {THRESHOLD:g} px": judgement.error,
+        f"a leg goes {number(judgement.stroke * stroke * 1e3)} mm, beyond its stroke of {number(stroke * 1e3)} mm": (
             judgement.stroke
         ),
-        f"a leg still moves at {record.drift * 1e3:.2g} mm/s at the end, above {stroke / DRIFT_TIME * 1e3:.2g} mm/s": (
+        f"a leg still moves at {number(record.drift * 1e3, 2)} mm/s at the end, above {allowed:.2g} mm/s": (
             judgement.drift
         ),
     }
@@ -394,10 +406,11 @@ def _misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, 
 
 def _margins(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
     stroke = result.scenario.robot.stroke
+    allowed = stroke / DRIFT_TIME * 1e3
     return (
-        f"{judgement.error * THRESHOLD:.3g} px are left of the {THRESHOLD:g} px that are allowed",
-        f"the legs use {judgement.stroke:.0%} of their stroke of {stroke * 1e3:.4g} mm",
-        f"they drift at {record.drift * 1e3:.2g} mm/s of the {stroke / DRIFT_TIME * 1e3:.2g} mm/s that are allowed",
+        f"{number(judgement.error * THRESHOLD)} px are left of the {THRESHOLD:g} px that are allowed",
+        f"the legs use {judgement.stroke:.0%} of their stroke of {number(stroke * 1e3, 4)} mm",
+        f"they drift at {number(record.drift * 1e3, 2)} mm/s of the {allowed:.2g} mm/s that are allowed",
     )
 
 

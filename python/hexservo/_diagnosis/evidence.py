@@ -12,6 +12,7 @@ from hexservo import _core
 from hexservo._diagnosis.causes import Case
 from hexservo._diagnosis.criterion import THRESHOLD, Judgement, Record
 from hexservo._diagnosis.goal import pixels_per_metre, seen_from_home
+from hexservo._wording import number
 
 __all__ = ["SIGNATURES", "Signature"]
 
@@ -37,8 +38,8 @@ def _wrong_sign(case: Case, record: Record, judgement: Judgement) -> Signature:
         return Signature(0.0, "The error shrinks at first, which it does not with the wrong sign.")
     return Signature(
         1.0,
-        f"The error never shrinks: {start:.3g} px at the start, {record.metrics['peak_error']:.3g} px at "
-        f"t = {record.end_time:.3g} s.",
+        f"The error never shrinks: {number(start)} px at the start, {number(record.metrics['peak_error'])} px at "
+        f"t = {number(record.end_time)} s.",
     )
 
 
@@ -49,14 +50,14 @@ def _coarse_step(case: Case, record: Record, judgement: Judgement) -> Signature:
 def _saturation(case: Case, record: Record, judgement: Judgement) -> Signature:
     limit = case.scenario.robot.force_limit
     share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
-    sentence = f"A leg gives its limit of {limit:.4g} N for {share:.0%} of the time."
+    sentence = f"A leg gives its limit of {number(limit, 4)} N for {share:.0%} of the time."
     return Signature(min(1.0, share / 0.2), sentence)
 
 
 def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signature:
     camera = case.scenario.camera
     if record.outcome == "feature_lost":
-        return Signature(1.0, f"A feature is lost at t = {record.end_time:.3g} s, which ends the run.")
+        return Signature(1.0, f"A feature is lost at t = {number(record.end_time)} s, which ends the run.")
     strength, sentences = 0.0, []
     if camera.image_size is not None:
         features = np.asarray(case.scenario.target.desired_features) - record.samples["feature_error"]
@@ -68,7 +69,7 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
         strength = max(strength, min(1.0, 2.0 * camera.dropout))
         gap = camera.period / (1.0 - camera.dropout) if camera.dropout < 1.0 else np.inf
         sentences.append(
-            f"A frame that is not lost comes every {gap:.3g} s in the mean, not every {camera.period:.3g} s."
+            f"A frame that is not lost comes every {number(gap)} s in the mean, not every {number(camera.period)} s."
         )
     return Signature(strength, " ".join(sentences))
 
@@ -82,8 +83,8 @@ def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
     body.mass = case.scenario.robot.mass
     excess = abs(error * body.gravity_wrench[2])
     sentence = (
-        f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {abs(rise) * 1e3:.3g} mm; "
-        f"{excess:.3g} N of weight are fed forward "
+        f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {number(abs(rise) * 1e3)} mm; "
+        f"{number(excess)} N of weight are fed forward "
         f"{'that are not there' if error > 0.0 else 'too little'}."
     )
     return Signature(min(1.0, 1.5 * share) if rise * error > 0.0 else 0.2, sentence)
@@ -95,8 +96,8 @@ def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signatur
     return Signature(
         1.0,
         f"The image is within {2.0 * THRESHOLD:g} px at the end while the platform goes "
-        f"{record.metrics['peak_displacement'] * 1e3:.3g} mm away and still moves at {record.drift * 1e3:.2g} mm/s by "
-        "its fastest leg.",
+        f"{number(record.metrics['peak_displacement'] * 1e3)} mm away and still moves at "
+        f"{number(record.drift * 1e3, 2)} mm/s by its fastest leg.",
     )
 
 
@@ -108,7 +109,7 @@ def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
     held = float(np.linalg.norm(scale * record.samples["fuzzy_output"][-1]))
     friction = float(np.linalg.norm(scale * np.broadcast_to(getattr(case.scenario.controller, law).kv, 6)))
     sentence = (
-        f"At the end the fuzzy systems hold {held:.3g} N against {friction:.3g} N of K_v (moments by the radius)."
+        f"At the end the fuzzy systems hold {number(held)} N against {friction:.3g} N of K_v (moments by the radius)."
     )
     return Signature(min(1.0, held / (2.0 * friction)) if friction else 1.0, sentence)
 
@@ -117,10 +118,12 @@ def _stiction(case: Case, record: Record, judgement: Judgement) -> Signature:
     last = record.time >= (1.0 - _TAIL) * record.end_time
     travel = float(np.ptp(record.samples["leg_lengths"][last], axis=0).max())
     if judgement.early or judgement.error <= 1.0 or travel > _AT_REST * case.scenario.robot.stroke:
-        return Signature(0.0, f"The platform does not rest: its legs move {travel * 1e3:.2g} mm in the last quarter.")
+        return Signature(
+            0.0, f"The platform does not rest: its legs move {number(travel * 1e3, 2)} mm in the last quarter."
+        )
     return Signature(
         1.0,
-        f"The platform rests with {record.tail_error:.3g} px left: its legs move {travel * 1e6:.2g} um in the last "
+        f"The platform rests with {number(record.tail_error)} px left: its legs move {travel * 1e6:.2g} um in the last "
         "quarter.",
     )
 
@@ -132,8 +135,8 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
     swings = int((np.diff(np.sign(largest[np.abs(largest) > THRESHOLD])) != 0).sum())
     age = camera.latency + camera.latency_jitter + camera.period
     sentence = (
-        f"The error swings through zero {swings} times; what the law sees is up to {age * 1e3:.3g} ms old, and it acts "
-        f"every {case.scenario.simulation.step * 1e3:.3g} ms."
+        f"The error swings through zero {swings} times; what the law sees is up to {number(age * 1e3)} ms old, and it "
+        f"acts every {number(case.scenario.simulation.step * 1e3)} ms."
     )
     return Signature(min(1.0, swings / 3.0), sentence)
 
@@ -143,8 +146,10 @@ def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
     worst = pixels_per_metre(camera, features, depth)
     noise = case.scenario.camera.noise if case.scenario.simulation.mode == "sampled" else 0.0
     wander = noise / worst
-    sentence = f"In the worst direction 1 px is {1e3 / worst:.3g} mm at the target's distance"
-    sentence += f", and the noise of {noise:.3g} px is {wander * 1e3:.3g} mm." if noise else "; there is no noise."
+    sentence = f"In the worst direction 1 px is {number(1e3 / worst)} mm at the target's distance"
+    sentence += (
+        f", and the noise of {number(noise)} px is {number(wander * 1e3)} mm." if noise else "; there is no noise."
+    )
     return Signature(min(1.0, wander / (_WANDER * case.scenario.robot.stroke)), sentence)
 
 
@@ -153,8 +158,8 @@ def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
     if case.goal is None:
         return Signature(None, "")
     sentence = (
-        f"At the goal a leg is {case.goal.leg_travel * 1e3:.3g} mm from its length at home; its stroke is "
-        f"{stroke * 1e3:.3g} mm."
+        f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} mm from its length at home; its stroke is "
+        f"{number(stroke * 1e3)} mm."
     )
     return Signature(1.0 if case.goal.leg_travel > stroke else 0.0, sentence)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo._batch import BatchResult, simulate_batch
+from hexservo._batch import BatchResult, simulate_batch, whole
 from hexservo._compare import _numbers, _shared
 from hexservo._diagnosis.criterion import Record, make_record
 from hexservo._result import Result
@@ -110,7 +110,7 @@ def _run(
     """Run what shares a batch; one by one where the batch is refused for one of them."""
     variations = {name: np.stack([numbers[name] for _, numbers in group]) for name in group[0][1]}
     try:
-        batch = simulate_batch(scenario, variations, "trajectory", threads)
+        batch = whole(simulate_batch(scenario, variations, "trajectory", threads))
     except ValueError:
         if len(group) == 1:
             return

@@ -34,6 +34,8 @@ def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = 
 
     Raises
     ------
+    KeyboardInterrupt
+        On Ctrl-C, also while something runs.
     TypeError
         For anything but a `Result`.
     OutputError

@@ -32,6 +32,7 @@ _POLICY = (
 )
 _SLIDER = "The slider takes smaller steps until the run has settled."
 _MAX_SCENARIO = 60_000  # characters of the scenario that are shown: a recorded motion can be far longer
+_WORST_FIRST = ("bad", "warning", "good", "open")  # verdicts, as the summary has them; the diagnosis before others
 
 
 def page(result: Result) -> str:
@@ -83,7 +84,9 @@ def _lead(result: Result) -> list[Html]:
 
 
 def _summary(result: Result, found: list[Group]) -> Html:
-    """Say it in words: the run, then each section's verdict and most important finding."""
+    """Say it in words: the run, then each section's verdict and most important finding, the worst verdicts first."""
+    sections = [(group, section) for group in found for section in group.sections]
+    sections.sort(key=lambda pair: (_WORST_FIRST.index(pair[1].verdict), pair[0].source.name != "diagnose"))
     rows = [
         element(
             "li",
@@ -93,8 +96,7 @@ def _summary(result: Result, found: list[Group]) -> Html:
             ": ",
             section.sentences[0] if section.sentences else "nothing to say",
         )
-        for group in found
-        for section in group.sections
+        for group, section in sections
     ]
     rows += [
         element("li", badge("open"), f" {group.source.title}: {group.refusal}") for group in found if group.refusal

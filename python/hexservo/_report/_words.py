@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from hexservo._metrics import metrics, readable
 from hexservo._samples import SETTLED
+from hexservo._wording import number
 
 if TYPE_CHECKING:
     from hexservo._result import Result
@@ -44,9 +45,9 @@ def _settling(result: Result) -> str:
 
 def _residual(result: Result) -> str:
     values = metrics(result)
-    text = f"The largest feature error at the end is {values['final_error']:.3g} px"
+    text = f"The largest feature error at the end is {number(values['final_error'])} px"
     rms = values["rms_error"]
-    return text + (f"; from 1 s on their RMS is {rms:.3g} px." if rms == rms else ".")
+    return text + (f"; from 1 s on their RMS is {number(rms)} px." if rms == rms else ".")
 
 
 def _legs(result: Result) -> list[str]:
@@ -57,9 +58,12 @@ def _legs(result: Result) -> list[str]:
         ("peak_leg_excursion", robot.stroke, "mm", 1e3, "travel"),
         ("peak_leg_force", robot.force_limit, "N", 1.0, "force"),
     ):
-        number, shown = readable(name, values[name])
+        found, shown = readable(name, values[name])
         share = values[name] / limit
-        verdict = f"{1 - share:.0%} of it is left" if share <= 1 else f"that is {share - 1:.0%} too much"
-        allowed = f"{limit * scale:.4g} {unit}"
-        sentences.append(f"The largest {what} of a leg is {number} {shown} of the {allowed} allowed; {verdict}.")
+        if share <= 1:
+            verdict = f"{1 - share:.0%} of it is left"
+        else:
+            verdict = f"that is {share - 1:.0%} too much" if share < 3 else f"that is {number(share)} times as much"
+        allowed = f"{number(limit * scale, 4)} {unit}"
+        sentences.append(f"The largest {what} of a leg is {found} {shown} of the {allowed} allowed; {verdict}.")
     return sentences

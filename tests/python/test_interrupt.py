@@ -1,0 +1,70 @@
+"""Ctrl-C while a run is judged: nothing is said of runs that did not come to their own end, and nothing is written."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo import cli
+from hexservo._batch import BatchResult
+
+simulate = hs.simulate  # as it is
+simulate_batch = hs.simulate_batch
+
+
+def stopped(*arguments: Any, **named: Any) -> hs.Result:
+    """Simulate as if Ctrl-C came before the end."""
+    return dataclasses.replace(simulate(*arguments, **named), outcome="interrupted")
+
+
+def stopped_batch(*arguments: Any, **named: Any) -> BatchResult:
+    """Run a batch as if Ctrl-C came before its last run ended."""
+    batch = simulate_batch(*arguments, **named)
+    batch.outcome[-1] = "interrupted"
+    return batch
+
+
+@pytest.mark.parametrize("command", ["report", "certify", "diagnose"])
+def test_a_run_that_the_user_stops_is_not_judged(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hs, "simulate", stopped)
+    option = "--out" if command == "report" else "--json"
+    arguments = [command, "paper", "--set", "simulation.duration=0.02", option, str(tmp_path / "written")]
+    done = CliRunner().invoke(cli.app, arguments, prog_name="hexservo")
+    assert (done.exit_code, done.stdout, done.stderr) == (130, "", "Interrupted: nothing more was written\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("part", "module"), [("stiction", "_analysis._stiction_runs"), ("largest_start", "_analysis.largest_start")]
+)
+def test_an_analysis_does_not_rest_on_runs_that_were_stopped(
+    part: str, module: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"hexservo.{module}.simulate_batch", stopped_batch)
+    with pytest.raises(KeyboardInterrupt):
+        hs.analyse(hs.load_scenario("paper"), [part])
+
+
+def test_a_border_is_not_judged_by_a_run_that_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hexservo._analysis._loop_of_scenario.simulate", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        hs.analyse(hs.load_scenario("paper-composite"), ["camera_rate"])
+
+
+def test_a_diagnosis_does_not_rest_on_runs_that_were_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    failing = hs.simulate(hs.load_scenario("fails-stiction"))
+    monkeypatch.setattr("hexservo._diagnosis.runs.simulate_batch", stopped_batch)
+    with pytest.raises(KeyboardInterrupt):
+        hs.diagnose(failing)
+
+
+def test_a_ledger_does_not_rest_on_a_base_that_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    shaken = hs.simulate(hs.load_scenario("rough-road").updated({"simulation.duration": 0.1}))
+    monkeypatch.setattr("hexservo._certificate.base.simulate", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        hs.certify(shaken)
