@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo._certificate.base import _from_means
-from hexservo._certificate.energy import EnergyLedger, energy_ledger
+from hexservo._certificate.energy import COARSE, EnergyLedger, energy_ledger
 from hexservo._certificate.replay import Plant, replay, replay_of
 from hexservo._evidence import Curves, Table
 
@@ -306,6 +306,17 @@ def test_a_log_that_is_not_what_acted_is_flagged(paper: hs.Scenario) -> None:
     assert section.sentences[0].startswith("The energy ledger does not close: ")
     assert "miss the next sample" in section.sentences[0]
     assert "a residual of" in section.sentences[0]
+
+
+def test_a_platform_that_rests_at_its_goal_closes(paper: hs.Scenario) -> None:
+    """Its switching term chatters about nothing: hardly any energy is turned over, and the tolerance is as small."""
+    start = list(paper.target.initial_features or ())
+    scenario = paper.updated({"target.desired_features": start, "simulation.duration": 0.5})
+    ledger = hs.certify(hs.simulate(scenario)).energy
+    assert ledger is not None
+    assert ledger.tolerance > COARSE * ledger.turnover
+    assert ledger.tolerance < ledger.negligible == pytest.approx(1e-3 * 0.06 * 9.8 * 0.017)
+    assert ledger.closes
 
 
 def test_a_step_that_is_too_coarse_is_flagged(paper: hs.Scenario) -> None:

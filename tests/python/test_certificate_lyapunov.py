@@ -152,6 +152,16 @@ def test_without_errors_there_is_no_uncertainty(paper: hs.Scenario) -> None:
     assert (np.diff(lyapunov.change) <= 1e-15).all()
 
 
+def test_rounding_does_not_break_the_assumption(paper: hs.Scenario) -> None:
+    """Without errors gamma is zero, and K_v = 0 is enough."""
+    scenario = paper.updated({**SHORT, **NOMINAL, "controller.hybrid.kv": 0.0})
+    _, assumption = parts_of(scenario)
+    assert assumption.held.all()
+    assert (assumption.eta < assumption.rounding).all()
+    _, assumption = parts_of(scenario.updated({"uncertainty.inertia": 1e-9}))
+    assert not assumption.held[[0, 3, 4]].any()
+
+
 # ---- V and its rate -------------------------------------------------------------------------------------------------
 
 

@@ -436,6 +436,8 @@ def test_a_run_that_is_too_short_is_called_so() -> None:
     assert diagnosis.too_short == pytest.approx(0.6)
     assert diagnosis.section().sentences[0].startswith("The run is too short")
     assert hs.diagnose(hs.simulate(hs.load_scenario("fails-stiction"))).too_short is None
+    diagnosis = hs.diagnose(hs.simulate(scenario.updated({"simulation.duration": 0.002})))  # no time to fall at all
+    assert diagnosis.too_short == pytest.approx(2.0)
 
 
 def test_a_failure_of_another_cause_is_not_explained_away() -> None:

@@ -112,6 +112,13 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
     else:
         first = f"The camera is fast enough for the loop: {borders}."
     found = [first]
+    if acting.perfect and acting.drifts:
+        drift = (
+            f"{acting.drifts} of the modes drifts away with any camera, at {acting.drift_rate:.3g} 1/s with a perfect "
+            "one: the depths that the controller believes turn a direction around that the image hardly shows. The "
+            "borders are those of all other modes; see the part drift."
+        )
+        found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
 
     how = "grows" if acting.rate > 0.0 else "decays"
     found.append(
@@ -131,12 +138,6 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         )
     if acting.stable and above is None and below is None:
         found.append(f"{what} may be multiplied or divided by {LARGEST_FACTOR:g}: no border was found.")
-    if acting.perfect and acting.drifts:
-        found.append(
-            f"{acting.drifts} of the modes drifts away with any camera, at {acting.drift_rate:.3g} 1/s with a perfect "
-            "one: the depths that the controller believes turn a direction around that the image hardly shows. The "
-            "borders are those of all other modes; see the part drift."
-        )
     if acting.resting:
         found.append(
             f"{acting.resting} modes stay as they are whatever the camera does, and are left out: no gain answers to "

@@ -21,6 +21,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 PAGE = "docs/certificate/energy.md"
 COARSE = 0.01
+NEGLIGIBLE = 1e-3  # of the work of lifting the weight by the stroke
 """Part of the turnover beyond which the quadrature's tolerance says that the step is too coarse."""
 _ROUNDING = 1e-12  # of the turnover
 _SAME = 1e-9  # of the largest twist: what rebuilt steps may differ from the samples by
@@ -74,6 +75,7 @@ class EnergyLedger:
     tolerance: float  # largest residual that the quadrature may leave [J]
     turnover: float  # sum of the works' absolute values over terms and samples [J]
     mismatch: float  # largest difference of a rebuilt twist from its sample, by the largest twist [1]
+    negligible: float  # a tolerance below it is small, however little was turned over [J]
     tossed: int  # steps in which rounding decided a sign, one way in the run and the other way here
     crossings: int  # steps in which a component of the twist changes its sign
     remarks: tuple[str, ...]
@@ -94,12 +96,10 @@ class EnergyLedger:
             )
         if not abs(self.residual) <= self.tolerance:
             found.append(f"a residual of {abs(self.residual):.3g} J is beyond the tolerance of {self.tolerance:.3g} J")
-        if not self.tolerance <= COARSE * self.turnover + np.finfo(float).tiny:
+        if not self.tolerance <= max(COARSE * self.turnover, self.negligible):
             found.append(
                 f"the tolerance itself is {number(100 * self.tolerance / self.turnover, 2)} % of the energy turned "
                 "over: the step is too coarse for a ledger"
-                if self.turnover > 0
-                else "a tolerance without any work"
             )
         return tuple(found)
 
@@ -254,6 +254,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
         tolerance=tolerance + _ROUNDING * (turnover + float(energy.max())),
         turnover=turnover,
         mismatch=mismatch,
+        negligible=NEGLIGIBLE * float(np.linalg.norm(terms.gravity[:3])) * run.settings.robot.stroke,
         tossed=tossed,
         crossings=int(np.count_nonzero((run.twist[1:] * run.twist[:-1] < 0).any(axis=1))),
         remarks=(*terms.remarks, run.remark),

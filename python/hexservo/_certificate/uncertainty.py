@@ -21,6 +21,7 @@ Array: TypeAlias = NDArray[np.float64]
 PAGE = "docs/certificate/assumption.md"
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
 UNITS = ("N", "N", "N", "N m", "N m", "N m")
+_ROUNDING = 1e-12  # of the largest force or moment: gamma is a difference of such numbers
 _SHOWN = 1500  # points of a curve, at most
 
 
@@ -74,6 +75,7 @@ class Assumption:
     weights: tuple[BestWeights, ...] | None  # by axis; None without fuzzy systems
     gamma: Array = field(repr=False)  # (n, 6), Delta-tau - tau_f* [N; N m]
     time: Array = field(repr=False)  # (n,) [s]
+    rounding: Array = field(repr=False)  # (6,), what rounding leaves of a gamma_j that is zero [N; N m]
 
     @property
     def margin(self) -> Array:
@@ -82,8 +84,8 @@ class Assumption:
 
     @property
     def held(self) -> NDArray[np.bool_]:
-        """(6,), whether the axis kept the assumption."""
-        return np.asarray(self.margin >= 0.0)
+        """(6,), whether the axis kept the assumption, but for rounding."""
+        return np.asarray(self.margin >= -self.rounding)
 
     @property
     def ideal(self) -> Array:
@@ -231,5 +233,6 @@ def assumption_of(run: Replay, uncertainty: Uncertainty, *, smallest: bool = Tru
         instants=run.time[np.abs(gamma).argmax(axis=0)],
         weights=weights,
         gamma=gamma,
+        rounding=_ROUNDING * np.repeat(np.abs(run.wrench).reshape(-1, 2, 3).max(axis=(0, 2)), 3),
         time=run.time,
     )

@@ -30,7 +30,8 @@ _OF_THE_LAW = frozenset({"wrong_sign", "stiction", "spring"})  # causes that a c
 _OTHERWISE = 0.3  # difference in severity between a run and the same run repeated
 _SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not worth a word
 _TITLES = {cause.key: cause.title for cause in CAUSES}
-_FEW = 40  # samples
+_FEW = 40  # samples, or steps
+_ENOUGH = 2000  # steps that are tried in place of a few
 _FLOOR = 1e-3  # [px], of the curves
 
 
@@ -143,8 +144,13 @@ class Diagnosis:
         assert self._judgement is not None
         assert self._record is not None
         after = first.without
+        named = (
+            f"The likeliest cause is {first.title}"
+            if after.works or together
+            else f"Of the listed causes {first.title} comes first, and is not all of it"
+        )
         sentence = (
-            f"The likeliest cause is {first.title}: with {after.words} the run {_how(after)}; as it was it "
+            f"{named}: with {after.words} the run {_how(after)}; as it was it "
             f"{_ends(self._record.outcome, self._judgement.error * THRESHOLD, self._leg_travel, self._record.drift)}."
         )
         return sentence + (f" It passes without these together: {together}." if together else "")
@@ -359,10 +365,12 @@ def _together(case: Case, trials: list[Trial]) -> tuple[str, ...]:
 
 def _too_short(case: Case, record: Record, before: Judgement) -> float | None:
     """Run longer where the error still falls at the end."""
+    simulation = case.scenario.simulation
     earlier = record.error[record.time <= _EARLIER * record.end_time]
-    if before.early or not len(earlier) or record.error[-1] > _FALLS * earlier[-1]:
+    brief = simulation.duration < _FEW * simulation.step  # too few steps to tell whether it falls
+    if before.early or not (brief or (len(earlier) and record.error[-1] <= _FALLS * earlier[-1])):
         return None
-    duration = _LONGER * case.scenario.simulation.duration
+    duration = _ENOUGH * simulation.step if brief else _LONGER * simulation.duration
     longer = run_all([Run(case.scenario, {"simulation.duration": duration})])[0]
     robot = case.scenario.robot
     return None if longer is None or judge(longer, robot.stroke, duration).failed else duration
