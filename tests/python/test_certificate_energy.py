@@ -153,6 +153,52 @@ def test_the_image_spring_gives_what_the_image_loses(paper: hs.Scenario) -> None
     assert ledger.turnover > 0
 
 
+def exact(paper: hs.Scenario, law: str, duration: float) -> hs.Scenario:
+    """No model errors, and a goal that is a pure translation of (17.188, 6.875, 0) mm."""
+    names = ("inertia", "coriolis", "gravity", "depth")
+    changes: dict[str, Any] = {f"uncertainty.{name}": 0.0 for name in names}
+    return paper.updated({**changes, "controller.law": law, "simulation.duration": duration})
+
+
+def test_the_pose_spring_gives_what_it_loses(paper: hs.Scenario) -> None:
+    """pbvs knows the pose error d - x exactly: the spring's work along an axis is the loss of 1/2 k (d - x)^2."""
+    result = hs.simulate(exact(paper, "pbvs", 0.2))
+    ledger = hs.certify(result).energy
+    assert ledger is not None
+    goal = 0.5 / 581.816 * np.array([20.0, 8.0, 0.0])  # [m], depth over focal length times the shift of the image
+    stiffness = 24.0
+    stored = [
+        0.5 * stiffness * (goal - (x - result.position[0])) ** 2 for x in (result.position[0], result.position[-1])
+    ]
+    np.testing.assert_allclose(ledger.by_axis["pose_spring"][:3], stored[0] - stored[1], rtol=1e-6, atol=1e-12)
+    assert ledger.by_axis["pose_spring"][0] > 1e-4
+
+
+def test_what_a_velocity_loop_asks_for_is_what_moves_and_what_is_damped(paper: hs.Scenario) -> None:
+    """m v' = K_i (v* - v): along an axis the work of K_i v* is 1/2 m v^2 and the integral of K_i v^2."""
+    scenario = exact(paper, "resolved_rate", 0.2).updated({"simulation.step": 2e-4})
+    result = hs.simulate(scenario)
+    ledger = hs.certify(result).energy
+    assert ledger is not None
+    for axis in (0, 1):
+        speed = result.twist[:, axis]
+        asked = 0.5 * MASS * speed[-1] ** 2 + 3.0 * trapezoid(speed**2, 2e-4)
+        assert ledger.by_axis["reference"][axis] == pytest.approx(asked, rel=1e-4)
+        assert asked > 1e-6
+
+
+def test_the_coriolis_feed_forward_does_no_work(paper: hs.Scenario) -> None:
+    """omega . (omega x I' omega) = 0, while a component of it alone works."""
+    scenario = exact(paper, "computed_torque", 0.2).updated(
+        {"robot.inertia": [1.5e-4, 2.5e-4, 3e-4], "target.desired_features": [25, 30, 75, -50, -55, 20, -15, -25]}
+    )
+    ledger = hs.certify(hs.simulate(scenario)).energy
+    assert ledger is not None
+    turned = ledger.by_axis["coriolis_feedforward"]
+    assert np.abs(turned).max() > 1e-12
+    assert abs(ledger.work("coriolis_feedforward")) < 1e-9 * np.abs(turned).max()
+
+
 def test_switching_and_fuzzy_work_are_integrals_over_the_samples(paper: hs.Scenario) -> None:
     """Against the trapezoidal rule over the log, where everything is smooth."""
     switching = {"controller.switching.kind": "tanh", "controller.switching.width": 1.0}
