@@ -279,11 +279,11 @@ TEST_CASE("rows that do not fit are refused by name, and so are numbers without 
   Settings<Hybrid> sampled = paper_settings();
   sampled.simulation.mode = LoopMode::sampled;
   Stages s;
-  CHECK(is_about(
-      refusal([&] {
-        Probe(sampled).stages({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist)}, s.out());
-      }),
-      "simulation.mode"));
+  CHECK(is_about(refusal([&] {
+                   Probe(sampled).stages({rows(features), rows(depth), rows(position), rows(quaternion), rows(twist)},
+                                         s.out());
+                 }),
+                 "simulation.mode"));
   Settings<Hybrid> printed = paper_settings();
   printed.convention = CameraConvention::as_printed;
   CHECK(is_about(

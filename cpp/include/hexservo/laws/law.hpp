@@ -107,9 +107,7 @@ Vector3<S> coupled_moment(const Matrix3<S>& I_B, const S& period, const Vector3<
 
 /// Whether a law has fuzzy systems.
 template <class Law>
-inline constexpr bool kHasFuzzySystems = requires(const typename Law::template Gains<double>& gains) {
-  gains.fuzzy;
-};
+inline constexpr bool kHasFuzzySystems = requires(const typename Law::template Gains<double>& gains) { gains.fuzzy; };
 
 /// Whether it has some that act with these gains.
 template <class Law>
