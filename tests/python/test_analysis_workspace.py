@@ -12,6 +12,7 @@ import hexservo as hs
 from hexservo._analysis import workspace
 from hexservo._analysis._scene import scene_of
 from hexservo._analysis._words import number
+from hexservo._analysis.reach import reach_of_start_and_goal
 
 SEED = 21
 
@@ -201,3 +202,45 @@ def test_the_findings_name_the_leg_and_its_numbers(found: workspace.Workspace, p
     assert list(found.map_x) == sorted(found.map_x)
     assert all(one < two for one, two in pairwise(found.map_y))
     assert ticks.page == "docs/analysis/workspace.md"
+
+
+def test_start_and_goal_against_the_stroke_by_hand(paper: hs.Scenario) -> None:
+    """A goal that is a shift along the optical axis: legs of sqrt(rho^2 + z^2), against strokes on both sides of it."""
+    robot = paper.robot
+    angle = robot.platform_angles[0] - robot.base_angles[0]
+    rho2 = (
+        robot.platform_radius**2 + robot.base_radius**2 - 2 * robot.platform_radius * robot.base_radius * np.cos(angle)
+    )
+    height, depth, shift = abs(robot.home_position[2]), 0.5, 0.04
+    # The camera looks along its z axis towards smaller depths: features grow by depth / (depth - shift).
+    seen = np.array(paper.target.initial_features)
+    goal = {"target.desired_features": (seen * depth / (depth - shift)).tolist()}
+    travels = [np.sqrt(rho2 + (height + sign * shift) ** 2) - np.sqrt(rho2 + height**2) for sign in (1, -1)]
+    found = reach_of_start_and_goal(paper.updated(goal))
+    assert found.goal is not None
+    assert found.nearest is not None
+    assert (found.start.travel, found.start.margin) == (0.0, robot.stroke)
+    assert min(abs(found.goal.travel - travel) for travel in travels) < 1e-9
+    assert found.goal.margin == pytest.approx(robot.stroke - abs(found.goal.travel), abs=1e-15)
+    assert found.residual < 1e-6
+    assert not found.goal.within
+    assert found.goal_within is False
+    wide = paper.updated({**goal, "robot.stroke": abs(found.goal.travel) + 1e-6})
+    assert reach_of_start_and_goal(wide).goal_within
+
+
+def test_reach_of_start_and_goal_is_what_the_workspace_reports(paper: hs.Scenario) -> None:
+    for stroke in (0.017, 0.006, 0.002):
+        scenario = paper.updated({"robot.stroke": stroke})
+        found, full = reach_of_start_and_goal(scenario), workspace.analyse(scenario)
+        assert full.goal is not None
+        assert full.nearest is not None
+        assert found.goal is not None
+        assert found.nearest is not None
+        assert found.goal.margin == stroke - np.abs(full.goal.travel).max()
+        assert found.goal.leg == 1 + np.abs(full.goal.travel).argmax()
+        if not found.goal.within:
+            assert found.nearest.margin == stroke - np.abs(full.nearest.travel).max()
+        assert (full.section().verdict == "bad") == (found.goal_within is False)
+    printed = reach_of_start_and_goal(paper.updated({"camera.convention": "as_printed"}))
+    assert (printed.goal, printed.goal_within) == (None, None)

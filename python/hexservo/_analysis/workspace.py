@@ -11,6 +11,7 @@ from hexservo._analysis._goal import TOLERANCE, Goals, find_goals
 from hexservo._analysis._poses import Array, Poses
 from hexservo._analysis._scene import Scene, scene_of
 from hexservo._analysis._words import number
+from hexservo._analysis.reach import LegMargin, leg_margin
 from hexservo._evidence import Column, HeatMap, Line, Section, Table
 from hexservo._scenario import Scenario
 
@@ -93,8 +94,11 @@ class Workspace:
     def _places(self) -> list[Place]:
         return [place for place in (self.start, self.goal, self.nearest) if place is not None]
 
+    def _leg(self, place: Place) -> LegMargin:
+        return leg_margin(place.travel, self.stroke)
+
     def _margin(self, place: Place) -> float:
-        return self.stroke - float(np.abs(place.travel).max())
+        return self._leg(place).margin
 
     def _verdict(self) -> Literal["good", "warning", "bad"]:
         reached = self.nearest or self.start
@@ -146,14 +150,13 @@ class Workspace:
             (self.goal, "At the goal"),
             (self.nearest, f"at the nearest pose that shows it within {TOLERANCE} px"),
         ):
-            leg = int(np.abs(place.travel).argmax())
-            margin = self._margin(place)
+            leg = self._leg(place)
             text += (
-                f"{name} leg {leg + 1} is {number(1e3 * abs(place.travel[leg]))} mm from its length at home, "
+                f"{name} leg {leg.leg} is {number(1e3 * abs(leg.travel))} mm from its length at home, "
                 + (
-                    f"with {number(1e3 * margin)} mm of stroke left"
-                    if margin >= 0
-                    else f"{number(-1e3 * margin)} mm beyond its stroke"
+                    f"with {number(1e3 * leg.margin)} mm of stroke left"
+                    if leg.within
+                    else f"{number(-1e3 * leg.margin)} mm beyond its stroke"
                 )
                 + "; "
             )
