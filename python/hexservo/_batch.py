@@ -145,7 +145,8 @@ def simulate_batch(
 
     Each run is the scenario with one row of every variation, as ``simulate(scenario.updated({key: row}))`` is, one per
     lane of the processor's vector registers, on all cores. A run depends on its own scenario only: not on the other
-    ones, their number or order, nor on the number of threads, bit for bit. It agrees with `simulate` to rounding.
+    ones, their number or order, nor on the number of threads, bit for bit within one variant. It agrees with `simulate`
+    to rounding.
 
     Parameters
     ----------

@@ -118,7 +118,7 @@ COLUMNS = (
 class Comparison:
     """Several laws on several scenarios, one row for each pair: scenario by scenario, law by law, as they were given.
 
-    A row depends on its law and scenario only, not on the other rows, bit for bit.
+    A row depends on its law and scenario only, not on the other rows, bit for bit within one variant.
     """
 
     laws: tuple[str, ...]

@@ -44,7 +44,7 @@ struct FrameSettings {
   S quantisation{0.0};         ///< coordinates are multiples of it [px], 0: of nothing
   S dropout{0.0};              ///< probability that a frame never arrives [1], 0
   S outlier_probability{0.0};  ///< that a point of a frame is an outlier [1], 0
-  S outlier_size{0.0};         ///< standard deviation of an outlier's coordinates about the true ones [px], 0
+  S outlier_size{0.0};         ///< standard deviation of what is added to the noisy coordinates of an outlier [px], 0
   Vector2<S> image_size = Vector2<S>::Constant(S(std::numeric_limits<double>::infinity()));  ///< width, height [px]
 
   template <class F, class A, class B>

@@ -1,9 +1,9 @@
 /// @file
 /// The one list of control laws. What exists once per law (numbers, explicit instantiations, bindings) follows from it.
 ///
-/// A new law is a header with its equation beside this one, its file in cpp/src/laws, files cpp/src/kernel_<law>.cpp
-/// and kernel_<law>_sampled.cpp, and a line here; its gains are bound in bind_settings.cpp and have a block in
-/// _scenario.py.
+/// A new law is a header with its equation beside this one, its file in cpp/src/laws, cpp/src/kernel_<law>.cpp and a
+/// line here. Laws with fuzzy systems have their sampled loop in kernel_<law>_sampled.cpp, compiled side by side. The
+/// gains are bound in bind_settings.cpp and have a block in _scenario.py.
 #pragma once
 
 #include <type_traits>
