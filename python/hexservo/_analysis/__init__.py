@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
+
+from hexservo._analysis._not_computed import NotComputed, not_computed
 from hexservo._evidence import Section, as_data
 from hexservo._scenario import Scenario
 
-__all__ = ["PARTS", "Analysis", "analyse"]
+__all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
+
+_Found = TypeVar("_Found")
 
 # name -> (module of this package, what it answers). Each module has analyse(scenario), whose result has section().
 PARTS: dict[str, tuple[str, str]] = {
@@ -26,7 +32,10 @@ PARTS: dict[str, tuple[str, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What is known of a scenario before it runs: one result per part, by the part's name."""
+    """What is known of a scenario before it runs: one result per part, by the part's name.
+
+    A part whose numbers leave the range of double precision, or whose matrices are singular, is a `NotComputed`.
+    """
 
     scenario: Scenario
     parts: dict[str, Any]
@@ -40,7 +49,11 @@ class Analysis:
 
     def sections(self) -> tuple[Section, ...]:
         """Words, tables and pictures of all parts, in their order."""
-        return tuple(part.section() for part in self.parts.values())
+        return tuple(self._section(name, part) for name, part in self.parts.items())
+
+    def _section(self, name: str, part: Any) -> Section:
+        found: Section | NotComputed = _computed(self.scenario, name, part.section)
+        return found.section() if isinstance(found, NotComputed) else found
 
     def to_dict(self) -> dict[str, Any]:
         """Give all numbers as strict JSON has them, by part; SI units and pixels."""
@@ -82,5 +95,15 @@ def analyse(
         if name in asked:
             if progress is not None:
                 progress(name)
-            found[name] = import_module(f"hexservo._analysis.{module}").analyse(scenario)
+            part = import_module(f"hexservo._analysis.{module}").analyse
+            found[name] = _computed(scenario, name, partial(part, scenario))
     return Analysis(scenario, found)
+
+
+def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:
+    """Give what a function returns, or why it cannot be computed; a number that overflows is a reason, too."""
+    try:
+        with np.errstate(over="raise", invalid="raise", divide="raise", under="ignore"):
+            return of()
+    except (ArithmeticError, ValueError) as error:  # LinAlgError is a ValueError, FloatingPointError an ArithmeticError
+        return not_computed(scenario, name, PARTS[name][1], error)

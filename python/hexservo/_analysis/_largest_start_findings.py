@@ -33,7 +33,8 @@ class Direction:
     tried: Tried  # by size
     settling: dict[float, float]  # [s], of those that settled
     settles_later: bool | None  # whether the smallest that fails settles in a longer run; None where there was none
-    beyond_stroke: float | None  # smallest size that settles with a leg beyond its stroke on the way
+    # Largest leg travel [m] by size, of those that fail for that alone: the image error settles, or the run was stopped
+    beyond: dict[float, float]
     error: float  # [px], largest |xi_d - xi| at the start for the size `settles_to`, NaN for none
 
     @property
@@ -45,6 +46,11 @@ class Direction:
     def fails_at(self) -> float | None:
         """Smallest size that was seen to fail; None where none was."""
         return border(self.tried)[1]
+
+    @property
+    def beyond_stroke(self) -> float | None:
+        """Smallest size whose image error settles with a leg beyond its stroke on the way; None where none was seen."""
+        return min(self.beyond, default=None)
 
     @property
     def settles_again(self) -> bool:
@@ -76,6 +82,9 @@ class Timing:
     prediction: str  # none | encoder
     other: float  # [s], the one that is held
     tried: Tried  # by time [s]
+    beyond: dict[
+        float, float
+    ]  # largest leg travel [m] by time [s], of those that fail for a leg beyond its stroke alone
 
     @property
     def settles_to(self) -> float | None:
@@ -89,6 +98,13 @@ class Timing:
     def fails_at(self) -> float | None:
         """Smallest time [s] that was seen to fail; None where none was."""
         return border(self.tried)[1]
+
+    @property
+    def limited_by(self) -> str | None:
+        """What fails first, `error` or `stroke`; None where nothing was seen to fail."""
+        if self.fails_at is None:
+            return None
+        return "stroke" if self.fails_at in self.beyond else "error"
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +150,8 @@ class LargestStart:
             words.append("No pose within the region searched shows the goal image: the task's own way was not tried.")
         elif own.fails_at is None:
             words.append(
-                f"In all runs along the task's own way the error settles within {self.duration:g} s, up to "
-                f"{own.largest:.3g} times the task "
+                f"In all runs along the task's own way the error settles within {self.duration:g} s and the stroke, up "
+                f"to {own.largest:.3g} times the task "
                 f"({own.amount(own.largest)}), the largest that {_LIMITS[own.limited_by]} (empirical)."
             )
         elif own.settles_to == 0.0:
@@ -146,12 +162,15 @@ class LargestStart:
             )
         else:
             words.append(
-                f"Along the task's own way errors settle within {self.duration:g} s up to {own.settles_to:.3g} times "
+                f"Along the task's own way errors settle within {self.duration:g} s and the stroke up to "
+                f"{own.settles_to:.3g} times "
                 f"the task ({own.amount(own.settles_to)}, {own.error:.3g} px); {own.fails_at:.3g} times "
                 f"{self._failure(own)} (empirical)."
             )
         words.append(self._others())
-        words += self._timing_words() or ["The task itself does not settle: camera times were not tried."]
+        words += self._timing_words() or [
+            "The task itself does not settle within the stroke: camera times were not tried."
+        ]
         again = [d.name for d in self.directions if d.settles_again]
         words.append(
             f"All of this is tried out with {self.runs} runs of {self.duration:g} s, not derived: sizes between those "
@@ -165,7 +184,8 @@ class LargestStart:
         failing = [d for d in others if d.fails_at is not None]
         if not failing:
             return (
-                f"Along all {len(others)} axes and turns every goal tried settles within {self.duration:g} s, up to "
+                f"Along all {len(others)} axes and turns every goal tried settles within {self.duration:g} s and the "
+                "stroke, up to "
                 "the end of the stroke, of what the camera sees or of the region searched."
             )
         worst = min(failing, key=lambda d: d.settles_to / d.largest)
@@ -180,6 +200,9 @@ class LargestStart:
 
     def _failure(self, direction: Direction) -> str:
         """Say what happened to the smallest size that fails, in a longer run too."""
+        if direction.fails_at in direction.beyond:
+            travel = 1e3 * direction.beyond[direction.fails_at]
+            return f"takes a leg {number(travel)} mm from its length at home, beyond its stroke"
         if direction.settles_later is None:
             return "does not"
         later = f"within {self.longer:g} s"
@@ -198,11 +221,19 @@ class LargestStart:
                     parts.append(f"every {t.what} tried settles {held}, up to {1e3 * t.settles_to:.4g} ms")
                 else:
                     parts.append(
-                        f"a {t.what} of {1e3 * t.settles_to:.4g} ms settles {held} and {1e3 * t.fails_at:.4g} ms fails"
+                        f"a {t.what} of {1e3 * t.settles_to:.4g} ms settles {held} and {1e3 * t.fails_at:.4g} ms "
+                        + self._timing_failure(t)
                     )
             how = "without prediction" if prediction == "none" else "with prediction by the encoders"
             words.append(f"The task itself, {self.assumed}{how}: {'; '.join(parts)}.")
         return words
+
+    @staticmethod
+    def _timing_failure(timing: Timing) -> str:
+        """Say what the smallest time that fails fails by."""
+        if timing.fails_at not in timing.beyond:
+            return "does not settle"
+        return f"takes a leg {number(1e3 * timing.beyond[timing.fails_at])} mm from home, beyond its stroke"
 
     def _items(self) -> list[Item]:
         rows: list[list[Cell]] = [
@@ -229,13 +260,13 @@ class LargestStart:
             Column("largest possible"),
             Column("limited by"),
             Column("settles again beyond"),
-            Column("leaves the stroke on the way from"),
+            Column("fails by the stroke alone from"),
             Column("runs", "", "d"),
         ]
         note = (
-            f"Settles: the run of {self.duration:g} s completes and stays within 2 px for its last "
-            f"{100 * DWELL:.0f} %; one that is only slow fails, and one that starts within 2 px needs no motion. "
-            "The border lies between two sizes that were run."
+            f"Settles: the run of {self.duration:g} s completes, stays within 2 px for its last {100 * DWELL:.0f} % "
+            "and keeps all legs within their stroke; one that is only slow fails, and one that starts within 2 px "
+            "needs no motion. The border lies between two sizes that were run."
         )
         items: list[Item] = [Table("Starting errors that settle (empirical)", columns, rows, note, PAGE)]
         if self.timings:
@@ -246,6 +277,7 @@ class LargestStart:
                     1e3 * t.other,
                     None if t.settles_to is None else 1e3 * t.settles_to,
                     None if t.fails_at is None else 1e3 * t.fails_at,
+                    None if t.limited_by is None else _LIMITING[t.limited_by],
                     len(t.tried),
                 ]
                 for t in self.timings
@@ -259,6 +291,7 @@ class LargestStart:
                         Column("the other one", "ms", ".4g"),
                         Column("settles up to", "ms", ".4g"),
                         Column("smallest that fails", "ms", ".4g"),
+                        Column("limited by"),
                         Column("runs", "", "d"),
                     ],
                     timing_rows,
@@ -318,6 +351,7 @@ class LargestStart:
                     "other": t.other,
                     "settles_to": t.settles_to,
                     "fails_at": t.fails_at,
+                    "limited_by": t.limited_by,
                     "times": sorted(t.tried),
                     "settled": [t.tried[time] for time in sorted(t.tried)],
                 }
@@ -330,6 +364,7 @@ _NAMES = {
     "own": "the task's own",
     **{f"{kind} {sign}{axis}": f"{kind} {sign}{axis}" for kind in ("shift", "turn") for sign in "+-" for axis in "xyz"},
 }
+_LIMITING = {"error": "image error", "stroke": "stroke of the legs"}
 _LIMITS = {
     "stroke": "the stroke allows",
     "view": "leaves all points in front of the camera",

@@ -73,7 +73,7 @@ class LinearPlant:
 class _Tick:
     """Camera, prediction and servo tick of a scenario at poses near rest."""
 
-    def __init__(self, scenario: Scenario, scene: Scene, *, smooth: bool) -> None:
+    def __init__(self, scenario: Scenario, scene: Scene, *, smooth: bool, weights: Array | None = None) -> None:
         settings = core_parameters(scenario)
         self.scenario = scenario
         self.points = scene.points
@@ -90,6 +90,8 @@ class _Tick:
                 gains: Any = settings.gains
                 gains.kv = np.zeros(6)
         self.core = _core.Controller(settings, scenario.simulation.step)
+        self.weights = weights
+        self.probe = _core.Probe(settings)
 
     def _believed(self, pose: Poses) -> Array:
         """Lift the image of a pose with the depths that the controller knows: the points as it believes them, (4, 3).
@@ -119,10 +121,23 @@ class _Tick:
             raise NoRestError(f"the law cannot be evaluated near its goal ({status.name})")
         return wrench, fuzzy
 
+    def wrench(self, frame: Array, pose: Poses, twist: Array) -> Array:
+        """Wrench that the law gives with `weights`, (6,)."""
+        features, depth = self.image(frame, pose)
+        state = (features, depth, pose.position, pose.quaternion, twist, self.weights)
+        return np.asarray(self.probe.law(*(None if part is None else part[None] for part in state)).wrench[0])
+
     def response(self, frame: Array, displacement: Array, twist: Array) -> Array:
-        """Wrench of one tick away from rest, and the fuzzy outputs of the two ticks at rest that follow it, (18,)."""
+        """Wrench of one tick away from rest, and the fuzzy outputs of the two ticks at rest that follow it, (18,).
+
+        What a tick teaches does not depend on the weights: the outputs that follow are those after the weights of the
+        scenario, the wrench is that with `weights`.
+        """
         self.core.reset()
-        wrench, _ = self.step(frame, self.rest.moved(displacement), twist)
+        pose = self.rest.moved(displacement)
+        wrench, _ = self.step(frame, pose, twist)
+        if self.weights is not None:
+            wrench = self.wrench(frame, pose, twist)
         following = [self.core.step(*self.resting)[2] for _ in range(2)]
         return np.concatenate([wrench, *following])
 
@@ -219,7 +234,9 @@ def _settled(tick: _Tick, pose: Poses) -> tuple[Poses, bool]:
     return tick.rest, False
 
 
-def linear_law(scenario: Scenario, scene: Scene, pose: Poses, *, smooth: bool = False) -> LinearLaw:
+def linear_law(
+    scenario: Scenario, scene: Scene, pose: Poses, *, smooth: bool = False, weights: Array | None = None
+) -> LinearLaw:
     """Linearise the servo tick of a scenario where its loop rests.
 
     Parameters
@@ -233,13 +250,15 @@ def linear_law(scenario: Scenario, scene: Scene, pose: Poses, *, smooth: bool = 
     smooth
         K_v acts with the slope ``k_v / controller.switching.width`` that ``tanh`` and ``saturation`` have at rest;
         otherwise K_v = 0.
+    weights
+        Of the fuzzy systems, (6, 7, 7) [N; N m]; None: those that the scenario starts with.
 
     Raises
     ------
     NoRestError
         Where the law cannot be evaluated there.
     """
-    tick = _Tick(scenario, scene, smooth=smooth)
+    tick = _Tick(scenario, scene, smooth=smooth, weights=weights)
     tick.at(pose)
     width = scenario.controller.switching.width
     return _law_at(tick, min(_TWIST_STEP, 1e-3 * width) if smooth else _TWIST_STEP)

@@ -49,6 +49,17 @@ def analyse(scenario: Scenario) -> LargestStart:
     return LargestStart(law, "", directions, timings, trial.duration, longer, trial.runs, at_goal, assumed)
 
 
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """How variations of a scenario end, one row each."""
+
+    settled: NDArray[np.bool_]  # in the image, with all legs within their stroke all the way
+    only_stroke: NDArray[np.bool_]  # would have settled but for a leg beyond its stroke
+    times: Array  # [s], settling time of the image error; NaN: none
+    travel: Array  # [m], largest leg travel from home
+    ran: NDArray[np.bool_]  # False: refused by the core
+
+
 class _Trial:
     """Runs variations of a scenario for one duration, and counts them."""
 
@@ -74,18 +85,17 @@ class _Trial:
 
     def _task_settles(self) -> bool:
         goal = np.array([self.scenario.target.desired_features])
-        return bool(self.settled({"target.desired_features": goal})[0][0])
+        return bool(self.ends({"target.desired_features": goal}).settled[0])
 
-    def settled(
-        self, variations: Mapping[str, Array], scenario: Scenario | None = None
-    ) -> tuple[NDArray[np.bool_], Array, Array, NDArray[np.bool_]]:
-        """Tell of each variation whether it settles, when [s], its largest leg travel [m], and whether it was run.
+    def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> _Ends:
+        """Run each variation and say how it ends.
 
         What the core refuses, such as a goal that the search of `pbvs` does not find, is not run.
         """
         base = self.scenario if scenario is None else scenario
         count = max(len(values) for values in variations.values())
-        good, ran = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
+        in_image, stopped = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+        ran = np.ones(count, dtype=bool)
         times, travel = np.full(count, np.nan), np.full(count, np.nan)
         while ran.any():
             rows = np.flatnonzero(ran)
@@ -101,9 +111,11 @@ class _Trial:
             self.runs += len(rows)
             times[rows], travel[rows] = batch.metrics["settling_time"], batch.metrics["peak_leg_excursion"]
             # NaN, where a run ends outside, compares as false
-            good[rows] = (batch.outcome == "completed") & (times[rows] <= (1.0 - DWELL) * base.simulation.duration)
+            in_image[rows] = (batch.outcome == "completed") & (times[rows] <= (1.0 - DWELL) * base.simulation.duration)
+            stopped[rows] = batch.outcome == "leg_limit"
             break
-        return good, times, travel, ran
+        within = travel <= base.robot.stroke
+        return _Ends(in_image & within, (in_image & ~within) | stopped, times, travel, ran)
 
 
 def _whole(duration: float, step: float) -> float:
@@ -124,7 +136,7 @@ class _Way:
     limited_by: str
     tried: Tried
     settling: dict[float, float]
-    travel: dict[float, float]
+    beyond: dict[float, float]
 
 
 def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
@@ -138,14 +150,16 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
             return
         moves = np.array([size * way.unit for way, size in rows])
         features, _ = scene.image(scene.home.moved(moves))
-        good, times, travel, ran = trial.settled({"target.desired_features": features})
-        for (way, size), settled, time, legs, there in zip(rows, good, times, travel, ran, strict=True):
-            if not there:
+        ends = trial.ends({"target.desired_features": features})
+        for k, (way, size) in enumerate(rows):
+            if not ends.ran[k]:
                 way.largest, way.limited_by = min(way.largest, size), "core"
                 continue
-            way.tried[size], way.travel[size] = bool(settled), float(legs)
-            if settled:
-                way.settling[size] = float(time)
+            way.tried[size] = bool(ends.settled[k])
+            if ends.only_stroke[k]:
+                way.beyond[size] = float(ends.travel[k])
+            if ends.settled[k]:
+                way.settling[size] = float(ends.times[k])
 
     def grid(way: _Way) -> list[float]:
         sizes = [way.largest * k / _GRID for k in range(1, _GRID + 1)]
@@ -176,7 +190,7 @@ def _settles_later(scene: Scene, trial: _Trial, ways: list[_Way]) -> list[bool |
     if rows and trial.duration < trial.longer:
         moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows])
         features, _ = scene.image(scene.home.moved(moves))
-        good = trial.settled({"target.desired_features": features}, trial.longest())[0]
+        good = trial.ends({"target.desired_features": features}, trial.longest()).settled
         for i, settled in zip(rows, good, strict=True):
             found[i] = bool(settled)
     return found
@@ -221,7 +235,6 @@ def _described(scene: Scene, way: _Way, settles_later: bool | None) -> Direction
     if settles_to > 0.0:
         goal = scene.home.moved(settles_to * way.unit)
         error = float(np.abs(scene.image(goal)[0] - scene.image(scene.home)[0]).max())
-    beyond = [size for size, good in way.tried.items() if good and way.travel[size] > scene.stroke]
     return Direction(
         way.name,
         way.unit,
@@ -230,7 +243,7 @@ def _described(scene: Scene, way: _Way, settles_later: bool | None) -> Direction
         way.tried,
         way.settling,
         settles_later,
-        min(beyond, default=None),
+        way.beyond,
         error,
     )
 
@@ -256,20 +269,25 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
         base = sampled.updated({"camera.prediction": prediction})
         for what in ("period", "latency"):
             other = base.camera.latency if what == "period" else base.camera.period
-            found.append(Timing(what, prediction, other, _times(base, what, trial)))
+            found.append(Timing(what, prediction, other, *_times(base, what, trial)))
     return tuple(found), assumed
 
 
-def _times(base: Scenario, what: str, trial: _Trial) -> Tried:
+def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float, float]]:
     """Try one time of the camera: a grid, then between the last that settles and the first that fails, in ticks."""
     step = base.simulation.step
     tried: dict[int, bool] = {}
+    beyond: dict[float, float] = {}
 
     def run(ticks: list[int]) -> None:
         new = sorted(set(ticks) - set(tried))
         if new:
-            good, _, _, ran = trial.settled({f"camera.{what}": np.array([tick * step for tick in new])}, base)
-            tried.update({tick: bool(g) for tick, g, there in zip(new, good, ran, strict=True) if there})
+            ends = trial.ends({f"camera.{what}": np.array([tick * step for tick in new])}, base)
+            for k, tick in enumerate(new):
+                if ends.ran[k]:
+                    tried[tick] = bool(ends.settled[k])
+                if ends.only_stroke[k]:
+                    beyond[tick * step] = float(ends.travel[k])
 
     run([*_TICKS] if what == "period" else [0, *_TICKS])
     for _ in range(_ROUNDS):
@@ -278,4 +296,4 @@ def _times(base: Scenario, what: str, trial: _Trial) -> Tried:
             break
         low = max((tick for tick, good in tried.items() if good and tick < failed), default=failed)
         run([low + round(part * (failed - low)) for part in (0.25, 0.5, 0.75)])
-    return {tick * step: good for tick, good in tried.items()}
+    return {tick * step: good for tick, good in tried.items()}, beyond
