@@ -265,7 +265,7 @@ def test_modes_that_stay_in_scenarios(changes: dict[str, Any], expected: int) ->
 # ---- The law and the plant as matrices ------------------------------------------------------------------------------
 
 
-def rest_and_law(scenario: hs.Scenario, **options: bool) -> tuple[Any, Any]:
+def rest_and_law(scenario: hs.Scenario, **options: Any) -> tuple[Any, Any]:
     calm, scene = quiet(scenario), scene_of(scenario)
     rest = rest_of(calm, scene)
     return rest, linear_law(calm, scene, rest.view.pose, **options)

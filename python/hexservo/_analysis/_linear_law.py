@@ -124,8 +124,9 @@ class _Tick:
     def wrench(self, frame: Array, pose: Poses, twist: Array) -> Array:
         """Wrench that the law gives with `weights`, (6,)."""
         features, depth = self.image(frame, pose)
-        state = (features, depth, pose.position, pose.quaternion, twist, self.weights)
-        return np.asarray(self.probe.law(*(None if part is None else part[None] for part in state)).wrench[0])
+        weights = None if self.weights is None else self.weights[None]
+        state = [part[None] for part in (features, depth, pose.position, pose.quaternion, twist)]
+        return np.asarray(self.probe.law(*state, weights).wrench[0])
 
     def response(self, frame: Array, displacement: Array, twist: Array) -> Array:
         """Wrench of one tick away from rest, and the fuzzy outputs of the two ticks at rest that follow it, (18,).
