@@ -126,7 +126,7 @@ class _Tick:
         features, depth = self.image(frame, pose)
         weights = None if self.weights is None else self.weights[None]
         state = [part[None] for part in (features, depth, pose.position, pose.quaternion, twist)]
-        return np.asarray(self.probe.law(*state, weights).wrench[0])
+        return np.asarray(self.probe.law(*state, weights=weights).wrench[0])
 
     def response(self, frame: Array, displacement: Array, twist: Array) -> Array:
         """Wrench of one tick away from rest, and the fuzzy outputs of the two ticks at rest that follow it, (18,).
