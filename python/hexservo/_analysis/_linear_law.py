@@ -125,8 +125,8 @@ class _Tick:
         """Wrench that the law gives with `weights`, (6,)."""
         features, depth = self.image(frame, pose)
         weights = None if self.weights is None else self.weights[None]
-        state = [part[None] for part in (features, depth, pose.position, pose.quaternion, twist)]
-        return np.asarray(self.probe.law(*state, weights=weights).wrench[0])
+        at = (pose.position[None], pose.quaternion[None], twist[None])
+        return np.asarray(self.probe.law(features[None], depth[None], *at, weights).wrench[0])
 
     def response(self, frame: Array, displacement: Array, twist: Array) -> Array:
         """Wrench of one tick away from rest, and the fuzzy outputs of the two ticks at rest that follow it, (18,).
