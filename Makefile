@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test asan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper test asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -30,6 +30,7 @@ help:
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
+	make tsan     run the C++ tests under the thread sanitizer
 	make format   format the C++ and Python files
 	make clean    remove what the others built (.venv, build, caches), not the results in out
 	The first two install what is missing, Debian packages included, and are quick the second time.
@@ -72,6 +73,9 @@ test:
 
 asan: $(BUILD_TOOLS)
 	@cmake --workflow --preset asan
+
+tsan: $(BUILD_TOOLS)
+	@cmake --workflow --preset tsan
 
 # Google Benchmark is wanted, for the parts of the core, and not needed; APT=no goes without it where it is missing.
 benchmark-setup:

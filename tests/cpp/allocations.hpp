@@ -12,7 +12,17 @@ namespace hexservo::test {
 inline std::atomic<long long> allocations{0};
 }
 
-#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)  // the sanitizer has a malloc of its own
+// The address and the thread sanitizer have a malloc of their own. GCC defines a macro for each, Clang has a feature.
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define HEXSERVO_SANITIZER_MALLOC
+#endif
+#endif
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define HEXSERVO_SANITIZER_MALLOC
+#endif
+
+#if defined(__GLIBC__) && !defined(HEXSERVO_SANITIZER_MALLOC)
 extern "C" {
 void* __libc_malloc(std::size_t size);
 void* malloc(std::size_t size) noexcept {
