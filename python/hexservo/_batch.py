@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -13,13 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo import _core
+from hexservo._display import batch_html, batch_text
 from hexservo._metrics import METRICS
 from hexservo._parameters import core_parameters
+from hexservo._progress import progress_bar
 from hexservo._result import _QUANTITIES, _TERMS, _WRENCH
 from hexservo._scenario import LAWS, NumericKey, Scenario, ScenarioError, numeric_keys
 from hexservo._variant import chosen_kernel
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 __all__ = ["BatchResult", "simulate_batch", "whole"]
@@ -38,7 +42,7 @@ _CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda c
 _MAX_THREADS = 1024
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BatchResult:
     """What n scenarios gave, in the order of their variations. Axis 0 of every array is the scenario.
 
@@ -57,6 +61,15 @@ class BatchResult:
     # units and orders as in Result; fuzzy_weights (n, 6, 7, 7) likewise. log "metrics": empty. NaN where interrupted.
     samples: Mapping[str, Array] = field(repr=False)
     time: Array | None = field(repr=False)  # (m,) [s], of trajectories
+    controller: str | None = None  # name of the custom controller that acted; None: the scenario's law did
+
+    def __repr__(self) -> str:
+        """Give the batch in a few lines."""
+        return batch_text(self)
+
+    def _repr_html_(self) -> str:
+        """Give outcomes, metrics and a figure for a notebook."""
+        return batch_html(self)
 
     def __len__(self) -> int:
         """Give the number of scenarios."""
@@ -74,6 +87,29 @@ class BatchResult:
             return "interrupted before its end"
         cause = _core.StopCause[str(self.cause[index])]
         return _core.describe(cause, float(self.stop_time[index]), int(self.limit_leg[index]) - 1)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the batch as a flat table: a row for each run, with what varies, how it ended, and its metrics.
+
+        Columns: varied keys by their dotted names, entries of arrays as ``controller.hybrid.kv[0]``; ``outcome``,
+        ``cause``, ``limit_leg``, ``end_time``, ``stop_time``; metrics by their names in `hs.METRICS`. The index is the
+        scenario. ``attrs["units"]`` maps times and metrics to their units.
+        """
+        import pandas as pd
+
+        columns: dict[str, Any] = {}
+        for key, values in self.variations.items():
+            rows = np.broadcast_to(values, (len(self), *values.shape[1:]))
+            for place in np.ndindex(values.shape[1:]):
+                columns[key + "".join(f"[{index}]" for index in place)] = rows[(slice(None), *place)]
+        columns |= {name: getattr(self, name) for name in ("outcome", "cause", "limit_leg", "end_time", "stop_time")}
+        table = pd.DataFrame({**columns, **self.metrics}, index=pd.RangeIndex(len(self), name="scenario"))
+        table.attrs = {
+            "scenario": self.scenario.name,
+            "controller": self.controller or self.scenario.controller.law,
+            "units": {"end_time": "s", "stop_time": "s", **{name: METRICS[name][0] for name in self.metrics}},
+        }
+        return table
 
     def to_xarray(self) -> xarray.Dataset:
         """Give the batch as a dataset with the dimension ``scenario``, labelled, with units.
@@ -309,30 +345,14 @@ def _reporting(progress: bool | ProgressCallback | None) -> Iterator[Callable[[i
     elif callable(progress):
         yield lambda done, count, steps, total_steps: progress(done, count)
     elif progress is True:
-        with _bar() as report:
+        started = time.monotonic()
+        with progress_bar("scenarios") as draw:
+
+            def report(done: int, count: int, steps: int, total_steps: int) -> None:
+                elapsed = time.monotonic() - started
+                rate = f"{steps / elapsed / 1e6:.3g} million steps/s" if elapsed and steps else "checking"
+                draw(done, count, steps / total_steps if total_steps else None, rate)
+
             yield report
     else:
         raise TypeError(f"progress: expected True, a function or None, got {type(progress).__name__}")
-
-
-@contextlib.contextmanager
-def _bar() -> Iterator[Callable[[int, int, int, int], object]]:
-    """Draw a bar with scenarios, rate and time left on standard error."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.fields[done]} of {task.fields[count]} scenarios"),
-        BarColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=False) as bar:
-        task = bar.add_task("batch", total=None, done=0, count="?", rate="")
-
-        def report(done: int, count: int, steps: int, total_steps: int) -> None:
-            elapsed = bar.tasks[0].elapsed
-            rate = f"{steps / elapsed / 1e6:.3g} million steps/s" if elapsed and steps else "checking"
-            bar.update(task, completed=steps, total=total_steps or None, done=done, count=count, rate=rate)
-
-        yield report

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo._batch import ProgressCallback, simulate_batch
+from hexservo._display import comparison_html, comparison_text
 from hexservo._metrics import METRICS, metrics
+from hexservo._progress import progress_bar
 from hexservo._scenario import LAWS, Scenario, ScenarioError, load_scenario, numeric_keys
 from hexservo._simulation import simulate
 
@@ -35,7 +37,7 @@ _MAX_WHOLE = 2**53  # a whole number above it is no float, as which a batch take
 _THRESHOLD = _core.MetricsSettings().settling_threshold  # [px]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ComparisonRow:
     """What one law did in one scenario."""
 
@@ -48,6 +50,10 @@ class ComparisonRow:
     metrics: Mapping[str, float] = field(default_factory=dict, repr=False)  # of hs.METRICS; NaN without a run
     time: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) [s], n at most about 5000
     error: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) [px], largest |feature error|
+
+    def __repr__(self) -> str:
+        """Give law, scenario and verdict."""
+        return f"<{self.law} on {self.scenario.name}: {self.verdict}; {self.why}>"
 
     @property
     def settled(self) -> bool:
@@ -114,7 +120,7 @@ COLUMNS = (
 """What the table for people shows, in this order; `to_csv` has all metrics."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Several laws on several scenarios, one row for each pair: scenario by scenario, law by law, as they were given.
 
@@ -124,6 +130,14 @@ class Comparison:
     laws: tuple[str, ...]
     scenarios: tuple[Scenario, ...]  # with the changes, and the law that they came with
     rows: tuple[ComparisonRow, ...]
+
+    def __repr__(self) -> str:
+        """Give the verdicts in a line for each law."""
+        return comparison_text(self)
+
+    def _repr_html_(self) -> str:
+        """Give table and figure for a notebook."""
+        return comparison_html(self)
 
     @property
     def interrupted(self) -> bool:
@@ -452,12 +466,7 @@ def _reporting(progress: bool | ProgressCallback | None, count: int) -> Iterator
     elif callable(progress):
         yield lambda done: progress(done, count)
     elif progress is True:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-        columns = (TextColumn("{task.completed} of {task.total} runs"), BarColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task("comparison", total=count)
-            yield lambda done: bar.update(task, completed=done)
+        with progress_bar("runs", transient=True) as draw:
+            yield lambda done: draw(done, count, done / count)
     else:
         raise TypeError(f"progress: expected True, a function or None, got {type(progress).__name__}")

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
+from hexservo._display import result_html, result_text
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
     from hexservo._scenario import Scenario
@@ -70,7 +72,7 @@ class LimitEvent:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """Samples of one run, on the grid that ``simulation.log_every`` asks for; the last good sample is always there.
 
@@ -100,10 +102,44 @@ class Result:
     weight_history: Array | None = field(default=None, repr=False)  # (n, 6, 7, 7) like fuzzy_weights, where logged
     version: str = field(default_factory=lambda: _core.build_info()["hexservo"], repr=False)  # of hexservo that ran it
 
+    def __repr__(self) -> str:
+        """Give the run in a few lines."""
+        return result_text(self)
+
+    def _repr_html_(self) -> str:
+        """Give summary, metrics and figures for a notebook."""
+        return result_html(self)
+
     @property
     def features(self) -> Array:
         """True feature coordinates, (n, 8) [px]."""
         return np.asarray(self.scenario.target.desired_features) - self.feature_error
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the run as a flat table: a row for each sample, a column for each scalar.
+
+        The index is the time [s]. Columns are named after array and component, such as ``feature_error_x1``,
+        ``twist_wz`` and ``leg_forces_6``; ``attrs["units"]`` maps each to its unit, and ``attrs`` also holds scenario,
+        controller and outcome. Weights of the fuzzy systems are no columns: `to_xarray` has them.
+        """
+        import pandas as pd
+
+        columns: dict[str, Array] = {}
+        units: dict[str, str] = {}
+        for name, (_, labels, unit, _meaning) in _QUANTITIES.items():
+            of_force, _, of_moment = unit.partition("; ")
+            for number, label in enumerate(labels):
+                column = f"{name}_{label}"
+                columns[column] = getattr(self, name)[:, number]
+                units[column] = of_moment if of_moment and number >= 3 else of_force
+        table = pd.DataFrame(columns, index=pd.Index(self.time, name="time"))
+        table.attrs = {
+            "scenario": self.scenario.name,
+            "controller": self.controller,
+            "outcome": self.outcome,
+            "units": {"time": "s", **units},
+        }
+        return table
 
     def to_xarray(self) -> xarray.Dataset:
         """Give the run as a dataset with labelled dimensions and units.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -12,12 +13,22 @@ from hexservo._metrics import metrics
 if TYPE_CHECKING:
     from hexservo._result import Result
 
-__all__ = ["SETTLED", "extremes", "mean_samples", "moving_mean", "parts", "rotation_vectors"]
+__all__ = [
+    "SETTLED",
+    "ImageView",
+    "extremes",
+    "image_views",
+    "mean_samples",
+    "moving_mean",
+    "parts",
+    "rotation_vectors",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
 SETTLED = 2.0  # the settling band of the metrics [px]
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
+_SMALL = 0.4  # of the image: paths within this part of it are shown magnified as well
 _MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings
 
 
@@ -85,3 +96,40 @@ def moving_mean(values: Array, count: int) -> Array:
     index = np.arange(len(values))
     first, last = np.maximum(index - count // 2, 0), np.minimum(index + count // 2 + 1, len(values))
     return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class ImageView:
+    """The part of the image plane that axes show."""
+
+    middle: Array  # (2,) [px]
+    half: Array  # (2,), half the width and half the height [px]
+    border: tuple[float, float] | None  # width and height of the camera's image [px]; None: it has no border
+
+    @property
+    def limits(self) -> list[list[float]]:
+        """Limits of x and y [px]."""
+        return np.column_stack([self.middle - self.half, self.middle + self.half]).tolist()  # type: ignore[no-any-return]
+
+
+def image_views(result: Result) -> list[ImageView]:
+    """Return what axes of the image show: the paths and goals; with ``camera.image_size`` the image, in its shape.
+
+    Paths that leave the image widen that view in both directions alike. Where they take a small part of it, a second
+    view of the same shape magnifies them.
+    """
+    goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
+    places = np.concatenate([result.features.reshape(-1, 2), goals])
+    low, high = places.min(axis=0), places.max(axis=0)
+    middle, extent = (low + high) / 2, (high - low) / 2
+    size = result.scenario.camera.image_size
+    if size is None:
+        return [ImageView(middle, np.full(2, max(1.14 * float(extent.max()), 1.0)), None)]
+    border = (float(size[0]), float(size[1]))
+    shape = np.asarray(border, dtype=float) / 2
+    factor = max(1.0, float((np.abs(places) / shape).max()))
+    views = [ImageView(np.zeros(2), 1.04 * factor * shape, border)]
+    share = max(float((1.14 * extent / shape).max()), 1.0 / float(shape.min()))
+    if share < _SMALL:
+        views.append(ImageView(middle, share * shape, border))
+    return views

@@ -1,6 +1,7 @@
 """The paper's figures 2 to 5, drawn from a run. Nothing here simulates, and nothing touches pyplot or the user's style.
 
-Each function gives a `matplotlib.figure.Figure` of a printed column's or page's width, with text of 7 to 8 points.
+Each function returns a `matplotlib.figure.Figure` of a printed column's or page's width, with text of 7 to 8 points.
+Given ``ax`` or ``axes`` of an existing figure, it draws into these, in the caller's style, and returns them.
 `paper_figures` writes all of them. Lines keep every sample until that is more than print resolves; from there on they
 keep each bin's smallest and largest sample, so that no peak is lost.
 """
@@ -14,13 +15,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeAlias, TypeVar, overload
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
@@ -28,6 +30,7 @@ from hexservo import _core
 from hexservo._metrics import metrics
 from hexservo._parameters import core_parameters
 from hexservo._samples import SETTLED as _SETTLED
+from hexservo._samples import ImageView, image_views
 from hexservo._samples import extremes as _extremes
 from hexservo._samples import mean_samples as _mean_samples
 from hexservo._samples import moving_mean as _moving_mean
@@ -138,8 +141,12 @@ def _our_style() -> Iterator[None]:
 
 
 def _styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Draw in our style, except into axes of the caller's, which have a style already."""
+
     @wraps(function)
     def styled(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        if kwargs.get("ax") is not None or kwargs.get("axes") is not None:
+            return function(*args, **kwargs)
         with _our_style():
             return function(*args, **kwargs)
 
@@ -149,12 +156,30 @@ def _styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
 # ---- The figures ----------------------------------------------------------------------------------------------------
 
 
+@overload
+def rule_table(scenario: Scenario) -> Figure: ...
+
+
+@overload
+def rule_table(scenario: Scenario, *, ax: Axes) -> Axes: ...
+
+
 @_styled
-def rule_table(scenario: Scenario) -> Figure:
+def rule_table(scenario: Scenario, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the rule table of the fuzzy systems, figure 2(a) (docs/model.md section 5).
 
     Rows are the terms of the first input u (the scaled image wrench g of `hybrid`, pose error e of `composite`),
     columns those of its rate. A cell shows the output's term, or the number where it is no term's centre.
+
+    Parameters
+    ----------
+    ax
+        Axes to draw into; the colour bar takes its room from them. None: a new figure.
+
+    Returns
+    -------
+    Figure or Axes
+        The new figure, or `ax`.
 
     Raises
     ------
@@ -168,7 +193,7 @@ def rule_table(scenario: Scenario) -> Figure:
     terms = list(_TERMS)
     limit = max(1.0, float(np.abs(table).max()))
     figure = Figure(figsize=(_COLUMN, 2.75))
-    axes = _axes(figure, 0.52, 0.12, 2.2, 2.2)
+    axes = _axes(figure, 0.52, 0.12, 2.2, 2.2) if ax is None else ax
     image = axes.imshow(table, cmap=_DIVERGING, vmin=-limit, vmax=limit)
     for (row, column), value in np.ndenumerate(table):
         ink = "white" if abs(value) > 0.6 * limit else "black"
@@ -186,19 +211,45 @@ def rule_table(scenario: Scenario) -> Figure:
     axes.set_xlabel("rate of u [1]")
     meaning = "image wrench" if scenario.controller.law == "hybrid" else "pose error"
     axes.set_ylabel(f"u, the scaled {meaning} [1]")
-    bar = figure.colorbar(image, cax=_axes(figure, 2.82, 0.12, 0.1, 2.2), ticks=MaxNLocator(4))
+    place: dict[str, Any] = {"ax": axes} if ax is not None else {"cax": _axes(figure, 2.82, 0.12, 0.1, 2.2)}
+    bar = axes.figure.colorbar(image, ticks=MaxNLocator(4), **place)
     bar.outline.set_visible(False)
     bar.set_label("output [1]")
-    return figure
+    return figure if ax is None else ax
+
+
+@overload
+def feature_errors(result: Result) -> Figure: ...
+
+
+@overload
+def feature_errors(result: Result, *, ax: Axes) -> Axes: ...
 
 
 @_styled
-def feature_errors(result: Result) -> Figure:
+def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the eight feature errors in px over the time in s, figure 2(b).
 
     A run that settles is shown in two panels: until somewhat after it has settled, then the rest on a scale of its
     own. The band of ±2 px is shaded.
+
+    Parameters
+    ----------
+    ax
+        Axes to draw the whole run into. None: a new figure.
+
+    Returns
+    -------
+    Figure or Axes
+        The new figure, or `ax`.
     """
+    if ax is not None:
+        (panel,) = _whole_run(ax, result, [result.feature_error])
+        _draw_band(ax)
+        _fill([panel], result, result.feature_error, _FEATURE_NAMES, _FEATURE_INKS)
+        _describe([panel], "feature error [px]", f"Feature errors (shaded: ±{_SETTLED:g} px)", time=True)
+        _note_outcome(ax, result)
+        return ax
     figure = Figure(figsize=(_PAGE, 2.48))
     parts = _parts(result)
     if len(parts) == 1:
@@ -210,12 +261,11 @@ def feature_errors(result: Result) -> Figure:
         titles = [f"Within ±{_SETTLED:g} px (shaded) from {settled:.3g} s on", "The rest, magnified"]
     for part, (left, width), title in zip(parts, boxes, titles, strict=True):
         axes = _axes(figure, left, 0.48, width, 1.72)
-        axes.axhspan(-_SETTLED, _SETTLED, color="0.92", linewidth=0, zorder=0)
-        axes.axhline(0, color=_GREY, linewidth=0.5, zorder=1)
+        _draw_band(axes)
         errors = result.feature_error[part]
         _draw(axes, result.time[part], errors, _FEATURE_NAMES, _FEATURE_INKS)
         _set_limits(axes, result.time[part], errors)
-        _describe([_Panel(axes, part)], "feature error [px]", title, time=True)
+        _describe([_Panel(axes, part, fixed=True)], "feature error [px]", title, time=True)
     _label_ends(axes, dict(zip(_FEATURE_NAMES, errors[-1], strict=True)), _FEATURE_INKS)
     solid, dashed = (Line2D([], [], color=_GREY, linestyle=ink.dashes) for ink in _FEATURE_INKS[:2])
     _explain(figure, {"x₁ to x₄": solid, "y₁ to y₄": dashed})
@@ -223,92 +273,155 @@ def feature_errors(result: Result) -> Figure:
     return figure
 
 
+@overload
+def feature_paths(result: Result) -> Figure: ...
+
+
+@overload
+def feature_paths(result: Result, *, ax: Axes) -> Axes: ...
+
+
 @_styled
-def feature_paths(result: Result) -> Figure:
+def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the paths of the four features in the image plane in px, axes equal, figure 3.
 
-    The arrow shows the way each feature starts. y points up, as in (4) seen along the optical axis.
+    The arrow shows the direction in which each feature starts. y points up, as in (4) seen along the optical axis.
+    Where ``camera.image_size`` is given, the axes have the image's shape and show its border; where the paths take a
+    small part of the image, a second panel magnifies them.
+
+    Parameters
+    ----------
+    ax
+        Axes to draw into, without the second panel. None: a new figure.
+
+    Returns
+    -------
+    Figure or Axes
+        The new figure, or `ax`.
     """
-    features = result.features.reshape(-1, 4, 2)
-    goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
-    figure = Figure(figsize=(_COLUMN, 3.5))
-    axes = _axes(figure, 0.68, 0.48, 2.7, 2.7)
-    everything = np.concatenate([features.reshape(-1, 2), goals])
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    middle, half = (low + high) / 2, max(0.57 * float((high - low).max()), 1.0)
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
-    axes.set_aspect("equal", adjustable="box")
-    corner = _farther_apart(features[0], features[-1], 0.16 * half)
-    for number, path, goal, colour in zip(range(1, 5), features.swapaxes(0, 1), goals, _POINT_COLOURS, strict=True):
-        kept = np.union1d(_extremes(path[:, 0]), _extremes(path[:, 1]))
-        axes.plot(path[kept, 0], path[kept, 1], color=colour, linewidth=0.8, gid=f"path {number}")
-        for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):
-            looks = {"markerfacecolor": colour, **mark}
-            axes.plot(*place, color=colour, linestyle="", zorder=4, gid=f"{name} {number}", **looks)
-        _point_the_way(axes, path, max(0.55 * float(np.hypot(*(goal - path[0]))), 0.1 * half), colour, number)
-        named = path[corner]
-        away = tuple(7 * np.where(named < goal, -1, 1))
-        axes.annotate(
-            str(number), named, away, textcoords="offset points", color=colour, ha="center", va="center", bbox=_HALO
-        )
-    _label(axes, "x", "image x [px]")
-    _label(axes, "y", "image y [px]")
-    axes.legend(
-        handles=[
-            Line2D([], [], linestyle="", color=_GREY, label=name, **{"markerfacecolor": _GREY, **mark})
-            for name, mark in (("start", _START), ("end of the run", _END), ("goal", _GOAL))
-        ],
-        loc="lower left",
-        bbox_to_anchor=(-0.02, 0.985),
-        ncols=3,
-        handletextpad=0.1,
-        columnspacing=1.2,
-        borderpad=0.2,
-    )
+    views = image_views(result)
+    if ax is not None:
+        _draw_paths(ax, result, views[0])
+        ax.set_xlabel("image x [px]")
+        ax.set_ylabel("image y [px]")
+        ax.legend(handles=_path_marks(), loc="best", fontsize="small")
+        _note_outcome(ax, result)
+        return ax
+    height = 2.7 * float(views[0].half[1] / views[0].half[0])
+    figure = Figure(figsize=(_COLUMN if len(views) == 1 else _PAGE, height + 0.8))
+    for number, view in enumerate(views):
+        axes = _axes(figure, 0.68 + 3.6 * number, 0.48, 2.7, height)
+        _draw_paths(axes, result, view)
+        _label(axes, "x", "image x [px]")
+        _label(axes, "y", "image y [px]")
+        if number == 0:
+            axes.legend(
+                handles=_path_marks(),
+                loc="lower left",
+                bbox_to_anchor=(-0.02, 0.985),
+                ncols=3,
+                handletextpad=0.1,
+                columnspacing=1.2,
+                borderpad=0.2,
+            )
+        else:
+            axes.set_title("Magnified", loc="left")
     _note_outcome(figure, result)
     return figure
 
 
+@overload
+def platform_motion(result: Result) -> Figure: ...
+
+
+@overload
+def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any]) -> tuple[Axes, ...]: ...
+
+
 @_styled
-def platform_motion(result: Result) -> Figure:
+def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = None) -> Figure | tuple[Axes, ...]:
     """Draw the platform's position relative to home in mm and its rotation vector in mrad, in B, figure 4.
 
     The rotation vector is the axis times the angle (at most pi) of R_BE; at home it is zero.
+
+    Parameters
+    ----------
+    axes
+        Two axes to draw the whole run into: position, rotation vector. None: a new figure.
+
+    Returns
+    -------
+    Figure or tuple of Axes
+        The new figure, or `axes`.
+
+    Raises
+    ------
+    ValueError
+        For any other number of axes.
     """
     displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
     rotation = 1e3 * _rotation_vector(result.quaternion)
     figure = Figure(figsize=(_PAGE, 3.6))
-    upper = _panels(figure, result, (0.68, 2.01, 6.04, 1.3), [displacement])
-    lower = _panels(figure, result, (0.68, 0.48, 6.04, 1.3), [rotation])
+    given = None if axes is None else _given(axes, 2)
+    if given is None:
+        upper = _panels(figure, result, (0.68, 2.01, 6.04, 1.3), [displacement])
+        lower = _panels(figure, result, (0.68, 0.48, 6.04, 1.3), [rotation])
+    else:
+        upper = _whole_run(given[0], result, [displacement])
+        lower = _whole_run(given[1], result, [rotation])
     _fill(upper, result, displacement, ["x", "y", "z"], _AXES_INKS)
     _fill(lower, result, rotation, ["θx", "θy", "θz"], _AXES_INKS)
     _describe(upper, "displacement [mm]", "Position relative to home, in B (z points down)")
     _describe(lower, "rotation vector [mrad]", "Orientation: axis times angle, in B", time=True)
-    _note_outcome(figure, result)
-    return figure
+    _note_outcome(figure if given is None else given[1], result)
+    return figure if given is None else given
+
+
+@overload
+def control_wrench(result: Result) -> Figure: ...
+
+
+@overload
+def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any]) -> tuple[Axes, ...]: ...
 
 
 @_styled
-def control_wrench(result: Result) -> Figure:
+def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = None) -> Figure | tuple[Axes, ...]:
     """Draw the wrench in N and mN m, in B, and the six leg forces in N, figure 5.
 
     Thin lines are the samples; where there are enough of them, thick lines are their moving means: the switching term
     makes the samples chatter. The dotted line is the weight in Ḡ that the law feeds forward (1), (15).
+
+    Parameters
+    ----------
+    axes
+        Four axes to draw the whole run into: horizontal force, vertical force, moment, leg forces. None: a new figure.
+
+    Returns
+    -------
+    Figure or tuple of Axes
+        The new figure, or `axes`.
+
+    Raises
+    ------
+    ValueError
+        For any other number of axes.
     """
     body = _core.RigidBody()
     body.mass = result.scenario.robot.mass
     weight = float(body.gravity_wrench[2])
     horizontal, vertical, moment = result.wrench[:, :2], result.wrench[:, 2:3], 1e3 * result.wrench[:, 3:]
     mean = _mean_samples(result.time)
+    shown = [[horizontal], [vertical, np.array([weight])], [moment], [result.leg_forces]]
     figure = Figure(figsize=(_PAGE, 4.68))
-    rows = [
-        _panels(figure, result, (0.68, bottom, 2.4, 1.1), values)
-        for bottom, values in ((3.16, [horizontal]), (1.82, [vertical, np.array([weight])]), (0.48, [moment]))
-    ]
-    legs = _panels(figure, result, (4.16, 0.48, 2.54, 3.78), [result.leg_forces])
-    for axes, _ in rows[1]:
-        axes.axhline(weight, color=_BLACK, linewidth=1, linestyle=":", gid="weight")
+    given = None if axes is None else _given(axes, 4)
+    if given is None:
+        boxes = [*((0.68, bottom, 2.4, 1.1) for bottom in (3.16, 1.82, 0.48)), (4.16, 0.48, 2.54, 3.78)]
+        *rows, legs = (_panels(figure, result, box, values) for box, values in zip(boxes, shown, strict=True))
+    else:
+        *rows, legs = (_whole_run(place, result, values) for place, values in zip(given, shown, strict=True))
+    for panel in rows[1]:
+        panel.axes.axhline(weight, color=_BLACK, linewidth=1, linestyle=":", gid="weight")
     _fill(rows[0], result, horizontal, ["fx", "fy"], _AXES_INKS[:2], mean)
     _fill(rows[1], result, vertical, ["fz"], [_Ink(_GREEN)], mean, {"−mg": weight})
     _fill(rows[2], result, moment, ["mx", "my", "mz"], _AXES_INKS, mean)
@@ -317,12 +430,12 @@ def control_wrench(result: Result) -> Figure:
     _describe(rows[1], "force [N]", "Vertical force, in B (z points down)")
     _describe(rows[2], "moment [mN m]", "Moment, in B", time=True)
     _describe(legs, "leg force [N]", "Leg forces (positive: pushing)", time=True)
-    if mean > 1:
+    if mean > 1 and given is None:
         period = 1e3 * mean * float(np.median(np.diff(result.time)))
         samples = Line2D([], [], color=_GREY, linewidth=_THIN, alpha=_FAINT)
         _explain(figure, {"samples": samples, f"mean over {period:.3g} ms": Line2D([], [], color=_GREY)})
-    _note_outcome(figure, result)
-    return figure
+    _note_outcome(figure if given is None else given[-1], result)
+    return figure if given is None else given
 
 
 def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
@@ -373,6 +486,73 @@ class _Panel(NamedTuple):
 
     axes: Axes
     part: slice
+    fixed: bool  # of a figure of ours, where everything has its place; else of the caller's
+
+
+def _given(axes: Sequence[Axes] | NDArray[Any], count: int) -> tuple[Axes, ...]:
+    """Check the number of the caller's axes, which may be an array as `matplotlib.pyplot.subplots` returns."""
+    found = tuple(np.ravel(np.asarray(axes, dtype=object)))
+    if len(found) != count:
+        raise ValueError(f"axes: expected {count} axes, got {len(found)}")
+    return found
+
+
+def _whole_run(axes: Axes, result: Result, values: Sequence[Array]) -> list[_Panel]:
+    """Take the caller's axes for the whole run."""
+    _set_limits(axes, result.time, *values)
+    return [_Panel(axes, slice(0, len(result.time)), fixed=False)]
+
+
+def _draw_band(axes: Axes) -> None:
+    axes.axhspan(-_SETTLED, _SETTLED, color="0.92", linewidth=0, zorder=0)
+    axes.axhline(0, color=_GREY, linewidth=0.5, zorder=1)
+
+
+# ---- The image ------------------------------------------------------------------------------------------------------
+
+
+def _path_marks() -> list[Line2D]:
+    return [
+        Line2D([], [], linestyle="", color=_GREY, label=name, **{"markerfacecolor": _GREY, **mark})
+        for name, mark in (("start", _START), ("end of the run", _END), ("goal", _GOAL))
+    ]
+
+
+def _draw_paths(axes: Axes, result: Result, view: ImageView) -> None:
+    """Draw border, paths, arrows, starts, ends and goals of the four features."""
+    features = result.features.reshape(-1, 4, 2)
+    goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
+    axes.set_xlim(*view.limits[0])
+    axes.set_ylim(*view.limits[1])
+    axes.set_aspect("equal", adjustable="box")
+    if view.border is not None:
+        width, height = view.border
+        axes.add_patch(
+            Rectangle(
+                (-width / 2, -height / 2),
+                width,
+                height,
+                fill=False,
+                edgecolor=_GREY,
+                linewidth=0.8,
+                gid="border",
+                zorder=1.5,
+            )
+        )
+    half = float(view.half.min())
+    corner_of = _farther_apart(features[0], features[-1], 0.16 * half)
+    for number, path, goal, colour in zip(range(1, 5), features.swapaxes(0, 1), goals, _POINT_COLOURS, strict=True):
+        kept = np.union1d(_extremes(path[:, 0]), _extremes(path[:, 1]))
+        axes.plot(path[kept, 0], path[kept, 1], color=colour, linewidth=0.8, gid=f"path {number}")
+        for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):
+            looks = {"markerfacecolor": colour, **mark}
+            axes.plot(*place, color=colour, linestyle="", zorder=4, gid=f"{name} {number}", **looks)
+        _point_the_way(axes, path, max(0.55 * float(np.hypot(*(goal - path[0]))), 0.1 * half), colour, number)
+        named = path[corner_of]
+        away = tuple(7 * np.where(named < goal, -1, 1))
+        axes.annotate(
+            str(number), named, away, textcoords="offset points", color=colour, ha="center", va="center", bbox=_HALO
+        )
 
 
 def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
@@ -403,7 +583,7 @@ def _panels(
     for part, own_width in zip(parts, widths, strict=True):
         axes = _axes(figure, left, bottom, own_width, height)
         _set_limits(axes, result.time[part], *values)
-        panels.append(_Panel(axes, part))
+        panels.append(_Panel(axes, part, fixed=True))
         left += own_width + gap
     if len(panels) == 2:
         _break(panels[0].axes, panels[1].axes)
@@ -447,9 +627,8 @@ def _set_limits(axes: Axes, time: Array, *values: Array) -> None:
 
 def _size(axes: Axes) -> tuple[float, float]:
     """Give the width and height of axes [in]."""
-    place, figure = axes.get_position(), axes.figure
-    across, up = figure.get_size_inches()  # type: ignore[union-attr]
-    return float(place.width * across), float(place.height * up)
+    box, dots = axes.bbox, axes.figure.dpi
+    return float(box.width / dots), float(box.height / dots)
 
 
 def _label(axes: Axes, which: Literal["x", "y"], text: str, along: float = 0.5) -> None:
@@ -466,14 +645,19 @@ def _label(axes: Axes, which: Literal["x", "y"], text: str, along: float = 0.5) 
 def _describe(panels: Sequence[_Panel], label: str, title: str, *, time: bool = False) -> None:
     """Set the title and the label of the y axis, and say the time below, if it is not said by panels further down."""
     axes = panels[0].axes
+    if not panels[0].fixed:
+        axes.set_ylabel(label)
+        axes.set_title(title)
+        axes.set_xlabel("time [s]")
+        return
     widths = [_size(panel.axes)[0] for panel in panels]
     _label(axes, "y", label)
     axes.set_title(title, loc="left")
     if time:
         _label(axes, "x", "time [s]", sum(widths) / 2 / widths[0])
     else:
-        for axes, _ in panels:
-            axes.tick_params(axis="x", labelbottom=False)
+        for panel in panels:
+            panel.axes.tick_params(axis="x", labelbottom=False)
 
 
 def _fill(
@@ -495,13 +679,21 @@ def _fill(
         Constants that are named likewise, in black.
     """
     means = _moving_mean(values, mean)
-    for axes, part in panels:
+    for axes, part, _ in panels:
         if mean > 1:
             thin = [_Ink(ink.colour) for ink in inks]
             _draw(axes, result.time[part], values[part], names, thin, linewidth=_THIN, alpha=_FAINT)
             _draw(axes, result.time[part], means[part], [f"mean {name}" for name in names], inks)
         else:
             _draw(axes, result.time[part], values[part], names, inks)
+    if not panels[-1].fixed:
+        handles = [
+            Line2D([], [], color=ink.colour, linestyle=ink.dashes, label=name)
+            for name, ink in zip(names, inks, strict=False)  # there may be more inks than lines
+        ]
+        handles += [Line2D([], [], color=_BLACK, linestyle=":", label=name) for name in levels or {}]
+        panels[-1].axes.legend(handles=handles, ncols=-(-len(handles) // 4), fontsize="small")
+        return
     ends = {**dict(zip(names, means[-1], strict=True)), **(levels or {})}
     _label_ends(panels[-1].axes, ends, [*inks, *[_Ink(_BLACK) for _ in levels or ()]])
 
@@ -572,11 +764,15 @@ def _explain(figure: Figure, handles: Mapping[str, Line2D]) -> None:
     figure.legend(list(handles.values()), list(handles), loc="upper right", ncols=len(handles), borderaxespad=0.2)
 
 
-def _note_outcome(figure: Figure, result: Result) -> None:
-    """Say in the corner how a run ended that did not complete."""
+def _note_outcome(place: Figure | Axes, result: Result) -> None:
+    """Say in the corner of a figure, or of the caller's axes, how a run ended that did not complete."""
     if result.outcome != "completed":
         text = f"{result.outcome.replace('_', ' ')} after {result.end_time:.4g} s"
-        figure.text(0.995, 0.012, text, ha="right", va="bottom", fontsize=7, fontweight="bold", color=_VERMILION)
+        looks: dict[str, Any] = {"ha": "right", "va": "bottom", "fontweight": "bold", "color": _VERMILION}
+        if isinstance(place, Figure):
+            place.text(0.995, 0.012, text, fontsize=7, **looks)
+        else:
+            place.text(0.99, 0.02, text, transform=place.transAxes, **looks)
 
 
 def _short(value: float, _place: int | None = None) -> str:
@@ -590,9 +786,6 @@ def _cell_text(value: float) -> str:
         if abs(value - centre) < 1e-9:
             return term
     return f"{value:.2g}"
-
-
-# ---- Numbers --------------------------------------------------------------------------------------------------------
 
 
 # ---- Files ----------------------------------------------------------------------------------------------------------

@@ -275,6 +275,104 @@ def test_a_run_that_did_not_complete_says_so(draw: Callable[[hs.Result], Figure]
     assert not draw(paper).texts
 
 
+# ---- Into axes of the caller ----------------------------------------------------------------------------------------
+
+
+def test_figures_are_drawn_into_axes_of_the_caller(result: hs.Result) -> None:
+    """With the same samples as in a figure of their own, the caller's axes returned, and nothing else added."""
+    home = np.asarray(result.scenario.robot.home_position)
+    figure = Figure(figsize=(9, 12), layout="constrained")
+    (errors, paths), (upper, lower), (first, second), (third, fourth) = figure.subplots(4, 2)
+    assert plots.feature_errors(result, ax=errors) is errors
+    assert plots.feature_paths(result, ax=paths) is paths
+    assert plots.platform_motion(result, axes=[upper, lower]) == (upper, lower)
+    four = np.array([[first, second], [third, fourth]])
+    assert plots.control_wrench(result, axes=four) == (first, second, third, fourth)
+    render(figure)
+    assert len(figure.axes) == 8
+    assert_shows(figure, ["x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄"], result.time, result.feature_error)
+    assert_shows(figure, ["x", "y", "z"], result.time, 1e3 * (result.position - home))
+    assert_shows(figure, ["fx", "fy", "fz"], result.time, result.wrench[:, :3])
+    assert_shows(figure, ["mx", "my", "mz"], result.time, 1e3 * result.wrench[:, 3:])
+    assert_shows(figure, [f"leg {leg}" for leg in range(1, 7)], result.time, result.leg_forces)
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "feature error [px]", "image y [px]", "displacement [mm]", "rotation vector [mrad]",
+        "force [N]", "force [N]", "moment [mN m]", "leg force [N]",
+    ]  # fmt: skip
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        assert legend is not None
+        assert 1 <= len(legend.get_texts()) <= 8
+    ended = [text.get_text() for axes in figure.axes for text in axes.texts if text.get_text().startswith("diverged")]
+    assert len(ended) == (4 if result.outcome == "diverged" else 0)
+
+
+def test_the_rule_table_is_drawn_into_axes_of_the_caller(paper: hs.Result) -> None:
+    figure = Figure(layout="constrained")
+    ax, other = figure.subplots(1, 2)
+    assert plots.rule_table(paper.scenario, ax=ax) is ax
+    render(figure)
+    assert np.asarray(ax.images[0].get_array()).shape == (7, 7)
+    assert len(figure.axes) == 3  # with the colour bar
+    assert not other.has_data()
+
+
+def test_the_style_of_the_caller_holds_in_their_axes(paper: hs.Result) -> None:
+    with matplotlib.rc_context({"lines.linewidth": 3.25, "axes.titlesize": 21}):
+        ax = Figure().subplots()
+        plots.feature_errors(paper, ax=ax)
+    assert {drawn.get_linewidth() for drawn in ax.lines if drawn.get_gid() in ("x₁", "y₄")} == {3.25}
+    assert ax.title.get_fontsize() == 21
+
+
+@pytest.mark.parametrize(("draw", "count"), [(plots.platform_motion, 2), (plots.control_wrench, 4)])
+def test_another_number_of_axes_is_refused(draw: Any, count: int, paper: hs.Result) -> None:
+    with pytest.raises(ValueError, match=f"axes: expected {count} axes, got 3"):
+        draw(paper, axes=Figure().subplots(3, 1))
+
+
+# ---- The border of the image ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(640, 480), (200, 300), (150, 150)])
+def test_axes_of_an_image_have_its_shape_and_its_border(size: tuple[int, int]) -> None:
+    result = run(**{"camera.image_size": list(size), "simulation.mode": "sampled", "simulation.duration": 0.3})
+    for axes in (plots.feature_paths(result).axes[0], plots.feature_paths(result, ax=Figure().subplots())):
+        render(axes.figure)  # type: ignore[arg-type]
+        box = axes.get_window_extent()
+        assert box.width / box.height == pytest.approx(size[0] / size[1], rel=1e-6)
+        (border,) = [patch for patch in axes.patches if patch.get_gid() == "border"]
+        extents = border.get_extents().transformed(axes.transData.inverted())
+        np.testing.assert_allclose(
+            [extents.x0, extents.x1, extents.y0, extents.y1],
+            [-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2],
+            rtol=1e-9,
+        )
+        assert axes.get_xlim()[0] <= -size[0] / 2 <= size[0] / 2 <= axes.get_xlim()[1]
+
+
+def test_paths_in_a_small_part_of_the_image_are_magnified_beside_it() -> None:
+    changes = {"camera.image_size": [1280, 960], "simulation.mode": "sampled", "simulation.duration": 0.3}
+    result = run(**changes)
+    whole, magnified = plots.feature_paths(result).axes
+    assert magnified.get_title(loc="left") == "Magnified"
+    assert np.ptp(magnified.get_xlim()) < 0.4 * np.ptp(whole.get_xlim())
+    assert np.ptp(magnified.get_xlim()) / np.ptp(magnified.get_ylim()) == pytest.approx(1280 / 960)
+    for axes in (whole, magnified):
+        for corner, (low, high) in enumerate((axes.get_xlim(), axes.get_ylim())):
+            assert low < result.features.reshape(-1, 4, 2)[..., corner].min()
+            assert result.features.reshape(-1, 4, 2)[..., corner].max() < high
+
+
+def test_paths_that_leave_the_image_stay_within_the_axes() -> None:
+    result = run(**{"camera.image_size": [140, 160], "simulation.mode": "sampled", "controller.jacobian": "printed"})
+    (axes,) = plots.feature_paths(result).axes
+    assert np.abs(result.features).max() > 80
+    assert axes.get_xlim()[1] > np.abs(result.features[:, ::2]).max()
+    assert axes.get_ylim()[1] > np.abs(result.features[:, 1::2]).max()
+    assert axes.get_xlim()[1] / axes.get_ylim()[1] == pytest.approx(140 / 160)
+
+
 # ---- Figures can be read --------------------------------------------------------------------------------------------
 
 
@@ -523,5 +621,5 @@ assert dict.__getitem__(matplotlib.rcParams, "backend") is before
 def test_an_error_while_drawing_leaves_the_settings_alone() -> None:
     before = dict(matplotlib.rcParams)
     with pytest.raises(AttributeError):
-        plots.feature_errors(None)  # type: ignore[arg-type]
+        plots.feature_errors(None)  # type: ignore[call-overload]
     assert dict(matplotlib.rcParams) == before

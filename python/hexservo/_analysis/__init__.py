@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hexservo._analysis._not_computed import NotComputed, not_computed
+from hexservo._display import Findings
 from hexservo._evidence import Section, as_data
 from hexservo._scenario import Scenario
 
@@ -30,8 +31,8 @@ PARTS: dict[str, tuple[str, str]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Analysis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Analysis(Findings):
     """What is known of a scenario before it runs: one result per part, by the part's name.
 
     A part whose numbers leave the range of double precision, or whose matrices are singular, is a `NotComputed`.
@@ -42,10 +43,10 @@ class Analysis:
 
     def __getattr__(self, name: str) -> Any:
         """Give a part by its name, as in ``analysis.conditioning``."""
-        try:
-            return self.__dict__["parts"][name]
-        except KeyError:
-            raise AttributeError(f"this analysis has no part {name!r}; it has {', '.join(self.parts)}") from None
+        parts = self.__dict__.get("parts", {})  # none yet while it is unpickled or copied
+        if name not in parts:
+            raise AttributeError(f"this analysis has no part {name!r}; it has {', '.join(parts) or 'none'}")
+        return parts[name]
 
     def sections(self) -> tuple[Section, ...]:
         """Words, tables and pictures of all parts, in their order."""

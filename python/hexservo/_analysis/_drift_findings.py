@@ -9,6 +9,7 @@ import numpy as np
 
 from hexservo._analysis._poses import Array
 from hexservo._analysis._words import direction_words, open_section
+from hexservo._display import Findings
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["GRID", "LARGEST", "SIZES", "Drift", "Pattern", "Size"]
@@ -61,8 +62,8 @@ class Size:
         return min(self.patterns, key=_order)
 
 
-@dataclass(frozen=True, eq=False)
-class Drift:
+@dataclass(frozen=True, eq=False, repr=False)
+class Drift(Findings):
     """Eigenvalues that decide the drift, or why there are none."""
 
     law: str

@@ -10,6 +10,7 @@ import numpy as np
 from hexservo._analysis._poses import Array
 from hexservo._analysis._scene import SETTLED, WIDER
 from hexservo._analysis._words import direction_words, displacement_words, number, open_section, vector_words
+from hexservo._display import Findings
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["SEED", "Equilibria", "Equilibrium"]
@@ -38,8 +39,8 @@ class Equilibrium:
     starts: int  # how many of the searches ended here
 
 
-@dataclass(frozen=True, eq=False)
-class Equilibria:
+@dataclass(frozen=True, eq=False, repr=False)
+class Equilibria(Findings):
     """Equilibria that a search found, or why there was none."""
 
     law: str

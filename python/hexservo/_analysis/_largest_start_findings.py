@@ -11,6 +11,7 @@ import numpy as np
 
 from hexservo._analysis._poses import Array
 from hexservo._analysis._words import number, open_section
+from hexservo._display import Findings
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 __all__ = ["DWELL", "Direction", "LargestStart", "Timing", "Tried", "border"]
@@ -107,8 +108,8 @@ class Timing:
         return "stroke" if self.fails_at in self.beyond else "error"
 
 
-@dataclass(frozen=True, eq=False)
-class LargestStart:
+@dataclass(frozen=True, eq=False, repr=False)
+class LargestStart(Findings):
     """What was tried, and where it stopped settling."""
 
     law: str

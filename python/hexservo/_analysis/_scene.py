@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -159,3 +160,7 @@ class Scene:
 def scene_of(scenario: Scenario) -> Scene:
     """Give a scenario in the core's terms."""
     return Scene(scenario)
+
+
+# Objects of the core cannot be pickled; those of a scene follow from its scenario. Not for classes derived from it.
+copyreg.pickle(Scene, lambda scene: (scene_of, (scene.scenario,)))

@@ -32,6 +32,7 @@ from hexservo._analysis._loop_of_scenario import (
     seen_from_home,
 )
 from hexservo._analysis._poses import Array
+from hexservo._display import Findings
 from hexservo._evidence import Section
 from hexservo._scenario import Scenario
 
@@ -61,8 +62,8 @@ class Run:
         return (self.predicted > 0.0) == (self.measured > 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class CameraRate:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraRate(Findings):
     """What periods and latencies of the camera a scenario's loop endures."""
 
     scenario: Scenario

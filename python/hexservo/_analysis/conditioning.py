@@ -12,6 +12,7 @@ from hexservo._analysis._poses import Array, without_sign
 from hexservo._analysis._scene import Scene, View, scene_of
 from hexservo._analysis._words import displacement_words, motion_in_words, number, numbers
 from hexservo._analysis.placement import DEPTH_SHARE, Placement, image_radius, in_circle, place, placements
+from hexservo._display import Findings
 from hexservo._evidence import Cell, Column, Curves, Line, Section, Table
 from hexservo._scenario import Scenario
 
@@ -64,8 +65,8 @@ class Sight:
         return np.asarray(motion * _SHIFT / (shift if shift > 0.2 else 1.0))
 
 
-@dataclass(frozen=True, eq=False)
-class Conditioning:
+@dataclass(frozen=True, eq=False, repr=False)
+class Conditioning(Findings):
     """How well four features tell a pose, and where they would tell it better."""
 
     scene: Scene

@@ -14,6 +14,7 @@ from hexservo._analysis._scene import SETTLED, Scene, scene_of
 from hexservo._analysis._stiction_runs import Runs, run
 from hexservo._analysis._stiction_set import Extremes, RestSet, confirmed, extremes
 from hexservo._analysis._words import number
+from hexservo._display import Findings
 from hexservo._evidence import Section
 from hexservo._scenario import Fuzzy, Scenario
 
@@ -45,8 +46,8 @@ class Creep:
     left: float | None
 
 
-@dataclass(frozen=True, eq=False)
-class Stiction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Stiction(Findings):
     """Where the switching term holds the platform, and what short runs show."""
 
     scene: Scene

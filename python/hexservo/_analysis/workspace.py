@@ -12,6 +12,7 @@ from hexservo._analysis._poses import Array, Poses
 from hexservo._analysis._scene import Scene, scene_of
 from hexservo._analysis._words import number
 from hexservo._analysis.reach import LegMargin, leg_margin
+from hexservo._display import Findings
 from hexservo._evidence import Column, HeatMap, Line, Section, Table
 from hexservo._scenario import Scenario
 
@@ -48,8 +49,8 @@ class Place:
     actual_forces: Array  # (6,) [N], that hold the actual weight
 
 
-@dataclass(frozen=True, eq=False)
-class Workspace:
+@dataclass(frozen=True, eq=False, repr=False)
+class Workspace(Findings):
     """What the legs allow."""
 
     scene: Scene

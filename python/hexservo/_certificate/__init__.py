@@ -10,6 +10,7 @@ from hexservo._certificate.energy import EnergyLedger, energy_ledger
 from hexservo._certificate.lyapunov import Lyapunov, lyapunov_of
 from hexservo._certificate.replay import Plant, Replay, replay
 from hexservo._certificate.uncertainty import Assumption, assumption_of, uncertainty_of
+from hexservo._display import Findings
 from hexservo._evidence import Section, as_data
 from hexservo._result import Result
 from hexservo._scenario import Scenario
@@ -23,8 +24,8 @@ _TITLES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Certificate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Certificate(Findings):
     """What is known of a run afterwards. A numerical check of that one trajectory at its samples, and no proof."""
 
     scenario: Scenario

@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from hexservo._batch import _checked, _known, _plain_row
 from hexservo._certificate.replay import Plant, every_step, replay_of
 from hexservo._certificate.uncertainty import AXES, assumption_of, uncertainty_of
+from hexservo._display import Findings
 from hexservo._evidence import Column, Section, Table, as_data
 from hexservo._metrics import metrics
+from hexservo._progress import progress_bar
 from hexservo._scenario import Scenario
 
 __all__ = ["BatchCertificate", "certify_batch"]
@@ -25,8 +27,8 @@ Flags: TypeAlias = NDArray[np.bool_]
 PAGE = "docs/certificate/batch.md"
 
 
-@dataclass(frozen=True, eq=False)
-class BatchCertificate:
+@dataclass(frozen=True, eq=False, repr=False)
+class BatchCertificate(Findings):
     """Whether k_v >= eta_Delta held in n runs, and whether they settled, in the order of their variations."""
 
     scenario: Scenario
@@ -173,7 +175,7 @@ def certify_batch(
     scenarios = [scenario.updated(_row(scenario, arrays, index)) for index in range(count)]
     outcome = np.full(count, "interrupted", dtype="<U16")
     settling_time, eta, margin = np.full(count, np.nan), np.full((count, 6), np.nan), np.full((count, 6), np.nan)
-    with contextlib.suppress(KeyboardInterrupt), _reporting(progress, count) as report:
+    with contextlib.suppress(KeyboardInterrupt), _reporting(progress) as report:
         for index, varied in enumerate(scenarios):
             result = every_step(varied)
             run = replay_of(result, varied, result.end_time)
@@ -194,18 +196,14 @@ def _row(scenario: Scenario, arrays: Mapping[str, Array], index: int) -> dict[st
 
 @contextlib.contextmanager
 def _reporting(
-    progress: bool | Callable[[int, int], object] | None, count: int
+    progress: bool | Callable[[int, int], object] | None,
 ) -> Iterator[Callable[[int, int], object]]:
     if progress is None or progress is False:
         yield lambda done, count: None
     elif callable(progress):
         yield progress
     elif progress is True:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        with Progress(console=Console(stderr=True)) as bar:
-            task = bar.add_task("runs certified", total=count)
-            yield lambda done, count: bar.update(task, completed=done)
+        with progress_bar("runs certified") as draw:
+            yield lambda done, count: draw(done, count, done / count)
     else:
         raise TypeError(f"progress: expected True, a function or None, got {type(progress).__name__}")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo._certificate.replay import Plant, Replay, probe_without, product
 from hexservo._certificate.stages import STAGE_WEIGHTS, Stages, doubled_stages_of, stages_of
+from hexservo._display import Findings
 from hexservo._evidence import Column, Curves, Line, Section, Table
 from hexservo._wording import joules, number
 
@@ -63,8 +64,8 @@ _NAMES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class EnergyLedger:
+@dataclass(frozen=True, eq=False, repr=False)
+class EnergyLedger(Findings):
     """Works of all terms over a run, and whether they explain its kinetic energy."""
 
     time: Array = field(repr=False)  # (n,) [s]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo._certificate.replay import Plant, Replay, probe_without, sgn_breaks
 from hexservo._certificate.uncertainty import AXES, Assumption, Uncertainty
+from hexservo._display import Findings
 from hexservo._evidence import Column, Curves, Line, Section, Table
 from hexservo._wording import joules, number
 
@@ -44,8 +45,8 @@ class Rise:
     gamma: float  # approximation error of that axis there [N; N m]
 
 
-@dataclass(frozen=True, eq=False)
-class Lyapunov:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lyapunov(Findings):
     """V and its terms at n samples, and V-dot from the samples and by (20)."""
 
     time: Array = field(repr=False)  # (n,) [s]

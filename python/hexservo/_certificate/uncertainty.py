@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo._certificate.replay import Plant, Replay, product
 from hexservo._certificate.weights import BestWeights, best_weights
+from hexservo._display import Findings
 from hexservo._evidence import Column, Curves, Line, Section, Table
 
 __all__ = ["AXES", "UNITS", "Assumption", "Uncertainty", "assumption_of", "uncertainty_of"]
@@ -63,8 +64,8 @@ def uncertainty_of(run: Replay, plant: Plant) -> Uncertainty:
     return Uncertainty(parts, total, basis.reshape(len(total), 6, -1), law.adaptation)
 
 
-@dataclass(frozen=True, eq=False)
-class Assumption:
+@dataclass(frozen=True, eq=False, repr=False)
+class Assumption(Findings):
     """Whether k_v,j >= eta_Delta,j held along a run, axis by axis."""
 
     kv: Array  # (6,) [N; N m]

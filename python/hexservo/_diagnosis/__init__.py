@@ -14,6 +14,7 @@ from hexservo._diagnosis.evidence import SIGNATURES
 from hexservo._diagnosis.goal import goal_of, goal_run
 from hexservo._diagnosis.ranking import Trial, judged, rank, try_removals
 from hexservo._diagnosis.runs import Run, record_of, run_all
+from hexservo._display import Findings
 from hexservo._evidence import Column, Curves, Line, Section, Table, as_data
 from hexservo._result import Result
 from hexservo._wording import number
@@ -62,8 +63,8 @@ class Finding:
     remedy: Remedy | None  # what helps; None for causes of little score
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Findings):
     """Whether a run failed, and why: causes with evidence and remedy, the likeliest one first."""
 
     result: Result

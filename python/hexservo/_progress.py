@@ -1,0 +1,87 @@
+"""Progress of long work: a bar on standard error, or below the cell of a notebook."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Iterator
+from html import escape
+from typing import Protocol
+
+__all__ = ["Report", "in_notebook", "progress_bar"]
+
+_REDRAWN = 0.1  # shortest time between two updates of a notebook's cell [s]
+
+
+class Report(Protocol):
+    """Called with what is done and, in parts of 1, how much of the work that is."""
+
+    def __call__(self, done: int, count: int, share: float | None, note: str = "") -> object:
+        """Draw it."""
+
+
+def in_notebook() -> bool:
+    """Return whether the code runs in a Jupyter kernel, whose output is a page and no terminal."""
+    module = sys.modules.get("IPython")
+    shell = None if module is None else module.get_ipython()
+    return hasattr(shell, "kernel")
+
+
+@contextlib.contextmanager
+def progress_bar(what: str, *, transient: bool = False) -> Iterator[Report]:
+    """Draw a bar while the work runs.
+
+    In a notebook it is HTML that IPython replaces in place: rich's own bar asks for ipywidgets there, with a warning.
+
+    Parameters
+    ----------
+    what
+        Plural of what is counted, such as "runs".
+    transient
+        Remove the bar at the end.
+    """
+    with _notebook_bar(what, transient) if in_notebook() else _terminal_bar(what, transient) as report:
+        yield report
+
+
+@contextlib.contextmanager
+def _terminal_bar(what: str, transient: bool) -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn(f"{{task.fields[done]}} of {{task.fields[count]}} {what}"),
+        BarColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True, force_jupyter=False), transient=transient) as bar:
+        task = bar.add_task(what, total=None, done=0, count="?", note="")
+
+        def report(done: int, count: int, share: float | None, note: str = "") -> None:
+            total = None if share is None else 1.0
+            bar.update(task, completed=share or 0.0, total=total, done=done, count=count, note=note)
+
+        yield report
+
+
+@contextlib.contextmanager
+def _notebook_bar(what: str, transient: bool) -> Iterator[Report]:
+    from IPython.display import HTML, display
+
+    shown = display(HTML(""), display_id=True)
+    text, drawn = "", -1.0
+
+    def report(done: int, count: int, share: float | None, note: str = "") -> None:
+        nonlocal text, drawn
+        value = "" if share is None else f' value="{share:.4f}"'
+        text = f"<progress{value}></progress> {escape(f'{done} of {count} {what}')} {escape(note)}"
+        if time.monotonic() - drawn >= _REDRAWN:
+            drawn = time.monotonic()
+            shown.update(HTML(text))
+
+    try:
+        yield report
+    finally:
+        shown.update(HTML("" if transient else text))
