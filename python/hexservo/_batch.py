@@ -19,7 +19,7 @@ from hexservo._metrics import METRICS
 from hexservo._parameters import core_parameters
 from hexservo._progress import progress_bar
 from hexservo._result import _QUANTITIES, _TERMS, _WRENCH
-from hexservo._scenario import LAWS, NumericKey, Scenario, ScenarioError, numeric_keys
+from hexservo._scenario import LAWS, NumericKey, Scenario, ScenarioError, numeric_keys, sampled_keys, without_effect
 from hexservo._variant import chosen_kernel
 
 if TYPE_CHECKING:
@@ -225,7 +225,10 @@ def simulate_batch(
     kernel = chosen_kernel()
     arrays = _checked(scenario, variations)
     count = max(len(values) for values in arrays.values())
-    rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in arrays.items()]
+    varied = dict(arrays)
+    if "simulation.step" in arrays and scenario.camera.period == scenario.simulation.step:
+        varied.setdefault("camera.period", arrays["simulation.step"])  # a frame at every tick, as `updated` has it
+    rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
     with _reporting(progress) as report:
         run = _core.simulate_batch(
             core_parameters(scenario), rows, count, _LOGS[log], _thread_count(threads), kernel, report
@@ -258,6 +261,9 @@ def _checked(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[st
         raise ValueError("variations: expected at least one key, got none")
     law = scenario.controller.law
     arrays = {key: _array(key, _known(key, law), values) for key, values in variations.items()}
+    idle = [key for key in arrays if key in sampled_keys()] if scenario.simulation.mode == "continuous" else []
+    if idle:
+        raise ScenarioError(without_effect(idle))
     lengths = {key: len(values) for key, values in arrays.items()}
     count = max(lengths.values())
     for key, length in lengths.items():

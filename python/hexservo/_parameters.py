@@ -13,7 +13,7 @@ from hexservo import _core
 if TYPE_CHECKING:
     from hexservo._scenario import Fuzzy, Scenario
 
-__all__ = ["Settings", "core_parameters"]
+__all__ = ["Settings", "core_parameters", "frame_period"]
 
 Settings: TypeAlias = (
     _core.HybridSettings
@@ -114,7 +114,8 @@ def _robot(scenario: Scenario) -> _core.RobotParameters:
 def _sampling(scenario: Scenario) -> _core.CameraSampling:
     camera = scenario.camera
     sampling = _core.CameraSampling()
-    sampling.period, sampling.latency, sampling.latency_jitter = camera.period, camera.latency, camera.latency_jitter
+    sampling.period = frame_period(scenario)
+    sampling.latency, sampling.latency_jitter = camera.latency, camera.latency_jitter
     if camera.timeout is not None:  # none is the core's default
         sampling.timeout = camera.timeout
     faults = sampling.faults
@@ -125,6 +126,11 @@ def _sampling(scenario: Scenario) -> _core.CameraSampling:
     faults.on_lost = _core.LostFeature[camera.on_lost]
     faults.prediction = _core.Prediction[camera.prediction]
     return sampling
+
+
+def frame_period(scenario: Scenario) -> float:
+    """Give the time between two exposures [s]: the servo period where the scenario, in continuous mode, has none."""
+    return scenario.simulation.step if scenario.camera.period is None else scenario.camera.period
 
 
 def _sensors(scenario: Scenario) -> _core.SensorSettings:

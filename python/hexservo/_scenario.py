@@ -16,16 +16,20 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from hexservo import _core
 from hexservo._recording import MAX_SAMPLES, read_recording
 from hexservo._yaml import MAX_DEPTH, ScenarioError, dump_yaml, load_yaml, read_yaml
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = [
     "LAWS",
@@ -53,7 +57,10 @@ __all__ = [
     "Vector",
     "load_scenario",
     "numeric_keys",
+    "sampled_keys",
     "scenario_names",
+    "value_at",
+    "without_effect",
 ]
 
 Vector: TypeAlias = tuple[float, ...]
@@ -528,11 +535,9 @@ def numeric_keys(law: str) -> dict[str, NumericKey]:
     return keys
 
 
-def _rules(block: type[BaseModel], head: str = "") -> Iterator[tuple[str, _Rule]]:
-    for key, field in block.model_fields.items():
-        yield from ((head + key, rule) for rule in field.metadata if isinstance(rule, _Rule))
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            yield from _rules(field.annotation, f"{head}{key}.")
+def _rules(block: type[BaseModel]) -> Iterator[tuple[str, _Rule]]:
+    for path, field, _ in _leaves(block):
+        yield from ((path, rule) for rule in field.metadata if isinstance(rule, _Rule))
 
 
 # ---- The blocks of a scenario ---------------------------------------------------------------------------------------
@@ -546,8 +551,48 @@ _PositiveNumber = Annotated[float, _POSITIVE]
 _NumberNotNegative = Annotated[float, _NOT_NEGATIVE]
 
 
+class _Sampled:
+    """Marks a key, or all keys of a block, as acting in sampled mode alone: `sampled_keys` collects them."""
+
+
+_SAMPLED = _Sampled()
+_SAMPLED_MODE = "sampled"
+
+
 class _Block(BaseModel):
+    """Immutable, and made by validation alone: pydantic's ways around it are closed."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Copy, without changes: pydantic would not check them.
+
+        Raises
+        ------
+        TypeError
+            For an `update`.
+        """
+        if update:
+            raise TypeError(
+                f"update: expected none, got {', '.join(map(str, update))}: a copy is not checked; "
+                'use scenario.updated({"block.key": value}), which is'
+            )
+        return super().model_copy(deep=deep)
+
+    copy = model_copy  # type: ignore[assignment]
+
+    @classmethod
+    def model_construct(cls, _fields_set: set[str] | None = None, **values: Any) -> Self:
+        """Refuse to make a block of values that nobody checked.
+
+        Raises
+        ------
+        TypeError
+            Always.
+        """
+        raise TypeError(f"{cls.__name__}: expected checked values; use {cls.__name__}(...) or scenario.updated(...)")
+
+    construct = model_construct
 
 
 class Robot(_Block):
@@ -569,7 +614,7 @@ class Robot(_Block):
     stroke: _PositiveNumber  # [m], each leg's travel either way from its home length
     force_limit: _PositiveNumber  # [N], magnitude of each leg's force
     # in sampled mode: what a leg beyond its stroke means, an event or the end of the run
-    on_limit: Annotated[Literal["report", "stop"], _Choice()] = "report"
+    on_limit: Annotated[Literal["report", "stop"], _Choice(), _SAMPLED] = "report"
 
     @model_validator(mode="before")
     @classmethod
@@ -595,22 +640,24 @@ class Camera(_Block):
     focal_length: _PositiveNumber = Field(default_factory=lambda: _core.Camera().focal_length)  # [m]
     pixel_scale: _PositiveNumber = Field(default_factory=lambda: _core.Camera().pixel_scale)  # [px/m]
     convention: Annotated[Literal["eye_in_hand", "as_printed"], _Choice()] = "eye_in_hand"
-    period: _PositiveNumber = Field(default_factory=lambda: _core.CameraSampling().period)  # [s], between exposures
-    latency: _NumberNotNegative = 0.0  # [s], from an exposure to its first use
-    latency_jitter: _NumberNotNegative = 0.0  # [s], most that the latency of a frame is longer
+    # [s], between exposures; null: the servo period, which a scenario in sampled mode fills in
+    period: Annotated[float | None, _OptionalNumber(above=0), _SAMPLED] = None
+    latency: Annotated[_NumberNotNegative, _SAMPLED] = 0.0  # [s], from an exposure to its first use
+    latency_jitter: Annotated[_NumberNotNegative, _SAMPLED] = 0.0  # [s], most that the latency of a frame is longer
     # [s], since its exposure: an older image is not used, and the wrench holds the platform; null: any is used
-    timeout: Annotated[float | None, _OptionalNumber(above=0)] = None
-    noise: _NumberNotNegative = 0.0  # [px], standard deviation of each coordinate
-    quantisation: _NumberNotNegative = 0.0  # [px], coordinates are multiples of it; 0: of nothing
-    dropout: Annotated[float, _PROBABILITY] = 0.0  # probability that a frame never arrives
-    outlier_probability: Annotated[float, _PROBABILITY] = 0.0  # that a point of a frame is an outlier
-    outlier_size: _NumberNotNegative = 0.0  # [px], standard deviation of an outlier's coordinates
+    timeout: Annotated[float | None, _OptionalNumber(above=0), _SAMPLED] = None
+    noise: Annotated[_NumberNotNegative, _SAMPLED] = 0.0  # [px], standard deviation of each coordinate
+    quantisation: Annotated[_NumberNotNegative, _SAMPLED] = 0.0  # [px], coordinates are multiples of it; 0: of nothing
+    dropout: Annotated[float, _PROBABILITY, _SAMPLED] = 0.0  # probability that a frame never arrives
+    outlier_probability: Annotated[float, _PROBABILITY, _SAMPLED] = 0.0  # that a point of a frame is an outlier
+    # [px], standard deviation of what is added to an outlier's coordinates, beside the noise
+    outlier_size: Annotated[_NumberNotNegative, _SAMPLED] = 0.0
     # (2,) [px], width and height; a feature outside is lost; null: no border
-    image_size: Annotated[Vector | None, _Array((2,), _POSITIVE, or_null=True)] = None
+    image_size: Annotated[Vector | None, _Array((2,), _POSITIVE, or_null=True), _SAMPLED] = None
     # what a law does with a lost feature: its last image, that image carried along by the joint sensors, or no more
-    on_lost: Annotated[Literal["hold", "predict", "stop"], _Choice()] = "hold"
+    on_lost: Annotated[Literal["hold", "predict", "stop"], _Choice(), _SAMPLED] = "hold"
     # between two frames: the newest one as it is, or carried along by the joint sensors
-    prediction: Annotated[Literal["none", "encoder"], _Choice()] = "none"
+    prediction: Annotated[Literal["none", "encoder"], _Choice(), _SAMPLED] = "none"
 
 
 class Sensors(_Block):
@@ -934,7 +981,9 @@ class Simulation(_Block):
     # [s], of the Runge-Kutta integration; in sampled mode the servo period
     step: _PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().step)
     # in sampled mode: Runge-Kutta steps in a servo period
-    substeps: Annotated[int, _Integer(1, 10**6)] = Field(default_factory=lambda: _core.SimulationSettings().substeps)
+    substeps: Annotated[int, _Integer(1, 10**6), _SAMPLED] = Field(
+        default_factory=lambda: _core.SimulationSettings().substeps
+    )
     duration: _PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().duration)  # [s]
     # steps per logged sample
     log_every: Annotated[int, _Integer(1, 10**9)] = Field(default_factory=lambda: _core.SimulationSettings().log_every)
@@ -960,12 +1009,12 @@ class Scenario(_Block):
 
     name: Annotated[str, _Name()]
     description: Annotated[str, _Line()] = ""  # what it shows, for lists
-    seed: Annotated[int, _Integer(0, 2**63 - 1)] = 0  # of everything random
+    seed: Annotated[int, _Integer(0, 2**63 - 1), _SAMPLED] = 0  # of everything random
     robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": _DEFAULT_PRESET}))
     camera: Camera = Field(default_factory=Camera)
-    sensors: Sensors = Field(default_factory=Sensors)
-    actuators: Actuators = Field(default_factory=Actuators)
-    base_motion: BaseMotion = Field(default_factory=BaseMotion)
+    sensors: Annotated[Sensors, _SAMPLED] = Field(default_factory=Sensors)
+    actuators: Annotated[Actuators, _SAMPLED] = Field(default_factory=Actuators)
+    base_motion: Annotated[BaseMotion, _SAMPLED] = Field(default_factory=BaseMotion)
     target: Target
     uncertainty: Uncertainty = Field(default_factory=Uncertainty)
     controller: Controller = Field(default_factory=Controller)
@@ -984,12 +1033,40 @@ class Scenario(_Block):
         except ValidationError as error:
             raise ScenarioError(list(_in_words(error))) from None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        """Fill in the camera's period: the servo period in sampled mode, null in continuous mode, where it is none."""
+        if not isinstance(data, dict):
+            return data
+        camera, simulation = data.get("camera", {}), data.get("simulation", {})
+        if not isinstance(camera, dict) or not isinstance(simulation, dict):
+            return data  # refused at its own place
+        step = simulation.get("step", _core.SimulationSettings().step)
+        if not _is_number(step):
+            return data
+        period = camera.get("period")
+        sampled = simulation.get("mode") == _SAMPLED_MODE
+        if sampled and period is None and step > 0:
+            return {**data, "camera": {**camera, "period": step}}
+        if not sampled and period == step:
+            return {**data, "camera": {**camera, "period": None}}
+        return data
+
     @model_validator(mode="after")
     def _can_run(self) -> Scenario:
+        self._refuse_keys_without_effect()
         from hexservo._parameters import core_parameters  # it knows scenarios, so it is imported late
 
         core_parameters(self)
         return self
+
+    def _refuse_keys_without_effect(self) -> None:
+        if self.simulation.mode == _SAMPLED_MODE:
+            return
+        given = [key for key, default in sampled_keys().items() if value_at(self, key) != default]
+        if given:
+            raise ValueError(without_effect(given))
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> Scenario:
@@ -1051,7 +1128,46 @@ class Scenario(_Block):
             keys["robot"] = {key: value for key, value in keys["robot"].items() if preset.get(key) != value}
         if self.target.depth == _DEFAULT_DEPTH:
             del keys["target"]["depth"]
+        if self.camera.period == self.simulation.step:
+            del keys["camera"]["period"]
         return keys
+
+
+@cache
+def sampled_keys() -> dict[str, Any]:
+    """Return the dotted keys that act in sampled mode alone, with their defaults (not to be changed).
+
+    A scenario in continuous mode has these values; `updated` with them, before the mode is changed, drops the rest.
+    """
+    return {path: _default(field) for path, field, sampled in _leaves(Scenario) if sampled}
+
+
+def without_effect(keys: Sequence[str]) -> str:
+    """Say why these of the `sampled_keys` are refused in continuous mode."""
+    has, them = ("has", "the key") if len(keys) == 1 else ("have", "these keys")
+    return f"{', '.join(keys)}: {has} no effect in continuous mode; set simulation.mode: sampled, or drop {them}"
+
+
+def _leaves(block: type[BaseModel], head: str = "", sampled: bool = False) -> Iterator[tuple[str, FieldInfo, bool]]:
+    """Walk all keys that are no blocks: dotted key, field, whether it acts in sampled mode alone."""
+    for key, field in block.model_fields.items():
+        marked = sampled or _SAMPLED in field.metadata
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from _leaves(field.annotation, f"{head}{key}.", marked)
+        else:
+            yield head + key, field, marked
+
+
+def _default(field: FieldInfo) -> Any:
+    return field.get_default(call_default_factory=True)
+
+
+def value_at(scenario: Scenario, key: str) -> Any:
+    """Return the value of a dotted key."""
+    value: Any = scenario
+    for name in key.split("."):
+        value = getattr(value, name)
+    return value
 
 
 # ---- Scenarios by name or path --------------------------------------------------------------------------------------

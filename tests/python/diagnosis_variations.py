@@ -280,7 +280,8 @@ def variation(cause: str, seed: int) -> hs.Scenario:
     base = base_of(cause, index)
     start, goal = _task(drawn, profile.changes.get("features", base.target.initial_features), random)
     changes: dict[str, Any] = {key: value for key, value in drawn.items() if "." in key}
-    changes |= {"seed": seed, "target.initial_features": start.tolist(), "target.desired_features": goal.tolist()}
+    changes |= {"seed": seed} if base.simulation.mode == "sampled" else {}
+    changes |= {"target.initial_features": start.tolist(), "target.desired_features": goal.tolist()}
     gains = {"stiffness": STIFFNESS, "damping": DAMPING, "friction": {"composite": "composite.kv"}}
     for factor, keys in gains.items():
         if factor in drawn:

@@ -30,6 +30,7 @@ from hexservo._diagnosis.goal import goal_of, goal_run, pixels_per_metre, seen_f
 from hexservo._diagnosis.ranking import judged, make_cases, rank, try_removals
 from hexservo._diagnosis.runs import Run, record_of, run_all
 from hexservo._evidence import Curves, Table
+from hexservo._parameters import frame_period
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)
@@ -264,7 +265,7 @@ def test_the_camera_without_delay_loses_frames_as_before() -> None:
     scenario = hs.load_scenario("dropouts")
     (removal,) = cause_of("late_camera").removals(case_of(scenario))
     lost = removal.changes["camera.dropout"]
-    assert lost / (1.0 - lost) * scenario.simulation.step == pytest.approx(0.33 / 0.67 * scenario.camera.period)
+    assert lost / (1.0 - lost) * scenario.simulation.step == pytest.approx(0.33 / 0.67 * frame_period(scenario))
 
 
 def test_the_weighed_platform_is_the_same_platform() -> None:

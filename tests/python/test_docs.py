@@ -373,9 +373,15 @@ def test_names_in_code_spans_occur_in_the_sources(page: Path) -> None:
 def scenario_keys() -> frozenset[str]:
     """Dotted paths of all scenario keys, read from the classes that define them."""
     tree = ast.parse((ROOT / "python" / "hexservo" / "_scenario.py").read_text(encoding="utf-8"))
+
+    def kind_of(annotation: ast.expr) -> str:  # the name of a block, Annotated[Block, ...] or not
+        if isinstance(annotation, ast.Subscript) and isinstance(annotation.slice, ast.Tuple):
+            annotation = annotation.slice.elts[0]
+        return annotation.id if isinstance(annotation, ast.Name) else ""
+
     fields = {
         node.name: {
-            item.target.id: item.annotation.id if isinstance(item.annotation, ast.Name) else ""
+            item.target.id: kind_of(item.annotation)
             for item in node.body
             if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)
         }

@@ -155,18 +155,6 @@ def test_columns_may_stand_in_any_order_with_comments(nominal: hs.Scenario, tmp_
 # ---- Base motion ----------------------------------------------------------------------------------------------------
 
 
-def test_nothing_acts_in_continuous_mode(nominal: hs.Scenario) -> None:
-    continuous = nominal.updated({"simulation.mode": "continuous", "controller.switching.kind": "tanh"})
-    shaken = continuous.updated(
-        {
-            "sensors.pose": "encoders",
-            "actuators": {"saturation": True, "delay": 2e-3},
-            "base_motion": {"kind": "sinusoid", "amplitude": [1, 0, 0]},
-        }
-    )
-    np.testing.assert_array_equal(hs.simulate(continuous).position, hs.simulate(shaken).position)
-
-
 def test_a_soft_law_lets_the_platform_answer_the_base_alone(nominal: hs.Scenario) -> None:
     # With next to no gains the law only carries the weight: x-ddot = -A sin(2 pi f t), from rest.
     amplitude, frequency = np.array([0.4, -0.3, 0.2]), 4.0

@@ -20,6 +20,7 @@ from hexservo._analysis._linear_law import (
 from hexservo._analysis._linear_loop import Actuation, Clock, SampledLoop
 from hexservo._analysis._poses import Array
 from hexservo._analysis._scene import scene_of
+from hexservo._parameters import frame_period
 from hexservo._scenario import Scenario, ScenarioError
 from hexservo._simulation import simulate
 
@@ -92,7 +93,7 @@ def quiet(scenario: Scenario) -> Scenario:
 def clock_of(scenario: Scenario) -> Clock:
     """Give the camera's period and latency in ticks."""
     tick = scenario.simulation.step
-    return Clock(max(1, round(scenario.camera.period / tick)), round(scenario.camera.latency / tick))
+    return Clock(max(1, round(frame_period(scenario) / tick)), round(scenario.camera.latency / tick))
 
 
 def loop_at_rest(scenario: Scenario) -> LoopAtRest:

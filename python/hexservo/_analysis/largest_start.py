@@ -17,6 +17,7 @@ from hexservo._analysis._largest_start_findings import DWELL, Direction, Largest
 from hexservo._analysis._poses import Array
 from hexservo._analysis._scene import WIDER, Scene, scene_of
 from hexservo._batch import simulate_batch, whole
+from hexservo._parameters import frame_period
 from hexservo._scenario import Scenario
 
 __all__ = ["Direction", "LargestStart", "Timing", "analyse", "border"]
@@ -268,7 +269,7 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
     for prediction in predictions:
         base = sampled.updated({"camera.prediction": prediction})
         for what in ("period", "latency"):
-            other = base.camera.latency if what == "period" else base.camera.period
+            other = base.camera.latency if what == "period" else frame_period(base)
             found.append(Timing(what, prediction, other, *_times(base, what, trial)))
     return tuple(found), assumed
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from hexservo._diagnosis.criterion import Record
 from hexservo._diagnosis.goal import Goal, spread_target
+from hexservo._parameters import frame_period
 from hexservo._scenario import Scenario
 
 __all__ = ["CAUSES", "Case", "Cause", "Removal"]
@@ -83,13 +84,13 @@ def _poor_image(case: Case) -> list[Removal]:
 
 
 def _late_camera(case: Case) -> list[Removal]:
-    camera, step = case.scenario.camera, case.scenario.simulation.step
-    if not _sampled(case) or (camera.period <= step and camera.latency == 0.0 and camera.latency_jitter == 0.0):
+    camera, step, period = case.scenario.camera, case.scenario.simulation.step, frame_period(case.scenario)
+    if not _sampled(case) or (period <= step and camera.latency == 0.0 and camera.latency_jitter == 0.0):
         return []
     changes: dict[str, Any] = {"camera.period": step, "camera.latency": 0.0, "camera.latency_jitter": 0.0}
     words = "a frame at every servo tick, without latency"
-    if camera.dropout and camera.period > step:  # many frames would make up for lost ones: the same wait for lost ones
-        wait = camera.dropout / (1.0 - camera.dropout) * camera.period / step if camera.dropout < 1.0 else math.inf
+    if camera.dropout and period > step:  # many frames would make up for lost ones: the same wait for lost ones
+        wait = camera.dropout / (1.0 - camera.dropout) * period / step if camera.dropout < 1.0 else math.inf
         changes["camera.dropout"] = wait / (1.0 + wait) if math.isfinite(wait) else 1.0
         words += ", and so many more of them lost that the wait for lost ones is the same"
     return [Removal(words, changes)]
@@ -233,7 +234,7 @@ def _coarse_step(case: Case) -> list[Removal]:
         if _sampled(case):
             if round(case.scenario.actuators.delay / step) > _MAX_DELAY:
                 continue
-            if math.isclose(case.scenario.camera.period, simulation.step):  # a frame at every tick, as before
+            if math.isclose(frame_period(case.scenario), simulation.step):  # a frame at every tick, as before
                 changes["camera.period"] = step
         what = "a servo period" if _sampled(case) else "a step"
         removals.append(Removal(f"{what} of {step * 1e3:.4g} ms", changes))

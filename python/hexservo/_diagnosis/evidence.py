@@ -12,6 +12,7 @@ from hexservo import _core
 from hexservo._diagnosis.causes import Case
 from hexservo._diagnosis.criterion import THRESHOLD, Judgement, Record
 from hexservo._diagnosis.goal import pixels_per_metre, seen_from_home
+from hexservo._parameters import frame_period
 from hexservo._wording import number
 
 __all__ = ["SIGNATURES", "Signature"]
@@ -67,9 +68,10 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
         sentences.append(f"A feature is outside of the image for {share:.0%} of the time.")
     if camera.dropout:
         strength = max(strength, min(1.0, 2.0 * camera.dropout))
-        gap = camera.period / (1.0 - camera.dropout) if camera.dropout < 1.0 else np.inf
+        period = frame_period(case.scenario)
+        gap = period / (1.0 - camera.dropout) if camera.dropout < 1.0 else np.inf
         sentences.append(
-            f"A frame that is not lost comes every {number(gap)} s in the mean, not every {number(camera.period)} s."
+            f"A frame that is not lost comes every {number(gap)} s in the mean, not every {number(period)} s."
         )
     return Signature(strength, " ".join(sentences))
 
@@ -133,7 +135,7 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
     error = record.samples["feature_error"]
     largest = error[:, int(np.argmax(np.abs(error).max(axis=0)))]
     swings = int((np.diff(np.sign(largest[np.abs(largest) > THRESHOLD])) != 0).sum())
-    age = camera.latency + camera.latency_jitter + camera.period
+    age = camera.latency + camera.latency_jitter + frame_period(case.scenario)
     sentence = (
         f"The error swings through zero {swings} times; what the law sees is up to {number(age * 1e3)} ms old, and it "
         f"acts every {number(case.scenario.simulation.step * 1e3)} ms."

@@ -12,7 +12,7 @@ from hexservo import _core
 from hexservo._analysis._scene import scene_of
 from hexservo._diagnosis.criterion import Record
 from hexservo._diagnosis.runs import Run
-from hexservo._scenario import Scenario
+from hexservo._scenario import Scenario, sampled_keys
 
 __all__ = ["Goal", "goal_of", "goal_run", "pixels_per_metre", "spread_target"]
 
@@ -39,9 +39,9 @@ def goal_run(scenario: Scenario) -> Run:
     moments = inertia if inertia.ndim == 1 else np.diag(inertia)
     weights = np.array([robot.mass] * 3 + moments.tolist())
     changes: dict[str, Any] = {
+        **sampled_keys(),
         "simulation.mode": "continuous",
         "simulation.step": 0.005,
-        "simulation.substeps": 1,
         "simulation.duration": 2.0,
         "controller.law": "pbvs",
         "controller.switching.kind": "sign",

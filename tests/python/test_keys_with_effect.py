@@ -1,0 +1,232 @@
+"""Every key of a scenario changes the run, or is refused: a setting without effect is a wrong result unnoticed."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo._scenario import LAWS, Camera, Scenario, _paths, numeric_keys, sampled_keys, value_at
+
+# A legal value of every key that acts in sampled mode alone, other than its default; a servo period is 1 ms.
+SAMPLED: dict[str, Any] = {
+    "seed": 1,
+    "robot.on_limit": "stop",
+    "camera.period": 0.002,
+    "camera.latency": 0.003,
+    "camera.latency_jitter": 0.002,
+    "camera.timeout": 0.05,
+    "camera.noise": 0.5,
+    "camera.quantisation": 0.25,
+    "camera.dropout": 0.3,
+    "camera.outlier_probability": 0.1,
+    "camera.outlier_size": 5.0,
+    "camera.image_size": [200.0, 200.0],
+    "camera.on_lost": "stop",
+    "camera.prediction": "encoder",
+    "sensors.pose": "encoders",
+    "sensors.rate": True,
+    "sensors.resolution": 1e-6,
+    "sensors.noise": 1e-6,
+    "sensors.period": 0.002,
+    "actuators.hold": "leg_forces",
+    "actuators.saturation": True,
+    "actuators.bandwidth": 100.0,
+    "actuators.quantisation": 1e-4,
+    "actuators.delay": 0.001,
+    "base_motion.kind": "sinusoid",
+    "base_motion.amplitude": [0.1, 0.0, 0.0],
+    "base_motion.frequency": 3.0,
+    "base_motion.phase": 0.5,
+    "base_motion.level": 1e-3,
+    "base_motion.low_frequency": 2.0,
+    "base_motion.high_frequency": 20.0,
+    "base_motion.samples": [[0.0, 0.0, 0.1], [0.1, 0.0, 0.0]],
+    "base_motion.sample_period": 0.01,
+    "simulation.substeps": 2,
+}
+# In continuous mode: what is for people, or speaks of another key, or is a gain that `others` sees.
+FOR_PEOPLE = {"name", "description", "simulation.log_every"}
+TOGETHER = {"base_motion.samples": {"base_motion.sample_period": 0.01}, "base_motion.sample_period": {}}
+SENTENCE = "no effect in continuous mode; set simulation.mode: sampled, or drop"
+
+
+@pytest.fixture(scope="module")
+def short(paper: hs.Scenario) -> hs.Scenario:
+    return paper.updated({"simulation.duration": 0.05})
+
+
+def leaves() -> list[str]:
+    """Every key that holds no keys."""
+    paths = list(_paths(Scenario))
+    return [path for path in paths if not any(other.startswith(f"{path}.") for other in paths)]
+
+
+def fingerprint(scenario: hs.Scenario) -> bytes:
+    """Everything that a run says, in bytes."""
+    result = hs.simulate(scenario)
+    arrays = [result.time, result.feature_error, result.position, result.quaternion, result.wrench, result.leg_forces]
+    numbers = np.array([*hs.metrics(result).values(), result.end_time])
+    words = repr((result.outcome, result.events)).encode()
+    return b"".join([*(np.ascontiguousarray(a).tobytes() for a in [*arrays, numbers]), words])
+
+
+def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
+    """Another value of a key that acts in continuous mode, as changes."""
+    value = value_at(scenario, key)
+    law = "uncertainty" if key.startswith("uncertainty.") else ""
+    special: dict[str, dict[str, Any]] = {
+        "robot.preset": {"robot": {**scenario.to_mapping()["robot"], "preset": None, "mass": 0.2}},
+        "robot.stroke": {key: 1e-9},
+        "robot.force_limit": {key: 1e-6},
+        "camera.convention": {key: "as_printed"},
+        "target.points": {
+            "target": {
+                "initial_features": None,
+                "depth": None,
+                "points": [[0.02, 0.03, -0.65], [0.05, -0.05, -0.66], [-0.04, 0.03, -0.64], [-0.01, -0.02, -0.65]],
+            }
+        },
+        "controller.law": {key: "kelly"},
+        "controller.jacobian": {key: "printed"},
+        "controller.switching.kind": {key: "tanh"},
+        "controller.switching.width": {key: 0.01},
+        "controller.hybrid.fuzzy.table": {key: (0.5 * np.ones((7, 7))).tolist()},
+        "controller.composite.fuzzy.table": {key: (0.5 * np.ones((7, 7))).tolist()},
+        "controller.resolved_rate.jacobian_at": {key: "mean"},
+        "simulation.step": {key: 5e-4},
+        "simulation.duration": {key: 0.06},
+    }
+    if key in special:
+        return special[key]
+    if key.endswith((".weight_limit", ".initial_scale")):
+        return {key: 1e-6}
+    if isinstance(value, bool):
+        return {key: not value}
+    array = np.asarray(value, dtype=float)
+    shift = 0.01 * (law == "uncertainty") + 1e-3 * np.arange(1, array.size + 1).reshape(array.shape) * (array == 0)
+    return {key: (array * (1.01 if "angles" in key else 1.25) + shift).tolist()}
+
+
+def base_for(short: hs.Scenario, key: str) -> hs.Scenario:
+    """The scenario in which a key acts: with its law, and what it works on."""
+    laws = [law for law in LAWS if key.startswith(f"controller.{law}.")]
+    changes: dict[str, Any] = {"controller.law": laws[0]} if laws else {}
+    if key == "controller.switching.width":
+        changes["controller.switching.kind"] = "tanh"
+    if key.endswith((".fuzzy.table", ".leakage")):
+        changes[f"controller.{laws[0]}.fuzzy.initial_scale"] = 1e-4
+    if key.startswith("controller.resolved_rate.gain_"):
+        changes["controller.resolved_rate.adaptive"] = True
+    if key == "uncertainty.coriolis":
+        changes["uncertainty.depth"] = [0.3, 0.2, 0.1, 0.25]
+    return short.updated(changes)
+
+
+def test_the_list_above_has_every_key_of_sampled_mode() -> None:
+    assert set(SAMPLED) == set(sampled_keys()) - {"base_motion.file"}  # a file becomes samples
+    for block in ("sensors", "actuators", "base_motion"):
+        assert {key for key in leaves() if key.startswith(f"{block}.")} <= set(sampled_keys())
+
+
+@pytest.mark.parametrize("key", leaves())
+def test_a_key_changes_the_continuous_run_or_is_refused(short: hs.Scenario, key: str) -> None:
+    if key in FOR_PEOPLE or key in ("simulation.mode", "base_motion.file"):
+        return
+    if key not in SAMPLED:
+        base = base_for(short, key)
+        assert fingerprint(base.updated(another(base, key))) != fingerprint(base), key
+        return
+    change = {key: SAMPLED[key]}
+    if key in TOGETHER:  # neither goes without the other
+        change = {name: SAMPLED[name] for name in TOGETHER}
+    with pytest.raises(hs.ScenarioError) as caught:
+        short.updated(change)
+    (problem,) = caught.value.problems
+    assert set(problem.partition(":")[0].split(", ")) == set(change)
+    assert SENTENCE in problem
+    sampled = short.updated({**change, "simulation.mode": "sampled"})
+    assert value_at(sampled, key) != sampled_keys()[key]
+    assert short.updated({key: sampled_keys()[key]}) == short  # the default may be written
+
+
+def test_going_back_to_continuous_mode_names_everything_to_drop() -> None:
+    real = hs.load_scenario("real-machine")
+    with pytest.raises(hs.ScenarioError) as caught:
+        real.updated({"simulation.mode": "continuous", "controller.switching.kind": "sign"})
+    (problem,) = caught.value.problems
+    keys = problem.partition(":")[0].split(", ")
+    assert SENTENCE in problem
+    assert {"camera.period", "camera.noise", "sensors.pose", "actuators.bandwidth", "base_motion.kind"} <= set(keys)
+    dropped = real.updated(
+        {"simulation.mode": "continuous", "controller.switching.kind": "sign", **{k: sampled_keys()[k] for k in keys}}
+    )
+    assert dropped.simulation.mode == "continuous"
+
+
+def test_a_batch_on_a_continuous_scenario_refuses_them_too(short: hs.Scenario) -> None:
+    numeric = [key for key in SAMPLED if key in numeric_keys("hybrid")]
+    assert len(numeric) > 15
+    for key in numeric:
+        default = value_at(short.updated({"simulation.mode": "sampled"}), key)
+        for first in (SAMPLED[key], SAMPLED[key] if default is None else default):  # also where a sweep starts there
+            with pytest.raises(ValueError, match=f"^{key}: has {SENTENCE} the key$"):
+                hs.simulate_batch(short, {key: np.stack([np.asarray(first), np.asarray(SAMPLED[key])])})
+
+
+def test_frames_come_at_the_servo_period_unless_told_otherwise(short: hs.Scenario) -> None:
+    assert short.camera.period is None
+    sampled = short.updated({"simulation.mode": "sampled"})
+    assert sampled.camera.period == sampled.simulation.step == 1e-3
+    slower = sampled.updated({"simulation.step": 2e-3})
+    assert slower.camera.period == 2e-3
+    assert slower == short.updated({"simulation.step": 2e-3, "simulation.mode": "sampled"})
+    assert slower.updated({"simulation.mode": "continuous"}) == short.updated({"simulation.step": 2e-3})
+    kept = sampled.updated({"camera.period": 4e-3}).updated({"simulation.step": 2e-3})
+    assert kept.camera.period == 4e-3
+    assert kept.updated({"camera.period": None}) == slower
+    assert hs.Scenario.from_yaml(slower.to_yaml()) == slower
+    assert Camera().period is None
+
+
+def test_a_batch_of_servo_periods_takes_its_frames_along(short: hs.Scenario) -> None:
+    sampled = short.updated({"simulation.mode": "sampled", "controller.switching.kind": "tanh"})
+    steps = np.array([1e-3, 5e-4, 2.5e-4])
+    batch = hs.simulate_batch(sampled, {"simulation.step": steps}, log="metrics")
+    assert set(batch.variations) == {"simulation.step"}
+    for index, step in enumerate(steps):
+        alone = hs.metrics(hs.simulate(sampled.updated({"simulation.step": float(step)})))
+        assert batch.metrics["final_error"][index] == pytest.approx(alone["final_error"], rel=1e-9)
+    late = sampled.updated({"camera.period": 2e-3})  # this one stays
+    batch = hs.simulate_batch(late, {"simulation.step": steps}, log="metrics")
+    for index, step in enumerate(steps):
+        alone = hs.metrics(hs.simulate(late.updated({"simulation.step": float(step)})))
+        assert batch.metrics["final_error"][index] == pytest.approx(alone["final_error"], rel=1e-9)
+
+
+# ---- No way around the checks ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["model_copy", "copy"])
+def test_a_copy_takes_no_unchecked_values(paper: hs.Scenario, method: str) -> None:
+    for block, change in [
+        (paper, {"seed": -1}),
+        (paper, {"name": "fine"}),
+        (paper.camera, {"noise": -1.0}),
+        (paper.controller.hybrid.fuzzy, {"bell_width": "wide"}),
+    ]:
+        with pytest.raises(TypeError, match=r"scenario\.updated"):
+            getattr(block, method)(update=change)
+        assert getattr(block, method)() == block
+        assert getattr(block, method)(deep=True) == block
+
+
+@pytest.mark.parametrize("method", ["model_construct", "construct"])
+def test_nothing_is_made_of_unchecked_values(paper: hs.Scenario, method: str) -> None:
+    for kind in (hs.Scenario, type(paper.camera)):
+        with pytest.raises(TypeError, match="expected checked values"):
+            getattr(kind, method)(seed=-1)
+    assert copy.copy(paper) == paper
