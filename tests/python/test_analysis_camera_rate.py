@@ -596,8 +596,11 @@ def test_a_wrong_sign_is_no_question_of_the_camera() -> None:
     [
         ("paper", {}, "Coulomb"),
         ("paper", {"controller.law": "kelly", "camera.convention": "as_printed"}, "as_printed"),
-        ("paper", {"controller.law": "kelly", "camera.latency": 0.061}, "frames are under way"),
-        ("paper", {"controller.law": "kelly", "simulation.step": 0.005}, "camera.period"),
+        (
+            "paper",
+            {"controller.law": "kelly", "camera.latency": 0.061, "simulation.mode": "sampled"},
+            "frames are under way",
+        ),
     ],
 )
 def test_where_it_does_not_apply_it_says_so(name: str, changes: dict[str, Any], text: str) -> None:
@@ -608,6 +611,11 @@ def test_where_it_does_not_apply_it_says_so(name: str, changes: dict[str, Any], 
     assert set(section.data) == {"open"}
     if not changes:
         assert "largest_start" in section.sentences[1]
+
+
+def test_another_step_in_continuous_mode_brings_its_frames() -> None:
+    scenario = hs.load_scenario("paper").updated({"controller.law": "kelly", "simulation.step": 0.005})
+    assert camera_rate.analyse(scenario).section().verdict != "open"
 
 
 def test_margins_refuse_too_many_frames() -> None:
