@@ -181,7 +181,7 @@ def most_frames(loop: SampledLoop) -> int:
     return _MOST_FRAMES if loop.reading == 1 else loop.few
 
 
-def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
+def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, borders: bool = True) -> Margins:
     """Find the borders of a linear loop about its own period, latency and gain.
 
     Parameters
@@ -192,6 +192,8 @@ def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
         The camera's.
     radius
         Of the platform [m], to compare moves with turns.
+    borders
+        False leaves the borders out: period and latency of what is stable are the loop's own, unstable None.
 
     Raises
     ------
@@ -215,7 +217,11 @@ def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
     if loop.reading > 1:  # where growing modes cannot be counted
         most_latency, least_period = min(most_latency, loop.few * clock.period), max(1, -(-clock.latency // loop.few))
     none: tuple[float | None, float | None] = (None, None)
-    if perfect:
+    if not borders:
+        fine = stable and perfect
+        period = Border(clock.period if fine else None, None, clock.period)
+        latency, gain = Border(clock.latency if fine else None, None, clock.latency), none
+    elif perfect:
         period = _first_border(lambda value: holds(value, clock.latency), clock.period, least_period, most_period, 0)
         latency = _first_border(lambda value: holds(clock.period, value), clock.latency, 0, most_latency, clock.period)
         gain = (gain_border(holds_at, up=False), gain_border(holds_at, up=True))
@@ -223,7 +229,7 @@ def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0) -> Margins:
         period, latency, gain = Border(None, clock.period, 1), Border(None, clock.latency, 0), none
 
     frequency, motion = float("nan"), None
-    sides = _sides(loop, clock, period, latency, gain)
+    sides = _sides(loop, clock, period, latency, gain) if borders else None
     if sides is not None:
         _, new = crossing(*sides)
         frequency = abs(new.imag) / (2.0 * np.pi)

@@ -11,6 +11,7 @@ from hexservo._analysis._camera_margins import LARGEST_FACTOR, Border, Margins
 from hexservo._analysis._linear_loop import Clock
 from hexservo._analysis._loop_of_scenario import OFFSET as START
 from hexservo._analysis._loop_of_scenario import LoopAtRest
+from hexservo._analysis._words import number
 from hexservo._evidence import Cell, Column, HeatMap, Line, Section, Table
 
 if TYPE_CHECKING:
@@ -58,12 +59,21 @@ def section(result: CameraRate) -> Section:
 
 
 def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Literal["good", "warning", "bad"]:
-    if not acting.stable:
-        return "warning" if result.smooth is not None and result.smooth.stable else "bad"
+    if not result.stable:
+        damped = result.settles is None and result.smooth is not None and result.smooth.stable
+        return "warning" if damped else "bad"
+    if not acting.stable:  # the runs settle: what they learn, or K_v, holds what the linear loop does not
+        return "warning"
+    beyond = any(border.own_travel > _stroke(result) for border in result.stroke.values())
     small = acting.gain[1] is not None and acting.gain[1] < ENOUGH_GAIN
     late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency <= clock.period
     doubtful = any(not run.agrees for run in result.runs)
-    return "warning" if small or late or acting.drifts or doubtful else "good"
+    return "warning" if small or late or acting.drifts or doubtful or beyond else "good"
+
+
+def _stroke(result: CameraRate) -> float:
+    """Give the stroke of the legs [m]."""
+    return float(result.scenario.robot.stroke)
 
 
 def _ms(seconds: float) -> str:
@@ -74,7 +84,7 @@ def _at_most(border: Border, tick: float, what: str) -> str:
     if border.stable is None:
         return f"no {what} is short enough"
     if border.unstable is None:
-        return f"any {what} will do up to {_ms(border.looked_at * tick)}, the largest looked at"
+        return f"it is stable at every {what} looked at, up to {_ms(border.looked_at * tick)}"
     return f"the {what} may be at most {_ms(border.stable * tick)}"
 
 
@@ -96,19 +106,19 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         f"at its latency of {latency} {_at_most(acting.period, tick, 'period')} (it is {period}), and at its period "
         f"{_at_most(acting.latency, tick, 'latency')} (it is {latency}{_delay_margin(acting, clock, tick)})"
     )
+    follows = result.stable is True and not acting.stable  # the verdict is that of runs
     if not acting.perfect:
-        first = (
-            "No camera is fast enough: even with a frame at every tick and no latency a mode of the loop grows. "
-            + (
-                "Several directions are driven the wrong way, as with a wrong sign of the image Jacobian "
-                "(controller.jacobian, camera.convention)."
-                if acting.drifts
-                else "The law's gains do not suit the servo period, the sensors or the actuators."
-            )
+        none = "The linear loop is stable with no camera" if follows else "No camera is fast enough"
+        first = f"{none}: even with a frame at every tick and no latency a mode of the loop grows. " + (
+            "Several directions are driven the wrong way, as with a wrong sign of the image Jacobian "
+            "(controller.jacobian, camera.convention)."
+            if acting.drifts
+            else "The law's gains do not suit the servo period, the sensors or the actuators."
         )
     elif not acting.stable:
         damped = result.smooth is not None and result.smooth.stable
-        first = f"{'Without K_v this' if damped else 'This'} camera is too slow for the loop: {borders}."
+        which = "linear loop" if follows else "loop"
+        first = f"{'Without K_v this' if damped else 'This'} camera is too slow for the {which}: {borders}."
     else:
         first = f"The camera is fast enough for the loop: {borders}."
     found = [first]
@@ -120,6 +130,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         )
         found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
 
+    found.extend(_about_stroke(result, tick))
     how = "grows" if acting.rate > 0.0 else "decays"
     found.append(
         f"Over one period of {period} the spectral radius is {acting.radius:.4g}: the slowest mode {how} at "
@@ -143,6 +154,10 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
             f"{acting.resting} modes stay as they are whatever the camera does, and are left out: no gain answers to "
             "them, or fuzzy systems that learn from the rate alone (drive 0) make them a spring towards the start."
         )
+    found = [*_about_starts(result, acting), *found] if result.stable != acting.stable else found
+    if result.stable == acting.stable:
+        found.extend(_about_starts(result, acting))
+    found.extend(_about_learned(result, tick))
     found.extend(_about_kv(result, free, tick))
     found.extend(_about_runs(result))
     found.extend(_about_limits(result, at_rest, clock, acting))
@@ -170,6 +185,75 @@ def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
     else:
         rest = "would be unstable with any camera"
     return [f"{taken}. {text} the loop {rest}."]
+
+
+_ENDINGS = {
+    "settles": "comes to rest",
+    "goes on": "does not come to rest",
+    "stroke": "takes a leg beyond its stroke",
+    "ended": "ends early",
+    "open": "is too slow to be judged",
+}
+
+
+def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
+    """Say how the runs from small starts end, and whether the verdict follows them."""
+    if not result.starts:
+        return ["No run from a small start checks this: the law refuses the image of rest as a goal."]
+    ends = " and ".join(
+        f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, legs "
+        f"{number(1e3 * run.travel)} mm)"
+        for run in result.starts
+    )
+    longest = max(run.duration for run in result.starts)
+    text = f"Of runs of {longest:g} s from beside the goal, K_v as it is, {ends}"
+    if result.settles is None:
+        why = "they do not decide" if acting.stable and acting.drifts else "that decides nothing"
+        return [f"{text}: {why}, and the verdict is that of the linear loop."]
+    if result.settles == acting.stable:
+        return [f"{text}, as the linear loop predicts."]
+    weights = "the weights that the fuzzy systems start with" if result.at_rest and result.at_rest.free.axes else "rest"
+    return [
+        f"{text}. The verdict follows these runs: the linear loop, taken at {weights}, is "
+        f"{'stable' if acting.stable else 'unstable'} and does not describe them."
+    ]
+
+
+def _about_learned(result: CameraRate, tick: float) -> list[str]:
+    """Say what the linear loop is at the weights of the task's own run."""
+    if result.at_rest is None or not result.at_rest.free.axes:
+        return []
+    learned = result.learned
+    if learned is None:
+        return ["The task itself does not settle in the sampled loop: there are no learned weights to linearise at."]
+    mode = f"its slowest mode {'grows' if learned.rate > 0.0 else 'decays'} at {abs(learned.rate):.3g} 1/s"
+    if not learned.perfect:
+        return [f"At the weights at the end of the task's own run the loop is unstable with any camera: {mode}."]
+    return [
+        f"At the weights at the end of the task's own run the loop is {'stable' if learned.stable else 'unstable'}: "
+        f"{mode}; {_at_most(learned.period, tick, 'period')}, and {_at_most(learned.latency, tick, 'latency')}."
+    ]
+
+
+def _about_stroke(result: CameraRate, tick: float) -> list[str]:
+    """Say how far the legs let period and latency go, which a linear loop does not know."""
+    stroke = f"their stroke of {number(1e3 * _stroke(result))} mm"
+    found = []
+    for key, border in result.stroke.items():
+        travel = "ends early" if np.isinf(border.travel) else f"takes a leg {number(1e3 * border.travel)} mm from home"
+        if border.within is None:
+            found.append(f"With the scenario's own {key} the task {travel}, beyond {stroke}.")
+        elif border.beyond is None:
+            found.append(
+                f"In runs of the task at each {key} tried, up to {_ms(border.largest * tick)}, the legs stay within "
+                f"{stroke} (at most {number(1e3 * border.travel)} mm)."
+            )
+        else:
+            found.append(
+                f"The stroke limits the {key}: runs of the task keep the legs within {stroke} up to "
+                f"{_ms(border.within * tick)}; at {_ms(border.beyond * tick)} the task {travel}."
+            )
+    return found
 
 
 def _about_runs(result: CameraRate) -> list[str]:
@@ -236,6 +320,9 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
     tick = at_rest.scenario.simulation.step
     both = [free] + ([result.smooth] if result.smooth is not None else [])
     heads = ["K_v = 0"] + (["slope k_v/width"] if result.smooth is not None else [])
+    if result.learned is not None:
+        both.append(result.learned)
+        heads.append("learned weights")
 
     def row(name: str, unit: str, of: Callable[[Margins], Cell]) -> list[Cell]:
         return [name, unit, *(of(one) for one in both)]
@@ -263,7 +350,8 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
             [Column("quantity"), Column("unit"), *(Column(head) for head in heads)],
             rows,
             note=f"Periods and latencies are whole ticks, looked at up to {longest}; gain factors between "
-            f"{1 / LARGEST_FACTOR:g} and {LARGEST_FACTOR:g}. An empty cell: there is none.",
+            f"{1 / LARGEST_FACTOR:g} and {LARGEST_FACTOR:g}. An empty cell: there is none. All columns are at the "
+            "weights that the fuzzy systems start with, but the one at those that the task's own run ends with.",
             page=PAGE,
         )
     ]
@@ -351,6 +439,28 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         "quaternion": at_rest.rest.view.pose.quaternion,
         "without_kv": numbers(free),
         "with_slope": None if result.smooth is None else {"slope": at_rest.slope, **numbers(result.smooth)},
+        "with_learned_weights": None if result.learned is None else numbers(result.learned),
+        "settles": result.settles,
+        "starts": [
+            {
+                "offset": run.offset,
+                "duration": run.duration,
+                "ending": run.ending,
+                "peak_error": run.peak,
+                "leg_travel": run.travel,
+            }
+            for run in result.starts
+        ],
+        "stroke": {
+            key: {
+                "within": None if border.within is None else border.within * tick,
+                "beyond": None if border.beyond is None else border.beyond * tick,
+                "largest": border.largest * tick,
+                "leg_travel": _finite(border.travel),
+                "own_leg_travel": _finite(border.own_travel),
+            }
+            for key, border in result.stroke.items()
+        },
         "acting": "with_slope" if result.acting is result.smooth and result.smooth is not None else "without_kv",
         "map": {"periods": result.periods, "latencies": result.latencies, "spectral_radius": result.radii},
         "runs": [

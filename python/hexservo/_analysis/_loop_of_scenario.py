@@ -30,6 +30,7 @@ __all__ = [
     "clock_of",
     "growth",
     "loop_at_rest",
+    "loop_with_weights",
     "quiet",
     "scaled",
     "seen_from_home",
@@ -53,6 +54,7 @@ class LoopAtRest:
     free: SampledLoop  # with K_v = 0
     smooth: SampledLoop | None  # with the slope k_v/width; None for laws without K_v, and where it is 0
     slope: Array  # (6,) of it [N s/m; N m s/rad]
+    gravity: float | tuple[float, ...]  # `uncertainty.gravity` of the scenario itself, which does not act in `scenario`
 
 
 def quiet(scenario: Scenario) -> Scenario:
@@ -128,7 +130,25 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         smooth = _loop(calm, linear_law(calm, scene, pose, smooth=True), plant) if slope.any() else None
     except NoRestError as error:
         raise NotApplicableError(str(error)) from error
-    return LoopAtRest(calm, scenario.simulation.mode == "continuous", rest, free, smooth, slope)
+    as_if_sampled = scenario.simulation.mode == "continuous"
+    return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, scenario.uncertainty.gravity)
+
+
+def loop_with_weights(at_rest: LoopAtRest, weights: Array, *, smooth: bool) -> SampledLoop:
+    """Give the linear loop of a scenario with other fuzzy weights.
+
+    Parameters
+    ----------
+    at_rest
+        Of the scenario.
+    weights
+        (6, 7, 7) [N; N m].
+    smooth
+        Whether K_v acts with its slope; otherwise it is zero.
+    """
+    calm, pose = at_rest.scenario, at_rest.rest.view.pose
+    law = linear_law(calm, scene_of(calm), pose, smooth=smooth, weights=weights)
+    return _loop(calm, law, linear_plant(calm, pose))
 
 
 def _loop(scenario: Scenario, law: LinearLaw, plant: LinearPlant) -> SampledLoop:

@@ -5,12 +5,13 @@ docs/analysis/camera_rate.md has formulas and limits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from hexservo._analysis._camera_margins import (
+    Border,
     Margins,
     crossing,
     gain_border,
@@ -19,6 +20,7 @@ from hexservo._analysis._camera_margins import (
     motion_of,
     radius_map,
 )
+from hexservo._analysis._camera_runs import StartRun, StrokeBorder, learned_weights, start_runs, stroke_border
 from hexservo._analysis._camera_words import section
 from hexservo._analysis._linear_loop import Clock, SampledLoop
 from hexservo._analysis._loop_of_scenario import (
@@ -28,19 +30,21 @@ from hexservo._analysis._loop_of_scenario import (
     clock_of,
     growth,
     loop_at_rest,
+    loop_with_weights,
     scaled,
     seen_from_home,
 )
 from hexservo._analysis._poses import Array
 from hexservo._display import Findings
 from hexservo._evidence import Section
-from hexservo._scenario import Scenario
+from hexservo._scenario import Scenario, ScenarioError
 
 __all__ = ["CameraRate", "Run", "analyse"]
 
 
 NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
+_KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")
 SMALL_OFFSET = 1e-6
 """Taken where 0.01 px is already too much for a loop to be linear [px]."""
 
@@ -72,10 +76,33 @@ class CameraRate(Findings):
     clock: Clock | None = None
     free: Margins | None = None  # K_v = 0
     smooth: Margins | None = None  # with the slope k_v/width, where the law has K_v
+    # At the fuzzy weights at the end of the task's own run, K_v as in `acting`; None: it has none, or does not settle.
+    learned: Margins | None = None
     periods: Array | None = None  # (m,) of the map [s]
     latencies: Array | None = None  # (k,) [s]
     radii: Array | None = None  # (k, m) spectral radius over one camera period, without drifts
     runs: tuple[Run, ...] = ()
+    starts: tuple[StartRun, ...] = ()  # from small starts; empty where the core refuses them
+    stroke: dict[Literal["period", "latency"], StrokeBorder] = field(default_factory=dict)  # of the task
+
+    @property
+    def settles(self) -> bool | None:
+        """What the runs from small starts say: all settle, or one does not; None where they cannot say.
+
+        A drift, which grows with any camera, hides what a run says of the camera where the linear loop is stable.
+        """
+        endings = {run.ending for run in self.starts}
+        drifting = self.acting is not None and self.acting.stable and self.acting.drifts > 0
+        if endings & {"goes on", "stroke", "ended"}:
+            return None if drifting else False
+        return True if endings == {"settles"} else None
+
+    @property
+    def stable(self) -> bool | None:
+        """The verdict: that of the runs, and of the linear loop where they cannot say; None where this is open."""
+        if self.acting is None:
+            return None
+        return self.acting.stable if self.settles is None else self.settles
 
     @property
     def acting(self) -> Margins | None:
@@ -173,14 +200,17 @@ def _run(
     return Run(place.key, place.value, predicted, measured, offset, NEARLY)
 
 
-def analyse(scenario: Scenario) -> CameraRate:
-    """Linearise the sampled loop at its goal and find the borders of its camera.
+def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
+    """Linearise the sampled loop at its goal, find the borders of its camera, and run it from small starts.
 
     Parameters
     ----------
     scenario
-        With any law but `hybrid`; one in continuous mode is taken as sampled with the keys of its camera. Two short
-        runs check the border.
+        With any law but `hybrid`; one in continuous mode is taken as sampled with the keys of its camera. Short runs
+        check the border and the verdict.
+    borders
+        False leaves out what is not needed for `CameraRate.stable`: borders in period, latency and gain, those of the
+        stroke, their runs, the map, and the loop at learned weights.
 
     Returns
     -------
@@ -196,10 +226,43 @@ def analyse(scenario: Scenario) -> CameraRate:
     if clock.latency > most * clock.period:
         return CameraRate(scenario, f"more than {most} frames are under way at once; take a longer camera.period")
     radius = scenario.robot.platform_radius
-    free = margins(at_rest.free, clock, radius)
-    smooth = margins(at_rest.smooth, clock, radius) if at_rest.smooth is not None else None
+    free = margins(at_rest.free, clock, radius, borders=borders)
+    smooth = margins(at_rest.smooth, clock, radius, borders=borders) if at_rest.smooth is not None else None
     result = CameraRate(scenario, None, at_rest, clock, free, smooth)
-    if not free.perfect:  # nothing that a camera could mend: see `_section`
+    acting = result.acting or free
+    result = replace(result, starts=_start_runs(at_rest))
+    if not borders:
+        return result
+    result = replace(result, learned=_learned(at_rest, clock, radius, acting is smooth))
+    if not free.perfect:  # no border that a camera could have: see `_section`
         return result
     periods, latencies, radii = radius_map(at_rest.free, clock, free)
-    return replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free))
+    stroke = {key: _stroke_border(at_rest, clock, key, getattr(acting, key)) for key in _KEYS} if acting.stable else {}
+    return replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free), stroke=stroke)
+
+
+def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
+    try:
+        return start_runs(seen_from_home(at_rest))
+    except ScenarioError:  # the core refuses an image of rest as a goal
+        return ()
+
+
+def _task(at_rest: LoopAtRest) -> Scenario:
+    """Give the task itself, without noise and faults."""
+    return at_rest.scenario.updated({"uncertainty.gravity": at_rest.gravity})
+
+
+def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> Margins | None:
+    """Give the margins at the weights that the task's own run ends with."""
+    if not at_rest.free.axes:  # nothing that learns
+        return None
+    weights = learned_weights(_task(at_rest))
+    return None if weights is None else margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
+
+
+def _stroke_border(
+    at_rest: LoopAtRest, clock: Clock, key: Literal["period", "latency"], linear: Border
+) -> StrokeBorder:
+    """Vary period or latency over what the linear loop bears."""
+    return stroke_border(_task(at_rest), key, clock, linear.stable or getattr(clock, key))
