@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexservo import _core
 from hexservo._display import batch_html, batch_text
 from hexservo._metrics import METRICS
+from hexservo._own_controller import OwnController, function_name, run_with
 from hexservo._parameters import core_parameters
 from hexservo._progress import progress_bar
 from hexservo._result import _QUANTITIES, _TERMS, _WRENCH
@@ -176,6 +178,8 @@ def simulate_batch(
     log: Log = "final",
     threads: int | None = None,
     progress: bool | ProgressCallback | None = None,
+    *,
+    controller: OwnController | None = None,
 ) -> BatchResult:
     """Run many variations of a scenario (docs/batch.md).
 
@@ -201,6 +205,10 @@ def simulate_batch(
     progress
         True draws a bar on standard error; a function is called with (scenarios done, scenarios in all) every 50 ms
         and at the end, in this thread.
+    controller
+        Custom controller in place of the scenario's law, as for `simulate`. It is a Python function: the runs follow
+        one another in this thread, each bit for bit that of `simulate`, and `progress` is called after each. An
+        observation with ``tick`` 0 begins a new run.
 
     Returns
     -------
@@ -214,7 +222,8 @@ def simulate_batch(
         For anything but a `Scenario`, a mapping and the types above.
     ValueError
         Text "key: expected ..., got ..." for unknown keys, shapes and lengths, "scenario 17: key: ..." for the first
-        bad scenario, before any runs; for a result of more than 2 GiB; for trajectories that differ in their times.
+        bad scenario, before any runs; for a result of more than 2 GiB; for trajectories that differ in their times;
+        for a custom controller with more than one thread, or in continuous mode.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """
@@ -225,6 +234,8 @@ def simulate_batch(
     kernel = chosen_kernel()
     arrays = _checked(scenario, variations)
     count = max(len(values) for values in arrays.values())
+    if controller is not None:
+        return _run_custom(scenario, arrays, count, log, threads, progress, controller)
     varied = dict(arrays)
     if "simulation.step" in arrays and scenario.camera.period == scenario.simulation.step:
         varied.setdefault("camera.period", arrays["simulation.step"])  # a frame at every tick, as `updated` has it
@@ -248,6 +259,114 @@ def simulate_batch(
         samples=samples,
         time=run.time,
     )
+
+
+# ---- A custom controller --------------------------------------------------------------------------------------------
+
+_MAX_BYTES = 2 * 2**30  # of a result
+
+
+def _run_custom(
+    scenario: Scenario,
+    arrays: Mapping[str, Array],
+    count: int,
+    log: Log,
+    threads: int | None,
+    progress: bool | ProgressCallback | None,
+    controller: OwnController,
+) -> BatchResult:
+    """Run one scenario after the other with a Python function as their controller."""
+    if not callable(controller):
+        raise TypeError(f"controller: expected a function of an Observation, got {type(controller).__name__}")
+    if threads is not None and _thread_count(threads) != 1:
+        raise ValueError(
+            f"threads: expected 1 or None with a custom controller, which runs in one thread, got {threads}"
+        )
+    law = scenario.controller.law
+    scenarios = [
+        scenario.updated(
+            {key: _plain_row(_known(key, law), values[index % len(values)]) for key, values in arrays.items()}
+        )
+        for index in range(count)
+    ]
+    time = _common_times(scenarios) if log == "trajectory" else None
+    middle = () if time is None else (len(time),)
+    shapes: dict[str, tuple[int, ...]] = {}
+    if log != "metrics":
+        shapes = {name: (*middle, len(labels)) for name, (_, labels, _, _) in _QUANTITIES.items()}
+        shapes["fuzzy_weights"] = (6, 7, 7)
+    size = 8 * count * (sum(math.prod(shape) for shape in shapes.values()) + len(METRICS))
+    if size > _MAX_BYTES:
+        raise ValueError(f"log: expected a result of at most 2 GiB, got {size / 2**30:.3g} GiB")
+    found = BatchResult(
+        scenario=scenario,
+        variations=arrays,
+        outcome=np.full(count, "interrupted", dtype=_OUTCOMES.dtype),
+        cause=np.full(count, "none", dtype=_CAUSES.dtype),
+        limit_leg=np.zeros(count, dtype=np.int8),
+        end_time=np.full(count, np.nan),
+        stop_time=np.full(count, np.nan),
+        metrics={name: np.full(count, np.nan) for name in METRICS},
+        samples={name: np.full((count, *shape), np.nan) for name, shape in shapes.items()},
+        time=time,
+        controller=function_name(controller),
+    )
+    planned = [round(one.simulation.duration / one.simulation.step) for one in scenarios]
+    steps = 0
+    with _reporting(progress) as report, contextlib.suppress(KeyboardInterrupt):
+        for index, one in enumerate(scenarios):
+            try:
+                run = run_with(one, controller)
+            except Exception as error:
+                if hasattr(error, "add_note"):
+                    error.add_note(f"in scenario {index} of the batch")
+                raise
+            if run.outcome == _core.Outcome.interrupted:
+                break
+            _enter(found, index, run, one)
+            steps += planned[index]
+            if report is not None:
+                report(index + 1, count, steps, sum(planned))
+    return found
+
+
+def _common_times(scenarios: list[Scenario]) -> Array:
+    """Return the times of the logged samples [s], which the runs have in common."""
+    grids = {(one.simulation.step, one.simulation.duration, one.simulation.log_every) for one in scenarios}
+    if len(grids) > 1:
+        raise ValueError("log: expected trajectories on one time grid, got scenarios that differ in their times")
+    ((step, duration, log_every),) = grids
+    steps = round(duration / step)
+    return np.union1d(np.arange(0, steps + 1, log_every), steps) * step
+
+
+def _enter(found: BatchResult, index: int, run: _core.Trajectory, scenario: Scenario) -> None:
+    """Enter a run into the arrays of a batch."""
+    step = scenario.simulation.step
+    stop = run.steps * step
+    found.outcome[index] = run.outcome.name
+    cause, leg = next(
+        (cause, leg)
+        for cause in _core.StopCause
+        for leg in (range(6) if cause == _core.StopCause.leg_limit else [-1])
+        if _core.describe(cause, stop, leg) == run.detail
+    )
+    found.cause[index], found.limit_leg[index] = cause.name, leg + 1
+    found.end_time[index], found.stop_time[index] = run.end_time, stop
+    for name, values in found.metrics.items():
+        values[index] = getattr(run.metrics, name)
+    places = None
+    if found.time is not None:  # a run that stopped also has its last good sample, which may be beside the grid
+        grid, own = (np.rint(times / step).astype(np.int64) for times in (found.time, run.time))
+        _, places, kept = np.intersect1d(grid, own, assume_unique=True, return_indices=True)
+    for name, values in found.samples.items():
+        samples = getattr(run, name)
+        if name == "fuzzy_weights":
+            values[index] = samples
+        elif places is None:
+            values[index] = samples[-1]
+        else:
+            values[index, places] = samples[kept]
 
 
 # ---- Variations -----------------------------------------------------------------------------------------------------

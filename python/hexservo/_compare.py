@@ -19,7 +19,9 @@ from hexservo import _core
 from hexservo._batch import ProgressCallback, simulate_batch
 from hexservo._display import comparison_html, comparison_text
 from hexservo._metrics import METRICS, metrics
+from hexservo._own_controller import OwnController
 from hexservo._progress import progress_bar
+from hexservo._result import Result
 from hexservo._scenario import LAWS, Scenario, ScenarioError, load_scenario, numeric_keys
 from hexservo._simulation import simulate
 
@@ -250,6 +252,8 @@ def compare(
     changes: Mapping[str, Any] | None = None,
     threads: int | None = None,
     progress: bool | ProgressCallback | None = None,
+    *,
+    controllers: Mapping[str, OwnController] | None = None,
 ) -> Comparison:
     """Run every law on every scenario and put the results side by side (docs/compare.md).
 
@@ -269,6 +273,10 @@ def compare(
         As for `simulate_batch`.
     progress
         True draws a bar on standard error; a function is called with (runs done, runs in all), in this thread.
+    controllers
+        Custom controllers by the names of their rows, compared beside the laws; functions as `simulate` takes them.
+        They run one by one in this thread, in sampled mode alone: a scenario in continuous mode is "refused". An
+        observation with ``tick`` 0 begins a new run.
 
     Returns
     -------
@@ -287,10 +295,11 @@ def compare(
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """
-    chosen_laws = _checked_laws(laws)
+    functions = _checked_controllers(controllers)
+    chosen_laws = (*(() if laws is not None and not laws and functions else _checked_laws(laws)), *functions)
     loaded = _checked_scenarios(scenarios, changes)
-    rows = [_prepared(scenario, law) for scenario in loaded for law in chosen_laws]
-    groups = _groups(rows)
+    rows = [_prepared(scenario, law, custom=law in functions) for scenario in loaded for law in chosen_laws]
+    groups = _groups(rows, functions)
     with _reporting(progress, len(rows)) as report, contextlib.suppress(KeyboardInterrupt):
         done = sum(row.outcome == "refused" for row in rows)
         report(done)
@@ -299,7 +308,7 @@ def compare(
             def told(finished: int, before: int = done) -> None:
                 report(before + finished)
 
-            for index, row in _run([(index, rows[index]) for index in group], threads, told):
+            for index, row in _run([(index, rows[index]) for index in group], threads, told, functions):
                 rows[index] = row
             done += len(group)
             report(done)
@@ -319,6 +328,19 @@ def _checked_laws(laws: Sequence[str] | None) -> tuple[str, ...]:
     if not laws or len(set(laws)) < len(laws):
         raise ValueError(f"laws: expected at least one, each once, got {', '.join(laws) or 'none'}")
     return tuple(laws)
+
+
+def _checked_controllers(controllers: Mapping[str, OwnController] | None) -> dict[str, OwnController]:
+    if controllers is None:
+        return {}
+    if not isinstance(controllers, Mapping):
+        raise TypeError(f"controllers: expected a mapping of names to functions, got {type(controllers).__name__}")
+    for name, function in controllers.items():
+        if not str(name).strip() or not str(name).isprintable() or name in LAWS:
+            raise ValueError(f"controllers: expected names in words other than those of laws, got {name!r}")
+        if not callable(function):
+            raise TypeError(f"controllers: {name}: expected a function, got {type(function).__name__}")
+    return dict(controllers)
 
 
 def _checked_scenarios(
@@ -341,14 +363,20 @@ def _checked_scenarios(
     return tuple(loaded)
 
 
-def _prepared(scenario: Scenario, law: str) -> ComparisonRow:
-    """Give a row that is not begun, its scenario with the law and no more samples than a row keeps; or a refusal."""
+def _prepared(scenario: Scenario, law: str, *, custom: bool) -> ComparisonRow:
+    """Give a row that is not begun, its scenario with the law and no more samples than a row keeps; or a refusal.
+
+    A custom controller has no law to put into the scenario.
+    """
     steps = round(scenario.simulation.duration / scenario.simulation.step)
     log_every = max(scenario.simulation.log_every, -(-steps // _MAX_SAMPLES))
     try:
-        changed = scenario.updated({"controller.law": law, "simulation.log_every": log_every})
+        changed = scenario.updated({**({} if custom else {"controller.law": law}), "simulation.log_every": log_every})
     except ScenarioError as error:
         return _refused(law, scenario, error)
+    if custom and scenario.simulation.mode != "sampled":
+        sentence = "simulation.mode: expected sampled for a custom controller, got continuous"
+        return _refused(law, scenario, ValueError(sentence))
     return ComparisonRow(law, changed, "interrupted", "not begun")
 
 
@@ -356,13 +384,17 @@ def _refused(law: str, scenario: Scenario, error: ValueError) -> ComparisonRow:
     return ComparisonRow(law, scenario, "refused", " ".join(str(error).split()))
 
 
-def _groups(rows: Sequence[ComparisonRow]) -> list[list[int]]:
-    """Group the rows that are to run, by index, by what a batch shares: law, grid, and everything that is no number."""
+def _groups(rows: Sequence[ComparisonRow], functions: Mapping[str, OwnController]) -> list[list[int]]:
+    """Group the rows that are to run, by index, by what a batch shares: law, grid, and everything that is no number.
+
+    A run of a custom controller is a group by itself.
+    """
     groups: dict[str, list[list[int]]] = {}
     for index, row in enumerate(rows):
         if row.outcome == "refused":
             continue
-        alike = groups.setdefault(repr(_shared(row.scenario)), [[]])
+        shared = str(index) if row.law in functions else repr(_shared(row.scenario))
+        alike = groups.setdefault(shared, [[]])
         if len(alike[-1]) == _MAX_BATCH:
             alike.append([])
         alike[-1].append(index)
@@ -370,9 +402,16 @@ def _groups(rows: Sequence[ComparisonRow]) -> list[list[int]]:
 
 
 def _run(
-    group: Sequence[tuple[int, ComparisonRow]], threads: int | None, report: Callable[[int], object]
+    group: Sequence[tuple[int, ComparisonRow]],
+    threads: int | None,
+    report: Callable[[int], object],
+    functions: Mapping[str, OwnController],
 ) -> Iterator[tuple[int, ComparisonRow]]:
     """Run scenarios that may share a batch; one by one what no batch takes."""
+    if group[0][1].law in functions:
+        ((index, row),) = group
+        yield index, _row_of(row, simulate(row.scenario, controller=functions[row.law]))
+        return
     scenarios = [row.scenario for _, row in group]
     try:
         batch = simulate_batch(
@@ -407,6 +446,10 @@ def _single(row: ComparisonRow) -> ComparisonRow:
         result = simulate(row.scenario)
     except ValueError as error:
         return _refused(row.law, row.scenario, error)
+    return _row_of(row, result)
+
+
+def _row_of(row: ComparisonRow, result: Result) -> ComparisonRow:
     largest = np.abs(result.feature_error).max(axis=1)
     return ComparisonRow(
         row.law, row.scenario, result.outcome, result.detail, result.end_time, metrics(result), result.time, largest

@@ -48,7 +48,7 @@ _INKS = (
     _Ink(_PURPLE, (0, (6, 1.5))),
     _Ink(_BLACK, (0, (3, 1, 1, 1, 1, 1))),
 )
-_MARKERS = ("o", "s", "^", "D", "v", "P")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one more than inks: pairs repeat after 42 laws and controllers
 _ACROSS = 4  # panels side by side
 _POINTS = 300  # of one line: more than such a panel resolves
 _FLOOR = 1e-3  # smallest error shown [px]

@@ -13,7 +13,7 @@ from hexservo import _core
 from hexservo._parameters import core_parameters
 from hexservo._scenario import Scenario
 
-__all__ = ["LegForces", "Observation", "OwnController", "run_with"]
+__all__ = ["LegForces", "Observation", "OwnController", "function_name", "run_with"]
 
 _Array: TypeAlias = NDArray[np.float64]
 
@@ -97,6 +97,11 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     except KeyboardInterrupt:
         pass  # what was computed is kept, and the trajectory says so
     return run.finish()
+
+
+def function_name(function: object) -> str:
+    """Return the name under which results keep a custom controller."""
+    return str(getattr(function, "__qualname__", type(function).__qualname__))
 
 
 def _six(what: str, command: ArrayLike, seen: Observation) -> _Array:

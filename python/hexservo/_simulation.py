@@ -6,7 +6,7 @@ from typing import cast
 
 from hexservo import _core
 from hexservo._metrics import METRICS
-from hexservo._own_controller import OwnController, run_with
+from hexservo._own_controller import OwnController, function_name, run_with
 from hexservo._parameters import core_parameters
 from hexservo._result import LimitEvent, LimitKind, Outcome, Result
 from hexservo._scenario import Scenario
@@ -34,7 +34,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     log_weights
         Whether `Result.weight_history` holds the weights of the fuzzy systems at every logged sample, (n, 6, 7, 7)
         [N, N m]: 2.4 kB each, within the limit that a log has. It stays None where no fuzzy systems act: for other
-        laws, where they are switched off, and with a `controller` of one's own.
+        laws, where they are switched off, and with a custom controller.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         raise TypeError(f"controller: expected a function of an Observation, got {type(controller).__name__}")
     return Result(
         scenario=scenario,
-        controller=scenario.controller.law if controller is None else _name(controller),
+        controller=scenario.controller.law if controller is None else function_name(controller),
         outcome=cast("Outcome", run.outcome.name),
         end_time=run.end_time,
         detail=run.detail,
@@ -76,10 +76,6 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
         weight_history=run.weight_history,
     )
-
-
-def _name(function: object) -> str:
-    return str(getattr(function, "__qualname__", type(function).__qualname__))
 
 
 def _limit_event(event: _core.LimitEvent) -> LimitEvent:

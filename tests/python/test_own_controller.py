@@ -140,10 +140,139 @@ def test_ctrl_c_keeps_what_was_computed(sampled: hs.Scenario) -> None:
     assert 0.045 <= result.end_time <= 0.055
 
 
-def test_it_is_for_sampled_mode_and_for_single_runs(sampled: hs.Scenario, paper: hs.Scenario) -> None:
+def test_it_is_for_sampled_mode(sampled: hs.Scenario, paper: hs.Scenario) -> None:
     with pytest.raises(ValueError, match=r"simulation\.mode: expected sampled for a controller of one's own"):
         hs.simulate(paper, controller=hold)
     with pytest.raises(TypeError, match="controller: expected a function of an Observation, got int"):
         hs.simulate(sampled, controller=3)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="controller"):
-        hs.simulate_batch(sampled, {}, controller=hold)  # type: ignore[call-arg]
+
+
+# ---- In batches and comparisons -------------------------------------------------------------------------------------
+
+
+def damp(seen: hs.Observation) -> np.ndarray[Any, Any]:
+    """Hold the platform with a weight that may be wrong, and push it a little: some runs reach a limit."""
+    wrench: np.ndarray[Any, Any] = hold(seen) - 0.1 * seen.twist
+    wrench[0] += 0.002
+    return wrench
+
+
+DEPTHS = np.array([0.0, 0.1, -0.1])
+
+
+@pytest.fixture(scope="module")
+def stopped(sampled: hs.Scenario) -> hs.Scenario:
+    """Where some of the runs of `damp` end early."""
+    return sampled.updated({"robot.on_limit": "stop", "robot.stroke": 2e-3, "simulation.log_every": 7})
+
+
+@pytest.mark.parametrize("log", ["final", "metrics", "trajectory"])
+def test_a_batch_is_its_single_runs_bit_for_bit(stopped: hs.Scenario, log: Any) -> None:
+    variations = {"uncertainty.gravity": np.array([0.0, 0.05, -0.05]), "uncertainty.depth": DEPTHS[:1]}
+    progress: list[tuple[int, int]] = []
+    batch = hs.simulate_batch(stopped, variations, log=log, progress=lambda *at: progress.append(at), controller=damp)
+    assert progress == [(1, 3), (2, 3), (3, 3)]
+    assert batch.controller == "damp"
+    for index, gravity in enumerate(variations["uncertainty.gravity"]):
+        run = hs.simulate(stopped.updated({"uncertainty.gravity": gravity, "uncertainty.depth": 0.0}), controller=damp)
+        assert (batch.outcome[index], batch.detail(index)) == (run.outcome, run.detail)
+        assert batch.end_time[index] == run.end_time
+        assert {name: values[index] for name, values in batch.metrics.items()} == pytest.approx(
+            hs.metrics(run), rel=0, abs=0, nan_ok=True
+        )
+        if log == "final":
+            np.testing.assert_array_equal(batch.samples["position"][index], run.position[-1])
+        if log == "trajectory":
+            assert batch.time is not None
+            on_grid = np.isin(np.rint(run.time / 1e-3), np.rint(batch.time / 1e-3))
+            count = np.count_nonzero(on_grid)
+            np.testing.assert_array_equal(batch.samples["position"][index, :count], run.position[on_grid])
+            assert np.isnan(batch.samples["position"][index, count:]).all()
+    assert set(batch.outcome) == {"completed", "leg_limit"}
+    assert (batch.limit_leg > 0).tolist() == (batch.outcome == "leg_limit").tolist()
+    assert (batch.cause == "leg_limit").tolist() == (batch.outcome == "leg_limit").tolist()
+
+
+def test_a_batch_has_the_grid_and_the_shapes_of_a_batch_of_a_law(sampled: hs.Scenario) -> None:
+    scenario = sampled.updated({"simulation.log_every": 7})
+    for log in ("final", "metrics", "trajectory"):
+        own = hs.simulate_batch(scenario, {"uncertainty.depth": DEPTHS}, log=log, controller=hold)
+        law = hs.simulate_batch(scenario, {"uncertainty.depth": DEPTHS}, log=log)
+        assert {name: values.shape for name, values in own.samples.items()} == {
+            name: values.shape for name, values in law.samples.items()
+        }
+        np.testing.assert_equal(own.time, law.time)
+        assert list(own.metrics) == list(law.metrics)
+        assert [getattr(own, name).dtype for name in ("outcome", "cause", "limit_leg", "end_time", "stop_time")] == [
+            getattr(law, name).dtype for name in ("outcome", "cause", "limit_leg", "end_time", "stop_time")
+        ]
+
+
+def test_a_batch_runs_in_one_thread_and_says_so(sampled: hs.Scenario, paper: hs.Scenario) -> None:
+    with pytest.raises(ValueError, match=r"threads: expected 1 or None.*one thread, got 4"):
+        hs.simulate_batch(sampled, {"uncertainty.depth": DEPTHS}, threads=4, controller=hold)
+    with pytest.raises(ValueError, match=r"simulation\.mode: expected sampled"):
+        hs.simulate_batch(paper, {"uncertainty.depth": DEPTHS}, controller=hold)
+    with pytest.raises(TypeError, match="controller: expected a function"):
+        hs.simulate_batch(sampled, {"uncertainty.depth": DEPTHS}, controller=3)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="at most 2 GiB"):
+        hs.simulate_batch(
+            sampled.updated({"simulation.duration": 100.0}), {"seed": np.arange(100.0)}, "trajectory", controller=hold
+        )
+
+
+def test_ctrl_c_keeps_the_runs_of_a_batch_that_are_finished(sampled: hs.Scenario) -> None:
+    runs = 0
+
+    def presses(seen: hs.Observation) -> np.ndarray[Any, Any]:
+        nonlocal runs
+        runs += seen.tick == 0
+        if runs == 2 and seen.tick == 50:
+            os.kill(os.getpid(), signal.SIGINT)
+        return hold(seen)
+
+    batch = hs.simulate_batch(sampled, {"uncertainty.depth": DEPTHS}, controller=presses)
+    assert batch.outcome.tolist() == ["completed", "interrupted", "interrupted"]
+    assert np.isnan(batch.end_time).tolist() == [False, True, True]
+    assert np.isnan(batch.metrics["final_error"]).tolist() == [False, True, True]
+
+
+def test_an_error_of_a_controller_names_the_run_of_the_batch(sampled: hs.Scenario) -> None:
+    runs = 0
+
+    def breaks(seen: hs.Observation) -> np.ndarray[Any, Any]:
+        nonlocal runs
+        runs += seen.tick == 0
+        if runs == 2:
+            raise ZeroDivisionError("mine")
+        return hold(seen)
+
+    with pytest.raises(ZeroDivisionError, match="mine") as caught:
+        hs.simulate_batch(sampled, {"uncertainty.depth": DEPTHS}, controller=breaks)
+    if hasattr(caught.value, "__notes__"):
+        assert caught.value.__notes__[-1] == "in scenario 1 of the batch"
+
+
+def test_it_is_compared_beside_laws(sampled: hs.Scenario, paper: hs.Scenario) -> None:
+    scenarios = [sampled, paper.updated({"name": "continuous", "simulation.duration": 0.05})]
+    done: list[tuple[int, int]] = []
+    found = hs.compare(scenarios, ["kelly"], controllers={"held": hold}, progress=lambda *at: done.append(at))
+    assert found.laws == ("kelly", "held")
+    assert done[-1] == (4, 4)
+    row, run = found.row("held", "paper"), hs.simulate(sampled, controller=hold)
+    assert row.metrics == pytest.approx(hs.metrics(run), rel=0, abs=0, nan_ok=True)
+    np.testing.assert_array_equal(row.error, np.abs(run.feature_error).max(axis=1))
+    assert row.verdict == "not settled"
+    refused = found.row("held", "continuous")
+    assert refused.outcome == "refused"
+    assert "expected sampled for a custom controller" in refused.why
+    assert found.row("kelly", "continuous").outcome != "refused"
+    assert "| held |" in found.to_markdown()
+    assert len(found.figure().axes) == 5
+    assert hs.compare(scenarios[:1], [], controllers={"held": hold}).laws == ("held",)
+    with pytest.raises(ZeroDivisionError):
+        hs.compare(scenarios[:1], [], controllers={"broken": lambda seen: 1 / 0})
+    with pytest.raises(ValueError, match="expected names in words other than those of laws, got 'hybrid'"):
+        hs.compare(scenarios[:1], controllers={"hybrid": hold})
+    with pytest.raises(TypeError, match="controllers: held: expected a function, got int"):
+        hs.compare(scenarios[:1], controllers={"held": 1})  # type: ignore[dict-item]
