@@ -31,12 +31,12 @@ def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool
 
 
 def _write_files(result: Result, folder: Path) -> None:
-    from hexservo._saved import netcdf_bytes
+    from hexservo._saved import result_bytes
     from hexservo.plots import paper_figures
 
     (folder / "scenario.yaml").write_text(result.scenario.to_yaml(), encoding="utf-8")
     (folder / "metrics.json").write_text(_metrics_json(result), encoding="utf-8")
-    (folder / "result.nc").write_bytes(netcdf_bytes(result.to_xarray()))
+    (folder / "result.nc").write_bytes(result_bytes(result))
     paper_figures(result, folder)
 
 

@@ -50,7 +50,10 @@ def _parsed(text: str) -> tuple[float, list[list[float]]]:
     for line, text_line in enumerate(text.removeprefix("\ufeff").splitlines(), 1):
         if not text_line.strip() or text_line.lstrip().startswith("#"):
             continue
-        cells = [cell.strip() for cell in next(csv.reader([text_line]))]
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([text_line]))]
+        except csv.Error as error:  # a field that is too long for it
+            raise _LineError(line, f"expected numbers with commas between, got something else ({error})") from None
         if order is None:
             order = _order(line, cells)
             continue
@@ -78,9 +81,12 @@ def _parsed(text: str) -> tuple[float, list[list[float]]]:
 
 
 def _order(line: int, names: list[str]) -> list[int]:
-    """Say where each column is."""
+    """Say where each column is. The file may be another one than was meant, so nothing of it is repeated."""
     if sorted(names) != sorted(_COLUMNS):
-        raise _LineError(line, f"expected the names of the columns {', '.join(_COLUMNS)}, got {', '.join(names)[:60]}")
+        got = "1 other field" if len(names) == 1 else f"{len(names)} fields"
+        missing = ", ".join(name for name in _COLUMNS if name not in names)
+        without = f" without {missing}" if 0 < len(set(names) & set(_COLUMNS)) < 4 else ""
+        raise _LineError(line, f"expected the names of the columns {', '.join(_COLUMNS)}, got {got}{without}")
     return [names.index(name) for name in _COLUMNS]
 
 
@@ -90,5 +96,5 @@ def _number(line: int, column: str, cell: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise _LineError(line, f'{column}: expected a finite number, got "{cell[:40]}"')
+        raise _LineError(line, f"{column}: expected a finite number, got other text ({len(cell)} characters)")
     return value

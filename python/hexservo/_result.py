@@ -146,8 +146,8 @@ class Result:
 
         Attributes hold text and numbers only: the outcome, the metrics (``metric_...``), the events in sentences
         (``events``) and as numbers (``event_table``: seconds, and metres or newtons), and the scenario as one YAML
-        string (``scenario``), so that every netCDF reader can open the file. ``sha256`` covers all that `load_result`
-        reads.
+        string (``scenario``), so that every netCDF reader can open the file. `load_result` reads the files that
+        ``hexservo run --out`` writes, which have a digest of their bytes at the end.
         """
         import xarray
 

@@ -72,6 +72,7 @@ LAWS: tuple[str, ...] = get_args(Law)
 
 _DEFAULT_PRESET = "micro"
 _DEFAULT_DEPTH = float(_core.Target().depth[0])  # [m], docs/model.md section 4
+_MOST_PROBLEMS = 20  # said of a scenario; of more only their number
 _TERMS = dict(zip(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"), _core.TERM_CENTRES, strict=True))
 
 
@@ -1294,9 +1295,10 @@ def _merge(keys: dict[str, Any], changes: dict[str, Any]) -> None:
 
 
 def _in_words(error: ValidationError) -> Iterator[str]:
-    """Say each problem that pydantic found in a line of its own."""
+    """Say each problem that pydantic found in a line of its own, the first ones if there are many."""
     missing: dict[tuple[int | str, ...], list[str]] = {}
-    for problem in error.errors(include_url=False):
+    problems = error.errors(include_url=False)
+    for problem in problems[:_MOST_PROBLEMS]:
         place = problem["loc"]
         kind = problem["type"]
         if kind == "missing":
@@ -1315,6 +1317,8 @@ def _in_words(error: ValidationError) -> Iterator[str]:
         head = f"{_path(place)}: " if place else ""
         hint = "; a preset would fill them in" if block is Robot else ""
         yield f"{head}missing {'key' if len(keys) == 1 else 'keys'}: {_described(block, keys)}{hint}"
+    if (more := len(problems) - _MOST_PROBLEMS) > 0:
+        yield f"and {more} more {'problem' if more == 1 else 'problems'}"
 
 
 def _path(place: Sequence[int | str]) -> str:

@@ -242,7 +242,7 @@ def test_bad_input(command: str, saved: Path, tmp_path: Path) -> None:
     (tmp_path / "x.nc").write_bytes(b"none")
     code, out, error = invoke(command, tmp_path / "x.nc", *more)
     assert (code, out) == (2, "")
-    assert "expected a result.nc of `hexservo run --out`" in error
+    assert "expected a result that hexservo saved, got another kind of file" in error
     code, out, error = invoke(command, "papr", *more)
     assert (code, out) == (2, "")
     assert "paper" in error

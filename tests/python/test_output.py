@@ -8,11 +8,14 @@ import hashlib
 import json
 import os
 import resource
+import signal
 import stat
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +24,11 @@ import pytest
 import xarray
 
 import hexservo as hs
-from hexservo._files import MARKER, OutputError, check_folder
+from fuzz.places import SUBJECTS, Subject, without_exchange
+from hexservo import _publish
+from hexservo._files import MARKER, OutputError, _Folder, check_folder
 from hexservo._output import write_results
+from hexservo._publish import draft_beside
 
 FIGURE = "fig3_feature_paths.svg"
 FILES = {MARKER, "scenario.yaml", "metrics.json", "result.nc", FIGURE}
@@ -399,15 +405,64 @@ def test_nothing_is_left_of_writing_that_was_stopped(
     assert contents(tmp_path) == before
 
 
-def rename_with(monkeypatch: pytest.MonkeyPatch, before: Callable[[str, Path, Path], object]) -> None:
-    """Have something happen before each rename: which is "aside", "in" or "back"."""
+@pytest.fixture(params=["exchange", "renames"])
+def way(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Old and new change places in one system call, or in three where there is none."""
+    with without_exchange() if request.param == "renames" else nullcontext():
+        yield request.param
+
+
+def around_exchange(
+    monkeypatch: pytest.MonkeyPatch, before: Callable[[Path], object] | None, after: Callable[[Path], object] | None
+) -> None:
+    """Have something happen before and after the first exchange; it gets the folder of the old results."""
+    exchange = _publish._exchange
+    calls = []
+
+    def spied(ready: Path, path: Path) -> None:
+        calls.append(path)
+        if before is not None and len(calls) == 1:
+            before(path)
+        exchange(ready, path)
+        if after is not None and len(calls) == 1:
+            after(ready)
+
+    monkeypatch.setattr(_publish, "_exchange", spied)
+
+
+def fail(_: Path) -> None:
+    raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+
+def interrupt(_: Path) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_the_old_results_stay_where_the_exchange_is_stopped(
+    result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str, when: str, error: type[BaseException]
+) -> None:
+    folder = write_results(result, tmp_path / "out")
+    before = contents(tmp_path)
+    act = fail if error is OSError else interrupt
+    around_exchange(monkeypatch, act if when == "before" else None, act if when == "after" else None)
+    with pytest.raises(
+        OutputError if error is OSError else error, match="nothing was written" if act is fail else None
+    ):
+        write_results(result, folder, force=True)
+    assert contents(tmp_path) == before
+
+
+def renames_fail(monkeypatch: pytest.MonkeyPatch, *, back: bool) -> None:
+    """Have the second of three renames fail, and those that put old results back."""
     rename = Path.rename
 
     def spied(source: Path, target: Path) -> Path:
-        kinds = {"aside": target.name, "in": source.name, "back": source.name}
-        starts = {"aside": ".hexservo-replaced-", "in": ".hexservo-writing-", "back": ".hexservo-replaced-"}
-        kind = next(kind for kind in kinds if kinds[kind].startswith(starts[kind]))
-        before(kind, source, target)
+        if source.name.startswith(".hexservo-ready-") and target.name == "out":
+            fail(source)
+        if source.name.startswith(".hexservo-aside-") and back:
+            fail(source)
         return rename(source, target)
 
     monkeypatch.setattr(Path, "rename", spied)
@@ -417,79 +472,35 @@ def test_the_old_results_come_back_where_the_new_ones_cannot_go(
     result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_results(result, tmp_path / "out")
-    seen = []
-
-    def fail(kind: str, source: Path, target: Path) -> None:
-        seen.append(kind)
-        if kind == "in":
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    rename_with(monkeypatch, fail)
-    with refused_and_kept(tmp_path, os.strerror(errno.EIO), "nothing was written"):
+    renames_fail(monkeypatch, back=False)
+    with without_exchange(), refused_and_kept(tmp_path, os.strerror(errno.EIO), "nothing was written"):
         write_results(result, folder, force=True)
-    assert seen == ["aside", "in", "back"]
 
 
-def test_the_old_results_are_where_the_error_says_if_they_cannot_come_back(
+def test_the_old_results_are_where_the_error_says_if_they_cannot_come_back_and_return_with_the_next_check(
     result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_results(result, tmp_path / "out")
     before = contents(folder)
-
-    def fail(kind: str, source: Path, target: Path) -> None:
-        if kind != "aside":
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    rename_with(monkeypatch, fail)
-    with pytest.raises(OutputError, match="could not be put there, and the old ones not back") as caught:
-        write_results(result, folder, force=True)
+    with monkeypatch.context() as patch, without_exchange():
+        renames_fail(patch, back=True)
+        with pytest.raises(OutputError, match="expected to put the earlier results back there") as caught:
+            write_results(result, folder, force=True)
     (aside,) = tmp_path.iterdir()
     assert aside.name in str(caught.value)
     assert contents(aside) == before
-
-
-def test_ctrl_c_between_the_renames(result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = write_results(result, tmp_path / "out")
-    before = contents(tmp_path)
-
-    def interrupt(kind: str, source: Path, target: Path) -> None:
-        if kind == "in":
-            raise KeyboardInterrupt
-
-    rename_with(monkeypatch, interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        write_results(result, folder, force=True)
-    assert contents(tmp_path) == before
-
-
-def test_ctrl_c_after_the_renames(result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = write_results(result, tmp_path / "out")
-    rename = Path.rename
-
-    def interrupted(source: Path, target: Path) -> Path:
-        moved = rename(source, target)
-        if source.name.startswith(".hexservo-writing-"):
-            raise KeyboardInterrupt
-        return moved
-
-    monkeypatch.setattr(Path, "rename", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write_results(hs.simulate(result.scenario.updated({"name": "other"})), folder, force=True)
-    assert hs.load_scenario(folder / "scenario.yaml").name == "other"
-    assert_whole(folder)
+    with pytest.raises(OutputError, match="holds results already"):
+        check_folder(folder)
+    assert contents(folder) == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_a_file_that_appears_during_the_check(
-    result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_file_that_appears_between_two_checks(
+    result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str, when: str
 ) -> None:
     folder = write_results(result, tmp_path / "out")
-
-    def appear(kind: str, source: Path, target: Path) -> None:
-        if kind == "aside":
-            add_a_file(source)
-
-    rename_with(monkeypatch, appear)
+    around_exchange(monkeypatch, add_a_file if when == "before" else None, add_a_file if when == "after" else None)
     with pytest.raises(OutputError, match=r"kept: notes\.txt"):
         write_results(result, folder, force=True)
     assert (folder / "notes.txt").read_text() == "mine"
@@ -502,18 +513,101 @@ def test_a_file_that_appears_at_the_last_moment(
     result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_results(result, tmp_path / "out")
+    unlink = Path.unlink
 
-    def appear(kind: str, source: Path, target: Path) -> None:
-        if kind == "in":
-            add_a_file(next(tmp_path.glob(".hexservo-replaced-*")))
+    def spied(path: Path, missing_ok: bool = False) -> None:
+        if path.name == MARKER:
+            add_a_file(path.parent)
+        unlink(path, missing_ok=missing_ok)
 
-    rename_with(monkeypatch, appear)
+    monkeypatch.setattr(Path, "unlink", spied)
     with pytest.raises(OutputError, match="the new results are there, but the old ones could not be removed") as caught:
         write_results(result, folder, force=True)
     assert_whole(folder)
     (aside,) = (path for path in tmp_path.iterdir() if path != folder)
     assert aside.name in str(caught.value)
     assert [path.name for path in aside.iterdir()] == ["notes.txt"]
+    check_folder(folder, force=True)
+    assert [path.name for path in aside.iterdir()] == ["notes.txt"]  # no sweep takes what is not ours
+
+
+@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.name)
+def test_the_name_is_never_missing(tmp_path: Path, subject: Subject) -> None:
+    """Another thread looks for the name all the time, while it comes to stand for fifty contents."""
+    place = tmp_path / "out"
+    subject.write(place, 0)
+    looks = missing = 0
+    done = threading.Event()
+
+    def look() -> None:
+        nonlocal looks, missing
+        while not done.is_set():
+            looks += 1
+            missing += not os.path.lexists(place)
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    try:
+        for number in range(50):
+            subject.write(place, number)
+    finally:
+        done.set()
+        looking.join()
+    assert missing == 0
+    assert looks > 100
+
+
+def test_a_draft_of_a_living_process_is_left_alone(result: hs.Result, tmp_path: Path) -> None:
+    """And one whose process has died is not."""
+    with draft_beside(_Folder(tmp_path / "out", force=True)) as draft:
+        (draft / "half").write_text("written")
+        write_results(result, tmp_path / "out")
+        assert (draft / "half").exists()
+        dead = tmp_path / draft.name.replace(draft.name[-4:], "0000")
+        dead.mkdir()
+        (dead / "half").write_text("written")
+        write_results(result, tmp_path / "out", force=True)
+        assert draft.exists()
+        assert not dead.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.name)
+def test_a_signal_that_ends_the_process_leaves_nothing_behind(
+    tmp_path: Path, subject: Subject, number: signal.Signals
+) -> None:
+    """The process ends by that signal, as its parent expects."""
+    place = tmp_path / "out"
+    subject.write(place, 0)
+    program = f"""
+import os
+from pathlib import Path
+from fuzz.places import SUBJECTS
+import hexservo._files
+hexservo._files.publish = lambda draft, place: os.kill(os.getpid(), {int(number)})
+(subject,) = (subject for subject in SUBJECTS if subject.name == {subject.name!r})
+subject.write(Path({str(place)!r}), 1)
+print("not reached")
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (-number, "", "")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert subject.numbers(place) == {0}
+
+
+def test_handlers_of_the_program_stay(result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, frame: seen.append(number))
+    try:
+        draw_with(monkeypatch, lambda: os.kill(os.getpid(), signal.SIGTERM))
+        write_results(result, tmp_path / "out")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert seen == [signal.SIGTERM]
+    assert_whole(tmp_path / "out")
 
 
 def test_a_folder_that_appears_while_we_write(
@@ -571,13 +665,20 @@ def test_nobody_renames_while_another_does(
         write_results(result, folder)
     before = contents(folder)
     drawn = threading.Event()
-    draw_with(monkeypatch, drawn.set)
+    held = threading.Event()
+
+    def draw() -> None:
+        drawn.set()
+        assert held.wait(60)
+
+    draw_with(monkeypatch, draw)
     writer = threading.Thread(target=write_results, args=(result, folder), kwargs={"force": force})
     other = os.open(tmp_path, os.O_RDONLY)
     try:
-        fcntl.flock(other, fcntl.LOCK_EX)
         writer.start()
         assert drawn.wait(60)
+        fcntl.flock(other, fcntl.LOCK_EX)
+        held.set()
         writer.join(0.5)
         assert writer.is_alive()  # it waits for the other
         assert contents(folder) == before

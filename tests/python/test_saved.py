@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import io
 import math
+import os
 import re
+import socket
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import h5netcdf
+import h5py
 import numpy as np
 import pytest
 import xarray
 
 import hexservo as hs
-from hexservo._saved import FORMAT, netcdf_bytes
+from hexservo._files import OutputError
+from hexservo._saved import FORMAT, MAX_BYTES, _parsed, result_bytes, save_result, sealed_bytes
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +32,12 @@ def limited(paper: hs.Scenario) -> hs.Result:
 
 @pytest.fixture(scope="module")
 def content(limited: hs.Result) -> bytes:
-    return bytes(netcdf_bytes(limited.to_xarray()))
+    return bytes(result_bytes(limited))
 
 
 def saved(folder: Path, result: hs.Result) -> Path:
     path = folder / "result.nc"
-    path.write_bytes(netcdf_bytes(result.to_xarray()))
+    save_result(result, path)
     return path
 
 
@@ -51,10 +57,18 @@ def assert_same(one: hs.Result, other: hs.Result) -> None:
         assert bits(getattr(one, item.name)) == bits(getattr(other, item.name)), item.name
 
 
-def changed(content: bytes, path: Path, change: Any) -> Path:
+def edited(content: bytes, path: Path, change: Callable[[Any], None]) -> Path:
+    """Write the file as another program that opens it would."""
     path.write_bytes(content)
     with h5netcdf.File(path, "a") as file:
         change(file)
+    return path
+
+
+def forged(result: hs.Result, path: Path, change: Callable[[xarray.Dataset], xarray.Dataset | None]) -> Path:
+    """Write a file whose digest is right and whose content is another."""
+    dataset = result.to_xarray().copy(deep=True)
+    path.write_bytes(sealed_bytes(dataset if (other := change(dataset)) is None else other))
     return path
 
 
@@ -90,11 +104,11 @@ def test_the_history_of_the_weights_comes_back(paper: hs.Scenario, tmp_path: Pat
     assert result.weight_history is not None
     assert_same(hs.load_result(saved(tmp_path, result)), result)
 
-    def sample(file: Any) -> None:
-        file.variables["weight_history"][3, 0, 0, 0] = 1.0
+    def sample(dataset: xarray.Dataset) -> None:
+        dataset["weight_history"][3, 0, 0, 0] = np.nan
 
-    with pytest.raises(hs.ResultError, match="its checksum is another"):
-        hs.load_result(changed((tmp_path / "result.nc").read_bytes(), tmp_path / "x.nc", sample))
+    with pytest.raises(hs.ResultError, match=r"\(variable weight_history, which has numbers that are not finite\)"):
+        hs.load_result(forged(result, tmp_path / "x.nc", sample))
 
 
 def test_numbers_without_a_value_come_back(limited: hs.Result, tmp_path: Path) -> None:
@@ -122,94 +136,161 @@ def test_events_are_there_in_sentences_and_as_numbers(limited: hs.Result, conten
         assert tuple(map(float, numbers)) == (event.time, event.peak, event.limit)
 
 
+def test_other_readers_open_the_file(limited: hs.Result, tmp_path: Path) -> None:
+    """The two lines after its end do not disturb HDF5, and say what they are to whoever looks (`tail -n 2`)."""
+    path = saved(tmp_path, limited)
+    for engine in (None, "h5netcdf"):
+        with xarray.open_dataset(path, engine=engine) as dataset:
+            assert dataset.load().identical(limited.to_xarray())
+    with h5py.File(path, "r") as file:
+        assert file["wrench"].shape == limited.wrench.shape
+    *_, first, last = path.read_bytes().split(b"\n")[:-1]
+    assert first == f"hexservo result, format {FORMAT}, hexservo {hs.__version__}".encode()
+    content = path.read_bytes().removesuffix(last + b"\n")
+    assert last == f"sha256 {hashlib.sha256(content).hexdigest()} of the {len(content)} bytes before".encode()
+
+
+def test_saving_keeps_other_files_and_replaces_its_own(limited: hs.Result, tmp_path: Path) -> None:
+    path = saved(tmp_path, limited)
+    with pytest.raises(OutputError, match=r"the file exists; replace it with --force \(force=True in Python\)"):
+        save_result(limited, path)
+    other = dataclasses.replace(limited, detail="another")
+    save_result(other, path, force=True)
+    assert hs.load_result(path).detail == "another"
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(OutputError, match="was not written by hexservo, so it is kept"):
+        save_result(limited, path, force=True)
+    assert [item.name for item in tmp_path.iterdir()] == ["result.nc"]
+
+
 # ---- What is refused ------------------------------------------------------------------------------------------------
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(hs.ResultError, match=r"none\.nc.*expected a file that can be read, got: No such file"):
         hs.load_result(tmp_path / "none.nc")
-    with pytest.raises(hs.ResultError, match="expected a file that can be read, got: Is a directory"):
-        hs.load_result(tmp_path)
     with pytest.raises(hs.ResultError, match="null"):
         hs.load_result("a\0b")
 
 
+def test_what_is_no_regular_file_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pipe would wait for its other end, and /dev/zero never ends."""
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind("socket")
+        for path, kind in [(".", "a folder"), ("pipe", "a pipe"), ("socket", "a socket"), ("/dev/zero", "a device")]:
+            with pytest.raises(hs.ResultError, match=f"expected a regular file, got {kind}"):
+                hs.load_result(path)
+            with pytest.raises(hs.ScenarioError, match=f"expected a regular file, got {kind}"):
+                hs.load_scenario(Path(path))
+
+
+def test_files_without_an_end_and_beyond_any_memory(content: bytes, tmp_path: Path) -> None:
+    """Sparse files, 20 GB long: the one that ends as a result does is refused for its size, unread."""
+    path = tmp_path / "x.nc"
+    path.write_bytes(content)
+    os.truncate(path, 20 * 10**9)
+    with pytest.raises(hs.ResultError, match=r"expected a file of at most 4 GiB, got 18\.6 GiB"):
+        hs.load_result(path)
+    os.truncate(path, MAX_BYTES)
+    with pytest.raises(hs.ResultError, match="got a netCDF or HDF5 file without the digest at its end"):
+        hs.load_result(path)
+    os.truncate(path, 0)
+    with pytest.raises(hs.ResultError, match="expected a result that hexservo saved, got another kind of file"):
+        hs.load_result(path)
+
+
 @pytest.mark.parametrize("other", [b"", b"name: paper\n", b"\x89HDF\r\n\x1a\n" + bytes(1000)])
-def test_a_file_that_is_no_netcdf(tmp_path: Path, other: bytes) -> None:
+def test_a_file_that_is_no_result(tmp_path: Path, other: bytes) -> None:
     (tmp_path / "x.nc").write_bytes(other)
-    with pytest.raises(hs.ResultError, match=r"expected a result\.nc of `hexservo run --out`, got"):
+    with pytest.raises(hs.ResultError, match=f"expected a result that hexservo saved(, format {FORMAT})?, got a"):
         hs.load_result(tmp_path / "x.nc")
 
 
-def test_a_netcdf_file_of_something_else(tmp_path: Path) -> None:
-    xarray.Dataset({"time": ("time", [1.0, 2.0])}).to_netcdf(tmp_path / "x.nc", engine="h5netcdf")
-    with pytest.raises(hs.ResultError, match="got a netCDF file of something else"):
+def test_a_file_of_the_first_format_or_of_another_program(limited: hs.Result, tmp_path: Path) -> None:
+    limited.to_xarray().to_netcdf(tmp_path / "x.nc", engine="h5netcdf")
+    with pytest.raises(hs.ResultError, match=r"it is of format 1 \(hexservo 0\.1\), of another program"):
         hs.load_result(tmp_path / "x.nc")
 
 
-def test_another_format(content: bytes, tmp_path: Path) -> None:
-    def newer(file: Any) -> None:
-        file.attrs["format"] = FORMAT + 1
-
-    def none(file: Any) -> None:
-        del file.attrs["format"]
-
-    with pytest.raises(hs.ResultError, match=f"expected a result of format {FORMAT}, got format {FORMAT + 1}, which"):
-        hs.load_result(changed(content, tmp_path / "newer.nc", newer))
-    with pytest.raises(hs.ResultError, match=f"expected a result of format {FORMAT}, got one without"):
-        hs.load_result(changed(content, tmp_path / "older.nc", none))
+def test_a_newer_format(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "newer.nc").write_bytes(content.replace(f"format {FORMAT}, ".encode(), b"format 77, "))
+    match = f"expected a result of format {FORMAT}, got format 77, which hexservo {re.escape(hs.__version__)} wrote"
+    with pytest.raises(hs.ResultError, match=match):
+        hs.load_result(tmp_path / "newer.nc")
 
 
-def test_what_was_changed_is_noticed(content: bytes, tmp_path: Path) -> None:
-    def sample(file: Any) -> None:
-        file.variables["wrench"][3, 2] = file.variables["wrench"][3, 2] * (1 + 2**-50)
-
-    def metric(file: Any) -> None:
-        file.attrs["metric_final_error"] = 0.0
-
-    def text(file: Any) -> None:
-        file.attrs["event_table"] = file.attrs["event_table"].replace("\nstroke ", "\nforce ", 1)
-
-    def kind(file: Any) -> None:
-        file.attrs["end_time"] = "soon"
-
-    def missing(file: Any) -> None:
-        del file.attrs["scenario"]
-
-    for change in (sample, metric, text, kind, missing):
-        with pytest.raises(hs.ResultError, match=r"expected a result as hexservo wrote it, got one that was changed"):
-            hs.load_result(changed(content, tmp_path / f"{change.__name__}.nc", change))
-
-
-def test_what_does_not_matter_may_be_added(limited: hs.Result, content: bytes, tmp_path: Path) -> None:
+def test_whatever_another_program_changes_is_noticed(content: bytes, tmp_path: Path) -> None:
     def note(file: Any) -> None:
         file.attrs["note"] = "mine"
 
-    assert_same(hs.load_result(changed(content, tmp_path / "x.nc", note)), limited)
+    def sample(file: Any) -> None:
+        file.variables["wrench"][3, 2] = file.variables["wrench"][3, 2] * (1 + 2**-50)
+
+    for change in (note, sample):
+        with pytest.raises(hs.ResultError, match=r"cut off or changed since|SHA-256 of its bytes is another"):
+            hs.load_result(edited(content, tmp_path / "x.nc", change))
 
 
-def test_a_damaged_file_is_refused_or_reads_the_same(limited: hs.Result, content: bytes, tmp_path: Path) -> None:
-    """Truncated, and with flipped bytes at places drawn at random: never another result, never another error."""
-    seed = 20261121
-    generator = np.random.default_rng(seed)
-    refused = 0
-    for trial in range(40):
-        damaged = bytearray(content)
-        if trial % 4 == 0:
-            damaged = damaged[: int(generator.integers(len(content)))]
-        else:
-            for place in generator.integers(len(content), size=20):
-                damaged[place] ^= int(generator.integers(1, 256))
-        (tmp_path / "x.nc").write_bytes(damaged)
-        problem = ""
-        try:
-            loaded = hs.load_result(tmp_path / "x.nc")
-        except hs.ResultError as error:
-            problem = str(error)
-        if problem:
-            refused += 1
-            told = re.fullmatch(r'".*x\.nc": (expected|its scenario).*', problem)
-            assert told, f"seed {seed}, trial {trial}: {problem}"
-        else:
-            assert_same(loaded, limited)
-    assert refused > 20
+FORGERIES: dict[str, tuple[Callable[[xarray.Dataset], Any], str]] = {
+    "no attribute": (lambda data: data.attrs.pop("scenario"), "attribute scenario"),
+    "text for a number": (lambda data: data.attrs.update(end_time="soon"), "attribute end_time"),
+    "a number for text": (lambda data: data.attrs.update(detail=1.0), "attribute detail"),
+    "another end": (lambda data: data.attrs.update(end_time=0.25), "attribute end_time, which is not the last time"),
+    "no outcome": (
+        lambda data: data.attrs.update(outcome="splendid"),
+        'an outcome that hexservo knows, got "splendid"',
+    ),
+    "no scenario": (lambda data: data.attrs.update(scenario="name: x"), "its scenario: ScenarioError: "),
+    "no table": (lambda data: data.attrs.update(event_table="kind"), "attribute event_table"),
+    "a seventh leg": (
+        lambda data: data.attrs.update(event_table="kind leg time peak limit\nstroke 7 0.1 1.0 0.5"),
+        "attribute event_table",
+    ),
+    "no variable": (lambda data: data.drop_vars("wrench"), "KeyError"),
+    "no sample": (lambda data: data.isel(time=slice(0)), "variable time, which has no sample"),
+    "NaN": (lambda data: data["twist"].data.__setitem__((2, 1), np.nan), "variable twist, which has numbers that are"),
+    "infinity": (lambda data: data["depth"].data.__setitem__((2, 1), -np.inf), "variable depth, which has numbers"),
+    "one precision": (lambda data: data.assign(wrench=data["wrench"].astype(np.float32)), "variable wrench"),
+    "text": (lambda data: data.assign(wrench=data["wrench"].astype(str)), "variable wrench"),
+    "five legs": (lambda data: data.isel(leg=slice(5)), r"variable leg_lengths: shape \(501, 5\) where \(501, 6\) is"),
+    "a transposed array": (lambda data: data.transpose(), "variable feature_error: shape"),
+    "time stands still": (
+        lambda data: data.assign_coords(time=data.time * 0),
+        "variable time, which does not increase",
+    ),
+    "time goes back": (lambda data: data.isel(time=slice(None, None, -1)), "attribute end_time|variable time"),
+    "no rotation": (lambda data: data.assign(quaternion=data.quaternion * 2), "variable quaternion, which is not of"),
+    "behind the camera": (lambda data: data.assign(depth=-data.depth), "variable depth, which is not negative"),
+}
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_a_right_digest_does_not_make_a_run(limited: hs.Result, tmp_path: Path, name: str) -> None:
+    change, words = FORGERIES[name]
+
+    def forge(dataset: xarray.Dataset) -> xarray.Dataset | None:
+        other = change(dataset)
+        return other if isinstance(other, xarray.Dataset) else None
+
+    with pytest.raises(hs.ResultError, match=words) as caught:
+        hs.load_result(forged(limited, tmp_path / "x.nc", forge))
+    assert "\n" not in str(caught.value)
+
+
+def test_an_array_that_only_seems_large(limited: hs.Result, tmp_path: Path) -> None:
+    """A small file can hold an array of any size, of which nothing was written."""
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        file.create_dataset("time", shape=(10**12,), chunks=(1000,), dtype="<f8")
+    with pytest.raises(hs.ResultError, match="variable time"):
+        _parsed(content.getvalue(), "x.nc")
+
+
+def test_the_damage_that_kept_hdf5_busy(content: bytes, tmp_path: Path) -> None:
+    damaged = bytearray(content)
+    damaged[3584 : 3584 + 512] = bytes(512)
+    (tmp_path / "x.nc").write_bytes(damaged)
+    with pytest.raises(hs.ResultError, match="changed or damaged"):
+        hs.load_result(tmp_path / "x.nc")

@@ -7,6 +7,7 @@ import math
 import os
 import pickle
 import shutil
+import time
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -353,6 +354,22 @@ def test_what_was_got_is_shortened() -> None:
         assert len(line.partition("got ")[2]) <= 60
 
 
+def test_of_very_many_problems_the_first_are_said_and_their_number() -> None:
+    """Saying them takes less than parsing them: a wrong file is not slower than a right one."""
+    text = hs.load_scenario("paper").to_yaml() + "".join(f"key{number}: 1\n" for number in range(20_000))
+    started = time.process_time()
+    mapping = load_yaml(text)
+    parsed = time.process_time()
+    assert isinstance(mapping, dict)
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.Scenario.from_mapping(mapping)
+    assert time.process_time() - parsed < parsed - started
+    *lines, last = caught.value.problems
+    assert len(lines) == 20
+    assert all(line.startswith(f"key{number}: unknown key") for number, line in enumerate(lines))
+    assert last == "and 19980 more problems"
+
+
 def test_all_problems_are_reported_at_once() -> None:
     lines = refusal(
         {
@@ -402,7 +419,7 @@ def test_keys_are_text() -> None:
 def test_keys_with_half_characters_are_refused() -> None:
     with pytest.raises(hs.ScenarioError, match="target: expected keys that are text, got"):
         hs.Scenario.from_mapping({"name": "x", "target": {"\ud800": 4}})
-    with pytest.raises(hs.ScenarioError, match="expected keys that are text"):
+    with pytest.raises(hs.ScenarioError, match="expected keys that are text|invalid Unicode character escape"):
         hs.Scenario.from_yaml('"\\ud800": 1')
 
 

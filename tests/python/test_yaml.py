@@ -128,7 +128,7 @@ REFUSED = [
     ("a: \0", "the character U+0000 at 3"),
     ("a: \x1b[31m", "the character U+001B"),
     ("a: \ud800", "the character U+D800"),
-    ('"\\UFFFFFFFF"', "stands for no character"),
+    ('"\\UFFFFFFFF"', "escape"),
     ("%YAML 2.0\n---\na", "not valid YAML"),
     ("9" * 401, "expected an integer of at most 400 characters, got 401"),
     ("-" + "9" * 5000, "got 5001"),
@@ -184,7 +184,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         ("a\0b", "cannot be read: embedded null"),
         (latin / "below", "cannot be read: Not a directory"),
         (large, f"at most {MAX_BYTES} bytes"),
-        (latin, "expected UTF-8 text, got the byte 0xf6 at 8"),
+        (latin, "expected UTF-8 text, got a byte that is none at 8"),
     ]
     for path, words in cases:
         with pytest.raises(ScenarioError) as caught:
