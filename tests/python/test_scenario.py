@@ -419,7 +419,7 @@ def test_keys_are_text() -> None:
 def test_keys_with_half_characters_are_refused() -> None:
     with pytest.raises(hs.ScenarioError, match="target: expected keys that are text, got"):
         hs.Scenario.from_mapping({"name": "x", "target": {"\ud800": 4}})
-    with pytest.raises(hs.ScenarioError, match="expected keys that are text|invalid Unicode character escape"):
+    with pytest.raises(hs.ScenarioError, match=r"expected keys that are text|invalid Unicode character escape"):
         hs.Scenario.from_yaml('"\\ud800": 1')
 
 
