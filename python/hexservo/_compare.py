@@ -22,7 +22,7 @@ from hexservo._metrics import METRICS, metrics
 from hexservo._own_controller import OwnController
 from hexservo._progress import progress_bar
 from hexservo._result import Result
-from hexservo._scenario import LAWS, Scenario, ScenarioError, load_scenario, numeric_keys
+from hexservo._scenario import LAWS, Scenario, ScenarioError, acting_keys, load_scenario
 from hexservo._simulation import simulate
 
 if TYPE_CHECKING:
@@ -458,7 +458,7 @@ def _row_of(row: ComparisonRow, result: Result) -> ComparisonRow:
 
 def _numbers(scenario: Scenario) -> dict[str, Any]:
     """Return the values that a batch may vary, by dotted key, in the widest shape of each; grids are shared."""
-    keys = numeric_keys(scenario.controller.law)
+    keys = acting_keys(scenario.controller.law, scenario.simulation.mode)
     mapping = scenario.to_mapping()
     numbers = {}
     for key, rule in keys.items():

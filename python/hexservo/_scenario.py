@@ -55,6 +55,7 @@ __all__ = [
     "Target",
     "Uncertainty",
     "Vector",
+    "acting_keys",
     "load_scenario",
     "numeric_keys",
     "sampled_keys",
@@ -1141,6 +1142,13 @@ def sampled_keys() -> dict[str, Any]:
     A scenario in continuous mode has these values; `updated` with them, before the mode is changed, drops the rest.
     """
     return {path: _default(field) for path, field, sampled in _leaves(Scenario) if sampled}
+
+
+@cache
+def acting_keys(law: str, mode: str) -> dict[str, NumericKey]:
+    """Return those of the `numeric_keys` that act in a mode: what a batch of such scenarios may vary."""
+    keys = numeric_keys(law)
+    return keys if mode == _SAMPLED_MODE else {key: rule for key, rule in keys.items() if key not in sampled_keys()}
 
 
 def without_effect(keys: Sequence[str]) -> str:

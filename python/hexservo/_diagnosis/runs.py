@@ -13,7 +13,7 @@ from hexservo._batch import BatchResult, simulate_batch, whole
 from hexservo._compare import _numbers, _shared
 from hexservo._diagnosis.criterion import Record, make_record
 from hexservo._result import Result
-from hexservo._scenario import NumericKey, Scenario, numeric_keys
+from hexservo._scenario import NumericKey, Scenario, acting_keys
 
 __all__ = ["Run", "record_of", "run_all"]
 
@@ -63,7 +63,10 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
             cache[id(scenario)] = (repr(_shared(scenario)), _numbers(scenario))
         shared, own = cache[id(scenario)]
         others: dict[str, Any] = {}
-        keys = numeric_keys(run.changes.get("controller.law", scenario.controller.law))
+        keys = acting_keys(
+            run.changes.get("controller.law", scenario.controller.law),
+            run.changes.get("simulation.mode", scenario.simulation.mode),
+        )
         numbers = {name: values for name, values in own.items() if name in keys}
         for name, value in run.changes.items():
             if name in numbers and value is not None:
