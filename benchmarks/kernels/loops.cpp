@@ -11,7 +11,7 @@ void servo_tick(benchmark::State& state) {
   const ControllerGains<Hybrid> gains = controller_gains(test::paper_settings(), 1e-3);
   std::vector<ControllerInput> inputs;
   for (ClosedLoop<double, Hybrid> loop(parameters()); inputs.size() < 1000; loop.advance())
-    inputs.push_back(loop.observe());
+    inputs.push_back(input_of(loop.time(), loop.observe()));
   ControllerState<Hybrid> controller = initial_state(gains);
   std::size_t i = 0;
   for (auto _ : state) {

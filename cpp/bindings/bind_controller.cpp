@@ -49,15 +49,24 @@ struct Controller {
   }
 };
 
-py::tuple step_once(Controller& controller, const py::object& features, const py::object& depth,
-                    const py::object& position, const py::object& quaternion, const py::object& twist,
-                    double image_age) {
-  const ControllerInput input{{numbers<2 * kPoints>("features", features), numbers<kPoints>("depth", depth)},
-                              {numbers<3>("position", position), numbers<4>("quaternion", quaternion)},
-                              numbers<6>("twist", twist),
-                              image_age};
+/// The same, or N unknown numbers for None.
+template <int N>
+Vector<double, N> numbers_or_none(const char* name, const py::object& value) {
+  if (value.is_none()) return Vector<double, N>::Constant(std::numeric_limits<double>::quiet_NaN());
+  return numbers<N>(name, value);
+}
+
+py::tuple step_once(Controller& controller, double now, double exposure, const py::object& features,
+                    const py::object& depth, const py::object& position, const py::object& quaternion,
+                    const py::object& twist, const py::object& leg_lengths, const py::object& leg_rates) {
+  const ControllerInput input{
+      now,
+      {exposure, {numbers_or_none<2 * kPoints>("features", features), numbers_or_none<kPoints>("depth", depth)}},
+      {numbers_or_none<3>("position", position), numbers_or_none<4>("quaternion", quaternion)},
+      numbers_or_none<6>("twist", twist),
+      {numbers_or_none<6>("leg_lengths", leg_lengths), numbers_or_none<6>("leg_rates", leg_rates)}};
   const ControllerOutput out = controller.visit([&](auto& c) { return step(c.gains, c.state, input); });
-  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.status);
+  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.status, out.saturated);
 }
 
 }  // namespace
@@ -67,6 +76,7 @@ void bind_controller(py::module_& m) {
       .value("valid", InputStatus::valid)
       .value("missing_image", InputStatus::missing_image)
       .value("stale_image", InputStatus::stale_image)
+      .value("lost_feature", InputStatus::lost_feature)
       .value("unusable", InputStatus::unusable)
       .finalize();
   constexpr auto text = "ValueError('key: expected ..., got ...') for a bad scenario or period [s].";
@@ -75,9 +85,9 @@ void bind_controller(py::module_& m) {
     controller.def(py::init<const Settings<Law>&, double>(), py::arg("settings"), py::arg("period"), text);
   });
   controller
-      .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
-           py::arg("twist"), py::arg("image_age") = 0.0,
-           "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input.")
+      .def("step", &step_once, py::arg("now"), py::arg("exposure"), py::arg("features"), py::arg("depth"),
+           py::arg("position"), py::arg("quaternion"), py::arg("twist"), py::arg("leg_lengths"), py::arg("leg_rates"),
+           "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input, whether it is saturated.")
       .def(
           "reset", [](Controller& controller) { controller.visit([](auto& c) { c.state = initial_state(c.gains); }); },
           "Back to the state before the first tick.")

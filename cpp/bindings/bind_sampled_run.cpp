@@ -1,10 +1,59 @@
 #include "bindings.hpp"
 
 #include "hexservo/sampled_run.hpp"
+#include "hexservo/tick_record.hpp"
+
+#include <limits>
 
 namespace hexservo::bindings {
 
+namespace {
+
+/// One column per number of a tick, by name.
+template <class Law>
+py::dict recorded_ticks(const Settings<Law>& settings) {
+  FuzzyWeights<double> weights;
+  for (auto& weight : weights) weight = SideBySide<double, 6>(Vector6<double>(Vector6<double>::Zero()));
+  const std::vector<RecordedTick> ticks = record_ticks(settings, weights);
+  const auto rows = static_cast<py::ssize_t>(ticks.size());
+  py::dict columns;
+  const auto put = [&](const char* name, py::ssize_t width, auto&& values_of) {
+    py::array_t<double> column({rows, width});
+    double* to = column.mutable_data();
+    for (const RecordedTick& tick : ticks) {
+      const auto values = values_of(tick);
+      to = std::copy(values.data(), values.data() + width, to);
+    }
+    columns[name] = column;
+  };
+  using One = Vector<double, 1>;
+  using T = const RecordedTick&;
+  put("now", 1, [](T t) { return One(t.input.now); });
+  put("exposure", 1, [](T t) { return One(t.input.frame.exposure); });
+  put("features", 2 * kPoints, [](T t) { return t.input.frame.image.features; });
+  put("depth", kPoints, [](T t) { return t.input.frame.image.depth; });
+  put("position", 3, [](T t) { return t.input.pose.position; });
+  put("quaternion", 4, [](T t) { return t.input.pose.quaternion; });
+  put("twist", 6, [](T t) { return t.input.twist; });
+  put("leg_lengths", 6, [](T t) { return t.input.joints.lengths; });
+  put("leg_rates", 6, [](T t) { return t.input.joints.rates; });
+  put("wrench", 6, [](T t) { return t.output.wrench; });
+  put("leg_forces", 6, [](T t) { return t.output.leg_forces; });
+  put("fuzzy_output", 6, [](T t) { return t.output.fuzzy_output; });
+  put("status", 1, [](T t) { return One(static_cast<double>(static_cast<int>(t.output.status))); });
+  put("saturated", 1, [](T t) { return One(t.output.saturated ? 1.0 : 0.0); });
+  columns["fuzzy_weights"] = weight_array(weights);
+  return columns;
+}
+
+}  // namespace
+
 void bind_sampled_run(py::module_& m) {
+  Laws::for_each([&m]<class Law>(std::type_identity<Law>) {
+    m.def("recorded_ticks", &recorded_ticks<Law>, py::arg("settings"),
+          "What the controller of a run in sampled mode was given and answered, tick by tick, by name.");
+  });
+
   using Seen = SampledObservation;
   py::class_<Seen>(m, "SampledObservation", "What a controller sees at a tick.")
       .def_readonly("tick", &Seen::tick)

@@ -117,6 +117,7 @@ void bind_settings_of(py::module_& m, const char* name, const char* text) {
       .def_readwrite("target", &S::target)
       .def_readwrite("uncertainty", &S::uncertainty)
       .def_readwrite("switching", &S::switching)
+      .def_readwrite("safe", &S::safe)
       .def_readwrite("gains", &S::gains)
       .def_readwrite("simulation", &S::simulation)
       .def_readwrite("metrics", &S::metrics)
@@ -174,6 +175,11 @@ void bind_settings(py::module_& m) {
       .def(py::init<>())
       .def_readwrite("kind", &Switching<double>::kind)
       .def_readwrite("width", &Switching<double>::width, "of tanh and saturation [m/s; rad/s]");
+
+  py::class_<SafeSettings>(m, "SafeSettings", "The brake that acts where the law may not.")
+      .def(py::init<>())
+      .def_readwrite("damping", &SafeSettings::damping, "(6,) diagonal of K_s [N s/m; N m s/rad]; or None: derived")
+      .def_readwrite("hold", &SafeSettings::hold, "(6,) diagonal of K_h [N/m; N m/rad]; or None: derived");
 
   py::class_<HybridGains<double>>(m, "HybridGains", "Gains of the law hybrid, (14), (15) of the paper.")
       .def(py::init<>())

@@ -125,6 +125,8 @@ Keys<Law> scene_keys() {
       {"uncertainty.gravity", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.dynamics.gravity, v); }},
       {"uncertainty.depth", {1, 4}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.depth, v); }},
       {"controller.switching.width", {1}, Reach::lane, [](S& s, V v) { s.switching.width = v[0]; }},
+      {"controller.safe.damping", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.safe.damping.emplace(), v); }},
+      {"controller.safe.hold", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.safe.hold.emplace(), v); }},
       {"seed", {1}, Reach::lane, [](S& s, V v) { s.seed = seed_number(v[0]); }},
   };
 }

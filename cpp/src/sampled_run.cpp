@@ -39,7 +39,7 @@ struct SampledRun::Books {
   std::shared_ptr<const void> kept;  ///< settings: a recorded base motion is shared, not copied
   Hexapod<double> hexapod;
   double step;
-  SampledPlant<double> plant;
+  CommandedPlant<double> plant;
   detail::TrajectoryLog log;
   RunRequest request{};
   NoState<double> no_weights;  ///< the scenario's law does not act
@@ -60,13 +60,13 @@ SampledRun::~SampledRun() = default;
 bool SampledRun::running() const noexcept { return books_->running(); }
 
 SampledObservation SampledRun::observe() const {
-  const SampledPlant<double>& plant = books_->plant;
-  const auto& seen = plant.observe();
+  const SampledPlant<double>& plant = books_->plant.plant();
+  const auto& seen = books_->plant.observe();
   SampledObservation observation{
       plant.ticks(), plant.time(), seen.newest * books_->step, {seen.image, seen.pose, seen.twist}};
   const double unknown = std::numeric_limits<double>::quiet_NaN();
   if (!(seen.newest >= 0.0)) observation.exposure = unknown;
-  if (!seen.ready) {
+  if (!seen.ready()) {
     observation.sensed.image.features.setConstant(unknown);
     observation.sensed.image.depth.setConstant(unknown);
   }
@@ -77,8 +77,8 @@ void SampledRun::command(const Vector6<double>& wrench) {
   if (!running()) throw std::logic_error("the run has ended: expected no further command");
   detail::require_finite("wrench", wrench);
   Books& b = *books_;
-  b.plant.command(wrench, Vector6<double>::Zero());
-  const long long tick = b.plant.ticks();
+  b.plant.command(wrench);
+  const long long tick = b.plant.plant().ticks();
   if (!b.rows)
     b.rows.emplace(b.request, b.plant.record(), b.no_weights);
   else if (tick % b.request.log_every == 0)
@@ -98,10 +98,10 @@ void SampledRun::command_legs(const Vector6<double>& leg_forces) {
 Trajectory SampledRun::finish() {
   Books& b = *books_;
   if (!b.rows) {  // nothing was commanded: the platform at its start
-    b.plant.command(Vector6<double>::Zero(), Vector6<double>::Zero());
+    b.plant.command(Vector6<double>::Zero());
     b.rows.emplace(b.request, b.plant.record(), b.no_weights);
   }
-  detail::answer(b.plant.record(), b.no_weights, static_cast<double>(b.plant.ticks()), !b.complete, 0, b.request);
+  detail::answer(b.plant.record(), b.no_weights, static_cast<double>(b.plant.plant().ticks()), !b.complete, 0, b.request);
   b.rows->end(0);
   return b.log.finish(b.step, b.hexapod);
 }

@@ -15,6 +15,9 @@ using Features = Vector<double, 2 * kPoints>;
 
 constexpr double kCoincident = 1e-6;     // features closer than this are one [px]
 constexpr double kRankDeficient = 1e-9;  // sigma_min/sigma_max of the image Jacobian with lengths in units of the depth
+constexpr double kFastestBrake = 100.0;  // of the brake's response: at rest within 50 ms [rad/s]
+constexpr double kBrakePhase = 0.2;      // of the same, lost to delays [rad]: next to no damping is lost
+constexpr double kPi = 3.14159265358979323846;
 constexpr double kMaxSteps = 1e9;        // a run of hours on one core: surely a slip
 
 void require_apart(const std::string& key, const Features& features) {
@@ -199,6 +202,15 @@ long long step_count(const SimulationSettings& simulation) {
   return static_cast<long long>(steps);
 }
 
+SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, double delay) {
+  if (settings.damping) detail::require_not_negative("controller.safe.damping", *settings.damping);
+  if (settings.hold) detail::require_not_negative("controller.safe.hold", *settings.hold);
+  const double w = std::min(kFastestBrake, kBrakePhase / delay);
+  Vector6<double> inertia;
+  inertia << Vector3<double>::Constant(body.mass), body.inertia_E.diagonal();
+  return {settings.damping.value_or(2.0 * w * inertia), settings.hold.value_or(w * w * inertia)};
+}
+
 template <class Law>
 LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const Hexapod<double>* legs) {
   LoopParameters<double, Law> p;
@@ -264,6 +276,11 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
     p.pose_source = settings.sensors.pose;
     p.encoders = encoder_parameters(settings.sensors, p.step);
     p.actuators = actuator_parameters(settings.actuators, p.step);
+    // Until a motion acts on the platform again; a lag that is infinitely fast adds nothing.
+    const double delay = p.step * static_cast<double>((p.pose_source == PoseSource::encoders ? p.encoders.period : 1) +
+                                                      p.actuators.delay) +
+                         1.0 / (2.0 * kPi * p.actuators.bandwidth);
+    p.safe = safe_gains(settings.safe, p.body, delay);
     p.base_motion = base_motion_parameters(settings.base_motion, p.step / static_cast<double>(p.substeps));
     if (settings.base_motion.samples)
       p.recorded = {settings.base_motion.samples->data(),

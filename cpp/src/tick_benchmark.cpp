@@ -110,7 +110,7 @@ Recording record(const Settings<Law>& settings) {
   recording.wrenches.reserve(static_cast<std::size_t>(steps));
   ClosedLoop<double, Law> loop(parameters);
   for (long long i = 0; i < steps && loop.record().running(); ++i) {
-    recording.inputs.push_back(loop.observe());
+    recording.inputs.push_back(input_of(loop.time(), loop.observe()));
     recording.wrenches.push_back(loop.record().sample().wrench);
     loop.advance();
   }

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo import _core
-from hexservo._parameters import core_parameters
+from hexservo._parameters import Settings, core_parameters
 from hexservo._scenario import Scenario
 
 __all__ = ["Controller", "ControllerOutput"]
 
-InputStatus: TypeAlias = Literal["valid", "missing_image", "stale_image", "unusable"]
+InputStatus: TypeAlias = Literal["valid", "missing_image", "stale_image", "lost_feature", "unusable"]
 
 
 class ControllerOutput(NamedTuple):
@@ -26,43 +26,47 @@ class ControllerOutput(NamedTuple):
     fuzzy_output: NDArray[np.float64]
     """(6,), output of the fuzzy systems, already subtracted in `wrench` [N; N m]."""
     invalid_input: bool
-    """The input could not be used: the wrench only holds the platform, and the controller's state is unchanged."""
+    """The law could not act: the wrench brakes and holds the platform, and nothing is learned."""
     status: InputStatus
-    """``valid``, or why not: ``missing_image`` (no feature is known), ``stale_image`` (older than the scenario's
-    ``camera.timeout``, or of unknown age), ``unusable``."""
+    """``valid``, or why not: ``missing_image`` (a point has never been seen), ``stale_image`` (a point was not seen for
+    longer than ``camera.timeout``), ``lost_feature`` (``camera.on_lost`` is ``stop``), ``unusable``."""
+    saturated: bool
+    """A leg force is beyond ``robot.force_limit`` where ``actuators.saturation`` is set: nothing is learned."""
 
 
 class Controller:
     """The controller of a scenario, one tick at a time (docs/model.md, section 7).
 
-    It knows what the scenario's controller knows: robot, camera, goal and gains, not ``uncertainty``, which belongs to
-    the plant.
+    It is the controller of the sampled loop, all of it, and the one that ``hexservo export`` takes to a robot: frames
+    with their times of exposure, prediction, lost points, timeout, the pose of the encoders, the law, the wait of the
+    weights under saturation, and the safe output. It knows what the scenario's controller knows: not ``uncertainty``,
+    which belongs to the plant. A scenario in ``continuous`` mode has a frame and a pose at every tick.
 
     For teaching and tests. A call from Python costs several times the tick itself, most of it for the conversion of
-    five arrays in and three out: about 7 times as much as the same tick called from C++ (medians of 100 blocks of 1000
-    calls, numpy arrays as arguments, one core, the same compiler and flags), and more with lists. A robot's program
-    includes the header that ``hexservo export`` writes and calls ``hexservo::step``.
+    arrays. A robot's program includes the header that ``hexservo export`` writes and calls ``hexservo::step``.
 
     Parameters
     ----------
     scenario
-        Its law, robot, camera and target.
+        Its law, robot, camera, sensors and target.
     period
-        Time between two ticks [s].
+        Time between two ticks [s], at most 1 s; the camera's times have to be whole numbers of it.
+        None: the scenario's ``simulation.step``.
 
     Raises
     ------
     TypeError
         For anything but a `Scenario`.
     ValueError
-        For a period that is not a finite number > 0.
+        For a period that is out of range, or does not fit the camera's times.
     """
 
-    def __init__(self, scenario: Scenario, period: float = 1e-3) -> None:
+    def __init__(self, scenario: Scenario, period: float | None = None) -> None:
         if not isinstance(scenario, Scenario):
             raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
         self._scenario = scenario
-        self._core = _core.Controller(core_parameters(scenario), period)
+        self._core = _core.Controller(*controller_arguments(scenario, period))
+        self._next = 0.0
 
     def __repr__(self) -> str:
         """Show the scenario's name and the period."""
@@ -84,47 +88,74 @@ class Controller:
         return self._core.fuzzy_weights
 
     def reset(self) -> None:
-        """Go back to the state before the first tick."""
+        """Go back to the state before the first tick, at time 0."""
         self._core.reset()
+        self._next = 0.0
 
     def step(
         self,
-        features: ArrayLike,
-        depth: ArrayLike,
-        position: ArrayLike,
-        quaternion: ArrayLike,
-        twist: ArrayLike,
-        image_age: float = 0.0,
+        features: ArrayLike | None = None,
+        depth: ArrayLike | None = None,
+        position: ArrayLike | None = None,
+        quaternion: ArrayLike | None = None,
+        twist: ArrayLike | None = None,
+        *,
+        exposure: float | None = None,
+        now: float | None = None,
+        leg_lengths: ArrayLike | None = None,
+        leg_rates: ArrayLike | None = None,
     ) -> ControllerOutput:
-        """Take one tick: (13), (14), (15), leg forces, and the adaptation (22) over one period.
+        """Take one tick: sensors, (13), (14), (15), leg forces, and the adaptation (22) over one period.
 
         Numbers that are not finite are accepted, as sensors give them; they make the output safe (`invalid_input`).
         So do features more than 1e4 px from the goal, twists beyond 1e3, points that are not in front of the camera, a
-        quaternion without a length, and singular poses. The leg forces then hold the platform at the last valid pose.
+        quaternion without a length, a frame from the future, a clock that goes back, and singular poses.
 
         Parameters
         ----------
         features
-            (8,), measured (x1, y1, ..., x4, y4) from the image centre [px].
+            (8,), measured (x1, y1, ..., x4, y4) from the image centre [px], NaN for a point that the frame does not
+            show. None: no frame arrived since the last tick, and the one before is used, or predicted.
         depth
-            (4,), measured z of the points in E, negative in front of the camera [m].
+            (4,), measured z of the points in E at the exposure, negative in front of the camera [m].
         position
-            (3,), of E's origin, in B [m].
+            (3,), of E's origin, in B [m]. Not used where ``sensors.pose`` is ``encoders``.
         quaternion
-            (4,), attitude of E in B, (w, x, y, z) of any length but zero.
+            (4,), attitude of E in B, (w, x, y, z) of any length but zero. Likewise.
         twist
-            (6,), velocity of E's origin and angular velocity, in B [m/s; rad/s].
-        image_age
-            Time since the image was exposed [s]; beyond ``camera.timeout`` of the scenario the image is not used.
+            (6,), velocity of E's origin and angular velocity, in B [m/s; rad/s]. Likewise.
+        exposure
+            Time at which the frame was exposed [s]; of two frames the one exposed later counts. None: `now`.
+        now
+            Time of the tick [s]; never less than before. None: a period after the last tick, the first one at 0.
+        leg_lengths
+            (6,), where ``sensors.pose`` is ``encoders`` [m]. None: no reading at this tick, and the last one holds, for
+            twice ``sensors.period`` at most.
+        leg_rates
+            (6,), where ``sensors.rate`` is true [m/s].
 
         Raises
         ------
         ValueError
             "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers.
         """
-        wrench, leg_forces, fuzzy_output, status = self._core.step(
-            features, depth, position, quaternion, twist, image_age
+        time = self._next if now is None else now
+        exposed = np.nan if features is None else time if exposure is None else exposure
+        wrench, leg_forces, fuzzy_output, status, saturated = self._core.step(
+            time, exposed, features, depth, position, quaternion, twist, leg_lengths, leg_rates
         )
+        if np.isfinite(time):
+            self._next = time + self.period
         return ControllerOutput(
-            wrench, leg_forces, fuzzy_output, status != _core.InputStatus.valid, cast("InputStatus", status.name)
+            wrench,
+            leg_forces,
+            fuzzy_output,
+            status != _core.InputStatus.valid,
+            cast("InputStatus", status.name),
+            saturated,
         )
+
+
+def controller_arguments(scenario: Scenario, period: float | None) -> tuple[Settings, float]:
+    """Give the core's settings of a scenario's controller and its period, the scenario's own unless one is given."""
+    return core_parameters(scenario), scenario.simulation.step if period is None else period

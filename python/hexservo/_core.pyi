@@ -25,7 +25,8 @@ class InputStatus(enum.Enum):
     valid = 0
     missing_image = 1
     stale_image = 2
-    unusable = 3
+    lost_feature = 3
+    unusable = 4
 
 class StopCause(enum.Enum):
     __pybind11_native_enum__: object
@@ -357,6 +358,13 @@ class Switching(metaclass=_PybindType):
     kind: SwitchingKind
     width: float
 
+class SafeSettings(metaclass=_PybindType):
+    """The brake that acts where the law may not."""
+
+    def __init__(self) -> None: ...
+    damping: _Array | None
+    hold: _Array | None
+
 class Target(metaclass=_PybindType):
     """Four points to look at, and where they shall appear."""
 
@@ -404,6 +412,7 @@ class _LawSettings(metaclass=_PybindType):  # what the settings of all laws have
     target: Target
     uncertainty: Uncertainty
     switching: Switching
+    safe: SafeSettings
     simulation: SimulationSettings
     metrics: MetricsSettings
     seed: int
@@ -720,13 +729,16 @@ class Controller(metaclass=_PybindType):
     def __init__(self, settings: _Settings, period: float) -> None: ...
     def step(
         self,
+        now: float,
+        exposure: float,
         features: object,
         depth: object,
         position: object,
         quaternion: object,
         twist: object,
-        image_age: float = 0.0,
-    ) -> tuple[_Array, _Array, _Array, InputStatus]: ...
+        leg_lengths: object,
+        leg_rates: object,
+    ) -> tuple[_Array, _Array, _Array, InputStatus, bool]: ...
     def reset(self) -> None: ...
     @property
     def period(self) -> float: ...

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
+from hexservo._controller import controller_arguments
 from hexservo._files import write_file
-from hexservo._parameters import Settings, core_parameters
+from hexservo._parameters import Settings
 from hexservo._scenario import Scenario
 
 __all__ = ["gains_header", "write_header"]
@@ -33,8 +34,24 @@ _ROBOT = {
 }
 _CAMERA = {"camera.focal_length": "m", "camera.pixel_scale": "px/m", "convention": "", "jacobian": ""}
 _SEEN_FROM_HOME = {"target.initial_features": "px", "target.depth": "m"}
-_GOAL = {"target.desired_features": "px"}
+_GOAL = {"target.desired_features": "px", "uncertainty.depth": "1"}  # the controller's depths, in parts of the true ones
 _SWITCHING = {"switching.kind": "", "switching.width": "m/s; rad/s"}
+_SENSORS = {
+    "simulation.mode": "",
+    "simulation.step": "s",
+    "sampling.period": "s",
+    "sampling.latency": "s",
+    "sampling.latency_jitter": "s",
+    "sampling.timeout": "s",
+    "sampling.faults.prediction": "",
+    "sampling.faults.on_lost": "",
+    "sensors.pose": "",
+    "sensors.period": "s",
+    "sensors.encoders.rates": "",
+}
+# Of the actuators what the controller has to know: a limit at which it waits, and how late they are.
+_ACTUATORS = {"actuators.actuators.saturation": "", "actuators.actuators.bandwidth": "Hz", "actuators.delay": "s"}
+_SAFE = {"safe.damping": "N s/m; N m s/rad", "safe.hold": "N/m; N m/rad"}
 _FUZZY = {
     "gains.fuzzy.enabled": "",
     "gains.fuzzy.adaptation": "m/N; rad/(N m)",
@@ -78,34 +95,42 @@ _GAINS = {
 }
 
 
-def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
+def gains_header(scenario: Scenario, period: float | None = None) -> str:
     """Give a C++ header with everything that the controller of a scenario knows, as constants.
 
-    The header defines ``period``, ``settings()`` and ``controller_gains()`` in the namespace ``hexservo_NAME``, where
-    NAME is the scenario's, with "_" for what is neither letter nor digit. Numbers read back bit for bit.
-    The plant's errors (``uncertainty``) and the simulation's grid are no part of it (docs/model.md, section 7).
+    The header defines ``Law``, ``period``, ``settings()`` and ``controller_gains()`` in the namespace
+    ``hexservo_NAME``, where NAME is the scenario's, with "_" for what is neither letter nor digit, and the macro
+    ``HEXSERVO_GAINS`` as that namespace where no header before it has. Numbers read back bit for bit. What belongs to
+    the plant is no part of it: its errors (``uncertainty``), the faults of camera, encoders and actuators that a
+    simulation adds, and the motion of the base (docs/model.md, section 7).
 
     Parameters
     ----------
     scenario
         What the robot shall do.
     period
-        Time between two ticks [s].
+        Time between two ticks [s], at most 1 s; the camera's times have to be whole numbers of it.
+        None: the scenario's ``simulation.step``.
 
     Raises
     ------
     ValueError
-        For a period that is not a finite number > 0.
+        For a period that is out of range, or does not fit the camera's times.
     """
     from hexservo import __version__
 
-    settings = core_parameters(scenario)
+    settings, period = controller_arguments(scenario, period)
     period = _core.Controller(settings, period).period  # the core's own check
+    settings.simulation.step = period
     gains = _GAINS[scenario.controller.law]
     law = f"hexservo::{type(settings).__name__.removesuffix('Settings')}"
-    blocks = [_ROBOT, _CAMERA, _SEEN_FROM_HOME, _GOAL, _SWITCHING, gains]
+    blocks = [_ROBOT, _CAMERA, _SEEN_FROM_HOME, _GOAL]
+    if settings.simulation.mode == _core.LoopMode.sampled:
+        blocks += [_SENSORS, _ACTUATORS]
+    blocks += [_SAFE, _SWITCHING, gains]
     if settings.target.points is not None:
         blocks.remove(_SEEN_FROM_HOME)
+    namespace = _namespace(scenario.name)
     lines = [
         _TITLE,
         f'// The controller of the scenario "{scenario.name}", written by `hexservo export` of hexservo {__version__}.',
@@ -117,14 +142,20 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
         "",
         "#include <limits>",
         "",
-        f"namespace {_namespace(scenario.name)} {{",
+        "#ifndef HEXSERVO_GAINS  // for a program that takes whatever header it is given",
+        f"#define HEXSERVO_GAINS {namespace}",
+        "#endif",
+        "",
+        f"namespace {namespace} {{",
+        "",
+        f"using Law = {law};",
         "",
         "/// T_c, time between two ticks [s].",
         f"inline constexpr double period = {period!r};",
         "",
-        "/// Robot, camera, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.",
-        f"inline hexservo::Settings<{law}> settings() {{",
-        f"  hexservo::Settings<{law}> s;",
+        "/// Robot, camera, sensors, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.",
+        "inline hexservo::Settings<Law> settings() {",
+        "  hexservo::Settings<Law> s;",
     ]
     for block in blocks:
         for member, unit in block.items():
@@ -138,11 +169,11 @@ def gains_header(scenario: Scenario, period: float = 1e-3) -> str:
         "}",
         "",
         "/// What `hexservo::step` needs.",
-        f"inline hexservo::ControllerGains<{law}> controller_gains() {{",
+        "inline hexservo::ControllerGains<Law> controller_gains() {",
         "  return hexservo::controller_gains(settings(), period);",
         "}",
         "",
-        f"}}  // namespace {_namespace(scenario.name)}",
+        f"}}  // namespace {namespace}",
     ]
     return "\n".join(lines) + "\n"
 
@@ -155,13 +186,16 @@ def _value(settings: Settings, member: str) -> Any:
 
 
 def _assignment(member: str, value: Any, unit: str) -> Iterator[str]:
+    if value is None:  # derived by the core
+        return
     if isinstance(value, np.ndarray):
-        yield from _matrix(f"s.{member}", np.atleast_2d(value), unit)
+        name = f"s.{member}.emplace()" if member in _SAFE else f"s.{member}"
+        yield from _matrix(name, np.atleast_2d(value), unit)
         return
     if isinstance(value, bool):
         text = "true" if value else "false"
     elif isinstance(value, float):
-        text = repr(value)
+        text = _number(value)
     else:  # an enumeration of the core, which has the same names on both sides
         text = f"hexservo::{type(value).__name__}::{value.name}"
     yield f"  s.{member} = {text};" + (f"  // [{unit}]" if unit else "")

@@ -59,6 +59,9 @@ def core_parameters(scenario: Scenario) -> Settings:
     settings.uncertainty = _uncertainty(scenario)
     settings.switching.kind = _core.SwitchingKind[scenario.controller.switching.kind]
     settings.switching.width = scenario.controller.switching.width
+    for key in type(scenario.controller.safe).model_fields:
+        gains = getattr(scenario.controller.safe, key)
+        setattr(settings.safe, key, None if gains is None else _filled(gains, 6))
     settings.simulation.mode = _core.LoopMode[scenario.simulation.mode]
     settings.simulation.step = scenario.simulation.step
     settings.simulation.substeps = scenario.simulation.substeps

@@ -783,6 +783,19 @@ class Switching(_Block):
     width: _PositiveNumber = Field(default_factory=lambda: _core.Switching().width)
 
 
+class Safe(_Block):
+    """The brake in sampled mode, where the law may not act: without an image, with an old one, with unusable numbers.
+
+    docs/model.md section 7. A null gain is derived from the estimated inertia; zeros leave the platform to its weight's
+    support alone.
+    """
+
+    # K_s, diagonal, [N s/m] x3, [N m s/rad] x3
+    damping: Annotated[float | Vector | None, _Array((6,), _NOT_NEGATIVE, or_number=True, or_null=True)] = None
+    # K_h, diagonal, [N/m] x3, [N m/rad] x3
+    hold: Annotated[float | Vector | None, _Array((6,), _NOT_NEGATIVE, or_number=True, or_null=True)] = None
+
+
 class Fuzzy(_Block):
     """The six fuzzy systems and their adaptation, (13) and (22); docs/model.md section 5.
 
@@ -967,6 +980,7 @@ class Controller(_Block):
     # consistent: the sign of the plant; printed: (8) as it stands
     jacobian: Annotated[Literal["consistent", "printed"], _Choice()] = "consistent"
     switching: Switching = Field(default_factory=Switching)
+    safe: Safe = Field(default_factory=Safe)
     hybrid: Hybrid = Field(default_factory=Hybrid)
     composite: Composite = Field(default_factory=Composite)
     kelly: Kelly = Field(default_factory=Kelly)

@@ -222,7 +222,12 @@ def check(
 def export(
     scenario: ScenarioArgument,
     header: Annotated[str, typer.Option("--header", metavar="FILE", help="C++ header to write, a new file.")],
-    period: Annotated[float, typer.Option("--period", help="Time between two ticks of the controller [s].")] = 1e-3,
+    period: Annotated[
+        float | None,
+        typer.Option(
+            "--period", help="Time between two ticks of the controller [s].  [default: simulation.step of the scenario]"
+        ),
+    ] = None,
     settings: SettingsOption = None,
     force: Annotated[
         bool, typer.Option("--force", "-f", help="Replace a header that an earlier export wrote.")
@@ -241,7 +246,8 @@ def export(
         except ValueError as error:
             raise hs.ScenarioError(str(error).splitlines()) from error
         write_header(text, header, force=force)
-        write(f'{header}: gains of the scenario "{chosen.name}" for a period of {period * 1e3:.6g} ms\n')
+        ticks = chosen.simulation.step if period is None else period
+        write(f'{header}: gains of the scenario "{chosen.name}" for a period of {ticks * 1e3:.6g} ms\n')
 
 
 @app.command()

@@ -111,8 +111,9 @@ Settings<Composite> gravity_settings() {
 
 ControllerInput random_input(Random& random) {
   ControllerInput input;
-  input.image.features = random.matrix<8>(80.0);
-  for (int i = 0; i < 4; ++i) input.image.depth(i) = -random.uniform(0.3, 0.8);
+  input.frame.exposure = 0.0;
+  input.frame.image.features = random.matrix<8>(80.0);
+  for (int i = 0; i < 4; ++i) input.frame.image.depth(i) = -random.uniform(0.3, 0.8);
   input.pose = {Vector3<double>(0.0, 0.0, -0.15) + random.matrix<3>(0.01), quaternion_by(random.matrix<3>(0.1))};
   input.twist = random.six(0.05, 0.2);
   return input;
@@ -465,7 +466,7 @@ TEST_CASE("a tick of `composite` is the law at its input, and allocates nothing,
     Situation s;
     s.task = gains.task;
     s.weights = state.law;
-    s.input = {input.image, rotation_of(input.pose.quaternion), input.twist, input.pose};
+    s.input = {input.frame.image, rotation_of(input.pose.quaternion), input.twist, input.pose};
     const Composite::Evaluation<double> law = s.evaluate();
     const ControllerOutput out = step(gains, state, input);
     REQUIRE_FALSE(out.invalid_input());
@@ -495,24 +496,28 @@ TEST_CASE("NaN in any entry gives the safe output of `composite`, and changes no
   CAPTURE(random.seed());
   const ControllerInput good = random_input(random);
   REQUIRE_FALSE(step(gains, state, good).invalid_input());
-  const auto require_safe = [&](const std::function<double&(ControllerInput&)>& entry) {
+  const auto require_safe = [&](bool image, const std::function<double&(ControllerInput&)>& entry) {
     for (const double value : {kNaN, kInfinity, -kInfinity}) {
       ControllerInput bad = good;
       entry(bad) = value;
-      ControllerState<Composite> after = state;
+      ControllerState<Composite> after = image ? initial_state(gains) : state;
+      const FuzzyWeights<double> before = after.law;
       const ControllerOutput out = step(gains, after, bad);
       REQUIRE(out.invalid_input());
-      REQUIRE(out.wrench == gravity_wrench(RigidBody<double>{}));
+      const Vector6<double> brake = image ? gains.safe.damping.cwiseProduct(good.twist) : Vector6<double>::Zero();
+      REQUIRE(distance(out.wrench, gravity_wrench(RigidBody<double>{}) - brake) <= 1e-15);
       REQUIRE(out.fuzzy_output.isZero(0.0));
       REQUIRE(is_finite(out.leg_forces));
-      for (std::size_t r = 0; r < state.law.size(); ++r) REQUIRE(distance(after.law[r], state.law[r]) == 0.0);
+      for (std::size_t r = 0; r < before.size(); ++r) REQUIRE(distance(after.law[r], before[r]) == 0.0);
     }
   };
-  for (int i = 0; i < 8; ++i) require_safe([i](ControllerInput& in) -> double& { return in.image.features(i); });
-  for (int i = 0; i < 4; ++i) require_safe([i](ControllerInput& in) -> double& { return in.image.depth(i); });
-  for (int i = 0; i < 3; ++i) require_safe([i](ControllerInput& in) -> double& { return in.pose.position(i); });
-  for (int i = 0; i < 4; ++i) require_safe([i](ControllerInput& in) -> double& { return in.pose.quaternion(i); });
-  for (int i = 0; i < 6; ++i) require_safe([i](ControllerInput& in) -> double& { return in.twist(i); });
+  for (int i = 0; i < 8; ++i)
+    require_safe(true, [i](ControllerInput& in) -> double& { return in.frame.image.features(i); });
+  for (int i = 0; i < 4; ++i)
+    require_safe(true, [i](ControllerInput& in) -> double& { return in.frame.image.depth(i); });
+  for (int i = 0; i < 3; ++i) require_safe(false, [i](ControllerInput& in) -> double& { return in.pose.position(i); });
+  for (int i = 0; i < 4; ++i) require_safe(false, [i](ControllerInput& in) -> double& { return in.pose.quaternion(i); });
+  for (int i = 0; i < 6; ++i) require_safe(false, [i](ControllerInput& in) -> double& { return in.twist(i); });
 }
 
 // ---- The loop -------------------------------------------------------------------------------------------------------

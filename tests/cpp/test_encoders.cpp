@@ -1,5 +1,6 @@
 // Leg length encoders: truth without errors, bounds with them, and when they are read.
 #include "hexservo/encoders.hpp"
+#include "hexservo/perception.hpp"
 
 #include "allocations.hpp"
 #include "compare.hpp"
@@ -37,9 +38,49 @@ Motion motion_at(const Hexapod<double>& hexapod, double t) {
   return motion;
 }
 
-Encoders<double> encoders(const EncoderParameters<double>& parameters, const Hexapod<double>& hexapod,
-                          std::uint64_t seed = 1) {
-  return {parameters, hexapod, seed_halves(seed), kTick, motion_at(hexapod, 0.0).pose};
+/// Encoders, and what a controller makes of their readings.
+template <class S>
+class JointSensors {
+ public:
+  JointSensors(const EncoderParameters<S>& parameters, const Hexapod<S>& hexapod, const SeedHalves<S>& seed,
+               double tick = kTick)
+      : sensing_{hexapod,
+                 LegGeometry<S>(hexapod),
+                 S(1.0),
+                 Vector<S, 8>::Zero(),
+                 {},
+                 PoseSource::encoders,
+                 parameters,
+                 tick},
+        encoders_(parameters, seed),
+        perception_(sensing_) {}
+
+  /// @param spoilt lanes whose second encoder gives no number
+  void observe(long long tick, const Pose<S>& pose, const Vector6<S>& twist, const Mask<S>& spoilt = Mask<S>(false)) {
+    SensorInput<S> input;
+    input.now = static_cast<double>(tick);
+    input.joints = encoders_.read(
+        tick, inverse_kinematics(sensing_.hexapod, pose.position, rotation_matrix(pose.quaternion)), twist);
+    input.joints.lengths(1) = select(spoilt, S(kNaN), input.joints.lengths(1));
+    if (tick % sensing_.encoders.period == 0) lengths_ = input.joints.lengths;
+    perception_.update(sensing_, input);
+  }
+  const Vector6<S>& lengths() const { return lengths_; }
+  const Pose<S>& pose() const { return perception_.now().pose; }
+  const Vector6<S>& twist() const { return perception_.now().twist; }
+  const Mask<S>& failed() const { return perception_.now().unsensed; }
+  const Mask<S>& usable() const { return perception_.now().joints; }
+
+ private:
+  Sensing<S> sensing_;
+  Encoders<S> encoders_;
+  Perception<S> perception_;
+  Vector6<S> lengths_ = Vector6<S>::Zero();
+};
+
+JointSensors<double> encoders(const EncoderParameters<double>& parameters, const Hexapod<double>& hexapod,
+                              std::uint64_t seed = 1) {
+  return {parameters, hexapod, seed_halves(seed)};
 }
 
 Legs<double> legs_at(const Hexapod<double>& hexapod, const Pose<double>& pose) {
@@ -57,7 +98,7 @@ double worst_gain(const Hexapod<double>& hexapod, const Pose<double>& pose) {
 
 TEST_CASE("ideal encoders give the true pose and, with true rates, the true twist") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
-  Encoders<double> sensors = encoders({.rates = RateSource::true_rates}, hexapod);
+  JointSensors<double> sensors = encoders({.rates = RateSource::true_rates}, hexapod);
   for (long long tick = 0; tick < 1000; ++tick) {
     const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
     sensors.observe(tick, truth.pose, truth.twist);
@@ -72,16 +113,16 @@ TEST_CASE("a reading that is far from the one before still finds its pose, and s
   const Pose<double> home = home_pose(hexapod);
   for (const double far : {0.01, 0.02, 0.03}) {
     CAPTURE(far);
-    Encoders<double> sensors = encoders({}, hexapod);
+    JointSensors<double> sensors = encoders({}, hexapod);
     sensors.observe(0, home, Vector6<double>::Zero());
     const Pose<double> pose{home.position + far * Vector3<double>(0.6, -0.64, 0.48), {0.995, 0.05, -0.04, 0.06}};
     sensors.observe(1, pose, Vector6<double>::Zero());
     CHECK_FALSE(sensors.failed());
     CHECK(pose_distance(sensors.pose(), pose) <= 1e-11);
   }
-  Encoders<double> sensors = encoders({}, hexapod);
+  JointSensors<double> sensors = encoders({}, hexapod);
   sensors.observe(0, home, Vector6<double>::Zero());
-  sensors.observe(1, {Vector3<double>(kNaN, 0.0, 0.0), home.quaternion}, Vector6<double>::Zero());
+  sensors.observe(1, home, Vector6<double>::Zero(), true);
   CHECK(sensors.failed());
   CHECK(pose_distance(sensors.pose(), home) <= 1e-12);
   sensors.observe(2, home, Vector6<double>::Zero());
@@ -91,7 +132,7 @@ TEST_CASE("a reading that is far from the one before still finds its pose, and s
 TEST_CASE(
     "differences are the mean rate between two readings, zero at the first, and tend to the rate at first order") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
-  Encoders<double> sensors = encoders({}, hexapod);
+  JointSensors<double> sensors = encoders({}, hexapod);
   const Motion start = motion_at(hexapod, 0.0);
   sensors.observe(0, start.pose, start.twist);
   CHECK(sensors.twist().norm() == 0.0);
@@ -102,7 +143,7 @@ TEST_CASE(
   CHECK(distance(legs_at(hexapod, next.pose).rates(sensors.twist()), rates) <= 100.0 * kEpsilon / kTick);
 
   const auto error_of = [&](double tick) {
-    Encoders<double> s({}, hexapod, seed_halves(1), tick, start.pose);
+    JointSensors<double> s({}, hexapod, seed_halves(1), tick);
     double worst = 0.0;
     for (long long k = 0; k < 100; ++k) {
       const Motion truth = motion_at(hexapod, 0.2 + static_cast<double>(k) * tick);
@@ -120,7 +161,7 @@ TEST_CASE(
 TEST_CASE("resolution: readings are multiples, at most half a step off, and so are pose and rates within bounds") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
   constexpr double kResolution = 1e-5;
-  Encoders<double> sensors = encoders({.resolution = kResolution}, hexapod), ideal = encoders({}, hexapod);
+  JointSensors<double> sensors = encoders({.resolution = kResolution}, hexapod), ideal = encoders({}, hexapod);
   double worst = 0.0;
   for (long long tick = 0; tick < 1000; ++tick) {
     const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
@@ -148,7 +189,7 @@ TEST_CASE("noise has its standard deviation, in every leg, and is a function of 
   constexpr double kNoise = 2e-5;
   constexpr int kReadings = 4000;
   const Pose<double> home = home_pose(hexapod);
-  Encoders<double> sensors = encoders({.noise = kNoise}, hexapod), other = encoders({.noise = kNoise}, hexapod, 2);
+  JointSensors<double> sensors = encoders({.noise = kNoise}, hexapod), other = encoders({.noise = kNoise}, hexapod, 2);
   Vector6<double> sum = Vector6<double>::Zero(), square = sum;
   for (long long tick = 0; tick < kReadings; ++tick) {
     sensors.observe(tick, home, Vector6<double>::Zero());
@@ -165,7 +206,7 @@ TEST_CASE("noise has its standard deviation, in every leg, and is a function of 
   CHECK((sum / kReadings).cwiseAbs().maxCoeff() <= 5.0 * std::sqrt(1.0 / kReadings));
   CHECK(distance(square / kReadings, Vector6<double>::Ones()) <= 5.0 * std::sqrt(2.0 / kReadings));
   const Vector6<double> first = encoders({}, hexapod).lengths();
-  Encoders<double> again = encoders({.noise = kNoise}, hexapod);
+  JointSensors<double> again = encoders({.noise = kNoise}, hexapod);
   again.observe(kReadings - 1, home, Vector6<double>::Zero());
   CHECK(distance(again.lengths(), sensors.lengths()) == 0.0);
   CHECK(first.norm() == 0.0);
@@ -174,7 +215,7 @@ TEST_CASE("noise has its standard deviation, in every leg, and is a function of 
 TEST_CASE("between readings everything holds, and differences are taken over the period") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
   constexpr long long kPeriod = 5;
-  Encoders<double> sensors = encoders({.period = kPeriod}, hexapod);
+  JointSensors<double> sensors = encoders({.period = kPeriod}, hexapod);
   Motion read;
   Vector6<double> lengths = Vector6<double>::Zero(), twist = lengths;
   for (long long tick = 0; tick < 40; ++tick) {
@@ -200,39 +241,37 @@ TEST_CASE("a pack of encoders reads as single ones do, and a lane without a pose
   Hexapod<S> hexapods;
   EncoderParameters<S> parameters;
   SeedHalves<S> seeds;
-  Pose<S> start;
-  std::vector<Encoders<double>> singles;
+  std::vector<JointSensors<double>> singles;
   for (int lane = 0; lane < kWidth; ++lane) {
     const EncoderParameters<double> single{.resolution = lane == 1 ? 1e-6 : 0.0, .noise = 1e-6 * lane, .period = 2};
     set_lane(hexapods, lane, hexapod);
     set_lane(parameters, lane, single);
     set_lane(seeds, lane, seed_halves(static_cast<std::uint64_t>(lane)));
-    set_lane(start.position, lane, hexapod.home_position);
-    set_lane(start.quaternion, lane, Pose<double>{}.quaternion);
     singles.push_back(encoders(single, hexapod, static_cast<std::uint64_t>(lane)));
   }
-  Encoders<S> pack(parameters, hexapods, seeds, kTick, start);
+  JointSensors<S> pack(parameters, hexapods, seeds);
   for (long long tick = 0; tick < 50; ++tick) {
     Pose<S> pose;
     Vector6<S> twist;
     for (int lane = 0; lane < kWidth; ++lane) {
-      Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick + 0.1 * lane);
-      if (lane == 3 && tick == 20) truth.pose.position(1) = kNaN;
+      const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick + 0.1 * lane);
       set_lane(pose.position, lane, truth.pose.position);
       set_lane(pose.quaternion, lane, truth.pose.quaternion);
       set_lane(twist, lane, truth.twist);
-      singles[static_cast<std::size_t>(lane)].observe(tick, truth.pose, truth.twist);
+      singles[static_cast<std::size_t>(lane)].observe(tick, truth.pose, truth.twist, lane == 3 && tick == 20);
     }
+    S last(0.0);
+    set_lane(last, 3, tick == 20 ? 1.0 : 0.0);
     const long long before = allocations;
-    pack.observe(tick, pose, twist);
+    pack.observe(tick, pose, twist, last > S(0.5));
     CHECK(allocations == before);
     for (int lane = 0; lane < kWidth; ++lane) {
       CAPTURE(lane);
-      const Encoders<double>& single = singles[static_cast<std::size_t>(lane)];
+      const JointSensors<double>& single = singles[static_cast<std::size_t>(lane)];
       CHECK(pack.failed()[lane] == single.failed());
       CHECK(pack.failed()[lane] == (lane == 3 && (tick == 20 || tick == 21)));
       CHECK(distance(lane_of(pack.pose().position, lane), single.pose().position) <= 1e-15);
-      if (lane == 3 && tick >= 20 && tick <= 23) continue;  // no numbers, until two good readings have a difference
+      if (lane == 3 && tick >= 20 && tick <= 23) continue;  // the one without numbers holds until the next
       CHECK(distance(lane_of(pack.lengths(), lane), single.lengths()) <= kEpsilon);
       CHECK(distance(lane_of(pack.twist(), lane), single.twist()) <= 1e-12);
     }

@@ -1,4 +1,5 @@
 #include "hexservo/frames.hpp"
+#include "hexservo/perception.hpp"
 
 #include "compare.hpp"
 
@@ -12,26 +13,56 @@ namespace {
 
 constexpr double kFocal = 581.816;
 
-/// An image that tells its tick, seen from home.
+constexpr double kPerTick = 0.25;  // [px]
+
+/// An image whose first feature is its tick in quarters of a pixel.
 Image<double> image_of(long long tick) {
   Image<double> image;
-  for (int i = 0; i < 8; ++i) image.features(i) = 10.0 * i + static_cast<double>(tick);
+  for (int i = 0; i < 8; ++i) image.features(i) = 10.0 * i + kPerTick * static_cast<double>(tick);
   image.depth.setConstant(-0.5);
   return image;
 }
 
-/// Ticks of exposure that the law sees, tick by tick; -1 before the first.
+/// A camera, and the controller that looks through it with joint sensors of no error.
+class Eye {
+ public:
+  explicit Eye(const FrameSettings<double>& settings, std::uint64_t seed = 1)
+      : sensing_{hexapod_, LegGeometry<double>(hexapod_), kFocal, Vector<double, 8>::Zero(), settings,
+                 PoseSource::truth, {}, 1e-3},
+        frames_(settings, seed_halves(seed)),
+        perception_(sensing_) {}
+
+  void tick(long long tick, const Image<double>& image, const Pose<double>& pose = {Vector3<double>::Zero()}) {
+    SensorInput<double> input;
+    input.now = static_cast<double>(tick);
+    input.pose = pose;
+    input.twist.setZero();
+    frames_.expose(tick, image);
+    frames_.deliver(tick, input.frame);
+    perception_.update(sensing_, input);
+  }
+  const Perceived<double>& seen() const { return perception_.now(); }
+  bool ready() const { return seen().ready(); }
+  const Image<double>& image() const { return seen().image; }
+
+ private:
+  Hexapod<double> hexapod_ = make_hexapod(robot_preset("micro"));
+  Sensing<double> sensing_;
+  Frames<double> frames_;
+  Perception<double> perception_;
+};
+
+/// Ticks of exposure that the law sees, tick by tick; -infinity before the first.
 std::vector<double> seen(const FrameSettings<double>& settings, int ticks, std::uint64_t seed = 1) {
-  Frames<double> frames(settings, kFocal, seed_halves(seed), image_of(0));
+  Eye eye(settings, seed);
   std::vector<double> newest;
   for (int k = 0; k < ticks; ++k) {
-    frames.expose(k, image_of(k), {}, Matrix3<double>::Identity());
-    frames.deliver(k);
-    newest.push_back(frames.newest());
-    if (frames.ready(k))
-      CHECK(frames.image({}, Matrix3<double>::Identity()).features(0) == frames.newest());
+    eye.tick(k, image_of(k));
+    newest.push_back(eye.seen().newest);
+    if (eye.ready())
+      CHECK(eye.image().features(0) == kPerTick * newest.back());
     else
-      CHECK(frames.newest() == -1.0);
+      CHECK(newest.back() == -kInfinity);
   }
   return newest;
 }
@@ -53,8 +84,8 @@ TEST_CASE("a frame is used from the first tick at or after exposure and latency"
       CAPTURE(latency);
       const std::vector<double> newest = seen(timing(period, latency), 200);
       for (long long k = 0; k < 200; ++k) {
-        const long long exposure = k < latency ? -1 : (k - latency) / period * period;
-        REQUIRE(newest[static_cast<std::size_t>(k)] == static_cast<double>(exposure));
+        const double exposure = k < latency ? -kInfinity : static_cast<double>((k - latency) / period * period);
+        REQUIRE(newest[static_cast<std::size_t>(k)] == exposure);
       }
     }
 }
@@ -76,12 +107,11 @@ TEST_CASE("jitter delays each frame by a whole number of ticks, and an older fra
 TEST_CASE("an image that is too old is none, until the next one comes") {
   FrameSettings<double> settings = timing(10, 2);
   settings.timeout = 7.0;
-  Frames<double> frames(settings, kFocal, {}, image_of(0));
+  Eye eye(settings);
   for (int k = 0; k < 60; ++k) {
-    frames.expose(k, image_of(k), {}, Matrix3<double>::Identity());
-    frames.deliver(k);
+    eye.tick(k, image_of(k));
     const int age = k < 2 ? 1000 : (k - 2) % 10 + 2;  // of the newest image
-    REQUIRE(frames.ready(k) == (age <= 7));
+    REQUIRE(eye.ready() == (age <= 7));
   }
 }
 
@@ -94,18 +124,17 @@ TEST_CASE("a share of the frames never arrives") {
   for (int k = 0; k < ticks; ++k) arrived += newest[static_cast<std::size_t>(k)] == k;
   CHECK(std::abs(arrived / double(ticks) - 0.7) <= 4.0 * std::sqrt(0.3 * 0.7 / ticks));  // four standard deviations
   settings.dropout = 1.0;
-  CHECK(seen(settings, 50).back() == -1.0);
+  CHECK(seen(settings, 50).back() == -kInfinity);
 }
 
 TEST_CASE("noise, outliers and quantisation disturb the features as told, each by its own stream") {
   FrameSettings<double> settings = timing(1, 0);
   const auto features = [&settings](long long ticks) {
-    Frames<double> frames(settings, kFocal, seed_halves(7), image_of(0));
+    Eye eye(settings, 7);
     Eigen::MatrixXd all(8, ticks);
     for (long long k = 0; k < ticks; ++k) {
-      frames.expose(k, image_of(0), {}, Matrix3<double>::Identity());
-      frames.deliver(k);
-      all.col(k) = frames.image({}, Matrix3<double>::Identity()).features - image_of(0).features;
+      eye.tick(k, image_of(0));
+      all.col(k) = eye.image().features - image_of(0).features;
     }
     return all;
   };
@@ -157,63 +186,129 @@ TEST_CASE("prediction: a platform that moves sees the points where they are, as 
 
   FrameSettings<double> settings = timing(10, 5);
   settings.prediction = Prediction::encoder;
-  Frames<double> frames(settings, kFocal, {}, image);
-  for (int k = 0; k <= 5; ++k) {
-    frames.expose(k, image, {start, {1.0, 0.0, 0.0, 0.0}}, Matrix3<double>::Identity());
-    frames.deliver(k);
-  }
-  const Image<double> predicted = frames.image(later, R);
+  Eye eye(settings);
+  const Pose<double> home{start, {1.0, 0.0, 0.0, 0.0}};
+  for (int k = 0; k <= 5; ++k) eye.tick(k, image, k < 5 ? home : later);
+  const Image<double>& predicted = eye.image();
   CHECK(distance(predicted.features, truth.features) <= 1e-11);
   CHECK(distance(predicted.depth, truth.depth) <= 1e-14);
   settings.prediction = Prediction::none;
   CHECK(distance(image.features, truth.features) > 1.0);
 }
 
-TEST_CASE("a feature outside of the image is lost: held, predicted, and told") {
-  const Matrix3<double> level = Matrix3<double>::Identity();
-  for (const LostFeature policy : {LostFeature::hold, LostFeature::predict}) {
+TEST_CASE("a feature outside of the image is lost: held, predicted, or the end, and told") {
+  for (const LostFeature policy : {LostFeature::hold, LostFeature::predict, LostFeature::stop}) {
     FrameSettings<double> settings = timing(1, 0);
     settings.image_size = {100.0, 100.0};
     settings.on_lost = policy;
-    Frames<double> frames(settings, kFocal, {}, image_of(0));
+    Eye eye(settings);
     Image<double> image;
     image.features << 10, 10, 49, 0, -20, 20, 0, -30;
     image.depth.setConstant(-0.5);
-    frames.expose(0, image, {}, level);
-    frames.deliver(0);
-    CHECK(frames.ready(0));
-    CHECK_FALSE(frames.lost());
+    eye.tick(0, image);
+    CHECK(eye.ready());
     // The platform moves 10 mm along x: every feature goes by -f 0.01/0.5 px, and the image shows point 2 beyond its
     // edge.
     image.features(2) = 51;
     const Pose<double> moved{Vector3<double>(0.01, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}};
-    frames.expose(1, image, moved, level);
-    frames.deliver(1);
-    CHECK(frames.ready(0));
-    CHECK(frames.lost());
-    const Image<double> seen = frames.image(moved, level);
-    CHECK(seen.features(0) == 10.0);
-    CHECK(seen.features(2) ==
-          doctest::Approx(policy == LostFeature::hold ? 49.0 : 49.0 - kFocal * 0.01 / 0.5).epsilon(1e-12));
+    eye.tick(1, image, moved);
+    CHECK(eye.ready() == (policy != LostFeature::stop));
+    CHECK(eye.seen().lost == (policy == LostFeature::stop));
+    CHECK(eye.image().features(0) == 10.0);
+    CHECK(eye.image().features(2) ==
+          doctest::Approx(policy == LostFeature::predict ? 49.0 - kFocal * 0.01 / 0.5 : 49.0).epsilon(1e-12));
     image.features(2) = 40;
-    frames.expose(2, image, moved, level);
-    frames.deliver(2);
-    CHECK_FALSE(frames.lost());
-    CHECK(frames.image(moved, level).features(2) == 40.0);
+    eye.tick(2, image, moved);
+    CHECK(eye.ready());
+    CHECK(eye.image().features(2) == 40.0);
   }
 }
 
 TEST_CASE("a point that was never seen leaves the law without an image") {
   FrameSettings<double> settings = timing(1, 0);
   settings.image_size = {100.0, 100.0};
-  Frames<double> frames(settings, kFocal, {}, image_of(0));
+  Eye eye(settings);
   Image<double> image = image_of(0);  // the last point is at (60, 70) px
-  frames.expose(0, image, {}, Matrix3<double>::Identity());
-  frames.deliver(0);
-  CHECK_FALSE(frames.ready(0));
+  eye.tick(0, image);
+  CHECK_FALSE(eye.ready());
   image.features(6) = 50.0;
   image.features(7) = -50.0;  // on the edge
-  frames.expose(1, image, {}, Matrix3<double>::Identity());
-  frames.deliver(1);
-  CHECK(frames.ready(0));
+  eye.tick(1, image);
+  CHECK(eye.ready());
+}
+
+TEST_CASE("the age of a feature counts from the exposure in which it was seen, not from frames that do not show it") {
+  FrameSettings<double> settings = timing(2, 1);
+  settings.image_size = {100.0, 100.0};
+  settings.timeout = 9.0;
+  for (const int hidden : {1, 4}) {  // points that are outside, from tick 10 to 39
+    Eye eye(settings);
+    for (int k = 0; k < 60; ++k) {
+      CAPTURE(k);
+      Image<double> image = image_of(0);
+      image.features << 10, 10, 40, 0, -20, 20, 0, -30;
+      if (k >= 10 && k < 40)
+        for (int i = 0; i < hidden; ++i) image.features(2 * i) = 300.0;
+      eye.tick(k, image);
+      const double age = k < 11 ? 0.0 : k < 41 ? k - 8.0 : 1.0;  // of the oldest point; last seen in frame 8
+      REQUIRE(eye.ready() == (k >= 1 && age <= 9.0));
+      if (k >= 1) REQUIRE(eye.seen().newest == (k - 1) / 2 * 2);  // frames do arrive
+    }
+  }
+}
+
+TEST_CASE("a frame with numbers that are none is refused and harms no later one") {
+  FrameSettings<double> settings = timing(1, 0);
+  for (const Prediction prediction : {Prediction::none, Prediction::encoder}) {
+    settings.prediction = prediction;
+    Eye eye(settings);
+    eye.tick(0, image_of(0));
+    REQUIRE(eye.ready());
+    const auto refuses = [&](int k, auto&& change) {
+      Image<double> bad = image_of(k);
+      change(bad);
+      eye.tick(k, bad);
+      CHECK_FALSE(eye.ready());
+      CHECK(eye.seen().newest == k - 1);
+      eye.tick(k, image_of(k));
+      CHECK(eye.ready());
+      CHECK(eye.image().features(0) == doctest::Approx(kPerTick * k).epsilon(1e-12));
+    };
+    refuses(1, [](Image<double>& bad) { bad.depth(2) = kNaN; });
+    refuses(2, [](Image<double>& bad) { bad.depth(2) = 0.5; });
+    refuses(3, [](Image<double>& bad) { bad.depth(0) = -1e-320; });
+    refuses(4, [](Image<double>& bad) { bad.features(5) = 1.1e4; });
+    // a point without numbers is one that was not seen: its depth has no meaning
+    Image<double> without = image_of(5);
+    without.features.segment<2>(2).setConstant(kNaN);
+    without.depth(1) = kNaN;
+    eye.tick(5, without);
+    CHECK(eye.ready());
+  }
+}
+
+TEST_CASE("poses of the past: each tick's own to the last bit, between two of them on the way, none beyond") {
+  PoseHistory<double> history(4);
+  CHECK(std::isnan(history.at(0.0).position(0)));
+  const auto pose_of = [](double tick) {
+    return Pose<double>{Vector3<double>(0.1 * tick, 1.0 / (1.0 + tick), -0.15), {1.0, 0.01 * tick, 0.0, -0.02}};
+  };
+  for (int tick = 0; tick < 10; ++tick) {
+    history.add(tick, pose_of(tick), true);
+    for (int asked = 0; asked <= tick + 1; ++asked) {
+      const bool kept = asked <= tick && asked > tick - 4;
+      CHECK(std::isnan(history.at(asked).position(0)) == !kept);
+      if (kept) {
+        CHECK(history.at(asked).position == pose_of(asked).position);
+        CHECK(history.at(asked).quaternion == pose_of(asked).quaternion);
+      }
+    }
+  }
+  const Pose<double> between = history.at(8.25);
+  CHECK(between.position(0) == doctest::Approx(0.825).epsilon(1e-14));
+  CHECK(between.quaternion(1) == doctest::Approx(0.0825).epsilon(1e-14));
+  Pose<double> turned = pose_of(10);
+  turned.quaternion *= -1.0;  // the same attitude
+  history.add(10, turned, true);
+  CHECK(history.at(9.5).quaternion(0) == doctest::Approx(1.0).epsilon(1e-14));
 }

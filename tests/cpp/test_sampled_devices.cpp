@@ -32,7 +32,7 @@ struct Driven {
 
   /// @return whether it goes on
   bool tick(const Vector6<double>& wrench) {
-    plant.command(wrench, Vector6<double>::Zero());
+    plant.command(wrench);
     return plant.advance();
   }
   const Sample<double>& sample() const { return plant.record().sample(); }
@@ -42,7 +42,7 @@ struct Driven {
   }
 
   LoopParameters<double, Hybrid> parameters;
-  SampledPlant<double> plant;
+  CommandedPlant<double> plant;
 };
 
 /// The loop after a time, or where it stopped.
@@ -70,7 +70,7 @@ TEST_CASE("a free platform answers a sinusoid of the base as x-ddot = -a, whatev
       Driven driven(settings);
       for (int tick = 0; tick < 400; ++tick) REQUIRE(driven.tick(driven.weight()));
       driven.plant.command(driven.weight(), Vector6<double>::Zero());
-      const double t = driven.plant.time(), omega = kTwoPi * motion.frequency;
+      const double t = driven.plant.plant().time(), omega = kTwoPi * motion.frequency;
       // twice the integral of -A sin(omega t + phase), from rest
       const double speed = (std::cos(omega * t + motion.phase) - std::cos(motion.phase)) / omega;
       const double way = (std::sin(omega * t + motion.phase) - std::sin(motion.phase)) / (omega * omega) -
@@ -192,12 +192,12 @@ TEST_CASE("a leg beyond its stroke ends the run where it shall, with the leg and
   const auto leg = static_cast<int>(record.limit_leg());
   REQUIRE(leg >= 0);
   const LegLimitMonitor<double>& stroke = reporting.plant.record().metrics().stroke();
-  CHECK(stroke.first_time(leg) == doctest::Approx(stopping.plant.time()).epsilon(1e-12));
+  CHECK(stroke.first_time(leg) == doctest::Approx(stopping.plant.plant().time()).epsilon(1e-12));
   CHECK(stroke.first_time.minCoeff() == stroke.first_time(leg));
   // the last good sample is within the stroke, one tick before
   const Hexapod<double>& hexapod = stopping.parameters.hexapod;
   CHECK(distance(stopping.sample().leg_lengths, hexapod.home_lengths) <= hexapod.stroke);
-  CHECK(record.sample_time() == doctest::Approx(stopping.plant.time() - kTick).epsilon(1e-9));
+  CHECK(record.sample_time() == doctest::Approx(stopping.plant.plant().time() - kTick).epsilon(1e-9));
   CHECK(reporting.plant.record().running());
   CHECK(reporting.plant.record().limit_leg() == -1.0);
 }

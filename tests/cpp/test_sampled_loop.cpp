@@ -215,6 +215,74 @@ TEST_CASE("before the first frame the wrench is G: the platform of the nominal m
   CHECK(loop.record().sample().wrench != gravity_wrench(p.body));  // tick 50, on the frame of tick 0
 }
 
+TEST_CASE("an image that is lost in motion: the brake stops the platform, and G alone does not") {
+  // 7.5 % of the weight is missing; the image goes where the platform moves at some 27 mm/s.
+  for (const double gravity : {0.075, -0.075})
+    for (const bool brake : {true, false})
+      for (const bool encoders : {false, true}) {
+        CAPTURE(gravity);
+        CAPTURE(brake);
+        CAPTURE(encoders);
+        auto settings = corner<Composite>(gravity, 0.3);
+        if (!brake) settings.safe = {Vector6<double>::Zero(), Vector6<double>::Zero()};
+        if (encoders) settings.sensors.pose = PoseSource::encoders;
+        settings.sampling.timeout = 5 * kMs;
+        const LoopParameters<double, Composite> p = loop_parameters(settings);
+        const auto gains = servo_gains(p);
+        auto state = ServoState<double, Composite>(gains);
+        SampledPlant<double> plant(p);
+        ServoTick<double, Composite> tick;
+        bool blind = false;
+        const auto take_tick = [&] {
+          SensorInput<double> input = plant.sense();
+          if (blind) input.frame.exposure = kNaN;
+          evaluate(gains, state, input, tick);
+          adapt(gains, state, tick, true);
+          plant.command(tick.command, state.perception.now(), tick.law.fuzzy_output);
+          REQUIRE(plant.advance());
+        };
+        const auto speed = [&] { return plant.record().sample().twist.head<3>().norm(); };
+        while (plant.time() < 0.5 && !(speed() > 0.027)) take_tick();
+        MESSAGE("image lost at " << 1e3 * speed() << " mm/s, t = " << plant.time() << " s");
+        REQUIRE(speed() > 0.02);
+        blind = true;
+        while (tick.command.acts) take_tick();
+        const Vector3<double> where = plant.record().sample().position;
+        const double since = plant.time();
+        double farthest = 0.0, late_speed = 0.0;
+        while (plant.time() < since + 0.5) {
+          take_tick();
+          REQUIRE_FALSE(tick.command.acts);
+          farthest = std::max(farthest, (plant.record().sample().position - where).norm());
+          if (plant.time() > since + 0.05) late_speed = std::max(late_speed, speed());
+        }
+        MESSAGE("brake " << brake << ", encoders " << encoders << ": " << 1e3 * farthest << " mm, "
+                         << 1e3 * late_speed << " mm/s after 50 ms");
+        if (brake) {
+          CHECK(farthest <= 2e-3);
+          CHECK(late_speed <= 1e-3);
+        } else {
+          CHECK(farthest > 10e-3);
+        }
+      }
+}
+
+TEST_CASE("gains of the brake: as given, and derived from the estimated inertia and what is late") {
+  auto settings = corner<Hybrid>(0.0, 0.3);
+  const auto gains = [&] { return loop_parameters(settings).safe; };
+  // 100 rad/s: m w^2 = 600 N/m
+  CHECK(gains().hold(2) == doctest::Approx(600.0));
+  CHECK(gains().damping(2) == doctest::Approx(12.0));
+  CHECK(gains().hold(5) == doctest::Approx(3.0));
+  settings.actuators.delay = 4 * kMs;  // 5 ms with the tick: 40 rad/s
+  CHECK(gains().hold(0) == doctest::Approx(0.06 * 1600.0));
+  settings.safe.hold = Vector6<double>::Constant(7.0);
+  CHECK(gains().hold(3) == 7.0);
+  CHECK(gains().damping(0) == doctest::Approx(2.0 * 0.06 * 40.0));
+  settings.safe.damping = Vector6<double>::Constant(-1.0);
+  CHECK(is_about(refusal([&] { loop_parameters(settings); }), "controller.safe.damping"));
+}
+
 TEST_CASE("lanes run as their single runs do, each with its own seed and camera") {
   using S = Lanes<4>;
   LoopParameters<S, Composite> pack;

@@ -14,6 +14,8 @@ from hexservo._parameters import core_parameters
 from hexservo._scenario import LAWS
 
 GRAVITY = np.array([0.0, 0.0, -0.06 * 9.8, 0.0, 0.0, 0.0])
+INERTIA = np.array([0.06, 0.06, 0.06, 1.5e-4, 1.5e-4, 3e-4])
+DAMPING = 2.0 * 100.0 * INERTIA  # of the brake, critical at 100 rad/s
 ARGUMENTS = ("features", "depth", "position", "quaternion", "twist")
 
 
@@ -66,12 +68,11 @@ def test_the_first_ticks_are_the_first_samples_of_a_run(paper: hs.Scenario, law:
 @pytest.mark.parametrize("jacobian_at", ["current", "desired", "mean"])
 @pytest.mark.parametrize("law", ["kelly", "resolved_rate", "pbvs", "computed_torque"])
 def test_so_are_those_of_laws_without_a_state(paper: hs.Scenario, law: str, jacobian_at: str) -> None:
-    """With true depths, since the tick's model of the target knows nothing of a depth error."""
+    """The controller's model of the target has the depth error of the simulated controller."""
     scenario = paper.updated(
         {
             "controller.law": law,
             "controller.resolved_rate": {"jacobian_at": jacobian_at, "adaptive": jacobian_at == "mean"},
-            "uncertainty.depth": 0.0,
             "simulation.duration": 0.05,
         }
     )
@@ -80,7 +81,7 @@ def test_so_are_those_of_laws_without_a_state(paper: hs.Scenario, law: str, jaco
     desired = np.asarray(scenario.target.desired_features)
     for k in range(len(run.time)):
         out = controller.step(
-            desired - run.feature_error[k], run.depth[k], run.position[k], run.quaternion[k], run.twist[k]
+            desired - run.feature_error[k], 1.3 * run.depth[k], run.position[k], run.quaternion[k], run.twist[k]
         )
         assert not out.invalid_input
         # Features carry the rounding of desired - (desired - xi), 1e-14 px: up to 2e-15 m of pose, times 1e2 N/m. The
@@ -128,47 +129,92 @@ def test_what_is_no_measurement_gives_safe_output(
 ) -> None:
     robot = _core.Hexapod(core_parameters(paper).robot)
     given = good_input(paper)
-    poses: list[tuple[ArrayLike, ArrayLike]] = [
-        ((0.0, 0.0, -0.15), (1.0, 0.0, 0.0, 0.0)),
-        (given["position"], given["quaternion"]),
-    ]
-    for position, quaternion in poses:  # no valid input yet: home; later the last valid pose
+    brakes = name in ("features", "depth")  # pose and twist are known
+    expected = GRAVITY - DAMPING * given["twist"] if brakes else GRAVITY
+    known: tuple[ArrayLike, ArrayLike] = (given["position"], given["quaternion"])
+    home: tuple[ArrayLike, ArrayLike] = ((0.0, 0.0, -0.15), (1.0, 0.0, 0.0, 0.0))
+    for pose in (known if brakes else home, known):  # where pose or twist is not known: the last pose that was
         weights = controller.fuzzy_weights
         for entry in range(given[name].size):
             bad = {**given, name: given[name].copy()}
             bad[name][entry] = value
             out = controller.step(**bad)
-            assert out.invalid_input is True
-            np.testing.assert_array_equal(out.wrench, GRAVITY)
+            assert out.invalid_input is True or (name == "features" and np.isnan(value) and pose is known)
+            if not out.invalid_input:  # a point that was seen before may be missing
+                assert out.status == "valid"
+                controller.reset()
+                continue
+            np.testing.assert_allclose(out.wrench, expected, rtol=0, atol=1e-15)
             np.testing.assert_array_equal(out.fuzzy_output, np.zeros(6))
-            np.testing.assert_allclose(robot.wrench_map(position, quaternion) @ out.leg_forces, GRAVITY, atol=1e-14)
-        np.testing.assert_array_equal(controller.fuzzy_weights, weights)
+            np.testing.assert_allclose(robot.wrench_map(*pose) @ out.leg_forces, expected, atol=1e-14)
+            np.testing.assert_array_equal(controller.fuzzy_weights, weights)
         assert controller.step(**given).invalid_input is False
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_status_says_why_an_input_was_not_used(paper: hs.Scenario, law: str) -> None:
-    paper = paper.updated({"controller.law": law})
-    controller = hs.Controller(paper.updated({"camera.timeout": 0.05}))
+def test_the_status_says_why_the_law_does_not_act(paper: hs.Scenario, law: str) -> None:
+    sampled = paper.updated(
+        {"simulation.mode": "sampled", "controller.law": law, "camera": {"timeout": 0.05, "on_lost": "stop"}}
+    )
     given = good_input(paper)
-    weights = controller.fuzzy_weights
+    joints = {name: given[name] for name in ("position", "quaternion", "twist")}
     missing = {**given, "features": np.full(8, np.nan), "depth": np.full(4, np.nan)}
-    for bad, age, status in (
-        (missing, 0.0, "missing_image"),
-        (missing, 1.0, "missing_image"),
-        (given, 0.0501, "stale_image"),
-        (given, np.nan, "stale_image"),
-        (given, np.inf, "stale_image"),
-        ({**given, "twist": np.full(6, np.nan)}, 0.0, "unusable"),
-    ):
-        out = controller.step(**bad, image_age=age)
-        assert (out.invalid_input, out.status) == (True, status)
-        np.testing.assert_array_equal(out.wrench, GRAVITY)
-        assert np.isfinite(out.leg_forces).all()
+    part = {**given, "features": np.where(np.arange(8) < 2, np.nan, given["features"])}
+    controller = hs.Controller(sampled)
+    weights = controller.fuzzy_weights
+    assert controller.step(**joints).status == "missing_image"
+    assert controller.step(**missing).status == "missing_image"
+    assert controller.step(**part).status == "missing_image"
+    assert controller.step(**given, now=1.0, exposure=1.001).status == "missing_image"  # from the future
     np.testing.assert_array_equal(controller.fuzzy_weights, weights)
-    out = controller.step(**given, image_age=0.05)
-    assert (out.invalid_input, out.status) == (False, "valid")
-    assert hs.Controller(paper).step(**given, image_age=1e9).status == "valid"  # no timeout: any image
+    assert controller.step(**given, now=1.0, exposure=0.95).status == "valid"
+    weights = controller.fuzzy_weights
+    for tick, (bad, status) in enumerate(
+        [
+            (joints, "stale_image"),
+            (missing, "stale_image"),  # frames without points renew nothing
+            ({**given, "exposure": 0.94}, "stale_image"),
+        ]
+    ):
+        out = controller.step(**bad, now=1.001 + 1e-3 * tick)
+        assert (out.invalid_input, out.status) == (True, status)
+        np.testing.assert_allclose(out.wrench[3:], (GRAVITY - DAMPING * given["twist"])[3:], rtol=0, atol=1e-15)
+        assert np.isfinite(out.leg_forces).all()
+    assert controller.step(**part, now=1.01).status == "stale_image"  # one point is older than the timeout
+    assert controller.step(**given, now=1.011).status == "valid"
+    assert controller.step(**part, now=1.012).status == "lost_feature"
+    assert controller.step(**joints, now=1.013).status == "lost_feature"
+    assert controller.step(**given, now=1.014).status == "valid"
+    assert controller.step(**{**given, "twist": None}, now=1.015).status == "unusable"
+    assert controller.step(**given, now=1.0).status == "unusable"  # the clock went back
+    assert controller.step(**given, now=np.nan).status == "unusable"
+    for _ in range(2):  # a loop that passes the same frame again changes nothing
+        assert controller.step(**given, now=1.03, exposure=1.02).status == "valid"
+    forgiving = hs.Controller(sampled.updated({"camera.timeout": None}))
+    assert forgiving.step(**given, now=1e9, exposure=0.0).status == "valid"  # no timeout: any image
+
+
+def test_leg_lengths_stand_for_pose_and_twist(paper: hs.Scenario) -> None:
+    scenario = paper.updated({"simulation.mode": "sampled", "sensors": {"pose": "encoders", "period": 2e-3}})
+    robot = _core.Hexapod(core_parameters(scenario).robot)
+    controller = hs.Controller(scenario)
+    given = good_input(paper)
+    image = {name: given[name] for name in ("features", "depth")}
+    rest = {"position": given["position"], "quaternion": given["quaternion"]}
+    lengths = robot.leg_lengths(**rest)
+    assert controller.step(**image).status == "unusable"  # no reading yet
+    assert controller.step(**image, leg_lengths=lengths).status == "valid"
+    assert controller.step(**image).status == "valid"  # the last one holds,
+    known = hs.Controller(scenario.updated({"sensors": {"pose": True, "period": None}}))
+    out = controller.step(**image, leg_lengths=lengths)
+    expected = known.step(**image, **rest, twist=np.zeros(6))
+    np.testing.assert_allclose(out.wrench, expected.wrench, rtol=0, atol=1e-12)
+    for _ in range(4):
+        assert controller.step(**image).status == "valid"
+    assert controller.step(**image).status == "unusable"  # for two periods
+    assert controller.step(**image, leg_lengths=np.where(np.arange(6) == 2, np.nan, lengths)).status == "unusable"
+    assert controller.step(**image, leg_lengths=lengths + 1.0).status == "unusable"  # of no pose
+    assert controller.step(**image, leg_lengths=lengths).status == "valid"
 
 
 def test_a_loop_in_python_settles(paper: hs.Scenario) -> None:
@@ -206,7 +252,6 @@ def test_shapes_are_checked(paper: hs.Scenario, controller: hs.Controller, name:
         (given[name][None, :], rf"\(1, {size}\)"),
         (0.5, r"\(\)"),
         ("abc", "str"),
-        (None, r"\(\)"),
         ([[1.0], [1.0, 2.0]], "list"),
     ]:
         with pytest.raises(ValueError, match=rf"^{name}: expected {size} numbers, got .*{got}"):
@@ -227,9 +272,13 @@ def test_lists_integers_and_strided_arrays_will_do(paper: hs.Scenario) -> None:
 
 
 def test_construction_is_checked(paper: hs.Scenario) -> None:
-    for period in (0.0, -1e-3, np.nan, np.inf):
-        with pytest.raises(ValueError, match=r"^period: expected a finite number > 0, got"):
+    for period in (0.0, -1e-3, np.nan, np.inf, 33.0):
+        with pytest.raises(ValueError, match=r"^period: expected a time above 0 and up to 1 s, got"):
             hs.Controller(paper, period)
+    slow = hs.load_scenario("slow-camera")
+    assert hs.Controller(slow).period == slow.simulation.step
+    with pytest.raises(ValueError, match=r"^camera\.period: expected a whole number of servo periods"):
+        hs.Controller(slow, 0.02)
     with pytest.raises(TypeError, match="expected a Scenario"):
         hs.Controller("paper")  # type: ignore[arg-type]
     controller = hs.Controller(paper, period=5e-4)

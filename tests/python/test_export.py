@@ -29,7 +29,7 @@ SHARED = [
     *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
     *(f"robot.{name}" for name in ("home_position", "mass", "inertia", "stroke", "force_limit")),
     *("camera.focal_length", "camera.pixel_scale", "convention", "jacobian", "target.desired_features"),
-    *("switching.kind", "switching.width"),
+    *("switching.kind", "switching.width", "uncertainty.depth"),
 ]
 FUZZY = [
     *("gains.kp", "gains.kv"),
@@ -324,8 +324,10 @@ def test_nothing_is_left_of_ctrl_c(paper: hs.Scenario, tmp_path: Path, monkeypat
         (["paper"], "--header"),
         (["papre", "--header", "g.hpp"], "paper"),
         (["paper", "--header", "g.hpp", "--set", "controller.hybrid.kp=-1"], "controller.hybrid.kp"),
-        (["paper", "--header", "g.hpp", "--period", "0"], "period: expected a finite number > 0, got 0"),
-        (["paper", "--header", "g.hpp", "--period", "nan"], "period: expected a finite number > 0, got nan"),
+        (["paper", "--header", "g.hpp", "--period", "0"], "period: expected a time above 0 and up to 1 s, got 0"),
+        (["paper", "--header", "g.hpp", "--period", "nan"], "period: expected a time above 0 and up to 1 s, got nan"),
+        (["paper", "--header", "g.hpp", "--period", "33"], "period: expected a time above 0 and up to 1 s, got 33"),
+        (["slow-camera", "--header", "g.hpp", "--period", "0.02"], "camera.period: expected a whole number of servo"),
         (["paper", "--header", "g.hpp", "--period", "fast"], "--period"),
     ],
 )

@@ -68,10 +68,9 @@ int tick() {
   ControllerState<Hybrid> state = initial_state(gains);
   const auto restart = [&] { state = initial_state(gains); };
   return peers::serve("hexservo", 25, 6, restart, [&](const double* row, double* out) {
-    ControllerInput input;
-    input.image = {vector_at<8>(row), vector_at<4>(row + 8)};
-    input.pose = {vector_at<3>(row + 12), vector_at<4>(row + 15)};
-    input.twist = vector_at<6>(row + 19);
+    const ControllerInput input = input_of(0.0, {{vector_at<8>(row), vector_at<4>(row + 8)},
+                                                 {vector_at<3>(row + 12), vector_at<4>(row + 15)},
+                                                 vector_at<6>(row + 19)});
     Eigen::Map<Vector6<double>>{out} = step(gains, state, input).wrench;
   });
 }

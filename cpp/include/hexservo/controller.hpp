@@ -1,44 +1,60 @@
 /// @file
 /// The servo tick: what a robot's control computer calls at every period (docs/model.md, section 7).
 ///
-/// `step` is all of a law: image Jacobian, gradient and its rate, fuzzy systems and their adaptation, switching term,
-/// wrench and leg forces. Fixed size, no heap, no exceptions; every valid tick is the same work, and an invalid one
-/// solves the legs once more in place of the adaptation. Gains are const and shared, the state is a value, input and
-/// output are plain structs.
+/// `step` is all of the controller of the sampled loop: frames with their times of exposure, prediction between them,
+/// lost points and old images, the pose of the joint sensors, the law with its fuzzy systems and their adaptation, the
+/// switching term, leg forces, and a safe output wherever the law may not act. Simulation and Python run the same code
+/// (servo.hpp). Fixed size, no heap, no exceptions, bounded time; gains are const and shared, the state is a value,
+/// input and output are plain structs.
 #pragma once
 
+#include "hexservo/servo.hpp"
 #include "hexservo/settings.hpp"
 
 namespace hexservo {
 
 /// What the controller of one robot needs, prepared and validated by `controller_gains`.
 template <class Law>
-struct ControllerGains {
-  Hexapod<double> hexapod;
-  LegGeometry<double> legs;
-  ControlTask<double> task;
-  typename Law::template Constants<double> law;
-  typename Law::template State<double> initial_law_state;
-  double period;         ///< T_c, time between two ticks [s]
-  double image_timeout;  ///< oldest image that is used [s]; infinite: any
-};
+using ControllerGains = ServoGains<double, Law>;
 
-/// What changes from tick to tick: the law's weights, and the last pose at which the legs could be solved.
+/// What changes from tick to tick: the law's weights, poses and images that are kept, the pose at which it brakes.
 template <class Law>
-struct ControllerState {
-  typename Law::template State<double> law;
-  Pose<double> last_pose;  ///< home before the first valid input
+using ControllerState = ServoState<double, Law>;
+
+/// A frame of the camera.
+struct CameraFrame {
+  /// When it was exposed, by the clock of `ControllerInput::now` [s]; NaN: no frame arrived since the last tick. Of two
+  /// frames the one that was exposed later counts, whichever arrives first.
+  double exposure = std::numeric_limits<double>::quiet_NaN();
+  /// Measured features [px], NaN for a point that the frame does not show, and depths Z-hat at the exposure, negative in
+  /// front of the camera [m].
+  Image<double> image;
 };
 
 /// What the sensors give at a tick; a number that is not known is NaN.
-using ControllerInput = Measurement<double>;
+struct ControllerInput {
+  double now = 0.0;  ///< time of the tick, by a clock that never goes back and started within days [s]
+  CameraFrame frame;
+  /// Where `sensors.pose` is true: pose from the leg lengths, in B; the quaternion need not be of unit length.
+  Pose<double> pose;
+  Vector6<double> twist = Vector6<double>::Constant(std::numeric_limits<double>::quiet_NaN());  ///< [m/s; rad/s]
+  /// Where `sensors.pose` is `encoders`: lengths of the legs [m], or nothing at a tick without a reading; and their
+  /// rates [m/s] where `sensors.rate` is true, otherwise differences of the lengths are taken.
+  LegReading<double> joints;
+};
 
-/// Whether an input could be used, and if not, why; the first that applies.
+/// An input of sensors without delay: image, pose and twist are those of the tick.
+inline ControllerInput input_of(double now, const Measurement<double>& seen) {
+  return {now, {now, seen.image}, seen.pose, seen.twist, {}};
+}
+
+/// Whether the law acts at a tick, and if not, why; the first that applies.
 enum class InputStatus {
   valid,
-  missing_image,  ///< no feature is known: all are NaN
-  stale_image,    ///< the image is older than `ControllerGains::image_timeout`, or of unknown age
-  unusable        ///< a number is not finite or beyond its limit, or what follows from the input is
+  missing_image,  ///< a point has never been seen
+  stale_image,    ///< a point was not seen for longer than `camera.timeout`
+  lost_feature,   ///< the newest frame does not show every point, and `camera.on_lost` is `stop`
+  unusable        ///< a number is not finite or beyond its limit, the clock went back, or what follows is not finite
 };
 
 /// What a tick gives back.
@@ -46,36 +62,48 @@ struct ControllerOutput {
   Vector6<double> wrench;        ///< tau, about E's origin, in B [N; N m]
   Vector6<double> leg_forces;    ///< f_c with H f_c = tau, positive where they push [N]
   Vector6<double> fuzzy_output;  ///< tau_f [N; N m]
-  /// Unless it is `valid`, the wrench is G, the leg forces give it at the last valid pose, the fuzzy output is zero and
-  /// the state is unchanged.
+  /// Unless it is `valid`, the wrench brakes and holds the platform (safe_output.hpp), the fuzzy output is zero and
+  /// nothing is learned.
   InputStatus status;
+  bool saturated;  ///< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set: nothing is learned
 
   bool invalid_input() const noexcept { return status != InputStatus::valid; }
 };
 
+inline constexpr double kMaxServoPeriod = 1.0;  ///< longest time between two ticks [s]
+
 /// Prepares the controller of a scenario: estimates only, no plant (the errors in `settings.uncertainty` do not enter).
-/// @param period T_c, time between two ticks [s]
-/// @throws std::invalid_argument as `loop_parameters`, or for a period that is not positive
+///
+/// A scenario in `sampled` mode brings its camera, its joint sensors and the limits of its actuators; one in
+/// `continuous` mode has a frame and a pose at every tick.
+/// @param period T_c, time between two ticks [s]; the camera's times have to be whole numbers of it
+/// @throws std::invalid_argument as `loop_parameters`, or for a period that is not within 0 and `kMaxServoPeriod`
 template <class Law>
 ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period);
+/// The same with the scenario's own period.
+template <class Law>
+ControllerGains<Law> controller_gains(const Settings<Law>& settings) {
+  return controller_gains(settings, settings.simulation.step);
+}
 
 /// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
 /// -march=native) lays out gains and state differently, and does not link: give both the same flags.
 template <int alignment>
 void library_was_built_with_other_instruction_set_flags() noexcept;
 
-/// State before the first tick.
+/// State before the first tick; takes the memory that the ticks need.
 template <class Law>
 ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
   library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
-  return {gains.initial_law_state, home_pose(gains.hexapod)};
+  return ControllerState<Law>(gains);
 }
 
 /// One tick of (14), (15) with (13); the weights then advance by forward Euler over the period, (22).
 ///
 /// Inputs that are not finite, features or twist beyond the limits at which a run counts as diverged
-/// (`kMaxFeatureError`, `kMaxTwist`), a quaternion without a length, a point that is not in front of the camera, a
-/// singular pose, or forces that overflow make the output safe: see `ControllerOutput::status`.
+/// (`kMaxFeatureError`, `kMaxTwist`), a quaternion without a length, leg lengths that belong to no pose near the one
+/// before, a point that is not in front of the camera, a frame from the future, a singular pose, or forces that overflow
+/// make the output safe: see `ControllerOutput::status`.
 template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept;

@@ -1,16 +1,8 @@
 /// @file
-/// Leg length encoders of the sampled loop: what the controller knows of the pose and the twist (docs/model.md,
-/// section 7).
+/// Leg length encoders of the sampled loop: what they read of the true motion (docs/model.md, section 7). What the
+/// controller makes of their readings is in perception.hpp.
 ///
-/// Every `period` ticks the six lengths are read, with noise and resolution; forward kinematics, started at the pose
-/// before, gives the pose, and the leg rates give the twist: H^T chi-dot = l-dot with H at that pose. Both hold until
-/// the next reading.
-///
-/// | here        | meaning                                                          | unit        |
-/// | ----------- | ---------------------------------------------------------------- | ----------- |
-/// | lengths     | l_i as read: nearest multiple of the resolution to l_i + noise   | m           |
-/// | pose        | forward kinematics of `lengths`, in B                            | m           |
-/// | twist       | (H^T)^-1 l-dot, in B, H at `pose`                                | m/s; rad/s  |
+/// Every `period` ticks the six lengths are read: the nearest multiple of the resolution to l_i + noise.
 #pragma once
 
 #include "hexservo/elementary.hpp"
@@ -18,6 +10,12 @@
 #include "hexservo/random.hpp"
 
 namespace hexservo {
+
+/// How the controller knows pose and twist, in `sampled` mode.
+enum class PoseSource {
+  truth,    ///< both are measured directly at every tick, in simulation exactly
+  encoders  ///< from the lengths of the legs
+};
 
 /// Where the leg rates come from.
 enum class RateSource {
@@ -42,69 +40,37 @@ struct EncoderParameters {
   }
 };
 
-/// Newton rounds of a reading: from 5 cm and 0.5 rad away to 1e-12 m.
-inline constexpr int kEncoderRounds = 4;
+/// What the encoders hand over at a tick; NaN: nothing.
+template <class S>
+struct LegReading {
+  Vector6<S> lengths = Vector6<S>::Constant(S(std::numeric_limits<double>::quiet_NaN()));  ///< l_i [m]
+  Vector6<S> rates = Vector6<S>::Constant(S(std::numeric_limits<double>::quiet_NaN()));  ///< l-dot_i, measured [m/s]
+};
 
-/// What six encoders say of a platform that starts at a known pose.
+/// Six encoders.
 template <class S>
 class Encoders {
  public:
-  /// @param hexapod shared, not copied: it must outlive the encoders
-  /// @param tick time between two ticks [s]
-  /// @param start where forward kinematics starts the first time, in B
-  Encoders(const EncoderParameters<S>& parameters, const Hexapod<S>& hexapod, const SeedHalves<S>& seed, double tick,
-           const Pose<S>& start) noexcept
-      : p_(parameters),
-        hexapod_(hexapod),
-        stream_(seed, RandomSource::encoder_noise),
-        noisy_(any(parameters.noise > S(0.0))),
-        inverse_period_(1.0 / (static_cast<double>(parameters.period) * tick)),
-        pose_(start),
-        failed_(false) {}
+  Encoders(const EncoderParameters<S>& parameters, const SeedHalves<S>& seed) noexcept
+      : p_(parameters), stream_(seed, RandomSource::encoder_noise), noisy_(any(parameters.noise > S(0.0))) {}
 
-  /// Reads the encoders if it is their tick; to be called at every tick, from 0.
-  /// @param pose true, in B; @param twist true, in B [m/s; rad/s]
-  void observe(long long tick, const Pose<S>& pose, const Vector6<S>& twist) noexcept {
-    if (tick % p_.period != 0) return;
-    const Legs<S> legs = legs_at(pose);
-    Vector6<S> reading = legs.lengths;
-    if (noisy_) reading += p_.noise * stream_.template normal<6>(static_cast<std::uint64_t>(tick / p_.period));
-    for (int i = 0; i < 6; ++i) reading(i) = quantise(reading(i), p_.resolution);
-
-    const ForwardKinematics<S> found = forward_kinematics(hexapod_, reading, pose_, kEncoderRounds);
-    failed_ = !found.converged;
-    pose_.position = select(failed_, pose_.position, found.pose.position);
-    pose_.quaternion = select(failed_, pose_.quaternion, found.pose.quaternion);
-
-    Vector6<S> rates = Vector6<S>::Zero();
-    if (p_.rates == RateSource::true_rates)
-      rates = legs.rates(twist);
-    else if (tick > 0)
-      rates = (reading - lengths_) * S(inverse_period_);
-    twist_ = WrenchMapSolver<S>(hexapod_, legs_at(pose_)).twist(rates);
-    lengths_ = reading;
+  /// What is read at a tick, if it is one of theirs.
+  /// @param legs at the true pose; @param twist true, in B [m/s; rad/s]
+  LegReading<S> read(long long tick, const Legs<S>& legs, const Vector6<S>& twist) const noexcept {
+    LegReading<S> reading;
+    if (tick % p_.period != 0) return reading;
+    reading.lengths = legs.lengths;
+    if (noisy_)
+      reading.lengths += p_.noise * stream_.template normal<6>(static_cast<std::uint64_t>(tick / p_.period));
+    for (int i = 0; i < 6; ++i) reading.lengths(i) = quantise(reading.lengths(i), p_.resolution);
+    if (p_.rates == RateSource::true_rates) reading.rates = legs.rates(twist);
+    return reading;
   }
-
-  const Vector6<S>& lengths() const noexcept { return lengths_; }
-  const Pose<S>& pose() const noexcept { return pose_; }
-  const Vector6<S>& twist() const noexcept { return twist_; }
-  /// Where the newest readings belong to no pose near the one before, which then still stands.
-  const Mask<S>& failed() const noexcept { return failed_; }
 
  private:
-  Legs<S> legs_at(const Pose<S>& pose) const noexcept {
-    return inverse_kinematics(hexapod_, pose.position, rotation_matrix(pose.quaternion));
-  }
-
   EncoderParameters<S> p_;
-  const Hexapod<S>& hexapod_;
   RandomStream<S> stream_;
-  bool noisy_;             ///< in any lane
-  double inverse_period_;  ///< [1/s]
-  Vector6<S> lengths_ = Vector6<S>::Zero();
-  Pose<S> pose_;
-  Vector6<S> twist_ = Vector6<S>::Zero();
-  Mask<S> failed_;
+  bool noisy_;  ///< in any lane
 };
 
 }  // namespace hexservo

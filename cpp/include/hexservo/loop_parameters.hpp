@@ -8,6 +8,7 @@
 #include "hexservo/frames.hpp"
 #include "hexservo/laws/law.hpp"
 #include "hexservo/metrics.hpp"
+#include "hexservo/safe_output.hpp"
 
 namespace hexservo {
 
@@ -15,12 +16,6 @@ namespace hexservo {
 enum class LoopMode {
   continuous,  ///< the law acts inside every Runge-Kutta stage, as the paper simulates it
   sampled      ///< camera and servo have periods and latencies, and the wrench is held between two ticks
-};
-
-/// How the controller knows pose and twist, in `sampled` mode.
-enum class PoseSource {
-  truth,    ///< exactly, at every tick
-  encoders  ///< from the lengths of the legs
 };
 
 /// What a leg beyond its stroke means, in `sampled` mode.
@@ -52,6 +47,7 @@ struct LoopParameters {
   PoseSource pose_source = PoseSource::truth;
   EncoderParameters<S> encoders;        ///< where they are the pose's source
   ActuatorParameters<S> actuators;      ///< in `sampled` mode
+  SafeGains<S> safe;                    ///< in `sampled` mode
   BaseMotionParameters<S> base_motion;  ///< in `sampled` mode
   LimitPolicy on_limit = LimitPolicy::report;
   SeedHalves<S> seed;
@@ -80,6 +76,7 @@ struct LoopParameters {
     f(a.pose_source, b.pose_source);
     f(a.encoders, b.encoders);
     f(a.actuators, b.actuators);
+    f(a.safe, b.safe);
     f(a.base_motion, b.base_motion);
     f(a.on_limit, b.on_limit);
     f(a.seed, b.seed);

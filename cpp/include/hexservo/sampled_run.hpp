@@ -14,7 +14,7 @@ struct SampledObservation {
   long long tick;              ///< k
   double time;                 ///< k T_c [s]
   double exposure;             ///< time at which the newest frame was taken; NaN before the first [s]
-  Measurement<double> sensed;  ///< features and depths are NaN until every point has been seen once
+  Measurement<double> sensed;  ///< features and depths are NaN where a law may not act on them
 };
 
 /// Plant, sensors and actuators of a scenario, with its log; the scenario's own law does not act.
@@ -35,7 +35,7 @@ class SampledRun {
 
   /// Commands a wrench in B about E's origin [N; N m], and goes on to the next tick.
   ///
-  /// As for the core's laws, what acts is G until every point has been seen once.
+  /// As for the core's laws, the safe output acts while an image is missing or too old.
   /// @throws std::invalid_argument for numbers that are not finite; std::logic_error where the run has ended
   void command(const Vector6<double>& wrench);
   /// Commands the forces of the legs, positive where they push [N]: the wrench that they give at this tick's pose.

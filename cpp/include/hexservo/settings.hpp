@@ -49,6 +49,12 @@ struct ActuatorSettings {
   ActuatorParameters<double> actuators;  ///< everything but their delay, which follows from the one above
 };
 
+/// What the controller does in `sampled` mode where its law may not act: it brakes, and holds where it stopped.
+struct SafeSettings {
+  std::optional<Vector6<double>> damping;  ///< diagonal of K_s [N s/m; N m s/rad]; none: `safe_gains` derives it
+  std::optional<Vector6<double>> hold;     ///< diagonal of K_h [N/m; N m/rad]; none: likewise
+};
+
 /// How the base moves in `sampled` mode.
 struct BaseMotionSettings {
   BaseMotionParameters<double> motion;
@@ -80,6 +86,7 @@ struct Settings {
   Target target;
   Uncertainty uncertainty;
   Switching<double> switching;
+  SafeSettings safe;
   typename Law::template Gains<double> gains;
   SimulationSettings simulation;
   MetricsSettings metrics;
@@ -89,6 +96,16 @@ struct Settings {
 /// Number of steps of a run.
 /// @throws std::invalid_argument naming the scenario key where step, duration or log_every make no grid
 long long step_count(const SimulationSettings& simulation);
+
+/// The brake of a scenario: what is given, and for the rest a critically damped response of the estimated inertia,
+///
+///     K_h = w^2 D,  K_s = 2 w D,  w = min(100 rad/s, 0.2/delay)
+///
+/// with the diagonal D of the estimated inertia, and as delay the time between two readings of the joints plus what the
+/// actuators are late.
+/// @param delay [s]
+/// @throws std::invalid_argument for a gain that is negative or not finite
+SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, double delay);
 
 /// Validates a scenario and prepares it for the loop: joints, target points, initial image.
 /// @param legs what `make_hexapod` made of `settings.robot`, where the caller has it: most of the work is there

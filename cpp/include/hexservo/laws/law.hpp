@@ -64,7 +64,6 @@ struct Measurement {
   Image<S, N> image;  ///< measured features [px] and depths Z-hat, negative in front of the camera [m]
   Pose<S> pose;       ///< from the leg lengths, in B; the quaternion need not be of unit length
   Vector6<S> twist;   ///< chi-dot from the leg rates, in B [m/s; rad/s]
-  S image_age{0.0};   ///< time since the image was exposed [s]; 0 where nobody measures it
 };
 
 /// The same, prepared for a law's evaluation: it refers to its numbers, which must outlive it.

@@ -1,0 +1,303 @@
+/// @file
+/// What a controller knows at a tick: the image that its law uses, the pose and the twist of the platform, and whether
+/// it may act on them (docs/model.md, section 7).
+///
+/// Frames arrive late, out of order and with points missing; each point keeps the newest image in which it was seen, and
+/// its age counts from that exposure. Where points are predicted they are lifted with the pose that the joint sensors
+/// gave at the exposure, and projected again through the pose of the tick. Encoders' lengths become a pose by forward
+/// kinematics, started at the pose before, and leg rates become a twist by H^T chi-dot = l-dot with H at that pose.
+///
+/// Times are in ticks; those that lie between two ticks are as good.
+#pragma once
+
+#include "hexservo/encoders.hpp"
+#include "hexservo/frames.hpp"
+#include "hexservo/outcome.hpp"
+
+#include <cmath>
+#include <limits>
+#include <vector>
+
+namespace hexservo {
+
+/// What the sensors give a controller at a tick; a number that is not known is NaN.
+template <class S, int N = kPoints>
+struct SensorInput {
+  double now = 0.0;     ///< [ticks]
+  Frame<S, N> frame;    ///< that arrived since the tick before, if any
+  Pose<S> pose;         ///< in B, where the joint sensors give it directly; the quaternion need not be of unit length
+  Vector6<S> twist;     ///< in B, from the same sensors [m/s; rad/s]
+  LegReading<S> joints;  ///< where there are encoders
+};
+
+/// What a controller has to know to make use of its sensors.
+template <class S, int N = kPoints>
+struct Sensing {
+  Hexapod<S> hexapod;
+  LegGeometry<S> legs;
+  S focal_pixels;                     ///< f [px]
+  Vector<S, 2 * N> desired_features;  ///< xi_d [px]
+  FrameSettings<S> frames;
+  PoseSource pose_source;
+  EncoderParameters<S> encoders;
+  double period;  ///< T_c, time between two ticks [s]
+};
+
+/// How far a time may be off a tick, or an age off its limit, and still be at it: rounding [ticks].
+inline constexpr double kTickTolerance = 1e-6;
+
+/// Newton rounds of a reading: from 5 cm and 0.5 rad away to 1e-12 m.
+inline constexpr int kEncoderRounds = 4;
+
+/// Poses of the last ticks; memory is taken once, at construction.
+template <class S>
+class PoseHistory {
+ public:
+  /// @param capacity ticks that are kept; 0: none
+  explicit PoseHistory(long long capacity) : entries_(static_cast<std::size_t>(capacity)) {}
+
+  /// @param tick not before the one that was added last; the same one replaces it
+  /// @param active lanes whose pose is known; the others keep the one before
+  void add(double tick, const Pose<S>& pose, const Mask<S>& active) noexcept {
+    const std::size_t last = count_ == 0 ? 0 : place(count_ - 1);
+    const bool replaces = count_ > 0 && entries_[last].tick == tick;
+    Entry& entry = entries_[replaces ? last : place(count_)];
+    entry.tick = tick;
+    if (all(active) || count_ == 0) {
+      entry.pose = pose;
+    } else {
+      entry.pose.position = select(active, pose.position, entries_[last].pose.position);
+      entry.pose.quaternion = select(active, pose.quaternion, entries_[last].pose.quaternion);
+    }
+    if (!replaces) ++count_;
+  }
+
+  /// The pose at a time: that of its tick, or between two ticks on the straight line. NaN where the time is not covered.
+  Pose<S> at(const S& tick) const noexcept {
+    const double first = of_lane(tick, 0);
+    if (all(tick == S(first))) return between(first);
+    Pose<S> pose;
+    for (int lane = 0; lane < kLanes<S>; ++lane) {
+      const Pose<S> found = between(of_lane(tick, lane));
+      S one(0.0);
+      set_lane(one, lane, 1.0);
+      const Mask<S> here = one > S(0.5);
+      pose.position = select(here, found.position, pose.position);
+      pose.quaternion = select(here, found.quaternion, pose.quaternion);
+    }
+    return pose;
+  }
+
+ private:
+  struct Entry {
+    double tick = 0.0;
+    Pose<S> pose;
+  };
+
+  std::size_t place(std::size_t index) const noexcept { return index % entries_.size(); }
+
+  Pose<S> between(double tick) const noexcept {
+    constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+    const Pose<S> unknown{Vector3<S>::Constant(S(kUnknown)), Vector4<S>::Constant(S(kUnknown))};
+    std::size_t low = count_ > entries_.size() ? count_ - entries_.size() : 0, high = count_;
+    if (low == high || !(tick >= entries_[place(low)].tick && tick <= entries_[place(high - 1)].tick)) return unknown;
+    while (high - low > 1) {  // as many rounds as the capacity has bits
+      const std::size_t middle = low + (high - low) / 2;
+      (entries_[place(middle)].tick <= tick ? low : high) = middle;
+    }
+    const Entry& before = entries_[place(low)];
+    if (before.tick == tick) return before.pose;
+    const Entry& after = entries_[place(low + 1)];
+    const S share((tick - before.tick) / (after.tick - before.tick));
+    const S cosine = before.pose.quaternion.dot(after.pose.quaternion);  // q and -q are one attitude
+    const Vector4<S> end = select(cosine < S(0.0), Vector4<S>(-after.pose.quaternion), after.pose.quaternion);
+    return {before.pose.position + share * (after.pose.position - before.pose.position),
+            before.pose.quaternion + share * (end - before.pose.quaternion)};
+  }
+
+  std::vector<Entry> entries_;
+  std::size_t count_ = 0;
+};
+
+/// What a controller makes of its sensors at a tick.
+template <class S, int N = kPoints>
+struct Perceived {
+  Image<S, N> image;    ///< that the law uses: features [px] and measured depths [m]; no meaning unless `ready`
+  Pose<S> pose;         ///< in B
+  Matrix3<S> R_BE;      ///< attitude of `pose`
+  Vector6<S> twist;     ///< in B [m/s; rad/s]
+  S newest;             ///< exposure of the newest frame [ticks]; -infinity before the first
+  Mask<S> unsensed;     ///< the newest leg lengths belong to no pose near the one before, which then still stands
+  Mask<S> joints;       ///< pose and twist are numbers to act on
+  Mask<S> complete;     ///< every point has been seen at least once
+  Mask<S> fresh;        ///< no point's image is older than the timeout
+  Mask<S> lost;         ///< the newest frame does not show every point, and no image may stand for it
+  Mask<S> usable;       ///< clock and frame of this tick and the image to be used are numbers to act on
+  Mask<S> ready() const noexcept { return complete & fresh & (!lost) & usable & joints; }
+};
+
+/// What is known of image and joints, tick by tick.
+template <class S, int N = kPoints>
+class Perception {
+ public:
+  explicit Perception(const Sensing<S, N>& sensing)
+      : history_(lifts_points(sensing.frames)
+                     ? 2 + sensing.frames.latency + sensing.frames.jitter + sensing.frames.period
+                     : 0) {
+    constexpr double kInfinity = std::numeric_limits<double>::infinity();
+    now_.image.features.setZero();  // of no consequence but finite
+    now_.image.depth.setConstant(S(-1.0));
+    now_.pose = home_pose(sensing.hexapod);
+    now_.twist.setZero();
+    now_.newest = S(-kInfinity);
+    now_.unsensed = Mask<S>(false);
+    held_ = now_.image;
+    seen_at_.setConstant(S(-kInfinity));
+    lost_.setZero();
+    points_B_.setZero();
+    lengths_.setZero();
+  }
+
+  /// Takes over what the sensors gave.
+  void update(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
+    now_.usable = Mask<S>(input.now >= clock_ && std::isfinite(input.now));
+    clock_ = std::isfinite(input.now) ? std::max(clock_, input.now) : clock_;
+    sense_joints(sensing, input);
+    if (lifts_points(sensing.frames) && any(now_.usable & now_.joints))
+      history_.add(input.now, now_.pose, now_.usable & now_.joints);
+    receive(sensing, input);
+    show(sensing);
+
+    S oldest = seen_at_(0), lost = lost_(0);
+    for (int i = 1; i < N; ++i) {
+      oldest = min(oldest, seen_at_(i));
+      lost += lost_(i);
+    }
+    now_.complete = oldest > S(-std::numeric_limits<double>::infinity());
+    now_.fresh = S(input.now) - oldest <= sensing.frames.timeout + S(kTickTolerance);
+    now_.lost = Mask<S>(sensing.frames.on_lost == LostFeature::stop) & (lost > S(0.5));
+  }
+
+  const Perceived<S, N>& now() const noexcept { return now_; }
+
+ private:
+  void sense_joints(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
+    if (sensing.pose_source == PoseSource::truth) {
+      now_.pose = input.pose;
+      now_.twist = input.twist;
+    } else {
+      read(sensing, input);
+    }
+    now_.R_BE = rotation_matrix(now_.pose.quaternion);
+    const S squared_length = now_.pose.quaternion.squaredNorm();
+    now_.joints = is_finite(now_.pose.position) & is_finite(squared_length) & (squared_length > S(0.0)) &
+                  (largest_abs(now_.twist) <= S(kMaxTwist)) & (!now_.unsensed);
+    if (sensing.pose_source == PoseSource::encoders)  // a reading that never comes leaves a pose of long ago
+      now_.joints = now_.joints &
+                    (S(input.now) - read_at_ <= S(2.0 * static_cast<double>(sensing.encoders.period) + kTickTolerance));
+  }
+
+  /// Pose and twist of six lengths, where there are some.
+  void read(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
+    const Vector6<S>& lengths = input.joints.lengths;
+    Mask<S> reads = lengths(0) == lengths(0);
+    for (int i = 1; i < 6; ++i) reads = reads | (lengths(i) == lengths(i));
+    if (!any(reads)) return;
+    const ForwardKinematics<S> found = forward_kinematics(sensing.hexapod, lengths, now_.pose, kEncoderRounds);
+    const Mask<S> known = reads & found.converged;
+    now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
+    now_.pose.position = select(known, found.pose.position, now_.pose.position);
+    now_.pose.quaternion = select(known, found.pose.quaternion, now_.pose.quaternion);
+
+    Vector6<S> rates = input.joints.rates;
+    if (sensing.encoders.rates == RateSource::differences) {
+      const Mask<S> first = read_at_ == S(-std::numeric_limits<double>::infinity());
+      const S elapsed = (S(input.now) - read_at_) * S(sensing.period);
+      rates = select(first, Vector6<S>(Vector6<S>::Zero()), Vector6<S>((lengths - lengths_) * (S(1.0) / elapsed)));
+    }
+    const WrenchMapSolver<S> solver(
+        sensing.legs, inverse_kinematics(sensing.legs, now_.pose.position, rotation_matrix(now_.pose.quaternion)));
+    now_.twist = select(known, solver.twist(rates), now_.twist);
+    lengths_ = select(known, lengths, lengths_);
+    read_at_ = select(known, S(input.now), read_at_);
+  }
+
+  /// Takes over a frame that is newer than the one before, or the same again.
+  void receive(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
+    using std::abs;
+    const Frame<S, N>& frame = input.frame;
+    const Mask<S> arrived = now_.usable & (frame.exposure >= now_.newest);  // not where there is none
+    if (!any(arrived)) return;
+    Mask<S> good = frame.exposure <= S(input.now + kTickTolerance);  // one from the future tells of a wrong clock
+    std::array<Mask<S>, static_cast<std::size_t>(N)> shown;
+    for (int i = 0; i < N; ++i) {
+      const S &x = frame.image.features(2 * i), &y = frame.image.features(2 * i + 1), &depth = frame.image.depth(i);
+      Mask<S>& here = shown[static_cast<std::size_t>(i)];
+      here = (x == x) & (y == y);
+      good = good & ((!here) | usable(sensing, i, x, y, depth));
+    }
+    Eigen::Matrix<S, 3, N> points_B;
+    if (lifts_points(sensing.frames)) {
+      const Pose<S> pose = history_.at(min(frame.exposure, S(input.now)));
+      const Matrix3<S> R_BE = rotation_matrix(pose.quaternion);
+      for (int i = 0; i < N; ++i) {
+        points_B.col(i) = pose.position + rotate<S>(R_BE, back_project<S>(sensing.focal_pixels,
+                                                                          frame.image.features.template segment<2>(2 * i),
+                                                                          frame.image.depth(i)));
+        good = good & ((!shown[static_cast<std::size_t>(i)]) | is_finite(Vector3<S>(points_B.col(i))));
+      }
+    }
+    now_.usable = now_.usable & (good | (!arrived));
+    const Mask<S> taken = arrived & good;
+    now_.newest = select(taken, frame.exposure, now_.newest);
+    for (int i = 0; i < N; ++i) {
+      const Mask<S> seen = taken & shown[static_cast<std::size_t>(i)];
+      lost_(i) = select(taken, select(seen, S(0.0), S(1.0)), lost_(i));
+      seen_at_(i) = select(seen, frame.exposure, seen_at_(i));
+      for (int k = 2 * i; k < 2 * i + 2; ++k)
+        held_.features(k) = select(seen, frame.image.features(k), held_.features(k));
+      held_.depth(i) = select(seen, frame.image.depth(i), held_.depth(i));
+      if (lifts_points(sensing.frames))
+        for (int k = 0; k < 3; ++k) points_B_(k, i) = select(seen, points_B(k, i), points_B_(k, i));
+    }
+  }
+
+  /// What a law can be evaluated with: within the limits where a run counts as diverged.
+  static Mask<S> usable(const Sensing<S, N>& sensing, int i, const S& x, const S& y, const S& depth) noexcept {
+    using std::abs;
+    return (abs(S(sensing.desired_features(2 * i) - x)) <= S(kMaxFeatureError)) &
+           (abs(S(sensing.desired_features(2 * i + 1) - y)) <= S(kMaxFeatureError)) & (depth < S(0.0)) &
+           is_finite(depth) & is_finite(S(S(1.0) / depth));
+  }
+
+  /// The image of this tick: what is held, or projected again.
+  void show(const Sensing<S, N>& sensing) noexcept {
+    if (!lifts_points(sensing.frames)) {
+      now_.image = held_;
+      return;
+    }
+    const bool predicting = sensing.frames.prediction == Prediction::encoder;
+    const Image<S, N> projected = take_image(sensing.focal_pixels, now_.pose.position, now_.R_BE, points_B_);
+    for (int i = 0; i < N; ++i) {
+      const Mask<S> lost = lost_(i) > S(0.5);
+      const Mask<S> again = predicting ? (!lost) | Mask<S>(sensing.frames.on_lost != LostFeature::hold) : lost;
+      for (int k = 2 * i; k < 2 * i + 2; ++k)
+        now_.image.features(k) = select(again, projected.features(k), held_.features(k));
+      now_.image.depth(i) = select(again, projected.depth(i), held_.depth(i));
+      now_.usable = now_.usable & usable(sensing, i, now_.image.features(2 * i), now_.image.features(2 * i + 1),
+                                         now_.image.depth(i));
+    }
+  }
+
+  Perceived<S, N> now_;
+  double clock_ = -std::numeric_limits<double>::infinity();  ///< newest time [ticks]
+  PoseHistory<S> history_;
+  Image<S, N> held_;                 ///< last image of each point
+  Eigen::Matrix<S, 3, N> points_B_;  ///< the same, lifted [m]
+  Vector<S, N> seen_at_;             ///< its exposure [ticks]; -infinity where a point was never seen
+  Vector<S, N> lost_;                ///< 1 where the newest frame does not show a point
+  Vector6<S> lengths_;               ///< newest reading of the encoders [m]
+  S read_at_ = S(-std::numeric_limits<double>::infinity());  ///< its tick
+};
+
+}  // namespace hexservo

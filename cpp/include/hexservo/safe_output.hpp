@@ -1,0 +1,105 @@
+/// @file
+/// What a controller commands where its law may not act: it brakes, and holds the platform where it stopped
+/// (docs/model.md, section 7).
+///
+///     tau = G - K_s chi-dot - K_h (chi (-) chi_stop)
+///
+/// chi_stop is the pose of the first tick of the stretch. Where pose or twist are not known either, tau = G, with the
+/// leg forces of the last pose that was.
+#pragma once
+
+#include "hexservo/perception.hpp"
+
+namespace hexservo {
+
+/// Diagonals of the brake; zeros leave G alone.
+template <class S>
+struct SafeGains {
+  Vector6<S> damping = Vector6<S>::Zero();  ///< diagonal of K_s [N s/m; N m s/rad]
+  Vector6<S> hold = Vector6<S>::Zero();     ///< diagonal of K_h [N/m; N m/rad]
+
+  template <class F, class A, class B>
+  static void visit(F&& f, A& a, B& b) {
+    f(a.damping, b.damping);
+    f(a.hold, b.hold);
+  }
+};
+
+/// What it takes to decide on a command, besides a law.
+template <class S, int N = kPoints>
+struct SafetyGains : Sensing<S, N> {
+  Vector6<S> gravity_wrench;  ///< G [N; N m]
+  SafeGains<S> safe;
+  S saturation_limit;  ///< leg force beyond which integral action waits [N]; infinite where nothing limits it
+};
+
+/// What that takes from tick to tick.
+template <class S, int N = kPoints>
+struct SafetyState {
+  explicit SafetyState(const SafetyGains<S, N>& gains)
+      : perception(gains), last_pose(home_pose(gains.hexapod)), stop_pose(last_pose), braking(false) {}
+
+  Perception<S, N> perception;
+  Pose<S> last_pose;  ///< the last one that was known and not singular; home before the first
+  Pose<S> stop_pose;  ///< chi_stop
+  Mask<S> braking;    ///< where the tick before had no law either
+};
+
+/// What goes to the actuators at a tick.
+template <class S>
+struct Command {
+  Vector6<S> wrench;      ///< tau, about E's origin, in B [N; N m]
+  Vector6<S> leg_forces;  ///< f_c with H f_c = tau, H at the pose of the joint sensors [N]
+  LegVector<S> lengths;   ///< l_i at that pose [m]
+  Mask<S> acts;           ///< the wrench is the law's; otherwise it is the safe one
+  Mask<S> law_failed;     ///< the law's wrench or its leg forces are not finite although all it was given is
+  Mask<S> singular;       ///< the pose of the joint sensors is singular
+  Mask<S> saturated;      ///< a leg force is beyond `SafetyGains::saturation_limit`
+};
+
+/// The law's wrench where it may act, and the safe one elsewhere.
+/// @param wrench of the law [N; N m]; may be anything where the law may not act
+template <class S, int N>
+void decide(const SafetyGains<S, N>& gains, SafetyState<S, N>& state, const Vector6<S>& wrench,
+            Command<S>& out) noexcept {
+  const Perceived<S, N>& seen = state.perception.now();
+  const LegsSideBySide<S> legs = inverse_kinematics(gains.legs, seen.pose.position, seen.R_BE);
+  const WrenchMapSolver<S> solver(gains.legs, legs);
+  out.lengths = legs.lengths;
+  out.singular = solver.failed();
+  out.wrench = wrench;
+  out.leg_forces = solver.leg_forces(wrench);
+  const Mask<S> may_act = seen.ready() & (!out.singular);
+  // Forces that are finite come of a wrench that is.
+  const Mask<S> finite = is_finite(S(out.leg_forces.sum()));
+  out.law_failed = may_act & (!finite);
+  out.acts = may_act & finite;
+  out.saturated = out.acts & (largest_abs(out.leg_forces) > gains.saturation_limit);
+  if (all(out.acts)) {
+    state.last_pose = seen.pose;
+    state.braking = Mask<S>(false);
+    return;
+  }
+
+  const Mask<S> known = seen.joints & (!out.singular);
+  const Mask<S> begins = known & (!out.acts) & (!state.braking);
+  state.stop_pose.position = select(begins, seen.pose.position, state.stop_pose.position);
+  state.stop_pose.quaternion = select(begins, seen.pose.quaternion, state.stop_pose.quaternion);
+  state.braking = (!out.acts) & (known | state.braking);
+  const Vector6<S> brake = gains.gravity_wrench - gains.safe.damping.cwiseProduct(seen.twist) +
+                           gains.safe.hold.cwiseProduct(pose_difference(state.stop_pose, seen.pose));
+  const Vector6<S> brake_forces = solver.leg_forces(brake);
+  const Mask<S> brakes = known & (!out.acts) & is_finite(S(brake_forces.sum()));
+
+  // Before this tick's pose replaces it.
+  const WrenchMapSolver<S> last(gains.legs, inverse_kinematics(gains.legs, state.last_pose.position,
+                                                               rotation_matrix(state.last_pose.quaternion)));
+  const Vector6<S> rest_forces = last.leg_forces(gains.gravity_wrench);
+  out.wrench = select(out.acts, wrench, select(brakes, brake, gains.gravity_wrench));
+  out.leg_forces = select(out.acts, out.leg_forces, select(brakes, brake_forces, rest_forces));
+  const Mask<S> here = out.acts | brakes;
+  state.last_pose.position = select(here, seen.pose.position, state.last_pose.position);
+  state.last_pose.quaternion = select(here, seen.pose.quaternion, state.last_pose.quaternion);
+}
+
+}  // namespace hexservo

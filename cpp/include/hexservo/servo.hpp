@@ -1,0 +1,77 @@
+/// @file
+/// The controller of the sampled loop, all of it: sensors, law, safe output, adaptation (docs/model.md, section 7).
+/// Simulation, `hs.Controller` and a robot's program run this code; controller.hpp is its face for programs.
+#pragma once
+
+#include "hexservo/loop_parameters.hpp"
+#include "hexservo/safe_output.hpp"
+
+#include <array>
+
+namespace hexservo {
+
+/// What the controller of one robot needs; const and shared.
+template <class S, class Law, int N = kPoints>
+struct ServoGains : SafetyGains<S, N> {
+  ControlTask<S, N> task;
+  typename Law::template Constants<S> law;
+  typename Law::template State<S> initial_law_state;
+};
+
+/// What changes from tick to tick.
+template <class S, class Law, int N = kPoints>
+struct ServoState : SafetyState<S, N> {
+  explicit ServoState(const ServoGains<S, Law, N>& gains) : SafetyState<S, N>(gains), law(gains.initial_law_state) {}
+
+  typename Law::template State<S> law;
+};
+
+/// One tick: what the law gives, and what is commanded.
+template <class S, class Law>
+struct ServoTick {
+  typename Law::template Evaluation<S> law;
+  Command<S> command;
+};
+
+/// What decides on a command for a scenario, estimates only.
+template <class S, class Law, int N>
+SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
+  return {{p.hexapod, LegGeometry<S>(p.hexapod), p.camera.focal_pixels(), p.desired_features, p.frames, p.pose_source,
+           p.encoders, p.step},
+          gravity_wrench(p.body),
+          p.safe,
+          p.actuators.saturation ? p.hexapod.force_limit : S(std::numeric_limits<double>::infinity())};
+}
+
+/// The controller of a scenario.
+template <class S, class Law, int N>
+ServoGains<S, Law, N> servo_gains(const LoopParameters<S, Law, N>& p) {
+  return {safety_gains(p), control_task(p), typename Law::template Constants<S>(p.gains), Law::initial_state(p.gains)};
+}
+
+/// Takes over what the sensors gave, evaluates the law, and decides on a command.
+template <class S, class Law, int N>
+void evaluate(const ServoGains<S, Law, N>& gains, ServoState<S, Law, N>& state, const SensorInput<S, N>& input,
+              ServoTick<S, Law>& tick) noexcept {
+  state.perception.update(gains, input);
+  const Perceived<S, N>& seen = state.perception.now();
+  const Vector<S, N> inverse_depth = seen.image.depth.cwiseInverse();
+  // Any number may go through this; what comes of unusable ones is not taken over.
+  Law::evaluate(gains.task, gains.law, typename Law::template Stage<S>{&state.law},
+                LawInput<S, N>{seen.image.features, inverse_depth, seen.R_BE, seen.twist, seen.pose}, tick.law);
+  decide(gains, state, tick.law.wrench, tick.command);
+  if (!all(tick.command.acts))
+    tick.law.fuzzy_output = select(tick.command.acts, tick.law.fuzzy_output, Vector6<S>(Vector6<S>::Zero()));
+}
+
+/// Advances the law's memory over a period by forward Euler, (22); it waits where the law does not act, and where its
+/// command is more than the legs can give.
+/// @param where lanes to advance
+template <class S, class Law, int N>
+void adapt(const ServoGains<S, Law, N>& gains, ServoState<S, Law, N>& state, const ServoTick<S, Law>& tick,
+           const Mask<S>& where) noexcept {
+  Law::advance(gains.law, state.law, std::array<const typename Law::template Rate<S>*, 1>{&tick.law.rate},
+               std::array{S(gains.period)}, where & tick.command.acts & (!tick.command.saturated));
+}
+
+}  // namespace hexservo

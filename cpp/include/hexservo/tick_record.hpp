@@ -1,0 +1,29 @@
+/// @file
+/// What the controller of a simulated run was given and what it answered, tick by tick: a robot's program that is given
+/// the same answers the same.
+#pragma once
+
+#include "hexservo/controller.hpp"
+
+#include <vector>
+
+namespace hexservo {
+
+/// One tick of a simulated run.
+struct RecordedTick {
+  ControllerInput input;
+  ControllerOutput output;
+};
+
+/// Runs a scenario in `sampled` mode, and keeps every tick up to the one that ends the run.
+/// @param weights filled with the weights of the fuzzy systems before the last tick [N or N m]; zeros where there are none
+/// @throws std::invalid_argument as `simulate`, and for a scenario in `continuous` mode
+template <class Law>
+std::vector<RecordedTick> record_ticks(const Settings<Law>& settings, FuzzyWeights<double>& weights);
+
+#define HEXSERVO_ELSEWHERE(Law) \
+  extern template std::vector<RecordedTick> record_ticks(const Settings<Law>&, FuzzyWeights<double>&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
+#undef HEXSERVO_ELSEWHERE
+
+}  // namespace hexservo

@@ -1,0 +1,22 @@
+/// @file
+/// What a tick of the controller's core is in the words of controller.hpp.
+#pragma once
+
+#include "hexservo/controller.hpp"
+
+namespace hexservo::detail {
+
+inline InputStatus status_of(const Perceived<double>& seen, bool acts) noexcept {
+  if (acts) return InputStatus::valid;
+  if (!seen.complete) return InputStatus::missing_image;
+  if (!seen.fresh) return InputStatus::stale_image;
+  return seen.lost ? InputStatus::lost_feature : InputStatus::unusable;
+}
+
+template <class Law>
+ControllerOutput output_of(const ServoTick<double, Law>& tick, const Perceived<double>& seen) noexcept {
+  return {tick.command.wrench, tick.command.leg_forces, tick.law.fuzzy_output, status_of(seen, tick.command.acts),
+          tick.command.saturated};
+}
+
+}  // namespace hexservo::detail

@@ -1,0 +1,34 @@
+#include "hexservo/tick_record.hpp"
+
+#include "check.hpp"
+#include "controller_output.hpp"
+
+namespace hexservo {
+
+template <class Law>
+std::vector<RecordedTick> record_ticks(const Settings<Law>& settings, FuzzyWeights<double>& weights) {
+  if (settings.simulation.mode != LoopMode::sampled)
+    detail::refuse("simulation.mode", "sampled, whose controller has ticks", "continuous");
+  const LoopParameters<double, Law> parameters = loop_parameters(settings);
+  const long long steps = step_count(settings.simulation);
+  std::vector<RecordedTick> ticks;
+  ticks.reserve(static_cast<std::size_t>(steps) + 1);
+  SampledLoop<double, Law> loop(parameters);
+  while (true) {
+    const SensorInput<double>& sensed = loop.sensed();
+    const double T = parameters.step;
+    ticks.push_back({{sensed.now * T, {sensed.frame.exposure * T, sensed.frame.image}, sensed.pose, sensed.twist,
+                      sensed.joints},
+                     detail::output_of(loop.tick(), loop.perceived())});
+    if constexpr (kHasFuzzySystems<Law>) weights = loop.law_state();
+    if (!loop.record().running() || loop.steps() == steps) return ticks;
+    loop.advance();
+  }
+}
+
+#define HEXSERVO_HERE(Law) \
+  template std::vector<RecordedTick> record_ticks(const Settings<Law>&, FuzzyWeights<double>&);
+HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
+#undef HEXSERVO_HERE
+
+}  // namespace hexservo

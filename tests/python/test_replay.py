@@ -1,0 +1,205 @@
+"""What is simulated is what runs: exported headers, compiled, answer as the simulated controllers did, bit for bit."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hexservo as hs
+from hexservo import _core
+from hexservo._export import gains_header
+from hexservo._parameters import core_parameters
+from hexservo._scenario import LAWS
+
+ROOT = Path(__file__).resolve().parents[2]
+GIVEN = {
+    **{"now": 1, "exposure": 1, "features": 8, "depth": 4, "position": 3, "quaternion": 4},
+    **{"twist": 6, "leg_lengths": 6, "leg_rates": 6},
+}
+ANSWERED = {"wrench": 6, "leg_forces": 6, "fuzzy_output": 6, "status": 1, "saturated": 1}
+
+# Reads recorded inputs of the scenario that it is asked for, and writes what the exported controller answers.
+PROGRAM = """
+#include <cstdio>
+#include <cstring>
+#include <vector>
+
+template <class Gains>
+int replay(const Gains& gains) {
+  auto state = hexservo::initial_state(gains);
+  double row[39];
+  while (std::fread(row, sizeof row, 1, stdin) == 1) {
+    hexservo::ControllerInput input;
+    input.now = row[0];
+    input.frame.exposure = row[1];
+    const double* from = row + 2;
+    const auto take = [&from](auto& to) {
+      for (Eigen::Index i = 0; i < to.size(); ++i) to(i) = *from++;
+    };
+    take(input.frame.image.features);
+    take(input.frame.image.depth);
+    take(input.pose.position);
+    take(input.pose.quaternion);
+    take(input.twist);
+    take(input.joints.lengths);
+    take(input.joints.rates);
+    const hexservo::ControllerOutput out = hexservo::step(gains, state, input);
+    double answer[20];
+    std::copy_n(out.wrench.data(), 6, answer);
+    std::copy_n(out.leg_forces.data(), 6, answer + 6);
+    std::copy_n(out.fuzzy_output.data(), 6, answer + 12);
+    answer[18] = static_cast<int>(out.status);
+    answer[19] = out.saturated;
+    std::fwrite(answer, sizeof answer, 1, stdout);
+  }
+  return 0;
+}
+
+int main(int, char** argv) {
+CASES  return 2;
+}
+"""
+
+
+def sampled_scenarios() -> Iterator[hs.Scenario]:
+    """Every packaged scenario in sampled mode, with every law that accepts it."""
+    for name in hs.scenario_names():
+        scenario = hs.load_scenario(name)
+        if scenario.simulation.mode != "sampled":
+            continue
+        for law in LAWS:
+            try:
+                yield scenario.updated({"name": f"{name} {law}", "controller.law": law})
+            except hs.ScenarioError:
+                assert law != scenario.controller.law  # another law may have no pose of the goal
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The static library of the core: the tests' own where it is there and new, otherwise built here."""
+    built = ROOT / "build" / "dev" / "libhexservo_core.a"
+    sources = [path for path in (ROOT / "cpp").rglob("*") if path.suffix in (".hpp", ".cpp")]
+    if built.exists() and built.stat().st_mtime >= max(path.stat().st_mtime for path in sources):
+        return built
+    folder = tmp_path_factory.mktemp("core")
+    subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release"], check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", folder, "-j2"], check=True, capture_output=True)
+    return folder / "libhexservo_core.a"
+
+
+def compiled(folder: Path, library: Path, source: str, *headers: tuple[str, str]) -> Path:
+    for name, text in headers:
+        (folder / name).write_text(text, encoding="utf-8")
+    (folder / "main.cpp").write_text(source, encoding="utf-8")
+    command = ["g++", "-std=c++20", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-Wno-psabi"]
+    eigen = next(path for path in map(Path, ("/usr/include/eigen3", "/usr/local/include/eigen3")) if path.exists())
+    includes = ["-I", str(ROOT / "cpp" / "include"), "-isystem", str(eigen), "-I", str(folder)]
+    program = folder / "program"
+    subprocess.run(
+        [*command, *includes, str(folder / "main.cpp"), str(library), "-lpthread", "-o", str(program)], check=True
+    )
+    return program
+
+
+def rows(ticks: dict[str, NDArray[np.float64]], columns: dict[str, int]) -> NDArray[np.float64]:
+    assert {name: ticks[name].shape[1] for name in columns} == columns
+    return np.hstack([ticks[name] for name in columns])
+
+
+pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++, as building does")
+
+
+def test_an_exported_program_answers_as_the_simulated_controller_did(tmp_path: Path, library: Path) -> None:
+    scenarios = list(sampled_scenarios())
+    assert {scenario.controller.law for scenario in scenarios} == set(LAWS)
+    headers, cases = [], []
+    for index, scenario in enumerate(scenarios):
+        text = gains_header(scenario)
+        namespace = text.split("#define HEXSERVO_GAINS ")[1].split("\n")[0]
+        headers.append((f"gains{index}.hpp", text))
+        cases.append(f'  if (!std::strcmp(argv[1], "{index}")) return replay({namespace}::controller_gains());\n')
+    includes = "#include <algorithm>\n" + "".join(f'#include "{name}"\n' for name, _ in headers)
+    program = compiled(tmp_path, library, includes + PROGRAM.replace("CASES", "".join(cases)), *headers)
+    acted = braked = 0
+    for index, scenario in enumerate(scenarios):
+        ticks = _core.recorded_ticks(core_parameters(scenario))
+        given = np.ascontiguousarray(rows(ticks, GIVEN))
+        run = subprocess.run([program, str(index)], input=given.tobytes(), capture_output=True, check=True)
+        answers = np.frombuffer(run.stdout).reshape(-1, sum(ANSWERED.values()))
+        expected = rows(ticks, ANSWERED)
+        differing = np.flatnonzero((answers.view(np.int64) != expected.view(np.int64)).any(axis=1))
+        assert differing.size == 0, f"{scenario.name}: first at tick {differing[0]} of {len(expected)}"
+        acted += int((ticks["status"] == 0).sum())
+        braked += int((ticks["status"] != 0).sum())
+    print(f"{len(scenarios)} runs: {acted} ticks of a law, {braked} of the safe output")
+    assert acted > 10_000
+    assert braked > 100
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_recorded_run_is_the_simulated_one(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ticks are recorded from the very loop that `hs.simulate` runs, and `hs.Controller` answers them the same."""
+    scenario = hs.load_scenario("composite-30hz").updated({"controller.law": law, "simulation.duration": 0.5})
+    ticks = _core.recorded_ticks(core_parameters(scenario))
+    monkeypatch.setenv("HEXSERVO_VARIANT", "baseline")
+    result = hs.simulate(scenario)
+    n = len(result.time)
+    np.testing.assert_array_equal(ticks["fuzzy_output"][:n], result.fuzzy_output)
+    controller = hs.Controller(scenario)
+    for k in range(len(ticks["now"])):
+        frame = np.isfinite(ticks["exposure"][k, 0])
+        out = controller.step(
+            ticks["features"][k] if frame else None,
+            ticks["depth"][k] if frame else None,
+            *(ticks[name][k] for name in ("position", "quaternion", "twist")),
+            exposure=float(ticks["exposure"][k, 0]) if frame else None,
+            leg_lengths=ticks["leg_lengths"][k],
+            leg_rates=ticks["leg_rates"][k],
+        )
+        np.testing.assert_array_equal(out.wrench, ticks["wrench"][k])
+        np.testing.assert_array_equal(out.leg_forces, ticks["leg_forces"][k])
+
+
+@pytest.mark.parametrize(("name", "law"), [("real-machine", "pbvs"), ("slow-camera", "composite")])
+def test_the_example_compiles_with_any_header(tmp_path: Path, library: Path, name: str, law: str) -> None:
+    text = gains_header(hs.load_scenario(name).updated({"controller.law": law}))
+    example = (ROOT / "examples" / "servo.cpp").read_text(encoding="utf-8")
+    program = compiled(tmp_path, library, example, ("gains.hpp", text))
+    run = subprocess.run([program, "0.2"], capture_output=True, text=True, check=False)
+    assert "ticks of 1 ms" in run.stdout
+    assert run.stderr == ""
+
+
+def test_what_was_lost_on_the_way_to_a_robot() -> None:
+    """Timeout, prediction and the wait of the weights act in the tick as in the simulation."""
+    late = hs.load_scenario("paper").updated(
+        {
+            "simulation.mode": "sampled",
+            "controller.switching.kind": "implicit",
+            "camera": {"period": 0.033, "latency": 0.033, "prediction": "encoder"},
+        }
+    )
+    assert hs.metrics(hs.simulate(late))["settling_time"] == pytest.approx(0.480, rel=0.03)
+    header = gains_header(late.updated({"camera.timeout": 0.2}))
+    assert "s.sampling.timeout = 0.2;" in header
+    assert "hexservo::Prediction::encoder" in header
+    assert "s.actuators.actuators.saturation = false;" in header
+
+
+def test_a_timeout_costs_no_stroke() -> None:
+    """With 40 % of the frames lost, braking on old images does not use more stroke than acting on them."""
+    scenario = hs.load_scenario("dropouts").updated({"camera.dropout": 0.4})
+    for seed in range(5):
+        strokes = {}
+        for timeout in (None, 0.066):
+            run = hs.simulate(scenario.updated({"camera.timeout": timeout, "seed": seed}))
+            assert run.outcome == "completed"
+            strokes[timeout] = hs.metrics(run)["peak_leg_excursion"]
+        print(f"seed {seed}: stroke {1e3 * strokes[None]:.2f} mm, with a timeout {1e3 * strokes[0.066]:.2f} mm")
+        assert strokes[0.066] <= strokes[None] * 1.001
