@@ -980,7 +980,7 @@ class Controller(_Block):
     # consistent: the sign of the plant; printed: (8) as it stands
     jacobian: Annotated[Literal["consistent", "printed"], _Choice()] = "consistent"
     switching: Switching = Field(default_factory=Switching)
-    safe: Safe = Field(default_factory=Safe)
+    safe: Annotated[Safe, _SAMPLED] = Field(default_factory=Safe)
     hybrid: Hybrid = Field(default_factory=Hybrid)
     composite: Composite = Field(default_factory=Composite)
     kelly: Kelly = Field(default_factory=Kelly)
