@@ -5,7 +5,7 @@
 /// Frames arrive late, out of order and with points missing; each point keeps the newest image in which it was seen, and
 /// its age counts from that exposure. Where points are predicted they are lifted with the pose that the joint sensors
 /// gave at the exposure, and projected again through the pose of the tick. Encoders' lengths become a pose by forward
-/// kinematics, started at the pose before, and leg rates become a twist by H^T chi-dot = l-dot with H at that pose.
+/// kinematics, started at the pose before or where the twist before led, and leg rates become a twist by H^T chi-dot = l-dot with H at that pose.
 ///
 /// Times are in ticks; those that lie between two ticks are as good.
 #pragma once
@@ -14,6 +14,7 @@
 #include "hexservo/frames.hpp"
 #include "hexservo/outcome.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -46,8 +47,42 @@ struct Sensing {
 /// How far a time may be off a tick, or an age off its limit, and still be at it: rounding [ticks].
 inline constexpr double kTickTolerance = 1e-6;
 
-/// Newton rounds of a reading: from 5 cm and 0.5 rad away to 1e-12 m.
-inline constexpr int kEncoderRounds = 4;
+inline constexpr int kEncoderRounds = 12;  ///< most Newton rounds of a reading: any motion without a singular pose
+
+/// Newton rounds of a reading, 4 to `kEncoderRounds`: three, and one for every millisecond between two readings.
+///
+/// Four rounds find a pose that is 0.1 r_p and 0.1 rad from the start (100 r_p/s and 100 rad/s for 1 ms), eight one
+/// that is r_p and 1 rad away. More than `kEncoderRounds` help only close to singular poses, where the lengths do not
+/// tell one assembly mode from another. Since a reading takes `period`, no millisecond has more than four rounds.
+/// @param period time between two readings [s]
+inline int encoder_rounds(double period) noexcept {
+  return 3 + static_cast<int>(std::ceil(std::min(1e3 * period - 1e-9, kEncoderRounds - 3.0)));
+}
+
+/// Forward kinematics of a reading, from what was known at the reading before.
+///
+/// Newton's method starts at the pose before, or at that pose moved on with the twist before, whichever has lengths
+/// that are nearer to the reading: what the platform may do within a period is then limited by the change of its twist.
+/// @param lengths of the legs, as read [m]
+/// @param pose, twist at the reading before, in B [m/s; rad/s]; a twist that is not finite is not used
+/// @param period time between the two readings [s]
+/// @param rounds of Newton's method
+template <class S>
+ForwardKinematics<S> track_pose(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& pose,
+                                const Vector6<S>& twist, double period, int rounds) noexcept {
+  const auto squared_distance = [&](const Pose<S>& from) {
+    const Legs<S> legs = inverse_kinematics(hexapod, from.position, rotation_matrix(from.quaternion));
+    return S((legs.lengths - lengths).squaredNorm());
+  };
+  const Vector6<S> motion = S(period) * twist;
+  const Vector3<S> turn = motion.template tail<3>();
+  const S tangent = S(1.0) + S(1.0 / 12.0) * turn.squaredNorm();  // of half the angle over it, to fourth order
+  const Pose<S> moved{pose.position + motion.template head<3>(),
+                      pose.quaternion + quaternion_rate<S>(pose.quaternion, tangent * turn)};
+  const Mask<S> nearer = squared_distance(moved) < squared_distance(pose);
+  const Pose<S> start{select(nearer, moved.position, pose.position), select(nearer, moved.quaternion, pose.quaternion)};
+  return forward_kinematics(hexapod, lengths, start, rounds);
+}
 
 /// Poses of the last ticks; memory is taken once, at construction.
 template <class S>
@@ -203,7 +238,11 @@ class Perception {
     Mask<S> reads = lengths(0) == lengths(0);
     for (int i = 1; i < 6; ++i) reads = reads | (lengths(i) == lengths(i));
     if (!any(reads)) return;
-    const ForwardKinematics<S> found = forward_kinematics(sensing.hexapod, lengths, now_.pose, kEncoderRounds);
+    const Mask<S> first = read_at_ == S(-std::numeric_limits<double>::infinity());
+    const double seconds = static_cast<double>(sensing.encoders.period) * sensing.period;
+    // A platform may start anywhere; after that it moves.
+    const ForwardKinematics<S> found = track_pose(sensing.hexapod, lengths, now_.pose, now_.twist, seconds,
+                                                  any(first) ? kKinematicsRounds : encoder_rounds(seconds));
     const Mask<S> known = reads & found.converged;
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
     now_.pose.position = select(known, found.pose.position, now_.pose.position);
@@ -211,7 +250,6 @@ class Perception {
 
     Vector6<S> rates = input.joints.rates;
     if (sensing.encoders.rates == RateSource::differences) {
-      const Mask<S> first = read_at_ == S(-std::numeric_limits<double>::infinity());
       const S elapsed = (S(input.now) - read_at_) * S(sensing.period);
       rates = select(first, Vector6<S>(Vector6<S>::Zero()), Vector6<S>((lengths - lengths_) * (S(1.0) / elapsed)));
     }
