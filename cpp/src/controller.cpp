@@ -2,6 +2,7 @@
 
 #include "check.hpp"
 #include "controller_output.hpp"
+#include "hexservo/subnormals.hpp"
 
 namespace hexservo {
 
@@ -50,6 +51,7 @@ template void library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN
 template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept {
+  const FlushSubnormals flush;
   ServoTick<double, Law> tick;
   evaluate(gains, state, in_ticks(input, gains.period), tick);
   adapt(gains, state, tick, true);

@@ -8,6 +8,7 @@ namespace hexservo::detail {
 
 inline InputStatus status_of(const Perceived<double>& seen, bool acts) noexcept {
   if (acts) return InputStatus::valid;
+  if (!(seen.joints && seen.usable)) return InputStatus::unusable;
   if (!seen.complete) return InputStatus::missing_image;
   if (!seen.fresh) return InputStatus::stale_image;
   return seen.lost ? InputStatus::lost_feature : InputStatus::unusable;

@@ -2,6 +2,7 @@
 
 #include "check.hpp"
 #include "controller_output.hpp"
+#include "hexservo/subnormals.hpp"
 
 namespace hexservo {
 
@@ -11,6 +12,7 @@ std::vector<RecordedTick> record_ticks(const Settings<Law>& settings, FuzzyWeigh
     detail::refuse("simulation.mode", "sampled, whose controller has ticks", "continuous");
   const LoopParameters<double, Law> parameters = loop_parameters(settings);
   const long long steps = step_count(settings.simulation);
+  const FlushSubnormals flush;  // as runs and ticks do
   std::vector<RecordedTick> ticks;
   ticks.reserve(static_cast<std::size_t>(steps) + 1);
   SampledLoop<double, Law> loop(parameters);

@@ -13,7 +13,7 @@ from hexservo._scenario import Scenario
 
 __all__ = ["Controller", "ControllerOutput"]
 
-InputStatus: TypeAlias = Literal["valid", "missing_image", "stale_image", "lost_feature", "unusable"]
+InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_image", "lost_feature"]
 
 
 class ControllerOutput(NamedTuple):
@@ -28,8 +28,9 @@ class ControllerOutput(NamedTuple):
     invalid_input: bool
     """The law could not act: the wrench brakes and holds the platform, and nothing is learned."""
     status: InputStatus
-    """``valid``, or why not: ``missing_image`` (a point has never been seen), ``stale_image`` (a point was not seen for
-    longer than ``camera.timeout``), ``lost_feature`` (``camera.on_lost`` is ``stop``), ``unusable``."""
+    """``valid``, or why not, the first that applies: ``unusable`` (a number that is not finite, or beyond its limit),
+    ``missing_image`` (a point has never been seen), ``stale_image`` (a point was not seen for longer than
+    ``camera.timeout``), ``lost_feature`` (``camera.on_lost`` is ``stop``)."""
     saturated: bool
     """A leg force is beyond ``robot.force_limit`` where ``actuators.saturation`` is set: nothing is learned."""
 

@@ -23,10 +23,10 @@ class BatchLog(enum.Enum):
 class InputStatus(enum.Enum):
     __pybind11_native_enum__: object
     valid = 0
-    missing_image = 1
-    stale_image = 2
-    lost_feature = 3
-    unusable = 4
+    unusable = 1
+    missing_image = 2
+    stale_image = 3
+    lost_feature = 4
 
 class StopCause(enum.Enum):
     __pybind11_native_enum__: object
@@ -392,10 +392,11 @@ class SimulationSettings(metaclass=_PybindType):
     log_every: int
 
 class MetricsSettings(metaclass=_PybindType):
-    """What is measured against what."""
+    """What is measured, when and against what."""
 
     def __init__(self) -> None: ...
-    settling_threshold: float
+    band: float
+    dwell: float
     rms_start: float
 
 class _LawSettings(metaclass=_PybindType):  # what the settings of all laws have, which one C++ template binds

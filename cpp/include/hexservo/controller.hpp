@@ -51,10 +51,10 @@ inline ControllerInput input_of(double now, const Measurement<double>& seen) {
 /// Whether the law acts at a tick, and if not, why; the first that applies.
 enum class InputStatus {
   valid,
+  unusable,       ///< a number is not finite or beyond its limit, the clock went back, or what follows is not finite
   missing_image,  ///< a point has never been seen
   stale_image,    ///< a point was not seen for longer than `camera.timeout`
-  lost_feature,   ///< the newest frame does not show every point, and `camera.on_lost` is `stop`
-  unusable        ///< a number is not finite or beyond its limit, the clock went back, or what follows is not finite
+  lost_feature    ///< the newest frame does not show every point, and `camera.on_lost` is `stop`
 };
 
 /// What a tick gives back.

@@ -89,7 +89,7 @@ struct Settings {
   SafeSettings safe;
   typename Law::template Gains<double> gains;
   SimulationSettings simulation;
-  MetricsSettings metrics;
+  MetricsSettings<double> metrics;
   std::uint64_t seed = 0;  ///< of everything random
 };
 
