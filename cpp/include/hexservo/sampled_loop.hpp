@@ -33,6 +33,9 @@ class SampledPlant {
         base_(p.base_motion, p.seed, p.recorded),
         frames_(p.frames, p.seed),
         record_(p, state_) {
+    sensed_.frame.image = state_.view.image;  // of no consequence until a frame arrives
+    sensed_.pose = home_pose(p.hexapod);
+    sensed_.twist.setZero();
     if (p.pose_source == PoseSource::encoders) encoders_.emplace(p.encoders, p.seed);
     if (acts(p.actuators)) {
       const WrenchMapSolver<S> solver(hexapod_, legs_at(position_of(state_.body), state_.view.R_BE));
