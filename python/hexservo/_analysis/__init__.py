@@ -75,6 +75,12 @@ def analyse(
     progress
         Called with a part's name before it begins.
 
+    Returns
+    -------
+    Analysis
+        A part that cannot be computed, since a number leaves the range of double precision or a matrix is singular,
+        is a `NotComputed`: its section says why, and names the scenario's extreme values.
+
     Raises
     ------
     KeyboardInterrupt

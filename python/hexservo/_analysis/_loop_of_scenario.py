@@ -125,6 +125,8 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         scene = scene_of(scenario)
         rest = rest_of(calm, scene)
         pose = rest.view.pose
+        if not np.isfinite(rest.view.features).all():
+            raise NoRestError("at the pose where the law rests a point is not in front of the camera")
         plant = linear_plant(calm, pose)
         free = _loop(calm, linear_law(calm, scene, pose), plant)
         smooth = _loop(calm, linear_law(calm, scene, pose, smooth=True), plant) if slope.any() else None

@@ -49,7 +49,8 @@ def not_computed(scenario: Scenario, name: str, about: str, error: Exception) ->
 
 
 def _reason(error: Exception) -> str:
-    text = str(error).strip().rstrip(".")
+    first, *others = str(error).strip().splitlines() or [type(error).__name__]
+    text = first.rstrip(".") + (f" (and {len(others)} more of the kind)" if others else "")
     if isinstance(error, np.linalg.LinAlgError):
         singular = "singular" in text.lower()
         return "a matrix is singular to rounding" if singular else f"a matrix cannot be decomposed ({text})"

@@ -20,7 +20,7 @@ __all__ = ["Conditioning", "Sight", "analyse", "sight"]
 
 PAGE = "docs/analysis/conditioning.md"
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
-_SHIFT = 0.01  # [m], of the motion that shows what the image hardly sees
+_SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the motion that shows what the image hardly sees; the turn at most
 _GRIP = 0.1  # of the stroke: a pose that is less certain than this, at `NOISE`, is worth a warning
 
 
@@ -57,11 +57,12 @@ class Sight:
     def hidden(self) -> Array:
         """The motion that the image hardly shows, (6,) [m; rad], with a shift of 10 mm.
 
-        Where it hardly shifts, it is as long as that with turns times `length`.
+        Where it hardly shifts, it is as long as that with turns times `length`. It turns by 0.2 rad at most.
         """
         motion = self.directions[-1]
-        shift = float(np.linalg.norm(motion[:3]))
-        return np.asarray(motion * _SHIFT / (shift if shift > 0.2 else 1.0))
+        shift, turn = (float(np.linalg.norm(part)) for part in (motion[:3], motion[3:]))
+        size = _SHIFT / (shift if shift > 0.2 else 1.0)
+        return np.asarray(motion * (size if turn * size <= _TURN else _TURN / turn))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,11 +139,15 @@ class Conditioning(Findings):
         return words
 
     def _change(self, seen: Sight, motion: Array) -> float:
-        """Give the largest change of a coordinate that a motion from a pose makes [px], not linearised."""
-        if not self.scene.has_points:
-            return float(np.abs(seen.view.jacobian @ motion).max())
-        view = self.scene.view(seen.view.pose.moved(motion))
-        return float(np.abs(view.features - seen.view.features).max())
+        """Give the largest change of a coordinate that a motion from a pose makes [px].
+
+        Linearised where there are no points in space, or the camera does not see all of them after the motion.
+        """
+        if self.scene.has_points:
+            moved = float(np.abs(self.scene.view(seen.view.pose.moved(motion)).features - seen.view.features).max())
+            if np.isfinite(moved):
+                return moved
+        return float(np.abs(seen.view.jacobian @ motion).max())
 
     def _goal_in_words(self) -> str:
         if self.goals is None:

@@ -321,10 +321,12 @@ def _reaches(scene: Scene, directions: Array) -> list[Reach]:
     speed = np.linalg.norm(directions[:, :3], axis=1) + scene.platform_radius * turning
     distance, leg = np.zeros(len(directions)), np.zeros(len(directions), dtype=int)
     marching = np.arange(len(directions))
+    # Below the rounding of a length the march does not come any nearer.
+    end = max(_TOLERANCE * scene.stroke, 4.0 * np.finfo(float).eps * float(np.max(scene.hexapod.home_lengths)))
     for _ in range(_ROUNDS):
         travel = np.abs(scene.leg_travel(scene.home.moved(distance[marching, None] * directions[marching])))
         left = scene.stroke - travel.max(axis=1)
-        ended = left <= _TOLERANCE * scene.stroke
+        ended = left <= end
         leg[marching[ended]] = travel[ended].argmax(axis=1) + 1
         on = ~ended & (turning[marching] * distance[marching] <= np.pi)
         marching, left = marching[on], left[on]
