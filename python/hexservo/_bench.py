@@ -23,6 +23,7 @@ from hexservo._machine import describe_machine
 from hexservo._parameters import core_parameters
 from hexservo._scenario import LAWS, Scenario, load_scenario
 from hexservo._variant import _load, available_variants
+from hexservo._wording import quantity
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -486,7 +487,7 @@ def spell(seconds: float) -> str:
         if seconds * factor < 999.5:
             value = seconds * factor
             return f"{value:.{0 if value > 99.5 else 1 if value > 9.95 else 2}f} {unit}"
-    return f"{seconds:.3g} s"
+    return quantity(seconds, "s")
 
 
 def _table(head: Iterable[str], rows: Iterable[tuple[str, ...]]) -> RenderableType:

@@ -23,6 +23,7 @@ from hexservo._progress import progress_bar
 from hexservo._result import Result
 from hexservo._scenario import LAWS, Scenario, ScenarioError, acting_keys, load_scenario
 from hexservo._simulation import simulate
+from hexservo._wording import number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -236,7 +237,7 @@ def shown(row: ComparisonRow, column: Column) -> str:
     value = row.metrics.get(column.metric, math.nan) * column.scale
     if math.isnan(value):
         return "never" if column.metric == "settling_time" and row.outcome == "completed" else "-"
-    return f"{value:.3g}" if abs(value) < 999.5 else f"{value:.0f}" if abs(value) < 1e6 else f"{value:.2e}"
+    return number(value)
 
 
 def _escaped(cell: str) -> str:

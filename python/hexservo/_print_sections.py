@@ -67,7 +67,7 @@ def _listed(item: Table) -> RenderableType:
         indent = ""
         for cell, column in zip(row, item.columns, strict=True):
             text = cell_text(cell, column)
-            unit = f" {column.unit}" if column.unit and text != "–" else ""
+            unit = f" {column.unit}" if column.unit and text != "-" else ""
             if text:
                 lines.append(f"{indent}{column.title}: {text}{unit}")
             indent = "  "

@@ -50,13 +50,18 @@ def _terminal_bar(what: str, transient: bool) -> Iterator[Report]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+    class PlainConsole(Console):
+        """Draws the bar in ASCII: its usual characters are missing from many terminals' encodings and fonts."""
+
+        encoding = "ascii"
+
     columns = (
         TextColumn(f"{{task.fields[done]}} of {{task.fields[count]}} {what}"),
         BarColumn(),
         TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True, force_jupyter=False), transient=transient) as bar:
+    with Progress(*columns, console=PlainConsole(stderr=True, force_jupyter=False), transient=transient) as bar:
         task = bar.add_task(what, total=None, done=0, count="?", note="")
 
         def report(done: int, count: int, share: float | None, note: str = "") -> None:

@@ -57,6 +57,8 @@ __all__ = [
     "Uncertainty",
     "Vector",
     "acting_keys",
+    "default_of",
+    "keys_below",
     "load_scenario",
     "numeric_keys",
     "sampled_keys",
@@ -1207,6 +1209,22 @@ def _default(field: FieldInfo) -> Any:
     return field.get_default(call_default_factory=True)
 
 
+@cache
+def keys_below(name: str) -> tuple[str, ...]:
+    """Return the dotted keys that a block holds, or the key itself."""
+    return tuple(path for path, _, _ in _leaves(Scenario) if path == name or path.startswith(f"{name}."))
+
+
+@cache
+def default_of(key: str) -> Any:
+    """Return the default of a dotted key whose blocks have defaults."""
+    block, *inner = key.split(".")
+    value = _default(Scenario.model_fields[block])
+    for name in inner:
+        value = getattr(value, name)
+    return value
+
+
 def value_at(scenario: Scenario, key: str) -> Any:
     """Return the value of a dotted key."""
     value: Any = scenario
@@ -1246,10 +1264,11 @@ def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
             return Scenario.from_yaml(text, name_or_path)
         if not os.path.lexists(name_or_path):
             stem = name_or_path.removesuffix(".yaml")
-            raise ScenarioError(
-                f'expected a packaged scenario ({", ".join(names)}) or the path of a YAML file, got "{name_or_path}"'
-                + _did_you_mean(stem.rpartition("/")[2], names)
-            )
+            what = "no such file"
+            if stem == name_or_path and "/" not in stem:
+                what = f"no packaged scenario has that name, and there is {what}"
+            nearest = _did_you_mean(stem.rpartition("/")[2], names)
+            raise ScenarioError(f'"{name_or_path}": {what}{nearest or "; `hexservo scenarios` lists what is packaged"}')
     path = os.fsdecode(name_or_path)
     return _from_document(read_yaml(name_or_path), path, Path(path).parent)
 

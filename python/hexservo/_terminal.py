@@ -20,8 +20,10 @@ __all__ = [
     "BAD_INPUT",
     "ENDED_EARLY",
     "INTERRUPTED",
+    "NOT_SETTLED",
     "READER_LEFT",
     "ForceOption",
+    "RequireSettledOption",
     "ScenarioArgument",
     "SettingsOption",
     "complain",
@@ -37,13 +39,20 @@ __all__ = [
 
 BAD_INPUT = 2
 ENDED_EARLY = 3
+NOT_SETTLED = 4
 INTERRUPTED = 130  # 128 + SIGINT, as shells count
 READER_LEFT = 141  # 128 + SIGPIPE
 
 _ANY_WIDTH = 10_000  # of what no terminal shows: nothing is wrapped or cut
 
 ScenarioArgument = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="Name of a packaged scenario, or path of a YAML file.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO", help='Name of a packaged scenario, path of a YAML file, or "-" for standard input.'
+    ),
+]
+RequireSettledOption = Annotated[
+    bool, typer.Option("--require-settled", help="End with exit code 4 where a run does not settle.")
 ]
 ForceOption = Annotated[
     bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
@@ -62,7 +71,7 @@ def load(scenario: str, settings: list[str]) -> hs.Scenario:
     """Load a scenario and change it as --set says; everything wrong with the settings is reported together."""
     from hexservo._yaml import load_yaml
 
-    loaded = hs.load_scenario(scenario)
+    loaded = _read_standard_input() if scenario == "-" else hs.load_scenario(scenario)
     problems: list[str] = []
     changes: dict[str, object] = {}
     for setting in settings:
@@ -83,6 +92,14 @@ def load(scenario: str, settings: list[str]) -> hs.Scenario:
     if problems:
         raise hs.ScenarioError(problems, "--set")
     return changed
+
+
+def _read_standard_input() -> hs.Scenario:
+    from hexservo._yaml import MAX_BYTES, decoded
+
+    source = "standard input"
+    content = b"" if sys.stdin is None else sys.stdin.buffer.read(MAX_BYTES + 1)
+    return hs.Scenario.from_yaml(decoded(content, "YAML", source), source)
 
 
 @contextlib.contextmanager
@@ -106,8 +123,10 @@ def ending(result: hs.Result) -> str:
 
 
 def spell_time(seconds: float) -> str:
-    """Give a duration in s or ms."""
-    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"
+    """Give a duration in s, ms or less."""
+    from hexservo._wording import quantity
+
+    return quantity(seconds, "s")
 
 
 def width() -> int:

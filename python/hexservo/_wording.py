@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from hexservo._evidence import Cell, Column, Table
 
-__all__ = ["VERDICTS", "cell_text", "joules", "number", "numeric_columns"]
+__all__ = ["VERDICTS", "cell_text", "joules", "number", "numeric_columns", "quantity"]
 
 VERDICTS = {"good": "good", "warning": "warning", "bad": "bad", "open": "nothing to judge"}
 """Words for a section's verdict."""
@@ -20,25 +20,38 @@ def number(value: float, digits: int = 3) -> str:
     return f"{rounded:.0f}" if 10.0**digits <= abs(rounded) < 1e6 else f"{rounded:.{digits}g}"
 
 
+_PREFIXES = (("", 1.0), ("m", 1e3), ("u", 1e6), ("n", 1e9))
+
+
+def quantity(value: float, unit: str, digits: int = 3) -> str:
+    """Write a number with its SI unit, in thousandths, millionths or billionths where it is less than one.
+
+    "17 mm", "4.87 m", "277 mrad": one to three digits stand before the point.
+    """
+    size = abs(float(f"{value:.{digits}g}"))
+    prefix, scale = next((each for each in _PREFIXES if size * each[1] >= 1.0), _PREFIXES[-1] if size else _PREFIXES[0])
+    return f"{number(value * scale, digits)} {prefix}{unit}"
+
+
 def joules(value: float, digits: int = 4, unit: str = "J") -> str:
-    """Write an energy [J], or a power with the unit W, in millionths where these are fewer than a million."""
-    return f"{number(value * 1e6, digits)} u{unit}" if abs(value) < 1.0 else f"{number(value, digits)} {unit}"
+    """Write an energy [J], or a power with the unit W."""
+    return quantity(value, unit, digits)
 
 
 def cell_text(cell: Cell, column: Column) -> str:
-    """Give a cell as people read it, without its unit."""
+    """Give a cell as people read it, without its unit, in ASCII where the cell is no text."""
     if cell is None:
-        return "–"
+        return "-"
     if isinstance(cell, bool):
         return "yes" if cell else "no"
     if isinstance(cell, str):
         return cell
     if not math.isfinite(cell):
-        return "–" if math.isnan(cell) else "∞" if cell > 0 else "−∞"
+        return "-" if math.isnan(cell) else "inf" if cell > 0 else "-inf"
     whole = isinstance(cell, int) and column.format == Column.format  # 123456 and not 1.235e+05
     digits = re.fullmatch(r"\.(\d+)g", column.format)
     shown = str(cell) if whole else number(cell, int(digits[1])) if digits else format(cell, column.format)
-    return re.sub(r"^-(?=0(\.0*)?$)", "", shown).replace("-", "−")  # minus zero is zero
+    return re.sub(r"^-(?=0(\.0*)?$)", "", shown)  # minus zero is zero
 
 
 def numeric_columns(table: Table) -> Sequence[bool]:

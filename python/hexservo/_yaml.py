@@ -16,7 +16,17 @@ import yaml
 
 from hexservo._files import open_regular
 
-__all__ = ["MAX_BYTES", "MAX_DEPTH", "Plain", "ScenarioError", "dump_yaml", "load_yaml", "read_text", "read_yaml"]
+__all__ = [
+    "MAX_BYTES",
+    "MAX_DEPTH",
+    "Plain",
+    "ScenarioError",
+    "decoded",
+    "dump_yaml",
+    "load_yaml",
+    "read_text",
+    "read_yaml",
+]
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What a document holds: nothing but the types of the YAML core schema."""
@@ -200,6 +210,11 @@ def read_text(path: str | os.PathLike[str], kind: str) -> str:
         raise ScenarioError(f"cannot be read: {error.strerror or error}", source) from None
     except ValueError as error:  # no regular file, or a path with a NUL in it
         raise ScenarioError(f"cannot be read: {error}", source) from None
+    return decoded(content, kind, source)
+
+
+def decoded(content: bytes, kind: str, source: str) -> str:
+    """Return what was read from a file or a stream as text, under the same rules as `read_text`."""
     if len(content) > MAX_BYTES:
         raise ScenarioError(f"expected at most {MAX_BYTES} bytes of {kind}, got more", source)
     try:

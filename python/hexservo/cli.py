@@ -1,25 +1,30 @@
 """The command line: ``hexservo run | compare | report | scenarios | show | check | export | bench | version`` and more.
 
 Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
-numerical outcome; 130 interrupted; 141 the reader of the output left.
+numerical outcome; 4 a run that did not settle, with --require-settled; 130 interrupted; 141 the reader of the output
+left.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import hexservo as hs
 from hexservo import _cli_evidence, _terminal
+from hexservo._scenario import LAWS
 from hexservo._terminal import (
     ENDED_EARLY,
     INTERRUPTED,
+    NOT_SETTLED,
     ForceOption,
+    RequireSettledOption,
     ScenarioArgument,
     SettingsOption,
     complain,
@@ -31,6 +36,7 @@ from hexservo._terminal import (
     whisper,
     write,
 )
+from hexservo._wording import number
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -39,12 +45,13 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-_WIDTH_FOR_COMPARISON = 170  # in a narrower terminal the table of a comparison is split in two
+_GAP = 2  # between two columns of a table
 _WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table leaves out what the metrics mean
 
 app = typer.Typer(
     help="Image-based visual servoing of parallel robots: run scenarios, look at results.",
-    epilog="Exit codes: 0 done, 2 bad input, 3 a run that ended early (such as divergence), 130 interrupted.",
+    epilog="Exit codes: 0 done, 2 bad input, 3 a run that ended early (such as divergence), 4 a run that did not "
+    "settle (with --require-settled), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -85,6 +92,7 @@ def run(
     settings: SettingsOption = None,
     force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
+    require_settled: RequireSettledOption = False,
 ) -> None:
     """Simulate a scenario and report on it.
 
@@ -117,6 +125,10 @@ def run(
         if result.outcome != "completed":
             complain(f"{chosen.name}: {ending(result)}", head="Ended early")
             raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
+        if require_settled and math.isnan(hs.metrics(result)["settling_time"]):
+            residual = number(hs.metrics(result)["final_error"])
+            complain(f"{chosen.name}: {residual} px off at the end", head="Not settled")
+            raise typer.Exit(NOT_SETTLED)
 
 
 @app.command()
@@ -139,6 +151,7 @@ def compare(
     ] = None,
     force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
+    require_settled: RequireSettledOption = False,
 ) -> None:
     """Run several laws on several scenarios and compare them.
 
@@ -148,15 +161,20 @@ def compare(
     with reporting():
         from hexservo._files import OutputError, check_folder
 
-        chosen = [load(name, settings or []) for name in _expanded(scenarios)]
-        if out is not None:
-            check_folder(out, force=force)
-        started = time.perf_counter()
+        names, chosen_laws = _expanded(scenarios), None if laws is None else _split(laws)
         watched = sys.stderr is not None and sys.stderr.isatty()
         try:
-            comparison = hs.compare(chosen, None if laws is None else _split(laws), progress=watched)
-        except ValueError as error:  # of the choice, as an unknown law
-            raise hs.ScenarioError(str(error).splitlines()) from error
+            chosen = [load(name, settings or []) for name in names]
+            if out is not None:
+                check_folder(out, force=force)
+            started = time.perf_counter()
+            try:
+                comparison = hs.compare(chosen, chosen_laws, progress=watched)
+            except ValueError as error:  # of the choice, as an unknown law
+                raise hs.ScenarioError(str(error).splitlines()) from error
+        except KeyboardInterrupt:  # before the first run
+            complain(f"0 of {len(names) * len(chosen_laws or LAWS)} runs were finished", head="Interrupted")
+            raise typer.Exit(INTERRUPTED) from None
         elapsed = time.perf_counter() - started
         failure = None
         if out is not None:
@@ -171,6 +189,10 @@ def compare(
         if comparison.interrupted:
             complain(f"{comparison.finished} of {len(comparison.rows)} runs were finished", head="Interrupted")
             raise typer.Exit(INTERRUPTED)
+        unsettled = sum(not row.settled for row in comparison.rows)
+        if require_settled and unsettled:
+            complain(f"{unsettled} of {len(comparison.rows)} runs", head="Not settled")
+            raise typer.Exit(NOT_SETTLED)
 
 
 for command in (_cli_evidence.report, _cli_evidence.certify, _cli_evidence.analyse, _cli_evidence.diagnose):
@@ -203,17 +225,24 @@ def show(scenario: ScenarioArgument, settings: SettingsOption = None) -> None:
 
 @app.command()
 def check(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="Path of a YAML file, or a packaged scenario.")],
+    scenario: ScenarioArgument,
+    settings: SettingsOption = None,
 ) -> None:
-    """Tell what is wrong with a scenario.
+    """Check a scenario.
 
-    Every problem is a line on standard error, and the exit code is 2; without any it is 0.
+    Every problem is a line on standard error, and the exit code is 2; without any it is 0. Warnings are of what is
+    legal and surely not meant, such as a weight beyond the force limit; notes are of keys that have no effect.
     """
     with reporting():
-        scenario = hs.load_scenario(file)
-        simulation = scenario.simulation
+        from hexservo._check import keys_without_effect, unlikely
+
+        chosen = load(scenario, settings or [])
+        complain(*unlikely(chosen), head="Warning")
+        complain(*keys_without_effect(chosen), head="Note")
+        simulation = chosen.simulation
+        name = "standard input" if scenario == "-" else scenario
         write(
-            f'{file}: valid (scenario "{scenario.name}", {simulation.duration:.6g} s in steps of '
+            f'{name}: valid (scenario "{chosen.name}", {simulation.duration:.6g} s in steps of '
             f"{simulation.step * 1e3:.6g} ms)\n"
         )
 
@@ -367,14 +396,11 @@ def _metrics_table(result: hs.Result) -> RenderableType:
 def _comparison_report(
     comparison: hs.Comparison, elapsed: float, folder: str | None, *, hint: bool
 ) -> Iterator[RenderableType]:
-    """Give the table, in two where the terminal is too narrow for one, the reasons, and where the files are."""
+    """Give the table, in parts where the terminal is too narrow for one, the reasons, and where the files are."""
     from rich.text import Text
 
-    from hexservo._compare import COLUMNS
-
-    parts = [COLUMNS] if _terminal.width() >= _WIDTH_FOR_COMPARISON else [COLUMNS[:7], COLUMNS[7:]]
-    for number, columns in enumerate(parts):
-        yield _comparison_table(comparison, columns, verdict=number == 0)
+    for table in _comparison_tables(comparison):
+        yield table
         yield Text("")
     for row in comparison.rows:
         if not row.settled or row.passed_limits:
@@ -387,23 +413,61 @@ def _comparison_report(
         yield Text("no files written; --out FOLDER writes tables and pictures", style="dim")
 
 
-def _comparison_table(comparison: hs.Comparison, columns: Sequence[Column], *, verdict: bool) -> RenderableType:
+def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
+    """Give as many tables, one below another, as the columns need; a list where not even one column fits."""
+    from hexservo._compare import COLUMNS, shown
+
+    labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
+    left = [max(map(len, texts)) + _GAP for texts in zip(*labels, strict=True)]
+    cells = {
+        column: [f"{shown(row, column)}{'!' if column.limit in row.passed_limits else ''}" for row in comparison.rows]
+        for column in COLUMNS
+    }
+    parts: list[list[Column]] = []
+    room = -1
+    for column, texts in cells.items():
+        needs = max(map(len, (column.head, f"[{column.unit}]", *texts))) + _GAP
+        if needs > room:
+            parts.append([])
+            room = _terminal.width() + _GAP - sum(left if len(parts) == 1 else left[:2])  # the verdict stands once
+        if needs > room:
+            yield _comparison_list(comparison, cells)
+            return
+        parts[-1].append(column)
+        room -= needs
+    for place, columns in enumerate(parts):
+        yield _comparison_table(comparison, {column: cells[column] for column in columns}, verdict=place == 0)
+
+
+def _comparison_table(
+    comparison: hs.Comparison, cells: Mapping[Column, Sequence[str]], *, verdict: bool
+) -> RenderableType:
     from rich.table import Table
     from rich.text import Text
 
-    from hexservo._compare import shown
-
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0), header_style="bold")
     for head in ("scenario", "law", *(["verdict"] if verdict else [])):
         table.add_column(head, no_wrap=True)
-    for column in columns:
+    for column in cells:
         table.add_column(f"{column.head}\n[{column.unit}]", justify="right", no_wrap=True)
     before = None
-    for row in comparison.rows:
+    for place, row in enumerate(comparison.rows):
         name = "" if row.scenario.name == before else row.scenario.name
         before = row.scenario.name
         style = "green" if row.settled else "bold red"
-        cells = [Text(row.verdict, style=style)] if verdict else []
-        passed = [f"{shown(row, column)}{'!' if column.limit in row.passed_limits else ''}" for column in columns]
-        table.add_row(name, row.law, *cells, *passed)
+        judged = [Text(row.verdict, style=style)] if verdict else []
+        table.add_row(name, row.law, *judged, *(texts[place] for texts in cells.values()))
     return table
+
+
+def _comparison_list(comparison: hs.Comparison, cells: Mapping[Column, Sequence[str]]) -> RenderableType:
+    from rich.text import Text
+
+    lines = []
+    for place, row in enumerate(comparison.rows):
+        lines.append(f"{row.scenario.name}, {row.law}: {row.verdict}")
+        lines += [
+            f"  {column.head}: {texts[place]}{f' {column.unit}' if texts[place][0].isdigit() else ''}"
+            for column, texts in cells.items()
+        ]
+    return Text("\n".join(lines))

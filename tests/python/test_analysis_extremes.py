@@ -72,6 +72,10 @@ def test_what_cannot_be_computed_names_the_extreme_value(
         (np.linalg.LinAlgError("Singular matrix"), "a matrix is singular to rounding"),
         (np.linalg.LinAlgError("SVD did not converge"), "a matrix cannot be decomposed (SVD did not converge)"),
         (OverflowError("math range error"), "a number leaves the range of double precision (math range error)"),
+        (
+            ValueError("pose: expected finite, got nan"),
+            "a number on the way is not finite (pose: expected finite, got nan)",
+        ),
         (ValueError("a: expected one\nb: expected two"), "a: expected one (and 1 more of the kind)"),
     ],
 )

@@ -337,8 +337,8 @@ def test_check_lists_every_problem(tmp_path: Path) -> None:
 def test_no_such_scenario(command: str) -> None:
     run = Run(command, "papre")
     assert (run.code, run.out) == (2, "")
-    assert run.errors == [line for line in run.errors if line.startswith("Error: expected a packaged scenario")]
-    assert 'did you mean "paper"?' in run.error
+    what = "no packaged scenario has that name, and there is no such file"
+    assert run.errors == [f'Error: "papre": {what}; did you mean "paper"?']
 
 
 def test_version() -> None:

@@ -83,8 +83,8 @@ def test_sections_are_printed_in_words_and_tables(command: str) -> None:
         "Values",
         "                value",
         "direction     [px/mm]  holds",
-        "[red]along x   −1.500  yes",
-        "none                –  no",
+        "[red]along x   -1.500  yes",
+        "none                -  no",
         "A note.",
         "Explained in docs/model.md",
         "",
@@ -177,10 +177,10 @@ def test_a_table_too_wide_for_the_terminal_is_a_list(monkeypatch: pytest.MonkeyP
     table = Table("Values", columns, [("force x", -0.000264, True), ("moment y", None, False)])
     wide = len("direction") + 2 + len("eigenvalue") + 2 + len("reachable")
     for columns_there, lines in (
-        (wide, ["direction [1/s^2] reachable", "force x −0.000264 yes"]),
+        (wide, ["direction [1/s^2] reachable", "force x -0.000264 yes"]),
         (
             wide - 1,
-            ["direction: force x", "  smallest eigenvalue: −0.000264 1/s^2", "  reachable: yes", "direction: moment y"],
+            ["direction: force x", "  smallest eigenvalue: -0.000264 1/s^2", "  reachable: yes", "direction: moment y"],
         ),
     ):
         monkeypatch.setattr("hexservo._print_sections.width", lambda there=columns_there: there)

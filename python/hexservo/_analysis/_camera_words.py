@@ -95,7 +95,7 @@ def _delay_margin(acting: Margins, clock: Clock, tick: float) -> str:
 
 
 def _mode(frequency: float) -> str:
-    return "without turning" if frequency < 1e-3 else f"at {frequency:.3g} Hz"
+    return "without oscillation" if frequency < 1e-3 else f"at {frequency:.3g} Hz"
 
 
 def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins, acting: Margins) -> list[str]:
@@ -120,12 +120,13 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         which = "linear loop" if follows else "loop"
         first = f"{'Without K_v this' if damped else 'This'} camera is too slow for the {which}: {borders}."
     else:
-        first = f"The camera is fast enough for the loop: {borders}."
+        which = "linear loop, which does not decide" if result.stable is False else "loop"
+        first = f"The camera is fast enough for the {which}: {borders}."
     found = [first]
     if acting.perfect and acting.drifts:
         drift = (
             f"{acting.drifts} of the modes drifts away with any camera, at {acting.drift_rate:.3g} 1/s with a perfect "
-            "one: the depths that the controller believes turn a direction around that the image hardly shows. The "
+            "one: the assumed depths reverse a direction that is weakly observable in the image. The "
             "borders are those of all other modes; see the part drift."
         )
         found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
@@ -137,7 +138,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         f"{abs(acting.rate):.3g} 1/s {_mode(acting.frequency)}."
     )
     below, above = acting.gain
-    what = f"What answers to a displacement ({_SCALED[law]})"
+    what = f"The proportional gains ({_SCALED[law]})"
     if acting.stable and above is not None:
         found.append(f"{what} may be multiplied by up to {above:.3g}; then a mode begins to grow{_which(acting)}.")
     if acting.stable and below is not None:

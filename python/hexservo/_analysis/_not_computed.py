@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -56,6 +57,8 @@ def _reason(error: Exception) -> str:
         return "a matrix is singular to rounding" if singular else f"a matrix cannot be decomposed ({text})"
     if isinstance(error, (FloatingPointError, OverflowError, ZeroDivisionError)):
         return f"a number leaves the range of double precision ({text})"
+    if re.search(r"got (nan|-?inf)\b|not finite", text):  # of what was computed: the scenario's own are finite
+        return f"a number on the way is not finite ({text})"
     return text
 
 

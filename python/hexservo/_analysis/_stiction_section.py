@@ -96,8 +96,8 @@ def _of_the_set(found: Stiction, case: Case) -> str:
     holds = "K_v holds" if found.creep is None else "K_v would hold"
     text = (
         f"{holds} the platform with image errors of up to {number(ends.largest)} px in a coordinate "
-        f"({number(ends.rms)} px RMS), {number(1e6 * ends.largest / found.focal_pixels)} urad at the focal length; "
-        f"what ends the set there is {' and '.join(limits)}. Its optical axis is up to {number(1e6 * ends.turn)} urad "
+        f"({number(ends.rms)} px RMS), {number(1e3 * ends.largest / found.focal_pixels)} mrad at the focal length; "
+        f"what ends the set there is {' and '.join(limits)}. Its optical axis is up to {number(1e3 * ends.turn)} mrad "
         "from where the goal has it."
     )
     if case.confirmed is not None:
@@ -165,7 +165,7 @@ def _case_table(found: Stiction) -> Table:
                 case.name,
                 ends.largest,
                 ends.rms,
-                1e6 * ends.largest / found.focal_pixels,
+                1e3 * ends.largest / found.focal_pixels,
                 1e3 * ends.turn,
                 case.confirmed,
                 *(1e3 * float(np.abs(part).max()) for part in (ends.pose[:2], ends.pose[2:3], ends.pose[3:])),
@@ -177,7 +177,7 @@ def _case_table(found: Stiction) -> Table:
             Column("case"),
             Column("largest coordinate", "px", ".3g"),
             Column("RMS", "px", ".3g"),
-            Column("at the focal length", "urad", ".4g"),
+            Column("at the focal length", "mrad", ".3g"),
             Column("optical axis", "mrad", ".3g"),
             Column("checked pose", "px", ".3g"),
             Column("across", "mm", ".3g"),

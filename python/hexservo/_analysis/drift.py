@@ -13,6 +13,7 @@ from hexservo._analysis._goal import find_goals
 from hexservo._analysis._poses import Array, Mask, Poses, without_sign
 from hexservo._analysis._rest import Rest
 from hexservo._analysis._scene import scene_of
+from hexservo._analysis._words import not_analysed
 from hexservo._scenario import Scenario
 
 __all__ = ["Drift", "Pattern", "Size", "analyse", "loop_matrix"]
@@ -37,12 +38,10 @@ def analyse(scenario: Scenario) -> Drift:
         For a scenario that the core refuses.
     """
     law = scenario.controller.law
-    if law in _NOT_FOR:
-        return Drift(law, f"The law {law} is not analysed here: {_NOT_FOR[law]}.")
+    if reason := not_analysed(scenario, _NOT_FOR):
+        return Drift(law, reason)
     if law == "resolved_rate" and scenario.controller.resolved_rate.jacobian_at != "current":
         return Drift(law, "resolved_rate with a Jacobian of the goal: not analysed, since no depth of an image enters.")
-    if scenario.camera.convention == "as_printed":
-        return Drift(law, "A camera as_printed has no points in space: not analysed.")
     if scenario.controller.jacobian == "printed":
         return Drift(law, "With the printed sign of the Jacobian every feature runs away from its goal: not analysed.")
     return _Worker(scenario).drift()

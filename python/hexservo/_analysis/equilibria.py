@@ -12,6 +12,7 @@ from hexservo._analysis._goal import SHOWN, nearest_images
 from hexservo._analysis._poses import Array, Mask, Poses, without_sign
 from hexservo._analysis._rest import Rest
 from hexservo._analysis._scene import WIDER
+from hexservo._analysis._words import not_analysed
 from hexservo._scenario import Scenario
 
 __all__ = ["Equilibria", "Equilibrium", "analyse"]
@@ -42,12 +43,8 @@ def analyse(scenario: Scenario) -> Equilibria:
         For a scenario that the core refuses.
     """
     law = scenario.controller.law
-    if law in _NOT_FOR:
-        return Equilibria(law, f"The law {law} is not analysed here: {_NOT_FOR[law]}.")
-    if scenario.camera.convention == "as_printed":
-        return Equilibria(
-            law, "A camera as_printed has no points in space, so no pose belongs to an image: not analysed."
-        )
+    if reason := not_analysed(scenario, _NOT_FOR):
+        return Equilibria(law, reason)
     bare = scenario.updated(_BARE[law])
     rest, level = Rest(bare), Rest(bare, gravity=0.0)
     within, wider = _starts_within(level), level.spread(_WIDER, seed=SEED)

@@ -14,6 +14,7 @@ from hexservo._certificate.replay import Plant, Replay, product
 from hexservo._certificate.weights import BestWeights, best_weights
 from hexservo._display import Findings
 from hexservo._evidence import Column, Curves, Line, Section, Table
+from hexservo._wording import number
 
 __all__ = ["AXES", "UNITS", "Assumption", "Uncertainty", "assumption_of", "uncertainty_of"]
 
@@ -123,7 +124,7 @@ class Assumption(Findings):
             limited = [j for j in failed if self.weights[j].limited]
             if limited:
                 sentences.append(
-                    f"Weights were limited to {self.weights[limited[0]].limit:.3g} {UNITS[limited[0]]} on "
+                    f"Weights were limited to {number(self.weights[limited[0]].limit)} {UNITS[limited[0]]} on "
                     f"{AXES[limited[0]]}; larger ones could have a smaller error there."
                 )
         sentences.append("This holds at the samples of one trajectory, and is no statement about others.")

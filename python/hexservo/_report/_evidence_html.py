@@ -69,8 +69,16 @@ def _cells(row: Sequence[Cell], columns: Sequence[Column], numeric: Sequence[boo
     return [
         element("td", text, class_="number" if is_number else "short" if len(text) <= _SHORT else "text")
         for cell, column, is_number in zip(row, columns, numeric, strict=True)
-        for text in [cell_text(cell, column)]
+        for text in [page_text(cell, column)]
     ]
+
+
+def page_text(cell: Cell, column: Column) -> str:
+    """Give a cell as a page shows it: with the signs that a terminal may lack."""
+    text = cell_text(cell, column)
+    if isinstance(cell, str):
+        return text
+    return {"-": "–", "inf": "∞", "-inf": "−∞"}.get(text, text.replace("-", "−"))
 
 
 def _unit(column: Column) -> list[str]:

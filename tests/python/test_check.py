@@ -1,0 +1,135 @@
+"""`hexservo check`: what is legal and surely not meant, and keys without effect, each against runs or a hand sum."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo import _core
+from hexservo._analysis._scene import scene_of
+from hexservo._check import fastest_rate, keys_without_effect, unlikely
+from test_keys_with_effect import fingerprint
+
+# What packaged scenarios are built to be, or come near to: the first words of each warning.
+EXPECTED = {
+    "composite-30hz": ["simulation.step: a servo period of 1 ms is coarser than a tenth of the gains'"],
+    "fails-coarse-step": ["simulation.step: a servo period of 5 ms is coarser"],
+    "fails-leg-limits": ["target.desired_features: the goal is out of reach: leg 5 would be"],
+    "fails-lost-features": ["target.desired_features: the goal is outside the image of 136 x 136 px (point 2)"],
+    "fails-saturation": ["robot.force_limit: 0.128 N is less than the 0.134 N that leg 1 needs"],
+    **{name: ["robot.stroke: 10 m either way is"] for name in hs.scenario_names() if name.startswith("textbook-")},
+}
+
+
+@pytest.mark.parametrize("name", hs.scenario_names())
+def test_packaged_scenarios_have_the_warnings_they_are_made_for(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    found = unlikely(scenario)
+    expected = EXPECTED.get(name, [])
+    assert len(found) == len(expected)
+    for sentence, start in zip(found, expected, strict=True):
+        assert sentence.startswith(start)
+    assert keys_without_effect(scenario) == []
+
+
+def only(scenario: hs.Scenario, start: str) -> str:
+    (sentence,) = (sentence for sentence in unlikely(scenario) if sentence.startswith(start))
+    return sentence
+
+
+def test_the_weight_is_shared_by_the_legs(paper: hs.Scenario) -> None:
+    """At home the legs' vertical parts carry m g (1 - delta): sum f_i u_z = weight, by the leg vectors themselves."""
+    hexapod = _core.Hexapod(_core.robot_preset("micro"))
+    way = np.array(hexapod.platform_joints) + np.array(hexapod.home_position) - np.array(hexapod.base_joints)
+    vertical = np.abs(way[:, 2]) / np.linalg.norm(way, axis=1)
+    for delta in (0.0, 0.5):
+        share = paper.robot.mass * 9.8 * (1 - delta) / vertical.sum()
+        heavy = {"uncertainty.gravity": delta}
+        tight = paper.updated({**heavy, "robot.force_limit": 0.999 * share})
+        assert "needs to carry the platform's weight at home" in only(tight, "robot.force_limit")
+        assert not unlikely(paper.updated({**heavy, "robot.force_limit": 1.001 * share}))
+
+
+def test_home_below_the_base_and_a_stroke_beyond_a_leg(paper: hs.Scenario) -> None:
+    below = paper.updated({"robot.home_position": [0.0, 0.0, 0.15]})
+    assert "puts home below the base" in only(below, "robot.home_position")
+    shortest = float(np.min(_core.Hexapod(_core.robot_preset("micro")).home_lengths))
+    assert only(paper.updated({"robot.stroke": 1.01 * shortest}), "robot.stroke").endswith("at home")
+    assert not any(found.startswith("robot.stroke") for found in unlikely(paper.updated({"robot.stroke": shortest})))
+
+
+def test_start_and_goal_are_in_the_image_by_half_its_sides(paper: hs.Scenario) -> None:
+    sampled = paper.updated({"simulation.mode": "sampled", "simulation.step": 5e-4})
+    start = 2 * max(map(abs, paper.target.initial_features or ()))
+    goal = 2 * max(map(abs, paper.target.desired_features))
+    assert start < goal
+    inside = sampled.updated({"camera.image_size": [goal + 1] * 2})
+    assert not any("outside the image" in sentence for sentence in unlikely(inside))
+    between = sampled.updated({"camera.image_size": [goal - 1] * 2})
+    assert "the goal is outside the image" in only(between, "target.desired_features")
+    assert not any("the start" in sentence for sentence in unlikely(between))
+    assert "(point 2)" in only(sampled.updated({"camera.image_size": [start - 1] * 2}), "target: the start is outside")
+
+
+def test_a_goal_that_no_pose_shows(paper: hs.Scenario) -> None:
+    crossed = paper.updated({"target.desired_features": [10, 10, -64, 29, 45, -73, -30, -23]})
+    assert "no pose was found that shows them" in only(crossed, "target.desired_features")
+
+
+def test_the_fastest_rate_is_that_of_a_damper_by_hand(paper: hs.Scenario) -> None:
+    """Kelly without stiffness: the poles are k_d/m and k_d/I of the actual plant, (1 - delta_D) of the estimate."""
+    damped = {"controller.law": "kelly", "controller.kelly.kp": 0.0, "controller.kelly.kd": [0.5] * 3 + [1e-9] * 3}
+    exact = {"uncertainty.inertia": 0.075}
+    scene = scene_of(paper.updated({**damped, **exact}))
+    assert fastest_rate(scene) == pytest.approx(0.5 / (0.925 * paper.robot.mass), rel=1e-3)
+    limit = 0.1 / float(f"{fastest_rate(scene):.4g}")
+    for factor, warned in ((0.9, False), (1.1, True)):
+        steps = {"simulation.step": factor * limit, "simulation.duration": 100 * factor * limit}
+        scenario = paper.updated({**damped, **exact, **steps, "simulation.mode": "sampled"})
+        assert any(sentence.startswith("simulation.step") for sentence in unlikely(scenario)) == warned
+        continuous = scenario.updated({"simulation.mode": "continuous"})  # there a step is no servo period
+        assert not any(sentence.startswith("simulation.step") for sentence in unlikely(continuous))
+
+
+def test_a_slope_of_the_switching_term_counts(paper: hs.Scenario) -> None:
+    """K_v / width is a damping: 2e-3 N over 1e-6 m/s is 2000 N s/m."""
+    steep = paper.updated({"controller.switching": {"kind": "tanh", "width": 1e-6}})
+    rate = fastest_rate(scene_of(steep))
+    assert rate > 0.5 * 2e-3 / 1e-6 / paper.robot.mass
+    assert fastest_rate(scene_of(paper)) < 1e-2 * rate
+    assert math.isfinite(rate)
+
+
+# ---- Keys without effect --------------------------------------------------------------------------------------------
+
+WITHOUT_EFFECT: list[tuple[dict[str, Any], dict[str, Any]]] = [
+    ({"controller.law": "composite"}, {"controller.hybrid.kp": 2e-6}),
+    ({}, {"controller.composite.fuzzy.leakage": 0.1}),
+    ({}, {"controller.kelly.kd": 1.0, "controller.pbvs.kp": 1.0}),
+    ({"controller.hybrid.fuzzy.enabled": False}, {"controller.hybrid.fuzzy.adaptation": 20.0}),
+    ({"controller.law": "resolved_rate"}, {"controller.resolved_rate.gain_far": 2.0}),
+    ({"controller.law": "kelly"}, {"controller.switching.kind": "tanh"}),
+    ({}, {"controller.switching.width": 0.01}),
+    ({"simulation.mode": "sampled"}, {"camera.outlier_size": 5.0}),
+    ({"simulation.mode": "sampled"}, {"camera.outlier_probability": 0.5}),
+    ({"simulation.mode": "sampled"}, {"camera.on_lost": "predict"}),
+    ({"simulation.mode": "sampled"}, {"sensors.noise": 1e-5, "sensors.period": 0.002, "sensors.rate": True}),
+    ({"simulation.mode": "sampled"}, {"sensors.resolution": 1e-5}),
+    ({"simulation.mode": "sampled"}, {"base_motion.amplitude": [1.0, 0.0, 0.0], "base_motion.frequency": 3.0}),
+    ({"simulation.mode": "sampled"}, {"base_motion.level": 1.0, "base_motion.high_frequency": 20.0}),
+]
+
+
+@pytest.mark.parametrize(("base", "idle"), WITHOUT_EFFECT)
+def test_keys_that_are_noted_change_no_run(paper: hs.Scenario, base: dict[str, Any], idle: dict[str, Any]) -> None:
+    scenario = paper.updated({**base, "simulation.duration": 0.05})
+    assert keys_without_effect(scenario) == []
+    changed = scenario.updated(idle)
+    noted = keys_without_effect(changed)
+    assert sorted(key for sentence in noted for key in sentence.partition(":")[0].split(", ")) == sorted(idle)
+    assert all("no effect here; " in sentence for sentence in noted)
+    assert fingerprint(changed) == fingerprint(scenario)
