@@ -8,14 +8,20 @@
 
 #include <limits>
 
+#ifndef HEXSERVO_GAINS  // for a program that takes whatever header it is given
+#define HEXSERVO_GAINS hexservo_paper
+#endif
+
 namespace hexservo_paper {
+
+using Law = hexservo::Hybrid;
 
 /// T_c, time between two ticks [s].
 inline constexpr double period = 0.001;
 
-/// Robot, camera, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.
-inline hexservo::Settings<hexservo::Hybrid> settings() {
-  hexservo::Settings<hexservo::Hybrid> s;
+/// Robot, camera, sensors, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.
+inline hexservo::Settings<Law> settings() {
+  hexservo::Settings<Law> s;
   s.robot.platform_radius = 0.1;  // [m]
   s.robot.base_radius = 0.2;  // [m]
   s.robot.platform_angles << -0.8726646259971648, 0.8726646259971648, 1.2217304763960306, 2.9670597283903604, 3.3161255787892263, 5.061454830783555;  // [rad]
@@ -35,6 +41,7 @@ inline hexservo::Settings<hexservo::Hybrid> settings() {
   s.target.initial_features << 30.0, 18.0, 65.0, -65.0, -44.0, 37.0, -10.0, -15.0;  // [px]
   s.target.depth << 0.5, 0.5, 0.5, 0.5;  // [m]
   s.target.desired_features << 10.0, 10.0, 45.0, -73.0, -64.0, 29.0, -30.0, -23.0;  // [px]
+  s.uncertainty.depth << 0.3, 0.3, 0.3, 0.3;  // [1]
   s.switching.kind = hexservo::SwitchingKind::sign;
   s.switching.width = 0.001;  // [m/s; rad/s]
   s.gains.kp << 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06;  // [N m/px^2]
@@ -61,7 +68,7 @@ inline hexservo::Settings<hexservo::Hybrid> settings() {
 }
 
 /// What `hexservo::step` needs.
-inline hexservo::ControllerGains<hexservo::Hybrid> controller_gains() {
+inline hexservo::ControllerGains<Law> controller_gains() {
   return hexservo::controller_gains(settings(), period);
 }
 

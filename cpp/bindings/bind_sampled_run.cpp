@@ -12,9 +12,7 @@ namespace {
 /// One column per number of a tick, by name.
 template <class Law>
 py::dict recorded_ticks(const Settings<Law>& settings) {
-  FuzzyWeights<double> weights;
-  for (auto& weight : weights) weight = SideBySide<double, 6>(Vector6<double>(Vector6<double>::Zero()));
-  const std::vector<RecordedTick> ticks = record_ticks(settings, weights);
+  const std::vector<RecordedTick> ticks = record_ticks(settings);
   const auto rows = static_cast<py::ssize_t>(ticks.size());
   py::dict columns;
   const auto put = [&](const char* name, py::ssize_t width, auto&& values_of) {
@@ -42,7 +40,6 @@ py::dict recorded_ticks(const Settings<Law>& settings) {
   put("fuzzy_output", 6, [](T t) { return t.output.fuzzy_output; });
   put("status", 1, [](T t) { return One(static_cast<double>(static_cast<int>(t.output.status))); });
   put("saturated", 1, [](T t) { return One(t.output.saturated ? 1.0 : 0.0); });
-  columns["fuzzy_weights"] = weight_array(weights);
   return columns;
 }
 

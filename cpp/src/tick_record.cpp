@@ -7,7 +7,7 @@
 namespace hexservo {
 
 template <class Law>
-std::vector<RecordedTick> record_ticks(const Settings<Law>& settings, FuzzyWeights<double>& weights) {
+std::vector<RecordedTick> record_ticks(const Settings<Law>& settings) {
   if (settings.simulation.mode != LoopMode::sampled)
     detail::refuse("simulation.mode", "sampled, whose controller has ticks", "continuous");
   const LoopParameters<double, Law> parameters = loop_parameters(settings);
@@ -22,14 +22,13 @@ std::vector<RecordedTick> record_ticks(const Settings<Law>& settings, FuzzyWeigh
     ticks.push_back({{sensed.now * T, {sensed.frame.exposure * T, sensed.frame.image}, sensed.pose, sensed.twist,
                       sensed.joints},
                      detail::output_of(loop.tick(), loop.perceived())});
-    if constexpr (kHasFuzzySystems<Law>) weights = loop.law_state();
-    if (!loop.record().running() || loop.steps() == steps) return ticks;
+    if (loop.steps() == steps) return ticks;
     loop.advance();
+    if (!loop.record().running()) return ticks;
   }
 }
 
-#define HEXSERVO_HERE(Law) \
-  template std::vector<RecordedTick> record_ticks(const Settings<Law>&, FuzzyWeights<double>&);
+#define HEXSERVO_HERE(Law) template std::vector<RecordedTick> record_ticks(const Settings<Law>&);
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
 

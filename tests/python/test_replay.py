@@ -75,7 +75,7 @@ def sampled_scenarios() -> Iterator[hs.Scenario]:
             continue
         for law in LAWS:
             try:
-                yield scenario.updated({"name": f"{name} {law}", "controller.law": law})
+                yield scenario.updated({"name": f"{name}-{law}", "controller.law": law})
             except hs.ScenarioError:
                 assert law != scenario.controller.law  # another law may have no pose of the goal
 

@@ -15,14 +15,12 @@ struct RecordedTick {
   ControllerOutput output;
 };
 
-/// Runs a scenario in `sampled` mode, and keeps every tick up to the one that ends the run.
-/// @param weights filled with the weights of the fuzzy systems before the last tick [N or N m]; zeros where there are none
+/// Runs a scenario in `sampled` mode, and keeps every tick; not the one at which a run stops early.
 /// @throws std::invalid_argument as `simulate`, and for a scenario in `continuous` mode
 template <class Law>
-std::vector<RecordedTick> record_ticks(const Settings<Law>& settings, FuzzyWeights<double>& weights);
+std::vector<RecordedTick> record_ticks(const Settings<Law>& settings);
 
-#define HEXSERVO_ELSEWHERE(Law) \
-  extern template std::vector<RecordedTick> record_ticks(const Settings<Law>&, FuzzyWeights<double>&);
+#define HEXSERVO_ELSEWHERE(Law) extern template std::vector<RecordedTick> record_ticks(const Settings<Law>&);
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
 #undef HEXSERVO_ELSEWHERE
 
