@@ -20,7 +20,7 @@ ALL_TOOLS := .venv/.stamp-all-tools
 PACKAGE := .venv/.stamp-package
 # Folders are listed too: their time changes when a file is removed.
 SOURCES := CMakeLists.txt pyproject.toml README.md LICENSE \
-  $(shell find cpp python -name __pycache__ -prune -o -print 2>/dev/null)
+  $(shell find cpp docs python -name __pycache__ -prune -o -print 2>/dev/null)
 CXX_FILES = $$(find cpp tests/cpp examples benchmarks \( -name '*.cpp' -o -name '*.hpp' \) 2>/dev/null)
 
 help:

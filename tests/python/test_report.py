@@ -262,7 +262,7 @@ def test_charts_are_as_the_library_wants_them(text: str) -> None:
     charts = specs(text)
     assert len(charts) == 12
     for spec in charts.values():
-        layout = {name: value for name, value in spec["layout"].items() if name not in ("maxWidth", "square")}
+        layout = {name: value for name, value in spec["layout"].items() if name not in ("maxWidth", "aspect")}
         go.Figure(coloured(spec["data"]), coloured(layout))
 
 
