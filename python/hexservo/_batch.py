@@ -42,6 +42,7 @@ _LOGS = {
 _OUTCOMES = np.array([outcome.name for outcome in sorted(_core.Outcome, key=lambda outcome: outcome.value)])
 _CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda cause: cause.value)])
 _MAX_THREADS = 1024
+_MAX_WHOLE = 2**53  # up to here a float holds every whole number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -421,6 +422,12 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> Array:
             f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes
         )
         raise ValueError(f"{key}: expected shape {shapes}, n scenarios, got {values.shape}")
+    if rule.whole and (beyond := np.abs(values) > _MAX_WHOLE).any():
+        index = int(np.argmax(beyond))
+        raise ValueError(
+            f"scenario {index}: {key}: expected a whole number of at most 2^53 in a batch, whose numbers are floats, "
+            f"got {int(values[index])}"
+        )
     numbers = values.astype(np.float64)
     allowed = rule.within(numbers)
     if not allowed.all():

@@ -186,6 +186,20 @@ def test_one_row_holds_for_all_and_shapes_say_what_is_meant(smooth: hs.Scenario)
     )
 
 
+def test_seeds_that_a_float_does_not_hold_are_refused_and_the_largest_one_is_the_single_run(
+    sampled: hs.Scenario,
+) -> None:
+    batch = hs.simulate_batch(sampled, {"seed": [2**53 - 1, 2**53]})
+    for index, seed in enumerate((2**53 - 1, 2**53)):
+        assert_same(batch, index, hs.simulate(sampled.updated({"seed": seed})), 1e-9)
+    assert batch.metrics["final_error"][0] != batch.metrics["final_error"][1]
+    for given in ([0, 2**53 + 1], [0, 2**63], np.array([0, 2**64 - 1], dtype=np.uint64), [0.0, 2.0**53 + 2]):
+        with pytest.raises(
+            ValueError, match=r"^scenario 1: seed: expected a whole number of at most 2\^53 .* got \d+$"
+        ):
+            hs.simulate_batch(sampled, {"seed": given})
+
+
 def test_inertia_is_made_symmetric_as_a_scenario_does(smooth: hs.Scenario) -> None:
     matrix = np.diag([1.5e-4, 1.6e-4, 3e-4])
     matrix[0, 1] = 1e-6
