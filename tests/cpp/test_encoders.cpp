@@ -1,10 +1,12 @@
 // Leg length encoders: truth without errors, bounds with them, and when they are read.
 #include "hexservo/encoders.hpp"
+#include "hexservo/outcome.hpp"
 
 #include "allocations.hpp"
 #include "compare.hpp"
 #include "random.hpp"
 
+#include <Eigen/LU>
 #include <Eigen/SVD>
 
 #include <bit>
@@ -53,6 +55,30 @@ double worst_gain(const Hexapod<double>& hexapod, const Pose<double>& pose) {
   return std::sqrt(6.0) / Eigen::JacobiSVD<Matrix6<double>>(legs_at(hexapod, pose).wrench_map()).singularValues()(5);
 }
 
+/// A pose turned by a rotation vector in B and moved, by Eigen.
+Pose<double> displaced(const Pose<double>& pose, const Vector3<double>& move, const Vector3<double>& turn) {
+  const Vector4<double>& p = pose.quaternion;
+  const Eigen::Quaterniond q =
+      Eigen::AngleAxisd(turn.norm(), turn.stableNormalized()) * Eigen::Quaterniond(p(0), p(1), p(2), p(3)).normalized();
+  return {pose.position + move, {q.w(), q.x(), q.y(), q.z()}};
+}
+
+Vector3<double> direction(Random& random) { return random.matrix<3>().normalized(); }
+
+/// Whether a straight way keeps to its assembly mode: the determinant of H keeps its sign, and the distance to
+/// singularity stays above 0.2, a fifth or a quarter of what it is at home.
+bool clear_of_singular_poses(const Hexapod<double>& hexapod, const Pose<double>& from, const Vector3<double>& move,
+                             const Vector3<double>& turn) {
+  const double start = legs_at(hexapod, from).wrench_map().determinant();
+  for (int i = 0; i <= 20; ++i) {
+    const Pose<double> pose = displaced(from, i / 20.0 * move, i / 20.0 * turn);
+    if (!(start * legs_at(hexapod, pose).wrench_map().determinant() > 0.0) ||
+        !(wrench_map_singular_values(hexapod, pose)(5) > 0.2))
+      return false;
+  }
+  return true;
+}
+
 }  // namespace
 
 TEST_CASE("ideal encoders give the true pose and, with true rates, the true twist") {
@@ -86,6 +112,75 @@ TEST_CASE("a reading that is far from the one before still finds its pose, and s
   CHECK(pose_distance(sensors.pose(), home) <= 1e-12);
   sensors.observe(2, home, Vector6<double>::Zero());
   CHECK_FALSE(sensors.failed());
+}
+
+TEST_CASE("any motion between two readings is followed that keeps clear of singular poses, whatever the period") {
+  // At 100 r_p/s and 100 rad/s, but at most by r_p and by 1 rad, since a longer way passes singular poses.
+  Random random(9301);
+  CAPTURE(random.seed());
+  for (const std::string_view preset : kRobotPresets)
+    for (const long long period : {1, 2, 3, 5, 7, 9, 20, 50}) {
+      const Hexapod<double> hexapod = make_hexapod(robot_preset(preset));
+      const double reach = std::min(100.0 * static_cast<double>(period) * kTick, 1.0);
+      CAPTURE(preset);
+      CAPTURE(period);
+      int clear = 0;
+      double worst = 0.0;
+      for (int trial = 0; trial < 250; ++trial) {
+        CAPTURE(trial);
+        const Pose<double> before =
+            displaced(home_pose(hexapod), random.matrix<3>(0.15 * hexapod.platform_radius), random.matrix<3>(0.15));
+        const Vector3<double> move = random.uniform(0.0, reach) * hexapod.platform_radius * direction(random),
+                              turn = random.uniform(0.0, reach) * direction(random);
+        if (!clear_of_singular_poses(hexapod, before, move, turn)) continue;
+        ++clear;
+        const Pose<double> now = displaced(before, move, turn);
+        Encoders<double> sensors({.period = period}, hexapod, seed_halves(1), kTick, before);
+        sensors.observe(0, before, Vector6<double>::Zero());
+        sensors.observe(period, now, Vector6<double>::Zero());
+        REQUIRE_FALSE(sensors.failed());
+        REQUIRE(distance(legs_at(hexapod, sensors.pose()).lengths, sensors.lengths()) <= kKinematicsTolerance);
+        worst = std::max(worst, pose_distance(sensors.pose(), now));
+        REQUIRE(pose_distance(sensors.pose(), now) <= kKinematicsTolerance * worst_gain(hexapod, now));
+      }
+      CHECK(clear >= 100);
+      CHECK(worst > 0.0);
+    }
+}
+
+TEST_CASE(
+    "a twist of up to 1e3 rad/s is followed at readings of 1 ms, while it changes by 100 rad/s from one to the next") {
+  Random random(9302);
+  CAPTURE(random.seed());
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  int clear = 0;
+  for (int trial = 0; trial < 500; ++trial) {
+    CAPTURE(trial);
+    const Pose<double> before = displaced(home_pose(hexapod), random.matrix<3>(0.01), random.matrix<3>(0.1));
+    Vector6<double> twist;
+    twist << random.uniform(0.0, 1e2) * direction(random), random.uniform(0.0, kMaxTwist) * direction(random);
+    const Vector3<double> move = (twist.head<3>() + 5.0 * direction(random)) * kTick,
+                          turn = (twist.tail<3>() + 50.0 * direction(random)) * kTick;
+    if (!clear_of_singular_poses(hexapod, before, move, turn)) continue;
+    ++clear;
+    const Pose<double> now = displaced(before, move, turn);
+    Encoders<double> sensors({.rates = RateSource::true_rates}, hexapod, seed_halves(1), kTick, before);
+    sensors.observe(0, before, twist);
+    sensors.observe(1, now, twist);
+    REQUIRE_FALSE(sensors.failed());
+    REQUIRE(pose_distance(sensors.pose(), now) <= kKinematicsTolerance * worst_gain(hexapod, now));
+  }
+  CHECK(clear >= 200);
+}
+
+TEST_CASE("more rounds for longer periods, as the periods alone say, and never more than four in a millisecond") {
+  CHECK(encoder_rounds(1e-4) == 4);
+  CHECK(encoder_rounds(1e-3) == 4);
+  CHECK(encoder_rounds(2e-3) == 5);
+  CHECK(encoder_rounds(2.5e-3) == 6);
+  CHECK(encoder_rounds(9e-3) == kEncoderRounds);
+  CHECK(encoder_rounds(1e6) == kEncoderRounds);
+  for (int k = 1; k < 100; ++k) CHECK(encoder_rounds(k * 1e-3) <= 4 * k);
 }
 
 TEST_CASE(
