@@ -5,11 +5,13 @@
 #include <pybind11/functional.h>
 #include <pybind11/native_enum.h>
 
+#include <variant>
+
 namespace hexservo::bindings {
 
 namespace {
 
-using Values = py::array_t<double, py::array::c_style>;
+using Values = std::variant<py::array_t<std::uint64_t, py::array::c_style>, py::array_t<double, py::array::c_style>>;
 using Shape = std::vector<py::ssize_t>;
 
 /// An array that shares the result's memory and keeps it alive; None where nothing was kept.
@@ -54,11 +56,19 @@ template <class Law>
 BatchResult run(const Settings<Law>& settings, const std::vector<std::pair<std::string, Values>>& variations,
                 std::size_t count, BatchLog log, int threads, const KernelHandle& kernel, const py::object& progress) {
   std::vector<Variation> rows;
-  for (const auto& [key, values] : variations) {
-    if (values.ndim() != 2) throw std::invalid_argument(key + ": expected rows of numbers, got another shape");
-    rows.push_back(
-        {key, {values.data(), static_cast<std::size_t>(values.size())}, static_cast<std::size_t>(values.shape(1))});
-  }
+  for (const auto& [key, numbers] : variations)
+    std::visit(
+        [&rows, &key](const auto& values) {
+          if (values.ndim() != 2) throw std::invalid_argument(key + ": expected rows of numbers, got another shape");
+          Variation variation{key, {}, static_cast<std::size_t>(values.shape(1)), {}};
+          const std::span all(values.data(), static_cast<std::size_t>(values.size()));
+          if constexpr (std::is_same_v<decltype(values.data()), const std::uint64_t*>)
+            variation.seeds = all;
+          else
+            variation.values = all;
+          rows.push_back(variation);
+        },
+        numbers);
   BatchOptions options;
   options.log = log;
   options.threads = threads;
@@ -90,11 +100,11 @@ void bind_batch_of(py::module_& m) {
       py::arg("settings"),
       "Keys that may vary for the settings' law, each with the numbers per scenario that it takes.");
 
-  m.def(
-      "simulate_batch", &run<Law>, py::arg("settings"), py::arg("variations"), py::arg("count"), py::arg("log"),
-      py::arg("threads"), py::arg("kernel"), py::arg("progress") = py::none(),
-      "Runs `count` scenarios: variations are (key, (n or 1, width) array). progress(done, count, steps, total_steps) "
-      "is called every 50 ms. ValueError for a bad scenario; Ctrl-C ends it and keeps what is finished.");
+  m.def("simulate_batch", &run<Law>, py::arg("settings"), py::arg("variations"), py::arg("count"), py::arg("log"),
+        py::arg("threads"), py::arg("kernel"), py::arg("progress") = py::none(),
+        "Runs `count` scenarios: variations are (key, (n or 1, width) array), of 64-bit whole "
+        "numbers without a sign for seed and of doubles for all others. progress(done, count, steps, total_steps) "
+        "is called every 50 ms. ValueError for a bad scenario; Ctrl-C ends it and keeps what is finished.");
 }
 
 }  // namespace

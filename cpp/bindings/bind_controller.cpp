@@ -11,10 +11,18 @@ namespace hexservo::bindings {
 
 namespace {
 
+/// A masked array as an array with NaN, a number that is not known, in the place of what it masks; else the object.
+py::object without_mask(const py::object& value) {
+  const auto* plain = py::detail::npy_api::get().PyArray_Type_;
+  const bool may_have_mask = py::isinstance<py::array>(value) && Py_TYPE(value.ptr()) != plain;  // of a derived type
+  if (!may_have_mask || !py::hasattr(value, "mask") || !py::hasattr(value, "filled")) return value;
+  return value.attr("astype")("float64").attr("filled")(std::numeric_limits<double>::quiet_NaN());
+}
+
 /// A vector of N numbers, of any values; ValueError where there are not N, or where they are no numbers.
 template <int N>
 Vector<double, N> numbers(const char* name, const py::object& value) {
-  const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(value);
+  const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(without_mask(value));
   const auto refuse = [&](const std::string& got) {
     throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(N) + " numbers, got " + got);
   };

@@ -250,10 +250,12 @@ void bind_settings(py::module_& m) {
 
   m.def("step_count", &step_count, py::arg("simulation"), "Steps of a run; ValueError where they make no grid.");
 
-  py::class_<MetricsSettings>(m, "MetricsSettings", "What is measured against what.")
+  using Measured = MetricsSettings<double>;
+  py::class_<Measured>(m, "MetricsSettings", "What is measured, when and against what.")
       .def(py::init<>())
-      .def_readwrite("settling_threshold", &MetricsSettings::settling_threshold, "[px]")
-      .def_readwrite("rms_start", &MetricsSettings::rms_start, "[s]");
+      .def_readwrite("band", &Measured::band, "settled: every feature error is within this [px]")
+      .def_readwrite("dwell", &Measured::dwell, "settled: and has been for this long at the end [s]")
+      .def_readwrite("rms_start", &Measured::rms_start, "from here to the end the RMS error is taken [s]");
 
   bind_devices(m);
   bind_settings_of<Hybrid>(m, "HybridSettings", "A scenario for the law hybrid, as numbers.");

@@ -38,6 +38,7 @@ class Scenarios {
   /// Puts scenario `i` into settings that started as the base.
   void set(Settings<Law>& settings, std::size_t i) const {
     for (const Item& item : items_) item.key->set(settings, item.row(i));
+    if (!seeds_.empty()) settings.seed = seeds_[seeds_.size() == 1 ? 0 : i];
   }
 
   /// What the scenarios of a pack must have in common, as numbers.
@@ -67,6 +68,7 @@ class Scenarios {
   };
 
   void add(const Variation& variation) {
+    if (variation.key == detail::kSeedKey) return add_seeds(variation);
     const auto keys = detail::key_setters<Law>();
     const auto key = std::ranges::find(keys, variation.key, &detail::KeySetter<Law>::key);
     if (key == keys.end()) refuse(variation.key, "a key that holds numbers", "one that does not");
@@ -84,9 +86,19 @@ class Scenarios {
     items_.push_back({&*key, variation.values, variation.width, rows == 1});
   }
 
+  void add_seeds(const Variation& variation) {
+    const std::size_t rows = variation.seeds.size();
+    if (!seeds_.empty()) refuse(variation.key, "a key once", "it twice");
+    if (rows == 0 || !variation.values.empty())
+      refuse(variation.key, "whole numbers of 64 bits", "numbers of another type");
+    if (rows != 1 && rows != count_) refuse(variation.key, words("1 or ", count_, " seeds"), words(rows));
+    seeds_ = variation.seeds;
+  }
+
   const Settings<Law>& base_;
   std::size_t count_;
   std::vector<Item> items_;
+  std::span<const std::uint64_t> seeds_;  // one for all, one for each, or empty: that of the base
 };
 
 /// Steps and logging that a group of scenarios shares.
@@ -389,6 +401,7 @@ std::vector<NumericKey> numeric_keys() {
     keys.push_back({std::string(setter.key), {setter.widths[0]}});
     if (setter.widths[1] != 0) keys.back().widths.push_back(setter.widths[1]);
   }
+  keys.push_back({detail::kSeedKey, {1}});
   return keys;
 }
 

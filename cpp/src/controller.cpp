@@ -1,6 +1,7 @@
 #include "hexservo/controller.hpp"
 
 #include "check.hpp"
+#include "hexservo/subnormals.hpp"
 
 namespace hexservo {
 
@@ -60,6 +61,7 @@ template void library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN
 template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept {
+  const FlushSubnormals flush;
   // Any number may go through this; what comes of unusable ones is not taken over.
   const Matrix3<double> R_BE = rotation_matrix(input.pose.quaternion);
   const Vector<double, kPoints> inverse_depth = input.image.depth.cwiseInverse();

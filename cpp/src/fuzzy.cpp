@@ -36,6 +36,11 @@ void validate(const FuzzyGains<double>& gains, const std::string& key) {
   detail::require_finite(key + "rate_scale", gains.rate_scale);
   detail::require_finite(key + "initial_scale", gains.initial_scale);
   detail::require_finite(key + "table", gains.table);
+  if (!(gains.initial_scale.cwiseAbs().maxCoeff() * gains.table.cwiseAbs().maxCoeff() <=
+        std::numeric_limits<double>::max()))
+    detail::refuse(key + "initial_scale", "a number whose products with the entries of the table are finite",
+                   detail::words(gains.initial_scale.cwiseAbs().maxCoeff(), " with an entry of ",
+                                 gains.table.cwiseAbs().maxCoeff()));
   detail::require_not_negative(key + "leakage", gains.leakage);
   for (int j = 0; j < kAxes; ++j)
     if (!(gains.weight_limit(j) > 0.0))

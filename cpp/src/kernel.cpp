@@ -1,5 +1,6 @@
 #include "kernel.hpp"
 
+#include "hexservo/subnormals.hpp"
 #include "kernel_lanes.hpp"
 
 #include <algorithm>
@@ -21,6 +22,7 @@ RunStatus run_mode(const RunRequest& request) {
 
 template <class S>
 RunStatus run_law(const RunRequest& request) noexcept {
+  const FlushSubnormals flush;
   switch (request.law) {
 #define HEXSERVO_CASE(Law) \
   case LawId::Law:         \

@@ -59,13 +59,6 @@ long long whole_number(const char* key, double value) {
   return static_cast<long long>(value);
 }
 
-/// Seeds that vary are doubles, which hold whole numbers up to 2^53.
-std::uint64_t seed_number(double value) {
-  if (!(value >= 0.0 && value <= 0x1p53) || value != std::floor(value))
-    refuse("seed", "a whole number from 0 to 2^53", words(value));
-  return static_cast<std::uint64_t>(value);
-}
-
 using V = Numbers;
 
 template <class Law>
@@ -124,8 +117,10 @@ Keys<Law> scene_keys() {
       {"uncertainty.coriolis", {1, 36}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.dynamics.coriolis, v); }},
       {"uncertainty.gravity", {1, 6}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.dynamics.gravity, v); }},
       {"uncertainty.depth", {1, 4}, Reach::lane, [](S& s, V v) { fill(s.uncertainty.depth, v); }},
+      {"metrics.band", {1}, Reach::lane, [](S& s, V v) { s.metrics.band = v[0]; }},
+      {"metrics.dwell", {1}, Reach::lane, [](S& s, V v) { s.metrics.dwell = v[0]; }},
+      {"metrics.rms_start", {1}, Reach::pack, [](S& s, V v) { s.metrics.rms_start = v[0]; }},
       {"controller.switching.width", {1}, Reach::lane, [](S& s, V v) { s.switching.width = v[0]; }},
-      {"seed", {1}, Reach::lane, [](S& s, V v) { s.seed = seed_number(v[0]); }},
   };
 }
 

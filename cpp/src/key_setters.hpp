@@ -31,7 +31,10 @@ struct KeySetter {
   bool takes(std::size_t width) const { return width != 0 && (width == widths[0] || width == widths[1]); }
 };
 
-/// All keys of a law's settings, in the order of the scenario file.
+/// The key of the random streams, which varies as whole numbers of 64 bits and has no setter.
+inline constexpr const char* kSeedKey = "seed";
+
+/// All keys of a law's settings that hold doubles, in the order of the scenario file.
 template <class Law>
 std::span<const KeySetter<Law>> key_setters();
 

@@ -6,10 +6,12 @@
 #include "flatten.hpp"
 #include "hexservo/closed_loop.hpp"
 #include "hexservo/sampled_loop.hpp"
+#include "hexservo/subnormals.hpp"
 #include "kernel_lanes.hpp"
 #include "weight_rows.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <optional>
 #include <stdexcept>
@@ -126,8 +128,19 @@ void answer(const LoopRecord<S>& record, const LawState& law_state, const S& ste
   a.end_time = of_lane(record.sample_time(), lane);
   a.steps = static_cast<long long>(of_lane(steps, lane));
   a.cause = static_cast<int>(of_lane(record.cause(), lane));
+  // Numbers so large that a sum or a square of theirs overflows are finite one by one.
+  if (a.cause == static_cast<int>(StopCause::none) &&
+      std::any_of(a.metrics, next, [](double m) { return std::isinf(m); }))
+    a.cause = static_cast<int>(StopCause::not_finite);
   a.limit_leg = static_cast<int>(of_lane(record.limit_leg(), lane));
   a.interrupted = stopped && a.cause == static_cast<int>(StopCause::none) && a.steps < request.steps;
+}
+
+/// Whether the caller wants the run to end; it may run any code, in the mode of its own thread.
+inline bool is_stopped(const RunRequest& request, long long steps) {
+  if (request.stop == nullptr || steps % kQuestionEvery != 0) return false;
+  const KeepSubnormals keep;
+  return request.stop(request.context, steps);
 }
 
 /// The one run loop: all lanes to their end, each stopping by itself.
@@ -152,7 +165,7 @@ RunStatus run(const RunRequest& request) {
   while (loop.steps() < request.steps) {
     const Mask<S> running = record.running();
     if (!any(running)) break;
-    if (loop.steps() % kQuestionEvery == 0 && request.stop != nullptr && request.stop(request.context, loop.steps())) {
+    if (is_stopped(request, loop.steps())) {
       stopped = true;
       break;
     }

@@ -77,6 +77,7 @@ void SampledRun::command(const Vector6<double>& wrench) {
   if (!running()) throw std::logic_error("the run has ended: expected no further command");
   detail::require_finite("wrench", wrench);
   Books& b = *books_;
+  const FlushSubnormals flush;
   b.plant.command(wrench, Vector6<double>::Zero());
   const long long tick = b.plant.ticks();
   if (!b.rows)

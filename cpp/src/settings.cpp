@@ -277,8 +277,9 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
   }
   if constexpr (kHasFuzzySystems<Law>)
     require_resolved(p.gains.fuzzy, words("controller.", Law::name, ".fuzzy."), p.step);
-  detail::require_positive("metrics.settling_threshold", settings.metrics.settling_threshold);
-  detail::require_finite("metrics.rms_start", settings.metrics.rms_start);
+  detail::require_positive("metrics.band", settings.metrics.band);
+  detail::require_positive("metrics.dwell", settings.metrics.dwell);
+  detail::require_not_negative("metrics.rms_start", settings.metrics.rms_start);
   p.metrics = settings.metrics;
 
   const StopCause cause = cause_at_start(p);

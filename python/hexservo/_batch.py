@@ -21,7 +21,16 @@ from hexservo._own_controller import OwnController, function_name, run_with
 from hexservo._parameters import core_parameters
 from hexservo._progress import progress_bar
 from hexservo._result import _QUANTITIES, _TERMS, _WRENCH
-from hexservo._scenario import LAWS, NumericKey, Scenario, ScenarioError, numeric_keys, sampled_keys, without_effect
+from hexservo._scenario import (
+    LAWS,
+    MAX_WHOLE_FLOAT,
+    NumericKey,
+    Scenario,
+    ScenarioError,
+    numeric_keys,
+    sampled_keys,
+    without_effect,
+)
 from hexservo._variant import chosen_kernel
 
 if TYPE_CHECKING:
@@ -42,7 +51,6 @@ _LOGS = {
 _OUTCOMES = np.array([outcome.name for outcome in sorted(_core.Outcome, key=lambda outcome: outcome.value)])
 _CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda cause: cause.value)])
 _MAX_THREADS = 1024
-_MAX_WHOLE = 2**53  # up to here a float holds every whole number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,7 +61,8 @@ class BatchResult:
     """
 
     scenario: Scenario  # what the variations vary
-    variations: Mapping[str, Array] = field(repr=False)  # as given, each (n or 1, ...) in the key's own shape
+    # as given, each (n or 1, ...) in the key's own shape; floats, but for seeds, which are uint64
+    variations: Mapping[str, NDArray[Any]] = field(repr=False)
     outcome: NDArray[np.str_] = field(repr=False)  # (n,) as Result.outcome
     cause: NDArray[np.str_] = field(repr=False)  # (n,) why a run stopped early: none, not_finite, feature_error, ...
     limit_leg: NDArray[np.int8] = field(repr=False)  # (n,) leg, 1 to 6, that ended a run as leg_limit; 0: none did
@@ -197,7 +206,7 @@ def simulate_batch(
         Values by dotted key, ``{"uncertainty.depth": array}``; every key that holds numbers may vary, of the gains
         those of the scenario's law, in SI units and pixels. Axis 0 is the scenario, the others are the key's own shape:
         (8,) on ``controller.hybrid.kp`` are eight scenarios, (n, 8) are n scenarios of eight gains. A length of 1 holds
-        for all: (1, 8).
+        for all: (1, 8). Seeds are whole numbers of 64 bits; as floats, up to 2^53.
     log
         What is kept beside outcome, times and metrics: "final", the last good sample and the fuzzy weights; "metrics",
         nothing; "trajectory", every ``simulation.log_every``-th sample, on one time grid, and the final weights.
@@ -373,7 +382,7 @@ def _enter(found: BatchResult, index: int, run: _core.Trajectory, scenario: Scen
 # ---- Variations -----------------------------------------------------------------------------------------------------
 
 
-def _checked(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, Array]:
+def _checked(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
     """Give the variations as arrays of allowed shapes, lengths and values."""
     if not isinstance(variations, Mapping):
         raise TypeError(f"variations: expected a mapping of keys to arrays, got {type(variations).__name__}")
@@ -409,10 +418,12 @@ def _known(key: object, law: str) -> NumericKey:
     raise ValueError(f"{key}: expected a key that holds numbers, got another one{hint}")
 
 
-def _array(key: str, rule: NumericKey, given: ArrayLike) -> Array:
+def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
     """Check shape and values against the scenario's own rules for the key."""
     try:
         values = np.asarray(given)
+        if rule.whole and not isinstance(given, np.ndarray):
+            values = _whole_numbers(given, values)
         if values.dtype.kind not in "iuf":
             raise ValueError
     except ValueError:  # ragged, or no numbers
@@ -422,21 +433,26 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> Array:
             f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes
         )
         raise ValueError(f"{key}: expected shape {shapes}, n scenarios, got {values.shape}")
-    if rule.whole and (beyond := np.abs(values) > _MAX_WHOLE).any():
-        index = int(np.argmax(beyond))
-        raise ValueError(
-            f"scenario {index}: {key}: expected a whole number of at most 2^53 in a batch, whose numbers are floats, "
-            f"got {int(values[index])}"
-        )
-    numbers = values.astype(np.float64)
-    allowed = rule.within(numbers)
+    allowed = rule.within(values)
     if not allowed.all():
         place = tuple(int(index) for index in np.argwhere(~allowed)[0])
         entry = "".join(f"[{index}]" for index in place[1:])
-        raise ValueError(f"scenario {place[0]}: {key}{entry}: expected {rule.expected}, got {numbers[place]:.12g}")
+        rounded = rule.whole and values.dtype.kind == "f" and abs(values[place]) > MAX_WHOLE_FLOAT
+        got = f"the float {values[place]!r}, which may have been rounded" if rounded else f"{values[place]:.12g}"
+        raise ValueError(f"scenario {place[0]}: {key}{entry}: expected {rule.expected}, got {got}")
+    numbers = values.astype(rule.dtype)
     if rule.symmetric and numbers.ndim == 3:
         numbers = _symmetric(key, numbers)
     return numbers
+
+
+def _whole_numbers(given: ArrayLike, values: NDArray[Any]) -> NDArray[Any]:
+    """Keep integers of up to 64 bits, of which numpy makes floats where some are above 2^63 and others are not."""
+    if values.dtype.kind not in "fO":
+        return values
+    objects = np.asarray(given, dtype=object)
+    integers = all(isinstance(item, int) and 0 <= item < 2**64 for item in objects.flat)
+    return objects.astype(np.uint64) if integers else values
 
 
 def _symmetric(key: str, matrices: Array) -> Array:
@@ -448,7 +464,7 @@ def _symmetric(key: str, matrices: Array) -> Array:
     return np.asarray(matrices / 2 + turned / 2)
 
 
-def _plain_row(rule: NumericKey, row: Array) -> Any:
+def _plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:
     return int(row) if rule.whole else row.tolist()
 
 

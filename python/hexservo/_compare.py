@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo import _core
 from hexservo._batch import ProgressCallback, simulate_batch
 from hexservo._display import comparison_html, comparison_text
 from hexservo._metrics import METRICS, metrics
@@ -36,8 +35,6 @@ Array: TypeAlias = NDArray[np.float64]
 _MAX_SAMPLES = 5000  # of the error that a row keeps
 _MAX_BATCH = 32  # runs in one batch: bounds the memory of their logs
 _ALWAYS = "uncertainty.gravity"  # varies in every batch, be it by nothing
-_MAX_WHOLE = 2**53  # a whole number above it is no float, as which a batch takes it
-_THRESHOLD = _core.MetricsSettings().settling_threshold  # [px]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,7 +57,7 @@ class ComparisonRow:
 
     @property
     def settled(self) -> bool:
-        """Whether the run completed, and ended with every feature error within 2 px."""
+        """Whether the run completed and has a settling time: docs/model.md, section 8."""
         return self.outcome == "completed" and not math.isnan(self.metrics["settling_time"])
 
     @property
@@ -80,12 +77,15 @@ class ComparisonRow:
     @property
     def why(self) -> str:
         """One sentence: what the verdict rests on, and the limits that were passed."""
+        measured = self.scenario.metrics
         if self.outcome != "completed":
             sentence = self.detail
         elif self.settled:
-            sentence = f"within {_THRESHOLD:g} px from {self.metrics['settling_time']:.4g} s on"
+            sentence = f"within {measured.band:g} px from {self.metrics['settling_time']:.4g} s on"
+        elif self.metrics["final_error"] <= measured.band:
+            sentence = f"within {measured.band:g} px at the end, but for less than {measured.dwell:g} s"
         else:
-            sentence = f"{self.metrics['final_error']:.4g} px off at the end, above {_THRESHOLD:g} px"
+            sentence = f"{self.metrics['final_error']:.4g} px off at the end, above {measured.band:g} px"
         robot = self.scenario.robot
         excess = {
             "stroke": f"a leg passed its stroke of {robot.stroke * 1e3:.4g} mm",
@@ -468,9 +468,7 @@ def _numbers(scenario: Scenario) -> dict[str, Any]:
             value = value[name]
         if key.startswith("simulation.") or value is None or isinstance(value, str):
             continue
-        if rule.whole and value > _MAX_WHOLE:
-            continue
-        array = np.asarray(value, dtype=float)
+        array = np.asarray(value, dtype=rule.dtype)
         shape = max(rule.shapes, key=len)
         if array.shape != shape:  # a number for all entries, or a diagonal
             array = np.diag(array) if array.ndim else np.full(shape, array)

@@ -14,7 +14,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from numpy.typing import NDArray
 
 from hexservo._compare import Comparison, ComparisonRow
-from hexservo._samples import SETTLED as _SETTLED
 from hexservo.plots import (
     _BLACK,
     _BLUE,
@@ -123,10 +122,11 @@ def comparison_figure(comparison: Comparison) -> Figure:
         _draw_dots(axes, comparison, metric, looks)
         axes.set_title(title, loc="left")
         _label(axes, "x", f"{title.lower()} [{unit}]")
+    dotted = " and ".join(f"{band:g}" for band in _bands(comparison))
     figure.text(
         0.1 / _PAGE,
         0.05 / height,
-        f"Dotted: {_SETTLED:g} px. Cross: the run ended early. Hollow: not settled. "
+        f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled. "
         f"!: a leg passed its stroke or force limit.{_floor_words(comparison)}",
         fontsize=7,
         color=_GREY,
@@ -143,12 +143,17 @@ def _floor_words(comparison: Comparison) -> str:
     return f" Errors below {_FLOOR:g} px are drawn there, residuals with a <." if below else ""
 
 
+def _bands(comparison: Comparison) -> list[float]:
+    """Return the settling bands of the scenarios [px], each once."""
+    return sorted({scenario.metrics.band for scenario in comparison.scenarios})
+
+
 def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[_Ink, str]]) -> None:
     """Draw the largest feature error of each law, every bin of the logarithmic time by its largest value."""
     ends = [float(row.time[-1]) for row in rows if len(row.time) > 1]
     end = max(ends, default=1.0)
     begin = min(1e-2, end / 100)
-    axes.axhline(_SETTLED, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
+    axes.axhline(rows[0].scenario.metrics.band, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
     for number, row in enumerate(rows):
         ink, marker = looks[row.law]
         if len(row.time) == 0:
@@ -278,7 +283,8 @@ def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str,
     axes.xaxis.set_major_formatter(FuncFormatter(_power if low < 2e-3 or high > 2e4 else _short))
     axes.xaxis.set_minor_locator(NullLocator())
     if metric == "final_error":
-        axes.axvline(_SETTLED, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
+        for band in _bands(comparison):
+            axes.axvline(band, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
 
 
 def _error_range(comparison: Comparison) -> tuple[float, float]:

@@ -384,10 +384,11 @@ class SimulationSettings(metaclass=_PybindType):
     log_every: int
 
 class MetricsSettings(metaclass=_PybindType):
-    """What is measured against what."""
+    """What is measured, when and against what."""
 
     def __init__(self) -> None: ...
-    settling_threshold: float
+    band: float
+    dwell: float
     rms_start: float
 
 class _LawSettings(metaclass=_PybindType):  # what the settings of all laws have, which one C++ template binds

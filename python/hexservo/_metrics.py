@@ -13,9 +13,9 @@ __all__ = ["METRICS", "metrics", "readable"]
 
 # name -> (unit, what it is)
 METRICS: dict[str, tuple[str, str]] = {
-    "settling_time": ("s", "last time any feature error exceeds 2 px"),
+    "settling_time": ("s", "last time any feature error exceeds the settling band"),
     "final_error": ("px", "largest feature error at the end"),
-    "rms_error": ("px", "RMS of all feature errors from 1 s on"),
+    "rms_error": ("px", "RMS of all feature errors from metrics.rms_start on"),
     "peak_error": ("px", "largest feature error of the run"),
     "peak_displacement": ("m", "largest distance of the platform from its start"),
     "peak_rotation": ("rad", "largest rotation of the platform from its start"),
@@ -48,8 +48,8 @@ def metrics(result: Result) -> dict[str, float]:
     """Give the metrics of a run by name, in SI units and pixels; `METRICS` says what each is.
 
     The core streams them at every step, so they do not depend on ``simulation.log_every``. NaN stands where a number
-    has no meaning (docs/model.md section 8): ``settling_time`` of a run that ends above the threshold, ``rms_error`` of
-    one that ends before 1 s, ``chatter`` of one that ends where it starts.
+    has no meaning (docs/model.md section 8): ``settling_time`` of a run that is not settled, ``rms_error`` of one that
+    ends before ``metrics.rms_start``, ``chatter`` of one that ends where it starts.
     """
     return dict(result.streamed_metrics)
 

@@ -64,6 +64,9 @@ def core_parameters(scenario: Scenario) -> Settings:
     settings.simulation.substeps = scenario.simulation.substeps
     settings.simulation.duration = scenario.simulation.duration
     settings.simulation.log_every = scenario.simulation.log_every
+    settings.metrics.band = scenario.metrics.band
+    settings.metrics.dwell = scenario.metrics.dwell
+    settings.metrics.rms_start = scenario.metrics.rms_start
     settings.seed = scenario.seed
     settings.validate()
     return settings

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from hexservo._result import Result
 
 __all__ = [
-    "SETTLED",
     "ImageView",
     "extremes",
     "image_views",
@@ -26,7 +25,6 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 
-SETTLED = 2.0  # the settling band of the metrics [px]
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
 _SMALL = 0.4  # of the image: paths within this part of it are shown magnified as well
 _MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings

@@ -43,6 +43,7 @@ __all__ = [
     "Hybrid",
     "Kelly",
     "Matrix",
+    "Metrics",
     "NumericKey",
     "Pbvs",
     "ResolvedRate",
@@ -73,6 +74,7 @@ Law: TypeAlias = Literal["hybrid", "composite", "kelly", "resolved_rate", "pbvs"
 JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
 LAWS: tuple[str, ...] = get_args(Law)
 
+MAX_WHOLE_FLOAT = 2**53  # up to here a float holds every whole number
 _DEFAULT_PRESET = "micro"
 _DEFAULT_DEPTH = float(_core.Target().depth[0])  # [m], docs/model.md section 4
 _MOST_PROBLEMS = 20  # said of a scenario; of more only their number
@@ -501,9 +503,17 @@ class NumericKey:
         """What each number is expected to be."""
         return f"an integer {self.element.bounds}" if self.whole else self.element.expected
 
-    def within(self, numbers: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell which numbers are allowed; NaN is not."""
-        allowed = numbers == np.floor(numbers) if self.whole else numbers == numbers
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type that holds every number of the key: float64, unless it has larger whole numbers."""
+        most = self.element.at_most
+        return np.dtype(np.uint64 if self.whole and most is not None and most > MAX_WHOLE_FLOAT else np.float64)
+
+    def within(self, numbers: NDArray[Any]) -> NDArray[np.bool_]:
+        """Tell which numbers are allowed; NaN is not, nor, of whole numbers, floats that may have been rounded."""
+        allowed = numbers == numbers
+        if self.whole and numbers.dtype.kind == "f":
+            allowed = (numbers == np.floor(numbers)) & (np.abs(numbers) <= MAX_WHOLE_FLOAT)
         for limit, holds in (
             (self.element.above, np.greater),
             (self.element.at_least, np.greater_equal),
@@ -1004,6 +1014,17 @@ class Simulation(_Block):
         return self
 
 
+class Metrics(_Block):
+    """What the metrics of a run are measured against; docs/model.md section 8."""
+
+    # [px], of settling, overshoot and straight ways: every feature error is within it
+    band: _PositiveNumber = Field(default_factory=lambda: _core.MetricsSettings().band)
+    # [s]: a run is settled where it has been within the band for so long at its end
+    dwell: _PositiveNumber = Field(default_factory=lambda: _core.MetricsSettings().dwell)
+    # [s]: from here to the end the RMS error is taken; a run that is not longer has none
+    rms_start: _NumberNotNegative = Field(default_factory=lambda: _core.MetricsSettings().rms_start)
+
+
 class Scenario(_Block):
     """All that a run depends on. Immutable; a scenario that exists is one that can run.
 
@@ -1013,7 +1034,7 @@ class Scenario(_Block):
 
     name: Annotated[str, _Name()]
     description: Annotated[str, _Line()] = ""  # what it shows, for lists
-    seed: Annotated[int, _Integer(0, 2**63 - 1), _SAMPLED] = 0  # of everything random
+    seed: Annotated[int, _Integer(0, 2**64 - 1), _SAMPLED] = 0  # of everything random
     robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": _DEFAULT_PRESET}))
     camera: Camera = Field(default_factory=Camera)
     sensors: Annotated[Sensors, _SAMPLED] = Field(default_factory=Sensors)
@@ -1023,6 +1044,7 @@ class Scenario(_Block):
     uncertainty: Uncertainty = Field(default_factory=Uncertainty)
     controller: Controller = Field(default_factory=Controller)
     simulation: Simulation = Field(default_factory=Simulation)
+    metrics: Metrics = Field(default_factory=Metrics)
 
     def __init__(self, /, **keys: Any) -> None:
         """Validate the keys of a scenario.

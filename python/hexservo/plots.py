@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo._metrics import metrics
 from hexservo._parameters import core_parameters
-from hexservo._samples import SETTLED as _SETTLED
 from hexservo._samples import ImageView, image_views
 from hexservo._samples import extremes as _extremes
 from hexservo._samples import mean_samples as _mean_samples
@@ -231,7 +230,7 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the eight feature errors in px over the time in s, figure 2(b).
 
     A run that settles is shown in two panels: until somewhat after it has settled, then the rest on a scale of its
-    own. The band of ±2 px is shaded.
+    own. The settling band is shaded.
 
     Parameters
     ----------
@@ -243,25 +242,26 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     Figure or Axes
         The new figure, or `ax`.
     """
+    band = result.scenario.metrics.band
     if ax is not None:
         (panel,) = _whole_run(ax, result, [result.feature_error])
-        _draw_band(ax)
+        _draw_band(ax, band)
         _fill([panel], result, result.feature_error, _FEATURE_NAMES, _FEATURE_INKS)
-        _describe([panel], "feature error [px]", f"Feature errors (shaded: ±{_SETTLED:g} px)", time=True)
+        _describe([panel], "feature error [px]", f"Feature errors (shaded: ±{band:g} px)", time=True)
         _note_outcome(ax, result)
         return ax
     figure = Figure(figsize=(_PAGE, 2.48))
     parts = _parts(result)
     if len(parts) == 1:
         boxes = [(0.68, 6.11)]
-        titles = [f"Feature errors (shaded: ±{_SETTLED:g} px)"]
+        titles = [f"Feature errors (shaded: ±{band:g} px)"]
     else:
         boxes = [(0.68, 2.75), (4.2, 2.59)]
         settled = metrics(result)["settling_time"]
-        titles = [f"Within ±{_SETTLED:g} px (shaded) from {settled:.3g} s on", "The rest, magnified"]
+        titles = [f"Within ±{band:g} px (shaded) from {settled:.3g} s on", "The rest, magnified"]
     for part, (left, width), title in zip(parts, boxes, titles, strict=True):
         axes = _axes(figure, left, 0.48, width, 1.72)
-        _draw_band(axes)
+        _draw_band(axes, band)
         errors = result.feature_error[part]
         _draw(axes, result.time[part], errors, _FEATURE_NAMES, _FEATURE_INKS)
         _set_limits(axes, result.time[part], errors)
@@ -503,8 +503,8 @@ def _whole_run(axes: Axes, result: Result, values: Sequence[Array]) -> list[_Pan
     return [_Panel(axes, slice(0, len(result.time)), fixed=False)]
 
 
-def _draw_band(axes: Axes) -> None:
-    axes.axhspan(-_SETTLED, _SETTLED, color="0.92", linewidth=0, zorder=0)
+def _draw_band(axes: Axes, band: float) -> None:
+    axes.axhspan(-band, band, color="0.92", linewidth=0, zorder=0)
     axes.axhline(0, color=_GREY, linewidth=0.5, zorder=1)
 
 

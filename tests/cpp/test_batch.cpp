@@ -47,6 +47,9 @@ BatchResult run(const Settings<Law>& settings, const std::vector<Variation>& var
   return simulate_batch(settings, std::span<const Variation>(variations), count, options);
 }
 
+double metric_of(const BatchResult& result, std::size_t metric, std::size_t i) {
+  return result.metrics[metric * result.count + i];
+}
 Outcome outcome(const BatchResult& result, std::size_t i) { return static_cast<Outcome>(result.outcome[i]); }
 StopCause cause(const BatchResult& result, std::size_t i) { return static_cast<StopCause>(result.cause[i]); }
 
@@ -123,7 +126,7 @@ TEST_CASE("flattening keeps every number, flag and mode") {
   settings.gains.fuzzy.enabled = false;
   settings.switching.kind = SwitchingKind::saturation;
   settings.jacobian = JacobianConvention::printed;
-  settings.metrics = {3.0, 0.25};
+  settings.metrics = {3.0, 0.1, 0.25};
   settings.simulation.step = 2e-3;
   const LoopParameters<double, Hybrid> p = loop_parameters(settings);
   const std::vector<double> numbers = detail::flattened(p);
@@ -352,6 +355,30 @@ TEST_CASE("trajectories lie on one grid with the end, and are NaN from where a r
   CHECK(refusal([&] {
           run(base, {Rows{"simulation.step", 1, {1e-3, 5e-4}}}, 2, BatchLog::trajectory);
         }).starts_with("log: expected one time grid for all trajectories, got "));
+}
+
+TEST_CASE("seeds are whole numbers of 64 bits: neighbours beyond 2^53 are runs of their own") {
+  Settings<Composite> base = smooth_run<Composite>(0.05);
+  base.simulation.mode = LoopMode::sampled;
+  base.sampling.faults.noise = 0.5;
+  constexpr std::uint64_t kLarge = (std::uint64_t{1} << 63) + 1;
+  const std::vector<std::uint64_t> seeds = {kLarge, kLarge + 1, std::numeric_limits<std::uint64_t>::max(), 1};
+  const BatchResult batch = run(base, {Variation{"seed", {}, 1, seeds}}, seeds.size());
+  for (std::size_t i = 0; i < seeds.size(); ++i) {
+    CAPTURE(i);
+    base.seed = seeds[i];
+    CHECK(metric_of(batch, 1, i) == doctest::Approx(simulate(base).metrics.final_error).epsilon(1e-9));
+    for (std::size_t k = 0; k < i; ++k) CHECK(metric_of(batch, 1, i) != metric_of(batch, 1, k));
+  }
+  base.seed = 1;
+  const std::vector<std::uint64_t> one = {seeds[3]};
+  const std::vector<double> depth = {0.0, 0.0}, whole = {1.0, 2.0};
+  const BatchResult alike = run(base, {Variation{"seed", {}, 1, one}, Variation{"uncertainty.depth", depth, 1}}, 2);
+  CHECK(metric_of(alike, 1, 0) == metric_of(alike, 1, 1));
+  CHECK(refusal([&] { run(base, {Variation{"seed", whole, 1}}, 2); }) ==
+        "seed: expected whole numbers of 64 bits, got numbers of another type");
+  CHECK(refusal([&] { run(base, {Variation{"seed", {}, 1, seeds}, Variation{"uncertainty.depth", depth, 1}}, 2); }) ==
+        "seed: expected 1 or 2 seeds, got 4");
 }
 
 TEST_CASE("the first bad scenario is reported before anything runs, whatever the threads") {

@@ -30,7 +30,8 @@ Sample<double> random_sample(Random& random, double error) {
   return s;
 }
 
-Metrics<double> metrics_of(const std::vector<Sample<double>>& samples, const MetricsSettings& settings, double step) {
+Metrics<double> metrics_of(const std::vector<Sample<double>>& samples, const MetricsSettings<double>& settings,
+                           double step) {
   MetricsAccumulator<double> accumulator(settings, make_hexapod({}), kGravity, kDesired, samples.front());
   for (std::size_t i = 0; i < samples.size(); ++i) accumulator.add(static_cast<double>(i) * step, samples[i], true);
   return accumulator.metrics();
@@ -57,7 +58,7 @@ TEST_CASE("every metric is its definition over the whole record") {
     CAPTURE(trial);
     std::vector<Sample<double>> samples;
     for (int i = 0; i <= 100; ++i) samples.push_back(random_sample(random, 5.0 * std::exp(-0.05 * i)));
-    const MetricsSettings settings{2.0, 0.05};
+    const MetricsSettings<double> settings{2.0, 0.02, 0.05};
     const Metrics<double> m = metrics_of(samples, settings, 1e-3);
 
     double settling = 0.0, squares = 0.0, count = 0.0, peak_error = 0.0, displacement = 0.0, rotation = 0.0;
@@ -141,23 +142,59 @@ TEST_CASE("rotation from the start is accurate for small angles and blind to the
   }
 }
 
-TEST_CASE("settling time is the last time outside, 0 where never outside, NaN where the end is outside") {
-  const MetricsSettings settings{2.0, 0.0};
-  CHECK(metrics_of(with_errors({1.0, 1.5, 2.0, 0.5}), settings, 0.1).settling_time ==
-        0.0);  // on the threshold is within
-  CHECK(metrics_of(with_errors({5.0, 1.0, 1.0}), settings, 0.1).settling_time == 0.0);
-  CHECK(metrics_of(with_errors({5.0, 3.0, 1.0, 2.5, 1.0, 0.1}), settings, 0.1).settling_time == doctest::Approx(0.3));
-  CHECK(std::isnan(metrics_of(with_errors({5.0, 1.0, 1.0, 2.1}), settings, 0.1).settling_time));
-  CHECK(std::isnan(metrics_of(with_errors({5.0}), settings, 0.1).settling_time));
+TEST_CASE("settling time is the last time outside, where the dwell time follows it") {
+  const MetricsSettings<double> settings{2.0, 0.2, 0.0};
+  const auto time_of = [&settings](const std::vector<double>& errors) {
+    return metrics_of(with_errors(errors), settings, 0.1).settling_time;
+  };
+  CHECK(time_of({1.0, 1.5, 2.0, 0.5}) == 0.0);  // on the border of the band is within
+  CHECK(time_of({5.0, 1.0, 1.0, 1.0}) == 0.0);
+  CHECK(time_of({5.0, 3.0, 1.0, 2.5, 1.0, 0.1, 0.1}) == doctest::Approx(0.3));
+  CHECK(time_of({5.0, 3.0, 1.0, 2.5, 1.0, 0.1, 0.1, 0.1}) == doctest::Approx(0.3));
+  CHECK(std::isnan(time_of({5.0, 1.0, 1.0, 2.1})));
+  CHECK(std::isnan(time_of({5.0, 1.0, 1.0, kNaN})));
+  CHECK(std::isnan(time_of({5.0})));
+  // within the band at the end, but not yet for 0.2 s
+  CHECK(std::isnan(time_of({5.0, 3.0, 1.0, 2.5, 1.0, 0.1})));
+  CHECK(std::isnan(time_of({5.0, 0.1, 0.1})));
+  // shorter than the dwell time: settled only where it never left the band
+  CHECK(time_of({1.0, 0.1}) == 0.0);
+  CHECK(std::isnan(time_of({5.0, 0.1})));
+  CHECK(std::isnan(time_of({1.0})));  // of no duration
+}
+
+TEST_CASE("no dwell time is so short that the last sample alone settles a run") {
+  for (const double dwell : {1e-300, 1e-9, 0.05, 0.1}) {
+    CAPTURE(dwell);
+    const MetricsSettings<double> settings{2.0, dwell, 0.0};
+    CHECK(std::isnan(metrics_of(with_errors({5.0, 3.0, 3.0, 0.1}), settings, 0.1).settling_time));
+    CHECK(metrics_of(with_errors({5.0, 3.0, 3.0, 0.1, 0.1}), settings, 0.1).settling_time == doctest::Approx(0.2));
+  }
+}
+
+TEST_CASE("a stay that equals the dwell time counts, whatever the rounding of the grid") {
+  for (const double step : {1e-3, 0.1, 1.0 / 3.0, 7e-4}) {
+    CAPTURE(step);
+    for (const int before : {1, 3, 10, 333, 4800}) {
+      CAPTURE(before);
+      std::vector<double> errors(static_cast<std::size_t>(before), 5.0);
+      errors.insert(errors.end(), 201, 1.0);
+      const std::vector<Sample<double>> samples = with_errors(errors);
+      CHECK(metrics_of(samples, {2.0, 200 * step, 0.0}, step).settling_time == (before - 1) * step);
+      CHECK(std::isnan(metrics_of(samples, {2.0, 200.5 * step, 0.0}, step).settling_time));
+    }
+  }
 }
 
 TEST_CASE("the RMS error starts at rms_start, and is NaN where the run is shorter") {
   const std::vector<Sample<double>> samples = with_errors({8.0, 4.0, 2.0, 1.0});
-  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).rms_error == doctest::Approx(std::sqrt((64.0 + 16.0 + 4.0 + 1.0) / 32.0)));
-  CHECK(metrics_of(samples, {2.0, -1.0}, 0.1).rms_error == metrics_of(samples, {2.0, 0.0}, 0.1).rms_error);
-  CHECK(metrics_of(samples, {2.0, 0.2}, 0.1).rms_error == doctest::Approx(std::sqrt(5.0 / 16.0)));
-  CHECK(metrics_of(samples, {2.0, 0.3}, 0.1).rms_error == doctest::Approx(std::sqrt(1.0 / 8.0)));  // 3 * 0.1 is not 0.3
-  CHECK(std::isnan(metrics_of(samples, {2.0, 0.31}, 0.1).rms_error));
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.0}, 0.1).rms_error ==
+        doctest::Approx(std::sqrt((64.0 + 16.0 + 4.0 + 1.0) / 32.0)));
+  CHECK(metrics_of(samples, {2.0, 0.2, -1.0}, 0.1).rms_error == metrics_of(samples, {2.0, 0.2, 0.0}, 0.1).rms_error);
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.2}, 0.1).rms_error == doctest::Approx(std::sqrt(5.0 / 16.0)));
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.3}, 0.1).rms_error ==
+        doctest::Approx(std::sqrt(1.0 / 8.0)));  // 3 * 0.1 is not 0.3
+  CHECK(std::isnan(metrics_of(samples, {2.0, 0.2, 0.31}, 0.1).rms_error));
 }
 
 TEST_CASE("overshoot is what a coordinate that starts outside goes beyond its goal, in px and of its own start") {
@@ -169,11 +206,11 @@ TEST_CASE("overshoot is what a coordinate that starts outside goes beyond its go
   samples[1].feature_error.head<4>() << 30.0, -60.0, -9.0, 20.0;
   samples[2].feature_error.head<4>() << -3.0, 6.0, -1.0, 5.0;
   samples[3].feature_error.head<4>() << -1.0, -2.0, 0.0, 1.0;
-  const Metrics<double> m = metrics_of(samples, {2.0, 0.0}, 0.1);
+  const Metrics<double> m = metrics_of(samples, {2.0, 0.2, 0.0}, 0.1);
   CHECK(m.overshoot == 6.0);
   CHECK(m.relative_overshoot == doctest::Approx(0.3).epsilon(1e-15));
   samples.resize(2);
-  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).overshoot == 0.0);
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.0}, 0.1).overshoot == 0.0);
 }
 
 TEST_CASE("distances of features: from the image centre, and from the line through start and goal") {
@@ -183,12 +220,12 @@ TEST_CASE("distances of features: from the image centre, and from the line throu
   for (Sample<double>& s : samples) s.feature_error.setZero();
   samples[0].feature_error.head<2>() << 30.0, 40.0;
   samples[1].feature_error.head<2>() << 6.0, 0.0;
-  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).peak_line_deviation == doctest::Approx(4.8).epsilon(1e-15));
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.0}, 0.1).peak_line_deviation == doctest::Approx(4.8).epsilon(1e-15));
   CHECK(metrics_of(samples, {50.0, 0.0}, 0.1).peak_line_deviation == 0.0);  // starts within the threshold: no line
   // the farthest goal is (45, -73); then feature 4 (goal (-30, -23)) leaves to (-150, 200): a 3-4-5 triangle
-  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).peak_feature_distance == doctest::Approx(std::hypot(45.0, 73.0)));
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.0}, 0.1).peak_feature_distance == doctest::Approx(std::hypot(45.0, 73.0)));
   samples[2].feature_error.tail<2>() << 120.0, -223.0;
-  CHECK(metrics_of(samples, {2.0, 0.0}, 0.1).peak_feature_distance == doctest::Approx(250.0).epsilon(1e-15));
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.0}, 0.1).peak_feature_distance == doctest::Approx(250.0).epsilon(1e-15));
 }
 
 TEST_CASE("effort and chatter: 2 N, then 3 N along x and 0.4 N m about z, at a platform radius of 0.1 m") {
@@ -198,12 +235,12 @@ TEST_CASE("effort and chatter: 2 N, then 3 N along x and 0.4 N m about z, at a p
   samples[1].wrench(0) += 3.0;
   samples[1].wrench(5) += 0.4;
   samples[3].wrench(2) -= 7.0;  // at the end: it changes the wrench and has lasted no time
-  const Metrics<double> m = metrics_of(samples, {2.0, 0.0}, 0.5);
+  const Metrics<double> m = metrics_of(samples, {2.0, 0.2, 0.0}, 0.5);
   CHECK(m.effort == doctest::Approx(0.5 * 4.0 + 0.5 * (9.0 + 16.0)).epsilon(1e-13));
   CHECK(m.chatter == doctest::Approx((1.0 + 4.0 + 3.0 + 4.0 + 7.0) / 1.5).epsilon(1e-13));
   samples.resize(1);
-  CHECK(metrics_of(samples, {2.0, 0.0}, 0.5).effort == 0.0);
-  CHECK(std::isnan(metrics_of(samples, {2.0, 0.0}, 0.5).chatter));
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.0}, 0.5).effort == 0.0);
+  CHECK(std::isnan(metrics_of(samples, {2.0, 0.2, 0.0}, 0.5).chatter));
 }
 
 TEST_CASE("limits are noted with their first time and their peak, for each leg alone") {
@@ -232,7 +269,10 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
   CAPTURE(random.seed());
   using S = Lanes<4>;
   const Hexapod<double> hexapod = make_hexapod({});
-  const MetricsSettings settings{2.0, 0.01};
+  // lane by lane another band and dwell time; the last lane enters its band too late
+  const std::array<MetricsSettings<double>, 4> settings{
+      {{2.0, 0.02, 0.01}, {2.0, 0.02, 0.01}, {3.0, 0.005, 0.01}, {0.4, 0.04, 0.01}}};
+  MetricsSettings<S> pack_settings;
   constexpr int kSamples = 60, kFrozenFrom = 30, kFrozenLane = 2;
   Hexapod<S> pack_hexapod;
   Vector6<S> gravity;
@@ -241,6 +281,7 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
   for (int lane = 0; lane < 4; ++lane) {
     const auto l = static_cast<std::size_t>(lane);
     set_lane(pack_hexapod, lane, hexapod);
+    set_lane(pack_settings, lane, settings[l]);
     set_lane(gravity, lane, kGravity);
     for (int i = 0; i < kSamples; ++i) {
       samples[l].push_back(random_sample(random, lane == 1 ? 5.0 : 5.0 * std::exp(-0.1 * i)));
@@ -249,7 +290,7 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
     }
     samples[l].resize(static_cast<std::size_t>(lane == kFrozenLane ? kFrozenFrom : kSamples));
   }
-  MetricsAccumulator<S> accumulator(settings, pack_hexapod, gravity, kDesired.cast<S>(), packs.front());
+  MetricsAccumulator<S> accumulator(pack_settings, pack_hexapod, gravity, kDesired.cast<S>(), packs.front());
   S is_frozen = 0.0;
   is_frozen.set(kFrozenLane, 1.0);
   for (int i = 0; i < kSamples; ++i)
@@ -258,7 +299,9 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
   const Metrics<S> m = accumulator.metrics();
   for (int lane = 0; lane < 4; ++lane) {
     CAPTURE(lane);
-    const Metrics<double> single = metrics_of(samples[static_cast<std::size_t>(lane)], settings, 1e-3);
+    const auto l = static_cast<std::size_t>(lane);
+    const Metrics<double> single = metrics_of(samples[l], settings[l], 1e-3);
+    CHECK(std::isnan(single.settling_time) == (lane == 1 || lane == 3));
     const auto agree = [&](const S& pack, double value) {
       return std::isnan(value) ? std::isnan(pack[lane]) : std::abs(pack[lane] - value) <= 1e-13 * std::abs(value);
     };
@@ -289,7 +332,7 @@ TEST_CASE("samples that are known to be finite give the same metrics and limits,
   const Hexapod<double> hexapod = make_hexapod({});
   std::vector<Sample<double>> samples;
   for (int i = 0; i <= 200; ++i) samples.push_back(random_sample(random, 5.0 * std::exp(-0.02 * i)));
-  const MetricsSettings settings{2.0, 0.05};
+  const MetricsSettings<double> settings{2.0, 0.02, 0.05};
   MetricsAccumulator<double> any(settings, hexapod, kGravity, kDesired, samples.front()), finite = any;
   for (std::size_t i = 0; i < samples.size(); ++i) {
     any.add(static_cast<double>(i) * 1e-3, samples[i], true);
@@ -310,7 +353,7 @@ TEST_CASE("NaN in a sample is not swallowed by a peak") {
   std::vector<Sample<double>> samples = {random_sample(random, 1.0), random_sample(random, 1.0)};
   samples[1].feature_error(3) = kNaN;
   samples[1].leg_forces(2) = kNaN;
-  const Metrics<double> m = metrics_of(samples, {2.0, 0.0}, 1e-3);
+  const Metrics<double> m = metrics_of(samples, {2.0, 0.2, 0.0}, 1e-3);
   CHECK(std::isnan(m.peak_error));
   CHECK(std::isnan(m.final_error));
   CHECK(std::isnan(m.rms_error));

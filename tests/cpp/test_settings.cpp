@@ -100,7 +100,7 @@ TEST_CASE("defaults are those of docs/model.md, section 5") {
   CHECK(s.simulation.duration == 5.0);
   CHECK(s.simulation.log_every == 1);
   CHECK(s.target.depth == Vector<double, 4>::Constant(0.5));
-  CHECK(s.metrics == MetricsSettings{2.0, 1.0});
+  CHECK(s.metrics == MetricsSettings<double>{2.0, 0.2, 1.0});
   CHECK(s.convention == CameraConvention::eye_in_hand);
   CHECK(s.jacobian == JacobianConvention::consistent);
   CHECK(s.uncertainty.depth.isZero(0.0));
@@ -124,7 +124,8 @@ TEST_CASE("a number that is not finite is refused wherever it stands") {
       {"controller.hybrid.fuzzy.bell_slope", [](PaperSettings& s) -> double& { return s.gains.fuzzy.bell_slope; }},
       {"simulation.step", [](PaperSettings& s) -> double& { return s.simulation.step; }},
       {"simulation.duration", [](PaperSettings& s) -> double& { return s.simulation.duration; }},
-      {"metrics.settling_threshold", [](PaperSettings& s) -> double& { return s.metrics.settling_threshold; }},
+      {"metrics.band", [](PaperSettings& s) -> double& { return s.metrics.band; }},
+      {"metrics.dwell", [](PaperSettings& s) -> double& { return s.metrics.dwell; }},
       {"metrics.rms_start", [](PaperSettings& s) -> double& { return s.metrics.rms_start; }},
   };
   const auto add = [&places](const std::string& key, int count,
@@ -211,7 +212,8 @@ TEST_CASE("numbers that must be positive, or within a range, are refused beyond 
         [](PaperSettings& s) -> double& { return s.gains.fuzzy.adaptation(1); });
     add("simulation.step", [](PaperSettings& s) -> double& { return s.simulation.step; });
     add("simulation.duration", [](PaperSettings& s) -> double& { return s.simulation.duration; });
-    add("metrics.settling_threshold", [](PaperSettings& s) -> double& { return s.metrics.settling_threshold; });
+    add("metrics.band", [](PaperSettings& s) -> double& { return s.metrics.band; });
+    add("metrics.dwell", [](PaperSettings& s) -> double& { return s.metrics.dwell; });
   }
   for (const Case& c : cases) {
     const std::string message = verdict(c.change);
@@ -347,7 +349,13 @@ TEST_CASE("gains whose wrench overflows at the start are refused: a finite wrenc
     s.gains.fuzzy.table.setConstant(1e10);
   });
   CAPTURE(weights);
-  CHECK(is_about(weights, "controller"));
+  CHECK(is_about(weights, "controller.hybrid.fuzzy.initial_scale"));
+  const std::string unused = verdict([](PaperSettings& s) {
+    s.gains.fuzzy.enabled = false;  // they would be logged all the same
+    s.gains.fuzzy.initial_scale.setConstant(1e308);
+    s.gains.fuzzy.table.setConstant(1e10);
+  });
+  CHECK(unused == weights);
 }
 
 TEST_CASE("simulate refuses what check_settings refuses, with the same words") {

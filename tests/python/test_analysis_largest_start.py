@@ -31,9 +31,9 @@ def direction(result: LargestStart, name: str) -> Direction:
 
 
 def settles(scenario: hs.Scenario, duration: float) -> bool:
-    """Say it again with a single run: within 2 px during the last tenth, and within the stroke all the way."""
+    """Say it again with a single run: within 2 px during the last 0.2 s, and within the stroke all the way."""
     result = hs.simulate(scenario.updated({"simulation.duration": duration}))
-    last = result.time > 0.9 * duration + 1e-9
+    last = result.time >= duration - 0.2 - 1e-9
     within = hs.metrics(result)["peak_leg_excursion"] <= scenario.robot.stroke
     return result.outcome == "completed" and within and float(np.abs(result.feature_error[last]).max()) <= 2.0
 

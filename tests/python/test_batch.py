@@ -111,6 +111,8 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
             "simulation.log_every": [1.0, 2.0, 3.0],
             "controller.hybrid.fuzzy.bell_slope": [1.0, 1.5, 0.75],
             "controller.composite.fuzzy.bell_slope": [1.0, 1.5, 0.75],
+            "metrics.band": [1.0, 10.0, 20.0],
+            "metrics.rms_start": [1.0, 0.01, 0.05],
         }.get(key, [1.0, 1.01, 0.98])
         rows = np.stack([base * step for step in steps])
         if key in SAMPLED_ROWS:
@@ -157,7 +159,8 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         everything = np.column_stack(
             [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
         )
-        without_effect = {"simulation.log_every", "robot.stroke", "robot.force_limit"}
+        # a run that never comes within the band has no stay there
+        without_effect = {"simulation.log_every", "robot.stroke", "robot.force_limit", "metrics.dwell"}
         if "fuzzy" not in type(getattr(base.controller, law)).model_fields:
             without_effect.add("controller.switching.width")
         assert np.array_equal(everything[0], everything[1], equal_nan=True) == (key in without_effect), key
@@ -186,18 +189,38 @@ def test_one_row_holds_for_all_and_shapes_say_what_is_meant(smooth: hs.Scenario)
     )
 
 
-def test_seeds_that_a_float_does_not_hold_are_refused_and_the_largest_one_is_the_single_run(
-    sampled: hs.Scenario,
-) -> None:
-    batch = hs.simulate_batch(sampled, {"seed": [2**53 - 1, 2**53]})
-    for index, seed in enumerate((2**53 - 1, 2**53)):
-        assert_same(batch, index, hs.simulate(sampled.updated({"seed": seed})), 1e-9)
-    assert batch.metrics["final_error"][0] != batch.metrics["final_error"][1]
-    for given in ([0, 2**53 + 1], [0, 2**63], np.array([0, 2**64 - 1], dtype=np.uint64), [0.0, 2.0**53 + 2]):
-        with pytest.raises(
-            ValueError, match=r"^scenario 1: seed: expected a whole number of at most 2\^53 .* got \d+$"
-        ):
-            hs.simulate_batch(sampled, {"seed": given})
+def test_settling_band_and_dwell_time_vary_by_lane(paper: hs.Scenario) -> None:
+    base = paper.updated({"simulation.duration": 0.5, "controller.switching.kind": "tanh"})
+    band, dwell = [2.0, 2.0, 10.0, 10.0], [0.1, 0.3, 0.2, 0.45]
+    batch = hs.simulate_batch(base, {"metrics.band": band, "metrics.dwell": dwell}, log="metrics")
+    for index, (px, s) in enumerate(zip(band, dwell, strict=True)):
+        single = hs.metrics(hs.simulate(base.updated({"metrics.band": px, "metrics.dwell": s})))
+        assert batch.metrics["settling_time"][index] == pytest.approx(single["settling_time"], nan_ok=True)
+        assert batch.metrics["overshoot"][index] == pytest.approx(single["overshoot"], rel=1e-9)
+    assert np.isnan(batch.metrics["settling_time"]).tolist() == [False, True, False, True]
+
+
+@pytest.mark.parametrize("law", ["hybrid", "composite"])
+def test_seeds_beyond_the_whole_numbers_of_a_float_are_runs_of_their_own(sampled: hs.Scenario, law: str) -> None:
+    base = sampled.updated({"controller.law": law})
+    seeds = [2**53, 2**53 + 1, 2**63, 2**63 + 1, 2**64 - 1, 0]
+    for given in (seeds, np.array(seeds, dtype=np.uint64)):
+        batch = hs.simulate_batch(base, {"seed": given})
+        assert batch.variations["seed"].dtype == np.uint64
+        assert batch.variations["seed"].tolist() == seeds
+        assert len(set(batch.metrics["final_error"].tolist())) == len(seeds)
+        for index, seed in enumerate(seeds):
+            assert_same(batch, index, hs.simulate(base.updated({"seed": seed})), 1e-9)
+    assert batch.to_xarray()["seed"].values.tolist() == seeds
+
+
+def test_a_comparison_runs_every_scenario_with_its_own_seed(sampled: hs.Scenario) -> None:
+    scenarios = [sampled.updated({"name": f"seed-{k}", "seed": 2**60 + k}) for k in range(3)]
+    rows = hs.compare(scenarios, ["composite"]).rows
+    for row, scenario in zip(rows, scenarios, strict=True):
+        single = hs.metrics(hs.simulate(scenario.updated({"controller.law": "composite"})))
+        assert row.metrics["final_error"] == pytest.approx(single["final_error"], rel=1e-9)
+    assert len({row.metrics["final_error"] for row in rows}) == 3
 
 
 def test_inertia_is_made_symmetric_as_a_scenario_does(smooth: hs.Scenario) -> None:
@@ -335,6 +358,13 @@ def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
             r"^scenario 0: uncertainty.gravity\[3\]: expected",
         ),
         ({"simulation.log_every": [1, 2.5]}, r"^scenario 1: simulation.log_every: expected an integer .* got 2.5$"),
+        ({"seed": [0, -1]}, r"^scenario 1: seed: expected an integer >= 0 .* got -1$"),
+        ({"seed": [2**64]}, r"^seed: expected an array of numbers, got"),
+        ({"seed": [0, 0.5]}, r"^scenario 1: seed: expected an integer >= 0 .* got 0.5$"),
+        (
+            {"seed": [0.0, 2.0**53 + 2]},
+            r"^scenario 1: seed: expected an integer .*, got the float .*94.0.*, which may have been rounded$",
+        ),
         ({"simulation.step": [1e-3, 3e-4]}, r"^scenario 1: simulation.step: expected a step that divides"),
         ({"robot.mass": [0.1, 0.1, 0.1], "camera.focal_length": [0.008, 0.008]}, r"^camera.focal_length: .* got 2$"),
         ({"target.points": np.zeros((1, 4, 3))}, r"^scenario 0: target: expected either initial_features"),

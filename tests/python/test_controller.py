@@ -236,3 +236,25 @@ def test_construction_is_checked(paper: hs.Scenario) -> None:
     assert controller.period == 5e-4
     assert controller.scenario is paper
     assert repr(controller) == "Controller('paper', period=0.0005)"
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_a_masked_entry_is_a_number_that_is_not_known(paper: hs.Scenario, name: str) -> None:
+    given = good_input(paper)
+    plain = hs.Controller(paper).step(**given)
+    nothing_masked = hs.Controller(paper).step(**{**given, name: np.ma.masked_array(given[name], mask=False)})
+    assert nothing_masked.status == plain.status == "valid"
+    np.testing.assert_array_equal(nothing_masked.wrench, plain.wrench)
+    entry_masked = np.ma.masked_array(given[name], mask=np.arange(len(given[name])) == 1)
+    masked = hs.Controller(paper).step(**{**given, name: entry_masked})
+    unknown = hs.Controller(paper).step(**{**given, name: np.where(entry_masked.mask, np.nan, given[name])})
+    assert masked.status == unknown.status == "unusable"
+    np.testing.assert_array_equal(masked.leg_forces, unknown.leg_forces)
+
+
+def test_masked_features_are_a_missing_image_and_integers_may_be_masked(paper: hs.Scenario) -> None:
+    given = good_input(paper)
+    nothing_seen = np.ma.masked_array(np.zeros(8), mask=True)
+    assert hs.Controller(paper).step(**{**given, "features": nothing_seen}).status == "missing_image"
+    whole = np.ma.masked_array([1, 0, 0, 0], mask=[False, True, False, False])
+    assert hs.Controller(paper).step(**{**given, "quaternion": whole}).status == "unusable"

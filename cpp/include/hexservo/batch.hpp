@@ -14,6 +14,8 @@ struct Variation {
   std::string key;                 ///< dotted, as in a scenario file: "uncertainty.depth"
   std::span<const double> values;  ///< row after row
   std::size_t width;               ///< 1 where a number stands for a whole array
+  /// In place of `values` for the key `seed`: a double holds whole numbers up to 2^53 only.
+  std::span<const std::uint64_t> seeds = {};
 };
 
 /// A key that may vary.

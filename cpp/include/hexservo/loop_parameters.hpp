@@ -55,7 +55,7 @@ struct LoopParameters {
   BaseMotionParameters<S> base_motion;  ///< in `sampled` mode
   LimitPolicy on_limit = LimitPolicy::report;
   SeedHalves<S> seed;
-  MetricsSettings metrics;
+  MetricsSettings<S> metrics;
   RecordedAcceleration recorded;  ///< of the base; not visited: it is shared, and no number
 
   template <class F, class A, class B>

@@ -8,15 +8,18 @@
 namespace hexservo {
 
 /// What is measured, when and against what.
+template <class S>
 struct MetricsSettings {
-  double settling_threshold = 2.0;  ///< a run is settled while every |xi-tilde_i| is within this [px], 2
-  double rms_start = 1.0;           ///< the RMS error is taken from here to the end [s], 1
+  S band{2.0};             ///< of settling: every |xi-tilde_i| is within this [px], 2
+  S dwell{0.2};            ///< how long a run must have stayed within the band at its end to be settled [s], 0.2
+  double rms_start = 1.0;  ///< the RMS error is taken from here to the end [s], 1
 
   bool operator==(const MetricsSettings&) const = default;
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
-    f(a.settling_threshold, b.settling_threshold);
+    f(a.band, b.band);
+    f(a.dwell, b.dwell);
     f(a.rms_start, b.rms_start);
   }
 };
@@ -51,20 +54,20 @@ struct Sample {
 /// Metrics of one run (`S = double`) or of a pack.
 template <class S>
 struct Metrics {
-  S settling_time{0.0};       ///< last time any |xi-tilde_i| exceeds the threshold [s]; NaN where the run ends above it
-  S final_error{0.0};         ///< max |xi-tilde_i| at the end [px]
-  S rms_error{0.0};           ///< over all components of xi-tilde from rms_start on [px]; NaN where the run is shorter
-  S peak_error{0.0};          ///< max |xi-tilde_i| of the run [px]
-  S peak_displacement{0.0};   ///< max |x_p - x_p(0)| [m]
-  S peak_rotation{0.0};       ///< max rotation angle from the start [rad]
-  S final_linear_speed{0.0};  ///< |v| at the end [m/s]
-  S final_angular_speed{0.0};    ///< |omega| at the end [rad/s]
-  S peak_control_force{0.0};     ///< max |tau_j - G_j| of the force [N]
-  S peak_control_moment{0.0};    ///< max |tau_j - G_j| of the moment [N m]
-  S peak_leg_force{0.0};         ///< max |f_c,i| [N]
-  S peak_leg_excursion{0.0};     ///< max |l_i - home length| [m]
-  S overshoot{0.0};              ///< max excursion of a xi_i beyond its goal, seen from its start [px]
-  S relative_overshoot{0.0};     ///< the same, each in parts of its own |xi-tilde_i(0)| [1]
+  S settling_time{0.0};        ///< last time any |xi-tilde_i| exceeds the band [s]; NaN where the run is not settled
+  S final_error{0.0};          ///< max |xi-tilde_i| at the end [px]
+  S rms_error{0.0};            ///< over all components of xi-tilde from rms_start on [px]; NaN where the run is shorter
+  S peak_error{0.0};           ///< max |xi-tilde_i| of the run [px]
+  S peak_displacement{0.0};    ///< max |x_p - x_p(0)| [m]
+  S peak_rotation{0.0};        ///< max rotation angle from the start [rad]
+  S final_linear_speed{0.0};   ///< |v| at the end [m/s]
+  S final_angular_speed{0.0};  ///< |omega| at the end [rad/s]
+  S peak_control_force{0.0};   ///< max |tau_j - G_j| of the force [N]
+  S peak_control_moment{0.0};  ///< max |tau_j - G_j| of the moment [N m]
+  S peak_leg_force{0.0};       ///< max |f_c,i| [N]
+  S peak_leg_excursion{0.0};   ///< max |l_i - home length| [m]
+  S overshoot{0.0};            ///< max excursion of a xi_i beyond its goal, seen from its start [px]
+  S relative_overshoot{0.0};   ///< the same, each in parts of its own |xi-tilde_i(0)| [1]
   S peak_feature_distance{0.0};  ///< max distance of a feature from the image centre [px]
   S peak_line_deviation{0.0};    ///< max distance of a feature from the line through its start and goal [px]
   S effort{0.0};                 ///< integral of |w|^2, w = tau - G with moments divided by the platform radius [N^2 s]
@@ -131,12 +134,12 @@ S largest_abs(const Vector<S, N>& values, const Take& take) {
 }  // namespace detail
 
 /// How far the features leave the straight ways to their goals. Coordinates and features that start within the settling
-/// threshold of their goal have no side to overshoot to and no line: they count for the distance alone.
+/// band of their goal have no side to overshoot to and no line: they count for the distance alone.
 template <class S, int N>
 class FeatureExcursions {
  public:
-  FeatureExcursions(double threshold, const Vector<S, 2 * N>& desired, const Vector<S, 2 * N>& first_error)
-      : desired_(desired), limit_(threshold) {
+  FeatureExcursions(const S& band, const Vector<S, 2 * N>& desired, const Vector<S, 2 * N>& first_error)
+      : desired_(desired), limit_(band) {
     for (int i = 0; i < 2 * N; ++i) {
       start_(i) = first_error(i);
       side_(i) = select(abs_of(start_(i)) > limit_, select(start_(i) > S(0.0), S(-1.0), S(1.0)), S(0.0));
@@ -249,18 +252,52 @@ struct LegLimitMonitor {
   }
 };
 
+/// When the largest feature error came within the settling band to stay (docs/model.md, section 8).
+template <class S>
+class Settling {
+ public:
+  Settling(const S& band, const S& dwell) : band_(band), dwell_(dwell) {}
+
+  /// @param error largest |xi-tilde_i| [px]; NaN is outside
+  template <class Take>
+  void add(double time, const S& error, const Take& take) {
+    const Mask<S> outside = !(error <= band_);
+    last_outside_ = take.keep(last_outside_, select(outside, S(time), last_outside_));
+    entered_ = take.keep(entered_, select(outside, S(kNever), min(entered_, S(time))));
+    end_ = take.keep(end_, S(time));
+  }
+
+  /// The last sample outside the band, where those after it span the dwell time; 0 where none was outside, however
+  /// short the run; NaN otherwise. A single sample spans no time, so the last one alone never settles a run.
+  S time() const {
+    const S stay = end_ - entered_, least = min(dwell_, end_);
+    const S rounding = S(1e-12) * end_;  // of differences of grid times
+    return select((stay >= least - rounding) & (stay > S(0.0)), last_outside_,
+                  S(std::numeric_limits<double>::quiet_NaN()));
+  }
+
+ private:
+  static constexpr double kNever = std::numeric_limits<double>::infinity();
+
+  S band_, dwell_;
+  S last_outside_{0.0};
+  S entered_{kNever};  ///< first sample within the band since then
+  S end_{0.0};
+};
+
 /// Collects metrics and limit events sample by sample; lanes that are not active keep theirs.
 template <class S, int N = kPoints>
 class MetricsAccumulator {
  public:
-  MetricsAccumulator(const MetricsSettings& settings, const Hexapod<S>& hexapod, const Vector6<S>& gravity_wrench,
+  MetricsAccumulator(const MetricsSettings<S>& settings, const Hexapod<S>& hexapod, const Vector6<S>& gravity_wrench,
                      const Vector<S, 2 * N>& desired_features, const Sample<S, N>& first)
-      : settings_(settings),
+      : rms_start_(settings.rms_start),
         hexapod_(hexapod),
         gravity_wrench_(gravity_wrench),
         start_position_(first.position),
         start_quaternion_(first.quaternion),
-        features_(settings.settling_threshold, desired_features, first.feature_error),
+        features_(settings.band, desired_features, first.feature_error),
+        settling_(settings.band, settings.dwell),
         cost_(hexapod.platform_radius) {}
 
   void add(double time, const Sample<S, N>& sample, const Mask<S>& active) {
@@ -274,7 +311,7 @@ class MetricsAccumulator {
     using std::sqrt;
     const S nan(std::numeric_limits<double>::quiet_NaN());
     Metrics<S> m;
-    m.settling_time = select(final_error_ <= S(settings_.settling_threshold), last_outside_, nan);
+    m.settling_time = settling_.time();
     m.final_error = final_error_;
     m.rms_error = select(square_count_ > S(0.0), S(sqrt(S(square_sum_ / square_count_))), nan);
     m.peak_error = peak_error_;
@@ -301,11 +338,10 @@ class MetricsAccumulator {
     const auto peak = [&take, &keep](S& value, const S& next) { keep(value, take.larger(value, next)); };
 
     const S error = detail::largest_abs(sample.feature_error, take);
-    const Mask<S> outside = !(error <= S(settings_.settling_threshold));  // NaN is outside
-    keep(last_outside_, select(outside, S(time), last_outside_));
+    settling_.add(time, error, take);
     keep(final_error_, error);
     peak(peak_error_, error);
-    if (time >= settings_.rms_start * (1.0 - 1e-12)) {
+    if (time >= rms_start_ * (1.0 - 1e-12)) {
       keep(square_sum_, square_sum_ + sample.feature_error.squaredNorm());
       keep(square_count_, square_count_ + S(2.0 * N));
     }
@@ -333,14 +369,15 @@ class MetricsAccumulator {
     return detail::map_lanes(half_sine, [](double v) { return rotation_angle(v); });
   }
 
-  MetricsSettings settings_;
+  double rms_start_;
   Hexapod<S> hexapod_;
   Vector6<S> gravity_wrench_;
   Vector3<S> start_position_;
   Vector4<S> start_quaternion_;
   FeatureExcursions<S, N> features_;
+  Settling<S> settling_;
   ControlCost<S> cost_;
-  S last_outside_{0.0}, final_error_{0.0}, peak_error_{0.0}, square_sum_{0.0}, square_count_{0.0};
+  S final_error_{0.0}, peak_error_{0.0}, square_sum_{0.0}, square_count_{0.0};
   S peak_displacement_squared_{0.0}, peak_half_sine_squared_{0.0}, linear_speed_squared_{0.0},
       angular_speed_squared_{0.0};
   S peak_control_force_{0.0}, peak_control_moment_{0.0};

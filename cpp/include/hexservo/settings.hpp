@@ -82,7 +82,7 @@ struct Settings {
   Switching<double> switching;
   typename Law::template Gains<double> gains;
   SimulationSettings simulation;
-  MetricsSettings metrics;
+  MetricsSettings<double> metrics;
   std::uint64_t seed = 0;  ///< of everything random
 };
 

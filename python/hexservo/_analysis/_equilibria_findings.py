@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hexservo._analysis._poses import Array
-from hexservo._analysis._scene import SETTLED, WIDER
+from hexservo._analysis._scene import WIDER
 from hexservo._analysis._words import direction_words, displacement_words, number, open_section, vector_words
 from hexservo._display import Findings
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
@@ -52,6 +52,7 @@ class Equilibria(Findings):
     depth: float = 0.0  # [m], mean, from home
     gravity_force: float = 0.0  # [N], what the gravity error leaves along z
     gravity_stiffness: float | None = None  # [N/m], of the image part along z at the goal without that error
+    band: float = 0.0  # [px], of settling
     barrier: tuple[Array, Array] | None = None  # the way from a false one to the goal [1], image error on it [px]
 
     @property
@@ -75,7 +76,7 @@ class Equilibria(Findings):
         if self.traps or not self.goals or self.goals[0].stability != "attracting":
             return "bad"
         away = any(e.kind == "false" and e.stability == "attracting" for e in self.found)
-        if self.goals[0].residual > SETTLED:
+        if self.goals[0].residual > self.band:
             return "bad"
         return "warning" if away or not self.goals[0].reachable else "good"
 

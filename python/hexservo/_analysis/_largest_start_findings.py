@@ -14,10 +14,9 @@ from hexservo._analysis._words import number, open_section
 from hexservo._display import Findings
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
 
-__all__ = ["DWELL", "Direction", "LargestStart", "Timing", "Tried", "border"]
+__all__ = ["Direction", "LargestStart", "Timing", "Tried", "border"]
 
 PAGE = "docs/analysis/largest_start.md"
-DWELL = 0.1  # of a run: how long it has to stay settled at its end
 
 Tried: TypeAlias = dict[float, bool]
 """Size or time -> whether it settled."""
@@ -120,6 +119,8 @@ class LargestStart(Findings):
     longer: float = 0.0  # [s], of those of the smallest sizes that fail; 0: there were none
     runs: int = 0
     starts_at_goal: bool = False  # home shows the goal image
+    band: float = 0.0  # [px], of settling
+    dwell: float = 0.0  # [s], how long a run must have been within the band at its end
     assumed: str = ""  # what the runs with camera times assume beside the scenario
 
     @property
@@ -265,9 +266,9 @@ class LargestStart(Findings):
             Column("runs", "", "d"),
         ]
         note = (
-            f"Settles: the run of {self.duration:g} s completes, stays within 2 px for its last {100 * DWELL:.0f} % "
-            "and keeps all legs within their stroke; one that is only slow fails, and one that starts within 2 px "
-            "needs no motion. The border lies between two sizes that were run."
+            f"Settles: the run of {self.duration:g} s completes, stays within {self.band:g} px for its last "
+            f"{self.dwell:g} s and keeps all legs within their stroke; one that is only slow fails, and one that "
+            f"starts within {self.band:g} px needs no motion. The border lies between two sizes that were run."
         )
         items: list[Item] = [Table("Starting errors that settle (empirical)", columns, rows, note, PAGE)]
         if self.timings:

@@ -13,9 +13,8 @@ from hexservo._analysis._poses import Array, Mask, Poses
 from hexservo._parameters import Settings, core_parameters
 from hexservo._scenario import Scenario
 
-__all__ = ["SETTLED", "WIDER", "Scene", "View", "scene_of"]
+__all__ = ["WIDER", "Scene", "View", "scene_of"]
 
-SETTLED = float(_core.MetricsSettings().settling_threshold)  # [px]
 # Half widths of the region about home that is searched beside the workspace [mean depth; rad].
 WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
 
@@ -56,6 +55,7 @@ class Scene:
         self.desired: Array = np.array(self.settings.target.desired_features)  # (8,) [px]
         self.platform_radius = float(self.settings.robot.platform_radius)  # [m]
         self.stroke = float(self.settings.robot.stroke)  # [m]
+        self.band = float(self.settings.metrics.band)  # [px], of settling
         from_home = np.abs(self._image_of_home()[1])
         self.depth = float(from_home.mean())  # [m], of home
         self._nearest = _NEAR * float(from_home.min())

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hexservo._analysis._scene import SETTLED
 from hexservo._analysis._stiction_set import SPAN
 from hexservo._analysis._words import number
 from hexservo._evidence import Cell, Column, Curves, Item, Line, Section, Table
@@ -47,7 +46,7 @@ def _verdict(found: Stiction) -> Literal["good", "warning", "bad", "open"]:
         error = ends.largest if found.creep is None else found.creep.left
     if error is None:
         return "open"
-    return "warning" if error > SETTLED else "good"
+    return "warning" if error > found.scene.band else "good"
 
 
 def _sentences(found: Stiction) -> list[str]:

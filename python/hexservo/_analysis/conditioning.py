@@ -21,7 +21,6 @@ __all__ = ["Conditioning", "Sight", "analyse", "sight"]
 PAGE = "docs/analysis/conditioning.md"
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
 _SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the motion that shows what the image hardly sees; the turn at most
-_MISSED = 2.0  # [px], a goal image that no pose shows better is not reachable in any useful sense
 _GRIP = 0.1  # of the stroke: a pose that is less certain than this, at `NOISE`, is worth a warning
 
 
@@ -97,7 +96,7 @@ class Conditioning(Findings):
         return scenario.camera.noise if noisy else NOISE
 
     def _verdict(self, sights: list[Sight]) -> Literal["good", "warning", "bad"]:
-        if self.goals is not None and self.goals.best.largest_residual > _MISSED:
+        if self.goals is not None and self.goals.best.largest_residual > self.scene.band:
             return "bad"
         uncertain = self.noise * max(found.worst for found in sights) > _GRIP * self.scene.stroke
         return "warning" if uncertain else "good"

@@ -73,6 +73,7 @@ def analyse(scenario: Scenario) -> Equilibria:
         rest.depth,
         float(gravity[2]),
         goal_stiffness,
+        rest.band,
     )
     return Equilibria(**{**vars(result), "barrier": _barrier(level, result)})
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo._analysis._goal import SHOWN, find_goals
-from hexservo._analysis._largest_start_findings import DWELL, Direction, LargestStart, Timing, Tried, border
+from hexservo._analysis._largest_start_findings import Direction, LargestStart, Timing, Tried, border
 from hexservo._analysis._poses import Array
 from hexservo._analysis._scene import WIDER, Scene, scene_of
 from hexservo._batch import simulate_batch, whole
@@ -47,7 +47,20 @@ def analyse(scenario: Scenario) -> LargestStart:
     timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
     longer = trial.longer if any(d.settles_later is not None for d in directions) else 0.0
     at_goal = bool(scene.residual(scene.home) < SHOWN)
-    return LargestStart(law, "", directions, timings, trial.duration, longer, trial.runs, at_goal, assumed)
+    measured = scenario.metrics
+    return LargestStart(
+        law,
+        "",
+        directions,
+        timings,
+        trial.duration,
+        longer,
+        trial.runs,
+        at_goal,
+        measured.band,
+        measured.dwell,
+        assumed,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +124,7 @@ class _Trial:
                 continue
             self.runs += len(rows)
             times[rows], travel[rows] = batch.metrics["settling_time"], batch.metrics["peak_leg_excursion"]
-            # NaN, where a run ends outside, compares as false
-            in_image[rows] = (batch.outcome == "completed") & (times[rows] <= (1.0 - DWELL) * base.simulation.duration)
+            in_image[rows] = (batch.outcome == "completed") & np.isfinite(times[rows])
             stopped[rows] = batch.outcome == "leg_limit"
             break
         within = travel <= base.robot.stroke

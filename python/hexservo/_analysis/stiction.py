@@ -10,7 +10,7 @@ import numpy as np
 from hexservo._analysis._goal import Goals, find_goals
 from hexservo._analysis._poses import Array
 from hexservo._analysis._rest import Rest, RestLaw, without_friction
-from hexservo._analysis._scene import SETTLED, Scene, scene_of
+from hexservo._analysis._scene import Scene, scene_of
 from hexservo._analysis._stiction_runs import Runs, run
 from hexservo._analysis._stiction_set import Extremes, RestSet, confirmed, extremes
 from hexservo._analysis._words import number
@@ -115,7 +115,7 @@ def analyse(scenario: Scenario) -> Stiction:
 
 def _unusable(scene: Scene, goals: Goals) -> str | None:
     """Say why there is no goal pose around which a set could be looked for; None where there is one."""
-    if goals.best.largest_residual > SETTLED:
+    if goals.best.largest_residual > scene.band:
         return (
             f"Open: no pose that was found shows the goal image (the best leaves {number(goals.best.largest_residual)} "
             "px), so there is no goal around which to look for the set."

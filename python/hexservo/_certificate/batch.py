@@ -54,7 +54,7 @@ class BatchCertificate(Findings):
 
     @property
     def settled(self) -> Flags:
-        """(n,), whether the run completed with its feature errors within the metrics' 2 px."""
+        """(n,), whether the run completed and has a settling time (docs/model.md, section 8)."""
         return np.asarray((self.outcome == "completed") & np.isfinite(self.settling_time))
 
     @property

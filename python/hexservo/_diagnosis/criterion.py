@@ -15,7 +15,7 @@ __all__ = ["DRIFT_TIME", "THRESHOLD", "Judgement", "Record", "judge", "make_reco
 
 Array = NDArray[np.float64]
 
-THRESHOLD: float = _core.MetricsSettings().settling_threshold
+THRESHOLD: float = _core.MetricsSettings().band
 """[px], of the metric ``settling_time``: a larger error at the end of a run is a failure."""
 DRIFT_TIME = 30.0
 """[s]: a leg that still moves so fast at the end that it would leave its stroke within this time is a failure."""

@@ -13,7 +13,6 @@ from hexservo._parameters import core_parameters
 from hexservo._report._charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
 from hexservo._report._html import Html
 from hexservo._samples import (
-    SETTLED,
     ImageView,
     extremes,
     image_views,
@@ -119,14 +118,14 @@ def _rule_table(result: Result) -> Html | None:
 def _feature_errors(result: Result) -> list[Html]:
     shown = parts(result)
     titles = ["Feature errors"] if len(shown) == 1 else ["Until the run has settled", "The rest, magnified"]
-    charts = []
+    charts, band = [], result.scenario.metrics.band
     for part, title in zip(shown, titles, strict=True):
         time, errors = result.time[part], result.feature_error[part]
         low, high = _range(errors)
         data = _lines(time, errors, _FEATURE_NAMES, _FEATURES, tolerance=TOLERANCE * (high - low))
-        within = low >= -SETTLED and high <= SETTLED
-        note = f"All of it is within ±{SETTLED:g} px." if within else f"Shaded: ±{SETTLED:g} px."
-        layout = axes("time [s]", "feature error [px]", shapes=[] if within else [_band(SETTLED)])
+        within = low >= -band and high <= band
+        note = f"All of it is within ±{band:g} px." if within else f"Shaded: ±{band:g} px."
+        layout = axes("time [s]", "feature error [px]", shapes=[] if within else [_band(band)])
         layout["yaxis"]["range"] = [low, high]
         layout["xaxis"]["range"] = _time_range(time)
         charts.append(chart({"data": data, "layout": layout}, title, note=note, wide=len(shown) == 1, height=340))

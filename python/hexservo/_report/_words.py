@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hexservo._metrics import metrics, readable
-from hexservo._samples import SETTLED
 from hexservo._wording import number
 
 if TYPE_CHECKING:
@@ -32,22 +31,27 @@ def _outcome(result: Result) -> str:
 
 
 def _settling(result: Result) -> str:
-    values = metrics(result)
+    values, measured = metrics(result), result.scenario.metrics
     settled = values["settling_time"]
     if settled != settled:
-        return f"The features did not settle: at the end an error is larger than {SETTLED:g} px."
+        if values["final_error"] <= measured.band:
+            stay = f"at the end they are within {measured.band:g} px, but for less than {measured.dwell:g} s"
+        else:
+            stay = f"at the end an error is larger than {measured.band:g} px"
+        return f"The features did not settle: {stay}."
     if result.outcome != "completed":
-        return f"Until then the features had been within {SETTLED:g} px since {settled:.4g} s."
+        return f"Until then the features had been within {measured.band:g} px since {settled:.4g} s."
     if settled == 0:
-        return f"All features stayed within {SETTLED:g} px from the start."
-    return f"All features are within {SETTLED:g} px of their goals from {settled:.4g} s on."
+        return f"All features stayed within {measured.band:g} px from the start."
+    return f"All features are within {measured.band:g} px of their goals from {settled:.4g} s on."
 
 
 def _residual(result: Result) -> str:
     values = metrics(result)
     text = f"The largest feature error at the end is {number(values['final_error'])} px"
     rms = values["rms_error"]
-    return text + (f"; from 1 s on their RMS is {number(rms)} px." if rms == rms else ".")
+    start = result.scenario.metrics.rms_start
+    return text + (f"; from {start:g} s on their RMS is {number(rms)} px." if rms == rms else ".")
 
 
 def _legs(result: Result) -> list[str]:

@@ -1,0 +1,78 @@
+/// @file
+/// Subnormal numbers count as zero in every tick and every run.
+///
+/// A processor may take a hundred times as long for an operation with a number below 2.2e-308, and a weight that leaks
+/// stays there for ever: rounding brings the smallest subnormal back to itself. No number of a servo loop has a meaning
+/// there. The rule is the processor's own, applied to operands and results alike, so it is the same in every variant
+/// and in a pack and a single run; a number of at least 2.2e-308 stays as it is. Where neither x86-64 nor AArch64
+/// compiles this, subnormal numbers stay.
+#pragma once
+
+#include <cstdint>
+
+#if defined(__SSE2__)
+#include <immintrin.h>
+#endif
+
+namespace hexservo {
+
+#if defined(__SSE2__) || defined(__aarch64__)
+inline constexpr bool kFlushesSubnormals = true;
+#else
+inline constexpr bool kFlushesSubnormals = false;
+#endif
+
+namespace detail {
+#if defined(__SSE2__)
+using FloatingMode = unsigned int;
+inline constexpr FloatingMode kFlushBits = 0x8040;  // FTZ: results, DAZ: operands
+inline FloatingMode floating_mode() noexcept { return _mm_getcsr(); }
+inline void set_floating_mode(FloatingMode mode) noexcept { _mm_setcsr(mode); }
+#elif defined(__aarch64__)
+using FloatingMode = std::uint64_t;
+inline constexpr FloatingMode kFlushBits = 1U << 24;  // FZ: results and operands
+inline FloatingMode floating_mode() noexcept {
+  FloatingMode mode;
+  asm volatile("mrs %0, fpcr" : "=r"(mode));
+  return mode;
+}
+inline void set_floating_mode(FloatingMode mode) noexcept { asm volatile("msr fpcr, %0" : : "r"(mode)); }
+#else
+using FloatingMode = unsigned int;
+inline constexpr FloatingMode kFlushBits = 0;
+inline FloatingMode floating_mode() noexcept { return 0; }
+inline void set_floating_mode(FloatingMode) noexcept {}
+#endif
+}  // namespace detail
+
+/// While one exists, subnormal numbers count as zero in this thread, or do not; then the thread's mode is as before.
+///
+/// Nothing else of the mode changes: rounding, exceptions and their flags are the caller's. A mode that is set already
+/// costs one read; a thread that ticks may therefore keep one of these for itself.
+template <bool flush>
+class SubnormalMode {
+ public:
+  SubnormalMode() noexcept : before_(detail::floating_mode() & detail::kFlushBits) { change_to(kWanted); }
+  ~SubnormalMode() { change_to(before_); }
+
+  SubnormalMode(const SubnormalMode&) = delete;
+  SubnormalMode& operator=(const SubnormalMode&) = delete;
+
+ private:
+  static constexpr detail::FloatingMode kWanted = flush ? detail::kFlushBits : 0;
+
+  /// No number that is read from or written to memory is moved across this by the compiler.
+  void change_to(detail::FloatingMode bits) noexcept {
+    if (before_ == kWanted) return;
+    asm volatile("" : : : "memory");
+    detail::set_floating_mode((detail::floating_mode() & ~detail::kFlushBits) | bits);
+    asm volatile("" : : : "memory");
+  }
+
+  detail::FloatingMode before_;
+};
+
+using FlushSubnormals = SubnormalMode<true>;
+using KeepSubnormals = SubnormalMode<false>;
+
+}  // namespace hexservo
