@@ -20,7 +20,7 @@ ALL_TOOLS := .venv/.stamp-all-tools
 PACKAGE := .venv/.stamp-package
 # Folders are listed too: their time changes when a file is removed.
 SOURCES := CMakeLists.txt pyproject.toml README.md LICENSE \
-  $(shell find cpp python -name __pycache__ -prune -o -print 2>/dev/null)
+  $(shell find cpp docs python -name __pycache__ -prune -o -print 2>/dev/null)
 CXX_FILES = $$(find cpp tests/cpp examples benchmarks \( -name '*.cpp' -o -name '*.hpp' \) 2>/dev/null)
 
 help:
@@ -216,6 +216,12 @@ $(ALL_TOOLS): pyproject.toml $(VENV) | system
 	touch $@
 
 $(PACKAGE): $(SOURCES) $(BUILD_TOOLS) | system
-	@echo "Building and installing hexservo into .venv"
-	python -m pip install --quiet --no-build-isolation .
+	@echo "Building and installing hexservo into .venv (the first time: some 20 minutes of processor time)"
+	mkdir -p build
+	if ! python -m pip install --verbose --no-build-isolation . 2>&1 | tee build/install.log \
+	  | sed -unE 's#.*\[([0-9]+)/([0-9]+)\] Building.*#  built \1 of \2#p'; then
+	  tail -n 60 build/install.log >&2
+	  echo "The build failed; all that it said is in build/install.log" >&2
+	  exit 1
+	fi
 	touch $@

@@ -3,42 +3,89 @@
 #include "check.hpp"
 
 #include <numbers>
+#include <vector>
 
 namespace hexservo {
 
 namespace {
 
-constexpr int kGoalRounds = 200;
-constexpr double kGoalStep = 1e-9;      // a last correction below it is convergence [m; rad]
-constexpr double kGoalResidual = 1e-6;  // no other start can do better than this [px]
+constexpr int kGoalRounds = 60;        // from each start
+constexpr double kGoalMinimum = 4e-6;  // a fit whose first-order step would still gain more is no minimum [px^2]
+constexpr double kGoalShare = 4.0;     // minima with squared residuals within it of the least count as equal
+constexpr double kExactGoal = 1e-12;   // squared residuals below it are rounding [px^2]
+
+/// Where a search begins: home, and home turned, moved and tilted, with the camera still facing the points.
+std::vector<Pose<double>> goal_starts(const Eigen::Matrix<double, 3, kPoints>& points_B, const Pose<double>& home) {
+  using Turn = Eigen::AngleAxisd;
+  const Vector3<double> centroid = points_B.rowwise().mean(), sight = centroid - home.position;
+  const Vector4<double>& q = home.quaternion;
+  const Eigen::Quaterniond attitude(q(0), q(1), q(2), q(3));
+  std::vector<Pose<double>> starts;
+  const auto add = [&](const Eigen::Quaterniond& turn, double depth) {
+    const Eigen::Quaterniond turned = turn * attitude;
+    // about the points' centroid, so that they stay in view
+    starts.push_back({centroid - depth * (turn * sight), {turned.w(), turned.x(), turned.y(), turned.z()}});
+  };
+  const Vector3<double> axis = attitude * Vector3<double>::UnitZ();
+  for (const int eighths : {0, 1, -1, 2, -2, 3, -3, 4}) {
+    const Turn turn(eighths * std::numbers::pi / 4.0, axis);
+    // a camera that turns about its own axis does not move
+    const Eigen::Quaterniond turned = turn * attitude;
+    starts.push_back({home.position, {turned.w(), turned.x(), turned.y(), turned.z()}});
+    for (const double depth : {0.6, 1.6}) add(Eigen::Quaterniond(turn), depth);
+  }
+  for (const Vector3<double>& tilt : {Vector3<double>::UnitX().eval(), Vector3<double>::UnitY().eval()})
+    for (const double angle : {0.5, -0.5}) add(Eigen::Quaterniond(Turn(angle, attitude * tilt)), 1.0);
+  return starts;
+}
 
 }  // namespace
 
 Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
                        const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
-  Pose<double> best = home;
-  double least = std::numeric_limits<double>::infinity(), last_step = least;
-  for (const int eighths : {0, 1, -1, 2, -2, 3, -3, 4}) {  // Newton alone does not find half a turn
-    const double half = eighths * std::numbers::pi / 8.0;
-    Pose<double> start = home;
-    start.quaternion = Vector4<double>(std::cos(half), 0.0, 0.0, std::sin(half));
-    const PoseEstimate<double> found = estimate_pose(f, points_B, desired_features, start, kGoalRounds);
-    const Image<double> image = take_image(f, found.pose.position, rotation_matrix(found.pose.quaternion), points_B);
-    const double residual = (desired_features - image.features).cwiseAbs().maxCoeff();
-    if (eighths == 0) last_step = found.step;
-    const bool converged = !found.failed && found.step <= kGoalStep && image.depth.maxCoeff() < 0.0;
-    if (!converged || !(residual < least)) continue;
-    best = found.pose;
-    least = residual;
-    if (residual <= kGoalResidual) break;
+  using Fit = PoseFit<double, kPoints>;
+  const Vectors3<double, kPoints> points(points_B);
+  std::vector<Fit> found;
+  double least = std::numeric_limits<double>::infinity();
+  const auto keep = [&](const Fit& fit) {
+    const ImageJacobian<double> J(f, -1.0, fit.features, fit.inverse_depth, fit.R_BE);
+    const Cholesky<double, 6> solver(J.normal_matrix());
+    const Vector6<double> gradient = J.pull(Vector<double, 2 * kPoints>(desired_features - fit.features));
+    if (!std::isfinite(fit.squared_residual) || solver.failed() ||
+        !(gradient.dot(solver.solve(gradient)) <= kGoalMinimum))
+      return;
+    found.push_back(fit);
+    least = std::min(least, fit.squared_residual);
+  };
+  for (const Pose<double>& start : goal_starts(points_B, home)) {
+    const Fit fit = fit_pose<double, kPoints>(f, points, desired_features, start, kGoalRounds);
+    keep(fit);
+    if (least <= kExactGoal) break;
+    keep(fit_pose<double, kPoints>(f, points, desired_features, mirrored_pose(points_B, fit.pose), kGoalRounds));
   }
-  if (!std::isfinite(least))
-    detail::refuse(
-        "target.desired_features",
-        "features that the points show from some pose, where the controller believes them (Newton's method "
-        "settles)",
-        detail::words("none from home in ", kGoalRounds, " rounds, the last one of ", last_step, " m or rad"));
-  return best;
+  if (found.empty())
+    detail::refuse("target.desired_features",
+                   "features that determine a pose where the controller assumes the points (not all on one line)",
+                   "none from home, turned, moved or tilted");
+
+  const auto residual = [&](const Fit& fit) { return (desired_features - fit.features).cwiseAbs().maxCoeff(); };
+  const Fit* goal = nullptr;
+  double nearest = std::numeric_limits<double>::infinity();
+  for (const Fit& fit : found) {
+    if (fit.squared_residual > std::max(kGoalShare * least, kExactGoal)) continue;
+    if (fit.squared_residual > least && residual(fit) > kGoalResidual) continue;
+    const double far = pose_difference(fit.pose, home).norm();
+    if (far < nearest) {
+      goal = &fit;
+      nearest = far;
+    }
+  }
+  if (!(residual(*goal) <= kGoalResidual))
+    detail::refuse("target.desired_features",
+                   detail::words("features that some pose gives within ", kGoalResidual,
+                                 " px, where the controller assumes the points"),
+                   detail::words("a residual of ", residual(*goal), " px at the best pose found"));
+  return goal->pose;
 }
 
 }  // namespace hexservo

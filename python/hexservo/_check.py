@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo._analysis._linear_law import NoRestError, linear_law, linear_plant
 from hexservo._analysis._loop_of_scenario import NotApplicableError, quiet
-from hexservo._analysis._scene import SETTLED, Scene, scene_of
+from hexservo._analysis._scene import Scene, scene_of
 from hexservo._analysis.reach import LegMargin, reach_of_start_and_goal
 from hexservo._scenario import LAWS, Scenario, default_of, keys_below, value_at
 from hexservo._wording import number, quantity
@@ -57,7 +57,7 @@ def _of_goal(scene: Scene) -> Iterator[str]:
     reach = reach_of_start_and_goal(scene.scenario)
     if not reach.start.within:
         yield f"robot.home_position: the start is out of reach: {_beyond(reach.start)}"
-    if reach.residual > SETTLED:
+    if reach.residual > scene.band:
         yield (
             "target.desired_features: no pose was found that shows them; the best one leaves "
             f"{number(reach.residual)} px"

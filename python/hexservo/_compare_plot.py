@@ -127,12 +127,20 @@ def comparison_figure(comparison: Comparison) -> Figure:
         0.1 / _PAGE,
         0.05 / height,
         f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled. "
-        "!: a leg passed its stroke or force limit.",
+        f"!: a leg passed its stroke or force limit.{_floor_words(comparison)}",
         fontsize=7,
         color=_GREY,
         va="bottom",
     )
     return figure
+
+
+def _floor_words(comparison: Comparison) -> str:
+    """Explain the mark of residuals below what is drawn; empty where there are none."""
+    residuals = [row.metrics.get("final_error", math.nan) for row in comparison.rows]
+    lines = [float(row.error.min()) for row in comparison.rows if len(row.error)]
+    below = any(value < _FLOOR for value in [*residuals, *lines])
+    return f" Errors below {_FLOOR:g} px are drawn there, residuals with a <." if below else ""
 
 
 def _bands(comparison: Comparison) -> list[float]:
@@ -238,6 +246,7 @@ def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str,
             value = max(row.metrics.get(metric, math.nan), floor)
             if not value > 0:  # none, or NaN
                 continue
+            below = row.metrics[metric] < floor
             own.append(value)
             ink, marker = looks[law]
             offset = 0.5 * ((number + 0.5) / len(comparison.laws) - 0.5)
@@ -253,6 +262,9 @@ def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str,
                 zorder=3,
                 gid=f"{metric} {law} {name}",
             )
+            if below:
+                beside: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "center", "fontsize": 7}
+                axes.annotate("<", (value, y + offset), (-3, 0), color=ink.colour, **beside)
         if own:
             axes.plot([min(own), max(own)], [y, y], color="0.8", linewidth=0.8, zorder=1)
         values += own

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -114,6 +115,25 @@ class Result:
     def features(self) -> Array:
         """True feature coordinates, (n, 8) [px]."""
         return np.asarray(self.scenario.target.desired_features) - self.feature_error
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+        """Write the run into a netCDF file that `hs.load_result` reads back bit for bit.
+
+        Parameters
+        ----------
+        path
+            A name in a folder that exists, such as ``result.nc``. The file appears whole or not at all.
+        force
+            Replace an earlier result; no other file is ever replaced.
+
+        Raises
+        ------
+        OutputError
+            The file exists, is no result, or cannot be written (a `ValueError`).
+        """
+        from hexservo._saved import save_result
+
+        save_result(self, path, force=force)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the run as a flat table: a row for each sample, a column for each scalar.

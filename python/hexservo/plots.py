@@ -311,7 +311,7 @@ def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     figure = Figure(figsize=(_COLUMN if len(views) == 1 else _PAGE, height + 0.8))
     for number, view in enumerate(views):
         axes = _axes(figure, 0.68 + 3.6 * number, 0.48, 2.7, height)
-        _draw_paths(axes, result, view)
+        _draw_paths(axes, result, view, named=number == len(views) - 1)
         _label(axes, "x", "image x [px]")
         _label(axes, "y", "image y [px]")
         if number == 0:
@@ -518,8 +518,8 @@ def _path_marks() -> list[Line2D]:
     ]
 
 
-def _draw_paths(axes: Axes, result: Result, view: ImageView) -> None:
-    """Draw border, paths, arrows, starts, ends and goals of the four features."""
+def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = True) -> None:
+    """Draw border, paths, starts, ends and goals of the four features, and their arrows and names where asked for."""
     features = result.features.reshape(-1, 4, 2)
     goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
     axes.set_xlim(*view.limits[0])
@@ -547,11 +547,13 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView) -> None:
         for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):
             looks = {"markerfacecolor": colour, **mark}
             axes.plot(*place, color=colour, linestyle="", zorder=4, gid=f"{name} {number}", **looks)
+        if not named:
+            continue
         _point_the_way(axes, path, max(0.55 * float(np.hypot(*(goal - path[0]))), 0.1 * half), colour, number)
-        named = path[corner_of]
-        away = tuple(7 * np.where(named < goal, -1, 1))
+        at = path[corner_of]
+        away = tuple(7 * np.where(at < goal, -1, 1))
         axes.annotate(
-            str(number), named, away, textcoords="offset points", color=colour, ha="center", va="center", bbox=_HALO
+            str(number), at, away, textcoords="offset points", color=colour, ha="center", va="center", bbox=_HALO
         )
 
 

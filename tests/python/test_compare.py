@@ -349,3 +349,21 @@ def test_a_narrow_terminal_gets_two_tables() -> None:
     assert run.returncode == 0, run.stderr
     assert run.stdout.count("scenario") >= 2
     assert max(map(len, run.stdout.splitlines()[:4])) <= 100
+
+
+def test_residuals_below_what_is_drawn_are_marked() -> None:
+    """Exact models settle to rounding with a law without switching, far below the axis of the residuals."""
+    exact = hs.load_scenario("paper-nominal").updated({"simulation.duration": 3.0})
+    found = hs.compare([exact], ["pbvs", "hybrid"])
+    pbvs, hybrid = (found.row(law, exact.name).metrics["final_error"] for law in ("pbvs", "hybrid"))
+    assert pbvs < 1e-3 < hybrid
+    figure = found.figure()
+    (mark,) = [text for axes in figure.axes for text in axes.texts if text.get_text() == "<"]
+    lines = [line for axes in figure.axes for line in axes.lines]
+    (drawn,) = [line for line in lines if str(line.get_gid()).startswith("final_error pbvs")]
+    place = [np.asarray(drawn.get_xdata())[0], np.asarray(drawn.get_ydata())[0]]
+    np.testing.assert_array_equal(np.asarray(vars(mark)["xy"]), place)
+    assert place[0] == 1e-3
+    assert "Errors below 0.001 px are drawn there, residuals with a <." in figure.texts[-1].get_text()
+    above = hs.compare([exact], ["hybrid"])
+    assert "Errors below" not in "".join(text.get_text() for text in above.figure().texts)

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from html.parser import HTMLParser
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -261,6 +262,25 @@ print([name for name in ("pandas", "xarray", "matplotlib", "IPython", "rich", "m
 """
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
+
+
+# ---- Files ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_saved_run_is_read_back_and_never_written_over_unasked(returned: dict[str, Any], tmp_path: Path) -> None:
+    path = tmp_path / "result.nc"
+    for name in ("Result with weights", "Result with events"):
+        returned[name].save(path, force=True)
+        assert_same(hs.load_result(path), returned[name])
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="exists"):
+        returned["Result"].save(path)
+    assert path.read_bytes() == before
+    other = tmp_path / "notes.nc"
+    other.write_text("mine")
+    with pytest.raises(ValueError, match="kept"):
+        returned["Result"].save(other, force=True)
+    assert other.read_text() == "mine"
 
 
 # ---- Tables of numbers ----------------------------------------------------------------------------------------------

@@ -6,6 +6,15 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import hexservo as hs
+from hexservo import _core
+from hexservo._scenario import LAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -40,6 +49,67 @@ def test_the_examples_of_a_real_camera_run(tmp_path: Path) -> None:
     assert re.fullmatch(r"none diverged \d+\.\d\d px", without)
     assert re.fullmatch(r"encoder completed 0\.\d\d px", with_prediction)
     assert output_of(own, tmp_path) == "ran to the end\n"
+
+
+def test_the_pixels_of_opencv_become_features(tmp_path: Path) -> None:
+    (example,) = (example for example in examples(README) if "cv2" in example)
+    initial = hs.load_scenario("paper").target.initial_features
+    assert output_of(example, tmp_path) == f"{list(initial or ())}\n"
+
+    # OpenCV's projection, by its own formula (x right, y down, z ahead), from random poses with the seed below.
+    random = np.random.default_rng(4)
+    camera = _core.Camera()
+    for _ in range(100):
+        place: dict[str, Any] = {}
+        exec(example.replace("print(", "("), place)
+        attitude = Rotation.from_rotvec(random.normal(0, 1, 3))
+        position = random.normal(0, 1, 3)
+        seen = np.column_stack([random.uniform(-0.3, 0.3, (4, 2)), random.uniform(0.3, 2, 4)])  # in OpenCV's axes
+        points = position + seen @ (attitude.as_matrix() @ np.diag([1.0, -1.0, -1.0])).T
+        u = camera.focal_pixels * seen[:, 0] / seen[:, 2] + place["cx"]
+        v = camera.focal_pixels * seen[:, 1] / seen[:, 2] + place["cy"]
+        line = re.findall(r"^features = (.*?)  #", example, re.MULTILINE)[0]
+        converted = eval(line, {**place, "u": u, "v": v})
+        quaternion = attitude.as_quat()[[3, 0, 1, 2]]
+        features, depth = _core.take_image(camera, position, quaternion, points)
+        np.testing.assert_allclose(features, converted, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(depth, -seen[:, 2], rtol=1e-12)
+
+
+FORCES = {
+    "hybrid": ("kp", "kv"),
+    "composite": ("kp", "kv", "kt", "kd"),
+    "kelly": ("kp", "kd"),
+    "resolved_rate": ("ki",),
+    "pbvs": ("kp", "kd"),
+    "computed_torque": (),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_gains_scale_with_the_mass_as_written(law: str) -> None:
+    scale = 3.0
+    smooth = {"simulation.duration": 0.3, "controller.switching.kind": "tanh", "controller.law": law}
+    light = hs.load_scenario("paper").updated(smooth)
+    gains = light.to_mapping()["controller"][law]
+    factors = {f"controller.{law}.{key}": (gains[key], scale) for key in FORCES[law]}
+    factors |= {f"robot.{key}": (getattr(light.robot, key), scale) for key in ("mass", "inertia")}
+    divided = {"hybrid": ("adaptation", "error_scale", "rate_scale"), "composite": ("adaptation",)}.get(law, ())
+    factors |= {f"controller.{law}.fuzzy.{key}": (gains["fuzzy"][key], 1.0 / scale) for key in divided}
+    heavy = light.updated({key: (np.asarray(value) * factor).tolist() for key, (value, factor) in factors.items()})
+    one, other = hs.simulate(light), hs.simulate(heavy)
+    # The pseudo-inverse of resolved_rate amplifies rounding by its condition squared, some 1e7 (docs/batch.md).
+    tolerance = 1e-9 if law == "resolved_rate" else 1e-12
+    np.testing.assert_allclose(other.position, one.position, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(
+        other.wrench, scale * one.wrench, rtol=0, atol=10 * tolerance * np.abs(other.wrench).max()
+    )
+
+
+def test_only_the_product_of_focal_length_and_pixel_scale_acts() -> None:
+    paper = hs.load_scenario("paper").updated({"simulation.duration": 0.3})
+    other = paper.updated({"camera.focal_length": 0.016, "camera.pixel_scale": paper.camera.pixel_scale / 2})
+    assert hs.simulate(other).position.tobytes() == hs.simulate(paper).position.tobytes()
 
 
 def test_the_first_example_runs(tmp_path: Path) -> None:

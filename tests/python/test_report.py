@@ -29,6 +29,7 @@ from hexservo._files import OutputError
 from hexservo._parameters import core_parameters
 from hexservo._report import TITLE
 from hexservo._report._charts import curves, needed
+from hexservo._report._documentation import is_page, page_html
 from hexservo._report._evidence_html import page_text
 from hexservo._report._html import Html, element, json_script
 from hexservo._report._page import page
@@ -41,6 +42,7 @@ from hexservo._wording import cell_text, joules, number
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+ROOT = Path(__file__).resolve().parents[2]
 EVIL = "</script><script>window.broken = 1</script><img src=x onerror='window.broken = 2'>"
 SHOWN = "paper & <b>its</b> " + EVIL
 
@@ -132,6 +134,7 @@ def test_the_order_and_the_words(text: str) -> None:
     heads = re.findall(r"<h2>([^<]*)</h2>", text)
     assert heads == [
         "Summary", "Figures", "The machine in space", "Certificate", "Diagnosis", "Metrics", "Scenario", "Versions",
+        "Explanations",
     ]  # fmt: skip
     words = words_of(text)
     for sentence in (
@@ -150,7 +153,7 @@ def test_the_order_and_the_words(text: str) -> None:
 
 
 def test_metrics_versions_and_the_scenario_are_there(text: str, result: hs.Result) -> None:
-    (scenario,) = re.findall(r"<pre[^>]*><code>(.*?)</code></pre>", text, re.DOTALL)
+    (scenario,) = re.findall(r"<pre tabindex[^>]*><code>(.*?)</code></pre>", text, re.DOTALL)
     assert hs.Scenario.from_yaml(html.unescape(scenario)) == result.scenario
     words = words_of(text)
     for name in hs.METRICS:
@@ -262,8 +265,86 @@ def test_charts_are_as_the_library_wants_them(text: str) -> None:
     charts = specs(text)
     assert len(charts) == 12
     for spec in charts.values():
-        layout = {name: value for name, value in spec["layout"].items() if name not in ("maxWidth", "square")}
+        layout = {name: value for name, value in spec["layout"].items() if name not in ("maxWidth", "aspect")}
         go.Figure(coloured(spec["data"]), coloured(layout))
+
+
+def test_only_the_paper_s_scenario_has_the_numbers_of_its_figures(text: str) -> None:
+    def numbered(name: str, changes: dict[str, Any]) -> int:
+        run = hs.simulate(hs.load_scenario(name).updated({"simulation.duration": 0.02, **changes}))
+        return len(re.findall(r"<h3>[^<]* \(figure \d[ab]?\)</h3>", page(run)))
+
+    assert len(re.findall(r"<h3>[^<]* \(figure \d[ab]?\)</h3>", text)) == 5  # another description, every sample
+    assert numbered("paper", {"simulation.duration": 5.0, "simulation.log_every": 50}) == 5
+    assert numbered("paper", {"uncertainty.gravity": 0.01}) == 0
+    assert numbered("paper-gravity", {}) == 0
+    assert numbered("composite-30hz", {}) == 0
+
+
+def test_the_chart_of_the_image_has_its_shape_and_its_border() -> None:
+    run = hs.simulate(hs.load_scenario("real-machine").updated({"simulation.duration": 0.1}))
+    charts = specs(page(run))
+    layout = charts["Paths of the four features"]["layout"]
+    (border,) = layout["shapes"]
+    assert [border[side] for side in ("x0", "x1", "y0", "y1")] == [-320, 320, -240, 240]
+    assert layout["aspect"] == pytest.approx(480 / 640)
+    for axis, half in (("xaxis", 320), ("yaxis", 240)):
+        low, high = layout[axis]["range"]
+        assert low < -half < half < high
+    assert layout["xaxis"]["range"][1] / layout["yaxis"]["range"][1] == pytest.approx(640 / 480)
+    magnified = charts["The same paths, magnified"]["layout"]
+    assert np.ptp(magnified["xaxis"]["range"]) < 0.4 * np.ptp(layout["xaxis"]["range"])
+    assert "What the camera sees (640 x 480 px, y up)" in words_of(page(run))
+    plain = specs(page(hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.1}))))
+    assert "shapes" not in plain["Paths of the four features"]["layout"]
+    assert "The same paths, magnified" not in plain
+
+
+# ---- Pages of the documentation -------------------------------------------------------------------------------------
+
+
+def test_what_explains_something_is_in_the_report(text: str) -> None:
+    """Every "Explained in" is a link, and every link of the page leads to an element of it."""
+    explained = re.findall(r"Explained in (<a href=\"#[^\"]+\"><code>[^<]+</code></a>|<code>)", text)
+    assert len(explained) == 3
+    assert "<code>" not in explained
+    parser = Attributes()
+    parser.feed(re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
+    ids = [value for name, value in parser.found if name == "id"]
+    assert len(ids) == len(set(ids))
+    targets = {(value or "").removeprefix("#") for name, value in parser.found if name == "href"}
+    assert targets <= set(ids)
+    assert "page-model" in targets
+    assert text.count('<details class="document">') == 1
+
+
+def test_a_page_is_rendered_whole_and_its_links_stay_inside() -> None:
+    names = ["docs/analysis/drift.md", "docs/model.md"]
+    made = page_html(names[0], names)
+    source = (ROOT / names[0]).read_text(encoding="utf-8")
+    headings = re.findall(r"^## (.+)$", source, re.MULTILINE)
+    assert headings
+    assert [html.unescape(found) for found in re.findall(r"<h4[^>]*>(.*?)</h4>", made)] == headings
+    assert re.findall(r'href="(?!#page-)', made) == []
+    for name in sorted((ROOT / "docs").rglob("*.md")):
+        known = name.relative_to(ROOT).as_posix()
+        whole = page_html(known, [known])
+        assert "<table>" not in whole.replace('<div class="scroll"><table>', "")
+        assert "<img" not in whole
+        assert not re.search(r'href="(?!#page-)', whole), known
+        ids = set(re.findall(r' id="([^"]+)"', whole))
+        assert {target for target in re.findall(r'href="#([^"]+)"', whole) if "--" in target} <= ids, known
+    with pytest.raises(ValueError, match=r"expected a page of docs/, got 'docs/\.\./README\.md'"):
+        page_html("docs/../README.md", [])
+
+
+def test_pages_of_findings_are_in_the_source_tree_or_the_package() -> None:
+    """Those that sources name, wherever hexservo was imported from."""
+    named = set()
+    for file in sorted((ROOT / "python" / "hexservo").rglob("*.py")):
+        named |= set(re.findall(r'"(docs/[\w/-]+\.md)"', file.read_text(encoding="utf-8")))
+    assert len(named) > 10
+    assert [name for name in sorted(named) if not is_page(name)] == []
 
 
 def test_a_law_without_fuzzy_systems_has_no_rule_table() -> None:
@@ -528,7 +609,7 @@ def until(shown: Page, expression: str) -> None:
     raise AssertionError(f"never true: {expression}")
 
 
-LAPTOP, PHONE = {"width": 1280, "height": 800}, {"width": 375, "height": 720}
+LAPTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 DRAW_ALL = """async () => {
   for (const box of document.querySelectorAll(".chart")) {
     box.scrollIntoView();
@@ -621,6 +702,50 @@ def test_the_page_does_not_scroll_sideways(visit: Callable[..., Visit], viewport
     )
     assert max(charts) <= width
     assert seen.problems == []
+
+
+# Names along an axis that overlap, in all charts; and tables of which more than a tenth of a row is empty space.
+OVERLAPS = """() => [...document.querySelectorAll(".chart")].flatMap(chart => {
+  const labels = [...chart.querySelectorAll(".xtick text, .x2tick text")];
+  const boxes = labels.map(item => [item.textContent, item.getBoundingClientRect()]);
+  return boxes.flatMap(([one, a], place) => boxes.slice(place + 1)
+    .filter(([, b]) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 0
+      && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 0)
+    .map(([other]) => `${chart.getAttribute("aria-label")}: ${one} and ${other}`));
+})"""
+EMPTY = """() => [...document.querySelectorAll("main .scroll")].filter(box => {
+  if (box.closest(".document") || getComputedStyle(box.querySelector("tr")).display !== "block") return false;
+  return box.scrollWidth > box.clientWidth + 1 || [...box.querySelectorAll("td")].some(cell => {
+    const shown = getComputedStyle(cell).display !== "none";
+    return shown && ["", "–"].includes(cell.textContent);
+  });
+}).map(box => box.getAttribute("aria-label"))"""
+
+
+@in_browser
+def test_on_a_phone_no_names_overlap_and_no_columns_are_empty(browser: Browser, tmp_path: Path) -> None:
+    """With all findings of a run whose time axes are broken and whose tables are wide."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hexservo._report._page.groups", _sections.groups)
+        text = page(hs.simulate(hs.load_scenario("composite-30hz")))
+    (tmp_path / "report.html").write_text(text, encoding="utf-8")
+    seen = Visit(browser, tmp_path / "report.html", viewport=PHONE, has_touch=True)
+    try:
+        seen.open().evaluate(DRAW_ALL)
+        assert seen.page.evaluate(OVERLAPS) == []
+        assert seen.page.evaluate(EMPTY) == []
+        assert seen.page.locator(".stacked").count() > 3
+        tall = "[...document.querySelectorAll('main figure.table tr')].map(row => row.getBoundingClientRect().height)"
+        assert max(seen.page.evaluate(tall)) < 600  # was a screen and more of nothing beside one column of words
+        link = seen.page.locator("p.page a").first
+        target = link.get_attribute("href")
+        link.click()
+        opened = f"document.querySelector('{target}').closest('details').open"
+        until(seen.page, opened)
+        assert seen.page.locator(str(target)).is_visible()
+        assert seen.problems == []
+    finally:
+        seen.context.close()
 
 
 COLOURS = """() => ({

@@ -272,7 +272,7 @@ inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds from a
 ///
 /// A hexapod has up to 40 poses for the same lengths; Newton finds one near `start`. A fixed number of rounds bounds
 /// the time.
-/// @param rounds Newton rounds >= 0; four are enough for a start some centimetres away, as of one sample ago
+/// @param rounds Newton rounds >= 0; four find a pose within 0.1 r_p and 0.1 rad, as of one sample ago
 template <class S>
 ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start,
                                         int rounds = kKinematicsRounds) {

@@ -7,6 +7,8 @@
 #include "hexservo/cholesky.hpp"
 #include "hexservo/rigid_body.hpp"
 
+#include <limits>
+
 namespace hexservo {
 
 /// Points that the controller takes the target for, and the goal that follows from them.
@@ -40,62 +42,207 @@ TargetModel<S, N> target_model(const S& f, const Eigen::Matrix<S, 3, N>& points_
   return model;
 }
 
-inline constexpr int kPoseRounds = 6;     ///< of the estimate in a law, which starts near its solution
-inline constexpr double kPoseStep = 0.5;  ///< largest step of a round, in mean depths and in rad
+inline constexpr int kPoseRounds = 8;         ///< of Levenberg-Marquardt from the start of an estimate
+inline constexpr int kMirrorRounds = 4;       ///< of those from the mirror image of what they find
+inline constexpr int kPolishRounds = 3;       ///< of those from the better of the two
+inline constexpr double kPoseStep = 0.5;      ///< largest first-order step of a round, in mean depths and in rad
+inline constexpr double kPoseDamping = 1e-6;  ///< of the first round, times the diagonal of J^T J [1]
+/// The mirror image replaces the pose that was found from the start where its squared residual is below this share [1].
+inline constexpr double kMirrorShare = 0.04;
+
+/// What the camera sees from a pose, and how far that is from the image.
+template <class S, int N>
+struct PoseFit {
+  Pose<S> pose;                ///< in B; quaternion of unit length
+  Matrix3<S> R_BE;             ///< of `pose`
+  Vector<S, 2 * N> features;   ///< xi(pose) [px]
+  Vector<S, N> inverse_depth;  ///< 1/Z_i [1/m]
+  S squared_residual;          ///< |xi - xi(pose)|^2 [px^2]; infinite where a point is not in front of the camera
+
+  /// Takes over another fit in the lanes of `where`.
+  void replace(const Mask<S>& where, const PoseFit& other) {
+    pose.position = select(where, other.pose.position, pose.position);
+    pose.quaternion = select(where, other.pose.quaternion, pose.quaternion);
+    R_BE = select(where, other.R_BE, R_BE);
+    features = select(where, other.features, features);
+    inverse_depth = select(where, other.inverse_depth, inverse_depth);
+    squared_residual = select(where, other.squared_residual, squared_residual);
+  }
+};
+
+/// The fit of one pose; NaN where a number is.
+template <class S, int N>
+PoseFit<S, N> pose_fit(const S& f, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
+                       const Pose<S>& pose) noexcept {
+  PoseFit<S, N> fit;
+  fit.pose = pose;
+  fit.R_BE = rotation_matrix(pose.quaternion);
+  Image<S, N> image;
+  take_image(f, pose.position, fit.R_BE, points_B, image, fit.inverse_depth);
+  S nearest = image.depth(0);
+  for (int i = 1; i < N; ++i) nearest = max(nearest, image.depth(i));
+  fit.features = image.features;
+  fit.squared_residual = select(nearest < S(0.0), S((measured - image.features).squaredNorm()),
+                                S(std::numeric_limits<double>::infinity()));
+  return fit;
+}
+
+/// The pose moved and turned by a small displacement in B, q <- q + 1/2 (0, d_theta) (x) q, normalised.
+template <class S>
+Pose<S> displaced(const Pose<S>& pose, const Vector6<S>& d) noexcept {
+  using std::sqrt;
+  Pose<S> next{pose.position + d.template head<3>(),
+               pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>())};
+  next.quaternion /= sqrt(S(next.quaternion.squaredNorm()));
+  return next;
+}
+
+/// Where along a displacement the residual is smallest, by the features' second-order model [1].
+///
+/// |r - t Jd - t^2/2 c|^2 is a quartic of t, whose minimum near 1 four rounds of a guarded Newton's method find.
+/// @param r residual before [px]; @param Jd its first-order change; @param c second derivative of the features
+template <class S, int M>
+S quartic_line_search(const Vector<S, M>& r, const Vector<S, M>& Jd, const Vector<S, M>& c) noexcept {
+  const S squared = Jd.squaredNorm(), slope = S(-2.0) * r.dot(Jd), bend = S(2.0) * (squared - r.dot(c)),
+          third = S(3.0) * Jd.dot(c), fourth = c.squaredNorm();
+  S t(1.0);
+  for (int round = 0; round < 4; ++round) {
+    const S first = slope + t * (bend + t * (third + t * fourth));
+    const S second = larger(S(bend + t * (S(2.0) * third + t * S(3.0) * fourth)), S(S(0.3) * squared));
+    t = clip(S(t - first / second), S(0.05), S(3.0));
+  }
+  return t;
+}
+
+/// Levenberg-Marquardt on the reprojection error: the pose from which known points look as measured, in the least
+/// squares. Never worse than its start.
+///
+/// Each round solves (J^T J + mu diag(J^T J)) d = J^T (xi - xi(pose)) for a small displacement d in B and shortens it
+/// to `kPoseStep`. What the full step changes beyond J d is the features' curvature along d, and `quartic_line_search`
+/// takes it into account; the better of the two steps is applied if it lowers the residual. mu follows the ratio of
+/// actual to expected decrease (Nielsen 1999). Always the same number of rounds.
+/// @param measured features [px], by a camera that projects (`CameraConvention::eye_in_hand`)
+/// @param start its quaternion need not be of unit length
+template <class S, int N>
+PoseFit<S, N> fit_pose(const S& f, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
+                       const Pose<S>& start, int rounds) noexcept {
+  using std::abs;
+  using std::sqrt;
+  PoseFit<S, N> best = pose_fit<S, N>(f, points_B, measured, displaced<S>(start, Vector6<S>::Zero()));
+  S mu(kPoseDamping), growth(2.0);
+  for (int round = 0; round < rounds; ++round) {
+    const ImageJacobian<S, N> J(f, S(-1.0), best.features, best.inverse_depth, best.R_BE);
+    const Vector<S, 2 * N> residual = measured - best.features;
+    const Vector6<S> gradient = J.pull(residual);
+    Matrix6<S> A = J.normal_matrix();
+    const Vector6<S> damping = mu * A.diagonal();
+    A.diagonal() += damping;
+    const Cholesky<S, 6> solver(A);
+    Vector6<S> d = solver.solve(gradient);
+
+    S mean_depth(0.0);
+    for (int i = 0; i < N; ++i) mean_depth += S(1.0 / N) / abs(best.inverse_depth(i));
+    const S length = max(S(sqrt(S(d.template head<3>().squaredNorm())) / mean_depth),
+                         S(sqrt(S(d.template tail<3>().squaredNorm()))));
+    d *= select(length > S(kPoseStep), S(S(kPoseStep) / length), S(1.0));
+    const PoseFit<S, N> full = pose_fit<S, N>(f, points_B, measured, displaced<S>(best.pose, d));
+    const Vector<S, 2 * N> Jd = J.push(d);
+    const S t = quartic_line_search<S, 2 * N>(residual, Jd, S(2.0) * (full.features - best.features - Jd));
+    PoseFit<S, N> next = pose_fit<S, N>(f, points_B, measured, displaced<S>(best.pose, t * d));
+    next.replace(!(next.squared_residual < full.squared_residual), full);
+
+    const Mask<S> better = (next.squared_residual < best.squared_residual) & !solver.failed();
+    const S expected = larger(S(d.dot(damping.cwiseProduct(d) + gradient)), S(1e-300));
+    const S surplus = S(2.0) * (best.squared_residual - full.squared_residual) / expected - S(1.0);
+    mu *= select(better, clip(S(S(1.0) - surplus * surplus * surplus), S(1.0 / 3.0), S(2.0)), growth);
+    mu = clip(mu, S(1e-14), S(1e8));
+    growth = select(better, S(2.0), S(larger(S(1.0), S(S(2.0) * growth))));
+    best.replace(better, next);
+  }
+  return best;
+}
+
+/// The other pose of a planar target: the points turned about their centroid until their plane is mirrored about the
+/// line of sight to it. To first order in their extent over their distance the image is the same.
+///
+/// The plane is that of the largest of their triangles; NaN where they lie on a line.
+template <class S, int N>
+Pose<S> mirrored_pose(const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pose) noexcept {
+  using std::sqrt;
+  Vector3<S> centroid = Vector3<S>::Zero(), normal = Vector3<S>::Zero();
+  for (int i = 0; i < N; ++i) centroid += S(1.0 / N) * points_B.col(i);
+  for (int i = 0; i < N; ++i)
+    for (int j = 0; j < i; ++j)
+      for (int k = 0; k < j; ++k) {
+        const Vector3<S> area =
+            cross<S>(Vector3<S>(points_B.col(j) - points_B.col(i)), Vector3<S>(points_B.col(k) - points_B.col(i)));
+        normal = select(area.squaredNorm() > normal.squaredNorm(), area, normal);
+      }
+  normal /= sqrt(S(normal.squaredNorm()));
+  const Vector3<S> sight = centroid - pose.position;
+  const S along = dot<S>(sight, normal), inverse_distance = S(1.0) / sqrt(S(sight.squaredNorm()));
+  // R_BE <- (1 - 2 n n^T) (1 - 2 s s^T) R_BE, which is a turn in B by twice the angle from s to n
+  const S w = along * inverse_distance;
+  const Vector3<S> v = inverse_distance * cross<S>(sight, normal), u = pose.quaternion.template tail<3>();
+  Pose<S> mirrored;
+  mirrored.position = centroid + sight - S(2.0) * along * normal;
+  mirrored.quaternion(0) = w * pose.quaternion(0) - dot<S>(v, u);
+  mirrored.quaternion.template tail<3>() = w * u + pose.quaternion(0) * v + cross<S>(v, u);
+  return mirrored;
+}
 
 /// Pose that an image tells.
 template <class S>
 struct PoseEstimate {
-  Pose<S> pose;    ///< in B; quaternion of unit length
-  S step;          ///< length of the last correction, the larger of move and turn [m; rad]
-  Mask<S> failed;  ///< a round could not be solved, or ended with a point that is not in front of the camera
+  Pose<S> pose;        ///< in B; quaternion of unit length
+  S squared_residual;  ///< |xi - xi(pose)|^2 [px^2]
+  S decrement;         ///< |P_J (xi - xi(pose))|^2, what a first-order step would still gain; 0 at a minimum [px^2]
+  Mask<S> mirrored;    ///< it was found from the mirror image of the pose near the start
+  Mask<S> failed;      ///< a point is not in front of the camera, or the image does not determine the pose
 };
 
-/// Gauss-Newton on the reprojection error: the pose from which known points look as measured, in the least squares.
+/// The pose from which known points look as measured, in the least squares, by `fit_pose` from a start.
 ///
-/// Always the same number of rounds. Each solves J^T J d = J^T (xi - xi(pose)) for a small displacement d in B,
-/// shortens it to `kPoseStep`, and applies it (q <- q + 1/2 (0, d_theta) (x) q, normalised).
+/// A planar target has two poses that look alike. The mirror image of what is found from the start is followed as well
+/// (`mirrored_pose`), and taken where its squared residual is below `kMirrorShare` of the first one's: the pose near
+/// the joint sensors' stays unless the other one explains the image clearly better, so that noise alone does not make
+/// the estimate change sides from one image to the next. Always the same number of rounds, and never worse than the
+/// start.
 /// @param points_B in B [m]
 /// @param features measured [px], by a camera that projects (`CameraConvention::eye_in_hand`)
-/// @param start near the solution; its quaternion need not be of unit length
+/// @param start its quaternion need not be of unit length
 template <class S, int N>
 PoseEstimate<S> estimate_pose(const S& f, const Eigen::Matrix<S, 3, N>& points_B, const Vector<S, 2 * N>& features,
-                              const Pose<S>& start, int rounds = kPoseRounds) noexcept {
-  using std::abs;
-  using std::sqrt;
-  PoseEstimate<S> estimate{start, S(0.0), Mask<S>(false)};
-  Pose<S>& pose = estimate.pose;
+                              const Pose<S>& start) noexcept {
   const Vectors3<S, N> points(points_B);
-  for (int round = 0; round < rounds; ++round) {
-    const Matrix3<S> R_BE = rotation_matrix(pose.quaternion);
-    Vector<S, N> inverse_depth;
-    Image<S, N> image;
-    take_image(f, pose.position, R_BE, points, image, inverse_depth);
-    const ImageJacobian<S, N> J(f, S(-1.0), image.features, inverse_depth, R_BE);
-    const Cholesky<S, 6> solver(J.normal_matrix());
-    Vector6<S> d = solver.solve(J.pull(features - image.features));
+  PoseFit<S, N> fit = fit_pose<S, N>(f, points, features, start, kPoseRounds);
+  const PoseFit<S, N> mirror =
+      fit_pose<S, N>(f, points, features, mirrored_pose<S, N>(points_B, fit.pose), kMirrorRounds);
+  PoseEstimate<S> estimate;
+  estimate.mirrored = mirror.squared_residual < S(kMirrorShare) * fit.squared_residual;
+  fit.replace(estimate.mirrored, mirror);
+  fit = fit_pose<S, N>(f, points, features, fit.pose, kPolishRounds);
 
-    S mean_depth(0.0), nearest = image.depth(0);
-    for (int i = 0; i < N; ++i) {
-      mean_depth += abs(image.depth(i)) * S(1.0 / N);
-      nearest = max(nearest, image.depth(i));
-    }
-    const S move = sqrt(S(d.template head<3>().squaredNorm())), turn = sqrt(S(d.template tail<3>().squaredNorm()));
-    const S length = max(S(move / mean_depth), turn);
-    const S share = select(length > S(kPoseStep), S(S(kPoseStep) / length), S(1.0));
-    d *= share;
-    pose.position += d.template head<3>();
-    pose.quaternion += quaternion_rate<S>(pose.quaternion, d.template tail<3>());
-    pose.quaternion /= sqrt(S(pose.quaternion.squaredNorm()));
-    estimate.failed = estimate.failed | solver.failed() | !(nearest < S(0.0));
-    estimate.step = share * max(move, turn);
-  }
+  const ImageJacobian<S, N> J(f, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
+  const Cholesky<S, 6> solver(J.normal_matrix());
+  const Vector6<S> gradient = J.pull(Vector<S, 2 * N>(features - fit.features));
+  estimate.pose = fit.pose;
+  estimate.squared_residual = fit.squared_residual;
+  estimate.decrement = gradient.dot(solver.solve(gradient));
+  estimate.failed = solver.failed() | !is_finite(fit.squared_residual);
   return estimate;
 }
 
-/// Pose where the believed points give the desired features, in the least squares; searched from home, and from home
-/// turned about the optical axis, with as many rounds as it takes.
-/// @throws std::invalid_argument where no start leads to one
+/// The goal is refused where no pose gives the desired features within this, in every coordinate [px].
+inline constexpr double kGoalResidual = 1.0;
+
+/// Pose where the believed points give the desired features, in the least squares.
+///
+/// `fit_pose` searches from home, from home turned about the optical axis, moved along it and tilted, and from the
+/// mirror image of each pose that it finds. Of minima whose squared residual is within four times the smallest one, or
+/// below (1e-6 px)^2, that nearest to home is the goal.
+/// @throws std::invalid_argument where the largest residual of a coordinate is beyond `kGoalResidual`, or the features
+/// do not determine a pose
 Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
                        const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home);
 

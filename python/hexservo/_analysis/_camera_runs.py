@@ -10,8 +10,9 @@ import numpy as np
 
 from hexservo._analysis._linear_loop import Clock
 from hexservo._analysis._poses import Array
-from hexservo._analysis._scene import SETTLED, scene_of
+from hexservo._analysis._scene import scene_of
 from hexservo._batch import simulate_batch, whole
+from hexservo._metrics import metrics
 from hexservo._result import Result
 from hexservo._scenario import Scenario
 from hexservo._simulation import simulate
@@ -110,11 +111,10 @@ def _ending(result: Result, travel: float, stroke: float) -> Ending:
 def learned_weights(task: Scenario) -> Array | None:
     """Give the weights (6, 7, 7) [N; N m] at the end of a task that settles; None where it does not.
 
-    Settled: within 2 px during its last tenth.
+    Settled: docs/model.md, section 8.
     """
-    result = _uninterrupted(simulate(task.updated({"simulation.log_every": 1})))
-    error = np.abs(result.feature_error)
-    if result.outcome != "completed" or error[-max(1, len(error) // 10) :].max() > SETTLED:
+    result = _uninterrupted(simulate(task))
+    if result.outcome != "completed" or np.isnan(metrics(result)["settling_time"]):
         return None
     return np.asarray(result.fuzzy_weights)
 

@@ -210,7 +210,8 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
         check the border and the verdict.
     borders
         False leaves out what is not needed for `CameraRate.stable`: borders in period, latency and gain, those of the
-        stroke, their runs, the map, and the loop at learned weights.
+        stroke, their runs, the map, and the loop at learned weights. What `section` says of borders then means
+        nothing.
 
     Returns
     -------

@@ -200,7 +200,9 @@ class Diagnosis(Findings):
             name = f"without: {self.causes[0].title}"
             lines.append(Line(name, self._cured.time, np.maximum(self._cured.error, _FLOOR), "dashed"))
         title = "Largest feature error, with and without the likeliest cause"
-        return (Curves(title, "time [s]", "error [px]", lines, y_log=True, page=_PAGE),)
+        at_floor = any((line.y <= _FLOOR).any() for line in lines)
+        note = f"Errors below {_FLOOR:g} px are drawn there." if at_floor else ""
+        return (Curves(title, "time [s]", "error [px]", lines, y_log=True, note=note, page=_PAGE),)
 
 
 def diagnose(result: Result) -> Diagnosis:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo._evidence import Curves, HeatMap, Line
+from hexservo._report._documentation import anchor_of, is_page
 from hexservo._report._html import Html, element, json_script, paragraphs
 from hexservo._samples import extremes
 
@@ -75,7 +76,7 @@ def chart(
     Parameters
     ----------
     page
-        That explains it, such as "docs/model.md"; shown as text.
+        That explains it, such as "docs/model.md".
     height
         Of the chart [px].
     wide
@@ -95,8 +96,13 @@ def chart(
 
 
 def explained(page: str) -> Html:
-    """Say which page explains something, if there is one."""
-    return element("p", "Explained in ", element("code", page), class_="page") if page else Html()
+    """Say which page explains something, if there is one, with a link to it inside the report."""
+    if not page:
+        return Html()
+    name = element("code", page)
+    return element(
+        "p", "Explained in ", element("a", name, href=f"#{anchor_of(page)}") if is_page(page) else name, class_="page"
+    )
 
 
 def curves(item: Curves) -> Html:
@@ -104,7 +110,9 @@ def curves(item: Curves) -> Html:
     data = [_line(line, number, y_log=item.y_log) for number, line in enumerate(item.lines)]
     layout = axes(item.x_label, item.y_label)
     for axis, is_log in (("xaxis", item.x_log), ("yaxis", item.y_log)):
-        layout[axis] |= {"type": "log"} if is_log else {}
+        layout[axis] |= (
+            _logarithmic([np.asarray(getattr(line, axis[0]), float) for line in item.lines]) if is_log else {}
+        )
     names = ", ".join(line.name for line in item.lines if line.name)
     return chart(
         {"data": data, "layout": layout},
@@ -113,6 +121,15 @@ def curves(item: Curves) -> Html:
         page=item.page,
         alt=f"{item.title}: {item.y_label} over {item.x_label}" + (f"; lines: {names}" if names else ""),
     )
+
+
+def _logarithmic(values: Sequence[Array]) -> Spec:
+    """Make an axis logarithmic, with names at whole decades, or at 1, 2 and 5 where there are fewer than two."""
+    positive = np.concatenate([part[np.isfinite(part) & (part > 0)] for part in values] or [np.empty(0)])
+    decades = math.log10(positive.max() / positive.min()) if len(positive) else 0.0
+    if decades < 2:
+        return {"type": "log", "dtick": "D2"}
+    return {"type": "log", "dtick": max(1, math.ceil(decades / 6))}
 
 
 def heat_map(item: HeatMap) -> Html:

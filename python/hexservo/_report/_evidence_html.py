@@ -12,6 +12,8 @@ from hexservo._wording import VERDICTS, cell_text, numeric_columns
 __all__ = ["badge", "section_html", "table_html"]
 
 _SHORT = 22  # characters of a cell that is not broken into lines
+_LONG = 60  # characters from which on a cell's column is made wide
+_PHONE = 44  # characters of a row that a phone shows: a wider table is a list of its cells there
 
 
 def badge(verdict: str) -> Html:
@@ -44,7 +46,7 @@ def table_html(table: Table) -> Html:
         element(
             "div",
             element("table", element("thead", element("tr", *heads)), element("tbody", *rows)),
-            class_="scroll",
+            class_="scroll stacked" if _least_width(table) > _PHONE else "scroll",
             tabindex="0",
             role="region",
             aria_label=table.title,
@@ -67,7 +69,12 @@ def _item_html(item: Item) -> Html:
 
 def _cells(row: Sequence[Cell], columns: Sequence[Column], numeric: Sequence[bool]) -> list[Html]:
     return [
-        element("td", text, class_="number" if is_number else "short" if len(text) <= _SHORT else "text")
+        element(
+            "td",
+            text,
+            class_=_kind(text, is_number) + (" empty" if text in ("", "–") else ""),
+            data_head=f"{column.title} [{column.unit}]" if column.unit else column.title,
+        )
         for cell, column, is_number in zip(row, columns, numeric, strict=True)
         for text in [page_text(cell, column)]
     ]
@@ -79,6 +86,23 @@ def page_text(cell: Cell, column: Column) -> str:
     if isinstance(cell, str):
         return text
     return {"-": "–", "inf": "∞", "-inf": "−∞"}.get(text, text.replace("-", "−"))
+
+
+def _kind(text: str, is_number: bool) -> str:
+    if is_number:
+        return "number"
+    return "short" if len(text) <= _SHORT else "text long" if len(text) >= _LONG else "text"
+
+
+def _least_width(table: Table) -> int:
+    """Return the characters that the widest words of all columns take side by side, a long text counted as one."""
+    widths = []
+    for place, column in enumerate(table.columns):
+        texts = [cell_text(row[place], column) for row in table.rows]
+        words = f"{column.title} [{column.unit}]".split() if column.unit else column.title.split()
+        longest = max((min(len(text), _SHORT) for text in texts), default=0)
+        widths.append(2 + max(longest, *map(len, words), 1))
+    return sum(widths)
 
 
 def _unit(column: Column) -> list[str]:

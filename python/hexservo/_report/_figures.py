@@ -12,8 +12,16 @@ from hexservo import _core
 from hexservo._parameters import core_parameters
 from hexservo._report._charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
 from hexservo._report._html import Html
-from hexservo._samples import extremes, mean_samples, moving_mean, parts, rotation_vectors
-from hexservo._scenario import _TERMS
+from hexservo._samples import (
+    ImageView,
+    extremes,
+    image_views,
+    mean_samples,
+    moving_mean,
+    parts,
+    rotation_vectors,
+)
+from hexservo._scenario import _TERMS, load_scenario
 
 if TYPE_CHECKING:
     from hexservo._result import Result
@@ -41,19 +49,32 @@ _LEGS = (
     _Ink("@purple", "dashdot"),
 )
 _DIVERGING = [[0, "#2d004b"], [0.25, "#998ec3"], [0.5, "#f7f7f7"], [0.75, "#f1a340"], [1, "#7f3b08"]]
-_FIRST_SHARE, _GAP = 0.62, 0.015  # of the width: the panel of the transient, and between the two
+_PATHS = "Paths of the four features"
+_FIRST_SHARE, _GAP = 0.62, 0.025  # of the width: the panel of the transient, and between the two
 
 
 def figures(result: Result) -> list[tuple[str, list[Html]]]:
     """Give each figure as its heading and its charts; a law without fuzzy systems has no rule table."""
     table = _rule_table(result)
-    return [
-        *([("Rule table of the fuzzy systems (figure 2a)", [table])] if table is not None else []),
-        ("Feature errors (figure 2b)", _feature_errors(result)),
-        ("Feature paths in the image (figure 3)", [_feature_paths(result)]),
-        ("Motion of the platform (figure 4)", _platform_motion(result)),
-        ("Wrench and leg forces (figure 5)", _wrench(result)),
+    drawn = [
+        *([("Rule table of the fuzzy systems", "2a", [table])] if table is not None else []),
+        ("Feature errors", "2b", _feature_errors(result)),
+        ("Feature paths in the image", "3", _feature_paths(result)),
+        ("Motion of the platform", "4", _platform_motion(result)),
+        ("Wrench and leg forces", "5", _wrench(result)),
     ]
+    of_paper = _is_of_the_paper(result)
+    return [(f"{title} (figure {number})" if of_paper else title, charts) for title, number, charts in drawn]
+
+
+def _is_of_the_paper(result: Result) -> bool:
+    """Return whether a run is that of the packaged scenario `paper`, whose figures have the paper's numbers."""
+    if result.scenario.name != "paper" or result.controller != result.scenario.controller.law:
+        return False
+    own, paper = result.scenario.to_mapping(), load_scenario("paper").to_mapping()
+    for mapping in (own, paper):
+        del mapping["description"], mapping["simulation"]["log_every"]
+    return own == paper
 
 
 def _rule_table(result: Result) -> Html | None:
@@ -84,7 +105,9 @@ def _rule_table(result: Result) -> Html | None:
         "layout": axes("rate of u [1]", "u [1]"),
     }
     spec["layout"]["yaxis"]["autorange"] = "reversed"  # type: ignore[index]
-    spec["layout"] |= {"maxWidth": 430, "square": True}  # type: ignore[operator]
+    for axis in ("xaxis", "yaxis"):
+        spec["layout"][axis]["dtick"] = 1  # type: ignore[index]
+    spec["layout"] |= {"maxWidth": 430, "aspect": 1}  # type: ignore[operator]
     meaning = "image wrench" if result.scenario.controller.law == "hybrid" else "pose error"
     note = f"Rows: terms of u, the scaled {meaning}. Columns: terms of its rate. The table is that of all six systems."
     if not gains.fuzzy.enabled:
@@ -109,7 +132,13 @@ def _feature_errors(result: Result) -> list[Html]:
     return charts
 
 
-def _feature_paths(result: Result) -> Html:
+def _feature_paths(result: Result) -> list[Html]:
+    views = image_views(result)
+    titles = (_PATHS, "The same paths, magnified")
+    return [_paths_in(result, view, title, wide=len(views) == 1) for view, title in zip(views, titles, strict=False)]
+
+
+def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Html:
     features = result.features.reshape(-1, 4, 2)
     goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
     data = []
@@ -143,16 +172,19 @@ def _feature_paths(result: Result) -> Html:
                 "hovertemplate": "x %{x:.4g} px, y %{y:.4g} px",
             }
         )
-    everything = np.concatenate([features.reshape(-1, 2), goals])
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    half = max(0.57 * float((high - low).max()), 1.0)
     layout = axes("image x [px]", "image y [px]")
-    for axis, middle in zip(("xaxis", "yaxis"), (low + high) / 2, strict=True):
-        layout[axis]["range"] = [float(middle) - half, float(middle) + half]
+    for axis, limits in zip(("xaxis", "yaxis"), view.limits, strict=True):
+        layout[axis]["range"] = limits
+    note = ""
+    if view.border is not None:
+        width, height = view.border
+        corners = {"x0": -width / 2, "x1": width / 2, "y0": -height / 2, "y1": height / 2}
+        layout["shapes"] = [{"type": "rect", **corners, "line": {"color": "@grey", "width": 1.2}}]
+        note = f"Grey: border of the image, {width:g} x {height:g} px." if title == _PATHS else ""
     layout["yaxis"] |= {"scaleanchor": "x", "constrain": "domain"}
     layout["xaxis"] |= {"constrain": "domain"}
-    layout |= {"maxWidth": 620, "square": True}
-    return chart({"data": data, "layout": layout}, "Paths of the four features", height=520)
+    layout |= {"maxWidth": 620, "aspect": float(view.half[1] / view.half[0])}
+    return chart({"data": data, "layout": layout}, title, note=note, height=680, wide=wide)
 
 
 def _platform_motion(result: Result) -> list[Html]:

@@ -8,10 +8,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hexservo._evidence import Column, Section, Table
 from hexservo._machine import versions
 from hexservo._metrics import METRICS, metrics, readable
 from hexservo._report import TITLE
+from hexservo._report._documentation import is_page, page_html
 from hexservo._report._evidence_html import badge, section_html, table_html
 from hexservo._report._figures import figures
 from hexservo._report._html import Html, element, json_script, paragraphs
@@ -32,6 +35,7 @@ _POLICY = (
 )
 _SLIDER = "The slider takes smaller steps until the run has settled."
 _MAX_SCENARIO = 60_000  # characters of the scenario that are shown: a recorded motion can be far longer
+_METRICS_PAGE = "docs/model.md"
 _WORST_FIRST = ("bad", "warning", "good", "open")  # verdicts, as the summary has them; the diagnosis before others
 
 
@@ -58,6 +62,7 @@ def page(result: Result) -> str:
         ("metrics", "Metrics", _metrics(result)),
         ("scenario", "Scenario", _scenario(result)),
         ("versions", "Versions", _versions(result, plotly)),
+        ("pages", "Explanations", _documentation(found)),
     ]
     contents = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in parts]
     body = element(
@@ -134,10 +139,10 @@ def _space(seen: Scene) -> Html:
         f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B points down; the "
         "view is upright. "
     )
-    half = max(abs(corner) for corner in seen.corners[:, :2].ravel())
+    width, height = 2 * np.abs(seen.corners[:, :2]).max(axis=0) * seen.pixels_per_metre
     image = element(
         "div",
-        element("p", f"What the camera sees (±{half * seen.pixels_per_metre:.3g} px, y up)"),
+        element("p", f"What the camera sees ({width:.4g} x {height:.4g} px, y up)"),
         Html('<svg id="image" role="img" aria-label="The image at the chosen instant"></svg>'),
         class_="image",
     )
@@ -175,7 +180,7 @@ def _metrics(result: Result) -> Html:
         for name, value in metrics(result).items()
     ]
     columns = (Column("metric"), Column("value"), Column("meaning"))
-    return table_html(Table("Measured at every step of the run", columns, rows, page="docs/model.md"))
+    return table_html(Table("Measured at every step of the run", columns, rows, page=_METRICS_PAGE))
 
 
 def _scenario(result: Result) -> Html:
@@ -195,6 +200,16 @@ def _versions(result: Result, plotly: str) -> Html:
     rows = [("simulated by hexservo", result.version), ("report by hexservo", here.pop("hexservo"))]
     rows += [*here.items(), ("plotly.js", _plotly_version(plotly)), ("seed", str(result.scenario.seed))]
     return table_html(Table("What ran", (Column("part"), Column("version")), rows))
+
+
+def _documentation(found: list[Group]) -> Html:
+    """Give the pages that explain what is shown, closed until a link leads into one."""
+    named = [item.page for group in found for section in group.sections for item in section.items]
+    names = [name for name in dict.fromkeys([*named, _METRICS_PAGE]) if is_page(name)]
+    return Html(
+        paragraphs("The pages of the documentation that this report refers to, of the version that wrote it.")
+        + "".join(page_html(name, names) for name in names)
+    )
 
 
 # ---- What is put inside ---------------------------------------------------------------------------------------------

@@ -30,20 +30,24 @@
     return role in colours ? colours[role] : value;
   }
 
-  function layoutOf(spec, colours, width, height) {
+  function layoutOf(spec, colours, width, height, extra) {
     const layout = painted(spec.layout, colours);
     for (const name of Object.keys(layout).filter((key) => /^[xy]axis\d*$/.test(key))) {
       layout[name] = {
         gridcolor: colours.grid, zerolinecolor: colours.zero, linecolor: colours.zero, automargin: true, nticks: 7,
-        exponentformat: "power", ...layout[name],
+        exponentformat: "power", tickangle: 0, ...layout[name],
       };
+      // As many names as have room beside one another, in the part of the width that the axis takes.
+      const [from, to] = layout[name].domain || [0, 1];
+      const room = name[0] === "x" ? (Math.min(width, layout.maxWidth || width) - 80) * (to - from) : height;
+      layout[name].nticks = Math.max(3, Math.min(layout[name].nticks, Math.floor(room / (name[0] === "x" ? 36 : 30))));
       const title = layout[name].title;
       if (title) layout[name].title = { standoff: 8, ...title, font: { size: 12 } };
     }
     const widest = layout.maxWidth;
     delete layout.maxWidth;
-    const tallest = layout.square ? Math.min(width, widest || width) + 40 : height;
-    delete layout.square;
+    const tallest = layout.aspect ? Math.min(width, widest || width) * layout.aspect + 60 + extra : height;
+    delete layout.aspect;
     return {
       width: Math.min(width, widest || width), height: Math.min(height, tallest), autosize: false, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif", size: 12, color: colours.ink },
@@ -73,9 +77,10 @@
     chart.width = width;
     const data = painted(chart.spec.data, colours);
     // Names of lines take rows of their own where a chart is narrow.
-    const letters = data.filter((trace) => trace.showlegend !== false).reduce((sum, trace) => sum + 7 + (trace.name || "").length, 0);
-    const height = chart.height + 18 * Math.min(6, Math.max(0, Math.floor((7 * letters) / width) - 2));
-    const layout = layoutOf(chart.spec, colours, width, height);
+    const names = data.filter((trace) => trace.showlegend !== false && trace.name).map((trace) => trace.name.length);
+    const across = Math.max(1, Math.floor((width - 70) / (6.2 * Math.max(0, ...names) + 45)));
+    const height = chart.height + 19 * Math.max(0, Math.ceil(names.length / across) - 1);
+    const layout = layoutOf(chart.spec, colours, width, height, height - chart.height);
     chart.box.style.height = `${layout.height}px`;
     const { x, y, z } = data[0] || {}; // a map's contours are drawn from its own cells
     const traces = data.map((trace) => (trace.type === "contour" ? { ...trace, x, y, z } : trace));
@@ -93,6 +98,18 @@
     { rootMargin: "1200px 0px" },
   );
   charts.forEach((chart) => watcher.observe(chart.box));
+
+  // Older browsers do not open a closed page that a link leads into.
+  function openLinked() {
+    const linked = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    const page = linked && linked.closest("details");
+    if (page && !page.open) {
+      page.open = true;
+      linked.scrollIntoView();
+    }
+  }
+  addEventListener("hashchange", openLinked);
+  openLinked();
 
   // ---- The machine in space -----------------------------------------------------------------------------------------
 
@@ -212,7 +229,8 @@
   // What the camera sees: places on the image plane, y up.
   const SVG = "http://www.w3.org/2000/svg";
   const picture = document.getElementById("image");
-  const half = Math.max(...scene.corners.flatMap((corner) => [Math.abs(corner[0]), Math.abs(corner[1])]));
+  const half = Math.max(...scene.corners.map((corner) => Math.abs(corner[0])));
+  const shapeOfImage = Math.max(...scene.corners.map((corner) => Math.abs(corner[1]))) / half; // height to width
   function shape(tag, className, attributes) {
     const made = document.createElementNS(SVG, tag);
     made.setAttribute("class", className);
@@ -220,7 +238,7 @@
     picture.append(made);
     return made;
   }
-  picture.setAttribute("viewBox", "-100 -100 200 200");
+  picture.setAttribute("viewBox", `-100 ${-100 * shapeOfImage} 200 ${200 * shapeOfImage}`);
   const onPicture = (place) => [(100 * place[0]) / half, (-100 * place[1]) / half];
   function walk(point, frames) {
     let text = "";
@@ -230,7 +248,7 @@
     }
     return text;
   }
-  shape("path", "axis", { d: "M-100 0H100M0 -100V100" });
+  shape("path", "axis", { d: `M-100 0H100M0 ${-100 * shapeOfImage}V${100 * shapeOfImage}` });
   const seen = POINTS.map((name, point) => {
     const [x, y] = onPicture(scene.goals[point]);
     shape("rect", name, { x: x - 4, y: y - 4, width: 8, height: 8 });
