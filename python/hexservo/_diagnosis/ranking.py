@@ -96,7 +96,8 @@ def rank(case: Case, record: Record, before: Judgement, tried: Sequence[tuple[Ca
         look = _NEUTRAL if signature.strength is None else signature.strength
         score = trial.cure * (1.0 - discount) * (1.0 - _LOOK * (1.0 - look))
         if key == "leg_limits" and case.goal is not None:  # the legs may also go farther than the goal asks
-            score *= min(1.0, case.goal.leg_travel / trial.record.metrics["peak_leg_excursion"])
+            if (excursion := trial.record.metrics["peak_leg_excursion"]) > 0.0:  # of a single step it may be zero
+                score *= min(1.0, case.goal.leg_travel / excursion)
         trials.append(replace(trial, signature=signature, score=score))
     if "leg_limits" in best:
         reach = _out_of_reach(case, before, best)
