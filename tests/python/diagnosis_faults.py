@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 import hexservo as hs
+from hexservo._parameters import frame_period
 
 KEPT_APART = 5000
 """Seeds below 1000 are for tuning, from this one on for the test alone."""
@@ -417,9 +418,10 @@ def variation(cause: str, seed: int) -> Variation:
     drawn_fault = {name: rule.draw(random) for name, rule in fault.ranges.items()}
     jitter = random.normal(0.0, 1.0, (4, 2))
     start, goal = _task(drawn, fault.base_features, jitter)
-    plain = {"controller.law": law, "simulation.duration": 2.0, "seed": seed, **fixed}
-    baseline = _bare(law, tuple(sorted((key, _frozen(value)) for key, value in plain.items() if key != "seed")))
-    changes = {"seed": seed, "target.initial_features": start.tolist(), "target.desired_features": goal.tolist()}
+    plain = {"controller.law": law, "simulation.duration": 2.0, **fixed}
+    baseline = _bare(law, tuple(sorted((key, _frozen(value)) for key, value in plain.items())))
+    changes: dict[str, Any] = {} if fault.continuous else {"seed": seed}
+    changes |= {"target.initial_features": start.tolist(), "target.desired_features": goal.tolist()}
     changes |= {key: value for key, value in drawn.items() if "." in key}
     changes |= _gains(baseline, law, drawn)
     baseline = baseline.updated(changes)
@@ -506,7 +508,7 @@ def _others(
             changes["camera.period"] = drawn["tick"]
     if "timeout" in drawn:  # of the age that every frame has when the next one comes, were none lost
         camera = baseline.camera
-        age = drawn["timeout"] * (camera.period + camera.latency + camera.latency_jitter)
+        age = drawn["timeout"] * (frame_period(baseline) + camera.latency + camera.latency_jitter)
         changes["camera.timeout"] = round(math.ceil(age / 0.001 - 1e-9) * 0.001, 9)
     if "border" in drawn:
         reach = np.abs(goal.reshape(4, 2)).max(axis=0)

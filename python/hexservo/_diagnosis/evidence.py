@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo._diagnosis.causes import Case
 from hexservo._diagnosis.criterion import THRESHOLD, Judgement, Record
 from hexservo._diagnosis.goal import pixels_per_metre, seen_from_home
+from hexservo._diagnosis.model import Case
 from hexservo._parameters import frame_period
 from hexservo._wording import number
 
