@@ -73,5 +73,6 @@ def _scaled(path: str, block: Any, powers: dict[str, float], rate: float) -> dic
     for name, power in powers.items():
         value = getattr(block, name, None)
         if value is not None and np.any(value):
-            changes[f"{path}.{name}"] = (np.asarray(value, dtype=float) * rate**power).tolist()
+            with np.errstate(over="ignore", under="ignore"):  # what is not finite is refused, and then not tried
+                changes[f"{path}.{name}"] = (np.asarray(value, dtype=float) * rate**power).tolist()
     return changes
