@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper test fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -31,6 +31,7 @@ help:
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
 	make tsan     run the C++ tests under the thread sanitizer
+	make fuzz     random scenarios, ticks, files and kills for SECONDS=60, from SEED= (drawn and printed without one)
 	make format   format the C++ and Python files
 	make clean    remove what the others built (.venv, build, caches), not the results in out
 	The first two install what is missing, Debian packages included, and are quick the second time.
@@ -76,6 +77,12 @@ asan: $(BUILD_TOOLS)
 
 tsan: $(BUILD_TOOLS)
 	@cmake --workflow --preset tsan
+
+# SECONDS is a variable of the shell too, and of no environment; it is make's here.
+fuzz: SECONDS = 60
+fuzz: $(PACKAGE) $(ALL_TOOLS)
+	@cd tests/python
+	nice python -m fuzz --seconds "$(SECONDS)" $(if $(SEED),--seed "$(SEED)") $(foreach name,$(CAMPAIGN),--campaign $(name))
 
 # Google Benchmark is wanted, for the parts of the core, and not needed; APT=no goes without it where it is missing.
 benchmark-setup:

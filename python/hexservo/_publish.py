@@ -93,10 +93,9 @@ def draft_beside(place: Place) -> Iterator[Path]:
             if is_locked:
                 _clear_away(place)
             place.make(draft)
-            descriptor = os.open(draft, os.O_RDONLY)
-            held.callback(os.close, descriptor)
-            with contextlib.suppress(OSError):
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until it is closed, or the process dies
+            opened = _Opened(draft)
+            held.callback(opened.close)
+            opened.lock(fcntl.LOCK_EX | fcntl.LOCK_NB)  # until it is closed, or the process dies
         yield draft
 
 
@@ -246,14 +245,11 @@ def _clear_away(place: Place) -> None:
 
 
 def _is_abandoned(draft: Path) -> bool:
-    descriptor = os.open(draft, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+    opened = _Opened(draft)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
+        return opened.lock(fcntl.LOCK_EX | fcntl.LOCK_NB)
     finally:
-        os.close(descriptor)
-    return True
+        opened.close()
 
 
 class _SignalError(BaseException):
@@ -290,18 +286,48 @@ def signals_raised() -> Iterator[None]:
 # ---- Locks, disks and words -----------------------------------------------------------------------------------------
 
 
+class _Opened:
+    """A file or folder that is open, and with it its lock."""
+
+    def __init__(self, path: Path) -> None:
+        self.descriptor = -1
+        self.descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+
+    def lock(self, flags: int) -> bool:
+        try:
+            fcntl.flock(self.descriptor, flags)
+        except OSError:  # somebody else has it, or the file system has no locks
+            return False
+        return True
+
+    def close(self) -> None:
+        if self.descriptor >= 0:
+            with contextlib.suppress(OSError):
+                fcntl.flock(self.descriptor, fcntl.LOCK_UN)  # first: whatever interrupts the rest, no lock stays
+        descriptor, self.descriptor = self.descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+class _Held(threading.local):
+    """The lock that a thread has: one at most."""
+
+    lock: _Opened | None = None
+
+
+_HELD = _Held()
+
+
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[bool]:
     """Let no other hexservo rename in this folder meanwhile; False where the file system has no locks."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    is_locked = False
+    if _HELD.lock is not None:  # a Ctrl-C came at the very moment of closing: this thread would wait for itself
+        _HELD.lock.close()
+    opened = _HELD.lock = _Opened(Path(os.path.realpath(folder)))
     try:
-        with contextlib.suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-            is_locked = True
-        yield is_locked
+        yield opened.lock(fcntl.LOCK_EX)
     finally:
-        os.close(descriptor)
+        opened.close()
 
 
 def synchronize(path: Path) -> None:

@@ -172,7 +172,7 @@ def _sealed_blocks(file: BinaryIO, place: str, size: int) -> Iterator[bytes]:
     if size > MAX_BYTES:
         raise ResultError(f"{place}: expected a file of at most {MAX_BYTES >> 30} GiB, got {size / (1 << 30):.3g} GiB")
     file.seek(max(size - _END_BYTES, 0))
-    end = _END.search(file.read(_END_BYTES))
+    end = _END.search(file.read(_END_BYTES) or b"")  # None: a file of the system that has nothing now
     file.seek(0)
     if end is None:
         raise ResultError(f"{place}: {_unsealed(file.read(len(_HDF5)) == _HDF5)}")

@@ -235,7 +235,7 @@ def dump_yaml(value: Mapping[str, Any]) -> str:
 def _content(path: str | os.PathLike[str]) -> bytes:
     """Return the bytes of a regular file, at most MAX_BYTES + 1."""
     with open_regular(path) as file:
-        return file.read(MAX_BYTES + 1)
+        return file.read(MAX_BYTES + 1) or b""  # None: a file of the system that has nothing now
 
 
 def _value(node: yaml.Node) -> Plain:

@@ -386,4 +386,4 @@ def test_the_data_are_the_numbers_of_the_findings(paper: hs.Scenario, found: sti
     assert data["cases"][0]["largest_error"] == ends.largest
     assert data["cases"][0]["angle_at_focal_length"] == pytest.approx(ends.largest / f)
     assert f"up to {number(ends.largest)} px in a coordinate" in found.section().sentences[0]
-    assert f"{number(1e6 * ends.largest / f)} urad" in found.section().sentences[0]
+    assert f"{number(1e3 * ends.largest / f)} mrad" in found.section().sentences[0]

@@ -15,6 +15,7 @@ from hexservo._certificate.base import _from_means
 from hexservo._certificate.energy import COARSE, EnergyLedger, energy_ledger
 from hexservo._certificate.replay import Plant, replay, replay_of
 from hexservo._evidence import Curves, Table
+from hexservo._wording import joules
 
 Array = NDArray[np.float64]
 
@@ -100,7 +101,7 @@ def test_what_a_hold_injects_is_its_sum_over_the_ticks(paper: hs.Scenario) -> No
     assert injected > 0
     assert ledger.closes
     section = ledger.section()
-    assert f"put {injected * 1e6:.4g} uJ into the platform" in " ".join(section.sentences)
+    assert f"put {joules(injected)} into the platform" in " ".join(section.sentences)
 
 
 def test_a_base_that_shakes_does_its_work(paper: hs.Scenario) -> None:

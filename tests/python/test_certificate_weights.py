@@ -91,6 +91,16 @@ def test_ties_go_to_the_smallest_norm() -> None:
     np.testing.assert_allclose(best.weights, [1.0, 1.0, 2.0], rtol=1e-7)
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e-300, 5e-324, 1e300])
+def test_a_limit_far_beyond_the_target_is_none(scale: float) -> None:
+    """The program is stated in units of the target, in which such a limit would not be finite."""
+    random = np.random.default_rng(0)
+    basis, target = random.uniform(size=(9, 3)), scale * random.choice([-1.0, 1.0], size=9)
+    bounded, free = best_weights(basis, target, limit=1.7e308), best_weights(basis, target)
+    assert (bounded.limit, bounded.limited) == (free.limit, free.limited)
+    np.testing.assert_array_equal(bounded.weights, free.weights)
+
+
 def test_the_limit_of_the_weights_is_kept_and_priced() -> None:
     best = best_weights(np.full((3, 1), 0.1), np.ones(3), limit=5.0)
     np.testing.assert_allclose(best.weights, [5.0], rtol=1e-5)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from types import FrameType
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import hexservo as hs
-from hexservo._result import Outcome
+from fuzz.promises import check
 from widths import WIDTHS
 
 INF, NAN = math.inf, math.nan
@@ -415,38 +415,6 @@ def test_metrics_and_events_do_not_depend_on_what_is_logged(name: str, log_every
 
 
 # ---- Anything at all ------------------------------------------------------------------------------------------------
-
-
-def check(result: hs.Result) -> None:
-    """What every result promises, however the run ended."""
-    assert result.outcome in get_args(Outcome)
-    n = len(result.time)
-    assert n >= 1
-    assert result.time.shape == (n,)
-    assert result.time[0] == 0.0
-    assert np.all(np.diff(result.time) > 0)
-    assert result.end_time == result.time[-1]
-    for name, width in WIDTHS.items():
-        array = getattr(result, name)
-        assert array.shape == (n, width), name
-        assert np.isfinite(array).all(), name
-    assert result.fuzzy_weights.shape == (6, 7, 7)
-    assert np.isfinite(result.fuzzy_weights).all()
-    np.testing.assert_allclose(np.linalg.norm(result.quaternion, axis=1), 1.0, rtol=0, atol=4 * 2.0**-52)
-    assert np.all(result.depth < 0)
-    simulation = result.scenario.simulation
-    if result.outcome == "completed":
-        assert result.end_time == pytest.approx(simulation.duration, rel=1e-9)
-    else:
-        assert result.end_time < simulation.duration
-    metrics = hs.metrics(result)
-    may_be_nan = {"settling_time", "rms_error", *(("chatter",) if result.end_time == 0 else ())}  # a rate needs a time
-    for name, value in metrics.items():
-        assert math.isfinite(value) or (math.isnan(value) and name in may_be_nan), (name, value)
-    assert metrics["final_error"] == np.abs(result.feature_error[-1]).max()
-    for event in result.events:
-        assert 0 <= event.time <= result.end_time
-        assert event.peak > event.limit
 
 
 def decades(low: float, high: float) -> st.SearchStrategy[float]:

@@ -62,8 +62,9 @@ def best_weights(basis: Array, target: Array, limit: float | None = None, *, sma
     target
         (n,).
     limit
-        Largest absolute weight, in units of the target; None: `LIMIT` times the largest absolute target. Without one
-        the program has no solution in floating-point numbers where columns of the basis are nearly dependent.
+        Largest absolute weight, in units of the target; None, or a larger number: `LIMIT` times the largest absolute
+        target. Without one the program has no solution in floating-point numbers where columns of the basis are nearly
+        dependent.
     smallest
         False leaves out the second program: any weights of smallest error will do.
 
@@ -79,12 +80,13 @@ def best_weights(basis: Array, target: Array, limit: float | None = None, *, sma
     if not (np.isfinite(basis).all() and np.isfinite(target).all()):
         raise ValueError("basis: expected finite numbers, and so of the target, got others")
     scale = float(np.abs(target).max())
-    largest = LIMIT * scale if limit is None else float(limit)
-    if limit is not None and not largest > 0:
+    if limit is not None and not limit > 0:
         raise ValueError(f"limit: expected a number > 0, got {limit!r}")
+    relative = LIMIT if limit is None or limit > LIMIT * scale else float(limit) / scale if scale > 0.0 else 0.0
+    largest = relative * scale
     if scale == 0.0:  # nothing to approximate
         return BestWeights(np.zeros(basis.shape[1]), 0.0, 0.0, largest, limited=False)
-    problem = _Problem(np.ascontiguousarray(basis), target / scale, largest / scale)
+    problem = _Problem(np.ascontiguousarray(basis), target / scale, relative)
     weights, dual = problem.closest()
     if smallest:
         weights = problem.smallest(weights)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo._diagnosis.causes import Case
 from hexservo._diagnosis.criterion import THRESHOLD, Judgement, Record
 from hexservo._diagnosis.goal import pixels_per_metre, seen_from_home
+from hexservo._diagnosis.model import Case
 from hexservo._parameters import frame_period
 from hexservo._wording import number
 
@@ -108,8 +109,8 @@ def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
     if law not in ("hybrid", "composite"):
         return Signature(0.0, "")
     scale = np.repeat([1.0, 1.0 / case.scenario.robot.platform_radius], 3)
-    held = float(np.linalg.norm(scale * record.samples["fuzzy_output"][-1]))
-    friction = float(np.linalg.norm(scale * np.broadcast_to(getattr(case.scenario.controller, law).kv, 6)))
+    held = math.hypot(*(scale * record.samples["fuzzy_output"][-1]))  # no square of it overflows
+    friction = math.hypot(*(scale * np.broadcast_to(getattr(case.scenario.controller, law).kv, 6)))
     sentence = (
         f"At the end the fuzzy systems hold {number(held)} N against {friction:.3g} N of K_v (moments by the radius)."
     )

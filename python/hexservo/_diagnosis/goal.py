@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
+from hexservo._analysis._goal import find_goals
 from hexservo._analysis._scene import scene_of
-from hexservo._diagnosis.criterion import Record
+from hexservo._analysis.reach import reach_of_start_and_goal
+from hexservo._diagnosis.criterion import THRESHOLD, Record
 from hexservo._diagnosis.runs import Run
 from hexservo._scenario import Scenario, sampled_keys
 
-__all__ = ["Goal", "goal_of", "goal_run", "pixels_per_metre", "spread_target"]
+__all__ = ["Goal", "Obstacle", "goal_of", "goal_run", "obstacle_of", "pixels_per_metre", "spread_target"]
 
 Array = NDArray[np.float64]
 
@@ -30,6 +32,35 @@ class Goal:
     position: Array  # (3,) [m], in B
     quaternion: Array  # (4,) w x y z
     leg_travel: float  # of the leg that has to go farthest from its length at home [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """Why no law can reach the goal of a scenario."""
+
+    kind: Literal["stroke", "image"]  # legs do not reach a pose that shows it; no pose shows it
+    leg_travel: float  # of the leg that would have to go farthest [m]
+    residual: float  # largest error of a feature at the best pose [px]
+    nearest_image: Array  # (8,) [px], what the best pose shows
+
+
+def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
+    """Ask of the goal's image and of the legs' stroke whether the goal can be reached at all (`_analysis`).
+
+    None where it can, and for a camera as printed, whose goal has no pose.
+    """
+    if scenario.camera.convention != "eye_in_hand" or (goal is not None and goal.leg_travel <= scenario.robot.stroke):
+        return None
+    found = reach_of_start_and_goal(scenario)
+    if found.goal is None or found.nearest is None:
+        return None
+    travel = min(abs(found.goal.travel), abs(found.nearest.travel))
+    goals = find_goals(scene_of(scenario))
+    assert goals is not None  # as `found.goal` is not
+    image = goals.best.view.features
+    if found.residual > THRESHOLD:
+        return Obstacle("image", travel, found.residual, image)
+    return None if found.goal_within else Obstacle("stroke", travel, found.residual, image)
 
 
 def goal_run(scenario: Scenario) -> Run:

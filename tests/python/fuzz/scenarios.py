@@ -1,0 +1,294 @@
+"""Random scenarios: every key of the schema, within its bounds and at them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, get_args
+
+import numpy as np
+from numpy.random import Generator
+
+import hexservo as hs
+from hexservo import _scenario
+
+__all__ = ["Drawn", "draw", "inclusive_bounds", "rules"]
+
+EXTREMES = (5e-324, 1e-300, 1e-150, 1e-30, 1e30, 1e150, 1e300, 1.7e308)
+TEXTS = ("paper", "0", "a.b-c_d", "Ä1", "x" * 60, "-x", "", "x.", "a b", "日本")
+LINES = ("", "ξ and 'quotes': #", "x" * 200, "x" * 201, "two\nlines", "null")
+GRID = ("simulation.step", "simulation.duration", "simulation.substeps", "simulation.mode")
+IN_STEPS = {  # what is a whole number of servo periods: most of them that are drawn
+    "camera.period": 40,
+    "camera.latency": 20,
+    "camera.latency_jitter": 5,
+    "sensors.period": 10,
+    "actuators.delay": 8,
+}
+
+
+@dataclass
+class Drawn:
+    """What was drawn: the changes, and the scenario, or why there is none."""
+
+    changes: dict[str, Any]
+    scenario: hs.Scenario | None = None
+    refusal: str = ""
+    at_bounds: set[tuple[str, float]] = field(default_factory=set)
+
+
+@cache
+def rules() -> dict[str, _scenario._Rule]:
+    """Give all keys of a scenario that hold a value, with their rules."""
+    return dict(_scenario._rules(hs.Scenario))
+
+
+def inclusive_bounds(rule: _scenario._Rule) -> list[float]:
+    """Give the bounds that a value may have."""
+    if isinstance(rule, _scenario._Array):
+        return inclusive_bounds(rule.element)
+    if isinstance(rule, _scenario._Number | _scenario._Integer):
+        return [bound for bound in (rule.at_least, rule.at_most) if bound is not None]
+    return []
+
+
+def draw(
+    random: Generator,
+    *,
+    steps: int = 120,
+    budget: int = 4000,
+    million: bool = True,
+    at: tuple[str, float] | None = None,
+) -> Drawn:
+    """Draw a scenario: a packaged one on another grid, with some keys changed.
+
+    Parameters
+    ----------
+    random
+        Decides everything.
+    steps
+        Most steps of the simulation.
+    budget
+        Most Runge-Kutta steps.
+    at
+        A key and a bound of it that it shall have.
+    million
+        Whether one scenario in 100 has the most substeps there are, a million.
+    """
+    base = hs.load_scenario(_one(random, hs.scenario_names()))
+    changes = _grid(random, base, steps, budget, million)
+    drawn = Drawn(changes)
+    is_sampled = changes["simulation.mode"] == "sampled"
+    if not is_sampled:
+        changes |= {key: _plain(value) for key, value in _scenario.sampled_keys().items()}
+    elif random.random() < 0.9:
+        changes |= _clocks(random, changes["simulation.step"])
+    open_keys = [
+        key
+        for key in rules()
+        if key not in (*GRID, "base_motion.file", "controller.law")
+        and (is_sampled or key not in _scenario.sampled_keys())
+    ]
+    law = _one(random, _scenario.LAWS) if random.random() < 0.5 else base.controller.law
+    changes["controller.law"] = law
+    others = tuple(f"controller.{name}." for name in _scenario.LAWS if name != law)
+    mattering = [key for key in open_keys if not key.startswith(others)]
+    if at is not None:
+        _set_bound(random, drawn, base, *at)
+    for _ in range(int(random.geometric(0.3)) if at is None else 0):
+        key = _one(random, mattering if random.random() < 0.8 else open_keys)
+        if key in IN_STEPS and random.random() < 0.9:
+            continue  # drawn with the other times
+        if random.random() < 0.4 and (bounds := inclusive_bounds(rules()[key])):
+            _set_bound(random, drawn, base, key, _one(random, bounds))
+        else:
+            changes[key] = _value(random, key, _current(base, key))
+    _repair(random, changes, base)
+    try:
+        drawn.scenario = base.updated(changes)
+    except hs.ScenarioError as error:
+        drawn.refusal = str(error)
+    return drawn
+
+
+def _set_bound(random: Generator, drawn: Drawn, base: hs.Scenario, key: str, bound: float) -> None:
+    """Put a value, or one entry of an array that is never a number, at a bound."""
+    rule = rules()[key]
+    value: Any = int(bound) if isinstance(rule, _scenario._Integer) else bound
+    if isinstance(rule, _scenario._Array) and not rule.or_number:
+        entries = np.array(_current(base, key), dtype=float)
+        if entries.shape != rule.shape:
+            return
+        entries.flat[random.integers(entries.size)] = bound
+        value = entries.tolist()
+    if key == "simulation.substeps":  # the costly one: a single step
+        drawn.changes |= {"simulation.mode": "sampled", "simulation.duration": drawn.changes["simulation.step"]}
+        drawn.changes |= _clocks(random, drawn.changes["simulation.step"])
+    elif key in _scenario.sampled_keys():
+        drawn.changes["simulation.mode"] = "sampled"
+    if key == "camera.image_size":
+        return
+    drawn.changes[key] = value
+    drawn.at_bounds.add((key, bound))
+
+
+# ---- What belongs together ------------------------------------------------------------------------------------------
+
+
+def _grid(random: Generator, base: hs.Scenario, steps: int, budget: int, million: bool) -> dict[str, Any]:
+    step = float(_one(random, [1e-3, 1e-3, 2e-3, 10.0 ** random.uniform(-5, -1.5)]))
+    count = int(_one(random, [1, 2, int(random.integers(1, steps + 1)), steps]))
+    substeps = (
+        10**6 if random.random() < 0.01 and million else int(_one(random, [1, 1, 2, 4, int(random.integers(1, 20))]))
+    )
+    if substeps == 10**6:
+        count = 1
+    elif count * substeps > budget:
+        substeps = 1
+    mode = "sampled" if random.random() < 0.6 else "continuous"
+    return {
+        "simulation.mode": mode,
+        "simulation.step": step,
+        "simulation.duration": count * step,
+        "simulation.log_every": int(_one(random, [1, 1, 7, 10**9])),
+        "simulation.substeps": substeps if mode == "sampled" else 1,
+    }
+
+
+def _clocks(random: Generator, step: float) -> dict[str, Any]:
+    """Draw times that are whole numbers of servo periods, with a timeout that allows them."""
+    ticks = {key: int(_one(random, [0, 1, int(random.integers(0, most + 1)), most])) for key, most in IN_STEPS.items()}
+    times: dict[str, Any] = {key: count * step for key, count in ticks.items()}
+    times["camera.period"] = max(ticks["camera.period"], 1) * step
+    times["sensors.period"] = times["sensors.period"] or None
+    oldest = max(ticks["camera.period"], 1) + ticks["camera.latency"] + ticks["camera.latency_jitter"]
+    times["camera.timeout"] = _one(random, [None, (oldest + int(random.integers(0, 30))) * step])
+    finest = 0.5 / step
+    times["base_motion.frequency"] = finest * float(_one(random, [0.0, 0.999, random.random()]))
+    times["base_motion.high_frequency"] = finest * float(_one(random, [0.999, random.uniform(0.1, 1)]))
+    times["base_motion.low_frequency"] = times["base_motion.high_frequency"] * random.uniform(0, 0.9)
+    return times
+
+
+def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> None:
+    """Give what is in pairs both of them, mostly: the rest of the draws is there to be refused in words."""
+    if random.random() < 0.05:
+        return
+    if (changes.get("base_motion.samples") is None) != (changes.get("base_motion.sample_period") is None):
+        changes["base_motion.samples"] = random.normal(size=(int(random.integers(2, 50)), 3)).tolist()
+        changes["base_motion.sample_period"] = 10.0 ** random.uniform(-4, 0)
+    if changes.get("base_motion.kind") == "recorded" and changes.get("base_motion.samples") is None:
+        changes["base_motion.samples"] = random.normal(size=(20, 3)).tolist()
+        changes["base_motion.sample_period"] = 0.01
+    if changes.get("target.points") is not None:
+        changes |= {"target.initial_features": None, "target.depth": None}
+    elif changes.get("target.initial_features") is not None:
+        changes["target.points"] = None
+    switching = changes.get("controller.switching.kind", base.controller.switching.kind)
+    if str(switching).startswith("implicit") and changes["simulation.mode"] != "sampled":
+        changes["controller.switching.kind"] = "tanh"
+
+
+# ---- One value ------------------------------------------------------------------------------------------------------
+
+
+def _value(random: Generator, key: str, current: Any) -> Any:
+    """Draw a value for a key; most of them are legal."""
+    rule = rules()[key]
+    if isinstance(rule, _scenario._Number):
+        if isinstance(rule, _scenario._OptionalNumber) and random.random() < 0.2:
+            return None
+        return _number(random, rule, current if isinstance(current, float) else 0.0)
+    if isinstance(rule, _scenario._SamplePeriod):
+        return _one(random, [None, 10.0 ** random.uniform(-4, 0)])
+    if isinstance(rule, _scenario._Samples):
+        return _one(random, [None, random.normal(size=(int(random.integers(2, 50)), 3)).tolist()])
+    if isinstance(rule, _scenario._Array):
+        return _array(random, rule, current)
+    if isinstance(rule, _scenario._Inertia):
+        return _inertia(random, 10.0 ** random.uniform(-7, 1) if random.random() < 0.3 else 3e-4)
+    if isinstance(rule, _scenario._Table):
+        table = random.uniform(-1, 1, (7, 7)).tolist()
+        return _one(random, ["linear", table, np.full((7, 7), _one(random, ["NB", "ZE", "PB"])).tolist()])
+    if isinstance(rule, _scenario._Integer):
+        return int(_one(random, [rule.at_least, rule.at_most, _integer(random, rule.at_least, rule.at_most)]))
+    if isinstance(rule, _scenario._Flag):
+        return bool(random.random() < 0.5)
+    if isinstance(rule, _scenario._Choice):
+        return _one(random, [*(rule.choices or _words()[key]), *[None] * rule.or_null])
+    if isinstance(rule, _scenario._TrueOr):
+        return _one(random, [True, rule.name])
+    if isinstance(rule, _scenario._Name):
+        return _one(random, TEXTS)
+    if isinstance(rule, _scenario._Line):
+        return _one(random, LINES)
+    raise NotImplementedError(f"the fuzzer knows no values of a {type(rule).__name__}")
+
+
+@cache
+def _words() -> dict[str, tuple[str, ...]]:
+    """Give the words of the keys that have them as their type."""
+    return {path: get_args(info.annotation) for path, info, _ in _scenario._leaves(hs.Scenario)}
+
+
+def _number(random: Generator, rule: _scenario._Number, current: float) -> float:
+    lowest = rule.at_least if rule.at_least is not None else rule.above
+    highest = rule.at_most if rule.at_most is not None else rule.below
+    kind = random.random()
+    if kind < 0.5 and current != 0.0:
+        value = current * 10.0 ** random.normal(0, 0.5)
+    elif kind < 0.6:
+        value = float(_one(random, EXTREMES))
+    elif lowest is not None and highest is not None:
+        value = random.uniform(lowest, highest)
+    else:
+        value = 10.0 ** random.uniform(-9, 6)
+    if lowest is None and random.random() < 0.5:
+        value = -value
+    low = -math.inf if lowest is None else lowest if rule.at_least is not None else math.nextafter(lowest, math.inf)
+    high = math.inf if highest is None else highest if rule.at_most is not None else math.nextafter(highest, -math.inf)
+    return float(min(max(value, low), high))
+
+
+def _array(random: Generator, rule: _scenario._Array, current: Any) -> Any:
+    if rule.or_null and random.random() < 0.2:
+        return None
+    if rule.or_number and random.random() < 0.5:
+        return _number(random, rule.element, current if isinstance(current, float) else 0.0)
+    near = np.broadcast_to(0.0 if current is None else np.asarray(current, dtype=float), rule.shape)
+    if random.random() < 0.6 and np.any(near):  # all of them somewhat different
+        scale = 10.0 ** random.uniform(-6, 0)
+        values = near * (1 + scale * random.uniform(-1, 1, rule.shape))
+        if rule.shape == (6, 6):
+            values = (values + values.T) / 2
+        return values.tolist()
+    return np.reshape([_number(random, rule.element, float(item)) for item in near.flat], rule.shape).tolist()
+
+
+def _inertia(random: Generator, moment: float) -> Any:
+    """Draw the inertia of a body: of points, of a flat disc, which is at the border, or a diagonal."""
+    if random.random() < 0.3:
+        return [moment, moment, 2 * moment]
+    points = random.normal(size=(int(random.integers(3, 8)), 3))
+    inertia = sum(np.dot(p, p) * np.eye(3) - np.outer(p, p) for p in points)
+    return (moment / np.trace(inertia) * inertia).tolist()
+
+
+def _integer(random: Generator, low: int, high: int) -> int:
+    return low + int((high - low) * 10.0 ** random.uniform(-6, 0) * random.random())
+
+
+def _current(base: hs.Scenario, key: str) -> Any:
+    value: Any = base
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def _one(random: Generator, items: Any) -> Any:
+    return items[int(random.integers(len(items)))]
+
+
+def _plain(value: Any) -> Any:
+    return _scenario._plain(value)
