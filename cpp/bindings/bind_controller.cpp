@@ -64,9 +64,9 @@ Vector<double, N> numbers_or_none(const char* name, const py::object& value) {
   return numbers<N>(name, value);
 }
 
-py::tuple step_once(Controller& controller, double now, double exposure, const py::object& features,
-                    const py::object& depth, const py::object& position, const py::object& quaternion,
-                    const py::object& twist, const py::object& leg_lengths, const py::object& leg_rates) {
+py::tuple step_once(Controller& controller, const py::object& features, const py::object& depth,
+                    const py::object& position, const py::object& quaternion, const py::object& twist,
+                    const py::object& leg_lengths, const py::object& leg_rates, double exposure, double now) {
   const ControllerInput input{
       now,
       {exposure, {numbers_or_none<2 * kPoints>("features", features), numbers_or_none<kPoints>("depth", depth)}},
@@ -93,8 +93,9 @@ void bind_controller(py::module_& m) {
     controller.def(py::init<const Settings<Law>&, double>(), py::arg("settings"), py::arg("period"), text);
   });
   controller
-      .def("step", &step_once, py::arg("now"), py::arg("exposure"), py::arg("features"), py::arg("depth"),
-           py::arg("position"), py::arg("quaternion"), py::arg("twist"), py::arg("leg_lengths"), py::arg("leg_rates"),
+      .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
+           py::arg("twist"), py::arg("leg_lengths") = py::none(), py::arg("leg_rates") = py::none(),
+           py::arg("exposure") = 0.0, py::arg("now") = 0.0,
            "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input, whether it is saturated.")
       .def(
           "reset", [](Controller& controller) { controller.visit([](auto& c) { c.state = initial_state(c.gains); }); },

@@ -143,7 +143,7 @@ class Controller:
         time = self._next if now is None else now
         exposed = np.nan if features is None else time if exposure is None else exposure
         wrench, leg_forces, fuzzy_output, status, saturated = self._core.step(
-            time, exposed, features, depth, position, quaternion, twist, leg_lengths, leg_rates
+            features, depth, position, quaternion, twist, leg_lengths, leg_rates, exposed, time
         )
         if np.isfinite(time):
             self._next = time + self.period

@@ -724,21 +724,23 @@ class Kernel(metaclass=_PybindType):
     def flags(self) -> str: ...
     def fma_peak(self, seconds: float = 0.1) -> float: ...
 
+def recorded_ticks(settings: _Settings) -> dict[str, _Array]: ...
+
 class Controller(metaclass=_PybindType):
     """The servo tick of a law, with its state."""
 
     def __init__(self, settings: _Settings, period: float) -> None: ...
     def step(
         self,
-        now: float,
-        exposure: float,
         features: object,
         depth: object,
         position: object,
         quaternion: object,
         twist: object,
-        leg_lengths: object,
-        leg_rates: object,
+        leg_lengths: object = None,
+        leg_rates: object = None,
+        exposure: float = 0.0,
+        now: float = 0.0,
     ) -> tuple[_Array, _Array, _Array, InputStatus, bool]: ...
     def reset(self) -> None: ...
     @property

@@ -34,7 +34,7 @@ _ROBOT = {
 }
 _CAMERA = {"camera.focal_length": "m", "camera.pixel_scale": "px/m", "convention": "", "jacobian": ""}
 _SEEN_FROM_HOME = {"target.initial_features": "px", "target.depth": "m"}
-_GOAL = {"target.desired_features": "px", "uncertainty.depth": "1"}  # the controller's depths, in parts of the true ones
+_GOAL = {"target.desired_features": "px", "uncertainty.depth": "1"}  # the controller's own depths
 _SWITCHING = {"switching.kind": "", "switching.width": "m/s; rad/s"}
 _SENSORS = {
     "simulation.mode": "",
@@ -153,7 +153,7 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
         "/// T_c, time between two ticks [s].",
         f"inline constexpr double period = {period!r};",
         "",
-        "/// Robot, camera, sensors, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.",
+        "/// Robot, camera, sensors, goal and gains; vectors of six: forces x y z, then moments x y z.",
         "inline hexservo::Settings<Law> settings() {",
         "  hexservo::Settings<Law> s;",
     ]

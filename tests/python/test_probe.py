@@ -139,14 +139,12 @@ def test_the_law_is_that_of_a_servo_tick(paper: hs.Scenario, law: str, kind: str
         }
         | ({f"controller.{law}.fuzzy.initial_scale": 0.01} if law in FUZZY_LAWS else {})
     )
-    if law == "pbvs":  # a controller by itself knows no errors of depth, from which this law's points follow
-        scenario = scenario.updated({"uncertainty.depth": 0.0})
     at = believed(scenario, states(scenario))
     given = probe(scenario).law(**at)
     controller = _core.Controller(core_parameters(scenario), period)
     for i in range(40):
         controller.reset()
-        wrench, _, fuzzy_output, status = controller.step(**{name: values[i] for name, values in at.items()})
+        wrench, _, fuzzy_output, status, _ = controller.step(**{name: values[i] for name, values in at.items()})
         assert status is _core.InputStatus.valid
         np.testing.assert_array_equal(given.wrench[i], wrench)
         np.testing.assert_array_equal(given.fuzzy_output[i], fuzzy_output)

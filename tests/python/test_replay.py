@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -19,8 +20,15 @@ from hexservo._scenario import LAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 GIVEN = {
-    **{"now": 1, "exposure": 1, "features": 8, "depth": 4, "position": 3, "quaternion": 4},
-    **{"twist": 6, "leg_lengths": 6, "leg_rates": 6},
+    "now": 1,
+    "exposure": 1,
+    "features": 8,
+    "depth": 4,
+    "position": 3,
+    "quaternion": 4,
+    "twist": 6,
+    "leg_lengths": 6,
+    "leg_rates": 6,
 }
 ANSWERED = {"wrench": 6, "leg_forces": 6, "fuzzy_output": 6, "status": 1, "saturated": 1}
 
@@ -74,10 +82,8 @@ def sampled_scenarios() -> Iterator[hs.Scenario]:
         if scenario.simulation.mode != "sampled":
             continue
         for law in LAWS:
-            try:
+            with contextlib.suppress(hs.ScenarioError):  # a law may have no pose of the goal
                 yield scenario.updated({"name": f"{name}-{law}", "controller.law": law})
-            except hs.ScenarioError:
-                assert law != scenario.controller.law  # another law may have no pose of the goal
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +123,9 @@ pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++, 
 
 def test_an_exported_program_answers_as_the_simulated_controller_did(tmp_path: Path, library: Path) -> None:
     scenarios = list(sampled_scenarios())
-    assert {scenario.controller.law for scenario in scenarios} == set(LAWS)
+    sampled = [name for name in hs.scenario_names() if hs.load_scenario(name).simulation.mode == "sampled"]
+    assert len(scenarios) >= 0.9 * len(sampled) * len(LAWS)
+    assert {f"{name}-{hs.load_scenario(name).controller.law}" for name in sampled} <= {s.name for s in scenarios}
     headers, cases = [], []
     for index, scenario in enumerate(scenarios):
         text = gains_header(scenario)

@@ -89,7 +89,10 @@ class _Tick:
             else:
                 gains: Any = settings.gains
                 gains.kv = np.zeros(6)
+        mode = settings.simulation.mode
+        settings.simulation.mode = _core.LoopMode.continuous  # a frame and a pose at every tick: `image` delays them
         self.core = _core.Controller(settings, scenario.simulation.step)
+        settings.simulation.mode = mode
         self.weights = weights
         self.probe = _core.Probe(settings)
 
@@ -116,7 +119,7 @@ class _Tick:
     def step(self, frame: Array, pose: Poses, twist: Array) -> tuple[Array, Array]:
         """Wrench and fuzzy output of a tick."""
         features, depth = self.image(frame, pose)
-        wrench, _, fuzzy, status = self.core.step(features, depth, pose.position, pose.quaternion, twist)
+        wrench, _, fuzzy, status, _ = self.core.step(features, depth, pose.position, pose.quaternion, twist)
         if status != _core.InputStatus.valid:
             raise NoRestError(f"the law cannot be evaluated near its goal ({status.name})")
         return wrench, fuzzy

@@ -101,7 +101,6 @@ _ARGUMENTS = {
     "position": 3,
     "quaternion": 4,
     "twist": 6,
-    "image_age": 0,
     "exposure": 0,
     "now": 0,
     "leg_lengths": 6,
