@@ -19,7 +19,7 @@ using Law = hexservo::Hybrid;
 /// T_c, time between two ticks [s].
 inline constexpr double period = 0.001;
 
-/// Robot, camera, sensors, goal and gains; fuzzy systems and vectors of six: forces x y z, then moments x y z.
+/// Robot, camera, sensors, goal and gains; vectors of six: forces x y z, then moments x y z.
 inline hexservo::Settings<Law> settings() {
   hexservo::Settings<Law> s;
   s.robot.platform_radius = 0.1;  // [m]

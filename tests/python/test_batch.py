@@ -45,6 +45,26 @@ def assert_same(
         np.testing.assert_allclose(values[index], last, rtol=0, atol=tolerance * size, err_msg=name)
 
 
+def assert_within_rounding(batch: hs.BatchResult, index: int, single: hs.Result, floor: float) -> None:
+    """Compare with what one or two units in the last place of focal length or pixel scale change in the single run.
+
+    An estimate of a pose compares sums of squares, and so knows the pose to the root of rounding where the image is not
+    exactly that of the target. How far a loop carries that is what runs with other roundings show.
+    """
+    others = []
+    for key in ("focal_length", "pixel_scale"):
+        value = getattr(single.scenario.camera, key)
+        for ulps in (-2, -1, 1, 2):
+            moved = single.scenario.updated({f"camera.{key}": value + ulps * float(np.spacing(value))})
+            others.append(hs.metrics(hs.simulate(moved)))
+    assert batch.outcome[index] == single.outcome
+    for name, value in hs.metrics(single).items():
+        spread = max(abs(other[name] - value) for other in others)
+        got = float(batch.metrics[name][index])
+        allowed = max(30.0 * spread, floor, 1e-9 * abs(value))  # a tick rounds some thousand times
+        assert (np.isnan(got) and np.isnan(value)) or abs(got - value) <= allowed, (name, got, value, spread)
+
+
 SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
     "seed": [0.0, 1.0, 2.0],
     "camera.period": [0.005, 0.004, 0.002],
@@ -56,7 +76,7 @@ SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
     "camera.dropout": [0.2, 0.5, 0.0],
     "camera.outlier_probability": [0.2, 0.5, 0.0],
     "camera.outlier_size": [1.0, 2.0, 0.0],
-    "camera.image_size": [[132.0, 131.0], [140.0, 140.0], [131.0, 500.0]],
+    "camera.image_size": [[132.0, 131.0], [160.0, 160.0], [131.0, 500.0]],
     "sensors.resolution": [1e-6, 1e-5, 0.0],
     "sensors.noise": [1e-6, 2e-6, 0.0],
     "sensors.period": [0.002, 0.001, 0.005],
@@ -70,6 +90,8 @@ SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
     "base_motion.low_frequency": [1.0, 2.0, 0.0],
     "base_motion.high_frequency": [10.0, 20.0, 30.0],
     "simulation.substeps": [1.0, 2.0, 3.0],
+    "controller.safe.damping": [1e-3, 2e-3, 0.0],
+    "controller.safe.hold": [1e-2, 2e-2, 0.0],
 }
 NOISE_OF_THE_BASE = ("base_motion.level", "base_motion.low_frequency", "base_motion.high_frequency")
 
@@ -111,7 +133,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
             "simulation.log_every": [1.0, 2.0, 3.0],
             "controller.hybrid.fuzzy.bell_slope": [1.0, 1.5, 0.75],
             "controller.composite.fuzzy.bell_slope": [1.0, 1.5, 0.75],
-            "metrics.band": [1.0, 10.0, 20.0],
+            "metrics.band": [1.0, 20.0, 10.0],
             "metrics.rms_start": [1.0, 0.01, 0.05],
         }.get(key, [1.0, 1.01, 0.98])
         rows = np.stack([base * step for step in steps])
@@ -122,7 +144,9 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
             rows[1], rows[2] = 0.01, 0.02
         elif not rows.any():  # relative errors and initial scales that are zero
             rows[1], rows[2] = 0.01, -0.02
-        if key == "target.initial_features" or key == "target.desired_features":
+        if key == "target.initial_features":
+            rows[1] += np.tile([1.0, 2.0], 4)  # a goal that a pose has, which `pbvs` wants
+        if key == "target.desired_features":
             rows[1] += np.arange(8)
         arrays.append(rows)
     return arrays
@@ -132,8 +156,11 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
 def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.Scenario, law: str, key: str) -> None:
     base = smooth = (sampled if key in SAMPLED_ROWS else smooth).updated({"controller.law": law})
     if key == "target.points":
+        points = rows_of(smooth, key)[0][0]
+        rays = points - smooth.robot.home_position
+        goal = -smooth.camera.focal_length * smooth.camera.pixel_scale * rays[:, :2] / rays[:, 2:] + [-20.0, -8.0]
         base = smooth.updated(
-            {"target": {"initial_features": None, "depth": None, "points": rows_of(smooth, key)[0][0]}}
+            {"target": {"initial_features": None, "depth": None, "points": points, "desired_features": goal.ravel()}}
         )
     if key in NOISE_OF_THE_BASE:
         base = base.updated({"base_motion.kind": "noise"})
@@ -155,7 +182,11 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         assert len(batch) == 3
         for index, row in enumerate(rows):
             value = int(row) if key in ("seed", "simulation.log_every", "simulation.substeps") else row.tolist()
-            assert_same(batch, index, hs.simulate(base.updated({key: value})), tolerance, floor)
+            single = hs.simulate(base.updated({key: value}))
+            if law == "pbvs":
+                assert_within_rounding(batch, index, single, floor)
+            else:
+                assert_same(batch, index, single, tolerance, floor)
         everything = np.column_stack(
             [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
         )

@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from hexservo import cli
+from hexservo import _core, _publish, cli
 from hexservo._export import gains_header, write_header
 from hexservo._files import OutputError
 from hexservo._parameters import core_parameters
@@ -63,6 +63,10 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
     def about(*values: float) -> list[float]:
         return [float(value * random.uniform(0.9, 1.1)) for value in values]
 
+    initial = about(30, 18, 65, -65, -44, 37, -10, -15)
+    goal = about(10, 10, 45, -73, -64, 29, -30, -23)
+    if law == "pbvs":  # which wants a goal that a pose has: next to a rotation, whatever the depths
+        goal = [value + shift for value, shift in zip(initial, about(-20, -8) * 4, strict=True)]
     (radius, mass, stroke, limit, focal, scale, width, bell, slope) = about(0.1, 0.06, 0.02, 2, 0.01, 7e4, 0.02, 0.2, 3)
     return paper.updated(
         {
@@ -79,8 +83,8 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
             "camera.focal_length": focal,
             "camera.pixel_scale": scale,
             "camera.convention": "eye_in_hand" if law == "pbvs" else "as_printed",
-            "target.initial_features": about(30, 18, 65, -65, -44, 37, -10, -15),
-            "target.desired_features": about(10, 10, 45, -73, -64, 29, -30, -23),
+            "target.initial_features": initial,
+            "target.desired_features": goal,
             "target.depth": about(0.5, 0.6, 0.5, 0.4),
             "controller.law": law,
             "controller.jacobian": "printed",
@@ -179,6 +183,9 @@ def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: P
     if points:
         where = [[0.03, 0.02, -0.61], [0.05, -1 / 17, -0.65], [-0.04, 0.03, -0.7], [-0.01, -0.02, -0.6]]
         changes: dict[str, Any] = {"target.initial_features": None, "target.depth": None, "target.points": where}
+        rays = np.asarray(where) - scenario.robot.home_position
+        f = scenario.camera.focal_length * scenario.camera.pixel_scale
+        changes["target.desired_features"] = (-f * rays[:, :2] / rays[:, 2:] + [-20 / 3, -8 / 7]).ravel().tolist()
         scenario = scenario.updated({**changes, "camera.convention": "eye_in_hand"})
         seen = ["target.points"]
     write_header(gains_header(scenario, 1 / 1700), tmp_path / "gains.hpp")
@@ -308,10 +315,10 @@ def test_nothing_is_left_of_a_full_disk(paper: hs.Scenario, tmp_path: Path, forc
 
 
 def test_nothing_is_left_of_ctrl_c(paper: hs.Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(source: Path, target: Path) -> Path:
+    def interrupt(*arguments: object) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Path, "rename", interrupt)
+    monkeypatch.setattr(_publish, "_renamed", interrupt)
     code, out, error = run("paper", "--header", str(tmp_path / "gains.hpp"))
     assert (code, out) == (130, "")
     assert "Interrupted" in error

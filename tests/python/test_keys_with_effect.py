@@ -47,6 +47,8 @@ SAMPLED: dict[str, Any] = {
     "base_motion.samples": [[0.0, 0.0, 0.1], [0.1, 0.0, 0.0]],
     "base_motion.sample_period": 0.01,
     "simulation.substeps": 2,
+    "controller.safe.damping": 1.0,
+    "controller.safe.hold": 10.0,
 }
 # In continuous mode: what is for people, or speaks of another key, or is a gain that `others` sees.
 FOR_PEOPLE = {"name", "description", "simulation.log_every"}
@@ -99,6 +101,9 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "controller.resolved_rate.jacobian_at": {key: "mean"},
         "simulation.step": {key: 5e-4},
         "simulation.duration": {key: 0.06},
+        "metrics.band": {key: 30.0},
+        "metrics.dwell": {key: 0.05},
+        "metrics.rms_start": {key: 0.02},
     }
     if key in special:
         return special[key]
@@ -121,6 +126,8 @@ def base_for(short: hs.Scenario, key: str) -> hs.Scenario:
         changes[f"controller.{laws[0]}.fuzzy.initial_scale"] = 1e-4
     if key.startswith("controller.resolved_rate.gain_"):
         changes["controller.resolved_rate.adaptive"] = True
+    if key == "metrics.dwell":
+        changes["simulation.duration"] = 0.45  # it comes within the band at 0.35 s
     if key == "uncertainty.coriolis":
         changes["uncertainty.depth"] = [0.3, 0.2, 0.1, 0.25]
     return short.updated(changes)

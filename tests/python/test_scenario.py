@@ -329,7 +329,7 @@ def test_refused(path: str, value: Any, words: str) -> None:
         ("controller.hybrid.zzz", "unknown key; known keys: kp, kv, fuzzy"),
         (
             "controller.pid",
-            "unknown key; known keys: law, jacobian, switching, hybrid, composite, kelly, resolved_rate, pbvs, "
+            "unknown key; known keys: law, jacobian, switching, safe, hybrid, composite, kelly, resolved_rate, pbvs, "
             "computed_torque",
         ),
         ("controller.composite.kz", "unknown key; known keys: kp, kv, kt, kd, drive, prior, fuzzy"),
