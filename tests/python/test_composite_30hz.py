@@ -105,7 +105,17 @@ def test_the_motion_ends_at_the_goal(scenario: hs.Scenario) -> None:
     ("changes", "key"),
     [
         ({"controller.law": "hybrid"}, "controller.law"),
-        ({"simulation.mode": "continuous", "controller.switching.kind": "sign"}, "simulation.mode"),
+        (
+            {
+                "simulation.mode": "continuous",
+                "controller.switching.kind": "sign",
+                "camera.period": None,
+                "camera.latency": 0.0,
+                "camera.noise": 0.0,
+                "camera.prediction": "none",
+            },
+            "simulation.mode",
+        ),
         ({"simulation.duration": 1.0}, "simulation.duration"),
     ],
 )
