@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from hexservo import _core, _publish, cli
+from hexservo import _publish, cli
 from hexservo._export import gains_header, write_header
 from hexservo._files import OutputError
 from hexservo._parameters import core_parameters

@@ -25,7 +25,7 @@ TRIALS = {
     "runs": 60,
     "certify": 15,
     "analyse": 20,
-    "diagnose": 15,
+    "diagnose": 24,
     "batch": 25,
     "ticks": 40,
     "results": 250,

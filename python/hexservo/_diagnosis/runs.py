@@ -69,7 +69,7 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
         )
         numbers = {name: values for name, values in own.items() if name in keys}
         for name, value in run.changes.items():
-            if name in numbers and value is not None:
+            if name in numbers and value is not None and not isinstance(value, str):
                 numbers[name] = _wide(keys[name], value)
             else:
                 others[name] = value
