@@ -283,7 +283,7 @@ def test_the_limit_of_the_weights_binds_the_best_ones_too(paper: hs.Scenario) ->
     limited = {"simulation.duration": 0.4, "controller.hybrid.fuzzy.weight_limit": 1e-4}
     lyapunov, assumption = parts_of(paper.updated(limited))
     assert assumption.weights is not None
-    assert all(best.limit == 1e-4 for best in assumption.weights)
+    assert all(best.limit == pytest.approx(1e-4, rel=1e-12) for best in assumption.weights)
     assert np.abs(assumption.ideal).max() <= 1e-4 * (1 + 1e-8)
     assert lyapunov.limited > 0
     free = parts_of(paper.updated({"simulation.duration": 0.4}))[1]

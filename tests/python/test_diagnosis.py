@@ -547,8 +547,10 @@ def test_two_causes_at_once_are_named_together() -> None:
 
 
 def test_causes_that_fail_only_together_are_named_together() -> None:
-    """Half a second of latency is bridged by the encoders, but for what the wrong weight does meanwhile."""
-    scenario = hs.load_scenario("composite-30hz").updated({"camera.latency": 0.5})
+    """Half a second of latency is bridged by the encoders, but for what the wrong weight does without a brake."""
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {"camera.latency": 0.5, "controller.safe": {"damping": 0.0, "hold": 0.0}}
+    )
     diagnosis = hs.diagnose(hs.simulate(scenario))
     assert not diagnosis.named
     assert set(diagnosis.together) == {"gravity", "late_camera"}
