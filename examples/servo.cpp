@@ -1,7 +1,7 @@
 // A servo loop: read the sensors, take a tick, command the legs, sleep until the next period. No Python, no heap.
 //
-// Camera, joint sensors and legs are simulated here by `Robot`; its two functions are what a real program would replace.
-// gains.hpp was written by `hexservo export paper --header gains.hpp`; any other scenario's header will do.
+// Camera, joint sensors and legs are simulated here by `Robot`; its two functions are what a real program would
+// replace. gains.hpp was written by `hexservo export paper --header gains.hpp`; any other scenario's header will do.
 //
 //   servo [SECONDS]    how long to run, 1 s if not given; exit code 0 if the features reach their goal
 #include "gains.hpp"

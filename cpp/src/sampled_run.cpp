@@ -102,7 +102,8 @@ Trajectory SampledRun::finish() {
     b.plant.command(Vector6<double>::Zero());
     b.rows.emplace(b.request, b.plant.record(), b.no_weights);
   }
-  detail::answer(b.plant.record(), b.no_weights, static_cast<double>(b.plant.plant().ticks()), !b.complete, 0, b.request);
+  detail::answer(b.plant.record(), b.no_weights, static_cast<double>(b.plant.plant().ticks()), !b.complete, 0,
+                 b.request);
   b.rows->end(0);
   return b.log.finish(b.step, b.hexapod);
 }

@@ -18,7 +18,7 @@ constexpr double kRankDeficient = 1e-9;  // sigma_min/sigma_max of the image Jac
 constexpr double kFastestBrake = 100.0;  // of the brake's response: at rest within 50 ms [rad/s]
 constexpr double kBrakePhase = 0.2;      // of the same, lost to delays [rad]: next to no damping is lost
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kMaxSteps = 1e9;        // a run of hours on one core: surely a slip
+constexpr double kMaxSteps = 1e9;  // a run of hours on one core: surely a slip
 
 void require_apart(const std::string& key, const Features& features) {
   for (int i = 0; i < kPoints; ++i)

@@ -19,9 +19,9 @@ std::vector<RecordedTick> record_ticks(const Settings<Law>& settings) {
   while (true) {
     const SensorInput<double>& sensed = loop.sensed();
     const double T = parameters.step;
-    ticks.push_back({{sensed.now * T, {sensed.frame.exposure * T, sensed.frame.image}, sensed.pose, sensed.twist,
-                      sensed.joints},
-                     detail::output_of(loop.tick(), loop.perceived())});
+    ticks.push_back(
+        {{sensed.now * T, {sensed.frame.exposure * T, sensed.frame.image}, sensed.pose, sensed.twist, sensed.joints},
+         detail::output_of(loop.tick(), loop.perceived())});
     if (loop.steps() == steps) return ticks;
     loop.advance();
     if (!loop.record().running()) return ticks;

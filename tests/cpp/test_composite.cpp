@@ -516,7 +516,8 @@ TEST_CASE("NaN in any entry gives the safe output of `composite`, and changes no
   for (int i = 0; i < 4; ++i)
     require_safe(true, [i](ControllerInput& in) -> double& { return in.frame.image.depth(i); });
   for (int i = 0; i < 3; ++i) require_safe(false, [i](ControllerInput& in) -> double& { return in.pose.position(i); });
-  for (int i = 0; i < 4; ++i) require_safe(false, [i](ControllerInput& in) -> double& { return in.pose.quaternion(i); });
+  for (int i = 0; i < 4; ++i)
+    require_safe(false, [i](ControllerInput& in) -> double& { return in.pose.quaternion(i); });
   for (int i = 0; i < 6; ++i) require_safe(false, [i](ControllerInput& in) -> double& { return in.twist(i); });
 }
 

@@ -491,8 +491,9 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
     for (int tick = 0; tick < ticks; ++tick) {
       const Matrix3<double> R_BE = rotation_matrix(quaternion_of(body));
       const Image<double> image = take_image(p.camera.focal_pixels(), position_of(body), R_BE, p.points_B);
-      const ControllerInput input = input_of(
-          tick * period, {measured_image(image, p.depth_error), {position_of(body), quaternion_of(body)}, twist_of(body)});
+      const ControllerInput input =
+          input_of(tick * period,
+                   {measured_image(image, p.depth_error), {position_of(body), quaternion_of(body)}, twist_of(body)});
       const ControllerOutput out = step(gains, state, input);
       REQUIRE_FALSE(out.invalid_input());
       // the wrench of a tick holds until the next one, and is what the leg forces give

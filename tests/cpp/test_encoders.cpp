@@ -46,14 +46,8 @@ class JointSensors {
  public:
   JointSensors(const EncoderParameters<S>& parameters, const Hexapod<S>& hexapod, const SeedHalves<S>& seed,
                double tick = kTick)
-      : sensing_{hexapod,
-                 LegGeometry<S>(hexapod),
-                 S(1.0),
-                 Vector<S, 8>::Zero(),
-                 {},
-                 PoseSource::encoders,
-                 parameters,
-                 tick},
+      : sensing_{hexapod, LegGeometry<S>(hexapod), S(1.0),     Vector<S, 8>::Zero(),
+                 {},      PoseSource::encoders,    parameters, tick},
         encoders_(parameters, seed),
         perception_(sensing_) {}
 

@@ -256,8 +256,8 @@ TEST_CASE("an image that is lost in motion: the brake stops the platform, and G 
           farthest = std::max(farthest, (plant.record().sample().position - where).norm());
           if (plant.time() > since + 0.05) late_speed = std::max(late_speed, speed());
         }
-        MESSAGE("brake " << brake << ", encoders " << encoders << ": " << 1e3 * farthest << " mm, "
-                         << 1e3 * late_speed << " mm/s after 50 ms");
+        MESSAGE("brake " << brake << ", encoders " << encoders << ": " << 1e3 * farthest << " mm, " << 1e3 * late_speed
+                         << " mm/s after 50 ms");
         if (brake) {
           CHECK(farthest <= 2e-3);
           CHECK(late_speed <= 1e-3);

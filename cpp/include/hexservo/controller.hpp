@@ -26,8 +26,8 @@ struct CameraFrame {
   /// When it was exposed, by the clock of `ControllerInput::now` [s]; NaN: no frame arrived since the last tick. Of two
   /// frames the one that was exposed later counts, whichever arrives first.
   double exposure = std::numeric_limits<double>::quiet_NaN();
-  /// Measured features [px], NaN for a point that the frame does not show, and depths Z-hat at the exposure, negative in
-  /// front of the camera [m].
+  /// Measured features [px], NaN for a point that the frame does not show, and depths Z-hat at the exposure, negative
+  /// in front of the camera [m].
   Image<double> image;
 };
 
@@ -65,7 +65,8 @@ struct ControllerOutput {
   /// Unless it is `valid`, the wrench brakes and holds the platform (safe_output.hpp), the fuzzy output is zero and
   /// nothing is learned.
   InputStatus status;
-  bool saturated;  ///< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set: nothing is learned
+  bool
+      saturated;  ///< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set: nothing is learned
 
   bool invalid_input() const noexcept { return status != InputStatus::valid; }
 };
@@ -102,8 +103,8 @@ ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
 ///
 /// Inputs that are not finite, features or twist beyond the limits at which a run counts as diverged
 /// (`kMaxFeatureError`, `kMaxTwist`), a quaternion without a length, leg lengths that belong to no pose near the one
-/// before, a point that is not in front of the camera, a frame from the future, a singular pose, or forces that overflow
-/// make the output safe: see `ControllerOutput::status`.
+/// before, a point that is not in front of the camera, a frame from the future, a singular pose, or forces that
+/// overflow make the output safe: see `ControllerOutput::status`.
 template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept;

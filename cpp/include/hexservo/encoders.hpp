@@ -44,7 +44,7 @@ struct EncoderParameters {
 template <class S>
 struct LegReading {
   Vector6<S> lengths = Vector6<S>::Constant(S(std::numeric_limits<double>::quiet_NaN()));  ///< l_i [m]
-  Vector6<S> rates = Vector6<S>::Constant(S(std::numeric_limits<double>::quiet_NaN()));  ///< l-dot_i, measured [m/s]
+  Vector6<S> rates = Vector6<S>::Constant(S(std::numeric_limits<double>::quiet_NaN()));    ///< l-dot_i, measured [m/s]
 };
 
 /// Six encoders.
@@ -60,8 +60,7 @@ class Encoders {
     LegReading<S> reading;
     if (tick % p_.period != 0) return reading;
     reading.lengths = legs.lengths;
-    if (noisy_)
-      reading.lengths += p_.noise * stream_.template normal<6>(static_cast<std::uint64_t>(tick / p_.period));
+    if (noisy_) reading.lengths += p_.noise * stream_.template normal<6>(static_cast<std::uint64_t>(tick / p_.period));
     for (int i = 0; i < 6; ++i) reading.lengths(i) = quantise(reading.lengths(i), p_.resolution);
     if (p_.rates == RateSource::true_rates) reading.rates = legs.rates(twist);
     return reading;

@@ -1,8 +1,8 @@
 /// @file
 /// A camera with a period, a latency and faults: the frames that it hands to a controller (docs/model.md, section 7).
 ///
-/// Times are whole ticks. A frame is exposed at ticks 0, P, 2P, ... and arrives at the first tick at which it is due; of
-/// frames that arrive at the same tick the one exposed last is handed over.
+/// Times are whole ticks. A frame is exposed at ticks 0, P, 2P, ... and arrives at the first tick at which it is due;
+/// of frames that arrive at the same tick the one exposed last is handed over.
 #pragma once
 
 #include "hexservo/camera.hpp"

@@ -2,10 +2,11 @@
 /// What a controller knows at a tick: the image that its law uses, the pose and the twist of the platform, and whether
 /// it may act on them (docs/model.md, section 7).
 ///
-/// Frames arrive late, out of order and with points missing; each point keeps the newest image in which it was seen, and
-/// its age counts from that exposure. Where points are predicted they are lifted with the pose that the joint sensors
-/// gave at the exposure, and projected again through the pose of the tick. Encoders' lengths become a pose by forward
-/// kinematics, started at the pose before or where the twist before led, and leg rates become a twist by H^T chi-dot = l-dot with H at that pose.
+/// Frames arrive late, out of order and with points missing; each point keeps the newest image in which it was seen,
+/// and its age counts from that exposure. Where points are predicted they are lifted with the pose that the joint
+/// sensors gave at the exposure, and projected again through the pose of the tick. Encoders' lengths become a pose by
+/// forward kinematics, started at the pose before or where the twist before led, and leg rates become a twist by H^T
+/// chi-dot = l-dot with H at that pose.
 ///
 /// Times are in ticks; those that lie between two ticks are as good.
 #pragma once
@@ -24,10 +25,10 @@ namespace hexservo {
 /// What the sensors give a controller at a tick; a number that is not known is NaN.
 template <class S, int N = kPoints>
 struct SensorInput {
-  double now = 0.0;     ///< [ticks]
-  Frame<S, N> frame;    ///< that arrived since the tick before, if any
-  Pose<S> pose;         ///< in B, where the joint sensors give it directly; the quaternion need not be of unit length
-  Vector6<S> twist;     ///< in B, from the same sensors [m/s; rad/s]
+  double now = 0.0;      ///< [ticks]
+  Frame<S, N> frame;     ///< that arrived since the tick before, if any
+  Pose<S> pose;          ///< in B, where the joint sensors give it directly; the quaternion need not be of unit length
+  Vector6<S> twist;      ///< in B, from the same sensors [m/s; rad/s]
   LegReading<S> joints;  ///< where there are encoders
 };
 
@@ -107,7 +108,8 @@ class PoseHistory {
     if (!replaces) ++count_;
   }
 
-  /// The pose at a time: that of its tick, or between two ticks on the straight line. NaN where the time is not covered.
+  /// The pose at a time: that of its tick, or between two ticks on the straight line. NaN where the time is not
+  /// covered.
   Pose<S> at(const S& tick) const noexcept {
     const double first = of_lane(tick, 0);
     if (all(tick == S(first))) return between(first);
@@ -157,17 +159,17 @@ class PoseHistory {
 /// What a controller makes of its sensors at a tick.
 template <class S, int N = kPoints>
 struct Perceived {
-  Image<S, N> image;    ///< that the law uses: features [px] and measured depths [m]; no meaning unless `ready`
-  Pose<S> pose;         ///< in B
-  Matrix3<S> R_BE;      ///< attitude of `pose`
-  Vector6<S> twist;     ///< in B [m/s; rad/s]
-  S newest;             ///< exposure of the newest frame [ticks]; -infinity before the first
-  Mask<S> unsensed;     ///< the newest leg lengths belong to no pose near the one before, which then still stands
-  Mask<S> joints;       ///< pose and twist are numbers to act on
-  Mask<S> complete;     ///< every point has been seen at least once
-  Mask<S> fresh;        ///< no point's image is older than the timeout
-  Mask<S> lost;         ///< the newest frame does not show every point, and no image may stand for it
-  Mask<S> usable;       ///< clock and frame of this tick and the image to be used are numbers to act on
+  Image<S, N> image;  ///< that the law uses: features [px] and measured depths [m]; no meaning unless `ready`
+  Pose<S> pose;       ///< in B
+  Matrix3<S> R_BE;    ///< attitude of `pose`
+  Vector6<S> twist;   ///< in B [m/s; rad/s]
+  S newest;           ///< exposure of the newest frame [ticks]; -infinity before the first
+  Mask<S> unsensed;   ///< the newest leg lengths belong to no pose near the one before, which then still stands
+  Mask<S> joints;     ///< pose and twist are numbers to act on
+  Mask<S> complete;   ///< every point has been seen at least once
+  Mask<S> fresh;      ///< no point's image is older than the timeout
+  Mask<S> lost;       ///< the newest frame does not show every point, and no image may stand for it
+  Mask<S> usable;     ///< clock and frame of this tick and the image to be used are numbers to act on
   Mask<S> ready() const noexcept { return complete & fresh & (!lost) & usable & joints; }
 };
 
@@ -279,9 +281,10 @@ class Perception {
       const Pose<S> pose = history_.at(min(frame.exposure, S(input.now)));
       const Matrix3<S> R_BE = rotation_matrix(pose.quaternion);
       for (int i = 0; i < N; ++i) {
-        points_B.col(i) = pose.position + rotate<S>(R_BE, back_project<S>(sensing.focal_pixels,
-                                                                          frame.image.features.template segment<2>(2 * i),
-                                                                          frame.image.depth(i)));
+        points_B.col(i) =
+            pose.position +
+            rotate<S>(R_BE, back_project<S>(sensing.focal_pixels, frame.image.features.template segment<2>(2 * i),
+                                            frame.image.depth(i)));
         good = good & ((!shown[static_cast<std::size_t>(i)]) | is_finite(Vector3<S>(points_B.col(i))));
       }
     }
@@ -322,8 +325,8 @@ class Perception {
       for (int k = 2 * i; k < 2 * i + 2; ++k)
         now_.image.features(k) = select(again, projected.features(k), held_.features(k));
       now_.image.depth(i) = select(again, projected.depth(i), held_.depth(i));
-      now_.usable = now_.usable & usable(sensing, i, now_.image.features(2 * i), now_.image.features(2 * i + 1),
-                                         now_.image.depth(i));
+      now_.usable = now_.usable &
+                    usable(sensing, i, now_.image.features(2 * i), now_.image.features(2 * i + 1), now_.image.depth(i));
     }
   }
 

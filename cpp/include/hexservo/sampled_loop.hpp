@@ -159,7 +159,8 @@ class SampledPlant {
   long long ticks_ = 0;
 };
 
-/// A sampled plant that takes a wrench from outside at every tick, with the sensors and the safe output of the controller.
+/// A sampled plant that takes a wrench from outside at every tick, with the sensors and the safe output of the
+/// controller.
 template <class S, int N = kPoints>
 class CommandedPlant {
  public:
@@ -175,8 +176,7 @@ class CommandedPlant {
   void command(const Vector6<S>& wrench, const Vector6<S>& fuzzy_output = Vector6<S>::Zero()) noexcept {
     Command<S> command;
     decide(gains_, state_, wrench, command);
-    plant_.command(command, observe(),
-                   select(command.acts, fuzzy_output, Vector6<S>(Vector6<S>::Zero())));
+    plant_.command(command, observe(), select(command.acts, fuzzy_output, Vector6<S>(Vector6<S>::Zero())));
   }
 
   /// To the next tick.
