@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import pickle
 import re
@@ -23,7 +24,7 @@ from diagnosis_faults import variation as draw
 from diagnosis_statistics import count, failing
 from hexservo._analysis.reach import reach_of_start_and_goal
 from hexservo._diagnosis.causes import BLOCKS_IN_COMMON, CAUSES, HARMLESS, IN_COMMON
-from hexservo._diagnosis.criterion import DRIFT_TIME, Record, judge, make_record
+from hexservo._diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
 from hexservo._diagnosis.environment import ORDINARY, ideal, ordinary
 from hexservo._diagnosis.evidence import SIGNATURES
 from hexservo._diagnosis.gains import slower
@@ -245,22 +246,68 @@ def record_by_hand(
     features = np.zeros((len(error), 8))
     features[:, 3] = -error
     legs = np.zeros((len(error), 6)) if lengths is None else np.tile(lengths[:, None], (1, 6))
-    metrics = {"final_error": float(abs(error[-1])), "peak_leg_excursion": travel}
+    outside = time[np.abs(error) > ALLOWED.band]
+    settling = outside[-1] if len(outside) else 0.0
+    metrics = {
+        "final_error": float(abs(error[-1])),
+        "peak_leg_excursion": travel,
+        "settling_time": float(settling) if time[-1] - settling > ALLOWED.dwell else math.nan,
+    }
     samples = {"feature_error": features, "leg_lengths": legs}
     return make_record(outcome, "", float(time[-1]), metrics, time, samples, keep=False)
 
 
-def test_the_error_that_remains_is_the_rms_of_the_last_fifth_or_the_last_one() -> None:
-    error = np.where(np.arange(1001) >= 800, 3.0, 50.0)
-    assert record_by_hand(error).tail_error == pytest.approx(3.0)
-    judgement = judge(record_by_hand(error), 1.0, 10.0)
-    assert judgement.error == pytest.approx(1.5)  # of 2 px
+ALLOWED = Allowed(band=2.0, dwell=0.2, stroke=0.017, duration=10.0)
+
+
+def test_the_error_that_remains_is_the_largest_one_of_the_dwell_time() -> None:
+    error = np.where(np.arange(1001) >= 995, 3.0, 50.0)  # 3 px in the last 50 ms, 50 px before
+    record = record_by_hand(error)
+    assert record.remaining(0.2) == 50.0
+    assert record.remaining(0.045) == 3.0
+    judgement = judge(record, ALLOWED)
+    assert judgement.error == 25.0  # of 2 px
     assert judgement.failed
-    # Twice log10(1.5 / 0.5), over three decades.
-    assert judgement.severity == pytest.approx(2.0 * np.log10(3.0) / 3.0)
+    # Twice log10(25 / 0.5), over three decades.
+    assert judgement.severity == pytest.approx(2.0 * np.log10(50.0) / 3.0)
     last = np.zeros(1001)
     last[-1] = 8.0
-    assert judge(record_by_hand(last), 1.0, 10.0).error == 4.0
+    assert judge(record_by_hand(last), ALLOWED).error == 4.0
+
+
+def test_a_run_that_is_not_settled_has_failed_whatever_its_samples() -> None:
+    """The sample outside of the band need not be one that a diagnosis keeps."""
+    record = record_by_hand(np.ones(1001))
+    assert not judge(record, ALLOWED).failed
+    left = dataclasses.replace(record, metrics={**record.metrics, "settling_time": math.nan})
+    judgement = judge(left, ALLOWED)
+    assert judgement.failed
+    assert not judgement.settled
+    assert 1.0 < judgement.error < 1.0 + 1e-12
+    assert judgement.severity == pytest.approx(2.0 * np.log10(2.0) / 3.0)
+
+
+@pytest.mark.parametrize(
+    ("band", "dwell", "duration", "settled"),
+    [
+        (2.0, 0.2, 1.0, True),
+        (0.01, 0.2, 1.0, False),
+        (2.0, 0.6, 1.0, True),
+        (2.0, 0.7, 1.0, False),
+        (40.0, 5.0, 1.0, True),
+    ],
+)
+def test_a_run_fails_that_the_metrics_call_not_settled(
+    band: float, dwell: float, duration: float, settled: bool
+) -> None:
+    """Within 2 px from 0.353 s on, never within 0.01 px, and always within 40 px: then however short the run is."""
+    scenario = hs.load_scenario("paper").updated(
+        {"metrics.band": band, "metrics.dwell": dwell, "simulation.duration": duration}
+    )
+    result = hs.simulate(scenario)
+    assert math.isnan(hs.metrics(result)["settling_time"]) is not settled
+    assert hs.compare([scenario], laws=["hybrid"]).rows[0].settled is settled
+    assert hs.diagnose(result).failed is not settled
 
 
 def test_a_drift_is_the_slope_that_both_of_the_last_quarters_have() -> None:
@@ -271,10 +318,9 @@ def test_a_drift_is_the_slope_that_both_of_the_last_quarters_have() -> None:
     assert record_by_hand(flat, slower).drift == pytest.approx(1e-3)
     there_and_back = np.where(time < 7.5, 3e-3 * time, 0.0225 - 3e-3 * (time - 7.5))
     assert record_by_hand(flat, there_and_back).drift == 0.0
-    stroke = 0.017
-    limit = stroke / DRIFT_TIME
-    assert not judge(record_by_hand(flat, 0.99 * limit * time), stroke, 10.0).failed
-    assert judge(record_by_hand(flat, 1.01 * limit * time), stroke, 10.0).failed
+    limit = ALLOWED.stroke / DRIFT_TIME
+    assert not judge(record_by_hand(flat, 0.99 * limit * time), ALLOWED).failed
+    assert judge(record_by_hand(flat, 1.01 * limit * time), ALLOWED).failed
 
 
 def test_noise_seldom_is_a_drift() -> None:
@@ -287,10 +333,10 @@ def test_noise_seldom_is_a_drift() -> None:
 
 def test_severities_are_ordered_by_kind_and_by_size() -> None:
     flat = np.zeros(1001)
-    stroke = 0.017
+    stroke = ALLOWED.stroke
 
     def severity(**given: Any) -> float:
-        return judge(record_by_hand(given.pop("error", flat), **given), stroke, 10.0).severity
+        return judge(record_by_hand(given.pop("error", flat), **given), ALLOWED).severity
 
     assert severity() == 0.0
     assert severity(travel=0.9 * stroke) == 0.0
@@ -299,9 +345,9 @@ def test_severities_are_ordered_by_kind_and_by_size() -> None:
     assert severity(error=flat + 1e9) == 2.0
     assert severity(outcome="diverged") == 2.0  # at its very end
     early = dataclasses.replace(record_by_hand(flat, outcome="diverged"), end_time=1.0)
-    assert judge(early, stroke, 10.0).severity == pytest.approx(2.9)
-    assert judge(early, stroke, 10.0).failed
-    free = judge(record_by_hand(flat, travel=10.0 * stroke), stroke, 10.0, stroke_counts=False)
+    assert judge(early, ALLOWED).severity == pytest.approx(2.9)
+    assert judge(early, ALLOWED).failed
+    free = judge(record_by_hand(flat, travel=10.0 * stroke), dataclasses.replace(ALLOWED, stroke_counts=False))
     assert free.severity == 0.0
     assert not free.failed
 
@@ -335,7 +381,8 @@ def test_a_record_of_a_result_is_that_of_a_run() -> None:
     scenario = hs.load_scenario("paper").updated({"controller.switching.kind": "tanh", "simulation.duration": 2.0})
     one, other = record_of(hs.simulate(scenario)), run_all([Run(scenario)])[0]
     assert other is not None
-    assert one.tail_error == pytest.approx(other.tail_error, rel=1e-6)
+    assert one.remaining(0.2) == pytest.approx(other.remaining(0.2), rel=1e-6)
+    assert one.settled is other.settled is True
     assert one.drift == pytest.approx(other.drift, rel=1e-2, abs=1e-9)
     assert len(one.time) == pytest.approx(500, abs=2)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hexservo._diagnosis.causes import CAUSES
-from hexservo._diagnosis.criterion import THRESHOLD, Judgement, Record
+from hexservo._diagnosis.criterion import Judgement, Record
 from hexservo._diagnosis.evidence import SIGNATURES, Signature
 from hexservo._diagnosis.findings import Diagnosis, Finding, Remedy
 from hexservo._diagnosis.model import Case, Removal
@@ -22,10 +22,11 @@ _OTHERWISE = 0.3  # difference in severity between a run and the same run repeat
 def diagnose(result: Result) -> Diagnosis:
     """Name the cause of a run that failed, with evidence and remedies, or say that none explains it (docs/diagnosis/).
 
-    A run fails that does not complete, that ends with more than 2 px left, whose legs leave their stroke, or whose legs
-    still drift. First it is asked whether the legs can reach the goal at all. For each cause that the scenario may
-    have, the scenario is then run again without it, and each cause whose removal cures the run is put alone into a
-    scenario without other faults: it is named if it fails there too. Nothing is proved. Takes about fifty runs.
+    A run fails that does not complete, that is not settled (the metric ``settling_time``, with the scenario's
+    ``metrics.band`` and ``metrics.dwell``), whose legs leave their stroke, or whose legs still drift. First it is asked
+    whether the legs can reach the goal at all. For each cause that the scenario may have, the scenario is then run
+    again without it, and each cause whose removal cures the run is put alone into a scenario without other faults: it
+    is named if it fails there too. Nothing is proved. Takes about fifty runs.
 
     Parameters
     ----------
@@ -71,9 +72,9 @@ def diagnose(result: Result) -> Diagnosis:
         warnings += ("Repeated, the run ends otherwise: rounding decides, and the numbers may be off.",)
     remedies = _remedies(case, trials)
     findings = tuple(
-        _finding(trial, SIGNATURES[trial.cause.key](case, record, before), remedies.get(trial.cause.key))
+        _finding(case, trial, SIGNATURES[trial.cause.key](case, record, before), remedies.get(trial.cause.key))
         if trial.cause.key in SIGNATURES
-        else _finding(trial, Signature(None, ""), remedies.get(trial.cause.key))
+        else _finding(case, trial, Signature(None, ""), remedies.get(trial.cause.key))
         for trial in trials
     )
     present = {finding.cause for finding in findings}
@@ -113,24 +114,25 @@ def _remedies(case: Case, trials: list[Trial]) -> dict[str, Remedy]:
         severity = after.severity if after.failed else 0.0
         key = trial.cause.key
         if key not in best or severity < best[key][0]:
-            best[key] = (severity, _as_remedy(remedy, record, after))
+            best[key] = (severity, _as_remedy(case, remedy, record, after))
     return {key: remedy for key, (_, remedy) in best.items()}
 
 
-def _as_remedy(removal: Removal, record: Record, after: Judgement) -> Remedy:
+def _as_remedy(case: Case, removal: Removal, record: Record, after: Judgement) -> Remedy:
+    band = float(removal.changes.get("metrics.band", case.scenario.metrics.band))
     return Remedy(
         removal.words,
         dict(removal.changes),
         not after.failed,
         record.outcome,
-        after.error * THRESHOLD,
+        after.error * band,
         record.metrics["peak_leg_excursion"],
         record.drift,
     )
 
 
-def _finding(trial: Trial, signature: Signature, remedy: Remedy | None) -> Finding:
-    without = _as_remedy(trial.removal, trial.record, trial.judgement)
+def _finding(case: Case, trial: Trial, signature: Signature, remedy: Remedy | None) -> Finding:
+    without = _as_remedy(case, trial.removal, trial.record, trial.judgement)
     evidence = [f"With {without.words} the run {how(without)}; {trial.cure:.0%} of the failure is gone."]
     if trial.alone:
         evidence.append("By itself, in a scenario without other faults, it makes the run fail as well.")

@@ -9,19 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo import _core
-
-__all__ = ["DRIFT_TIME", "THRESHOLD", "Judgement", "Record", "judge", "make_record"]
+__all__ = ["DRIFT_TIME", "Allowed", "Judgement", "Record", "judge", "make_record"]
 
 Array = NDArray[np.float64]
 
-THRESHOLD: float = _core.MetricsSettings().band
-"""[px], of the metric ``settling_time``: a larger error at the end of a run is a failure."""
 DRIFT_TIME = 30.0
 """[s]: a leg that still moves so fast at the end that it would leave its stroke within this time is a failure."""
 _DECADES = 3.0  # of what is allowed, over which the severity of a kind of failure grows
 _CURED = 0.5  # of the error that is allowed: below it nothing is left of a failure
-_TAIL = 0.2  # the last part of a run, over which the error that remains is averaged
+_JUST_OUTSIDE = math.nextafter(1.0, 2.0)  # of the band: least error of a run that is not settled
 _DRIFT_WINDOWS = ((0.5, 0.75), (0.75, 1.0))  # parts of a run, over each of which the legs' drift is fitted
 
 
@@ -35,9 +31,29 @@ class Record:
     metrics: Mapping[str, float]
     time: Array  # (m,) [s], of the samples that there are
     error: Array  # (m,) [px], largest |feature error|
-    tail_error: float  # RMS of `error` over the last fifth of the run [px]
     drift: float  # [m/s], of the fastest leg: what its last two quarters have in common
     samples: Mapping[str, Array]  # name of Result -> (m, k); empty where nobody asked for them
+
+    @property
+    def settled(self) -> bool:
+        """Whether the run completed and has a settling time: docs/model.md, section 8."""
+        return self.outcome == "completed" and not math.isnan(self.metrics["settling_time"])
+
+    def remaining(self, dwell: float) -> float:
+        """Return the largest error within the dwell time before the end [px]."""
+        last = self.error[self.time > self.end_time - dwell * (1.0 - 1e-9)]
+        return float(max(last.max(initial=0.0), self.metrics["final_error"]))
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """What a run may do and still pass."""
+
+    band: float  # of the metrics [px]
+    dwell: float  # of the metrics [s]
+    stroke: float  # of a leg, each way [m]
+    duration: float  # that the run should have [s]
+    stroke_counts: bool = True  # False: a leg beyond the stroke is no failure; drift still is
 
 
 @dataclass(frozen=True)
@@ -45,7 +61,8 @@ class Judgement:
     """By which criteria a run failed, each as a ratio to what is allowed, and how badly in all."""
 
     early: bool  # it did not complete
-    error: float  # error that remains, of `THRESHOLD`
+    settled: bool  # by the metrics
+    error: float  # largest one within the dwell time before the end, of the band
     stroke: float  # largest leg travel, of the stroke
     drift: float  # of the speed that would take a leg out of its stroke within `DRIFT_TIME`
     failed: bool
@@ -65,7 +82,6 @@ def make_record(
 ) -> Record:
     """Make a record of a run's samples; `keep` keeps them."""
     error = np.abs(samples["feature_error"]).max(axis=1)
-    tail = error[time >= (1.0 - _TAIL) * end_time]
     return Record(
         outcome,
         detail,
@@ -73,7 +89,6 @@ def make_record(
         metrics,
         time,
         error,
-        float(np.sqrt(np.mean(tail**2))) if len(tail) else float(error[-1]),
         _drift(time, samples["leg_lengths"], end_time),
         samples if keep else {},
     )
@@ -96,42 +111,39 @@ def _drift(time: Array, lengths: Array, end_time: float) -> float:
     return float(np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0).max())
 
 
-def judge(
-    record: Record, stroke: float, duration: float, *, stroke_counts: bool = True, cured: float | None = None
-) -> Judgement:
-    """Judge a run.
+def judge(record: Record, allowed: Allowed, cured: float | None = None) -> Judgement:
+    """Judge a run: it passes if it is settled, as the metrics have it, and its legs stay within their stroke.
 
     The severity says how much of the task was missed: up to 1 for legs that leave their stroke or drift, and twice as
     much for an error that remains, each by decades, 2 in all; from 2 to 3 for a run that ends early, by the share of
-    the time that it did not run. Where the error failed it counts from half of what is allowed, so that a change that
-    just passes has not cured it.
+    the time that it did not run. Where the error failed it counts from half of the band, so that a change that just
+    passes has not cured it.
 
     Parameters
     ----------
     record
         Of the run.
-    stroke
-        Of a leg, each way [m].
-    duration
-        That the run should have had [s].
-    stroke_counts
-        False: a leg beyond the stroke is no failure; drift still is.
+    allowed
+        What it may do.
     cured
-        From which share of the allowed error on it counts: `Judgement.cured` of the run that this one is compared to.
+        From which share of the band on its error counts: `Judgement.cured` of the run that this one is compared to.
     """
     early = record.outcome != "completed"
-    remaining = max(record.metrics["final_error"], record.tail_error) / THRESHOLD
-    travel = record.metrics["peak_leg_excursion"] / stroke
-    drift = record.drift * DRIFT_TIME / stroke
+    remaining = record.remaining(allowed.dwell) / allowed.band
+    if not record.settled:  # the last sample outside may be one that is not kept
+        remaining = max(remaining, _JUST_OUTSIDE)
+    travel = record.metrics["peak_leg_excursion"] / allowed.stroke
+    drift = record.drift * DRIFT_TIME / allowed.stroke
     if cured is None:
-        cured = _CURED if early or remaining > 1.0 else 1.0
-    legs = [travel, drift] if stroke_counts else [drift]
+        cured = 1.0 if record.settled else _CURED
+    legs = [travel, drift] if allowed.stroke_counts else [drift]
     if early:
-        severity = 3.0 - record.end_time / duration
+        severity = 3.0 - record.end_time / allowed.duration
     else:
         travelled = min(_DECADES, sum(map(_decades, legs)))
         severity = min(2.0, (2.0 * min(_DECADES, _decades(remaining / cured)) + travelled) / _DECADES)
-    return Judgement(early, remaining, travel, drift, early or max(remaining, *legs) > 1.0, severity, cured)
+    failed = not record.settled or max(legs) > 1.0
+    return Judgement(early, record.settled, remaining, travel, drift, failed, severity, cured)
 
 
 def _decades(ratio: float) -> float:

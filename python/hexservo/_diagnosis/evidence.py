@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo._diagnosis.criterion import THRESHOLD, Judgement, Record
+from hexservo._diagnosis.criterion import Judgement, Record
 from hexservo._diagnosis.goal import pixels_per_metre, seen_from_home
 from hexservo._diagnosis.model import Case
 from hexservo._parameters import frame_period
@@ -98,7 +98,7 @@ def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signatur
         return Signature(0.3, "")
     return Signature(
         1.0,
-        f"The image is within {2.0 * THRESHOLD:g} px at the end while the platform goes "
+        f"The image is within {number(2.0 * case.scenario.metrics.band)} px at the end while the platform goes "
         f"{number(record.metrics['peak_displacement'] * 1e3)} mm away and still moves at "
         f"{number(record.drift * 1e3, 2)} mm/s by its fastest leg.",
     )
@@ -126,8 +126,8 @@ def _stiction(case: Case, record: Record, judgement: Judgement) -> Signature:
         )
     return Signature(
         1.0,
-        f"The platform rests with {number(record.tail_error)} px left: its legs move {travel * 1e6:.2g} um in the last "
-        "quarter.",
+        f"The platform rests with {number(judgement.error * case.scenario.metrics.band)} px left: its legs move "
+        f"{travel * 1e6:.2g} um in the last quarter.",
     )
 
 
@@ -135,7 +135,7 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
     camera = case.scenario.camera
     error = record.samples["feature_error"]
     largest = error[:, int(np.argmax(np.abs(error).max(axis=0)))]
-    swings = int((np.diff(np.sign(largest[np.abs(largest) > THRESHOLD])) != 0).sum())
+    swings = int((np.diff(np.sign(largest[np.abs(largest) > case.scenario.metrics.band])) != 0).sum())
     age = camera.latency + camera.latency_jitter + frame_period(case.scenario)
     sentence = (
         f"The error swings through zero {swings} times; what the law sees is up to {number(age * 1e3)} ms old, and it "

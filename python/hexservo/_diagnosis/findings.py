@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hexservo._diagnosis.causes import CAUSES
-from hexservo._diagnosis.criterion import DRIFT_TIME, THRESHOLD, Judgement, Record
+from hexservo._diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo._diagnosis.goal import Obstacle
 from hexservo._diagnosis.words import ends, how, joined, remedy_sentence, spelt
 from hexservo._display import Findings
@@ -32,7 +32,7 @@ class Remedy:
     changes: dict[str, Any]  # by dotted key, as `Scenario.updated` takes them
     works: bool  # whether the run then passes
     outcome: str  # of that run
-    error: float  # that then remains [px]: the larger one of the last error and its RMS over the last fifth
+    error: float  # then, the largest one within the dwell time before the end [px]
     leg_travel: float  # then, of the leg that goes farthest [m]
     drift: float  # then, of the leg that moves fastest at the end [m/s]
 
@@ -118,8 +118,9 @@ class Diagnosis(Findings):
                 "failed": self.failed,
                 "outcome": record.outcome,
                 "end_time": record.end_time,
-                "error": judgement.error * THRESHOLD,
-                "error_allowed": THRESHOLD,
+                "settled": judgement.settled,
+                "error": judgement.error * self._band,
+                "error_allowed": self._band,
                 "leg_travel": judgement.stroke * robot.stroke,
                 "stroke": robot.stroke,
                 "drift": record.drift,
@@ -138,7 +139,7 @@ class Diagnosis(Findings):
     def _verdict(self) -> str:
         assert self._judgement is not None
         assert self._record is not None
-        was = ends(self._record.outcome, self._judgement.error * THRESHOLD, self._leg_travel, self._record.drift)
+        was = ends(self._record.outcome, self._judgement.error * self._band, self._leg_travel, self._record.drift)
         first = self.causes[0] if self.causes else None
         if self.obstacle is not None:
             return self._of_obstacle(self.obstacle)
@@ -203,6 +204,10 @@ class Diagnosis(Findings):
         return found
 
     @property
+    def _band(self) -> float:
+        return self.result.scenario.metrics.band
+
+    @property
     def _leg_travel(self) -> float:
         assert self._record is not None
         return self._record.metrics["peak_leg_excursion"]
@@ -225,7 +230,7 @@ class Diagnosis(Findings):
                 None,
                 "",
                 spelt(self._record.outcome),
-                self._judgement.error * THRESHOLD,
+                self._judgement.error * self._band,
                 1e3 * self._leg_travel,
                 "",
             )

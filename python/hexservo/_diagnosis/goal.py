@@ -12,7 +12,7 @@ from hexservo import _core
 from hexservo._analysis._goal import find_goals
 from hexservo._analysis._scene import scene_of
 from hexservo._analysis.reach import reach_of_start_and_goal
-from hexservo._diagnosis.criterion import THRESHOLD, Record
+from hexservo._diagnosis.criterion import Record
 from hexservo._diagnosis.runs import Run
 from hexservo._scenario import Scenario, sampled_keys
 
@@ -58,7 +58,7 @@ def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
     goals = find_goals(scene_of(scenario))
     assert goals is not None  # as `found.goal` is not
     image = goals.best.view.features
-    if found.residual > THRESHOLD:
+    if found.residual > scenario.metrics.band:
         return Obstacle("image", travel, found.residual, image)
     return None if found.goal_within else Obstacle("stroke", travel, found.residual, image)
 

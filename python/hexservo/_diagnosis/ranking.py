@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hexservo._diagnosis.causes import CAUSES
-from hexservo._diagnosis.criterion import Judgement, Record, judge
+from hexservo._diagnosis.criterion import Allowed, Judgement, Record, judge
 from hexservo._diagnosis.environment import alone_pairs, both_alone, ideal, known, ordinary
 from hexservo._diagnosis.goal import goal_of, goal_run, obstacle_of
 from hexservo._diagnosis.model import Case, Cause, Removal
@@ -65,13 +65,14 @@ def judged(
     changes = {} if removal is None else removal.changes
     free = removal is not None and not removal.stroke_counts
     stroke = scenario.robot.stroke if free else changes.get("robot.stroke", scenario.robot.stroke)
-    return judge(
-        record,
+    allowed = Allowed(
+        float(changes.get("metrics.band", scenario.metrics.band)),
+        float(changes.get("metrics.dwell", scenario.metrics.dwell)),
         float(stroke),
         float(changes.get("simulation.duration", scenario.simulation.duration)),
         stroke_counts=not free,
-        cured=None if before is None else before.cured,
     )
+    return judge(record, allowed, None if before is None else before.cured)
 
 
 def study(cases: Sequence[Case], before: Sequence[Judgement], threads: int = 1) -> list[Study]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from hexservo._diagnosis.criterion import DRIFT_TIME, THRESHOLD, Judgement, Record
+from hexservo._diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo._result import Result
 from hexservo._wording import number
 
@@ -48,8 +48,8 @@ def misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, .
         return (result.detail.rstrip("."),)
     stroke = result.scenario.robot.stroke
     allowed = stroke / DRIFT_TIME * 1e3
-    clauses = {
-        f"{number(judgement.error * THRESHOLD)} px are left at the end, above {THRESHOLD:g} px": judgement.error,
+    clauses = {_not_settled(result, judgement): 0.0 if judgement.settled else judgement.error}
+    clauses |= {
         f"a leg goes {number(judgement.stroke * stroke * 1e3)} mm, beyond its stroke of {number(stroke * 1e3)} mm": (
             judgement.stroke
         ),
@@ -60,11 +60,20 @@ def misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, .
     return tuple(clause for clause, ratio in clauses.items() if ratio > 1.0)
 
 
+def _not_settled(result: Result, judgement: Judgement) -> str:
+    metrics = result.scenario.metrics
+    return (
+        f"not settled: {number(judgement.error * metrics.band)} px in the last {number(metrics.dwell)} s, outside the "
+        f"band of {number(metrics.band)} px"
+    )
+
+
 def margins(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
-    stroke = result.scenario.robot.stroke
+    metrics, stroke = result.scenario.metrics, result.scenario.robot.stroke
     allowed = stroke / DRIFT_TIME * 1e3
     return (
-        f"{number(judgement.error * THRESHOLD)} px are left of the {THRESHOLD:g} px that are allowed",
+        f"it is settled, with {number(judgement.error * metrics.band)} px of the band of {number(metrics.band)} px "
+        f"in the last {number(metrics.dwell)} s",
         f"the legs use {judgement.stroke:.0%} of their stroke of {number(stroke * 1e3, 4)} mm",
         f"they drift at {number(record.drift * 1e3, 2)} mm/s of the {allowed:.2g} mm/s that are allowed",
     )
@@ -77,7 +86,7 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
         found.append(f"The run logged {len(result.time)} samples: too few to tell a drift or a swing.")
     if not judgement.failed:
         for what, ratio in (
-            ("the error that remains", judgement.error),
+            ("the error in the dwell time", judgement.error),
             ("the travel of the legs", judgement.stroke),
             ("the drift of the legs", judgement.drift),
         ):
