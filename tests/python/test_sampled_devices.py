@@ -283,6 +283,37 @@ def test_encoders_with_differences_still_settle(paper: hs.Scenario) -> None:
     assert hs.metrics(result)["settling_time"] < 1.0
 
 
+def test_forward_kinematics_follows_a_platform_that_runs_away_between_readings() -> None:
+    """Readings 50 ms apart make this loop unstable: it moves by 0.2 m and 45 degrees from one to the next.
+
+    The pose of each reading is that of the plant to rounding, until the target is behind the camera.
+    """
+    scenario = hs.load_scenario("textbook-general").updated(
+        {"simulation.mode": "sampled", "sensors": {"pose": "encoders", "period": 0.05, "rate": True}}
+    )
+    result = hs.simulate(scenario)
+    assert result.outcome == "behind_camera"
+    assert result.end_time > 4 * 0.05
+
+    seen: list[hs.Observation] = []
+    replay = iter(result.wrench)
+
+    def repeated(observation: hs.Observation) -> Any:
+        seen.append(observation)
+        return next(replay)
+
+    again = hs.simulate(scenario, controller=repeated)
+    assert again.outcome == result.outcome
+    every = round(0.05 / scenario.simulation.step)
+    readings = range(0, len(seen), every)
+    moved = [np.linalg.norm(seen[k].position - seen[k - every].position) for k in readings[1:]]
+    assert max(moved) > 0.1, "the test is only as hard as the motion between two readings"
+    for k in readings:
+        np.testing.assert_allclose(seen[k].position, again.position[k], rtol=0, atol=1e-9)
+        turn = abs(seen[k].quaternion @ again.quaternion[k])
+        assert turn == pytest.approx(1.0, abs=1e-12)
+
+
 def test_encoder_noise_leaves_the_pixel_noise_alone(nominal: hs.Scenario) -> None:
     # The first frame: no state differs yet, so what the law does on it shows its noise alone.
     noisy = nominal.updated({"camera.noise": 0.5, "controller.switching.kind": "tanh"})
