@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from hexservo._bench import spell
+from hexservo.cli.bench import spell
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "figures" / "bench.svg"

@@ -9,7 +9,7 @@ import numpy as np
 
 import hexservo as hs
 from hexservo import _core
-from hexservo._parameters import core_parameters
+from hexservo.scenario.parameters import core_parameters
 from kernels import running
 from problem import Array
 from rows import Row, WrongAnswerError, attempt, largest_difference, require, version_of

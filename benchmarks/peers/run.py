@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import kernels
-from hexservo._machine import describe_machine
+from hexservo.run.machine import describe_machine
 from loops import batch_rows, numpy_row, single_rows
 from parts import part_rows
 from report import markdown, sentence, update_block, write_json

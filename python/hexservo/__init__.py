@@ -19,20 +19,20 @@ except ImportError as error:  # a source tree, or a wheel of another Python
         "(`pip install .` in the source tree) and import it from outside of python/"
     ) from error
 
-from hexservo._analysis import Analysis, analyse
-from hexservo._batch import BatchResult, simulate_batch
-from hexservo._certificate import BatchCertificate, Certificate, certify, certify_batch
-from hexservo._compare import Comparison, ComparisonRow, compare
-from hexservo._controller import Controller, ControllerOutput
-from hexservo._diagnosis import Diagnosis, diagnose
-from hexservo._metrics import METRICS, metrics
-from hexservo._own_controller import LegForces, Observation
-from hexservo._report import write_report
-from hexservo._result import LimitEvent, Result
-from hexservo._saved import ResultError, load_result
-from hexservo._scenario import Scenario, ScenarioError, load_scenario, scenario_names
-from hexservo._simulation import simulate
-from hexservo._variant import VariantError
+from hexservo.findings.analysis import Analysis, analyse
+from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
+from hexservo.findings.diagnosis import Diagnosis, diagnose
+from hexservo.report import write_report
+from hexservo.run.batch import BatchResult, simulate_batch
+from hexservo.run.compare import Comparison, ComparisonRow, compare
+from hexservo.run.controller import Controller, ControllerOutput
+from hexservo.run.custom_controller import LegForces, Observation
+from hexservo.run.metrics import METRICS, metrics
+from hexservo.run.result import LimitEvent, Result
+from hexservo.run.saved import ResultError, load_result
+from hexservo.run.simulation import simulate
+from hexservo.run.variant import VariantError
+from hexservo.scenario.scenario import Scenario, ScenarioError, load_scenario, scenario_names
 
 __all__ = [
     "METRICS",
@@ -75,7 +75,7 @@ __version__: str = _core.build_info()["hexservo"]
 def __getattr__(name: str) -> ModuleType:
     """Import the plotting module when it is first used: matplotlib takes most of a second."""
     if name == "plots":
-        return import_module("hexservo.plots")
+        return import_module("hexservo.draw.plots")
     raise AttributeError(f"module 'hexservo' has no attribute {name!r}")
 
 

@@ -2,8 +2,8 @@
 
 `variation(cause, seed)` draws a baseline (law, camera, devices, target, goal, gains and small model errors) and one
 fault of the cause, both from the ranges below, which were fixed before any rule of the diagnosis was tuned. What counts
-is used: the baseline passes and the same scenario with the fault fails, both by the criterion of `hexservo._diagnosis`.
-The fault is then the truth, whatever else would cure the run as well.
+is used: the baseline passes and the same scenario with the fault fails, both by the criterion of
+`hexservo.findings.diagnosis`. The fault is then the truth, whatever else would cure the run as well.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import hexservo as hs
-from hexservo._parameters import frame_period
+from hexservo.scenario.parameters import frame_period
 
 KEPT_APART = 5000
 """Seeds below 1000 are for tuning, from this one on for the test alone."""

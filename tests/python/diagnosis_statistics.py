@@ -12,9 +12,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from diagnosis_faults import CAUSES, KEPT_APART, Variation, variation
-from hexservo._diagnosis.criterion import Judgement
-from hexservo._diagnosis.ranking import judged, make_cases, pairs, rank, study
-from hexservo._diagnosis.runs import Run, run_all
+from hexservo.findings.diagnosis.criterion import Judgement
+from hexservo.findings.diagnosis.ranking import judged, make_cases, pairs, rank, study
+from hexservo.findings.diagnosis.runs import Run, run_all
 
 BATCH = 32  # variations that are drawn at once
 MOST_DRAWN = 20  # times the failures that are asked for: causes that hardly ever make a run fail give fewer

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import hexservo as hs
-from hexservo._scenario import LAWS, numeric_keys
+from hexservo.scenario.scenario import LAWS, numeric_keys
 
 __all__ = ["extreme_scenario"]
 

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import _core
-from hexservo._analysis import camera_rate
-from hexservo._analysis._camera_margins import Border, crossing, exponents, gain_border, margins, motion_of
-from hexservo._analysis._linear_law import linear_law, linear_plant, rest_of
-from hexservo._analysis._linear_loop import BORDER, Actuation, Clock, SampledLoop
-from hexservo._analysis._loop_of_scenario import (
+from hexservo.findings.analysis import camera_rate
+from hexservo.findings.analysis.camera_margins import Border, crossing, exponents, gain_border, margins, motion_of
+from hexservo.findings.analysis.linear_law import linear_law, linear_plant, rest_of
+from hexservo.findings.analysis.linear_loop import BORDER, Actuation, Clock, SampledLoop
+from hexservo.findings.analysis.loop_of_scenario import (
     LoopAtRest,
     clock_of,
     growth,
@@ -28,9 +28,9 @@ from hexservo._analysis._loop_of_scenario import (
     scaled,
     seen_from_home,
 )
-from hexservo._analysis._scene import scene_of
-from hexservo._evidence import HeatMap, Table, as_data
-from hexservo._parameters import core_parameters
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.evidence import HeatMap, Table, as_data
+from hexservo.scenario.parameters import core_parameters
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
-from hexservo._analysis import conditioning
-from hexservo._analysis._goal import TOLERANCE, Goals, _turn_rate, find_goals
-from hexservo._analysis._poses import Array
-from hexservo._analysis._scene import Scene, View, scene_of
-from hexservo._analysis._words import along, motion_in_words, number, numbers
-from hexservo._analysis.placement import DEPTH_SHARE, image_radius, in_circle, place, placements
+from hexservo.findings.analysis import conditioning
+from hexservo.findings.analysis.goal import TOLERANCE, Goals, _turn_rate, find_goals
+from hexservo.findings.analysis.placement import DEPTH_SHARE, image_radius, in_circle, place, placements
+from hexservo.findings.analysis.poses import Array
+from hexservo.findings.analysis.scene import Scene, View, scene_of
+from hexservo.findings.analysis.words import along, motion_in_words, number, numbers
 
 CORNERS = np.pi * np.array([1, 3, 5, 7]) / 4
 SEED = 20

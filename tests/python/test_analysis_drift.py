@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo._analysis import drift
-from hexservo._analysis._drift_findings import Drift, Pattern, Size
-from hexservo._analysis._goal import find_goals
-from hexservo._analysis._rest import Rest
-from hexservo._analysis._scene import scene_of
-from hexservo._analysis.drift import loop_matrix
+from hexservo.findings.analysis import drift
+from hexservo.findings.analysis.drift import loop_matrix
+from hexservo.findings.analysis.drift_findings import Drift, Pattern, Size
+from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.rest import Rest
+from hexservo.findings.analysis.scene import scene_of
 
 WORST = "(+,-,-,+)"
 PRIOR = np.array([1e4, 1e4, 1e4, 1600, 1600, 1600])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo._analysis import equilibria
-from hexservo._analysis._poses import Poses
-from hexservo._analysis._rest import Rest
-from hexservo._analysis._words import direction_words
-from hexservo._analysis.equilibria import Equilibrium
+from hexservo.findings.analysis import equilibria
+from hexservo.findings.analysis.equilibria import Equilibrium
+from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.rest import Rest
+from hexservo.findings.analysis.words import direction_words
 
 
 @pytest.fixture(scope="module")

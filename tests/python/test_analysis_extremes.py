@@ -11,7 +11,7 @@ import pytest
 
 import hexservo as hs
 from extreme_scenarios import extreme_scenario
-from hexservo._analysis import NotComputed, _computed
+from hexservo.findings.analysis import NotComputed, _computed
 
 SEED = 5
 COUNTS = {

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo._analysis import largest_start
-from hexservo._analysis._scene import Scene
-from hexservo._analysis.largest_start import Direction, LargestStart, border
+from hexservo.findings.analysis import largest_start
+from hexservo.findings.analysis.largest_start import Direction, LargestStart, border
+from hexservo.findings.analysis.scene import Scene
 
 
 @pytest.fixture(scope="module")

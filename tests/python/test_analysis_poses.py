@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import hexservo as hs
-from hexservo._analysis._goal import SHOWN, find_goals
-from hexservo._analysis._poses import Array, Poses, by_displacement, without_sign
-from hexservo._analysis._scene import WIDER, Scene, scene_of
+from hexservo.findings.analysis.goal import SHOWN, find_goals
+from hexservo.findings.analysis.poses import Array, Poses, by_displacement, without_sign
+from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
 
 SEED = 20
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo._analysis import workspace
-from hexservo._analysis._scene import scene_of
-from hexservo._analysis._words import number
-from hexservo._analysis.reach import reach_of_start_and_goal
+from hexservo.findings.analysis import workspace
+from hexservo.findings.analysis.reach import reach_of_start_and_goal
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.analysis.words import number
 
 SEED = 21
 

@@ -17,10 +17,11 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo import _bench, _core
-from hexservo._parameters import core_parameters
-from hexservo._scenario import LAWS
-from hexservo._variant import _load, available_variants
+from hexservo import _core
+from hexservo.cli import bench as module
+from hexservo.run.variant import _load, available_variants
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.scenario import LAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 HEXSERVO = [sys.executable, "-m", "hexservo"]
@@ -134,7 +135,7 @@ def test_numbers_out_of_range_are_refused(tmp_path: Path, arguments: list[str]) 
 
 
 def test_ticks_repeat_the_run_that_they_replay(paper: hs.Scenario) -> None:
-    short = _bench._parameters(paper.updated({"simulation.duration": 0.25}))
+    short = module._parameters(paper.updated({"simulation.duration": 0.25}))
     times = _core.time_ticks(short, 2600)
     assert len(times.latency) == times.periods == 2600
     assert len(times.lateness) == 0
@@ -147,10 +148,10 @@ def test_ticks_repeat_the_run_that_they_replay(paper: hs.Scenario) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_repeats_its_run(paper: hs.Scenario, law: str) -> None:
-    timing = _bench._time_ticks(_bench._replayed(paper, law), None, _bench.Plan(ticks=5000))  # wrong answers raise
+    timing = module._time_ticks(module._replayed(paper, law), None, module.Plan(ticks=5000))  # wrong answers raise
     assert (timing.law, timing.rate, timing.lateness) == (law, None, None)
     assert timing.ticks == timing.periods == (5000 if law == "hybrid" else 1000)
-    half = _bench._replayed(paper, law).updated({"simulation.step": 0.5e-3})
+    half = module._replayed(paper, law).updated({"simulation.step": 0.5e-3})
     finer = _core.time_ticks(core_parameters(half), 10).wrench_difference
     if law in ("hybrid", "composite"):  # forward Euler: of first order in the period
         assert timing.wrench_difference / finer == pytest.approx(2.0, rel=0.05)
@@ -159,13 +160,13 @@ def test_every_law_repeats_its_run(paper: hs.Scenario, law: str) -> None:
 
 
 def test_a_tick_that_differs_from_its_run_is_not_timed(paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(_bench._TICK_TOLERANCES, "hybrid", 1e-6)
-    with pytest.raises(_bench.BenchmarkError, match="ticks of hybrid at 2000 Hz: expected the run's wrenches to 1e-06"):
-        _bench._time_ticks(paper, 2000.0, _bench.Plan(seconds=0.01))
+    monkeypatch.setitem(module._TICK_TOLERANCES, "hybrid", 1e-6)
+    with pytest.raises(module.BenchmarkError, match="ticks of hybrid at 2000 Hz: expected the run's wrenches to 1e-06"):
+        module._time_ticks(paper, 2000.0, module.Plan(seconds=0.01))
 
 
 def test_a_clock_that_is_too_fast_is_missed(paper: hs.Scenario) -> None:
-    times = _core.time_ticks(_bench._parameters(paper), 20_000, 1e6)
+    times = _core.time_ticks(module._parameters(paper), 20_000, 1e6)
     assert len(times.latency) == len(times.lateness) <= times.periods == 20_000
     assert times.missed >= times.periods - len(times.latency)
     assert times.missed > 0
@@ -173,7 +174,7 @@ def test_a_clock_that_is_too_fast_is_missed(paper: hs.Scenario) -> None:
 
 def test_a_pace_takes_the_time_that_it_should(paper: hs.Scenario) -> None:
     started = time.monotonic()
-    times = _core.time_ticks(_bench._parameters(paper), 100, 500.0)
+    times = _core.time_ticks(module._parameters(paper), 100, 500.0)
     assert time.monotonic() - started >= 99 / 500.0
     assert times.periods == 100
 
@@ -190,11 +191,11 @@ def test_a_pace_takes_the_time_that_it_should(paper: hs.Scenario) -> None:
 )
 def test_ticks_out_of_range_are_refused(paper: hs.Scenario, periods: int, rate: float, expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
-        _core.time_ticks(_bench._parameters(paper), periods, rate)
+        _core.time_ticks(module._parameters(paper), periods, rate)
 
 
 def test_a_run_that_stops_cannot_be_replayed(paper: hs.Scenario) -> None:
-    diverging = _bench._parameters(paper.updated({"controller.jacobian": "printed"}))
+    diverging = module._parameters(paper.updated({"controller.jacobian": "printed"}))
     with pytest.raises(ValueError, match="scenario: expected a run that goes to its end"):
         _core.time_ticks(diverging, 10)
 
@@ -204,17 +205,17 @@ def test_a_run_that_stops_cannot_be_replayed(paper: hs.Scenario) -> None:
 
 @pytest.mark.parametrize("variant", available_variants())
 def test_a_wrong_answer_is_not_timed(paper: hs.Scenario, variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    _bench._check_answers(paper, _load(variant))
-    with pytest.raises(_bench.BenchmarkError, match=r"_time of paper|_error of paper"):
-        _bench._check_answers(paper.updated({"uncertainty.gravity": 0.01}), _load(variant))
-    monkeypatch.setattr(_bench, "_LANE_TOLERANCE", -1.0)
-    with pytest.raises(_bench.BenchmarkError, match="of a batch"):
-        _bench._check_answers(paper, _load(variant))
+    module._check_answers(paper, _load(variant))
+    with pytest.raises(module.BenchmarkError, match=r"_time of paper|_error of paper"):
+        module._check_answers(paper.updated({"uncertainty.gravity": 0.01}), _load(variant))
+    monkeypatch.setattr(module, "_LANE_TOLERANCE", -1.0)
+    with pytest.raises(module.BenchmarkError, match="of a batch"):
+        module._check_answers(paper, _load(variant))
 
 
 def test_a_histogram_has_every_tick() -> None:
     times = np.array([1, 50, 99, 450, 450, 460, 10_000, 2**32 - 1], dtype=np.uint32)
-    distribution = _bench._distribution(times)
+    distribution = module._distribution(times)
     assert sum(distribution.counts) == len(times)
     assert distribution.maximum == pytest.approx((2**32 - 1) * 1e-9)
     assert distribution.median == pytest.approx(450e-9)
@@ -225,10 +226,10 @@ def test_a_histogram_has_every_tick() -> None:
 
 def test_a_batch_outruns_the_plain_loop(paper: hs.Scenario) -> None:
     kernels = {name: _load(name) for name in available_variants()}
-    plan = _bench.Plan(rounds=11, duration=0.5, scenarios=32)
+    plan = module.Plan(rounds=11, duration=0.5, scenarios=32)
     best = dict.fromkeys(kernels, 0.0)
     for _ in range(3):  # a neighbour on the machine may spoil one measurement, and hardly three
-        _, ratios = _bench._time_runs(paper, kernels, plan, lambda text: None)
+        _, ratios = module._time_runs(paper, kernels, plan, lambda text: None)
         found = {ratio.name: ratio.value for ratio in ratios}
         for name in kernels:
             best[name] = max(best[name], found[f"one run (baseline) to a batch on one thread ({name})"])
@@ -276,15 +277,15 @@ def test_the_tables_hold_what_was_measured(tables: ModuleType, document: dict[st
     assert "| dynamics | 40.0 ns | 30.0 ns |" in text
     assert "| servo tick | 400 ns | – |" in text
     for speed in document["speeds"]:
-        assert f"| {speed['variant']} | {speed['threads']} | {_bench.spell(speed['wall'])} |" in text
+        assert f"| {speed['variant']} | {speed['threads']} | {module.spell(speed['wall'])} |" in text
     for tick in document["ticks"]:
-        median = _bench.spell(tick["latency"]["median"])
+        median = module.spell(tick["latency"]["median"])
         if tick["rate"] is None:
             assert f"| `{tick['law']}` | {tick['ticks']} | {median} |" in text
         else:
             assert f"| {tick['rate'] / 1e3:g} kHz | {tick['ticks']} | latency | {median} |" in text
     assert "not measured" in tables.benchmarks_block(document, None)
-    assert _bench.spell(document["ticks"][0]["latency"]["median"]) in tables.readme_sentence(document)
+    assert module.spell(document["ticks"][0]["latency"]["median"]) in tables.readme_sentence(document)
 
     page = tmp_path / "page.md"
     page.write_text("a <!-- x:begin -->old<!-- x:end --> b", encoding="utf-8")
@@ -301,5 +302,5 @@ def test_the_pages_have_their_markers(page: str, name: str) -> None:
 
 
 def test_times_are_spelled_with_their_unit() -> None:
-    spelled = [_bench.spell(time) for time in (2e-8, 4.412e-7, 1.234e-6, 1.5e-5, 2.65e-3, 1.2)]
+    spelled = [module.spell(time) for time in (2e-8, 4.412e-7, 1.234e-6, 1.5e-5, 2.65e-3, 1.2)]
     assert spelled == ["20.0 ns", "441 ns", "1.23 µs", "15.0 µs", "2.65 ms", "1.2 s"]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo._certificate import batch as module
-from hexservo._certificate.batch import BatchCertificate
+from hexservo.findings.certificate import batch as module
+from hexservo.findings.certificate.batch import BatchCertificate
 
 SHORT: dict[str, Any] = {"simulation.duration": 0.3}
 

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 import hexservo as hs
-from hexservo._certificate.base import _from_means
-from hexservo._certificate.energy import COARSE, EnergyLedger, energy_ledger
-from hexservo._certificate.replay import Plant, replay, replay_of
-from hexservo._evidence import Curves, Table
-from hexservo._wording import joules
+from hexservo.findings.certificate.base import _from_means
+from hexservo.findings.certificate.energy import COARSE, EnergyLedger, energy_ledger
+from hexservo.findings.certificate.replay import Plant, replay, replay_of
+from hexservo.findings.evidence import Curves, Table
+from hexservo.scenario.wording import joules
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 import hexservo as hs
-from hexservo._certificate.lyapunov import Lyapunov, differentiate
-from hexservo._certificate.replay import Plant, replay
-from hexservo._certificate.uncertainty import Assumption, Uncertainty, uncertainty_of
-from hexservo._evidence import Curves, Table
+from hexservo.findings.certificate.lyapunov import Lyapunov, differentiate
+from hexservo.findings.certificate.replay import Plant, replay
+from hexservo.findings.certificate.uncertainty import Assumption, Uncertainty, uncertainty_of
+from hexservo.findings.evidence import Curves, Table
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import linprog, lsq_linear
 
-from hexservo._certificate import weights as module
-from hexservo._certificate.weights import LIMIT, TIE, best_weights
+from hexservo.findings.certificate import weights as module
+from hexservo.findings.certificate.weights import LIMIT, TIE, best_weights
 
 Array = NDArray[np.float64]
 

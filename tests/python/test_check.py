@@ -10,8 +10,8 @@ import pytest
 
 import hexservo as hs
 from hexservo import _core
-from hexservo._analysis._scene import scene_of
-from hexservo._check import fastest_rate, keys_without_effect, unlikely
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.check import fastest_rate, keys_without_effect, unlikely
 from test_keys_with_effect import fingerprint
 
 # What packaged scenarios are built to be, or come near to: the first words of each warning.

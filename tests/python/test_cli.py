@@ -19,7 +19,8 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from hexservo import _core, cli
+from hexservo import _core
+from hexservo.cli import commands as cli
 
 SHORT = ["--set", "simulation.duration=0.02"]
 SINGULAR = ["--set", "uncertainty.gravity=0.5", "--set", "simulation.log_every=50"]  # ends paper-gravity early
@@ -36,7 +37,7 @@ def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
         path.write_text(result.scenario.name, encoding="utf-8")
         return [path]
 
-    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
 
 
 class Run:
@@ -242,7 +243,7 @@ def test_ctrl_c_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest
     def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
     run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "a" / "out"))
     assert run.code == 130
     assert run.errors == ["Interrupted: nothing more was written"]
@@ -253,7 +254,7 @@ def test_results_that_cannot_be_written_are_still_printed(tmp_path: Path, monkey
     def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
     run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
     assert run.code == 2
     assert "final error" in run.out
@@ -268,7 +269,7 @@ def test_a_mistake_of_ours_is_not_taken_for_bad_input(tmp_path: Path, monkeypatc
     def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
         raise mistake
 
-    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
     run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
     assert run.result.exception is mistake
     assert run.code == 1

@@ -13,11 +13,11 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import hexservo as hs
-from hexservo import cli
-from hexservo._evidence import Column, Curves, Line, Section, Table, as_data
-from hexservo._output import write_results
-from hexservo._print_sections import printed
-from hexservo._report import TITLE
+from hexservo.cli import commands as cli
+from hexservo.cli.output import write_results
+from hexservo.cli.print_sections import printed
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, as_data
+from hexservo.report import TITLE
 
 SHORT = ["--set", "simulation.duration=0.02"]
 COMMANDS = ["certify", "analyse", "diagnose"]
@@ -62,7 +62,7 @@ def invoke(*arguments: str | Path) -> tuple[int, str, str]:
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hexservo.plots.paper_figures", lambda *_: [])
+        patch.setattr("hexservo.draw.plots.paper_figures", lambda *_: [])
         run = hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.02}))
         return write_results(run, tmp_path_factory.mktemp("saved") / "out") / "result.nc"
 
@@ -183,7 +183,7 @@ def test_a_table_too_wide_for_the_terminal_is_a_list(monkeypatch: pytest.MonkeyP
             ["direction: force x", "  smallest eigenvalue: -0.000264 1/s^2", "  reachable: yes", "direction: moment y"],
         ),
     ):
-        monkeypatch.setattr("hexservo._print_sections.width", lambda there=columns_there: there)
+        monkeypatch.setattr("hexservo.cli.print_sections.width", lambda there=columns_there: there)
         console = Console(width=45, file=(shown_there := StringIO()))
         for part in printed([Section("one", "Theme", ["Words."], [table])]):
             console.print(part)

@@ -17,12 +17,12 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from hexservo import _compare
-from hexservo._compare import COLUMNS
-from hexservo._files import MARKER
-from hexservo._scenario import LAWS
-from hexservo.cli import app
-from hexservo.plots import _our_style
+from hexservo.cli.commands import app
+from hexservo.draw.plots import _our_style
+from hexservo.run import compare
+from hexservo.run.compare import COLUMNS
+from hexservo.run.files import MARKER
+from hexservo.scenario.scenario import LAWS
 
 SHORT = {"simulation.duration": 0.3, "controller.switching.kind": "tanh"}  # smooth: a lane agrees with a single run
 
@@ -65,7 +65,7 @@ def test_scenarios_that_differ_in_numbers_alone_share_a_batch(monkeypatch: pytes
         batches.append((scenario.controller.law, sorted(variations), len(next(iter(variations.values())))))
         return hs.simulate_batch(scenario, variations, *rest)
 
-    monkeypatch.setattr(_compare, "simulate_batch", watched)
+    monkeypatch.setattr(compare, "simulate_batch", watched)
     names = ["paper", "paper-minus", "task-general", "paper-no-fuzzy"]
     compared = hs.compare(names, ["hybrid"], {"simulation.duration": 0.01})
     assert [count for _, _, count in batches] == [3, 1]  # without the fuzzy systems it is another loop
@@ -141,7 +141,7 @@ def test_what_no_batch_takes_runs_by_itself(monkeypatch: pytest.MonkeyPatch) -> 
     def refused(*arguments: Any) -> hs.BatchResult:
         raise ValueError("simulation.mode: expected continuous, got another")
 
-    monkeypatch.setattr(_compare, "simulate_batch", refused)
+    monkeypatch.setattr(compare, "simulate_batch", refused)
     alone = hs.compare(["paper", "paper-minus"], ["hybrid"], SHORT)
     for one, other in zip(together.rows, alone.rows, strict=True):
         assert one.detail == other.detail
@@ -158,7 +158,7 @@ def test_ctrl_c_keeps_what_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
         return batch(scenario, *rest)
 
-    monkeypatch.setattr(_compare, "simulate_batch", interrupted)
+    monkeypatch.setattr(compare, "simulate_batch", interrupted)
     compared = hs.compare(["paper"], ["composite", "hybrid"], SHORT)
     assert compared.interrupted
     assert compared.finished == 1
@@ -333,7 +333,7 @@ def test_ctrl_c_is_told_and_what_is_finished_is_written(monkeypatch: pytest.Monk
     def interrupted(*arguments: Any) -> hs.BatchResult:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_compare, "simulate_batch", interrupted)
+    monkeypatch.setattr(compare, "simulate_batch", interrupted)
     run = invoke("--scenarios", "paper", "--laws", "hybrid", "--out", str(tmp_path / "out"))
     assert run.exit_code == 130
     assert "0 of 1 runs were finished" in run.stderr
@@ -342,7 +342,7 @@ def test_ctrl_c_is_told_and_what_is_finished_is_written(monkeypatch: pytest.Monk
 
 def test_a_narrow_terminal_gets_two_tables() -> None:
     program = (
-        "import sys, hexservo.cli as cli; cli._terminal.width = lambda: 100; sys.argv[1:] = "
+        "import sys, hexservo.cli.commands as cli; cli.terminal.width = lambda: 100; sys.argv[1:] = "
         "['compare', '--scenarios', 'paper', '--set', 'simulation.duration=0.01']; cli.main()"
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

@@ -22,19 +22,19 @@ from diagnosis_faults import CAUSES as FAULTY
 from diagnosis_faults import FAULTS, KEPT_APART, shipped
 from diagnosis_faults import variation as draw
 from diagnosis_statistics import count, failing
-from hexservo._analysis.reach import reach_of_start_and_goal
-from hexservo._diagnosis.causes import BLOCKS_IN_COMMON, CAUSES, HARMLESS, IN_COMMON
-from hexservo._diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
-from hexservo._diagnosis.environment import ORDINARY, ideal, ordinary
-from hexservo._diagnosis.evidence import SIGNATURES
-from hexservo._diagnosis.gains import slower
-from hexservo._diagnosis.goal import goal_of, goal_run, pixels_per_metre, seen_from_home, spread_target
-from hexservo._diagnosis.model import Case, Removal
-from hexservo._diagnosis.ranking import Study, judged, make_cases, pairs, rank, study
-from hexservo._diagnosis.runs import Run, record_of, run_all
-from hexservo._evidence import Curves, Table
-from hexservo._parameters import frame_period
-from hexservo._scenario import LAWS, Scenario
+from hexservo.findings.analysis.reach import reach_of_start_and_goal
+from hexservo.findings.diagnosis.causes import BLOCKS_IN_COMMON, CAUSES, HARMLESS, IN_COMMON
+from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
+from hexservo.findings.diagnosis.environment import ORDINARY, ideal, ordinary
+from hexservo.findings.diagnosis.evidence import SIGNATURES
+from hexservo.findings.diagnosis.gains import slower
+from hexservo.findings.diagnosis.goal import goal_of, goal_run, pixels_per_metre, seen_from_home, spread_target
+from hexservo.findings.diagnosis.model import Case, Removal
+from hexservo.findings.diagnosis.ranking import Study, judged, make_cases, pairs, rank, study
+from hexservo.findings.diagnosis.runs import Run, record_of, run_all
+from hexservo.findings.evidence import Curves, Table
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.scenario import LAWS, Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)

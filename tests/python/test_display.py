@@ -23,9 +23,9 @@ import pytest
 from matplotlib.image import imread
 
 import hexservo as hs
-from hexservo._analysis._scene import Scene
-from hexservo._evidence import Curves, HeatMap, Line, Table
-from hexservo._evidence_plot import item_figure
+from hexservo.draw.evidence import item_figure
+from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.evidence import Curves, HeatMap, Line, Table
 
 VARIED = {"uncertainty.gravity": np.array([0.0, 0.01, 0.02]), "controller.hybrid.kv": np.full((1, 6), 1e-3)}
 

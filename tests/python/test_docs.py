@@ -372,7 +372,7 @@ def test_names_in_code_spans_occur_in_the_sources(page: Path) -> None:
 @cache
 def scenario_keys() -> frozenset[str]:
     """Dotted paths of all scenario keys, read from the classes that define them."""
-    tree = ast.parse((ROOT / "python" / "hexservo" / "_scenario.py").read_text(encoding="utf-8"))
+    tree = ast.parse((ROOT / "python" / "hexservo" / "scenario" / "scenario.py").read_text(encoding="utf-8"))
 
     def kind_of(annotation: ast.expr) -> str:  # the name of a block, Annotated[Block, ...] or not
         if isinstance(annotation, ast.Subscript) and isinstance(annotation.slice, ast.Tuple):

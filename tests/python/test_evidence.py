@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo._evidence import Column, Table, as_data
+from hexservo.findings.evidence import Column, Table, as_data
 
 
 def test_a_table_refuses_rows_of_another_length() -> None:

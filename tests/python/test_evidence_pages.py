@@ -14,7 +14,7 @@ import pytest
 
 from test_docs import ROOT, cpp_tests, links_in, prose_of, python_tests, tables_in
 
-SOURCES = ("_analysis", "_certificate", "_diagnosis", "_report")  # packages of hexservo
+SOURCES = ("findings/analysis", "findings/certificate", "findings/diagnosis", "report")  # packages of hexservo
 FOLDERS = ("analysis", "certificate", "diagnosis")  # of docs/: nothing but pages of quantities, and an index
 HEADINGS = ["What it is", "Formula", "Source", "Limits", "How it is tested"]
 SPECIFICATION = "docs/model.md"  # may be named too; it has headings and tests of its own
@@ -26,7 +26,7 @@ ITEMS = ("Table", "Curves", "HeatMap")
 
 def position_of_page(root: Path) -> dict[str, int]:
     """Where `page` stands among the positional arguments of a table, curves or a map."""
-    tree = ast.parse((root / "python" / "hexservo" / "_evidence.py").read_text(encoding="utf-8"))
+    tree = ast.parse((root / "python" / "hexservo" / "findings" / "evidence.py").read_text(encoding="utf-8"))
     fields = {
         node.name: [
             item.target.id
@@ -56,7 +56,7 @@ class _Pages(ast.NodeVisitor):
         tree = ast.parse(text)
         self.where = where
         self.positions = positions
-        self.explained = "/_report/" not in where  # a report also has tables of versions and settings
+        self.explained = "/report/" not in where  # a report also has tables of versions and settings
         self.pages: set[str] = set()
         self.problems: list[str] = []
         self.constants = dict(_text_constants(tree))
@@ -225,8 +225,8 @@ def test_the_overview_has_every_page_and_says_what_kind_of_statement_it_makes() 
 
 # ---- What the test would find: a small tree, sound, and then broken in each way -------------------------------------
 
-EVIDENCE = "python/hexservo/_evidence.py"
-SOURCE = "python/hexservo/_analysis/part.py"
+EVIDENCE = "python/hexservo/findings/evidence.py"
+SOURCE = "python/hexservo/findings/analysis/part.py"
 DOCS = "docs"  # apart, since these pages are made up: test_docs.py looks for every page that a source names
 PAGE = f"{DOCS}/analysis/part.md"
 OTHER = f"{DOCS}/analysis/other.md"
@@ -362,5 +362,5 @@ def test_a_page_may_be_led_to_by_another_one(tmp_path: Path) -> None:
 
 
 def test_a_report_may_show_tables_that_need_no_page(tmp_path: Path) -> None:
-    write_tree(tmp_path, {"python/hexservo/_report/page.py": 'Table("Versions", (), ())\n'})
+    write_tree(tmp_path, {"python/hexservo/report/page.py": 'Table("Versions", (), ())\n'})
     assert problems_of(tmp_path) == []

@@ -16,10 +16,11 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from hexservo import _publish, cli
-from hexservo._export import gains_header, write_header
-from hexservo._files import OutputError
-from hexservo._parameters import core_parameters
+from hexservo.cli import commands as cli
+from hexservo.run import publish
+from hexservo.run.export import gains_header, write_header
+from hexservo.run.files import OutputError
+from hexservo.scenario.parameters import core_parameters
 
 ROOT = Path(__file__).resolve().parents[2]
 EIGEN = next((path for path in map(Path, ("/usr/include/eigen3", "/usr/local/include/eigen3")) if path.exists()), None)
@@ -318,7 +319,7 @@ def test_nothing_is_left_of_ctrl_c(paper: hs.Scenario, tmp_path: Path, monkeypat
     def interrupt(*arguments: object) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_publish, "_renamed", interrupt)
+    monkeypatch.setattr(publish, "_renamed", interrupt)
     code, out, error = run("paper", "--header", str(tmp_path / "gains.hpp"))
     assert (code, out) == (130, "")
     assert "Interrupted" in error

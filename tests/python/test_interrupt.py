@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from hexservo import cli
-from hexservo._batch import BatchResult
+from hexservo.cli import commands as cli
+from hexservo.run.batch import BatchResult
 
 simulate = hs.simulate  # as it is
 simulate_batch = hs.simulate_batch
@@ -40,31 +40,31 @@ def test_a_run_that_the_user_stops_is_not_judged(command: str, tmp_path: Path, m
 
 
 @pytest.mark.parametrize(
-    ("part", "module"), [("stiction", "_analysis._stiction_runs"), ("largest_start", "_analysis.largest_start")]
+    ("part", "module"), [("stiction", "analysis.stiction_runs"), ("largest_start", "analysis.largest_start")]
 )
 def test_an_analysis_does_not_rest_on_runs_that_were_stopped(
     part: str, module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"hexservo.{module}.simulate_batch", stopped_batch)
+    monkeypatch.setattr(f"hexservo.findings.{module}.simulate_batch", stopped_batch)
     with pytest.raises(KeyboardInterrupt):
         hs.analyse(hs.load_scenario("paper"), [part])
 
 
 def test_a_border_is_not_judged_by_a_run_that_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hexservo._analysis._loop_of_scenario.simulate", stopped)
+    monkeypatch.setattr("hexservo.findings.analysis.loop_of_scenario.simulate", stopped)
     with pytest.raises(KeyboardInterrupt):
         hs.analyse(hs.load_scenario("paper-composite"), ["camera_rate"])
 
 
 def test_a_diagnosis_does_not_rest_on_runs_that_were_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     failing = hs.simulate(hs.load_scenario("fails-stiction"))
-    monkeypatch.setattr("hexservo._diagnosis.runs.simulate_batch", stopped_batch)
+    monkeypatch.setattr("hexservo.findings.diagnosis.runs.simulate_batch", stopped_batch)
     with pytest.raises(KeyboardInterrupt):
         hs.diagnose(failing)
 
 
 def test_a_ledger_does_not_rest_on_a_base_that_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     shaken = hs.simulate(hs.load_scenario("rough-road").updated({"simulation.duration": 0.1}))
-    monkeypatch.setattr("hexservo._certificate.base.simulate", stopped)
+    monkeypatch.setattr("hexservo.findings.certificate.base.simulate", stopped)
     with pytest.raises(KeyboardInterrupt):
         hs.certify(shaken)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo._scenario import LAWS, Camera, Scenario, _paths, numeric_keys, sampled_keys, value_at
+from hexservo.scenario.scenario import LAWS, Camera, Scenario, _paths, numeric_keys, sampled_keys, value_at
 
 # A legal value of every key that acts in sampled mode alone, other than its default; a servo period is 1 ms.
 SAMPLED: dict[str, Any] = {

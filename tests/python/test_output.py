@@ -25,10 +25,10 @@ import xarray
 
 import hexservo as hs
 from fuzz.places import SUBJECTS, Subject, without_exchange
-from hexservo import _publish
-from hexservo._files import MARKER, OutputError, _Folder, check_folder
-from hexservo._output import write_results
-from hexservo._publish import draft_beside
+from hexservo.cli.output import write_results
+from hexservo.run import publish
+from hexservo.run.files import MARKER, OutputError, _Folder, check_folder
+from hexservo.run.publish import draft_beside
 
 FIGURE = "fig3_feature_paths.svg"
 FILES = {MARKER, "scenario.yaml", "metrics.json", "result.nc", FIGURE}
@@ -52,7 +52,7 @@ def draw_with(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> Non
         path.write_text(f"drawn for {result.scenario.name}", encoding="utf-8")
         return [path]
 
-    monkeypatch.setattr("hexservo.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -416,7 +416,7 @@ def around_exchange(
     monkeypatch: pytest.MonkeyPatch, before: Callable[[Path], object] | None, after: Callable[[Path], object] | None
 ) -> None:
     """Have something happen before and after the first exchange; it gets the folder of the old results."""
-    exchange = _publish._exchange
+    exchange = publish._exchange
     calls = []
 
     def spied(ready: Path, path: Path) -> None:
@@ -427,7 +427,7 @@ def around_exchange(
         if after is not None and len(calls) == 1:
             after(ready)
 
-    monkeypatch.setattr(_publish, "_exchange", spied)
+    monkeypatch.setattr(publish, "_exchange", spied)
 
 
 def fail(_: Path) -> None:
@@ -584,8 +584,8 @@ def test_a_signal_that_ends_the_process_leaves_nothing_behind(
 import os
 from pathlib import Path
 from fuzz.places import SUBJECTS
-import hexservo._files
-hexservo._files.publish = lambda draft, place: os.kill(os.getpid(), {int(number)})
+import hexservo.run.files
+hexservo.run.files.publish = lambda draft, place: os.kill(os.getpid(), {int(number)})
 (subject,) = (subject for subject in SUBJECTS if subject.name == {subject.name!r})
 subject.write(Path({str(place)!r}), 1)
 print("not reached")

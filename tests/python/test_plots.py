@@ -20,8 +20,8 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 
 import hexservo as hs
-from hexservo import plots
-from hexservo._samples import rotation_vectors
+from hexservo.draw import plots
+from hexservo.run.samples import rotation_vectors
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import _core
-from hexservo._parameters import core_parameters
-from hexservo._probe import probe
+from hexservo.run.probe import probe
+from hexservo.scenario.parameters import core_parameters
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import _core
-from hexservo._export import gains_header
-from hexservo._parameters import core_parameters
-from hexservo._scenario import LAWS
+from hexservo.run.export import gains_header
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.scenario import LAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 GIVEN = {

@@ -23,21 +23,22 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 import hexservo as hs
-from hexservo import _core, _sections
-from hexservo._evidence import Column, Curves, HeatMap, Line, Section, Table
-from hexservo._files import OutputError
-from hexservo._parameters import core_parameters
-from hexservo._report import TITLE
-from hexservo._report._charts import curves, needed
-from hexservo._report._documentation import is_page, page_html
-from hexservo._report._evidence_html import page_text
-from hexservo._report._html import Html, element, json_script
-from hexservo._report._page import page
-from hexservo._report._scene import scene
-from hexservo._report._words import summary_sentences
-from hexservo._samples import parts
-from hexservo._sections import Group, Source
-from hexservo._wording import cell_text, joules, number
+from hexservo import _core
+from hexservo.findings import sections
+from hexservo.findings.evidence import Column, Curves, HeatMap, Line, Section, Table
+from hexservo.findings.sections import Group, Source
+from hexservo.report import TITLE
+from hexservo.report.charts import curves, needed
+from hexservo.report.documentation import is_page, page_html
+from hexservo.report.evidence_html import page_text
+from hexservo.report.html import Html, element, json_script
+from hexservo.report.page import page
+from hexservo.report.scene import scene
+from hexservo.report.words import summary_sentences
+from hexservo.run.files import OutputError
+from hexservo.run.samples import parts
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.wording import cell_text, joules, number
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -88,7 +89,7 @@ def text(result: hs.Result) -> str:
             Group(Source("certify", "Certificate", False, "What it is."), made_up_sections()),
             Group(Source("diagnose", "Diagnosis", False, "What it is."), (), f"expected another law, got {EVIL}"),
         ]
-        patch.setattr("hexservo._report._page.groups", lambda _: groups)
+        patch.setattr("hexservo.report.page.groups", lambda _: groups)
         return page(result)
 
 
@@ -102,7 +103,7 @@ def file(text: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def no_slow_findings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the findings that are worked out, but for the test that asks for them."""
-    monkeypatch.setattr("hexservo._report._page.groups", lambda _: [])
+    monkeypatch.setattr("hexservo.report.page.groups", lambda _: [])
 
 
 def words_of(text: str) -> str:
@@ -353,7 +354,7 @@ def test_a_law_without_fuzzy_systems_has_no_rule_table() -> None:
 
 
 def test_a_long_recording_is_cut(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
-    monkeypatch.setattr("hexservo._report._page._MAX_SCENARIO", 100)
+    monkeypatch.setattr("hexservo.report.page._MAX_SCENARIO", 100)
     words = words_of(page(result))
     assert f"{len(result.scenario.to_yaml()) - 100} more characters are left out here." in words
 
@@ -403,7 +404,7 @@ def test_the_summary_says_the_worst_first(monkeypatch: pytest.MonkeyPatch, resul
         Group(Source("certify", "Certificate", False, ""), sections),
         Group(Source("diagnose", "Diagnosis", False, ""), [Section("cause", "Cause", ["Words."], verdict="bad")]),
     ]
-    monkeypatch.setattr("hexservo._report._page.groups", lambda _: found)
+    monkeypatch.setattr("hexservo.report.page.groups", lambda _: found)
     (listed,) = re.findall(r'<ul class="verdicts">(.*?)</ul>', page(result), re.DOTALL)
     assert re.findall(r"Title \d|Cause", listed) == ["Cause", "Title 2", "Title 4", "Title 3", "Title 1", "Title 0"]
 
@@ -527,7 +528,7 @@ def test_the_file_is_whole_and_never_in_place_of_another(result: hs.Result, tmp_
 
 def test_the_report_of_the_paper_is_small_and_quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With all that certificate, analysis and diagnosis have to say."""
-    monkeypatch.setattr("hexservo._report._page.groups", _sections.groups)
+    monkeypatch.setattr("hexservo.report.page.groups", sections.groups)
     scenario = hs.load_scenario("paper")
     started = time.process_time()
     result = hs.simulate(scenario, log_weights=True)
@@ -727,7 +728,7 @@ EMPTY = """() => [...document.querySelectorAll("main .scroll")].filter(box => {
 def test_on_a_phone_no_names_overlap_and_no_columns_are_empty(browser: Browser, tmp_path: Path) -> None:
     """With all findings of a run whose time axes are broken and whose tables are wide."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hexservo._report._page.groups", _sections.groups)
+        patch.setattr("hexservo.report.page.groups", sections.groups)
         text = page(hs.simulate(hs.load_scenario("composite-30hz")))
     (tmp_path / "report.html").write_text(text, encoding="utf-8")
     seen = Visit(browser, tmp_path / "report.html", viewport=PHONE, has_touch=True)

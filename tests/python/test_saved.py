@@ -20,8 +20,8 @@ import pytest
 import xarray
 
 import hexservo as hs
-from hexservo._files import OutputError
-from hexservo._saved import FORMAT, MAX_BYTES, _parsed, result_bytes, save_result, sealed_bytes
+from hexservo.run.files import OutputError
+from hexservo.run.saved import FORMAT, MAX_BYTES, _parsed, result_bytes, save_result, sealed_bytes
 
 
 @pytest.fixture(scope="module")

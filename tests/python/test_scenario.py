@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 import hexservo as hs
 from hexservo import _core
-from hexservo._yaml import load_yaml
+from hexservo.scenario.yaml import load_yaml
 
 INITIAL = [30, 18, 65, -65, -44, 37, -10, -15]
 DESIRED = [10, 10, 45, -73, -64, 29, -30, -23]

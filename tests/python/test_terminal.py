@@ -14,9 +14,10 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from hexservo import _terminal, cli
-from hexservo._evidence import Table
-from hexservo._wording import number, quantity
+from hexservo.cli import commands as cli
+from hexservo.cli import terminal
+from hexservo.findings.evidence import Table
+from hexservo.scenario.wording import number, quantity
 from test_cli import environment
 
 SHORT = ["--set", "simulation.duration=0.2"]
@@ -56,9 +57,8 @@ def test_commands_on_every_packaged_scenario(name: str) -> None:
 
 @pytest.mark.parametrize("columns", [80, 10_000])
 def test_findings_at_any_width(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("cli", "_terminal", "_print_sections"):
-        target = f"hexservo.{module}.width" if module == "_print_sections" else "hexservo._terminal.width"
-        monkeypatch.setattr(target, lambda: columns)
+    for module in ("terminal", "print_sections"):
+        monkeypatch.setattr(f"hexservo.cli.{module}.width", lambda: columns)
     for arguments in (
         ["analyse", "paper"],
         ["analyse", "composite-30hz"],
@@ -135,7 +135,7 @@ def test_no_number_is_minus_zero_or_has_a_small_exponent() -> None:
 
 @pytest.mark.parametrize("columns", [30, 80, 120, 170, 10_000])
 def test_a_comparison_fits_the_terminal_whole(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_terminal, "width", lambda: columns)
+    monkeypatch.setattr(terminal, "width", lambda: columns)
     arguments = ["compare", "--scenarios", "paper,textbook-translation", "--laws", "hybrid,resolved_rate", *SHORT]
     code, out, _ = invoke(*arguments)
     assert code == 0
@@ -203,7 +203,7 @@ def test_a_comparison_that_is_interrupted_early_counts_its_runs(moment: str, mon
     def interrupted(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    target = "hexservo.cli.load" if moment == "loading" else "hexservo._compare._prepared"
+    target = "hexservo.cli.commands.load" if moment == "loading" else "hexservo.run.compare._prepared"
     monkeypatch.setattr(target, interrupted)
     code, _, error = invoke("compare", "--scenarios", "paper,paper-gravity", "-q")
     assert (code, error) == (130, "Interrupted: 0 of 12 runs were finished\n")

@@ -17,7 +17,7 @@ import pytest
 
 import hexservo as hs
 from hexservo import _core
-from hexservo._variant import ENVIRONMENT_VARIABLE, available_variants, chosen_kernel
+from hexservo.run.variant import ENVIRONMENT_VARIABLE, available_variants, chosen_kernel
 
 X86 = bool(_core.processor_features())
 LANES = {"baseline": 2, "avx2": 4, "avx512": 8}
@@ -43,7 +43,7 @@ def built_modules() -> list[str]:
 
 def test_the_fastest_that_the_processor_has_is_chosen() -> None:
     assert available_variants()[-1] == "baseline"
-    run = python("from hexservo._variant import chosen_kernel as k; print(k().name, k().lanes)", None)
+    run = python("from hexservo.run.variant import chosen_kernel as k; print(k().name, k().lanes)", None)
     assert run.stdout.split() == [available_variants()[0], str(LANES[available_variants()[0]])], run.stderr
 
 
@@ -69,11 +69,12 @@ def test_each_can_be_forced_and_says_so(variant: str) -> None:
 def test_an_unknown_or_unsupported_one_is_refused_in_one_line(wanted: str, reason: str) -> None:
     program = """
 import sys
-from hexservo import _core, _variant
+from hexservo import _core
+from hexservo.run import variant
 from hexservo.cli import main
 _core.processor_features = lambda: {}  # an old processor
-_variant.available_variants.cache_clear()
-_variant._CHOSEN = _variant._chosen()
+variant.available_variants.cache_clear()
+variant._CHOSEN = variant._chosen()
 sys.argv = ["hexservo", "run", "paper"]
 main()
 """

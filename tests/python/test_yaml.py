@@ -14,7 +14,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hexservo._yaml import MAX_BYTES, MAX_DEPTH, ScenarioError, dump_yaml, load_yaml, read_yaml
+from hexservo.scenario.yaml import MAX_BYTES, MAX_DEPTH, ScenarioError, dump_yaml, load_yaml, read_yaml
 
 # The examples and counter-examples of YAML 1.2.2, sections 10.2 and 10.3, and what YAML 1.1 took for something else.
 CORE_SCHEMA = [

@@ -14,8 +14,8 @@ from numpy.random import Generator
 
 import hexservo as hs
 from fuzz.scenarios import draw
-from hexservo import _variant
-from hexservo._scenario import value_at
+from hexservo.run import variant as kernels
+from hexservo.scenario.scenario import value_at
 
 __all__ = ["Ending", "batch_and_single_run", "endings", "spread"]
 
@@ -38,12 +38,12 @@ class Ending:
 @contextlib.contextmanager
 def variant(name: str) -> Iterator[None]:
     """Have runs made by one of the compiled variants."""
-    before = _variant._CHOSEN
-    _variant._CHOSEN = _variant._load(name)
+    before = kernels._CHOSEN
+    kernels._CHOSEN = kernels._load(name)
     try:
         yield
     finally:
-        _variant._CHOSEN = before
+        kernels._CHOSEN = before
 
 
 def single(scenario: hs.Scenario) -> Ending:
@@ -78,7 +78,7 @@ def nudged(scenario: hs.Scenario, seed: int) -> hs.Scenario:
 def endings(scenario: hs.Scenario) -> dict[str, Ending]:
     """Run a scenario in every way that differs from the others by rounding alone."""
     found = {}
-    for name in _variant.available_variants():
+    for name in kernels.available_variants():
         with variant(name):
             found[f"single run, {name}"] = single(scenario)
             found[f"batch, {name}"] = in_a_batch(scenario)

@@ -18,8 +18,8 @@ from fuzz.batches import batch_and_single_run
 from fuzz.campaign import Trial
 from fuzz.promises import check
 from fuzz.scenarios import draw
-from hexservo._controller import InputStatus
-from hexservo._saved import result_bytes, save_result
+from hexservo.run.controller import InputStatus
+from hexservo.run.saved import result_bytes, save_result
 
 __all__ = ["CAMPAIGNS"]
 

@@ -23,12 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from hexservo import _files, _publish
+from hexservo.run import files, publish
 
 TITLE = "# a file of the fuzzer"
 AUTHOR = "the fuzzer"
 FILES = ("a.txt", "b.bin", "c.txt")
-_WATCHED = {_files.__file__, _publish.__file__}
+_WATCHED = {files.__file__, publish.__file__}
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ def _fill(number: int) -> Callable[[Path], None]:
 
 def _folder_numbers(folder: Path) -> set[int]:
     digests = dict(
-        line.split("  ")[::-1] for line in (folder / _files.MARKER).read_text().splitlines() if not line.startswith("#")
+        line.split("  ")[::-1] for line in (folder / files.MARKER).read_text().splitlines() if not line.startswith("#")
     )
     assert set(digests) == set(FILES)
-    assert {entry.name for entry in folder.iterdir()} == {_files.MARKER, *FILES}
+    assert {entry.name for entry in folder.iterdir()} == {files.MARKER, *FILES}
     contents = {name: (folder / name).read_bytes() for name in FILES}
     assert all(hashlib.sha256(content).hexdigest() == digests[name] for name, content in contents.items())
     return {int(line) for content in contents.values() for line in content.split()}
@@ -69,14 +69,14 @@ def _file_numbers(file: Path) -> set[int]:
 SUBJECTS = (
     Subject(
         "folder",
-        lambda path, number: _files.write_folder(path, _fill(number), "the fuzzer", force=True),
-        lambda path: _files.check_folder(path, force=True),
+        lambda path, number: files.write_folder(path, _fill(number), "the fuzzer", force=True),
+        lambda path: files.check_folder(path, force=True),
         _folder_numbers,
     ),
     Subject(
         "file",
-        lambda path, number: _files.write_file(TITLE + f"\n{number}" * 1000 + "\n", path, TITLE, AUTHOR, force=True),
-        lambda path: _files.check_file(path, TITLE, AUTHOR, force=True),
+        lambda path, number: files.write_file(TITLE + f"\n{number}" * 1000 + "\n", path, TITLE, AUTHOR, force=True),
+        lambda path: files.check_file(path, TITLE, AUTHOR, force=True),
         _file_numbers,
     ),
 )
@@ -94,11 +94,11 @@ def _lacking(one: Path, other: Path, flags: int) -> bool:
 @contextlib.contextmanager
 def without_exchange() -> Iterator[None]:
     """Have the system lack renameat2."""
-    renamed, _publish._renamed = _publish._renamed, _lacking
+    renamed, publish._renamed = publish._renamed, _lacking
     try:
         yield
     finally:
-        _publish._renamed = renamed
+        publish._renamed = renamed
 
 
 # ---- Faults at each line --------------------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ def without_exchange() -> Iterator[None]:
 
 @contextlib.contextmanager
 def fault_at(line: int, fault: Callable[[], object]) -> Iterator[list[int]]:
-    """Have a fault when the line with that number among those run of `_files` and `_publish` is about to run."""
+    """Have a fault when the line with that number among those run of `files` and `publish` is about to run."""
     count = [0]
 
     def local(frame: FrameType, event: str, argument: Any) -> Any:
@@ -193,7 +193,7 @@ def _settled(subject: Subject, place: Path, allowed: set[int] | None) -> str:
     (number,) = subject.numbers(place)
     assert allowed is None or number in allowed, number
     if not is_there:
-        assert _publish._renamed is _lacking, "the name was missing"
+        assert publish._renamed is _lacking, "the name was missing"
         return "a missing name"
     return ("old" if number == 0 else "new") + (" and left-overs" if before != [place.name] else "")
 

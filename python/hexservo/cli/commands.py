@@ -1,0 +1,473 @@
+"""The command line: ``hexservo run | compare | report | scenarios | show | check | export | bench | version`` and more.
+
+Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
+numerical outcome; 4 a run that did not settle, with --require-settled; 130 interrupted; 141 the reader of the output
+left.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import hexservo as hs
+from hexservo.cli import evidence, terminal
+from hexservo.cli.terminal import (
+    ENDED_EARLY,
+    INTERRUPTED,
+    NOT_SETTLED,
+    ForceOption,
+    RequireSettledOption,
+    ScenarioArgument,
+    SettingsOption,
+    complain,
+    ending,
+    load,
+    reporting,
+    show_parts,
+    spell_time,
+    whisper,
+    write,
+)
+from hexservo.scenario.scenario import LAWS
+from hexservo.scenario.wording import number
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from hexservo.run.compare import Column
+
+__all__ = ["app", "main"]
+
+_GAP = 2  # between two columns of a table
+_WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table leaves out what the metrics mean
+
+app = typer.Typer(
+    help="Image-based visual servoing of parallel robots: run scenarios, look at results.",
+    epilog="Exit codes: 0 done, 2 bad input, 3 a run that ended early (such as divergence), 4 a run that did not "
+    "settle (with --require-settled), 130 interrupted.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # help and usage errors as plain text: nothing boxed, nothing wrapped in logs
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command line with the arguments of the process, and exit."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a terminal may lack a character of a description or path
+    app(prog_name="hexservo")
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        write(f"hexservo {hs.__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    scenario: ScenarioArgument,
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", metavar="FOLDER", help="Write figures and data there, into a new or empty folder."),
+    ] = None,
+    settings: SettingsOption = None,
+    force: ForceOption = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
+    require_settled: RequireSettledOption = False,
+) -> None:
+    """Simulate a scenario and report on it.
+
+    The results are printed as a table; --out writes figures and data too.
+    """
+    with reporting():
+        from hexservo.cli.output import write_results
+        from hexservo.run.files import OutputError, check_folder
+
+        chosen = load(scenario, settings or [])
+        if out is not None:
+            check_folder(out, force=force)
+        started = time.perf_counter()
+        try:
+            result = hs.simulate(chosen)
+        except ValueError as error:
+            raise hs.ScenarioError(str(error).splitlines(), chosen.name) from error
+        elapsed = time.perf_counter() - started
+        failure = None
+        if out is not None:  # before anything is printed, so that no closed pipe costs the results
+            try:
+                write_results(result, out, force=force)
+            except OutputError as error:
+                failure = error
+        if not quiet:
+            written = out if failure is None else None
+            show_parts(*_report(result, elapsed, written, hint=out is None))
+        if failure is not None:
+            raise failure
+        if result.outcome != "completed":
+            complain(f"{chosen.name}: {ending(result)}", head="Ended early")
+            raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
+        if require_settled and math.isnan(hs.metrics(result)["settling_time"]):
+            residual = number(hs.metrics(result)["final_error"])
+            complain(f"{chosen.name}: {residual} px off at the end", head="Not settled")
+            raise typer.Exit(NOT_SETTLED)
+
+
+@app.command()
+def compare(
+    scenarios: Annotated[
+        str,
+        typer.Option(
+            "--scenarios",
+            metavar="NAMES",
+            help='Packaged scenarios or paths of YAML files, with commas between; "task-*" stands for all such names.',
+        ),
+    ],
+    laws: Annotated[
+        str | None, typer.Option("--laws", metavar="NAMES", help="Laws, with commas between.  [default: all]")
+    ] = None,
+    settings: SettingsOption = None,
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", metavar="FOLDER", help="Write tables and a page of pictures there."),
+    ] = None,
+    force: ForceOption = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
+    require_settled: RequireSettledOption = False,
+) -> None:
+    """Run several laws on several scenarios and compare them.
+
+    A scenario runs with its law replaced and everything else as it stands. The table says which run settled and why,
+    when, how far off, and at what cost; --out writes it as Markdown and CSV too, with a page of pictures.
+    """
+    with reporting():
+        from hexservo.run.files import OutputError, check_folder
+
+        names, chosen_laws = _expanded(scenarios), None if laws is None else _split(laws)
+        watched = sys.stderr is not None and sys.stderr.isatty()
+        try:
+            chosen = [load(name, settings or []) for name in names]
+            if out is not None:
+                check_folder(out, force=force)
+            started = time.perf_counter()
+            try:
+                comparison = hs.compare(chosen, chosen_laws, progress=watched)
+            except ValueError as error:  # of the choice, as an unknown law
+                raise hs.ScenarioError(str(error).splitlines()) from error
+        except KeyboardInterrupt:  # before the first run
+            complain(f"0 of {len(names) * len(chosen_laws or LAWS)} runs were finished", head="Interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+        elapsed = time.perf_counter() - started
+        failure = None
+        if out is not None:
+            try:
+                comparison.write(out, force=force)
+            except OutputError as error:
+                failure = error
+        if not quiet:
+            show_parts(*_comparison_report(comparison, elapsed, out if failure is None else None, hint=out is None))
+        if failure is not None:
+            raise failure
+        if comparison.interrupted:
+            complain(f"{comparison.finished} of {len(comparison.rows)} runs were finished", head="Interrupted")
+            raise typer.Exit(INTERRUPTED)
+        unsettled = sum(not row.settled for row in comparison.rows)
+        if require_settled and unsettled:
+            complain(f"{unsettled} of {len(comparison.rows)} runs", head="Not settled")
+            raise typer.Exit(NOT_SETTLED)
+
+
+for command in (evidence.report, evidence.certify, evidence.analyse, evidence.diagnose):
+    app.command()(command)
+
+
+@app.command()
+def scenarios() -> None:
+    """List the packaged scenarios."""
+    with reporting():
+        from rich.table import Table
+
+        table = Table.grid(padding=(0, 2))
+        table.add_column(no_wrap=True, style="bold")
+        table.add_column(overflow="fold")
+        for name in hs.scenario_names():
+            table.add_row(name, hs.load_scenario(name).description)
+        show_parts(table)
+
+
+@app.command()
+def show(scenario: ScenarioArgument, settings: SettingsOption = None) -> None:
+    """Print a scenario as YAML.
+
+    Every default is filled in, so that the output is a good start for a scenario of one's own.
+    """
+    with reporting():
+        write(load(scenario, settings or []).to_yaml(), encoding="utf-8")  # what a scenario is read with
+
+
+@app.command()
+def check(
+    scenario: ScenarioArgument,
+    settings: SettingsOption = None,
+) -> None:
+    """Check a scenario.
+
+    Every problem is a line on standard error, and the exit code is 2; without any it is 0. Warnings are of what is
+    legal and surely not meant, such as a weight beyond the force limit; notes are of keys that have no effect.
+    """
+    with reporting():
+        from hexservo.findings.check import keys_without_effect, unlikely
+
+        chosen = load(scenario, settings or [])
+        complain(*unlikely(chosen), head="Warning")
+        complain(*keys_without_effect(chosen), head="Note")
+        simulation = chosen.simulation
+        name = "standard input" if scenario == "-" else scenario
+        write(
+            f'{name}: valid (scenario "{chosen.name}", {simulation.duration:.6g} s in steps of '
+            f"{simulation.step * 1e3:.6g} ms)\n"
+        )
+
+
+@app.command()
+def export(
+    scenario: ScenarioArgument,
+    header: Annotated[str, typer.Option("--header", metavar="FILE", help="C++ header to write, a new file.")],
+    period: Annotated[
+        float | None,
+        typer.Option(
+            "--period", help="Time between two ticks of the controller [s].  [default: simulation.step of the scenario]"
+        ),
+    ] = None,
+    settings: SettingsOption = None,
+    force: Annotated[
+        bool, typer.Option("--force", "-f", help="Replace a header that an earlier export wrote.")
+    ] = False,
+) -> None:
+    """Write the gains of a scenario as a C++ header.
+
+    A robot's control program includes it, calls its controller_gains() once and hexservo::step at every period.
+    """
+    with reporting():
+        from hexservo.run.export import gains_header, write_header
+
+        chosen = load(scenario, settings or [])
+        try:
+            text = gains_header(chosen, period)
+        except ValueError as error:
+            raise hs.ScenarioError(str(error).splitlines()) from error
+        write_header(text, header, force=force)
+        ticks = chosen.simulation.step if period is None else period
+        write(f'{header}: gains of the scenario "{chosen.name}" for a period of {ticks * 1e3:.6g} ms\n')
+
+
+@app.command()
+def bench(
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", metavar="FOLDER", help="Write bench.json and a picture there."),
+    ] = None,
+    force: ForceOption = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A rougher measurement, in less than 15 s.")] = False,
+    ticks: Annotated[
+        int | None,
+        typer.Option("--ticks", min=1000, max=100_000_000, help="Ticks one after another.  [default: 1000000]"),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=0.01, max=86400.0, help="Of ticks at every rate.  [default: 3]")
+    ] = None,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Ask for SCHED_FIFO and locked memory; the table says what was granted.")
+    ] = False,
+) -> None:
+    """Measure how fast this machine is.
+
+    Latency of the servo tick, one after another and paced by a clock, and the rates of single runs and batches by
+    variant and threads, beside the measured peak of the vector units. Answers are checked.
+    """
+    with reporting():
+        from dataclasses import replace
+
+        from hexservo.cli import bench as benchmarks
+        from hexservo.run.files import check_folder, write_folder
+
+        plan = replace(benchmarks.QUICK if quick else benchmarks.Plan(), realtime=realtime)
+        plan = replace(plan, ticks=ticks or plan.ticks, seconds=seconds or plan.seconds)
+        if out is not None:
+            check_folder(out, force=force)
+        result = benchmarks.benchmark(plan, whisper)
+        if out is not None:
+            write_folder(out, result.write, "a benchmark", force=force)
+        show_parts(*benchmarks.report(result))
+        if out is not None:
+            write(f"bench.json, bench.png and bench.svg are in {out}\n")
+
+
+@app.command()
+def version() -> None:
+    """Tell what was built and runs here."""
+    with reporting():
+        from hexservo.run.machine import versions
+
+        write("".join(f"{name + ':':<11}{value}\n" for name, value in versions().items()))
+
+
+# ---- Input ----------------------------------------------------------------------------------------------------------
+
+
+def _split(names: str) -> list[str]:
+    return [name.strip() for name in names.split(",") if name.strip()]
+
+
+def _expanded(names: str) -> list[str]:
+    """Give the names in a list, patterns replaced by the packaged scenarios that fit."""
+    from fnmatch import fnmatchcase
+
+    chosen: list[str] = []
+    for name in _split(names):
+        fitting = [known for known in hs.scenario_names() if fnmatchcase(known, name)]
+        if not fitting and any(character in name for character in "*?"):
+            raise hs.ScenarioError(
+                f'--scenarios: expected a pattern that fits one of {", ".join(hs.scenario_names())}; got "{name}"'
+            )
+        chosen += [known for known in fitting or [name] if known not in chosen]
+    if not chosen:
+        raise hs.ScenarioError(f'--scenarios: expected names with commas between, got "{names}"')
+    return chosen
+
+
+# ---- Output ---------------------------------------------------------------------------------------------------------
+
+
+def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool) -> Iterator[RenderableType]:
+    """Say how a run ended, its metrics, the limits it passed, and where its files are."""
+    from rich.text import Text
+
+    name = result.scenario.name
+    if result.outcome == "completed":
+        yield Text.assemble((name, "bold"), f": completed, {result.end_time:.6g} s simulated in {spell_time(elapsed)}")
+    else:
+        yield Text(f"{name}: {ending(result)} (simulated in {spell_time(elapsed)})", style="bold red")
+    yield _metrics_table(result)
+    if result.events:
+        yield Text("\n".join(f"limit passed: {event}" for event in result.events), style="yellow")
+    if folder is not None:
+        yield Text(f"figures, result.nc, metrics.json and scenario.yaml are in {folder}")
+    elif hint:
+        yield Text("no files written; --out FOLDER writes figures and data", style="dim")
+
+
+def _metrics_table(result: hs.Result) -> RenderableType:
+    from rich.table import Table
+
+    from hexservo.run.metrics import readable
+
+    with_meanings = terminal.width() >= _WIDTH_FOR_MEANINGS
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(overflow="fold")
+    table.add_column(justify="right", overflow="fold", style="bold")
+    table.add_column(overflow="fold")
+    if with_meanings:
+        table.add_column(overflow="fold", style="dim")
+    for name, value in hs.metrics(result).items():
+        meaning = hs.METRICS[name][1]
+        table.add_row(name.replace("_", " "), *readable(name, value), *([meaning] if with_meanings else []))
+    return table
+
+
+def _comparison_report(
+    comparison: hs.Comparison, elapsed: float, folder: str | None, *, hint: bool
+) -> Iterator[RenderableType]:
+    """Give the table, in parts where the terminal is too narrow for one, the reasons, and where the files are."""
+    from rich.text import Text
+
+    for table in _comparison_tables(comparison):
+        yield table
+        yield Text("")
+    for row in comparison.rows:
+        if not row.settled or row.passed_limits:
+            yield Text(f"{row.scenario.name}, {row.law}: {row.verdict}: {row.why}", style="yellow")
+    runs = f"{len(comparison.rows)} runs" if len(comparison.rows) > 1 else "1 run"
+    yield Text(f"{runs} in {spell_time(elapsed)}; what the columns are: docs/compare.md", style="dim")
+    if folder is not None:
+        yield Text(f"comparison.md, .csv, .svg, .png and the scenarios are in {folder}")
+    elif hint:
+        yield Text("no files written; --out FOLDER writes tables and pictures", style="dim")
+
+
+def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
+    """Give as many tables, one below another, as the columns need; a list where not even one column fits."""
+    from hexservo.run.compare import COLUMNS, shown
+
+    labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
+    left = [max(map(len, texts)) + _GAP for texts in zip(*labels, strict=True)]
+    cells = {
+        column: [f"{shown(row, column)}{'!' if column.limit in row.passed_limits else ''}" for row in comparison.rows]
+        for column in COLUMNS
+    }
+    parts: list[list[Column]] = []
+    room = -1
+    for column, texts in cells.items():
+        needs = max(map(len, (column.head, f"[{column.unit}]", *texts))) + _GAP
+        if needs > room:
+            parts.append([])
+            room = terminal.width() + _GAP - sum(left if len(parts) == 1 else left[:2])  # the verdict stands once
+        if needs > room:
+            yield _comparison_list(comparison, cells)
+            return
+        parts[-1].append(column)
+        room -= needs
+    for place, columns in enumerate(parts):
+        yield _comparison_table(comparison, {column: cells[column] for column in columns}, verdict=place == 0)
+
+
+def _comparison_table(
+    comparison: hs.Comparison, cells: Mapping[Column, Sequence[str]], *, verdict: bool
+) -> RenderableType:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0), header_style="bold")
+    for head in ("scenario", "law", *(["verdict"] if verdict else [])):
+        table.add_column(head, no_wrap=True)
+    for column in cells:
+        table.add_column(f"{column.head}\n[{column.unit}]", justify="right", no_wrap=True)
+    before = None
+    for place, row in enumerate(comparison.rows):
+        name = "" if row.scenario.name == before else row.scenario.name
+        before = row.scenario.name
+        style = "green" if row.settled else "bold red"
+        judged = [Text(row.verdict, style=style)] if verdict else []
+        table.add_row(name, row.law, *judged, *(texts[place] for texts in cells.values()))
+    return table
+
+
+def _comparison_list(comparison: hs.Comparison, cells: Mapping[Column, Sequence[str]]) -> RenderableType:
+    from rich.text import Text
+
+    lines = []
+    for place, row in enumerate(comparison.rows):
+        lines.append(f"{row.scenario.name}, {row.law}: {row.verdict}")
+        lines += [
+            f"  {column.head}: {texts[place]}{f' {column.unit}' if texts[place][0].isdigit() else ''}"
+            for column, texts in cells.items()
+        ]
+    return Text("\n".join(lines))

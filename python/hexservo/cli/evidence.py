@@ -1,0 +1,172 @@
+"""Commands that judge runs: ``hexservo report | certify | analyse | diagnose``; `cli` puts them among the others."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Annotated, Any
+
+import typer
+
+import hexservo as hs
+from hexservo.cli.terminal import (
+    ENDED_EARLY,
+    INTERRUPTED,
+    SettingsOption,
+    complain,
+    ending,
+    load,
+    reporting,
+    show_parts,
+    spell_time,
+    write,
+)
+
+__all__ = ["analyse", "certify", "diagnose", "report"]
+
+_RunArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO_OR_RESULT",
+        help="Name of a packaged scenario, path of a YAML file, or path of a result.nc that `run --out` wrote.",
+    ),
+]
+_JsonOption = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write all numbers there as JSON.")]
+_ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file that this command wrote earlier.")]
+
+
+def report(
+    run: _RunArgument,
+    out: Annotated[str, typer.Option("--out", "-o", metavar="FILE", help="HTML file to write, a new one.")],
+    settings: SettingsOption = None,
+    force: _ForceOption = False,
+) -> None:
+    """Write a report of a run as one HTML file.
+
+    It holds the findings in words, the paper's figures, a view in space, certificate, analysis, diagnosis, metrics and
+    the scenario, and opens in a browser without a network.
+    """
+    with reporting():
+        from hexservo.report import check_report, write_report
+
+        check_report(out, force=force)
+        started = time.perf_counter()
+        result = _result(run, settings or [])
+        write_report(result, out, force=force)
+        write(f"{out}: report of {result.scenario.name}, made in {spell_time(time.perf_counter() - started)}\n")
+        _exit_as(result)
+
+
+def certify(
+    run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
+) -> None:
+    """Check the theorem's assumptions on a run.
+
+    A numerical check, not a proof: what the assumptions say is compared with what the run did.
+    """
+    _judge("certify", run, settings, json, force)
+
+
+def analyse(
+    run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
+) -> None:
+    """Tell what a scenario's geometry, gains and timing permit.
+
+    Nothing is simulated but for short checks of a result.
+    """
+    _judge("analyse", run, settings, json, force)
+
+
+def diagnose(
+    run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
+) -> None:
+    """Tell what limits or spoils a run.
+
+    The likeliest cause comes first, with its evidence and what to do.
+    """
+    _judge("diagnose", run, settings, json, force)
+
+
+def _judge(name: str, run: str, settings: list[str] | None, json: str | None, force: bool) -> None:
+    with reporting():
+        from hexservo.cli.print_sections import printed
+        from hexservo.findings.sections import SOURCES, findings
+
+        source = SOURCES[name]
+        if json is not None:
+            _check_json(name, json, force)
+        of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [])
+        try:
+            found = findings(source, of)
+        except ValueError as error:  # of a run or scenario that it does not apply to
+            raise hs.ScenarioError(str(error).splitlines()) from error
+        if json is not None:
+            _write_json(name, found.to_dict(), json, force)
+        show_parts(*printed(found.sections()))
+        if isinstance(of, hs.Result):
+            _exit_as(of)
+
+
+# ---- What is judged -------------------------------------------------------------------------------------------------
+
+
+def _result(run: str, settings: list[str]) -> hs.Result:
+    """Read a saved result, or run a scenario; a run that Ctrl-C ends here is not judged."""
+    if _is_saved(run, settings):
+        return hs.load_result(run)
+    scenario = load(run, settings)
+    try:
+        result = _simulated(scenario)
+    except ValueError as error:
+        raise hs.ScenarioError(str(error).splitlines(), scenario.name) from error
+    if result.outcome == "interrupted":
+        raise KeyboardInterrupt
+    return result
+
+
+def _simulated(scenario: hs.Scenario) -> hs.Result:
+    with contextlib.suppress(ValueError):  # the log would not fit, or else the next line raises it again
+        return hs.simulate(scenario, log_weights=True)
+    return hs.simulate(scenario)
+
+
+def _scenario(run: str, settings: list[str]) -> hs.Scenario:
+    return hs.load_result(run).scenario if _is_saved(run, settings) else load(run, settings)
+
+
+def _is_saved(run: str, settings: list[str]) -> bool:
+    saved = run.endswith(".nc") and run not in hs.scenario_names()
+    if saved and settings:
+        raise hs.ScenarioError(["expected a scenario to change, got a saved result, which is what it is"], "--set")
+    return saved
+
+
+def _exit_as(result: hs.Result) -> None:
+    """End as `hexservo run` does for the same run."""
+    if result.outcome != "completed":
+        complain(f"{result.scenario.name}: {ending(result)}", head="Ended early")
+        raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
+
+
+# ---- JSON -----------------------------------------------------------------------------------------------------------
+
+
+def _title(name: str) -> str:
+    """Give the first line of a file of numbers: what tells it from somebody else's, and still JSON."""
+    return f'{{"hexservo {name}": 1,'
+
+
+def _check_json(name: str, file: str, force: bool) -> None:
+    from hexservo.run.files import check_file
+
+    check_file(file, _title(name), f"`hexservo {name}`", force=force)
+
+
+def _write_json(name: str, numbers: dict[str, Any], file: str, force: bool) -> None:
+    from json import dumps
+
+    from hexservo.run.files import write_file
+
+    content = {"version": hs.__version__, **numbers}
+    text = dumps(content, indent=2, ensure_ascii=False, allow_nan=False).removeprefix("{\n")
+    write_file(f"{_title(name)}\n{text}\n", file, _title(name), f"`hexservo {name}`", force=force)

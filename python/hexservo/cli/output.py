@@ -1,0 +1,73 @@
+"""Writes the results of a run into a folder: scenario, metrics, samples and figures."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hexservo.run.files import write_folder
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+
+__all__ = ["write_results"]
+
+
+def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool = False) -> Path:
+    """Write a run into a folder: scenario.yaml, metrics.json, result.nc, the paper's figures and a marker.
+
+    Parameters
+    ----------
+    result
+        The run; its outcome does not matter.
+    folder, force
+        As for `write_folder`, which also says what is returned and raised.
+    """
+    contents = f'one run of the scenario "{result.scenario.name}"'
+    return write_folder(folder, lambda temporary: _write_files(result, temporary), contents, force=force)
+
+
+def _write_files(result: Result, folder: Path) -> None:
+    from hexservo.draw.plots import paper_figures
+    from hexservo.run.saved import result_bytes
+
+    (folder / "scenario.yaml").write_text(result.scenario.to_yaml(), encoding="utf-8")
+    (folder / "metrics.json").write_text(_metrics_json(result), encoding="utf-8")
+    (folder / "result.nc").write_bytes(result_bytes(result))
+    paper_figures(result, folder)
+
+
+def _metrics_json(result: Result) -> str:
+    """Give outcome, events and metrics as strict JSON: what is not finite is null."""
+    from hexservo import METRICS, __version__, metrics
+
+    content: dict[str, Any] = {
+        "hexservo": __version__,
+        "scenario": result.scenario.name,
+        "outcome": result.outcome,
+        "end_time": {"value": _finite(result.end_time), "unit": "s"},
+        "detail": result.detail,
+        "events": [
+            {
+                "kind": event.kind,
+                "leg": event.leg,
+                "time": {"value": _finite(event.time), "unit": "s"},
+                "peak": {"value": _finite(event.peak), "unit": unit},
+                "limit": {"value": _finite(event.limit), "unit": unit},
+            }
+            for event in result.events
+            for unit in ["m" if event.kind == "stroke" else "N"]
+        ],
+        "metrics": {
+            name: {"value": _finite(value), "unit": METRICS[name][0], "meaning": METRICS[name][1]}
+            for name, value in metrics(result).items()
+        },
+    }
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,87 @@
+"""Findings for the terminal: words and tables; curves and maps are named, and the report draws them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from hexservo.cli.terminal import width
+from hexservo.findings.evidence import Item, Section, Table
+from hexservo.scenario.wording import VERDICTS, cell_text, numeric_columns
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+__all__ = ["printed"]
+
+_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "open": "dim"}
+
+
+def printed(sections: Sequence[Section]) -> Iterator[RenderableType]:
+    """Give sections as rich prints them, in their order."""
+    from rich.text import Text
+
+    for number, section in enumerate(sections):
+        if number:
+            yield Text("")
+        yield Text.assemble((section.title, "bold"), ": ", (VERDICTS[section.verdict], _STYLES[section.verdict]))
+        for sentence in section.sentences:
+            yield Text(sentence)
+        for item in section.items:
+            yield from _printed_item(item)
+
+
+def _printed_item(item: Item) -> Iterator[RenderableType]:
+    from rich.text import Text
+
+    yield Text("")
+    if isinstance(item, Table):
+        yield Text(item.title, style="underline")
+        yield _table(item) if _least_width(item) <= width() else _listed(item)
+    else:
+        yield Text(f"{item.title}: `hexservo report` draws it", style="dim")
+    for words in (item.note, f"Explained in {item.page}" if item.page else ""):
+        if words:
+            yield Text(words, style="dim")
+
+
+def _least_width(item: Table) -> int:
+    """Give the width that a table takes with every word and every number in one piece."""
+    least = [
+        max(map(len, " ".join([column.title, f"[{column.unit}]", *texts]).split()))
+        for column, *texts in zip(
+            item.columns,
+            *[[cell_text(cell, column) for cell, column in zip(row, item.columns, strict=True)] for row in item.rows],
+            strict=True,
+        )
+    ]
+    return sum(least) + 2 * (len(least) - 1)
+
+
+def _listed(item: Table) -> RenderableType:
+    """Give a table that is too wide as one list of its cells per row."""
+    from rich.text import Text
+
+    lines = []
+    for row in item.rows:
+        indent = ""
+        for cell, column in zip(row, item.columns, strict=True):
+            text = cell_text(cell, column)
+            unit = f" {column.unit}" if column.unit and text != "-" else ""
+            if text:
+                lines.append(f"{indent}{column.title}: {text}{unit}")
+            indent = "  "
+    return Text("\n".join(lines))
+
+
+def _table(item: Table) -> RenderableType:
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    table = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    for column, is_numeric in zip(item.columns, numeric_columns(item), strict=True):
+        head = f"{column.title}\n[{column.unit}]" if column.unit else column.title
+        table.add_column(Text(head), justify="right" if is_numeric else "left", overflow="fold")
+    for row in item.rows:
+        table.add_row(*[Text(cell_text(cell, column)) for cell, column in zip(row, item.columns, strict=True)])
+    return table

@@ -1,0 +1,192 @@
+"""What all commands share: exit codes, options, loading a scenario, and writing to the terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+import hexservo as hs
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+__all__ = [
+    "BAD_INPUT",
+    "ENDED_EARLY",
+    "INTERRUPTED",
+    "NOT_SETTLED",
+    "READER_LEFT",
+    "ForceOption",
+    "RequireSettledOption",
+    "ScenarioArgument",
+    "SettingsOption",
+    "complain",
+    "ending",
+    "load",
+    "reporting",
+    "show_parts",
+    "spell_time",
+    "whisper",
+    "width",
+    "write",
+]
+
+BAD_INPUT = 2
+ENDED_EARLY = 3
+NOT_SETTLED = 4
+INTERRUPTED = 130  # 128 + SIGINT, as shells count
+READER_LEFT = 141  # 128 + SIGPIPE
+
+_ANY_WIDTH = 10_000  # of what no terminal shows: nothing is wrapped or cut
+
+ScenarioArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO", help='Name of a packaged scenario, path of a YAML file, or "-" for standard input.'
+    ),
+]
+RequireSettledOption = Annotated[
+    bool, typer.Option("--require-settled", help="End with exit code 4 where a run does not settle.")
+]
+ForceOption = Annotated[
+    bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
+]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one key of the scenario, as uncertainty.gravity=0.075; the value is YAML. May be repeated.",
+    ),
+]
+
+
+def load(scenario: str, settings: list[str]) -> hs.Scenario:
+    """Load a scenario and change it as --set says; everything wrong with the settings is reported together."""
+    from hexservo.scenario.yaml import load_yaml
+
+    loaded = _read_standard_input() if scenario == "-" else hs.load_scenario(scenario)
+    problems: list[str] = []
+    changes: dict[str, object] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            problems.append(f'expected KEY=VALUE, as uncertainty.gravity=0.075, got "{setting}"')
+            continue
+        changes.pop(key, None)  # of a key that is set twice the last value counts, in its place
+        try:
+            changes[key] = load_yaml(value)
+        except hs.ScenarioError as error:
+            problems += [f"{key}: {problem}" for problem in error.problems]
+    try:
+        changed = loaded.updated(changes) if changes else loaded
+    except hs.ScenarioError as error:
+        problems += error.problems
+    if problems:
+        raise hs.ScenarioError(problems, "--set")
+    return changed
+
+
+def _read_standard_input() -> hs.Scenario:
+    from hexservo.scenario.yaml import MAX_BYTES, decoded
+
+    source = "standard input"
+    content = b"" if sys.stdin is None else sys.stdin.buffer.read(MAX_BYTES + 1)
+    return hs.Scenario.from_yaml(decoded(content, "YAML", source), source)
+
+
+@contextlib.contextmanager
+def reporting() -> Iterator[None]:
+    """Turn bad input and Ctrl-C into words on standard error and an exit code; anything else is a bug with a trace."""
+    from hexservo.run.files import OutputError
+
+    try:
+        yield
+    except (hs.ScenarioError, hs.ResultError, hs.VariantError, OutputError) as error:
+        complain(*str(error).splitlines())
+        raise typer.Exit(BAD_INPUT) from None
+    except KeyboardInterrupt:
+        complain("nothing more was written", head="Interrupted")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def ending(result: hs.Result) -> str:
+    """Say how a run ended, in a line."""
+    return f"{result.outcome.replace('_', ' ')} at t = {result.end_time:.6g} s: {result.detail}"
+
+
+def spell_time(seconds: float) -> str:
+    """Give a duration in s, ms or less."""
+    from hexservo.scenario.wording import quantity
+
+    return quantity(seconds, "s")
+
+
+def width() -> int:
+    """Width of the terminal; as wide as it takes where standard output is none."""
+    import shutil
+
+    return shutil.get_terminal_size().columns if sys.stdout is not None and sys.stdout.isatty() else _ANY_WIDTH
+
+
+def show_parts(*parts: RenderableType) -> None:
+    """Print with colours and line breaks that suit the terminal; plain and unbroken into files and pipes."""
+    from rich.console import Console
+
+    text = io.StringIO()  # written in one place, with its errors; rich has ways of its own with them
+    console = Console(
+        file=text,
+        force_terminal=True if sys.stdout is not None and sys.stdout.isatty() else None,
+        width=width(),
+        color_system=None if os.environ.get("NO_COLOR") else "auto",
+        highlight=False,
+        markup=False,
+        emoji=False,
+    )
+    for part in parts:
+        console.print(part)
+    write("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()))
+
+
+def write(text: str, encoding: str | None = None) -> None:
+    """Write to standard output at once: here a reader that left and a full disk can still be told from bugs."""
+    if sys.stdout is None:
+        return
+    try:
+        if encoding is None:
+            sys.stdout.write(text)
+        else:
+            sys.stdout.buffer.write(text.encode(encoding))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _give_up_output(READER_LEFT)
+    except OSError as error:
+        complain(f"standard output: cannot be written: {error.strerror}")
+        _give_up_output(BAD_INPUT)
+
+
+def whisper(text: str) -> None:
+    """Say what is going on, where somebody is looking."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(f"measuring: {text}", file=sys.stderr, flush=True)
+
+
+def _give_up_output(code: int) -> NoReturn:
+    """Exit, and let what Python still holds for standard output go nowhere, not into an error at shutdown."""
+    with contextlib.suppress(OSError, io.UnsupportedOperation):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    raise typer.Exit(code)
+
+
+def complain(*lines: str, head: str = "Error") -> None:
+    """Write each line to standard error, after its head."""
+    with contextlib.suppress(OSError):  # nobody is left to be told
+        for line in lines:
+            print(f"{head}: {line}", file=sys.stderr)

@@ -1,0 +1,49 @@
+"""The picture of a batch for a notebook: settling time and last error of every run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hexservo.draw.plots import _BLUE, _PAGE, _VERMILION, _styled
+from hexservo.run.metrics import METRICS
+
+if TYPE_CHECKING:
+    from hexservo.run.batch import BatchResult
+
+__all__ = ["batch_figure"]
+
+_DRAWN = ("settling_time", "final_error")
+
+
+@_styled
+def batch_figure(batch: BatchResult) -> Figure:
+    """Draw both metrics over the key that varies, or, where several do, as the share of runs below each value."""
+    figure = Figure(figsize=(_PAGE, 2.4), layout="constrained")
+    varied = [(key, values) for key, values in batch.variations.items() if len(values) > 1]
+    over = varied[0] if len(varied) == 1 and varied[0][1].ndim == 1 else None
+    done = batch.outcome == "completed"
+    for axes, name in zip(figure.subplots(1, len(_DRAWN)), _DRAWN, strict=True):
+        values = batch.metrics[name]
+        label = f"{name.replace('_', ' ')} [{METRICS[name][0]}]"
+        if over is not None:
+            key, places = over
+            for shown, colour, text in ((done, _BLUE, "completed"), (~done, _VERMILION, "ended early")):
+                if (shown & np.isfinite(values)).any():
+                    axes.plot(places[shown], values[shown], ".", color=colour, markersize=3, label=text)
+            axes.set_xlabel(key)
+            axes.set_ylabel(label)
+        else:
+            known = np.sort(values[np.isfinite(values)])
+            axes.step(known, np.arange(1, len(known) + 1) / len(batch), where="post", color=_BLUE)
+            axes.set_ylim(0, 1.02)
+            axes.set_xlabel(label)
+            axes.set_ylabel("share of runs below it")
+        known = values[np.isfinite(values)]
+        if name == "final_error" and len(known) and known.min() > 0 and known.max() > 100 * known.min():
+            (axes.set_yscale if over is not None else axes.set_xscale)("log")
+    if over is not None and not done.all():
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    return figure

@@ -1,0 +1,93 @@
+"""The picture of the servo tick's times: how often a tick, or a wake-up, took how long."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from hexservo.draw.plots import (
+    _BLACK,
+    _BLUE,
+    _DASH_DOT,
+    _DASHED,
+    _GREEN,
+    _ORANGE,
+    _PAGE,
+    _PURPLE,
+    _VERMILION,
+    _Ink,
+    _styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from hexservo.cli.bench import Distribution, TickTiming
+
+__all__ = ["tick_figure"]
+
+_RATE_INKS = (_Ink(_BLACK), _Ink(_BLUE), _Ink(_VERMILION, _DASHED), _Ink(_GREEN, _DASH_DOT), _Ink(_ORANGE, (0, (1, 1))))
+_LAW_INKS = (*_RATE_INKS, _Ink(_PURPLE, _DASHED))
+
+
+@_styled
+def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
+    """Draw latencies of the tick by rate and by law, and how late the paced ones woke up, all axes logarithmic.
+
+    Parameters
+    ----------
+    ticks
+        The first one's law is the one that is drawn by rate.
+    """
+    figure = Figure(figsize=(_PAGE, 3.4), layout="constrained")
+    latency, lateness, laws = figure.subplots(1, 3, sharey=True)
+    for timing, ink in zip((timing for timing in ticks if timing.law == ticks[0].law), _RATE_INKS, strict=False):
+        name = "one after another" if timing.rate is None else f"{timing.rate / 1e3:g} kHz"
+        _draw(latency, timing.latency, ink, name)
+        if timing.lateness is not None:
+            _draw(lateness, timing.lateness, ink, name)
+    for timing, ink in zip((timing for timing in ticks if timing.rate is None), _LAW_INKS, strict=False):
+        _draw(laws, timing.latency, ink, timing.law)
+    smallest = min(1.0 / timing.ticks for timing in ticks)
+    for axes, title, label in (
+        (latency, f"Latency of {ticks[0].law}", "input to leg forces [µs]"),
+        (lateness, "Jitter of the clock", "wake-up behind its time [µs]"),
+        (laws, "Latency, one after another", "input to leg forces [µs]"),
+    ):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_ylim(smallest / 2, 2.0)
+        axes.set_title(title)
+        axes.set_xlabel(label)
+        axes.xaxis.set_major_locator(LogLocator(numticks=12))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.xaxis.set_major_formatter(lambda value, _place: f"{value:g}")
+        axes.grid(visible=True, which="major", linewidth=0.4, color="0.88")
+        axes.set_axisbelow(True)
+    latency.set_ylabel(f"share of ticks per bin of 1/{_bins_per_decade(ticks[0].latency)} decade")
+    # above the panels, where no curve is
+    figure.legend(*latency.get_legend_handles_labels(), loc="outside upper left", ncols=3, frameon=False)
+    figure.legend(*laws.get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False)
+    return figure
+
+
+def _draw(axes: Axes, times: Distribution, ink: _Ink, name: str) -> None:
+    """Draw a histogram as steps; a bin without ticks is a gap."""
+    counts = np.array(times.counts, dtype=float)
+    axes.stairs(
+        np.where(counts > 0, counts / counts.sum(), np.nan),
+        np.array(times.edges) * 1e6,
+        baseline=None,
+        color=ink.colour,
+        linestyle=ink.dashes,
+        linewidth=1.1,
+        label=name,
+    )
+
+
+def _bins_per_decade(times: Distribution) -> int:
+    return int(1.0 / np.log10(times.edges[-1] / times.edges[-2]) + 0.5)

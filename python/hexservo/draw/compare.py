@@ -1,0 +1,303 @@
+"""The page of pictures of a comparison: errors over the time, settling times, residuals and efforts."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+from numpy.typing import NDArray
+
+from hexservo.draw.plots import (
+    _BLACK,
+    _BLUE,
+    _DASH_DOT,
+    _DASHED,
+    _GREEN,
+    _GREY,
+    _ORANGE,
+    _PAGE,
+    _PURPLE,
+    _VERMILION,
+    _axes,
+    _Ink,
+    _label,
+    _short,
+    _size,
+    _styled,
+)
+from hexservo.run.compare import Comparison, ComparisonRow
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["comparison_figure"]
+
+# Apart for every kind of colour vision; in grey, dashes and markers tell the laws apart.
+_INKS = (
+    _Ink(_BLUE),
+    _Ink(_VERMILION, _DASHED),
+    _Ink(_GREEN, _DASH_DOT),
+    _Ink(_ORANGE, (0, (1, 1))),
+    _Ink(_PURPLE, (0, (6, 1.5))),
+    _Ink(_BLACK, (0, (3, 1, 1, 1, 1, 1))),
+)
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one more than inks: pairs repeat after 42 laws and controllers
+_ACROSS = 4  # panels side by side
+_POINTS = 300  # of one line: more than such a panel resolves
+_FLOOR = 1e-3  # smallest error shown [px]
+_PALETTE = "cividis_r"  # light is fast; told apart by every kind of colour vision
+_WORDS = {
+    "not settled": "never",
+    "behind camera": "behind",
+    "feature lost": "lost",
+    "leg limit": "leg limit",
+    "solver failed": "solver",
+    "interrupted": "stopped",
+}
+
+
+@_styled
+def comparison_figure(comparison: Comparison) -> Figure:
+    """Draw a page: above a panel per scenario with a line per law, below a line per scenario with all laws."""
+    names = [scenario.name for scenario in comparison.scenarios]
+    bands = -(-len(names) // _ACROSS)
+    across = min(len(names), _ACROSS)
+    panel, pitch, line = 1.0, 1.4, 0.2  # heights of a panel, of a panel with what surrounds it, of a line below [in]
+    table = line * len(names)
+    height = 0.62 + bands * pitch + 0.3 + table + 0.85
+    figure = Figure(figsize=(_PAGE, height))
+    looks = {law: (_INKS[i % len(_INKS)], _MARKERS[i % len(_MARKERS)]) for i, law in enumerate(comparison.laws)}
+
+    left, gap = 0.55, 0.2
+    width = min(2.3, (_PAGE - left - 0.1 - (across - 1) * gap) / across)
+    low, high = _error_range(comparison)
+    for number, name in enumerate(names):
+        band, place = divmod(number, _ACROSS)
+        bottom = height - 0.62 - panel - band * pitch
+        axes = _axes(figure, left + place * (width + gap), bottom, width, panel)
+        rows = [comparison.row(law, name) for law in comparison.laws]
+        _draw_errors(axes, rows, looks)
+        axes.set_ylim(low, high)
+        axes.set_title(_shortened(name, 27), loc="left", fontsize=7.5)
+        if place == 0:
+            axes.set_ylabel("error [px]")
+            axes.yaxis.set_label_coords(-0.42 / width, 0.5)
+        else:
+            axes.tick_params(axis="y", labelleft=False)
+        if number + across >= len(names):
+            _label(axes, "x", "time [s]")
+    marks = [
+        Line2D([], [], color=ink.colour, linestyle=ink.dashes, marker=marker, markersize=3.5, label=law)
+        for law, (ink, marker) in looks.items()
+    ]
+    figure.legend(
+        handles=marks,
+        loc="upper left",
+        bbox_to_anchor=((left - 0.08) / _PAGE, 1 - 0.03 / height),
+        ncols=len(marks),
+        borderpad=0,
+        borderaxespad=0,
+        columnspacing=1.2,
+        title="Largest feature error over the time",
+        title_fontproperties={"size": 8},
+        alignment="left",
+    )
+
+    labels = min(1.55, 0.15 + 0.062 * max(map(len, names)))
+    cells = min(2.9, max(1.2, 0.62 * len(comparison.laws)))
+    room = (_PAGE - labels - cells - 0.1 - 2 * 0.2) / 2
+    bottom = 0.8
+    heat = _axes(figure, labels, bottom, cells, table)
+    _draw_settling(heat, comparison)
+    heat.set_yticks(range(len(names)), [_shortened(name, 24) for name in names])
+    heat.tick_params(axis="both", length=0)
+    for number, (metric, title, unit) in enumerate((("final_error", "Residual", "px"), ("effort", "Effort", "N² s"))):
+        axes = _axes(figure, labels + cells + 0.2 + number * (room + 0.2), bottom, room, table)
+        _draw_dots(axes, comparison, metric, looks)
+        axes.set_title(title, loc="left")
+        _label(axes, "x", f"{title.lower()} [{unit}]")
+    dotted = " and ".join(f"{band:g}" for band in _bands(comparison))
+    figure.text(
+        0.1 / _PAGE,
+        0.05 / height,
+        f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled. "
+        f"!: a leg passed its stroke or force limit.{_floor_words(comparison)}",
+        fontsize=7,
+        color=_GREY,
+        va="bottom",
+    )
+    return figure
+
+
+def _floor_words(comparison: Comparison) -> str:
+    """Explain the mark of residuals below what is drawn; empty where there are none."""
+    residuals = [row.metrics.get("final_error", math.nan) for row in comparison.rows]
+    lines = [float(row.error.min()) for row in comparison.rows if len(row.error)]
+    below = any(value < _FLOOR for value in [*residuals, *lines])
+    return f" Errors below {_FLOOR:g} px are drawn there, residuals with a <." if below else ""
+
+
+def _bands(comparison: Comparison) -> list[float]:
+    """Return the settling bands of the scenarios [px], each once."""
+    return sorted({scenario.metrics.band for scenario in comparison.scenarios})
+
+
+def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[_Ink, str]]) -> None:
+    """Draw the largest feature error of each law, every bin of the logarithmic time by its largest value."""
+    ends = [float(row.time[-1]) for row in rows if len(row.time) > 1]
+    end = max(ends, default=1.0)
+    begin = min(1e-2, end / 100)
+    axes.axhline(rows[0].scenario.metrics.band, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
+    for number, row in enumerate(rows):
+        ink, marker = looks[row.law]
+        if len(row.time) == 0:
+            continue
+        time, error = _thinned(row.time, np.maximum(row.error, _FLOOR), begin, end)
+        every = max(1, len(time) // 6)
+        first = (number * every) // max(1, len(rows)) if len(time) > 6 else 0
+        axes.plot(
+            time,
+            error,
+            color=ink.colour,
+            linestyle=ink.dashes,
+            marker=marker,
+            markersize=2.6,
+            markevery=(first, every),
+            gid=f"error {row.law}",
+            zorder=3,
+        )
+        if row.outcome != "completed":
+            axes.plot(time[-1], error[-1], "x", color=ink.colour, markersize=5, markeredgewidth=1.2, zorder=4)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(begin, end)
+    for axis, count in ((axes.xaxis, 4), (axes.yaxis, 6)):
+        axis.set_major_locator(LogLocator(numticks=count))
+        axis.set_major_formatter(FuncFormatter(_short))
+        axis.set_minor_locator(NullLocator())
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _thinned(
+    time: NDArray[np.float64], values: NDArray[np.float64], begin: float, end: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Give the largest value of each bin of the logarithm of time, with its time, and the last one."""
+    later = time >= begin
+    if not later.any():
+        return time[-1:], values[-1:]
+    time, values = time[later], values[later]
+    bins = np.floor(_POINTS * np.log(time / begin) / math.log(end / begin)).astype(int)
+    starts = np.flatnonzero(np.diff(bins, prepend=-1))
+    largest = [part.argmax() + start for part, start in zip(np.split(values, starts[1:]), starts, strict=True)]
+    kept = np.unique([*largest, len(time) - 1])
+    return time[kept], values[kept]
+
+
+def _draw_settling(axes: Axes, comparison: Comparison) -> None:
+    """Draw the settling times as a table with a coloured ground, and words where there is none."""
+    names = [scenario.name for scenario in comparison.scenarios]
+    times = [row.metrics["settling_time"] for row in comparison.rows if row.settled]
+    positive = [time for time in times if time > 0]
+    low, high = (math.log(min(positive)), math.log(max(positive))) if positive else (0.0, 0.0)
+    palette = colormaps[_PALETTE]
+    axes.set_xlim(-0.5, len(comparison.laws) - 0.5)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    for y, name in enumerate(names):
+        for x, law in enumerate(comparison.laws):
+            row = comparison.row(law, name)
+            ground: Any = "0.93"
+            ink, weight = _VERMILION, "normal"
+            text = _WORDS.get(row.verdict, row.verdict)
+            if row.settled:
+                time = row.metrics["settling_time"]
+                share = (math.log(time) - low) / (high - low) if time > 0 and high > low else 0.0
+                ground = palette(0.8 * share)
+                red, green, blue, _ = ground
+                ink = _BLACK if 0.3 * red + 0.59 * green + 0.11 * blue > 0.5 else "white"
+                text, weight = f"{time:.3g}", "bold"
+            elif row.outcome in ("refused", "interrupted"):
+                ink = _GREY
+            if row.passed_limits:
+                text += " !"
+            axes.add_patch(Rectangle((x - 0.48, y - 0.45), 0.96, 0.9, facecolor=ground, linewidth=0))
+            axes.text(x, y, text, ha="center", va="center", color=ink, fontsize=6.5, fontweight=weight)
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.xaxis.tick_bottom()
+    axes.set_xticks(range(len(comparison.laws)), comparison.laws, rotation=20, ha="right", rotation_mode="anchor")
+    axes.set_title("Settling time [s]", loc="left")
+
+
+def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str, tuple[_Ink, str]]) -> None:
+    """Draw a metric on a logarithmic axis: a line per scenario, a marker per law; hollow where it did not settle."""
+    names = [scenario.name for scenario in comparison.scenarios]
+    floor = _FLOOR if metric == "final_error" else 0.0
+    values: list[float] = []
+    for y, name in enumerate(names):
+        own = []
+        for number, law in enumerate(comparison.laws):
+            row = comparison.row(law, name)
+            value = max(row.metrics.get(metric, math.nan), floor)
+            if not value > 0:  # none, or NaN
+                continue
+            below = row.metrics[metric] < floor
+            own.append(value)
+            ink, marker = looks[law]
+            offset = 0.5 * ((number + 0.5) / len(comparison.laws) - 0.5)
+            axes.plot(
+                value,
+                y + offset,
+                marker=marker,
+                markersize=4,
+                color=ink.colour,
+                markerfacecolor=ink.colour if row.settled else "white",
+                markeredgewidth=0.9,
+                linestyle="",
+                zorder=3,
+                gid=f"{metric} {law} {name}",
+            )
+            if below:
+                beside: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "center", "fontsize": 7}
+                axes.annotate("<", (value, y + offset), (-3, 0), color=ink.colour, **beside)
+        if own:
+            axes.plot([min(own), max(own)], [y, y], color="0.8", linewidth=0.8, zorder=1)
+        values += own
+    axes.set_xscale("log")
+    low, high = (min(values), max(values)) if values else (0.1, 1.0)
+    low, high = low / 1.6, high * 1.6
+    if high / low < 30:  # room for two decades
+        middle = math.sqrt(low * high)
+        low, high = middle / 6, middle * 6
+    axes.set_xlim(low, high)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.yaxis.set_major_locator(FixedLocator(list(range(len(names)))))
+    axes.tick_params(axis="y", labelleft=False, length=0)
+    room = _size(axes)[0]
+    axes.xaxis.set_major_locator(LogLocator(numticks=max(2, int(room / 0.34))))
+    axes.xaxis.set_major_formatter(FuncFormatter(_power if low < 2e-3 or high > 2e4 else _short))
+    axes.xaxis.set_minor_locator(NullLocator())
+    if metric == "final_error":
+        for band in _bands(comparison):
+            axes.axvline(band, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
+
+
+def _error_range(comparison: Comparison) -> tuple[float, float]:
+    """Give the limits of the error axis: whole decades that hold what is drawn."""
+    largest = max((float(row.error.max()) for row in comparison.rows if len(row.error)), default=10.0)
+    smallest = min((float(row.error[row.time > 1e-2].min(initial=1.0)) for row in comparison.rows), default=1.0)
+    low = 10 ** math.floor(math.log10(max(smallest, _FLOOR)))
+    return low, 10 ** math.ceil(math.log10(max(largest, 10 * low)) + 1e-9)
+
+
+def _power(value: float, _place: int | None = None) -> str:
+    return f"$10^{{{round(math.log10(value))}}}$"
+
+
+def _shortened(name: str, count: int) -> str:
+    return name if len(name) <= count else f"{name[: count - 1]}…"

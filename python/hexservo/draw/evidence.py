@@ -1,0 +1,73 @@
+"""Curves and maps of findings as matplotlib figures, for notebooks; the report draws the same as movable charts."""
+
+from __future__ import annotations
+
+import textwrap
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hexservo.draw.plots import (
+    _BLACK,
+    _BLUE,
+    _GREEN,
+    _GREY,
+    _ORANGE,
+    _PURPLE,
+    _VERMILION,
+    _styled,
+)
+from hexservo.findings.evidence import Array, Curves, HeatMap, Line
+from hexservo.run.samples import extremes
+
+__all__ = ["item_figure"]
+
+_INKS = (_BLUE, _VERMILION, _GREEN, _BLACK, _PURPLE, _ORANGE, _GREY)
+_STYLES = {"line": "-", "dashed": "--", "points": ""}
+
+
+@_styled
+def item_figure(item: Curves | HeatMap) -> Figure:
+    """Draw lines over one axis, or a quantity over a rectangle with its contours."""
+    figure = Figure(figsize=(5.6, 3.0), layout="constrained")
+    axes = figure.subplots()
+    if isinstance(item, HeatMap):
+        mesh = axes.pcolormesh(item.x, item.y, item.z, cmap="cividis", shading="nearest")
+        figure.colorbar(mesh, label=_folded(item.z_label, 40))
+        if item.levels and min(np.shape(item.z)) > 1:
+            contours = axes.contour(item.x, item.y, item.z, sorted(item.levels), colors="white", linewidths=0.8)
+            axes.clabel(contours, fontsize=6)
+        axes.grid(visible=False)
+    else:
+        axes.set_xscale("log" if item.x_log else "linear")
+        axes.set_yscale("log" if item.y_log else "linear")
+    inks = ("#ffb000", "#ff86c2", "#8be3ff") if isinstance(item, HeatMap) else _INKS
+    for number, line in enumerate(item.lines):
+        x, y = _thinned(line)
+        axes.plot(
+            x,
+            y,
+            color=inks[number % len(inks)],
+            linestyle=_STYLES[line.style],
+            marker="o" if line.style == "points" or len(x) == 1 else "",
+            markersize=3.5,
+            label=line.name or None,
+        )
+    axes.set_xlabel(_folded(item.x_label, 70))
+    axes.set_ylabel(_folded(item.y_label, 40))
+    if any(line.name for line in item.lines):
+        figure.legend(loc="outside upper left", ncols=3)
+    return figure
+
+
+def _folded(text: str, width: int) -> str:
+    return "\n".join(textwrap.wrap(text, width, break_long_words=False))
+
+
+def _thinned(line: Line) -> tuple[Array, Array]:
+    """Leave out what print does not resolve of a line that has no gaps."""
+    x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
+    if line.style == "points" or not np.isfinite(y).all():
+        return x, y
+    kept = np.union1d(extremes(x), extremes(y))
+    return x[kept], y[kept]

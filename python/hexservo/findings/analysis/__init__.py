@@ -1,0 +1,116 @@
+"""Answers that need no run: what a scenario's geometry, gains and timing permit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from typing import Any, TypeVar
+
+import numpy as np
+
+from hexservo.findings.analysis.not_computed import NotComputed, not_computed
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Section, as_data
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
+
+_Found = TypeVar("_Found")
+
+# name -> (module of this package, what it answers). Each module has analyse(scenario), whose result has section().
+PARTS: dict[str, tuple[str, str]] = {
+    "conditioning": ("conditioning", "what the image tells of the pose"),
+    "workspace": ("workspace", "reach, singularities and loads of the legs"),
+    "stiction": ("stiction", "the errors that the switching term holds"),
+    "equilibria": ("equilibria", "where a transpose law comes to rest, and whether a false equilibrium attracts"),
+    "drift": ("drift", "how slowly a law with a pose error creeps, or drifts away, under unequal depth errors"),
+    "camera_rate": ("camera_rate", "the slowest and latest camera that a linear loop endures, gain and delay margins"),
+    "largest_start": ("largest_start", "the largest starting error and slowest camera that settle, by trial"),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Analysis(Findings):
+    """What is known of a scenario before it runs: one result per part, by the part's name.
+
+    A part whose numbers leave the range of double precision, or whose matrices are singular, is a `NotComputed`.
+    """
+
+    scenario: Scenario
+    parts: dict[str, Any]
+
+    def __getattr__(self, name: str) -> Any:
+        """Give a part by its name, as in ``analysis.conditioning``."""
+        parts = self.__dict__.get("parts", {})  # none yet while it is unpickled or copied
+        if name not in parts:
+            raise AttributeError(f"this analysis has no part {name!r}; it has {', '.join(parts) or 'none'}")
+        return parts[name]
+
+    def sections(self) -> tuple[Section, ...]:
+        """Words, tables and pictures of all parts, in their order."""
+        return tuple(self._section(name, part) for name, part in self.parts.items())
+
+    def _section(self, name: str, part: Any) -> Section:
+        found: Section | NotComputed = _computed(self.scenario, name, part.section)
+        return found.section() if isinstance(found, NotComputed) else found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give all numbers as strict JSON has them, by part; SI units and pixels."""
+        return {section.name: as_data(section.data) for section in self.sections()}
+
+
+def analyse(
+    scenario: Scenario, parts: Sequence[str] | None = None, *, progress: Callable[[str], object] | None = None
+) -> Analysis:
+    """Work out what can be known of a scenario before it runs (docs/analysis/).
+
+    Parameters
+    ----------
+    scenario
+        Nothing of it is run but for short checks of a result.
+    parts
+        Names of `PARTS`, in any order; None for all.
+    progress
+        Called with a part's name before it begins.
+
+    Returns
+    -------
+    Analysis
+        A part that cannot be computed, since a number leaves the range of double precision or a matrix is singular,
+        is a `NotComputed`: its section says why, and names the scenario's extreme values.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On Ctrl-C, also while something runs.
+    TypeError
+        For anything but a `Scenario`.
+    ValueError
+        For parts that there are not.
+    """
+    if not isinstance(scenario, Scenario):
+        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+    if isinstance(parts, str):
+        raise ValueError(f"parts: expected a list of names, got the text {parts!r}; write [{parts!r}]")
+    asked = list(PARTS) if parts is None else list(parts)
+    if unknown := [part for part in asked if part not in PARTS]:
+        raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")
+    found = {}
+    for name, (module, _) in PARTS.items():
+        if name in asked:
+            if progress is not None:
+                progress(name)
+            part = import_module(f"hexservo.findings.analysis.{module}").analyse
+            found[name] = _computed(scenario, name, partial(part, scenario))
+    return Analysis(scenario, found)
+
+
+def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:
+    """Give what a function returns, or why it cannot be computed; a number that overflows is a reason, too."""
+    try:
+        with np.errstate(over="raise", invalid="raise", divide="raise", under="ignore"):
+            return of()
+    except (ArithmeticError, ValueError) as error:  # LinAlgError is a ValueError, FloatingPointError an ArithmeticError
+        return not_computed(scenario, name, PARTS[name][1], error)

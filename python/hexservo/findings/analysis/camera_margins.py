@@ -1,0 +1,277 @@
+"""Borders of a linear sampled loop in the camera's period and latency and in the law's gain; no robot is known here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.findings.analysis.linear_loop import BORDER, Clock, SampledLoop
+from hexservo.findings.analysis.poses import Array
+
+__all__ = [
+    "LARGEST_FACTOR",
+    "LONGEST",
+    "MOST_DRIFTS",
+    "Border",
+    "Margins",
+    "crossing",
+    "exponents",
+    "gain_border",
+    "margins",
+    "most_frames",
+    "motion_of",
+    "radius_map",
+]
+
+Complex: TypeAlias = NDArray[np.complex128]
+
+LONGEST = 0.5
+"""Periods and latencies are looked at up to this, or ten times the loop's own [s]."""
+LARGEST_FACTOR = 1e3
+"""Factors on the gain are looked at up to this, and down to its inverse."""
+
+MOST_DRIFTS = 2
+"""Unequal depth errors turn one or two directions of the image around; more that grow are no drift but a wrong sign."""
+
+_MOST_FRAMES = 60  # under way at once at a loop's own clocks; more make matrices too large
+
+_MAP_POINTS = 16  # of each axis
+
+
+@dataclass(frozen=True)
+class Border:
+    """Where a whole number of ticks makes the loop unstable; the first border from the scenario's own value on."""
+
+    stable: int | None  # last one found stable [ticks]; None: not even the least is
+    unstable: int | None  # its neighbour that is not [ticks]; None: stable up to `looked_at`
+    looked_at: int  # [ticks]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What a loop with one treatment of K_v permits."""
+
+    stable: bool  # no mode grows that would not grow with a perfect camera as well
+    radius: float  # spectral radius over one camera period, all modes but the resting ones
+    rate: float  # growth of the slowest of them [1/s]; negative: it decays
+    frequency: float  # of it [Hz]
+    drifts: int  # real modes that grow with any camera, however fast
+    drift_rate: float  # growth of the fastest of them, with a frame at each tick and no latency [1/s]; NaN: none
+    perfect: bool  # with that camera nothing grows but at most `MOST_DRIFTS` drifts
+    resting: int  # modes that stay whatever the clocks are, taken out
+    period: Border  # at the scenario's latency
+    latency: Border  # at the scenario's period
+    gain: tuple[float | None, float | None]  # factors at which stability changes, below and above 1; None: none
+    border_frequency: float  # of the mode that crosses first, by gain upwards, latency or period [Hz]; NaN: none
+    motion: Array | None  # (6,) of that mode, linear, then angular times the platform's radius; largest is 1
+
+
+def _drifts(loop: SampledLoop) -> tuple[int, float, bool]:
+    """Count real modes that grow with a frame at each tick; the fastest growth [1/s]; whether nothing else grows."""
+    perfect = Clock(1, 0)
+    values = loop.multipliers(perfect)
+    growing = values[np.abs(values) > BORDER]
+    real = (np.abs(growing.imag) < 1e-9) & (growing.real > 0.0)
+    rate = float(np.log(growing.real[real].max()) / loop.seconds(perfect)) if real.any() else float("nan")
+    return int(real.sum()), rate, bool(real.all()) and len(growing) <= MOST_DRIFTS
+
+
+def _first_border(stable: Callable[[int], bool], now: int, least: int, most: int, least_step: int) -> Border:
+    """Step away from a whole number until stability changes, then halve the last step."""
+    up = stable(now)
+    here = now
+    while True:
+        step = max(1, (here + least_step) // 8)
+        there = min(here + step, most) if up else max(here - step, least)
+        if there == here:
+            return Border(here, None, most) if up else Border(None, here, least)
+        if stable(there) != up:
+            break
+        here = there
+    inside, outside = (here, there) if up else (there, here)
+    while abs(outside - inside) > 1:
+        middle = (inside + outside) // 2
+        if stable(middle):
+            inside = middle
+        else:
+            outside = middle
+    return Border(inside, outside, most)
+
+
+def gain_border(stable: Callable[[float], bool], up: bool) -> float | None:
+    """Step away from the factor 1 until stability changes, then halve the step; None where it never does."""
+    now = stable(1.0)
+    ratio = 1.15 if up else 1.0 / 1.15
+    near = 1.0
+    while True:
+        far = near * ratio
+        if not 1.0 / LARGEST_FACTOR <= far <= LARGEST_FACTOR:
+            return None
+        if stable(far) != now:
+            break
+        near = far
+    for _ in range(12):  # to 1e-5 of it
+        middle = float(np.sqrt(near * far))
+        if stable(middle) == now:
+            near = middle
+        else:
+            far = middle
+    return float(np.sqrt(near * far))
+
+
+def exponents(loop: SampledLoop, clock: Clock) -> Complex:
+    """Give growth [1/s] and turning [rad/s] of all modes, as complex numbers, the fastest growing first."""
+    values = loop.multipliers(clock)
+    growth = np.log(np.maximum(np.abs(values), 1e-300))
+    return np.asarray((growth + 1j * np.angle(values)) / loop.seconds(clock), dtype=complex)
+
+
+def motion_of(loop: SampledLoop, clock: Clock, exponent: complex) -> Complex:
+    """Give the displacement (n,) of the mode with that exponent, of length 1."""
+    return loop.motion(clock, complex(np.exp(exponent * loop.seconds(clock))))
+
+
+def crossing(inside: tuple[SampledLoop, Clock], outside: tuple[SampledLoop, Clock]) -> tuple[complex, complex]:
+    """Give the exponent of the mode that begins to grow between two neighbours: its value inside, and outside.
+
+    Modes that grow on both sides are set aside, each with its nearest one. Of what grows outside alone the fastest is
+    taken, and inside the slowest to decay of those that turn as fast, within a tenth.
+    """
+    before, after = exponents(*inside), exponents(*outside)
+    least = np.log(BORDER)
+    grew = before.real * inside[0].seconds(inside[1]) > least
+    grows = list(after[after.real * outside[0].seconds(outside[1]) > least])
+    for value in before[grew]:
+        if grows:
+            grows.pop(int(np.argmin(np.abs(np.asarray(grows) - value))))
+    if not grows:
+        raise ValueError("inside, outside: expected a mode that grows outside alone, got none")
+    new = max(grows, key=lambda value: float(value.real))
+    stays = before[~grew]
+    # The one nearest to it, or one that turns as fast and decays more slowly: pairs of axes are often nearly alike.
+    old = stays[int(np.argmin(np.minimum(np.abs(stays - new), np.abs(stays - np.conj(new)))))]
+    alike = stays[np.abs(np.abs(stays.imag) - abs(new.imag)) <= 0.1 * abs(new.imag)]
+    if abs(new.imag) > 1e-9 and len(alike):
+        old = max(old, alike[int(np.argmax(alike.real))], key=lambda value: float(value.real))
+    return complex(old), complex(new)
+
+
+def _sides(
+    loop: SampledLoop, clock: Clock, period: Border, latency: Border, gain: tuple[float | None, float | None]
+) -> tuple[tuple[SampledLoop, Clock], tuple[SampledLoop, Clock]] | None:
+    """Give a loop just inside and just outside of a border: the one in gain, upwards first, else latency or period."""
+    for factor in (gain[1], gain[0]):
+        if factor is not None:
+            sides = [(replace(loop, gain=loop.gain * factor * (1.0 + part)), clock) for part in (-1e-4, 1e-4)]
+            sides.sort(key=lambda side: side[0].growing(clock))
+            return sides[0], sides[1]
+    if latency.stable is not None and latency.unstable is not None and latency.unstable <= loop.few * clock.period:
+        return (loop, Clock(clock.period, latency.stable)), (loop, Clock(clock.period, latency.unstable))
+    if period.stable is not None and period.unstable is not None and clock.latency <= loop.few * period.stable:
+        return (loop, Clock(period.stable, clock.latency)), (loop, Clock(period.unstable, clock.latency))
+    return None
+
+
+def most_frames(loop: SampledLoop) -> int:
+    """Give how many frames may be under way at once in an analysis: few where the joint sensors have a period."""
+    return _MOST_FRAMES if loop.reading == 1 else loop.few
+
+
+def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, borders: bool = True) -> Margins:
+    """Find the borders of a linear loop about its own period, latency and gain.
+
+    Parameters
+    ----------
+    loop
+        Of six axes.
+    clock
+        The camera's.
+    radius
+        Of the platform [m], to compare moves with turns.
+    borders
+        False leaves the borders out: period and latency of what is stable are the loop's own, unstable None.
+
+    Raises
+    ------
+    ValueError
+        With more than `most_frames` under way at the loop's own clocks.
+    """
+    drifts, drift_rate, perfect = _drifts(loop)
+
+    def holds(period: int, latency: int) -> bool:
+        return loop.growing(Clock(period, latency)) <= drifts
+
+    def holds_at(factor: float) -> bool:
+        return replace(loop, gain=loop.gain * factor).growing(clock) <= drifts
+
+    if clock.latency > most_frames(loop) * clock.period:
+        raise ValueError(f"clock: expected at most {most_frames(loop)} frames under way, got {clock}")
+    slowest = exponents(loop, clock)[0]
+    stable = holds(clock.period, clock.latency)
+    most = round(LONGEST / loop.tick)
+    most_period, most_latency, least_period = max(most, 10 * clock.period), max(most, 10 * clock.latency), 1
+    if loop.reading > 1:  # where growing modes cannot be counted
+        most_latency, least_period = min(most_latency, loop.few * clock.period), max(1, -(-clock.latency // loop.few))
+    none: tuple[float | None, float | None] = (None, None)
+    if not borders:
+        fine = stable and perfect
+        period = Border(clock.period if fine else None, None, clock.period)
+        latency, gain = Border(clock.latency if fine else None, None, clock.latency), none
+    elif perfect:
+        period = _first_border(lambda value: holds(value, clock.latency), clock.period, least_period, most_period, 0)
+        latency = _first_border(lambda value: holds(clock.period, value), clock.latency, 0, most_latency, clock.period)
+        gain = (gain_border(holds_at, up=False), gain_border(holds_at, up=True))
+    else:
+        period, latency, gain = Border(None, clock.period, 1), Border(None, clock.latency, 0), none
+
+    frequency, motion = float("nan"), None
+    sides = _sides(loop, clock, period, latency, gain) if borders else None
+    if sides is not None:
+        _, new = crossing(*sides)
+        frequency = abs(new.imag) / (2.0 * np.pi)
+        sizes = np.abs(motion_of(*sides[1], new)) * np.repeat([1.0, radius], 3)
+        motion = sizes / max(float(sizes.max()), 1e-300)
+    return Margins(
+        stable=stable and perfect,
+        radius=float(np.exp(slowest.real * clock.period * loop.tick)),
+        rate=float(slowest.real),
+        frequency=float(abs(slowest.imag) / (2.0 * np.pi)),
+        drifts=drifts,
+        drift_rate=drift_rate,
+        perfect=perfect,
+        resting=loop.resting.shape[1],
+        period=period,
+        latency=latency,
+        gain=gain,
+        border_frequency=frequency,
+        motion=motion,
+    )
+
+
+def radius_map(loop: SampledLoop, clock: Clock, found: Margins) -> tuple[Array, Array, Array]:
+    """Give the spectral radius over periods (m,) and latencies (k,) [s] that show the borders, (k, m).
+
+    NaN where more than `SampledLoop.few` frames are under way.
+    """
+
+    def up_to(border: Border, own: int) -> int:
+        edge = border.unstable if border.unstable is not None else (border.stable or 0)
+        if border.unstable is None:  # no border: four times what the scenario has
+            edge = min(edge, 4 * max(own, clock.period))
+        return max(round(1.5 * max(edge, own)), 8)
+
+    most_period, most_latency = up_to(found.period, clock.period), up_to(found.latency, clock.latency)
+    periods = np.linspace(most_period / _MAP_POINTS, most_period, _MAP_POINTS).round().astype(int)
+    periods = np.unique(np.maximum(periods, 1))
+    latencies = np.unique(np.linspace(0, most_latency, _MAP_POINTS).round().astype(int))
+    radii = np.full((len(latencies), len(periods)), np.nan)
+    for row, latency in enumerate(latencies):
+        for column, period in enumerate(periods):
+            if latency <= loop.few * period:
+                value = exponents(loop, Clock(int(period), int(latency)))[found.drifts]
+                radii[row, column] = np.exp(value.real * period * loop.tick)
+    return periods * loop.tick, latencies * loop.tick, radii

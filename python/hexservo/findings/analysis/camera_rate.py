@@ -1,0 +1,269 @@
+"""How fast must the camera be? Borders of the linear sampled loop in period, latency and gain.
+
+docs/analysis/camera_rate.md has formulas and limits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from hexservo.findings.analysis.camera_margins import (
+    Border,
+    Margins,
+    crossing,
+    gain_border,
+    margins,
+    most_frames,
+    motion_of,
+    radius_map,
+)
+from hexservo.findings.analysis.camera_rate_words import section
+from hexservo.findings.analysis.camera_runs import StartRun, StrokeBorder, learned_weights, start_runs, stroke_border
+from hexservo.findings.analysis.linear_loop import Clock, SampledLoop
+from hexservo.findings.analysis.loop_of_scenario import (
+    OFFSET,
+    LoopAtRest,
+    NotApplicableError,
+    clock_of,
+    growth,
+    loop_at_rest,
+    loop_with_weights,
+    scaled,
+    seen_from_home,
+)
+from hexservo.findings.analysis.poses import Array
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Section
+from hexservo.scenario.scenario import Scenario, ScenarioError
+
+__all__ = ["CameraRate", "Run", "analyse"]
+
+
+NEARLY = 0.05
+"""A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
+_KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")
+SMALL_OFFSET = 1e-6
+"""Taken where 0.01 px is already too much for a loop to be linear [px]."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run by the core beside a border, against the linear loop."""
+
+    key: Literal["gain", "latency", "period"]
+    value: float  # factor, or [s]
+    predicted: float  # growth [1/s]
+    measured: float  # [1/s]; infinite where the run ended early
+    offset: float  # largest feature offset at its start [px]
+    apart: float  # from the border, relative to it; of latency and period at least one tick
+
+    @property
+    def agrees(self) -> bool:
+        """Whether it grows where that is predicted, and decays where that is."""
+        return (self.predicted > 0.0) == (self.measured > 0.0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraRate(Findings):
+    """What periods and latencies of the camera a scenario's loop endures."""
+
+    scenario: Scenario
+    open: str | None  # why the analysis does not apply; then everything below is None or empty
+    at_rest: LoopAtRest | None = None
+    clock: Clock | None = None
+    free: Margins | None = None  # K_v = 0
+    smooth: Margins | None = None  # with the slope k_v/width, where the law has K_v
+    # At the fuzzy weights at the end of the task's own run, K_v as in `acting`; None: it has none, or does not settle.
+    learned: Margins | None = None
+    periods: Array | None = None  # (m,) of the map [s]
+    latencies: Array | None = None  # (k,) [s]
+    radii: Array | None = None  # (k, m) spectral radius over one camera period, without drifts
+    runs: tuple[Run, ...] = ()
+    starts: tuple[StartRun, ...] = ()  # from small starts; empty where the core refuses them
+    stroke: dict[Literal["period", "latency"], StrokeBorder] = field(default_factory=dict)  # of the task
+
+    @property
+    def settles(self) -> bool | None:
+        """What the runs from small starts say: all settle, or one does not; None where they cannot say.
+
+        A drift, which grows with any camera, hides what a run says of the camera where the linear loop is stable.
+        """
+        endings = {run.ending for run in self.starts}
+        drifting = self.acting is not None and self.acting.stable and self.acting.drifts > 0
+        if endings & {"goes on", "stroke", "ended"}:
+            return None if drifting else False
+        return True if endings == {"settles"} else None
+
+    @property
+    def stable(self) -> bool | None:
+        """The verdict: that of the runs, and of the linear loop where they cannot say; None where this is open."""
+        if self.acting is None:
+            return None
+        return self.acting.stable if self.settles is None else self.settles
+
+    @property
+    def acting(self) -> Margins | None:
+        """Margins of the loop that small motions meet: with the slope of K_v only where the scenario has one."""
+        smoothing = self.scenario.controller.switching.kind in ("tanh", "saturation")
+        return self.smooth if smoothing and self.smooth is not None else self.free
+
+    def section(self) -> Section:
+        """Give words, margins, the map and the runs that check it."""
+        return section(self)
+
+
+# --- the check by simulation ------------------------------------------------------------------------------------------
+def _check(at_rest: LoopAtRest, found: Margins) -> tuple[Run, ...]:
+    """Run the loop just inside and just outside of its border: by gain where it has one, else by latency or period."""
+    home = seen_from_home(at_rest)
+    loop = loop_at_rest(home).free
+    clock, tick = clock_of(home), home.simulation.step
+    drifts = found.drifts
+    if loop.growing(Clock(1, 0)) != drifts:  # another attitude, another verdict: nothing to compare
+        return ()
+    border = found.gain[1] if found.gain[1] is not None else found.gain[0]
+    if border is not None:
+        # At home the attitude is another: the border is found anew, from just below the one at the goal.
+        start = border / 1.05
+        nearby = gain_border(lambda g: replace(loop, gain=g * start).growing(clock) <= drifts, up=True)
+        if nearby is None:
+            return ()
+        beside = ((1.0 - NEARLY) * nearby * start, (1.0 + NEARLY) * nearby * start)
+        places = [_Place("gain", g, replace(loop, gain=g), clock, scaled(home, g)) for g in beside]
+        places.sort(key=lambda place: place.loop.growing(clock))
+    else:
+        key: Literal["latency", "period"] = "latency" if found.latency.unstable is not None else "period"
+        edge = found.latency if key == "latency" else found.period
+        if edge.unstable is None or edge.stable is None or edge.unstable > loop.few * clock.period:
+            return ()
+        places = []
+        for ticks in (edge.stable - edge.stable // 20, edge.unstable + edge.unstable // 20):
+            at = Clock(clock.period, ticks) if key == "latency" else Clock(ticks, clock.latency)
+            places.append(_Place(key, ticks * tick, loop, at, home.updated({f"camera.{key}": ticks * tick})))
+    inside, outside = places
+    if inside.loop.growing(inside.clock) > drifts or outside.loop.growing(outside.clock) <= drifts:
+        return ()  # a second border within so little: no run of some seconds tells them apart
+    modes = crossing((inside.loop, inside.clock), (outside.loop, outside.clock))
+    runs = [_run(place, mode, drifts) for place, mode in zip(places, modes, strict=True)]
+    if any(run is not None and run.offset < OFFSET for run in runs):  # both sides from where the loop is linear
+        runs = [_run(place, mode, drifts, (SMALL_OFFSET,)) for place, mode in zip(places, modes, strict=True)]
+    return tuple(run for run in runs if run is not None) if None not in runs else ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A loop beside a border, and its scenario with the goal at home."""
+
+    key: Literal["gain", "latency", "period"]
+    value: float
+    loop: SampledLoop
+    clock: Clock
+    scenario: Scenario
+
+
+def _run(
+    place: _Place, exponent: complex, drifts: int, offsets: tuple[float, ...] = (OFFSET, SMALL_OFFSET)
+) -> Run | None:
+    """Measure the growth of a mode from the first offset [px] that tells its sign; None where no run shows it."""
+    seconds = place.loop.seconds(place.clock)
+    predicted, turning = exponent.real, abs(exponent.imag)
+    # Long enough for many turns and for a change that shows, short enough for a mode that grows to stay small.
+    turns = 32.0 * np.pi / turning if turning > 1e-3 else 0.0
+    longest = float(np.clip(3.0 / max(abs(predicted), 1e-300), min(turns, 10.0), 10.0))
+    multipliers = place.loop.multipliers(place.clock)
+    real = np.sort(multipliers.real[(np.abs(multipliers.imag) < 1e-9) & (multipliers.real > 1.0)])[:drifts]
+    drift = float(np.log(real.max(initial=1.0)) / seconds)
+    way = motion_of(place.loop, place.clock, exponent)
+    way = way * np.exp(-1j * np.angle(way[int(np.argmax(np.abs(way)))]))  # its largest part is real
+    if drift * 64.0 * seconds > np.log(0.1 / SMALL_OFFSET):
+        return None  # `growth` takes 64 samples, and by then the drift would be all that is seen
+    measured, offset = 0.0, OFFSET
+    for offset in offsets:
+        # A drift must not have left the linear range by then, a tenth of a pixel.
+        duration = longest if drift * longest < np.log(0.1 / offset) else float(np.log(0.1 / offset)) / drift
+        measured = growth(
+            place.scenario,
+            duration,
+            every=round(seconds / place.loop.tick),
+            angle=turning * seconds,
+            way=way.real,
+            without=real.tolist(),
+            offset=offset,
+        )
+        if (measured > 0.0) == (predicted > 0.0):
+            break
+    if np.isnan(measured):
+        return None
+    return Run(place.key, place.value, predicted, measured, offset, NEARLY)
+
+
+def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
+    """Linearise the sampled loop at its goal, find the borders of its camera, and run it from small starts.
+
+    Parameters
+    ----------
+    scenario
+        With any law but `hybrid`; one in continuous mode is taken as sampled with the keys of its camera. Short runs
+        check the border and the verdict.
+    borders
+        False leaves out what is not needed for `CameraRate.stable`: borders in period, latency and gain, those of the
+        stroke, their runs, the map, and the loop at learned weights. What `section` says of borders then means
+        nothing.
+
+    Returns
+    -------
+    CameraRate
+        With `open` in words where the analysis does not apply.
+    """
+    try:
+        at_rest = loop_at_rest(scenario)
+    except NotApplicableError as error:
+        return CameraRate(scenario, str(error))
+    clock = clock_of(at_rest.scenario)
+    most = most_frames(at_rest.free)
+    if clock.latency > most * clock.period:
+        return CameraRate(scenario, f"more than {most} frames are under way at once; take a longer camera.period")
+    radius = scenario.robot.platform_radius
+    free = margins(at_rest.free, clock, radius, borders=borders)
+    smooth = margins(at_rest.smooth, clock, radius, borders=borders) if at_rest.smooth is not None else None
+    result = CameraRate(scenario, None, at_rest, clock, free, smooth)
+    acting = result.acting or free
+    result = replace(result, starts=_start_runs(at_rest))
+    if not borders:
+        return result
+    result = replace(result, learned=_learned(at_rest, clock, radius, acting is smooth))
+    if not free.perfect:  # no border that a camera could have: see `_section`
+        return result
+    periods, latencies, radii = radius_map(at_rest.free, clock, free)
+    stroke = {key: _stroke_border(at_rest, clock, key, getattr(acting, key)) for key in _KEYS} if acting.stable else {}
+    return replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free), stroke=stroke)
+
+
+def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
+    try:
+        return start_runs(seen_from_home(at_rest))
+    except ScenarioError:  # the core refuses an image of rest as a goal
+        return ()
+
+
+def _task(at_rest: LoopAtRest) -> Scenario:
+    """Give the task itself, without noise and faults."""
+    return at_rest.scenario.updated({"uncertainty.gravity": at_rest.gravity})
+
+
+def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> Margins | None:
+    """Give the margins at the weights that the task's own run ends with."""
+    if not at_rest.free.axes:  # nothing that learns
+        return None
+    weights = learned_weights(_task(at_rest))
+    return None if weights is None else margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
+
+
+def _stroke_border(
+    at_rest: LoopAtRest, clock: Clock, key: Literal["period", "latency"], linear: Border
+) -> StrokeBorder:
+    """Vary period or latency over what the linear loop bears."""
+    return stroke_border(_task(at_rest), key, clock, linear.stable or getattr(clock, key))

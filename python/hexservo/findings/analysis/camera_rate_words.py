@@ -1,0 +1,471 @@
+"""What the part camera_rate of an analysis has to say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hexservo.findings.analysis.camera_margins import LARGEST_FACTOR, Border, Margins
+from hexservo.findings.analysis.linear_loop import Clock
+from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
+from hexservo.findings.analysis.loop_of_scenario import LoopAtRest
+from hexservo.findings.analysis.words import number
+from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table
+
+if TYPE_CHECKING:
+    from hexservo.findings.analysis.camera_rate import CameraRate
+
+__all__ = ["section"]
+
+PAGE = "docs/analysis/camera_rate.md"
+
+ENOUGH_GAIN = 2.0
+"""Factor on the gain below which the margin counts as small: 6 dB."""
+
+_TITLE = "How fast must the camera be?"
+_AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
+_SCALED = {
+    "composite": "kp, kt and drive",
+    "kelly": "kp",
+    "pbvs": "kp",
+    "computed_torque": "kp",
+    "resolved_rate": "gain and gain_far",
+}
+
+
+def section(result: CameraRate) -> Section:
+    """Give words, margins, the map and the runs that check it."""
+    if result.open is not None or result.at_rest is None or result.clock is None or result.free is None:
+        reason = result.open or "nothing was found"
+        sentences = [f"No answer from a linear loop: {reason}."]
+        if result.scenario.controller.law == "hybrid":
+            sentences.append(
+                "Which starting errors still settle with this camera is found by runs instead, and is empirical: see "
+                "the part largest_start."
+            )
+        return Section("camera_rate", _TITLE, sentences, verdict="open", data={"open": reason})
+    at_rest, clock, free = result.at_rest, result.clock, result.free
+    acting = free if result.acting is None else result.acting
+    return Section(
+        "camera_rate",
+        _TITLE,
+        _sentences(result, at_rest, clock, free, acting),
+        items=_items(result, at_rest, clock, free),
+        verdict=_verdict(result, clock, acting),
+        data=_data(result, at_rest, clock, free),
+    )
+
+
+def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Literal["good", "warning", "bad"]:
+    if not result.stable:
+        damped = result.settles is None and result.smooth is not None and result.smooth.stable
+        return "warning" if damped else "bad"
+    if not acting.stable:  # the runs settle: what they learn, or K_v, holds what the linear loop does not
+        return "warning"
+    beyond = any(border.own_travel > _stroke(result) for border in result.stroke.values())
+    small = acting.gain[1] is not None and acting.gain[1] < ENOUGH_GAIN
+    late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency <= clock.period
+    doubtful = any(not run.agrees for run in result.runs)
+    return "warning" if small or late or acting.drifts or doubtful or beyond else "good"
+
+
+def _stroke(result: CameraRate) -> float:
+    """Give the stroke of the legs [m]."""
+    return float(result.scenario.robot.stroke)
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.4g} ms"
+
+
+def _at_most(border: Border, tick: float, what: str) -> str:
+    if border.stable is None:
+        return f"no {what} is short enough"
+    if border.unstable is None:
+        return f"it is stable at every {what} looked at, up to {_ms(border.looked_at * tick)}"
+    return f"the {what} may be at most {_ms(border.stable * tick)}"
+
+
+def _delay_margin(acting: Margins, clock: Clock, tick: float) -> str:
+    if not acting.stable or acting.latency.stable is None or acting.latency.unstable is None:
+        return ""
+    return f": a delay margin of {_ms((acting.latency.stable - clock.latency) * tick)}"
+
+
+def _mode(frequency: float) -> str:
+    return "without oscillation" if frequency < 1e-3 else f"at {frequency:.3g} Hz"
+
+
+def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins, acting: Margins) -> list[str]:
+    scenario, tick = at_rest.scenario, at_rest.scenario.simulation.step
+    period, latency = _ms(clock.period * tick), _ms(clock.latency * tick)
+    law = scenario.controller.law
+    borders = (
+        f"at its latency of {latency} {_at_most(acting.period, tick, 'period')} (it is {period}), and at its period "
+        f"{_at_most(acting.latency, tick, 'latency')} (it is {latency}{_delay_margin(acting, clock, tick)})"
+    )
+    follows = result.stable is True and not acting.stable  # the verdict is that of runs
+    if not acting.perfect:
+        none = "The linear loop is stable with no camera" if follows else "No camera is fast enough"
+        first = f"{none}: even with a frame at every tick and no latency a mode of the loop grows. " + (
+            "Several directions are driven the wrong way, as with a wrong sign of the image Jacobian "
+            "(controller.jacobian, camera.convention)."
+            if acting.drifts
+            else "The law's gains do not suit the servo period, the sensors or the actuators."
+        )
+    elif not acting.stable:
+        damped = result.smooth is not None and result.smooth.stable
+        which = "linear loop" if follows else "loop"
+        first = f"{'Without K_v this' if damped else 'This'} camera is too slow for the {which}: {borders}."
+    else:
+        which = "linear loop, which does not decide" if result.stable is False else "loop"
+        first = f"The camera is fast enough for the {which}: {borders}."
+    found = [first]
+    if acting.perfect and acting.drifts:
+        drift = (
+            f"{acting.drifts} of the modes drifts away with any camera, at {acting.drift_rate:.3g} 1/s with a perfect "
+            "one: the assumed depths reverse a direction that is weakly observable in the image. The "
+            "borders are those of all other modes; see the part drift."
+        )
+        found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
+
+    found.extend(_about_stroke(result, tick))
+    how = "grows" if acting.rate > 0.0 else "decays"
+    found.append(
+        f"Over one period of {period} the spectral radius is {acting.radius:.4g}: the slowest mode {how} at "
+        f"{abs(acting.rate):.3g} 1/s {_mode(acting.frequency)}."
+    )
+    below, above = acting.gain
+    what = f"The proportional gains ({_SCALED[law]})"
+    if acting.stable and above is not None:
+        found.append(f"{what} may be multiplied by up to {above:.3g}; then a mode begins to grow{_which(acting)}.")
+    if acting.stable and below is not None:
+        found.append(f"{what} must not be multiplied by less than {below:.3g}.")
+    if not acting.stable and below is not None:
+        found.append(
+            f"{what} times {below:.3g} or less would be stable with this camera; at that border a mode turns"
+            f"{_which(acting)}."
+        )
+    if acting.stable and above is None and below is None:
+        found.append(f"{what} may be multiplied or divided by {LARGEST_FACTOR:g}: no border was found.")
+    if acting.resting:
+        found.append(
+            f"{acting.resting} modes stay as they are whatever the camera does, and are left out: no gain answers to "
+            "them, or fuzzy systems that learn from the rate alone (drive 0) make them a spring towards the start."
+        )
+    found = [*_about_starts(result, acting), *found] if result.stable != acting.stable else found
+    if result.stable == acting.stable:
+        found.extend(_about_starts(result, acting))
+    found.extend(_about_learned(result, tick))
+    found.extend(_about_kv(result, free, tick))
+    found.extend(_about_runs(result))
+    found.extend(_about_limits(result, at_rest, clock, acting))
+    return found
+
+
+def _which(margin: Margins) -> str:
+    if margin.motion is None:
+        return ""
+    return f" {_mode(margin.border_frequency)}, mostly {_AXES[int(np.argmax(margin.motion))]}"
+
+
+def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
+    if result.smooth is None:
+        return []
+    width = result.scenario.controller.switching.width
+    smooth = result.smooth
+    kind = result.scenario.controller.switching.kind
+    slope = f"the slope k_v/width of tanh or saturation (width {width:g} m/s and rad/s)"
+    other, text = (free, "With K_v = 0") if result.acting is smooth else (smooth, f"With {slope}")
+    taken = f"K_v acts with {slope}" if result.acting is smooth else f"K_v counts as zero, since {kind} has no slope"
+    if other.perfect:
+        verdict = "would be stable" if other.stable else "would be unstable"
+        rest = f"{verdict}; {_at_most(other.period, tick, 'period')}, and {_at_most(other.latency, tick, 'latency')}"
+    else:
+        rest = "would be unstable with any camera"
+    return [f"{taken}. {text} the loop {rest}."]
+
+
+_ENDINGS = {
+    "settles": "comes to rest",
+    "goes on": "does not come to rest",
+    "stroke": "takes a leg beyond its stroke",
+    "ended": "ends early",
+    "open": "is too slow to be judged",
+}
+
+
+def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
+    """Say how the runs from small starts end, and whether the verdict follows them."""
+    if not result.starts:
+        return ["No run from a small start checks this: the law refuses the image of rest as a goal."]
+    ends = " and ".join(
+        f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, legs "
+        f"{number(1e3 * run.travel)} mm)"
+        for run in result.starts
+    )
+    longest = max(run.duration for run in result.starts)
+    text = f"Of runs of {longest:g} s from beside the goal, K_v as it is, {ends}"
+    if result.settles is None:
+        why = "they do not decide" if acting.stable and acting.drifts else "that decides nothing"
+        return [f"{text}: {why}, and the verdict is that of the linear loop."]
+    if result.settles == acting.stable:
+        return [f"{text}, as the linear loop predicts."]
+    weights = "the weights that the fuzzy systems start with" if result.at_rest and result.at_rest.free.axes else "rest"
+    return [
+        f"{text}. The verdict follows these runs: the linear loop, taken at {weights}, is "
+        f"{'stable' if acting.stable else 'unstable'} and does not describe them."
+    ]
+
+
+def _about_learned(result: CameraRate, tick: float) -> list[str]:
+    """Say what the linear loop is at the weights of the task's own run."""
+    if result.at_rest is None or not result.at_rest.free.axes:
+        return []
+    learned = result.learned
+    if learned is None:
+        return ["The task itself does not settle in the sampled loop: there are no learned weights to linearise at."]
+    mode = f"its slowest mode {'grows' if learned.rate > 0.0 else 'decays'} at {abs(learned.rate):.3g} 1/s"
+    if not learned.perfect:
+        return [f"At the weights at the end of the task's own run the loop is unstable with any camera: {mode}."]
+    return [
+        f"At the weights at the end of the task's own run the loop is {'stable' if learned.stable else 'unstable'}: "
+        f"{mode}; {_at_most(learned.period, tick, 'period')}, and {_at_most(learned.latency, tick, 'latency')}."
+    ]
+
+
+def _about_stroke(result: CameraRate, tick: float) -> list[str]:
+    """Say how far the legs let period and latency go, which a linear loop does not know."""
+    stroke = f"their stroke of {number(1e3 * _stroke(result))} mm"
+    found = []
+    for key, border in result.stroke.items():
+        travel = "ends early" if np.isinf(border.travel) else f"takes a leg {number(1e3 * border.travel)} mm from home"
+        if border.within is None:
+            found.append(f"With the scenario's own {key} the task {travel}, beyond {stroke}.")
+        elif border.beyond is None:
+            found.append(
+                f"In runs of the task at each {key} tried, up to {_ms(border.largest * tick)}, the legs stay within "
+                f"{stroke} (at most {number(1e3 * border.travel)} mm)."
+            )
+        else:
+            found.append(
+                f"The stroke limits the {key}: runs of the task keep the legs within {stroke} up to "
+                f"{_ms(border.within * tick)}; at {_ms(border.beyond * tick)} the task {travel}."
+            )
+    return found
+
+
+def _about_runs(result: CameraRate) -> list[str]:
+    if not result.runs:
+        return ["No border was there to be checked by simulation."]
+    inside, outside = result.runs
+    agree = inside.agrees and outside.agrees
+    name = {"gain": "gain", "latency": "latency", "period": "camera period"}[inside.key]
+    offsets = " and ".join(dict.fromkeys(f"{run.offset:g} px" for run in result.runs))
+    text = (
+        f"A numerical check by two runs with K_v = 0 beside the border in {name}, from {offsets}: inside predicted "
+        f"{inside.predicted:+.3g} 1/s, measured {inside.measured:+.3g} 1/s; outside {outside.predicted:+.3g} 1/s, "
+        f"measured {outside.measured:+.3g} 1/s."
+    )
+    if not agree:
+        return [text + " They disagree: the linear loop does not describe these runs."]
+    if any(run.offset < START for run in result.runs):
+        text += f" From {START:g} px a run behaves otherwise: so far from its goal this loop is not linear any more."
+    if inside.key == "gain":
+        return [text + f" The border lies where it is predicted, within {100 * inside.apart:g} %."]
+    return [text + " The border lies between them, as predicted."]
+
+
+def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting: Margins) -> list[str]:
+    scenario, tick = result.scenario, at_rest.scenario.simulation.step
+    found = []
+    if at_rest.as_if_sampled:
+        found.append(
+            "The scenario is in continuous mode, where no camera acts: this is the loop that it would be in sampled "
+            f"mode, with a servo period of {_ms(tick)} and the period and latency of its camera block."
+        )
+    if scenario.camera.latency_jitter > 0.0:
+        longest = clock.latency + round(scenario.camera.latency_jitter / tick)
+        beyond = acting.latency.stable is not None and longest > acting.latency.stable
+        found.append(
+            f"The latency is taken as constant. The longest one with jitter, {_ms(longest * tick)}, is "
+            + ("beyond the border." if beyond else "inside the border, if it were constant.")
+        )
+    if scenario.camera.dropout > 0.0:
+        found.append("Lost frames are not part of the linear loop; each one is a period twice as long.")
+    if scenario.camera.timeout is not None and scenario.camera.timeout < (clock.latency + clock.period - 1) * tick:
+        found.append(
+            f"The camera's timeout of {_ms(scenario.camera.timeout)} is shorter than the age that frames reach, "
+            f"{_ms((clock.latency + clock.period - 1) * tick)}: the loop is open part of the time, which is not seen "
+            "here."
+        )
+    if at_rest.rest.residual > 1.0:
+        found.append(
+            f"The loop rests where a feature is {at_rest.rest.residual:.3g} px from its goal: the prior draws it "
+            "towards home, or the goal is an image that no pose shows."
+        )
+    return found
+
+
+def _number(border: Border, tick: float, less: int = 0) -> Cell:
+    """Give a border in ms, less some ticks; in words where none was found."""
+    if border.stable is None:
+        return None
+    value = 1e3 * (border.stable - less) * tick
+    return value if border.unstable is not None else f"at least {value:.4g}"
+
+
+def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> list[Table | HeatMap]:
+    tick = at_rest.scenario.simulation.step
+    both = [free] + ([result.smooth] if result.smooth is not None else [])
+    heads = ["K_v = 0"] + (["slope k_v/width"] if result.smooth is not None else [])
+    if result.learned is not None:
+        both.append(result.learned)
+        heads.append("learned weights")
+
+    def row(name: str, unit: str, of: Callable[[Margins], Cell]) -> list[Cell]:
+        return [name, unit, *(of(one) for one in both)]
+
+    rows = [
+        row("spectral radius over one period", "", lambda m: m.radius),
+        row("growth of the slowest mode", "1/s", lambda m: m.rate),
+        row("largest stable period at this latency", "ms", lambda m: _number(m.period, tick)),
+        row("largest stable latency at this period", "ms", lambda m: _number(m.latency, tick)),
+        row(
+            "delay margin",
+            "ms",
+            lambda m: _number(m.latency, tick, clock.latency) if m.stable else None,
+        ),
+        row("gain factor at the border, upwards", "", lambda m: m.gain[1]),
+        row("gain factor at the border, downwards", "", lambda m: m.gain[0]),
+        row("frequency of the mode at the border", "Hz", lambda m: _finite(m.border_frequency)),
+        row("modes that drift with any camera", "", lambda m: m.drifts),
+        row("modes that stay, left out", "", lambda m: m.resting),
+    ]
+    longest = _ms(max(free.period.looked_at, free.latency.looked_at) * tick)
+    items: list[Table | HeatMap] = [
+        Table(
+            "Margins of the linear sampled loop at the goal",
+            [Column("quantity"), Column("unit"), *(Column(head) for head in heads)],
+            rows,
+            note=f"Periods and latencies are whole ticks, looked at up to {longest}; gain factors between "
+            f"{1 / LARGEST_FACTOR:g} and {LARGEST_FACTOR:g}. An empty cell: there is none. All columns are at the "
+            "weights that the fuzzy systems start with, but the one at those that the task's own run ends with.",
+            page=PAGE,
+        )
+    ]
+    if result.periods is not None and result.latencies is not None and result.radii is not None:
+        here = Line(
+            "this scenario", np.array([1e3 * clock.period * tick]), np.array([1e3 * clock.latency * tick]), "points"
+        )
+        items.append(
+            HeatMap(
+                "Spectral radius over one camera period",
+                "camera period [ms]",
+                "camera latency [ms]",
+                "spectral radius",
+                1e3 * result.periods,
+                1e3 * result.latencies,
+                result.radii,
+                levels=(1.0,),
+                lines=(here,),
+                note="K_v = 0. Beyond the contour at 1 the loop is unstable"
+                + (", drifts aside." if free.drifts else ".")
+                + f" Empty where more than {at_rest.free.few} frames are under way at once.",
+                page=PAGE,
+            )
+        )
+    if result.runs:
+        items.append(
+            Table(
+                "Runs beside the border",
+                [
+                    Column("varied"),
+                    Column("value", "1 or s"),
+                    Column("start", "px"),
+                    Column("predicted growth", "1/s", "+.3g"),
+                    Column("measured growth", "1/s", "+.3g"),
+                    Column("agrees"),
+                ],
+                [
+                    [run.key, run.value, run.offset, run.predicted, _finite(run.measured), run.agrees]
+                    for run in result.runs
+                ],
+                note="The goal's image is seen from home, no noise, K_v = 0. An empty growth: the run ended early.",
+                page=PAGE,
+            )
+        )
+    return items
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> dict[str, Any]:
+    tick = at_rest.scenario.simulation.step
+
+    def times(border: Border) -> dict[str, float | None]:
+        return {
+            "largest_stable": None if border.stable is None else border.stable * tick,
+            "smallest_unstable": None if border.unstable is None else border.unstable * tick,
+            "looked_at": border.looked_at * tick,
+        }
+
+    def numbers(one: Margins) -> dict[str, Any]:
+        return {
+            "stable": one.stable,
+            "spectral_radius": one.radius,
+            "growth": one.rate,
+            "frequency": one.frequency,
+            "drifts": one.drifts,
+            "drift_growth": one.drift_rate,
+            "stable_with_perfect_camera": one.perfect,
+            "resting_modes": one.resting,
+            "period": times(one.period),
+            "latency": times(one.latency),
+            "gain": {"below": one.gain[0], "above": one.gain[1]},
+            "border_frequency": one.border_frequency,
+            "border_motion": one.motion,
+        }
+
+    return {
+        "period": clock.period * tick,
+        "latency": clock.latency * tick,
+        "as_if_sampled": at_rest.as_if_sampled,
+        "residual": at_rest.rest.residual,
+        "position": at_rest.rest.view.pose.position,
+        "quaternion": at_rest.rest.view.pose.quaternion,
+        "without_kv": numbers(free),
+        "with_slope": None if result.smooth is None else {"slope": at_rest.slope, **numbers(result.smooth)},
+        "with_learned_weights": None if result.learned is None else numbers(result.learned),
+        "settles": result.settles,
+        "starts": [
+            {
+                "offset": run.offset,
+                "duration": run.duration,
+                "ending": run.ending,
+                "peak_error": run.peak,
+                "leg_travel": run.travel,
+            }
+            for run in result.starts
+        ],
+        "stroke": {
+            key: {
+                "within": None if border.within is None else border.within * tick,
+                "beyond": None if border.beyond is None else border.beyond * tick,
+                "largest": border.largest * tick,
+                "leg_travel": _finite(border.travel),
+                "own_leg_travel": _finite(border.own_travel),
+            }
+            for key, border in result.stroke.items()
+        },
+        "acting": "with_slope" if result.acting is result.smooth and result.smooth is not None else "without_kv",
+        "map": {"periods": result.periods, "latencies": result.latencies, "spectral_radius": result.radii},
+        "runs": [
+            {"varied": r.key, "value": r.value, "offset": r.offset, "predicted": r.predicted, "measured": r.measured}
+            for r in result.runs
+        ],
+    }

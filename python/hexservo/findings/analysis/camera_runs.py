@@ -1,0 +1,171 @@
+"""Runs that a verdict on the camera follows: small starts at the goal, and the task within the stroke of the legs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from hexservo.findings.analysis.linear_loop import Clock
+from hexservo.findings.analysis.poses import Array
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.run.batch import simulate_batch, whole
+from hexservo.run.metrics import metrics
+from hexservo.run.result import Result
+from hexservo.run.simulation import simulate
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["STARTS", "StartRun", "StrokeBorder", "learned_weights", "start_runs", "stroke_border"]
+
+STARTS = (0.01, 1.0)
+"""Largest feature offsets of the small starts [px]."""
+
+_DURATIONS = (10.0, 40.0)  # of a run from a small start: the second one where the first cannot say [s]
+_TICKS = 50_000  # of a run, at most
+_PARTS = 10  # of a run, whose motions are compared
+_QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at rest, and more where it goes on
+_GRID = 12  # clocks in the first round of a search for the stroke's border
+_ROUNDS = 2  # of the search between two of them
+
+Ending: TypeAlias = Literal["settles", "goes on", "stroke", "ended", "open"]
+
+
+@dataclass(frozen=True)
+class StartRun:
+    """A run with the scenario's K_v from beside a goal at home."""
+
+    offset: float  # largest feature offset at the start [px]
+    duration: float  # [s]
+    ending: Ending  # settles; goes on moving; leaves the stroke; ended early; open: it is too slow to be judged
+    peak: float  # largest |xi_d - xi| of the run [px]
+    travel: float  # largest leg travel [m]
+
+
+@dataclass(frozen=True)
+class StrokeBorder:
+    """Up to which period or latency the task itself keeps all legs within their stroke, by trial, K_v as it is."""
+
+    within: int | None  # last of those tried that does, below `beyond` [ticks]; None: the scenario's own does not
+    beyond: int | None  # first that was seen to leave the stroke [ticks]; None: none up to `largest`
+    largest: int  # [ticks], tried
+    travel: float  # largest leg travel at `beyond`, else at `largest` [m]
+    own_travel: float  # at the scenario's own clocks [m]
+
+
+def start_runs(home: Scenario) -> tuple[StartRun, ...]:
+    """Run a loop from small starts beside its goal, and say how each run ends.
+
+    Parameters
+    ----------
+    home
+        With the image of rest as its goal, seen from home: see `seen_from_home`.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On Ctrl-C.
+    """
+    scene = scene_of(home)
+    view = scene.view(scene.home)
+    shift = view.jacobian @ (np.array([1.0, -0.8, 0.6, 0.9, 0.7, -1.0]) * scene.unit)
+    goals = [view.features + shift * offset / np.abs(shift).max() for offset in STARTS]
+    return tuple(_start_run(home, offset, goal) for offset, goal in zip(STARTS, goals, strict=True))
+
+
+def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
+    tick = home.simulation.step
+    found: StartRun | None = None
+    for seconds in _DURATIONS:
+        ticks = _PARTS * max(1, round(min(seconds / tick, _TICKS) / _PARTS))
+        changes: dict[str, Any] = {
+            "target.desired_features": goal.tolist(),
+            "simulation.duration": ticks * tick,
+            "simulation.log_every": 1,
+        }
+        result = _uninterrupted(simulate(home.updated(changes)))
+        travel = float(result.streamed_metrics["peak_leg_excursion"])
+        ending = _ending(result, travel, home.robot.stroke)
+        found = StartRun(offset, ticks * tick, ending, float(np.abs(result.feature_error).max()), travel)
+        if ending not in ("goes on", "open"):  # what learns, or decays slowly, may only need longer
+            break
+    assert found is not None
+    return found
+
+
+def _ending(result: Result, travel: float, stroke: float) -> Ending:
+    """Judge a run by how much its features still move in its last part."""
+    if travel > stroke:
+        return "stroke"
+    if result.outcome != "completed":
+        return "ended"
+    parts = np.array_split(result.feature_error, _PARTS)
+    moved = np.array([np.ptp(part, axis=0).max() for part in parts])
+    share = moved[-1] / max(float(moved.max()), 1e-300)
+    if share < _QUIET:
+        return "settles"
+    return "goes on" if share > _MOVING and moved[-1] > 0.8 * moved[_PARTS // 2] else "open"
+
+
+def learned_weights(task: Scenario) -> Array | None:
+    """Give the weights (6, 7, 7) [N; N m] at the end of a task that settles; None where it does not.
+
+    Settled: docs/model.md, section 8.
+    """
+    result = _uninterrupted(simulate(task))
+    if result.outcome != "completed" or np.isnan(metrics(result)["settling_time"]):
+        return None
+    return np.asarray(result.fuzzy_weights)
+
+
+def _uninterrupted(result: Result) -> Result:
+    if result.outcome == "interrupted":  # says nothing of stability
+        raise KeyboardInterrupt
+    return result
+
+
+def stroke_border(task: Scenario, key: Literal["period", "latency"], clock: Clock, largest: int) -> StrokeBorder:
+    """Run the task with longer and longer periods or latencies of the camera, and compare the legs with their stroke.
+
+    Parameters
+    ----------
+    task
+        In sampled mode.
+    key
+        What varies, from the clock's own value on.
+    clock
+        Of the task.
+    largest
+        Up to which it varies [ticks].
+    """
+    own = int(getattr(clock, key))
+    tick = task.simulation.step
+    travels: dict[int, float] = {}
+
+    def run(ticks: Sequence[int]) -> None:
+        new = sorted(set(ticks) - set(travels))
+        if not new:
+            return
+        values = np.array([value * tick for value in new])
+        batch = whole(simulate_batch(task, {f"camera.{key}": values}, log="metrics"))
+        # What ends early says nothing of the stroke, but that the task was not done: no camera for it.
+        done = np.isin(batch.outcome, ["completed", "leg_limit"])
+        travels.update(zip(new, np.where(done, batch.metrics["peak_leg_excursion"], np.inf).tolist(), strict=True))
+
+    def first_beyond() -> int | None:
+        return min((value for value, travel in travels.items() if not travel <= task.robot.stroke), default=None)
+
+    def last_within(beyond: int | None) -> int | None:
+        return max((value for value in travels if beyond is None or value < beyond), default=None)
+
+    run([own, *(round(value) for value in np.geomspace(max(own, 1), max(largest, own, 1), _GRID))])
+    for _ in range(_ROUNDS):
+        beyond = first_beyond()
+        within = last_within(beyond)
+        if beyond is None or within is None:
+            break
+        run([within + round(part * (beyond - within)) for part in (0.25, 0.5, 0.75)])
+    beyond = first_beyond()
+    top = max(travels)
+    return StrokeBorder(last_within(beyond), beyond, top, travels[top if beyond is None else beyond], travels[own])

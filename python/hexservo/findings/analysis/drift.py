@@ -1,0 +1,265 @@
+"""Slow drift of the laws that regulate a pose error, under depth errors that differ (docs/analysis/drift.md)."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from hexservo import _core
+from hexservo.findings.analysis.drift_findings import GRID, LARGEST, SIZES, Drift, Pattern, Size
+from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.poses import Array, Mask, Poses, without_sign
+from hexservo.findings.analysis.rest import Rest
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.analysis.words import not_analysed
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Drift", "Pattern", "Size", "analyse", "loop_matrix"]
+
+_ROUNDS = 20  # of bisection
+_CREEP_ROUNDS = 30  # of the search for the end of the drift
+_SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=4)))  # (16, 4)
+
+_NOT_FOR = {
+    "hybrid": "it forms no pose error; what its image part does under unequal depth errors is in equilibria",
+    "kelly": "it forms no pose error; what its image part does under unequal depth errors is in equilibria",
+    "pbvs": "it estimates the pose by iteration from points that it believes to know",
+}
+
+
+def analyse(scenario: Scenario) -> Drift:
+    """Give the eigenvalues that decide the drift of a law with a pose error (docs/analysis/drift.md).
+
+    Raises
+    ------
+    ValueError
+        For a scenario that the core refuses.
+    """
+    law = scenario.controller.law
+    if reason := not_analysed(scenario, _NOT_FOR):
+        return Drift(law, reason)
+    if law == "resolved_rate" and scenario.controller.resolved_rate.jacobian_at != "current":
+        return Drift(law, "resolved_rate with a Jacobian of the goal: not analysed, since no depth of an image enters.")
+    if scenario.controller.jacobian == "printed":
+        return Drift(law, "With the printed sign of the Jacobian every feature runs away from its goal: not analysed.")
+    return _Worker(scenario).drift()
+
+
+def loop_matrix(known: Array, true: Array, inverse: Array, expected: Array) -> Array:
+    """Give the matrix E of de = -E dchi, (..., 6, 6), dimensionless per pair of like units.
+
+    E = (J-hat^T J-hat + M)^-1 (J-hat^T J + M_e), where M_e is the part of the prior M that is also expected: M for
+    `composite` and `computed_torque`, 0 for a damping that is in the inverse alone.
+
+    Parameters
+    ----------
+    known, true
+        J-hat and J (..., 8, 6): twist in B (m/s; rad/s) to feature rates [px/s].
+    inverse, expected
+        Diagonals of M and M_e, (6,) [px^2/m^2; px^2/rad^2].
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where J-hat^T J-hat + M is singular.
+    """
+    turned = np.swapaxes(known, -1, -2)
+    found: Array = np.linalg.solve(turned @ known + np.diag(inverse), turned @ true + np.diag(expected)).astype(float)
+    return found
+
+
+class _Worker:
+    """What the places and patterns of one scenario share."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.rest = Rest(scenario)
+        self.law = scenario.controller.law
+        self.gains = self.rest.gains
+        goals = find_goals(scene_of(scenario))
+        self.goal = None if goals is None else goals.shown_at
+        places = [self.rest.home] if self.goal is None else [self.rest.home, self.goal]
+        self.places = [(pose, *self.rest.image(pose)) for pose in places]
+        self.true = [self.rest.jacobian(features, depth, pose.quaternion) for pose, features, depth in self.places]
+        if self.law == "resolved_rate":
+            self.inverse, self.expected = np.array(self.gains.damping), np.zeros(6)
+        else:
+            self.inverse = self.expected = np.array(self.gains.prior)
+        self.drive, self.driven_by = self._drive()
+
+    def _drive(self) -> tuple[Array, str]:
+        """Give the diagonal that takes a small pose error to a velocity [1/s], where the rest is faster."""
+        if self.law == "resolved_rate":
+            return np.full(6, float(self.gains.gain)), "its gain times the eigenvalue"
+        if self.law == "computed_torque":
+            return np.array(self.gains.kp) / np.array(self.gains.kd), "K_p/K_d times the eigenvalue"
+        if self.gains.fuzzy.enabled:
+            return np.array(self.gains.drive), "Lambda times the eigenvalue"
+        return np.array(self.gains.kt) / np.array(self.gains.kd), "K_t/K_d times the eigenvalue, K_v aside"
+
+    def known(self, place: int, errors: Array) -> Array:
+        """Give J-hat (n, 8, 6) at a place for depth errors (n, 4): the core's J at Z-hat = (1 + delta) Z, (9)."""
+        pose, features, depth = self.places[place]
+        count = len(errors)
+        attitudes = pose.repeated(count).quaternion
+        return self.rest.jacobian(np.tile(features, (count, 1)), (1.0 + errors) * depth, attitudes)
+
+    def smallest(self, place: int, errors: Array, inverse: Array, expected: Array) -> Array:
+        """Give the smallest real part of an eigenvalue of the loop matrix, (n,)."""
+        matrix = loop_matrix(self.known(place, errors), self.true[place], inverse, expected)
+        return np.asarray(np.linalg.eigvals(matrix).real.min(axis=1))
+
+    def patterns(self, errors: Array) -> tuple[Pattern, ...]:
+        """Describe depth errors (n, 4)."""
+        matrix = loop_matrix(self.known(0, errors), self.true[0], self.inverse, self.expected)
+        unit = self.rest.unit
+        values, vectors = np.linalg.eig(matrix * unit / unit[:, None])
+        rates = np.linalg.eigvals(matrix * self.drive).real.min(axis=1)
+        ends, ended = self.ends(errors)
+        end_rates = self.rates_at(ends, errors, ended)
+        ended &= end_rates > 0.0  # an end that does not attract is none
+        seen = self.rest.image(ends)[0]
+        travel = np.abs(self.rest.leg_travel(ends)).max(axis=1)
+        moved = ends.displacement_from(self.rest.home)
+        if len(self.places) > 1:
+            at_goal = self.smallest(1, errors, self.inverse, self.expected)
+        else:
+            at_goal = np.full(len(errors), np.nan)
+        found = []
+        for i, error in enumerate(errors):
+            least = int(np.argmin(values[i].real))
+            direction = without_sign(vectors[i, :, least].real)
+            found.append(
+                Pattern(
+                    "(" + ",".join("+" if part >= 0 else "-" for part in error) + ")",
+                    error,
+                    float(values[i, least].real),
+                    float(at_goal[i]),
+                    direction * unit / np.linalg.norm(direction),
+                    float(rates[i]),
+                    moved[i] if ended[i] else None,
+                    float(end_rates[i]) if ended[i] else np.nan,
+                    float(np.abs(self.rest.desired - seen[i]).max()) if ended[i] else np.nan,
+                    float(travel[i]) if ended[i] else np.nan,
+                )
+            )
+        return tuple(found)
+
+    def ends(self, errors: Array) -> tuple[Poses, Mask]:
+        """Look for poses where the pose error is zero, from the start, and tell which were found."""
+        probe = _core.Probe(_only_pose_error(self.rest.settings, self.inverse))
+        count = len(errors)
+        home = self.rest.home
+        poses = home.repeated(count)
+        still = np.zeros((count, 6))
+        last = np.full(count, np.inf)
+        for _ in range(_CREEP_ROUNDS if self.expected.any() else 0):
+            features, depth = self.rest.image(poses)
+            seen = np.asarray(np.isfinite(features).all(axis=1))
+            if not seen.any():
+                break
+            there, believed = poses[seen], (1.0 + errors[seen]) * depth[seen]
+            law = probe.law(features[seen], believed, there.position, there.quaternion, still[seen])
+            error = law.wrench - self.rest.weight  # K_t is one and everything else zero: the wrench is e
+            known = probe.image_jacobian(features[seen], believed, there.quaternion)
+            true = probe.image_jacobian(features[seen], depth[seen], there.quaternion)
+            slope = loop_matrix(known, true, self.inverse, self.expected)
+            step = np.zeros((count, 6))
+            step[seen] = np.linalg.solve(slope, error[..., None])[..., 0]
+            scaled = np.abs(step / self.rest.unit).max(axis=1)
+            last = np.where(seen, scaled, np.inf)
+            poses = poses.moved(step * np.minimum(1.0, 0.1 / np.maximum(scaled, 1e-300))[:, None])
+        return poses, last < 1e-9
+
+    def rates_at(self, poses: Poses, errors: Array, rows: Mask) -> Array:
+        """Give the smallest real part of the drift's rates at poses, (n,) [1/s]; NaN in rows that are not asked for."""
+        result = np.full(len(poses), np.nan)
+        if rows.any():
+            there = poses[rows]
+            features, depth = self.rest.image(there)
+            known = self.rest.jacobian(features, (1.0 + errors[rows]) * depth, there.quaternion)
+            true = self.rest.jacobian(features, depth, there.quaternion)
+            matrix = loop_matrix(known, true, self.inverse, self.expected)
+            result[rows] = np.linalg.eigvals(matrix * self.drive).real.min(axis=1)
+        return result
+
+    def size(self, size: float) -> Size:
+        """Describe all patterns of a size, and count those with a negative eigenvalue."""
+        errors = size * _SIGNS
+        unequal = errors[1:-1]
+        none = np.zeros(6)
+
+        def negative(inverse: Array, expected: Array) -> tuple[int, int]:
+            start, *goal = (
+                int((self.smallest(k, unequal, inverse, expected) < 0.0).sum()) for k in range(len(self.places))
+            )
+            return start, goal[0] if goal else 0
+
+        return Size(
+            size,
+            self.patterns(errors),
+            negative(self.inverse, self.expected),
+            negative(self.inverse, none),
+            negative(none, none),
+        )
+
+    def over_sizes(self, place: int, sizes: Array, inverse: Array, expected: Array) -> Array:
+        """Give the smallest eigenvalue over all patterns for each size, (n,)."""
+        errors = (sizes[:, None, None] * _SIGNS).reshape(-1, 4)
+        return np.asarray(self.smallest(place, errors, inverse, expected).reshape(len(sizes), -1).min(axis=1))
+
+    def limit(self, place: int, grid: Array, values: Array) -> float | None:
+        """Give the size at which the first pattern loses its positive eigenvalue, between two sizes of the grid."""
+        lost = np.flatnonzero(values <= 0.0)
+        if not len(lost):
+            return None
+        high = float(grid[lost[0]])
+        low = float(grid[lost[0] - 1]) if lost[0] else 0.0
+        for _ in range(_ROUNDS):
+            middle = (low + high) / 2
+            if self.over_sizes(place, np.array([middle]), self.inverse, self.expected)[0] > 0.0:
+                low = middle
+            else:
+                high = middle
+        return low
+
+    def drift(self) -> Drift:
+        """Put everything together."""
+        own = np.array(self.rest.settings.uncertainty.depth, dtype=float)
+        size = float(np.abs(own).max())
+        sizes = sorted({*SIZES, *([size] if size > 0.0 else [])})
+        grid = np.linspace(0.0, LARGEST, GRID + 1)[1:]
+        curves = {}
+        limits: list[float | None] = []
+        for place, name in enumerate(("start", "goal")[: len(self.places)]):
+            curves[name] = self.over_sizes(place, grid, self.inverse, self.expected)
+            curves[f"{name}, no prior"] = self.over_sizes(place, grid, np.zeros(6), np.zeros(6))
+            limits.append(self.limit(place, grid, curves[name]))
+        return Drift(
+            self.law,
+            "",
+            self.driven_by,
+            self.rest.depth,
+            self.rest.stroke,
+            self.patterns(own[None])[0],
+            tuple(self.size(s) for s in sizes),
+            limits[0],
+            limits[1] if len(limits) > 1 else None,
+            self.goal is not None,
+            bool(self.expected.any()),
+            self.law == "composite" and bool(self.gains.fuzzy.enabled and np.any(self.gains.fuzzy.leakage)),
+            grid,
+            curves,
+        )
+
+
+def _only_pose_error(like: Any, prior: Array) -> _core.CompositeSettings:
+    """Give the law composite with a K_t of one and nothing else but the weight: its wrench is the pose error."""
+    settings = _core.CompositeSettings()
+    for key in ("robot", "camera", "convention", "jacobian", "target", "uncertainty"):
+        setattr(settings, key, getattr(like, key))
+    gains = settings.gains
+    gains.kp, gains.kv, gains.kd, gains.kt, gains.prior = np.zeros(8), np.zeros(6), np.zeros(6), np.ones(6), prior
+    gains.fuzzy.enabled = False
+    return settings

@@ -1,0 +1,214 @@
+"""Where a transpose law comes to rest: the goal, and false equilibria beside it (docs/analysis/equilibria.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.findings.analysis.equilibria_findings import SEED, Equilibria, Equilibrium
+from hexservo.findings.analysis.goal import SHOWN, nearest_images
+from hexservo.findings.analysis.poses import Array, Mask, Poses, without_sign
+from hexservo.findings.analysis.rest import Rest
+from hexservo.findings.analysis.scene import WIDER
+from hexservo.findings.analysis.words import not_analysed
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Equilibria", "Equilibrium", "analyse"]
+
+_WITHIN, _WIDER = 64, 64  # starts inside the stroke, and in the wider region
+_SAME = 1e-4  # [mean depth; rad], equilibria closer than this are one
+_ZERO = 1e-11  # of the largest eigenvalue, below which the sign of another one is rounding
+_FARTHEST = 3.0  # [mean depth], from home: a zero beyond is the one at infinity
+_GRAVITY_STEPS = 24  # in which the gravity error is switched on
+
+_NOT_FOR = {
+    "composite": "it regulates a pose error with a prior (see drift)",
+    "computed_torque": "it regulates a pose error with a prior (see drift)",
+    "resolved_rate": "it follows the pseudo-inverse of the image Jacobian, not its transpose",
+    "pbvs": "it regulates an estimated pose, not the image",
+}
+
+
+def analyse(scenario: Scenario) -> Equilibria:
+    """Search for the poses at which the image part of a transpose law is zero (docs/analysis/equilibria.md).
+
+    The laws are `kelly`, and `hybrid` without its fuzzy systems and without K_v. What is zero is the acceleration of
+    the actual plant at rest: the image part J-hat^T K_p xi-tilde and what the gravity error leaves.
+
+    Raises
+    ------
+    ValueError
+        For a scenario that the core refuses.
+    """
+    law = scenario.controller.law
+    if reason := not_analysed(scenario, _NOT_FOR):
+        return Equilibria(law, reason)
+    bare = scenario.updated(_BARE[law])
+    rest, level = Rest(bare), Rest(bare, gravity=0.0)
+    within, wider = _starts_within(level), level.spread(_WIDER, seed=SEED)
+    starts = Poses.joined(level.home, within, wider)
+    if not np.any(level.gains.kp):
+        return Equilibria(law, "K_p is zero: there is no image part, and every pose is an equilibrium of it.")
+    poses, converged, origin = _search(level, starts, np.array(level.gains.kp))
+    groups = _groups(level, poses, converged)
+    poses = poses[np.array([group[0] for group in groups], dtype=int)]
+    kinds = ["goal" if shown else "false" for shown in level.residual(poses) < SHOWN]
+    counts = [len(set(origin[group].tolist())) for group in groups]
+    goal_stiffness, gravity = None, rest.gravity_error
+    if gravity.any():
+        if "goal" in kinds:
+            goal_stiffness = _stiffness_along_z(level, poses[[kinds.index("goal")]])
+        poses, kinds, counts = _with_gravity(bare, rest, starts, poses, kinds, counts)
+    found = [_described(rest, poses[[i]], kind, counts[i]) for i, kind in enumerate(kinds)]
+    found.sort(key=lambda e: (e.kind == "false", float(np.linalg.norm(e.displacement / rest.unit))))
+    result = Equilibria(
+        law,
+        "",
+        tuple(found),
+        len(within),
+        len(wider),
+        rest.stroke,
+        rest.depth,
+        float(gravity[2]),
+        goal_stiffness,
+        rest.band,
+    )
+    return Equilibria(**{**vars(result), "barrier": _barrier(level, result)})
+
+
+_BARE: dict[str, dict[str, Any]] = {
+    "hybrid": {"controller.hybrid.fuzzy.enabled": False, "controller.hybrid.kv": 0.0},
+    "kelly": {},
+}
+
+
+def _starts_within(rest: Rest) -> Poses:
+    """Draw poses whose leg lengths are spread evenly over the stroke, in the linearised kinematics of home."""
+    leg_map = np.asarray(rest.hexapod.wrench_map(rest.home.position, rest.home.quaternion)).T  # twist to rates
+    lengths = np.random.default_rng(SEED).uniform(-1.0, 1.0, (8 * _WITHIN, 6)) * rest.stroke
+    moves: Array = np.linalg.solve(leg_map, lengths.T).T.astype(np.float64)
+    # not farther than the wider region, where the stroke of a large robot goes beyond it
+    moves /= np.maximum((np.abs(moves) / (WIDER * rest.unit)).max(axis=1, keepdims=True), 1.0)
+    poses = rest.home.moved(moves)
+    usable = rest.reachable(poses) & np.isfinite(rest.image(poses)[0]).all(axis=1)
+    return poses[np.flatnonzero(usable)[:_WITHIN]]
+
+
+def _search(rest: Rest, starts: Poses, weights: Array) -> tuple[Poses, Mask, NDArray[np.int_]]:
+    """Go down the image error and then to the zero by Newton, and by Newton alone, which also finds saddles.
+
+    Gives the poses, whether each converged, and the start that each came from.
+    """
+    low, low_found = rest.settled(nearest_images(rest, starts, weights), rounds=8)
+    raw, raw_found = rest.settled(starts, rounds=16)
+    number = np.arange(len(starts))
+    return Poses.joined(low, raw), np.concatenate([low_found, raw_found]), np.concatenate([number, number])
+
+
+def _stiffness_along_z(rest: Rest, pose: Poses) -> float:
+    """Give the force per shift along z, the other five directions held [N/m]."""
+    acceleration = np.zeros((1, 6))
+    acceleration[0, 2] = rest.stiffness(pose)[0, 2, 2]
+    still = np.zeros((1, 6))
+    force, _, _ = rest.probe.estimated_wrenches(pose.quaternion, still, acceleration)
+    return float(force[0, 2] * (1.0 - rest.settings.uncertainty.dynamics.inertia[2, 2]))
+
+
+def _with_gravity(
+    scenario: Scenario, rest: Rest, starts: Poses, level: Poses, kinds: list[str], counts: list[int]
+) -> tuple[Poses, list[str], list[int]]:
+    """Follow equilibria while the gravity error is switched on in steps, and search again with all of it.
+
+    One that is lost on the way is dropped.
+    """
+    poses, kept = level, np.arange(len(level))
+    for part in np.linspace(0.0, 1.0, _GRAVITY_STEPS + 1)[1:]:
+        if not len(kept):
+            break
+        poses, found = Rest(scenario, gravity=float(part)).settled(poses, rounds=6)
+        poses, kept = poses[found], kept[found]
+    raw, converged = rest.settled(starts, rounds=16)
+    every = Poses.joined(poses, raw)
+    groups = _groups(rest, every, np.concatenate([np.full(len(kept), True), converged]))
+    names, numbers = [], []
+    for group in groups:
+        followed = [int(kept[i]) for i in group if i < len(kept)]
+        names.append("displaced goal" if any(kinds[i] == "goal" for i in followed) else "false")
+        numbers.append(max([counts[i] for i in followed], default=0) or len(group))
+    return every[np.array([group[0] for group in groups], dtype=int)], names, numbers
+
+
+def _groups(rest: Rest, poses: Poses, converged: Mask) -> list[list[int]]:
+    """Put searches that ended at one pose together, by their rows; those that ended nowhere are left out."""
+    away = poses.displacement_from(rest.home) / rest.unit
+    usable = converged & (np.abs(away[:, :3]).max(axis=1) < _FARTHEST)
+    usable &= np.isfinite(rest.image(poses)[0]).all(axis=1)
+    groups: list[list[int]] = []
+    left = np.flatnonzero(usable)
+    while len(left):
+        apart = poses[left].displacement_from(poses[left[:1]]) / rest.unit
+        near = np.abs(apart).max(axis=1) < _SAME
+        groups.append(left[near].tolist())
+        left = left[~near]
+    return groups
+
+
+def _described(rest: Rest, pose: Poses, kind: str, starts: int) -> Equilibrium:
+    slope = rest.stiffness(pose)[0]
+    values, vectors = np.linalg.eig(slope)
+    order = np.argsort(values.real)
+    growth = _growth(rest, pose, slope)
+    values, weakest = values[order], without_sign(vectors[:, order[0]].real)
+    return Equilibrium(
+        kind,
+        pose.position[0],
+        pose.quaternion[0],
+        pose.displacement_from(rest.home)[0],
+        float(rest.residual(pose)[0]),
+        values,
+        weakest * rest.unit / np.linalg.norm(weakest),
+        _stability(values.real, growth),
+        growth,
+        rest.leg_travel(pose)[0],
+        bool(rest.reachable(pose)[0]),
+        starts,
+    )
+
+
+def _stability(real: Array, growth: float | None) -> str:
+    """Name an equilibrium by the real parts of the stiffness [1/s^2] and, with damping, the growth of its modes [1/s].
+
+    A stiffness that is not symmetric (unequal depth errors) may have complex eigenvalues: it then feeds an oscillation,
+    which too little damping does not take out, although every real part is positive.
+    """
+    if np.abs(real).min() <= _ZERO * np.abs(real).max():
+        return "undecided"
+    if (real > 0).all():
+        fed = growth is not None and growth > 1e-9 * np.sqrt(real.max())
+        return "oscillating" if fed else "attracting"
+    return "repelling" if (real < 0).all() else "saddle"
+
+
+def _growth(rest: Rest, pose: Poses, slope: Array) -> float | None:
+    """Give the largest real part of the modes with viscous damping [1/s]; None for a law that has none."""
+    step = 1e-3 * np.vstack([np.eye(6), -np.eye(6)]) * rest.unit  # m/s, rad/s: damping is linear, (15) has none
+    around = rest.acceleration(pose.repeated(12), step) / rest.unit
+    damping = -(around[:6] - around[6:]).T / 2e-3
+    if not np.abs(damping).max() > 1e-9 * np.abs(slope).max() ** 0.5:
+        return None
+    modes = np.linalg.eigvals(np.block([[np.zeros((6, 6)), np.eye(6)], [-slope, -damping]]))
+    return float(modes.real.max())
+
+
+def _barrier(rest: Rest, result: Equilibria) -> tuple[Array, Array] | None:
+    """Give the image error along the straight way in pose from a false equilibrium that attracts to the goal."""
+    if not result.traps or not result.goals:
+        return None
+    trap, goal = (Poses(e.position, e.quaternion) for e in (result.traps[0], result.goals[0]))
+    part = np.linspace(0.0, 1.0, 101)
+    way = trap.moved(part[:, None] * goal.displacement_from(trap))
+    weights = np.array(rest.gains.kp)
+    error = rest.desired - rest.image(way)[0]
+    return part, np.sqrt((weights * error**2).sum(axis=1) / weights.sum())

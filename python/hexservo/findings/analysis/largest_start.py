@@ -1,0 +1,312 @@
+"""The largest starting error, camera period and latency that still settle: tried out, not derived.
+
+Empirical throughout (docs/analysis/largest_start.md).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.findings.analysis.goal import SHOWN, find_goals
+from hexservo.findings.analysis.largest_start_findings import Direction, LargestStart, Timing, Tried, border
+from hexservo.findings.analysis.poses import Array
+from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
+from hexservo.run.batch import simulate_batch, whole
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Direction", "LargestStart", "Timing", "analyse", "border"]
+
+_SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
+_GRID = 8  # sizes in the first round, up to the largest that is possible
+_ROUNDS = 2  # of bisection in quarters
+_TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200, 300, 500)  # periods and latencies of the first round
+
+
+def analyse(scenario: Scenario) -> LargestStart:
+    """Try out how large a starting error, and how slow a camera, the scenario stands (docs/analysis/largest_start.md).
+
+    Runs batches of the scenario: start at home, goals along ways from home.
+
+    Raises
+    ------
+    ValueError
+        For a scenario that the core refuses.
+    """
+    law = scenario.controller.law
+    if scenario.camera.convention == "as_printed":
+        return LargestStart(law, "A camera as_printed has no points in space, so goals have no pose: not tried.")
+    scene = scene_of(scenario)
+    trial = _Trial(scenario)
+    directions = _directions(scene, trial)
+    timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
+    longer = trial.longer if any(d.settles_later is not None for d in directions) else 0.0
+    at_goal = bool(scene.residual(scene.home) < SHOWN)
+    measured = scenario.metrics
+    return LargestStart(
+        law,
+        "",
+        directions,
+        timings,
+        trial.duration,
+        longer,
+        trial.runs,
+        at_goal,
+        measured.band,
+        measured.dwell,
+        assumed,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """How variations of a scenario end, one row each."""
+
+    settled: NDArray[np.bool_]  # in the image, with all legs within their stroke all the way
+    only_stroke: NDArray[np.bool_]  # would have settled but for a leg beyond its stroke
+    times: Array  # [s], settling time of the image error; NaN: none
+    travel: Array  # [m], largest leg travel from home
+    ran: NDArray[np.bool_]  # False: refused by the core
+
+
+class _Trial:
+    """Runs variations of a scenario for one duration, and counts them."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.runs = 0
+        own, step = scenario.simulation.duration, scenario.simulation.step
+        # the short duration, unless the task itself needs the longer one
+        self.longer = min(own, _whole(_LONG, step))
+        self.duration = min(own, _whole(_SHORT, step))
+        self.scenario = scenario.updated({"simulation.duration": self.duration})
+        self.task_settles = self._task_settles()
+        if not self.task_settles and self.duration < self.longer:
+            short, self.scenario = self.scenario, self.longest()
+            self.task_settles = self._task_settles()
+            if self.task_settles:
+                self.duration = self.longer
+            else:
+                self.scenario = short
+
+    def longest(self) -> Scenario:
+        """Give the scenario with the longer duration."""
+        return self.scenario.updated({"simulation.duration": self.longer})
+
+    def _task_settles(self) -> bool:
+        goal = np.array([self.scenario.target.desired_features])
+        return bool(self.ends({"target.desired_features": goal}).settled[0])
+
+    def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> _Ends:
+        """Run each variation and say how it ends.
+
+        What the core refuses, such as a goal that the search of `pbvs` does not find, is not run.
+        """
+        base = self.scenario if scenario is None else scenario
+        count = max(len(values) for values in variations.values())
+        in_image, stopped = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+        ran = np.ones(count, dtype=bool)
+        times, travel = np.full(count, np.nan), np.full(count, np.nan)
+        while ran.any():
+            rows = np.flatnonzero(ran)
+            try:
+                varied = {key: values[rows] for key, values in variations.items()}
+                batch = whole(simulate_batch(base, varied, log="metrics"))
+            except ValueError as error:
+                refused = re.match(r"scenario (\d+): ", str(error))
+                if refused is None:
+                    raise
+                ran[rows[int(refused[1])]] = False
+                continue
+            self.runs += len(rows)
+            times[rows], travel[rows] = batch.metrics["settling_time"], batch.metrics["peak_leg_excursion"]
+            in_image[rows] = (batch.outcome == "completed") & np.isfinite(times[rows])
+            stopped[rows] = batch.outcome == "leg_limit"
+            break
+        within = travel <= base.robot.stroke
+        return _Ends(in_image & within, (in_image & ~within) | stopped, times, travel, ran)
+
+
+def _whole(duration: float, step: float) -> float:
+    """Round a duration to a whole number of steps."""
+    return max(round(duration / step), 1) * step
+
+
+# ---- Starting errors ------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Way:
+    """A direction while it is tried."""
+
+    name: str
+    unit: Array
+    largest: float
+    limited_by: str
+    tried: Tried
+    settling: dict[float, float]
+    beyond: dict[float, float]
+
+
+def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
+    """Try goals along the task's own way, the axes and the turns, all ways in one batch per round."""
+    ways = [_Way(name, unit, *_largest(scene, unit), {}, {}, {}) for name, unit in _units(scene)]
+    ways = [way for way in ways if way.largest > 0.0]
+
+    def run(sizes: Callable[[_Way], list[float]]) -> None:
+        rows = [(way, size) for way in ways for size in sizes(way) if size not in way.tried]
+        if not rows:
+            return
+        moves = np.array([size * way.unit for way, size in rows])
+        features, _ = scene.image(scene.home.moved(moves))
+        ends = trial.ends({"target.desired_features": features})
+        for k, (way, size) in enumerate(rows):
+            if not ends.ran[k]:
+                way.largest, way.limited_by = min(way.largest, size), "core"
+                continue
+            way.tried[size] = bool(ends.settled[k])
+            if ends.only_stroke[k]:
+                way.beyond[size] = float(ends.travel[k])
+            if ends.settled[k]:
+                way.settling[size] = float(ends.times[k])
+
+    def grid(way: _Way) -> list[float]:
+        sizes = [way.largest * k / _GRID for k in range(1, _GRID + 1)]
+        return [*sizes, 1.0] if way.name == "own" and way.largest >= 1.0 else sizes
+
+    def quarters(way: _Way) -> list[float]:
+        low, high = border(way.tried)
+        return [] if high is None else [low + part * (high - low) for part in (0.25, 0.5, 0.75)]
+
+    def between(way: _Way) -> list[float]:
+        """Give sizes halfway between those of the grid, below the border: does a smaller one fail."""
+        high = border(way.tried)[1] or way.largest
+        return [size for k in range(_GRID) if (size := way.largest * (k + 0.5) / _GRID) < high]
+
+    run(grid)
+    run(between)
+    for _ in range(_ROUNDS):
+        run(quarters)
+    later = _settles_later(scene, trial, ways)
+    return tuple(_described(scene, way, settles) for way, settles in zip(ways, later, strict=True))
+
+
+def _settles_later(scene: Scene, trial: _Trial, ways: list[_Way]) -> list[bool | None]:
+    """Run the smallest sizes that fail for longer: are they only slow."""
+    failed = [border(way.tried)[1] for way in ways]
+    rows = [i for i, size in enumerate(failed) if size is not None]
+    found: list[bool | None] = [None] * len(ways)
+    if rows and trial.duration < trial.longer:
+        moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows])
+        features, _ = scene.image(scene.home.moved(moves))
+        good = trial.ends({"target.desired_features": features}, trial.longest()).settled
+        for i, settled in zip(rows, good, strict=True):
+            found[i] = bool(settled)
+    return found
+
+
+def _units(scene: Scene) -> list[tuple[str, Array]]:
+    goals = find_goals(scene)
+    units = [("own", goals.best.displacement)] if goals is not None and goals.reachable else []
+    for j in range(6):
+        for sign, value in (("+", 1.0), ("-", -1.0)):
+            unit = np.zeros(6)
+            unit[j] = value
+            units.append((f"{'shift' if j < 3 else 'turn'} {sign}{'xyz'[j % 3]}", unit))
+    return [(name, unit) for name, unit in units if np.abs(unit / scene.unit).max() > 1e-9]
+
+
+def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
+    """Give the largest size along a way that is reachable, seen and in the region, and what limits it.
+
+    Every pose on the way to it is reachable and seen as well, on a grid.
+    """
+    farthest = WIDER * scene.unit
+    farthest[3:] = np.pi  # one turn at a time may be larger
+    most = float(1.0 / (np.abs(unit) / farthest).max())
+    low, limit = 0.0, "region"
+    for _ in range(2):  # the grid, and once more inside the cell that has the border
+        sizes = np.linspace(low, most, 201)[1:]
+        there = scene.home.moved(sizes[:, None] * unit)
+        seen = np.asarray(np.isfinite(scene.image(there)[0]).all(axis=1))
+        good = seen & scene.reachable(there)
+        if good.all():
+            return float(sizes[-1]), limit
+        first = int(np.argmin(good))
+        limit = "stroke" if seen[first] else "view"
+        low, most = float(sizes[first - 1]) if first else low, float(sizes[first])
+    return low, limit
+
+
+def _described(scene: Scene, way: _Way, settles_later: bool | None) -> Direction:
+    settles_to = border(way.tried)[0]
+    error = np.nan
+    if settles_to > 0.0:
+        goal = scene.home.moved(settles_to * way.unit)
+        error = float(np.abs(scene.image(goal)[0] - scene.image(scene.home)[0]).max())
+    return Direction(
+        way.name,
+        way.unit,
+        way.largest,
+        way.limited_by,
+        way.tried,
+        way.settling,
+        settles_later,
+        way.beyond,
+        error,
+    )
+
+
+# ---- Camera times ---------------------------------------------------------------------------------------------------
+
+
+def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str]:
+    """Try periods and latencies for the task itself, in the sampled loop."""
+    assumed, changes = "", {}
+    if scenario.simulation.mode != "sampled":
+        assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms, "
+        changes["simulation.mode"] = "sampled"
+        if scenario.controller.law in ("hybrid", "composite") and scenario.controller.switching.kind == "sign":
+            assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms with implicit switching, "
+            changes["controller.switching.kind"] = "implicit"
+    sampled = trial.scenario.updated(changes) if changes else trial.scenario
+    predictions = [sampled.camera.prediction]
+    if predictions == ["none"]:
+        predictions.append("encoder")
+    found = []
+    for prediction in predictions:
+        base = sampled.updated({"camera.prediction": prediction})
+        for what in ("period", "latency"):
+            other = base.camera.latency if what == "period" else frame_period(base)
+            found.append(Timing(what, prediction, other, *_times(base, what, trial)))
+    return tuple(found), assumed
+
+
+def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float, float]]:
+    """Try one time of the camera: a grid, then between the last that settles and the first that fails, in ticks."""
+    step = base.simulation.step
+    tried: dict[int, bool] = {}
+    beyond: dict[float, float] = {}
+
+    def run(ticks: list[int]) -> None:
+        new = sorted(set(ticks) - set(tried))
+        if new:
+            ends = trial.ends({f"camera.{what}": np.array([tick * step for tick in new])}, base)
+            for k, tick in enumerate(new):
+                if ends.ran[k]:
+                    tried[tick] = bool(ends.settled[k])
+                if ends.only_stroke[k]:
+                    beyond[tick * step] = float(ends.travel[k])
+
+    run([*_TICKS] if what == "period" else [0, *_TICKS])
+    for _ in range(_ROUNDS):
+        failed = min((tick for tick, good in tried.items() if not good), default=None)
+        if failed is None:
+            break
+        low = max((tick for tick, good in tried.items() if good and tick < failed), default=failed)
+        run([low + round(part * (failed - low)) for part in (0.25, 0.5, 0.75)])
+    return {tick * step: good for tick, good in tried.items()}, beyond

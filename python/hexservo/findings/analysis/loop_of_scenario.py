@@ -1,0 +1,301 @@
+"""From a scenario to its linear sampled loop, and to the run that checks it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hexservo.findings.analysis.linear_law import (
+    LinearLaw,
+    LinearPlant,
+    NoRestError,
+    RestPose,
+    linear_law,
+    linear_plant,
+    rest_of,
+)
+from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
+from hexservo.findings.analysis.poses import Array
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.run.simulation import simulate
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.scenario import Scenario, ScenarioError
+
+__all__ = [
+    "LoopAtRest",
+    "NotApplicableError",
+    "clock_of",
+    "growth",
+    "loop_at_rest",
+    "loop_with_weights",
+    "quiet",
+    "scaled",
+    "seen_from_home",
+]
+
+OFFSET = 0.01
+"""Largest feature offset from which a check by simulation starts [px]."""
+
+
+class NotApplicableError(ValueError):
+    """The linear analysis says nothing of a scenario; the text says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopAtRest:
+    """The linear loop of a scenario."""
+
+    scenario: Scenario  # in sampled mode, without what does not act at rest
+    as_if_sampled: bool  # the scenario itself is in continuous mode
+    rest: RestPose
+    free: SampledLoop  # with K_v = 0
+    smooth: SampledLoop | None  # with the slope k_v/width; None for laws without K_v, and where it is 0
+    slope: Array  # (6,) of it [N s/m; N m s/rad]
+    gravity: float | tuple[float, ...]  # `uncertainty.gravity` of the scenario itself, which does not act in `scenario`
+
+
+def quiet(scenario: Scenario) -> Scenario:
+    """Take out what a linear loop does not have: noise, faults, limits, motion of the base, errors of the weight.
+
+    A scenario in continuous mode becomes one in sampled mode, with its camera's keys.
+
+    Raises
+    ------
+    NotApplicableError
+        Where the camera's times are no whole numbers of ticks.
+    """
+    changes: dict[str, Any] = {
+        "simulation.mode": "sampled",
+        "camera.latency_jitter": 0.0,
+        "camera.timeout": None,
+        "camera.noise": 0.0,
+        "camera.quantisation": 0.0,
+        "camera.dropout": 0.0,
+        "camera.outlier_probability": 0.0,
+        "camera.outlier_size": 0.0,
+        "camera.image_size": None,
+        "camera.on_lost": "hold",
+        "sensors.resolution": 0.0,
+        "sensors.noise": 0.0,
+        "actuators.saturation": False,
+        "actuators.quantisation": 0.0,
+        "base_motion.kind": "none",
+        "uncertainty.gravity": 0.0,
+        "robot.on_limit": "report",
+    }
+    try:
+        return scenario.updated(changes)
+    except ScenarioError as error:
+        raise NotApplicableError(f"the sampled loop refuses the scenario's times: {error}") from error
+
+
+def clock_of(scenario: Scenario) -> Clock:
+    """Give the camera's period and latency in ticks."""
+    tick = scenario.simulation.step
+    return Clock(max(1, round(frame_period(scenario) / tick)), round(scenario.camera.latency / tick))
+
+
+def loop_at_rest(scenario: Scenario) -> LoopAtRest:
+    """Linearise a scenario's loop where it rests.
+
+    Raises
+    ------
+    NotApplicableError
+        For a law without viscous damping, a camera without points, and where the loop rests nowhere near its goal.
+    """
+    law = scenario.controller.law
+    if law == "hybrid":
+        raise NotApplicableError(
+            "the law hybrid has Coulomb damping only, and a linear loop says nothing of dry friction"
+        )
+    if scenario.camera.convention == "as_printed":
+        raise NotApplicableError(
+            "a camera as_printed has no points, and so no pose at which the goal is seen; set "
+            "camera.convention to eye_in_hand"
+        )
+    calm = quiet(scenario)
+    slope = np.zeros(6)
+    if law == "composite":
+        kv = np.broadcast_to(np.asarray(scenario.controller.composite.kv, dtype=float), (6,))
+        slope = kv / scenario.controller.switching.width
+    try:
+        scene = scene_of(scenario)
+        rest = rest_of(calm, scene)
+        pose = rest.view.pose
+        if not np.isfinite(rest.view.features).all():
+            raise NoRestError("at the pose where the law rests a point is not in front of the camera")
+        plant = linear_plant(calm, pose)
+        free = _loop(calm, linear_law(calm, scene, pose), plant)
+        smooth = _loop(calm, linear_law(calm, scene, pose, smooth=True), plant) if slope.any() else None
+    except NoRestError as error:
+        raise NotApplicableError(str(error)) from error
+    as_if_sampled = scenario.simulation.mode == "continuous"
+    return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, scenario.uncertainty.gravity)
+
+
+def loop_with_weights(at_rest: LoopAtRest, weights: Array, *, smooth: bool) -> SampledLoop:
+    """Give the linear loop of a scenario with other fuzzy weights.
+
+    Parameters
+    ----------
+    at_rest
+        Of the scenario.
+    weights
+        (6, 7, 7) [N; N m].
+    smooth
+        Whether K_v acts with its slope; otherwise it is zero.
+    """
+    calm, pose = at_rest.scenario, at_rest.rest.view.pose
+    law = linear_law(calm, scene_of(calm), pose, smooth=smooth, weights=weights)
+    return _loop(calm, law, linear_plant(calm, pose))
+
+
+def _loop(scenario: Scenario, law: LinearLaw, plant: LinearPlant) -> SampledLoop:
+    tick, sensors = scenario.simulation.step, scenario.sensors
+    encoders = sensors.pose == "encoders"
+    reading = 1 if not encoders or sensors.period is None else max(1, round(sensors.period / tick))
+    return SampledLoop(
+        tick=tick,
+        acceleration=plant.acceleration,
+        frame=law.frame if reading > 1 else law.frame[:, :6],  # with a reading at every tick the sensors do not err
+        pose=law.pose,
+        twist=law.twist,
+        axes=law.axes,
+        decay=law.decay,
+        drive_frame=law.drive_frame if reading > 1 else law.drive_frame[:, :6],
+        drive_pose=law.drive_pose,
+        drive_twist=law.drive_twist,
+        reading=reading,
+        differences=encoders and sensors.rate == "differences",
+        actuation=_actuation(scenario, plant),
+    )
+
+
+def _actuation(scenario: Scenario, plant: LinearPlant) -> Actuation:
+    actuators, tick = scenario.actuators, scenario.simulation.step
+    held = actuators.hold == "leg_forces"
+    if not (held or actuators.delay > 0.0 or actuators.bandwidth is not None):
+        return Actuation()
+    left = average = 0.0
+    if actuators.bandwidth is not None:
+        ticks = 2.0 * np.pi * actuators.bandwidth * tick  # the tick over the time constant of the lag
+        left, average = float(np.exp(-ticks)), float(-np.expm1(-ticks) / ticks)
+    return Actuation(
+        through_legs=True,
+        delay=round(actuators.delay / tick),
+        left=left,
+        left_on_average=average,
+        stiffness=plant.stiffness,
+        held=(plant.held_state, plant.held_force) if held else None,
+    )
+
+
+def scaled(scenario: Scenario, factor: float) -> Scenario:
+    """Multiply what a law answers to a displacement: all its gains but the damping.
+
+    These are kp of `kelly`, `pbvs` and `computed_torque`, the gain of `resolved_rate`, and kp, kt, drive and the scale
+    of the fuzzy systems' error of `composite`.
+    """
+    law = scenario.controller.law
+    keys = {
+        "composite": ("kp", "kt", "drive", "fuzzy.error_scale"),
+        "kelly": ("kp",),
+        "pbvs": ("kp",),
+        "computed_torque": ("kp",),
+        "resolved_rate": ("gain", "gain_far"),
+    }[law]
+    changes = {}
+    for key in keys:
+        value: Any = getattr(scenario.controller, law)
+        for name in key.split("."):
+            value = getattr(value, name)
+        changes[f"controller.{law}.{key}"] = (np.asarray(value, dtype=float) * factor).tolist()
+    if law == "resolved_rate":  # its slope falls with the error in proportion
+        changes["controller.resolved_rate.gain_slope"] = scenario.controller.resolved_rate.gain_slope * factor
+    return scenario.updated(changes)
+
+
+def seen_from_home(at_rest: LoopAtRest) -> Scenario:
+    """Give the same loop with its pose of rest at home, where every run starts: the image there is the goal.
+
+    What differs from the scenario is the attitude at rest, and the pose of the legs.
+    """
+    return at_rest.scenario.updated(
+        {
+            "target.points": None,
+            "target.initial_features": at_rest.rest.view.features.tolist(),
+            "target.depth": np.abs(at_rest.rest.view.depth).tolist(),
+            "target.desired_features": at_rest.rest.view.features.tolist(),
+        }
+    )
+
+
+def growth(
+    scenario: Scenario,
+    duration: float,
+    *,
+    every: int = 1,
+    angle: float = 0.0,
+    way: Array | None = None,
+    without: Sequence[float] = (),
+    offset: float = OFFSET,
+    with_kv: bool = False,
+) -> float:
+    """Run a scenario whose goal is home from beside it, and measure how fast a mode of its twist grows [1/s].
+
+    The twist at every so many ticks, angular parts times the platform's radius, is multiplied by the
+    turning of the mode, so that others average out (slow ones already in second differences, where the mode turns);
+    the rate is that from the third quarter of the run to the last one, each under a Hann window. Infinite where the
+    run ends early, NaN where it does without having gone anywhere.
+
+    Parameters
+    ----------
+    scenario
+        As `seen_from_home` gives it.
+    duration
+        Of the run [s]; at least 64 samples are taken.
+    every
+        Ticks of the loop's pattern.
+    angle
+        By which the mode turns over the pattern [rad].
+    way
+        Direction of the start, (6,) in B [m; rad]; None: along all axes.
+    without
+        Multipliers of real modes to be filtered out.
+    offset
+        Largest distance of a feature from its goal at the start [px].
+    with_kv
+        Whether K_v stays as it is; otherwise it is zero.
+    """
+    scene = scene_of(scenario)
+    home = scene.view(scene.home)
+    if way is None:
+        way = np.array([1.0, -0.8, 0.6, 0.9, 0.7, -1.0]) * scene.unit
+    shift = home.jacobian @ way
+    tick = scenario.simulation.step
+    quarter = max(16, -(-round(duration / tick) // (4 * every)))  # in samples
+    changes: dict[str, Any] = {
+        "target.desired_features": (home.features + shift * offset / np.max(np.abs(shift))).tolist(),
+        "simulation.duration": 4 * quarter * every * tick,
+        "simulation.log_every": 1,
+    }
+    if scenario.controller.law == "composite" and not with_kv:
+        changes["controller.composite.kv"] = 0.0
+    result = simulate(scenario.updated(changes))
+    if result.outcome == "interrupted":  # says nothing of stability
+        raise KeyboardInterrupt
+    if result.outcome != "completed":
+        # Forward kinematics of legs of some metres may miss its tolerance: that says nothing of stability.
+        lost = result.outcome == "solver_failed" and np.max(np.abs(result.feature_error[-1])) < 1.0
+        return np.nan if lost else np.inf
+    twist = result.twist[::every] * np.repeat([1.0, scenario.robot.platform_radius], 3)
+    for multiplier in [*without, *([1.0, 1.0] if angle > 1e-3 else [])]:
+        twist = twist[1:] - multiplier * twist[:-1]
+    turned = twist * np.exp(-1j * angle * np.arange(len(twist)))[:, None]
+    window = np.hanning(quarter + 2)[1:-1, None]
+    ends = (len(turned) - quarter, len(turned))
+    third, last = (float(np.linalg.norm(np.sum(window * turned[end - quarter : end], axis=0))) for end in ends)
+    return float(np.log(max(last, 1e-300) / max(third, 1e-300)) / (quarter * every * tick))

@@ -1,0 +1,155 @@
+"""Where the four features would have to be for the image to tell the pose better (docs/analysis/conditioning.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hexservo.findings.analysis.poses import Array
+from hexservo.findings.analysis.scene import Scene
+
+__all__ = ["DEPTH_SHARE", "Placement", "image_radius", "in_circle", "place", "placements"]
+
+RADIUS = 240.0  # [px], half the height of a picture of 640 x 480, where the scenario names no size
+BORDER = 0.95  # share of half the picture that is used, where the scenario names its size
+DEPTH_SHARE = 0.1  # of the depth: how far a point may be off the plane, either way
+_SHARPNESS = 16  # exponent of the smooth maximum that the search minimises
+_NUDGE = 1e-7  # of the search's variables, for its slope
+_ANGLES = np.pi * np.array([1, 3, -1, -3]) / 4  # of a square's corners
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Four features seen from home, and what one image of them tells of the pose."""
+
+    name: str
+    features: Array  # (8,) [px]
+    depth: Array  # (4,) [m], negative
+    # (6,) [m; rad] per px: standard deviations of the pose from one image whose coordinates have a noise of 1 px
+    pose_sigma: Array
+    worst: float  # [m/px], of the direction that is seen worst, with turns times the target's mean depth
+
+
+def image_radius(scene: Scene) -> float:
+    """Give the radius about the image centre within which features may be placed [px].
+
+    95 % of half the smaller side of ``camera.image_size``; without it 240 px, or as far out as the scenario's own
+    features are.
+    """
+    size = scene.scenario.camera.image_size
+    if size is not None:
+        return BORDER * 0.5 * float(min(size))
+    return max(RADIUS, float(np.hypot(*scene.view(scene.home).features.reshape(4, 2).T).max()))
+
+
+def in_circle(radius: Array | float, angles: Array) -> Array:
+    """Give features (8,) [px] at these distances from the image centre [px] and angles (4,) [rad]."""
+    return np.column_stack([radius * np.cos(angles), radius * np.sin(angles)]).ravel()
+
+
+def place(scene: Scene, name: str, features: Array, depth: Array, length: float) -> Placement:
+    """Judge four features seen from home: least squares on the core's image Jacobian there.
+
+    Parameters
+    ----------
+    scene
+        Whose camera and home pose.
+    name
+        In words.
+    features
+        (8,) [px].
+    depth
+        (4,) [m], negative.
+    length
+        Of what turns are multiplied by in `Placement.worst` [m].
+    """
+    _, values, directions = np.linalg.svd(_scaled(scene, features, depth, length), full_matrices=False)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = np.sqrt(((directions / values[:, None]) ** 2).sum(axis=0)) / np.repeat([1.0, length], 3)
+        worst = float(1.0 / values[-1])
+    return Placement(name, features, depth, sigma, worst)
+
+
+def placements(scene: Scene) -> tuple[Placement, ...]:
+    """Compare the scenario's features with standard ones and with the best that a search finds, the last one.
+
+    All are judged at home, with the mean depth of the scenario's points. The search is local, from several starts
+    (SLSQP over distance from the image centre, angle and depth of each point), minimises `Placement.worst` within
+    `image_radius` and `DEPTH_SHARE`, and proves no optimum.
+    """
+    own = scene.view(scene.home)
+    length = own.mean_depth
+    radius = image_radius(scene)
+    size = float(np.hypot(*own.features.reshape(4, 2).T).max())
+    plane = np.full(4, -length)
+    near = plane * np.array([1 - DEPTH_SHARE, 1, 1, 1])
+    off = f"{DEPTH_SHARE:.0%} of the depth"
+
+    def judged(name: str, features: Array, depth: Array) -> Placement:
+        return place(scene, name, features, depth, length)
+
+    raised = [
+        judged(f"as they are, point {point + 1} {off} {word}", own.features, own.depth * _but(point, 1 + sign))
+        for point in range(4)
+        for sign, word in ((-DEPTH_SHARE, "nearer"), (DEPTH_SHARE, "farther"))
+    ]
+    tested = [
+        judged("as they are", own.features, own.depth),
+        min(raised, key=lambda found: found.worst),
+        judged(f"a square of the same size ({size:.0f} px), in a plane", in_circle(size, _ANGLES), plane),
+        judged(f"a square in the circle of {radius:.0f} px, in a plane", in_circle(radius, _ANGLES), plane),
+        judged(f"the same, one point {off} nearer", in_circle(radius, _ANGLES), near),
+    ]
+    best = _search(scene, radius, length, tested)
+    return (*tested, judged(f"best found in the circle, within {off} of the plane", *best))
+
+
+def _but(point: int, factor: float) -> Array:
+    factors = np.ones(4)
+    factors[point] = factor
+    return factors
+
+
+def _scaled(scene: Scene, features: Array, depth: Array, length: float) -> Array:
+    """Give the image Jacobian at home for turns times a length, (8, 6) [px/m]."""
+    return np.asarray(scene.jacobian(features, depth, scene.home.quaternion) / np.repeat([1.0, length], 3))
+
+
+def _search(scene: Scene, radius: float, length: float, tested: list[Placement]) -> tuple[Array, Array]:
+    """Search for the least worst direction, and never end with less than what was tested within the bounds."""
+    from scipy.optimize import minimize
+
+    scale = np.repeat([radius, 1.0, length], 4)
+
+    def features_and_depth(x: Array) -> tuple[Array, Array]:
+        out, angles, depth = (x * scale).reshape(3, 4)
+        return in_circle(out, angles), -depth
+
+    def costs(points: Array) -> Array:  # (k,) of (k, 12): log of a smooth maximum of what 1 px is in each direction
+        stack = np.stack([_scaled(scene, *features_and_depth(x), length) for x in points])
+        values = np.linalg.svd(stack, compute_uv=False)
+        values = np.maximum(values, 1e-12 * values[:, :1])
+        least = values[:, -1]
+        smooth = np.log(((least[:, None] / values) ** _SHARPNESS).sum(axis=1)) / _SHARPNESS
+        return np.asarray(smooth - np.log(least))
+
+    def cost_and_slope(x: Array) -> tuple[float, Array]:  # forward differences, all in one stack
+        found = costs(x + np.vstack([np.zeros(12), _NUDGE * np.eye(12)]))
+        return float(found[0]), (found[1:] - found[0]) / _NUDGE
+
+    low, high = 1 - DEPTH_SHARE, 1 + DEPTH_SHARE
+    bounds = [(0.0, 1.0)] * 4 + [(None, None)] * 4 + [(low, high)] * 4
+    third = 2 * np.pi / 3
+    starts = (  # a square with corners off the plane in turn; a triangle around a nearer point, a little uneven
+        np.concatenate([np.ones(4), _ANGLES, [low, high, low, high]]),
+        np.concatenate([[1, 1, 1, 0.1], [0.1, third, 2 * third, 0.2], [high, high, high, low]]),
+    )
+    found = [
+        minimize(
+            cost_and_slope, start, jac=True, method="SLSQP", bounds=bounds, options={"maxiter": 60, "ftol": 1e-9}
+        ).x
+        for start in starts
+    ]
+    candidates = [features_and_depth(x) for x in found] + [(x.features, x.depth) for x in tested[-2:]]
+    return min(candidates, key=lambda candidate: place(scene, "", candidate[0], candidate[1], length).worst)

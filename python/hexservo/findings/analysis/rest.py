@@ -1,0 +1,166 @@
+"""A platform at rest: what law and plant of a scenario do to it at poses, asked of the core."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from hexservo import _core
+from hexservo.findings.analysis.goal import limited
+from hexservo.findings.analysis.poses import Array, Mask, Poses, by_displacement
+from hexservo.findings.analysis.scene import Scene
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Rest", "RestLaw", "without_friction"]
+
+_STEPS = np.repeat([1e-5, 1e-5], 3)  # [m; rad], of the central differences of a wrench
+
+
+class Rest(Scene):
+    """A scene with its law and plant, at poses where nothing moves.
+
+    Parameters
+    ----------
+    scenario
+        Whose law acts with the weights that it starts with.
+    gravity
+        Part of the gravity error that acts [1].
+
+    Raises
+    ------
+    ValueError
+        For a scenario that the core refuses (`core_parameters`), and for a camera `as_printed`, which has no points.
+    """
+
+    def __init__(self, scenario: Scenario, gravity: float = 1.0) -> None:
+        super().__init__(scenario)
+        if not self.has_points:
+            raise ValueError('camera.convention: expected "eye_in_hand", got "as_printed"')
+        dynamics = self.settings.uncertainty.dynamics
+        dynamics.gravity = gravity * dynamics.gravity
+        self.probe = _core.Probe(self.settings)  # that of the scene has all of the gravity error
+        self.gains: Any = self.settings.gains  # of the scenario's law
+        self.weight: Array = np.array(self.body.gravity_wrench)  # G-bar, (6,) [N; N m]
+        self.gravity_error: Array = np.asarray(dynamics.gravity * self.weight)  # delta_G G-bar, (6,) [N; N m]
+
+    def aimed_at(self, desired: Array) -> Rest:
+        """Give the same with another goal image, (8,) [px]."""
+        other = copy(self)
+        self.settings.target.desired_features = desired
+        other.probe = _core.Probe(self.settings)  # takes what it needs
+        self.settings.target.desired_features = self.desired
+        other.desired = desired
+        return other
+
+    def wrench(self, poses: Poses, twist: Array | None = None, *, exact_depth: bool = False) -> Array:
+        """Give what the law asks for, (..., 6) in B [N; N m], at rest or at twists (..., 6) in B; weight included.
+
+        NaN where the camera does not see all points. With `exact_depth` the controller knows the true depths.
+        """
+        features, depth = self.image(poses)
+        seen = np.asarray(np.isfinite(features).all(axis=-1)).ravel()
+        result = np.full((len(seen), 6), np.nan)
+        if seen.any():
+            there = poses.rows[seen]
+            speed = np.zeros((len(there), 6)) if twist is None else twist.reshape(-1, 6)[seen]
+            believed = depth.reshape(-1, 4)[seen]
+            if not exact_depth:
+                believed = self.probe.measured_depth(believed)
+            at = (there.position, there.quaternion, speed)
+            result[seen] = self.probe.law(features.reshape(-1, 8)[seen], believed, *at).wrench
+        return result.reshape(*poses.shape, 6)
+
+    def acceleration(self, poses: Poses, twist: Array | None = None) -> Array:
+        """Give chi-ddot of the plant under the law, (..., 6) [m/s^2; rad/s^2], at rest or at twists (..., 6) in B.
+
+        NaN where the camera does not see all points. Zero at rest: an equilibrium.
+        """
+        wrench = self.wrench(poses, twist).reshape(-1, 6)
+        seen = np.asarray(np.isfinite(wrench).all(axis=1))
+        if seen.any():
+            there = poses.rows[seen]
+            speed = np.zeros((len(there), 6)) if twist is None else twist.reshape(-1, 6)[seen]
+            wrench[seen] = self.probe.acceleration(there.position, there.quaternion, speed, wrench[seen])
+        return wrench.reshape(*poses.shape, 6)
+
+    def stiffness(self, poses: Poses, step: float = 1e-6) -> Array:
+        """Give minus the derivative of `acceleration` by a displacement, (..., 6, 6) [1/s^2], in `unit` on both sides.
+
+        Central differences: with steps near 1e-6 truncation and rounding leave about 1e-12 of the largest entry.
+        """
+        return -by_displacement(self.acceleration, poses, step * self.unit) * self.unit / self.unit[:, None]
+
+    def settled(self, starts: Poses, rounds: int = 10) -> tuple[Poses, Mask]:
+        """Look for equilibria by Newton's method from each start, and tell which converged (last step below 1e-8)."""
+        poses, last = starts, np.full(len(starts), np.inf)
+        for _ in range(rounds):
+            slope, value = self.stiffness(poses), self.acceleration(poses) / self.unit
+            usable = np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(value).all(axis=1)
+            slope[~usable], value[~usable] = np.eye(6), 0.0
+            usable &= np.linalg.cond(slope) < 1e14  # beyond, a step is rounding
+            slope[~usable] = np.eye(6)
+            step = np.where(usable[:, None], np.linalg.solve(slope, value[..., None])[..., 0], 0.0)
+            last = np.where(usable, np.abs(step).max(axis=1), np.inf)
+            poses = poses.moved(limited(step) * self.unit)
+        return poses, last < 1e-8
+
+
+def without_friction(scenario: Scenario) -> Scenario:
+    """Give the scenario with a law that has neither switching term nor fuzzy systems."""
+    law = scenario.controller.law
+    changes: dict[str, Any] = {"controller.switching.kind": "sign", f"controller.{law}.kv": 0.0}
+    changes[f"controller.{law}.fuzzy.enabled"] = False
+    return scenario.updated(changes)
+
+
+class RestLaw:
+    """The wrench that acts on a platform at rest, but for friction and fuzzy systems.
+
+    It is the law's own less what holds the estimated weight, plus the gravity error: tau - G-bar + delta_G G-bar.
+
+    Parameters
+    ----------
+    scene
+        With the law, its gains and its goal.
+    exact_depth
+        Whether the controller knows the true depths, that is, J in place of J-hat.
+    """
+
+    def __init__(self, scene: Scene, *, exact_depth: bool = False) -> None:
+        self._rest = Rest(without_friction(scene.scenario))
+        self._exact_depth = exact_depth
+
+    def aimed_at(self, desired: Array) -> RestLaw:
+        """Give the same law with another goal image, (8,) [px]."""
+        other = copy(self)
+        other._rest = self._rest.aimed_at(desired)
+        return other
+
+    @property
+    def desired(self) -> Array:
+        """The goal image, (8,) [px]."""
+        return self._rest.desired
+
+    @property
+    def gravity_error(self) -> Array:
+        """delta_G G-bar, (6,) [N; N m]."""
+        return self._rest.gravity_error
+
+    def wrench(self, poses: Poses) -> Array:
+        """Give the wrench at poses, (..., 6) in B [N; N m].
+
+        Raises
+        ------
+        ValueError
+            Where the law gives none: a point behind the camera, a singular pose.
+        """
+        wrench = self._rest.wrench(poses, exact_depth=self._exact_depth)
+        if not np.isfinite(wrench).all():
+            raise ValueError("pose: expected one from which the law gives a wrench, got one behind a point or singular")
+        return np.asarray(wrench - self._rest.weight + self.gravity_error)
+
+    def stiffness(self, poses: Poses) -> Array:
+        """Give minus the derivative of the wrench by the displacement, (..., 6, 6), by central differences."""
+        return -by_displacement(self.wrench, poses, _STEPS)

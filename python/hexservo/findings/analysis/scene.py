@@ -1,0 +1,166 @@
+"""What the camera of a scenario sees from poses, and what its legs do there, asked of the core."""
+
+from __future__ import annotations
+
+import copyreg
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from hexservo import _core
+from hexservo.findings.analysis.poses import Array, Mask, Poses
+from hexservo.scenario.parameters import Settings, core_parameters
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["WIDER", "Scene", "View", "scene_of"]
+
+# Half widths of the region about home that is searched beside the workspace [mean depth; rad].
+WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
+
+_NEAR = 0.02  # of the depth of home's nearest point: no search takes a point closer to the camera than this
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What the camera sees from a pose, with the true image Jacobian there; NaN where it does not see all points."""
+
+    pose: Poses
+    features: Array  # (8,) [px]
+    depth: Array  # (4,) [m], negative in front of the camera
+    jacobian: Array  # (8, 6), twist in B to feature rates [px/s per m/s; px/s per rad/s]
+
+    @property
+    def mean_depth(self) -> float:
+        """Mean distance of the points along the optical axis [m]."""
+        return float(np.abs(self.depth).mean())
+
+
+class Scene:
+    """A scenario in the core's terms: robot, camera, target and goal. Poses may be one or many (`Poses`).
+
+    Raises
+    ------
+    ValueError
+        For a scenario that the core refuses (`core_parameters`).
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.settings: Settings = core_parameters(scenario)
+        self.probe = _core.Probe(self.settings)
+        self.camera = self.settings.camera
+        self.hexapod = _core.Hexapod(self.settings.robot)
+        self.home = Poses(np.array(self.hexapod.home_position), np.array([1.0, 0.0, 0.0, 0.0]))
+        self.desired: Array = np.array(self.settings.target.desired_features)  # (8,) [px]
+        self.platform_radius = float(self.settings.robot.platform_radius)  # [m]
+        self.stroke = float(self.settings.robot.stroke)  # [m]
+        self.band = float(self.settings.metrics.band)  # [px], of settling
+        from_home = np.abs(self._image_of_home()[1])
+        self.depth = float(from_home.mean())  # [m], of home
+        self._nearest = _NEAR * float(from_home.min())
+        self.unit: Array = np.repeat([self.depth, 1.0], 3)  # [m; rad]: moves the image alike in all six directions
+
+    @property
+    def has_points(self) -> bool:
+        """Whether there are points in space; a camera as printed integrates features and depths instead."""
+        return self.settings.convention == _core.CameraConvention.eye_in_hand
+
+    @cached_property
+    def points(self) -> Array:
+        """The target's points in B, (4, 3) [m].
+
+        Where the scenario gives features and depths, the core's projection of points beside the optical axis tells how
+        many pixels a metre is at each depth.
+        """
+        target = self.settings.target
+        if target.points is not None:
+            return np.array(target.points)
+        return self.points_seen_as(np.array(target.initial_features), -np.array(target.depth))
+
+    @cached_property
+    def body(self) -> _core.RigidBody:
+        """The platform's estimated mass properties."""
+        body = _core.RigidBody()
+        body.mass, body.inertia = self.settings.robot.mass, self.settings.robot.inertia
+        return body
+
+    def points_seen_as(self, features: Array, depth: Array) -> Array:
+        """Give the points in B, (4, 3) [m], that look so from home: features (8,) [px], depth (4,) [m], negative."""
+        beside = np.column_stack([np.ones((4, 2)), depth])  # in E, one metre off the axis each way
+        scale, _ = _core.take_image(self.camera, self.home.position, self.home.quaternion, self.home.position + beside)
+        lateral = features.reshape(4, 2) / scale.reshape(4, 2)
+        return self.home.position + np.column_stack([lateral, depth])
+
+    def _image_of_home(self) -> tuple[Array, Array]:
+        """Give the true features (8,) [px] and Z (4,) [m] at the start."""
+        if self.has_points:
+            features, depth = self.probe.image(self.home.rows.position, self.home.rows.quaternion)
+            return features[0], depth[0]
+        target = self.settings.target
+        return np.array(target.initial_features), -np.array(target.depth)
+
+    def image(self, poses: Poses) -> tuple[Array, Array]:
+        """Give the true features (..., 8) [px] and Z (..., 4) [m]; NaN where a point is not well in front.
+
+        Raises
+        ------
+        ValueError
+            For a camera as printed, which has no points.
+        """
+        rows = poses.rows
+        features, depth = self.probe.image(rows.position, rows.quaternion)
+        seen = np.asarray((depth < -self._nearest).all(axis=1) & np.isfinite(features).all(axis=1))
+        features, depth = np.where(seen[:, None], features, np.nan), np.where(seen[:, None], depth, np.nan)
+        return features.reshape(*poses.shape, 8), depth.reshape(*poses.shape, 4)
+
+    def view(self, pose: Poses) -> View:
+        """Look at the target from one pose; the camera has points, or the pose is home."""
+        features, depth = self.image(pose) if self.has_points else self._image_of_home()
+        seen = np.isfinite(features).all()
+        jacobian = self.jacobian(features, depth, pose.quaternion) if seen else np.full((8, 6), np.nan)
+        return View(pose, features, depth, jacobian)
+
+    def jacobian(self, features: Array, depth: Array, quaternion: Array) -> Array:
+        """Give the true image Jacobian (..., 8, 6), with the plant's sign, of images that are seen; depths as given."""
+        found = self.probe.image_jacobian(features.reshape(-1, 8), depth.reshape(-1, 4), quaternion.reshape(-1, 4))
+        return found.reshape(*features.shape[:-1], 8, 6)
+
+    def residual(self, poses: Poses) -> Array:
+        """Give the largest |xi_d - xi|, (...) [px]; NaN where a point is not seen."""
+        return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=-1))
+
+    def leg_travel(self, poses: Poses) -> Array:
+        """Give how much longer each leg is than at home, (..., 6) [m]."""
+        pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
+        found = np.asarray([self.hexapod.leg_lengths(*pose) for pose in pairs]) - self.hexapod.home_lengths
+        return found.reshape(*poses.shape, 6)
+
+    def stroke_left(self, poses: Poses) -> Array:
+        """Give the travel that is left to the leg that is nearest to its limit, (...) [m]; negative beyond it."""
+        return np.asarray(self.stroke - np.abs(self.leg_travel(poses)).max(axis=-1))
+
+    def reachable(self, poses: Poses) -> Mask:
+        """Tell which poses (n,) are within the stroke and on home's side of the singular ones (the sign of det H)."""
+
+        def side(of: Poses) -> Array:
+            pairs = zip(of.position, of.quaternion, strict=True)
+            return np.asarray(np.sign(np.linalg.det([self.hexapod.wrench_map(*pose) for pose in pairs])))
+
+        return np.asarray((self.stroke_left(poses) >= 0) & (side(poses) == side(self.home.rows)))
+
+    def spread(self, count: int, seed: int) -> Poses:
+        """Draw poses, at most `count`, that see all points, even over `WIDER` about home, within the stroke or not."""
+        moves = np.random.default_rng(seed).uniform(-1.0, 1.0, (8 * count, 6)) * WIDER * self.unit
+        poses = self.home.moved(moves)
+        return poses[np.flatnonzero(np.isfinite(self.image(poses)[0]).all(axis=1))[:count]]
+
+
+@lru_cache(maxsize=8)  # several parts of an analysis ask
+def scene_of(scenario: Scenario) -> Scene:
+    """Give a scenario in the core's terms."""
+    return Scene(scenario)
+
+
+# Objects of the core cannot be pickled; those of a scene follow from its scenario. Not for classes derived from it.
+copyreg.pickle(Scene, lambda scene: (scene_of, (scene.scenario,)))

@@ -1,0 +1,234 @@
+"""The errors that the switching term holds: the stiction set of K_v (docs/analysis/stiction.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from hexservo.findings.analysis.goal import Goals, find_goals
+from hexservo.findings.analysis.poses import Array
+from hexservo.findings.analysis.rest import Rest, RestLaw, without_friction
+from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.analysis.stiction_runs import Runs, run
+from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed, extremes
+from hexservo.findings.analysis.words import number
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Section
+from hexservo.scenario.scenario import Fuzzy, Scenario
+
+__all__ = ["Case", "Creep", "Stiction", "analyse"]
+
+PAGE = "docs/analysis/stiction.md"
+_GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
+
+Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """The set for one reading of the law."""
+
+    name: str
+    rest: RestSet
+    ends: Extremes | None  # None: no pose within the stroke is held
+    # [px]: the largest image error of a pose at which the core's law and legs were checked; None where none was found
+    confirmed: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Creep:
+    """How a smooth switching term lets go of what K_v would hold: (K_v/width + K_d) d-dot = -A d, linearised."""
+
+    times: Array  # (6,) [s], time constants, slowest first; infinite where an error does not decay
+    # [px], largest image error after the run's duration, from anywhere in the set; None where it grows too far
+    left: float | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Stiction(Findings):
+    """Where the switching term holds the platform, and what short runs show."""
+
+    scene: Scene
+    kind: Kind
+    reason: str  # why it is of that kind, in a sentence
+    kv: Array  # (6,) [N; N m]; zeros for a law without
+    gravity_error: Array  # delta_G G-bar, (6,) [N; N m]
+    cases: tuple[Case, ...] = ()
+    around_home: Case | None = None  # the set that the runs are compared with
+    runs: tuple[Runs, ...] = ()
+    creep: Creep | None = None
+    straight_way: Array | None = None  # (6,) [N; N m], what the fuzzy systems take up on the straight way to the goal
+    prior_error: float | None = None  # [px], of the pose that an integrating law goes to
+
+    @property
+    def focal_pixels(self) -> float:
+        """Give f [px]."""
+        return float(self.scene.camera.focal_pixels)
+
+    def section(self) -> Section:
+        """Put the findings in words and tables."""
+        from hexservo.findings.analysis.stiction_words import section  # it needs this class
+
+        return section(self)
+
+
+def analyse(scenario: Scenario) -> Stiction:
+    """Find the poses where the switching term holds the platform, and compare with short runs.
+
+    Applies to `hybrid`, and to `composite` where its fuzzy systems do not integrate, with `sign`, `implicit` or
+    `implicit_coupled`. Other cases are told in words.
+    """
+    scene = scene_of(scenario)
+    kind, reason = _kind(scenario)
+    nothing = np.zeros(6)
+    if kind in ("none", "open"):
+        return Stiction(scene, kind, reason, nothing, nothing)
+    goals = find_goals(scene)
+    assert goals is not None  # a camera without points is open
+    if (unusable := _unusable(scene, goals)) is not None:
+        return Stiction(scene, "open", unusable, nothing, nothing)
+    law = RestLaw(scene)
+    block = getattr(scenario.controller, scenario.controller.law)
+    kv = np.array(np.broadcast_to(np.asarray(block.kv, dtype=float), 6))
+    if kind == "integrated":
+        return Stiction(scene, kind, reason, kv, law.gravity_error, prior_error=_prior_error(scene, goals))
+    cases = [_case(scene, law, goals, "J-hat, with the depth error", -kv, kv)]
+    if kind == "creep":
+        creep = _creep(cases[0].rest, law.stiffness(goals.best.view.pose), scenario, kv)
+        return Stiction(scene, kind, reason, kv, law.gravity_error, tuple(cases), creep=creep)
+    if np.any(np.asarray(scenario.uncertainty.depth) != 0):
+        cases.append(_case(scene, RestLaw(scene, exact_depth=True), goals, "J, depths known", -kv, kv))
+    way = None
+    if scenario.controller.law == "hybrid" and block.fuzzy.enabled:
+        way = _straight_way(block.fuzzy, goals)
+        low, high = np.minimum(way, 0.0) - kv, np.maximum(way, 0.0) + kv
+        cases.append(_case(scene, law, goals, "J-hat, with what the fuzzy systems take up", low, high))
+    home = _around_home(scene, law, kv)
+    runs: tuple[Runs, ...] = ()
+    if home.ends is not None and (kv > 0).all():
+        settings = [False, True] if block.fuzzy.enabled else [False]
+        runs = tuple(run(scene, law, home.rest, home.ends, kv, fuzzy) for fuzzy in settings)
+    return Stiction(scene, kind, reason, kv, law.gravity_error, tuple(cases), home, runs, straight_way=way)
+
+
+def _unusable(scene: Scene, goals: Goals) -> str | None:
+    """Say why there is no goal pose around which a set could be looked for; None where there is one."""
+    if goals.best.largest_residual > scene.band:
+        return (
+            f"Open: no pose that was found shows the goal image (the best leaves {number(goals.best.largest_residual)} "
+            "px), so there is no goal around which to look for the set."
+        )
+    try:
+        for goal in (goals.best, goals.nearest):
+            RestLaw(scene).stiffness(goal.view.pose)
+    except ValueError as refusal:
+        return f"Open: the law cannot be evaluated at the pose of the goal ({refusal})."
+    return None
+
+
+def _kind(scenario: Scenario) -> tuple[Kind, str]:
+    """Say which question a law poses."""
+    law = scenario.controller.law
+    if law not in ("hybrid", "composite"):
+        return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
+    if scenario.camera.convention == "as_printed":
+        return "open", "Open: a camera as printed has no points in space, so the set has no poses."
+    block = getattr(scenario.controller, law)
+    switching = scenario.controller.switching
+    smooth = switching.kind in ("tanh", "saturation")
+    if law == "composite" and block.fuzzy.enabled:
+        drive = np.broadcast_to(np.asarray(block.drive, dtype=float), 6)
+        fuzzy = block.fuzzy
+        restrained = (
+            np.any(np.asarray(fuzzy.leakage) > 0)
+            or np.any(np.asarray(fuzzy.dead_zone) > 0)
+            or fuzzy.weight_limit is not None
+        )
+        if (drive > 0).all() and not restrained:
+            return "integrated", (
+                "There is no stiction set: the pose error e drives the fuzzy systems until they overcome K_v, so the "
+                "platform creeps or slips on until e = 0."
+            )
+        if (drive > 0).any():
+            return "open", (
+                "Open: the pose error drives the fuzzy systems in part of the axes only, or leakage, dead zone or "
+                "limit bound what they take up; the set is then not that of K_v alone."
+            )
+    kv = np.broadcast_to(np.asarray(block.kv, dtype=float), 6)
+    if smooth and (kv > 0).all():
+        return (
+            "creep",
+            f"There is no stiction set: {switching.kind} is zero at rest, so within K_v the platform creeps.",
+        )
+    if smooth and (kv > 0).any():
+        return "open", "Open: a smooth switching term that acts on some axes only."
+    if (kv == 0).all():
+        return "set", (
+            "K_v = 0: the set is a point, where the law's wrench makes up for the gravity error"
+            + (", and nothing damps the motion about it." if law == "hybrid" else ".")
+        )
+    if switching.kind == "sign":
+        return "set", ""
+    return "set", f"With {switching.kind} a platform in the set is at rest exactly."
+
+
+def _case(scene: Scene, law: RestLaw, goals: Goals, name: str, low: Array, high: Array) -> Case:
+    point = (high == low).all()  # then it is the goal itself, but for a gravity error
+    rest = RestSet.at(scene, law, (goals.best if point else goals.nearest).view, low, high)
+    ends = extremes(rest)
+    if ends is None:
+        return Case(name, rest, None, None)
+    found = confirmed(scene, law, rest, ends.displacements[0]) if (high > low).all() else None
+    return Case(name, rest, ends, None if found is None else found[1])
+
+
+def _around_home(scene: Scene, law: RestLaw, box: Array) -> Case:
+    home = scene.view(scene.home)
+    rest = RestSet.at(scene, law.aimed_at(home.features), home, -box, box)
+    return Case("around home", rest, extremes(rest), None)
+
+
+def _straight_way(fuzzy: Fuzzy, goals: Goals) -> Array:
+    """Give what one rule that fires alone takes up on the way to the goal: displacement/Psi, within the limit."""
+    way = goals.nearest.displacement / np.broadcast_to(np.asarray(fuzzy.adaptation), 6)
+    if fuzzy.weight_limit is not None:
+        limit = np.asarray(fuzzy.weight_limit)
+        way = np.clip(way, -limit, limit)
+    return np.asarray(way, dtype=float)
+
+
+def _creep(rest: RestSet, at_goal: Array, scenario: Scenario, kv: Array) -> Creep:
+    """Follow all displacements that K_v would hold for the run's duration: a linear map, hence linear programs.
+
+    The time constants are those of the stiffness at the goal itself, (6, 6).
+    """
+    from scipy.linalg import expm
+
+    controller = scenario.controller
+    damping = kv / controller.switching.width
+    if controller.law == "composite":
+        damping = damping + np.broadcast_to(np.asarray(controller.composite.kd), 6)
+    rates = np.linalg.eigvals(at_goal / damping[:, None]).real
+    with np.errstate(divide="ignore"):
+        times = np.sort(np.where(rates > 0, 1.0 / rates, np.inf))[::-1]
+    if (rates * scenario.simulation.duration < -_GROWTH).any():
+        return Creep(times, None)
+    stays = expm(-scenario.simulation.duration * rest.stiffness / damping[:, None])
+    centre = np.linalg.solve(rest.stiffness, rest.wrench)  # where the law's wrench is zero
+    rows = rest.view.jacobian @ stays
+    ends = rest.farthest(np.vstack([rows, -rows]))
+    if ends is None:
+        return Creep(times, None)
+    left = rest.error - (centre + (ends - centre) @ stays.T) @ rest.view.jacobian.T
+    return Creep(times, float(np.abs(left).max()))
+
+
+def _prior_error(scene: Scene, goals: Goals) -> float | None:
+    """Give the image error where the pose error e of `composite` vanishes [px], near the goal; None if not found."""
+    changes = {"kp": 0.0, "kd": 0.0, "kt": 1.0}  # the law's wrench is then e
+    only_e = scene.scenario.updated({f"controller.composite.{key}": value for key, value in changes.items()})
+    rest = Rest(without_friction(only_e), gravity=0.0)
+    poses, found = rest.settled(goals.nearest.view.pose.rows, rounds=30)
+    return float(rest.residual(poses)[0]) if found[0] else None

@@ -1,0 +1,327 @@
+"""The findings about the stiction set in words, tables and curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hexservo.findings.analysis.stiction_set import SPAN
+from hexservo.findings.analysis.words import number
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table
+
+if TYPE_CHECKING:
+    from hexservo.findings.analysis.stiction import Case, Stiction
+    from hexservo.findings.analysis.stiction_runs import Runs
+
+__all__ = ["section"]
+
+PAGE = "docs/analysis/stiction.md"
+_BORDER = 1.01  # times K_v: viscous damping lets a platform end on the border of the set, where it comes to rest slowly
+_AXES = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
+_SHORT = ("along x", "along y", "along z", "about x", "about y", "about z")
+
+
+def section(found: Stiction) -> Section:
+    """Put the findings in words, tables and curves."""
+    return Section(
+        name="stiction",
+        title="The errors that the switching term holds",
+        sentences=_sentences(found),
+        items=_items(found),
+        verdict=_verdict(found),
+        data=_data(found),
+    )
+
+
+def _verdict(found: Stiction) -> Literal["good", "warning", "bad", "open"]:
+    if found.kind == "none":
+        return "good"
+    error = found.prior_error
+    if found.cases:
+        ends = found.cases[0].ends
+        if ends is None:
+            return "bad"
+        error = ends.largest if found.creep is None else found.creep.left
+    if error is None:
+        return "open"
+    return "warning" if error > found.scene.band else "good"
+
+
+def _sentences(found: Stiction) -> list[str]:
+    if found.kind in ("none", "open", "integrated"):
+        words = [found.reason]
+        if found.prior_error is not None:
+            words.append(
+                f"There the image is {number(found.prior_error)} px off: the prior, which expects the start, "
+                "outweighs what the image hardly shows."
+            )
+        return words
+    words = [_of_the_set(found, found.cases[0])]
+    if found.reason:
+        words.append(found.reason)
+    if found.creep is not None:
+        words.append(_of_creep(found))
+    for case in found.cases[1:]:
+        if case.ends is not None:
+            words.append(f"{case.name}: up to {number(case.ends.largest)} px.")
+        else:
+            words.append(f"{case.name}: no pose within the stroke.")
+    words += [_of_runs(found, runs) for runs in found.runs]
+    return words
+
+
+def _of_the_set(found: Stiction, case: Case) -> str:
+    ends = case.ends
+    if ends is None:
+        worst = int(np.argmax(np.abs(found.gravity_error) - found.kv))
+        excess = (
+            f": the gravity error of {number(abs(found.gravity_error[worst]))} N is beyond K_v "
+            f"({number(found.kv[worst])} N)"
+            if abs(found.gravity_error[worst]) > found.kv[worst]
+            else ""
+        )
+        return f"No pose within the stroke near the goal is an equilibrium{excess}."
+    if (case.rest.high == case.rest.low).all():
+        exact = ends.largest < 1e-6
+        error = "below 1e-6 px" if exact else f"of {number(ends.largest)} px"
+        return f"The equilibrium near the goal is a point, with an image error {error}."
+    axes, legs, span = case.rest.limits_at(ends.displacements[0])
+    limits = [f"K_v ({', '.join(_SHORT[axis] for axis in np.flatnonzero(axes))})"] if axes.any() else []
+    limits += (
+        [f"the stroke of the legs {', '.join(str(leg + 1) for leg in np.flatnonzero(legs))}"] if legs.any() else []
+    )
+    limits += [f"the span of the linearisation ({SPAN:.0%} of the depth, {SPAN} rad)"] if span.any() else []
+    holds = "K_v holds" if found.creep is None else "K_v would hold"
+    text = (
+        f"{holds} the platform with image errors of up to {number(ends.largest)} px in a coordinate "
+        f"({number(ends.rms)} px RMS), {number(1e3 * ends.largest / found.focal_pixels)} mrad at the focal length; "
+        f"what ends the set there is {' and '.join(limits)}. Its optical axis is up to {number(1e3 * ends.turn)} mrad "
+        "from where the goal has it."
+    )
+    if case.confirmed is not None:
+        text += (
+            f" At a pose with {number(case.confirmed)} px the law itself is within K_v, and every leg within its "
+            "stroke."
+        )
+    return text
+
+
+def _of_creep(found: Stiction) -> str:
+    assert found.creep is not None
+    duration = found.scene.scenario.simulation.duration
+    slowest = found.creep.times[0]
+    text = (
+        f"Its slowest direction takes {number(slowest)} s by 1/e"
+        if np.isfinite(slowest)
+        else "In some direction it does not come back by itself"
+    )
+    if found.creep.left is not None:
+        text += f"; after the {number(duration)} s of a run up to {number(found.creep.left)} px are left"
+    return text + "."
+
+
+def _of_runs(found: Stiction, runs: Runs) -> str:
+    counted = runs.counted
+    with_fuzzy = "with" if runs.fuzzy else "without"
+    bound = runs.bound
+    if not counted.any():
+        return f"Of {len(counted) - 1} runs of {number(runs.duration)} s {with_fuzzy} fuzzy systems none came to rest."
+    inside = int((runs.final_share[counted] <= _BORDER).sum())
+    largest = float(runs.final_error[counted].max())
+    own = (
+        f"; the scenario's own goal is {number(runs.final_error[0])} px away after this time"
+        if runs.completed[0]
+        else ""
+    )
+    return (
+        f"Of {len(counted) - 1} runs of {number(runs.duration)} s {with_fuzzy} fuzzy systems to goals near the start "
+        f"{int(counted.sum())} came to rest, {inside} of them within K_v, with up to {number(largest)} px: "
+        f"{largest / bound:.0%} of the {number(bound)} px that the set has there"
+        + (", what the fuzzy systems took up included" if runs.fuzzy else "")
+        + f"{own}."
+    )
+
+
+def _items(found: Stiction) -> list[Item]:
+    items: list[Item] = []
+    if found.cases:
+        items += [_case_table(found), _axis_table(found)]
+    if found.runs:
+        items += [_run_table(found), _run_curves(found)]
+    return items
+
+
+def _case_table(found: Stiction) -> Table:
+    rows: list[Sequence[Cell]] = []
+    for case in found.cases:
+        ends = case.ends
+        if ends is None:
+            rows.append([case.name, *[None] * 8])
+            continue
+        rows.append(
+            [
+                case.name,
+                ends.largest,
+                ends.rms,
+                1e3 * ends.largest / found.focal_pixels,
+                1e3 * ends.turn,
+                case.confirmed,
+                *(1e3 * float(np.abs(part).max()) for part in (ends.pose[:2], ends.pose[2:3], ends.pose[3:])),
+            ]
+        )
+    return Table(
+        title="What K_v holds around the goal",
+        columns=(
+            Column("case"),
+            Column("largest coordinate", "px", ".3g"),
+            Column("RMS", "px", ".3g"),
+            Column("at the focal length", "mrad", ".3g"),
+            Column("optical axis", "mrad", ".3g"),
+            Column("checked pose", "px", ".3g"),
+            Column("across", "mm", ".3g"),
+            Column("along z", "mm", ".3g"),
+            Column("turned", "mrad", ".3g"),
+        ),
+        rows=rows,
+        note="Linear programs over the box of K_v and the stroke of the legs, linearised at the pose nearest to home "
+        "that shows the goal image within 0.1 px; tau_f = 0 but where said. Checked pose: where the law itself and "
+        "the legs were evaluated.",
+        page=PAGE,
+    )
+
+
+def _axis_table(found: Stiction) -> Table:
+    zero = np.zeros(6)
+    way = zero if found.straight_way is None else found.straight_way
+    rows = [
+        (
+            name,
+            "N" if axis < 3 else "N m",
+            float(found.kv[axis]),
+            float(found.gravity_error[axis]),
+            float(way[axis]),
+            max(
+                (float(np.abs(runs.fuzzy_output[runs.counted, axis]).max(initial=0.0)) for runs in found.runs),
+                default=None,
+            ),
+        )
+        for axis, name in enumerate(_AXES)
+    ]
+    return Table(
+        title="What acts on a platform at rest, by axis",
+        columns=(
+            Column("axis"),
+            Column("unit"),
+            Column("K_v", format=".3g"),
+            Column("gravity error", format=".3g"),
+            Column("fuzzy systems, straight way", format=".3g"),
+            Column("fuzzy systems, largest in the runs", format=".3g"),
+        ),
+        rows=rows,
+        note="Straight way: what one rule takes up between home and the goal, displacement/Psi.",
+        page=PAGE,
+    )
+
+
+def _run_table(found: Stiction) -> Table:
+    rows: list[Sequence[Cell]] = []
+    for runs in found.runs:
+        counted = runs.counted
+        inside = runs.start_share <= 1.0
+        for name, which in (("inside", counted & inside), ("outside", counted & ~inside)):
+            rows.append(
+                [
+                    "on" if runs.fuzzy else "off",
+                    name,
+                    int(which.sum()),
+                    *(
+                        [
+                            float(values[which].max())
+                            for values in (runs.start_error, runs.final_error, runs.final_share)
+                        ]
+                        if which.any()
+                        else [None] * 3
+                    ),
+                ]
+            )
+    return Table(
+        title="Runs to goals near the start",
+        columns=(
+            Column("fuzzy systems"),
+            Column("started"),
+            Column("at rest"),
+            Column("largest error at the start", "px", ".3g"),
+            Column("largest error at the end", "px", ".3g"),
+            Column("largest share of K_v at the end", format=".3g"),
+        ),
+        rows=rows,
+        note="Inside: the law's wrench at the start is within K_v. Share: largest |w_j - tau_f,j|/k_v,j.",
+        page=PAGE,
+    )
+
+
+def _run_curves(found: Stiction) -> Curves:
+    lines = [
+        Line(
+            f"fuzzy systems {'on' if runs.fuzzy else 'off'}",
+            runs.start_error[runs.counted],
+            runs.final_error[runs.counted],
+            "points",
+        )
+        for runs in found.runs
+    ]
+    widest = max(float(line.x.max(initial=0.0)) for line in lines)
+    for runs in found.runs:
+        name = "largest of the set" + (", with what the fuzzy systems took up" if runs.fuzzy else "")
+        lines.append(Line(name, np.array([0.0, widest]), np.full(2, runs.bound), "dashed"))
+    return Curves(
+        title="Where runs come to rest",
+        x_label="largest error at the start [px]",
+        y_label="largest error at the end [px]",
+        lines=lines,
+        page=PAGE,
+    )
+
+
+def _data(found: Stiction) -> dict[str, object]:
+    return {
+        "kind": found.kind,
+        "reason": found.reason,
+        "kv": found.kv,
+        "gravity_error": found.gravity_error,
+        "creep_times": None if found.creep is None else found.creep.times,
+        "creep_left": None if found.creep is None else found.creep.left,
+        "fuzzy_straight_way": found.straight_way,
+        "prior_error": found.prior_error,
+        "cases": [
+            {
+                "name": case.name,
+                "equilibrium": case.ends is not None,
+                "largest_error": None if case.ends is None else case.ends.largest,
+                "rms_error": None if case.ends is None else case.ends.rms,
+                "angle_at_focal_length": None if case.ends is None else case.ends.largest / found.focal_pixels,
+                "optical_axis_turn": None if case.ends is None else case.ends.turn,
+                "confirmed_error": case.confirmed,
+                "pose": None if case.ends is None else case.ends.pose,
+            }
+            for case in found.cases
+        ],
+        "around_home": None
+        if found.around_home is None or found.around_home.ends is None
+        else found.around_home.ends.largest,
+        "runs": [
+            {
+                "fuzzy": runs.fuzzy,
+                "duration": runs.duration,
+                "bound": runs.bound,
+                "counted": runs.counted,
+                "start_error": runs.start_error,
+                "final_error": runs.final_error,
+                "start_share": runs.start_share,
+                "final_share": runs.final_share,
+            }
+            for runs in found.runs
+        ],
+    }

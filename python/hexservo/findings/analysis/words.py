@@ -1,0 +1,118 @@
+"""Numbers, directions and displacements in words, for the sentences of the analyses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hexservo.findings.analysis.poses import Array
+from hexservo.findings.evidence import Section
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number
+
+__all__ = [
+    "along",
+    "direction_words",
+    "displacement_words",
+    "motion_in_words",
+    "not_analysed",
+    "number",
+    "numbers",
+    "open_section",
+    "vector_words",
+]
+
+_AXES = "xyz"
+_STRAIGHT = 0.98  # cosine from which a direction is called that of an axis
+_LITTLE = 0.03  # of what the other part does to the image: a part that is left out
+
+
+def numbers(values: Array) -> str:
+    """Write numbers one after another: "1.2, 3.4 and 5.6"."""
+    texts = [number(value) for value in values]
+    return ", ".join(texts[:-1]) + " and " + texts[-1] if len(texts) > 1 else texts[0]
+
+
+def along(vector: Array, *, signed: bool = False) -> str:
+    """Name the axis that a vector (3,) is along, or give its direction: "x", "(0.71, 0.70, 0.00)".
+
+    Signed, an axis that it is against is "-x".
+    """
+    unit = vector / np.linalg.norm(vector)
+    largest = int(np.abs(unit).argmax())
+    if abs(unit[largest]) > _STRAIGHT:
+        return ("-" if signed and unit[largest] < 0 else "") + _AXES[largest]
+    return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.where(np.abs(unit) < 0.005, 0.0, unit)) + ")"
+
+
+def direction_words(direction: Array, depth: float) -> str:
+    """Say in words a direction (6,) [m; rad] in B, of any length, for a target at a depth [m].
+
+    A part that moves the image less than 3 % of the other one is left out.
+    """
+    shift, turn = np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:])
+    if turn * depth < _LITTLE * shift:
+        return f"a shift along {along(direction[:3], signed=True)}"
+    if shift < _LITTLE * turn * depth:
+        return f"a turn about {along(direction[3:], signed=True)}"
+    return (
+        f"10 mm along {along(direction[:3], signed=True)} with "
+        f"{10 * turn / shift:.3g} mrad about {along(direction[3:], signed=True)}"
+    )
+
+
+def motion_in_words(jacobian: Array, motion: Array) -> str:
+    """Say what a small motion is, by what its parts do to the image.
+
+    Parameters
+    ----------
+    jacobian
+        (8, 6), of the image [px/m; px/rad].
+    motion
+        (6,), shift [m] and rotation vector [rad], both in B.
+    """
+    shift, turn = motion[:3], motion[3:]
+    by_shift = float(np.linalg.norm(jacobian[:, :3] @ shift))
+    by_turn = float(np.linalg.norm(jacobian[:, 3:] @ turn))
+    left = float(np.linalg.norm(jacobian @ motion))
+    if by_turn <= 0.2 * by_shift:
+        return f"a shift along {along(shift)}"
+    if by_shift <= 0.2 * by_turn:
+        return f"a turn about {along(turn)}"
+    together = "that a turn about {} undoes" if left < 0.5 * max(by_shift, by_turn) else "with a turn about {}"
+    return f"a shift along {along(shift)} " + together.format(along(turn))
+
+
+def displacement_words(displacement: Array) -> str:
+    """Say a displacement (6,) [m; rad]: "(1.5, 0, 20) mm and a turn of (0, 31.2, 0) mrad"."""
+    shift, turn = (vector_words(1e3 * part) for part in (displacement[:3], displacement[3:]))
+    return f"{shift} mm and a turn of {turn} mrad"
+
+
+def vector_words(values: Array) -> str:
+    """Write the entries of a vector with three digits, those below 0.005 as zero."""
+    return "(" + ", ".join(number(0.0 if abs(value) < 0.005 else value) for value in values) + ")"
+
+
+def not_analysed(scenario: Scenario, reasons: Mapping[str, str]) -> str:
+    """Say why an analysis of poses and laws does not apply; empty where it does.
+
+    Parameters
+    ----------
+    scenario
+        Whose law and camera are asked.
+    reasons
+        By law, of those that are not analysed.
+    """
+    law = scenario.controller.law
+    if law in reasons:
+        return f"The law {law} is not analysed here: {reasons[law]}."
+    if scenario.camera.convention == "as_printed":
+        return "A camera as_printed has no points in space, so no pose belongs to an image: not analysed."
+    return ""
+
+
+def open_section(name: str, title: str, reason: str) -> Section:
+    """Say why an analysis does not apply."""
+    return Section(name, title, [reason], data={"applies": False, "reason": reason})

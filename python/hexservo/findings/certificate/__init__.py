@@ -1,0 +1,128 @@
+"""The certificate of a run: did the theorem's assumptions hold along it, and where did its energy go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from hexservo.findings.certificate.batch import BatchCertificate, certify_batch
+from hexservo.findings.certificate.energy import EnergyLedger, energy_ledger
+from hexservo.findings.certificate.lyapunov import Lyapunov, lyapunov_of
+from hexservo.findings.certificate.replay import Plant, Replay, replay
+from hexservo.findings.certificate.uncertainty import Assumption, assumption_of, uncertainty_of
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Section, as_data
+from hexservo.run.result import Result
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["BatchCertificate", "Certificate", "certify", "certify_batch"]
+
+_TITLES = {
+    "lyapunov": "Lyapunov function along the run",
+    "assumption": "Assumption of the stability theorem",
+    "energy": "Energy ledger",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Certificate(Findings):
+    """What is known of a run afterwards. A numerical check of that one trajectory at its samples, and no proof."""
+
+    scenario: Scenario
+    lyapunov: Lyapunov | None  # None where `open_questions` says why
+    assumption: Assumption | None
+    energy: EnergyLedger | None
+    differences: dict[str, float]  # of the result from the run that was certified, by quantity; empty: bit for bit
+    remark: str  # the same in a sentence
+    open_questions: dict[str, str] = field(default_factory=dict)  # section -> why it has no numbers
+
+    def sections(self) -> tuple[Section, ...]:
+        """Words, tables and curves: "lyapunov", "assumption" and "energy"."""
+        found = []
+        for name, title in _TITLES.items():
+            part = getattr(self, name)
+            if part is not None:
+                found.append(part.section())
+            else:
+                found.append(
+                    Section(name, title, [self.open_questions[name]], data={"open": self.open_questions[name]})
+                )
+        return tuple(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give all numbers as strict JSON has them, by section; SI units and pixels."""
+        return {"differences": as_data(dict(self.differences))} | {
+            section.name: as_data(section.data) for section in self.sections()
+        }
+
+
+def certify(result: Result) -> Certificate:
+    """Certify a run: Lyapunov function, assumption of the theorem, energy ledger (docs/certificate/).
+
+    The scenario runs again with every step logged, and its samples are compared with the result's.
+
+    Lyapunov function and assumption are the theorem's, for the law `hybrid` in continuous mode; other runs have the
+    energy ledger alone, and their sections say why.
+
+    Parameters
+    ----------
+    result
+        Of `simulate`, whatever its outcome: it is certified up to its last good sample.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On Ctrl-C, also while the scenario runs.
+    TypeError
+        For anything but a `Result`.
+    ValueError
+        For a result of a controller of one's own that does not hold every step (``simulation.log_every`` above 1); for
+        a run too long for a log of every step with its weights (2 GiB).
+    """
+    run = replay(result)
+    plant = Plant.of(run.probe)
+    open_questions: dict[str, str] = {}
+    assumption: Assumption | None = None
+    lyapunov: Lyapunov | None = None
+    if reason := _outside_theorem(run):
+        open_questions |= {"lyapunov": reason, "assumption": reason}
+    else:
+        uncertainty = uncertainty_of(run, plant)
+        try:
+            assumption = assumption_of(run, uncertainty)
+            lyapunov = lyapunov_of(run, plant, uncertainty, assumption)
+        except ArithmeticError as error:
+            open_questions |= dict.fromkeys(("lyapunov", "assumption"), f"No best weights: {error}.")
+    energy: EnergyLedger | None = None
+    if len(run.time) < 2:
+        open_questions["energy"] = "The run ended at its first sample: there is nothing to add up."
+    else:
+        try:
+            energy = energy_ledger(run, plant)
+        except ArithmeticError as error:
+            open_questions["energy"] = f"The ledger could not be made: {error}."
+    return Certificate(
+        scenario=result.scenario,
+        lyapunov=lyapunov,
+        assumption=assumption,
+        energy=energy,
+        differences=dict(run.differences),
+        remark=run.remark,
+        open_questions=open_questions,
+    )
+
+
+def _outside_theorem(run: Replay) -> str:
+    """Say why the theorem does not speak of a run; empty where it does."""
+    if run.own:
+        return "Does not apply: the controller is its user's function, and the theorem is of the law hybrid."
+    if run.scenario.controller.law != "hybrid":
+        return f"Does not apply: the theorem is of the law hybrid, and this run's is {run.scenario.controller.law}."
+    if not run.continuous:
+        return (
+            "Does not apply: the theorem is of continuous time, and this run is sampled; what sampling and delay put "
+            "into the platform is in the energy ledger."
+        )
+    if len(run.time) < 2:
+        return "The run ended at its first sample."
+    return ""

@@ -1,0 +1,439 @@
+"""The energy ledger of a run: what every term did to the platform's kinetic energy (docs/certificate/energy.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo.findings.certificate.replay import Plant, Replay, probe_without, product
+from hexservo.findings.certificate.stages import STAGE_WEIGHTS, Stages, doubled_stages_of, stages_of
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.wording import joules, number
+
+__all__ = ["EnergyLedger", "energy_ledger"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+PAGE = "docs/certificate/energy.md"
+COARSE = 0.01
+NEGLIGIBLE = 1e-3  # of the work of lifting the weight by the stroke
+"""Part of the turnover beyond which the quadrature's tolerance says that the step is too coarse."""
+_ROUNDING = 1e-12  # of the turnover
+_SAME = 1e-9  # of the largest twist: what rebuilt steps may differ from the samples by
+_ZERO = 1e-12  # likewise: a component that is zero but for rounding
+_SHOWN = 1500  # points of a curve, at most
+
+# law -> gains whose terms are taken out one after another, each (key of the term, gains set to zero)
+_TERMS: Mapping[str, Sequence[tuple[str, tuple[str, ...]]]] = {
+    "hybrid": (("switching", ("kv",)),),
+    "composite": (("switching", ("kv",)), ("damping", ("kd",)), ("pose_spring", ("kt",))),
+    "kelly": (("damping", ("kd",)),),
+    "resolved_rate": (("reference", ("adaptive", "gain")),),
+    "pbvs": (("damping", ("kd",)),),
+    "computed_torque": (("damping", ("kd",)), ("pose_spring", ("kp",))),
+}
+# law -> key of what is left of it then, but for fuzzy output and weight
+_REST = {
+    "hybrid": "image_spring",
+    "composite": "image_spring",
+    "kelly": "image_spring",
+    "resolved_rate": "damping",
+    "pbvs": "pose_spring",
+    "computed_torque": "coriolis_feedforward",
+}
+_NAMES = {
+    "image_spring": "image spring, J-hat^T K_p xi~",
+    "pose_spring": "pose spring",
+    "reference": "reference velocity, K_i v*",
+    "damping": "viscous damping",
+    "switching": "switching term, -K_v sw(chi-dot)",
+    "fuzzy": "fuzzy systems, -tau_f",
+    "coriolis_feedforward": "Coriolis feed-forward",
+    "own": "the controller of one's own, beyond the estimated weight",
+    "acting": "the law, beyond the estimated weight",
+    "gravity": "weight: fed forward minus actual",
+    "coriolis": "Coriolis and inertia errors",
+    "base": "motion of the base",
+    "held": "injected by sampling, delay and devices",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EnergyLedger(Findings):
+    """Works of all terms over a run, and whether they explain its kinetic energy."""
+
+    time: Array = field(repr=False)  # (n,) [s]
+    energy: Array = field(repr=False)  # (n,) kinetic energy of the actual platform [J]
+    works: Mapping[str, Array] = field(repr=False)  # term -> (n - 1,), work from each sample to the next [J]
+    by_axis: Mapping[str, Array] = field(repr=False)  # term -> (6,), work of the whole run by twist component [J]
+    residual: float  # change of the energy minus the sum of the works [J]
+    tolerance: float  # largest residual that the quadrature may leave [J]
+    turnover: float  # sum of the works' absolute values over terms and samples [J]
+    mismatch: float  # largest difference of a rebuilt twist from its sample, by the largest twist [1]
+    negligible: float  # a tolerance below it is small, however little was turned over [J]
+    tossed: int  # steps in which rounding decided a sign, one way in the run and the other way here
+    crossings: int  # steps in which a component of the twist changes its sign
+    remarks: tuple[str, ...]
+
+    @property
+    def closes(self) -> bool:
+        """Whether the works explain the energy, to an error that deserves the word."""
+        return not self.faults
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Say in words why the ledger does not close; empty where it does."""
+        found = []
+        if not self.mismatch <= _SAME:
+            found.append(
+                f"the steps rebuilt from the samples miss the next sample by {self.mismatch:.2g} of the largest twist: "
+                "what acted is not what the log and the law say"
+            )
+        if not abs(self.residual) <= self.tolerance:
+            found.append(f"a residual of {abs(self.residual):.3g} J is beyond the tolerance of {self.tolerance:.3g} J")
+        if not self.tolerance <= max(COARSE * self.turnover, self.negligible):
+            found.append(
+                f"the tolerance itself is {number(100 * self.tolerance / self.turnover, 2)} % of the energy turned "
+                "over: the step is too coarse for a ledger"
+            )
+        return tuple(found)
+
+    def work(self, term: str) -> float:
+        """Work of a term over the whole run [J]."""
+        return float(self.works[term].sum())
+
+    def section(self) -> Section:
+        """Words, the table of works, and curves of the works so far."""
+        change = float(self.energy[-1] - self.energy[0])
+        largest = sorted(self.works, key=lambda term: -float(np.abs(self.works[term]).sum()))
+        gap = (
+            f"the change of kinetic energy and the works of {len(self.works)} terms differ by "
+            f"{joules(abs(self.residual), 2)}, {_part(abs(self.residual), self.turnover)} of the "
+            f"{joules(self.turnover)} that were turned over (tolerance {joules(self.tolerance, 2)})"
+        )
+        verdict = (
+            f"The energy ledger closes: {gap}."
+            if self.closes
+            else f"The energy ledger does not close: {'; '.join(self.faults)}."
+        )
+        sentences = [verdict]
+        if "held" in self.works:
+            injected = self.work("held")
+            sentences.append(
+                f"Sampling, delay and devices {'put' if injected > 0 else 'took'} {joules(abs(injected))} "
+                f"{'into' if injected > 0 else 'out of'} the platform, compared with the law at each instant's true "
+                "state."
+            )
+        sentences += [
+            f"{name} {'took out' if self.work(term) < 0 else 'put in'} {joules(abs(self.work(term)))}."
+            for term, name in (("switching", "The switching term"), ("damping", "Viscous damping"))
+            if term in self.works
+        ]
+        sentences.extend(self.remarks)
+        sentences.append("This is bookkeeping of one run, and no statement about others.")
+        table = Table(
+            "Work of each term",
+            (
+                Column("term"),
+                Column("work", "uJ"),
+                Column("of translation", "uJ"),
+                Column("of rotation", "uJ"),
+                Column("turned over", "uJ"),
+            ),
+            [
+                (
+                    _NAMES[term],
+                    self.work(term) * 1e6,
+                    float(self.by_axis[term][:3].sum()) * 1e6,
+                    float(self.by_axis[term][3:].sum()) * 1e6,
+                    float(np.abs(self.works[term]).sum()) * 1e6,
+                )
+                for term in self.works
+            ]
+            + [
+                ("sum of the works", sum(map(self.work, self.works)) * 1e6, None, None, self.turnover * 1e6),
+                ("change of kinetic energy", change * 1e6, None, None, None),
+                ("residual", self.residual * 1e6, None, None, None),
+                ("tolerance of the residual", self.tolerance * 1e6, None, None, None),
+            ],
+            note=f"{self.crossings} steps contain a sign change of a twist component.",
+            page=PAGE,
+        )
+        stride = slice(None, None, -(-len(self.time) // _SHOWN))
+        curves = Curves(
+            "Work of each term so far",
+            "time [s]",
+            "work [uJ]",
+            [
+                Line(_NAMES[term], self.time[stride], np.r_[0.0, np.cumsum(self.works[term])][stride] * 1e6)
+                for term in largest
+            ]
+            + [
+                Line(
+                    "change of kinetic energy",
+                    self.time[stride],
+                    (self.energy - self.energy[0])[stride] * 1e6,
+                    "dashed",
+                )
+            ],
+            page=PAGE,
+        )
+        return Section(
+            name="energy",
+            title="Energy ledger",
+            sentences=sentences,
+            items=(table, curves),
+            verdict="good" if self.closes else "bad",
+            data={
+                "works": {term: self.work(term) for term in self.works},
+                "works_by_component": {term: self.by_axis[term] for term in self.works},
+                "change_of_kinetic_energy": change,
+                "residual": self.residual,
+                "tolerance": self.tolerance,
+                "turnover": self.turnover,
+                "mismatch": self.mismatch,
+                "sign_changes": self.crossings,
+                "signs_by_rounding": self.tossed,
+                "closes": self.closes,
+                "faults": list(self.faults),
+            },
+        )
+
+
+def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
+    """Work out the ledger of a run.
+
+    Raises
+    ------
+    ArithmeticError
+        Where the motion of the base could not be measured.
+    """
+    terms = _Terms.of(run)
+    errors = run.scenario.uncertainty
+    plain = np.ndim(errors.inertia) == 0 and np.ndim(errors.coriolis) == 0  # then gyroscopic terms do no work
+    count = len(run.time)
+    inertia = plant.inertia(run.quaternion)
+    energy = 0.5 * np.einsum("ni,nij,nj->n", run.twist, inertia, run.twist)
+    works: dict[str, Array] = {}  # term -> (n - 1, 6)
+    tolerance = mismatch = 0.0
+    tossed = 0
+    smooth = run.continuous and _smooth(run)
+    if smooth:
+        tolerance += _doubled(run, plant, plain)
+    for stages in stages_of(run, plant):
+        wrenches = terms.wrenches(stages, plant)
+        rows = len(stages.tick)
+        inertia_there = plant.inertia(stages.rows("quaternion"))
+        turning = _turning(stages, plant, plain)
+        if not plain:
+            gyroscopic = -plant.coriolis(stages.rows("quaternion"), stages.rows("twist"), inertia_there)
+            wrenches["coriolis"] = gyroscopic.reshape(rows, 4, 6)
+        for term, wrench in wrenches.items():
+            work = stages.step * np.einsum("s,nsj->nj", STAGE_WEIGHTS, wrench * stages.twist)
+            if term == "coriolis":  # turning is of the rotation; shared evenly, since it belongs to no one component
+                work[:, 3:] += stages.step * (turning @ STAGE_WEIGHTS)[:, None] / 3
+            np.add.at(works.setdefault(term, np.zeros((count - 1, 6))), stages.tick, work)
+        if not smooth:
+            tolerance += float(_quadrature(stages, plant, inertia_there, turning)[1].sum())
+        difference, signs, doubt = _compare(run, stages, inertia)
+        mismatch, tossed, tolerance = max(mismatch, difference), tossed + signs, tolerance + doubt
+    total = {term: work.sum(axis=1) for term, work in works.items()}
+    turnover = float(sum(np.abs(work).sum() for work in total.values()))
+    change = float(energy[-1] - energy[0])
+    return EnergyLedger(
+        time=run.time,
+        energy=energy,
+        works=total,
+        by_axis={term: work.sum(axis=0) for term, work in works.items()},
+        residual=change - float(sum(work.sum() for work in total.values())),
+        tolerance=tolerance + _ROUNDING * (turnover + float(energy.max())),
+        turnover=turnover,
+        mismatch=mismatch,
+        negligible=NEGLIGIBLE * float(np.linalg.norm(terms.gravity[:3])) * run.settings.robot.stroke,
+        tossed=tossed,
+        crossings=int(np.count_nonzero((run.twist[1:] * run.twist[:-1] < 0).any(axis=1))),
+        remarks=(*terms.remarks, run.remark),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """Splits what acts in the stages into the law's terms, without a second copy of the law: by gains set to zero."""
+
+    run: Replay
+    without: tuple[tuple[str, _core.Probe], ...]  # term -> the law without it, and without those before it
+    gravity: Array  # (6,) G-bar [N; N m]
+    law_is_known: bool
+    remarks: tuple[str, ...]
+
+    @classmethod
+    def of(cls, run: Replay) -> _Terms:
+        """Prepare the laws with gains set to zero."""
+        scenario = run.scenario
+        remarks: list[str] = []
+        known = not run.own and (run.continuous or scenario.camera.convention == "eye_in_hand")
+        if run.own:
+            remarks.append("The controller is its user's function: its terms are not known, only what acted.")
+        elif not known:
+            remarks.append(
+                "A sampled camera as printed shows nothing between two ticks: the law is not split into terms."
+            )
+        zeroed: list[str] = []
+        without = []
+        for term, gains in _TERMS[scenario.controller.law] if known else ():
+            zeroed += gains
+            without.append((term, probe_without(scenario, *zeroed)))
+        rest = np.zeros((1, 6))
+        gravity = run.probe.estimated_wrenches(np.array([[1.0, 0.0, 0.0, 0.0]]), rest, rest)[2]
+        return cls(run, tuple(without), gravity, known, tuple(remarks))
+
+    def wrenches(self, stages: Stages, plant: Plant) -> dict[str, Array]:
+        """Give the wrench of every term in every stage, (m, 4, 6) [N; N m]; they sum to what acts."""
+        found: dict[str, Array] = {}
+        if not self.law_is_known:
+            found["own" if self.run.own else "acting"] = stages.wrench - self.gravity
+        else:
+            found |= self._of_law(stages)
+        found["gravity"] = np.broadcast_to(self.gravity - plant.weight, stages.wrench.shape)
+        if stages.base is not None:
+            found["base"] = stages.base
+        return found
+
+    def _of_law(self, stages: Stages) -> dict[str, Array]:
+        run, scenario = self.run, self.run.scenario
+        shape = stages.wrench.shape
+        depth = run.probe.measured_depth(stages.rows("depth"))
+        features, position, quaternion, twist = (
+            stages.rows(name) for name in ("features", "position", "quaternion", "twist")
+        )
+        # Inside a stage of the continuous loop, weights are the core's business; no difference below depends on them.
+        weights = None
+        if run.weights is not None and not run.continuous:
+            weights = np.repeat(run.weights[stages.tick], 4, axis=0)
+
+        def law_of(probe: _core.Probe) -> _core.LawProbe:
+            return probe.law(features, depth, position, quaternion, twist, weights)
+
+        whole = law_of(run.probe)
+        found: dict[str, Array] = {}
+        before = whole.wrench
+        for term, probe in self.without:
+            after = law_of(probe).wrench
+            found[term] = (before - after).reshape(shape)
+            before = after
+        law, fuzzy = whole.wrench.reshape(shape), whole.fuzzy_output.reshape(shape)
+        if stages.fuzzy_output is not None:
+            law, fuzzy = stages.wrench, stages.fuzzy_output
+        if run.weights is not None:
+            found["fuzzy"] = -fuzzy
+        rest = law + fuzzy - self.gravity - sum(found[term] for term, _ in self.without)
+        found[_REST[scenario.controller.law]] = found.get(_REST[scenario.controller.law], 0.0) + rest
+        if not run.continuous:
+            found["held"] = stages.wrench - law
+        return found
+
+
+def _quadrature(stages: Stages, plant: Plant, inertia: Array, turning: Array) -> tuple[Array, Array]:
+    """Give what the quadrature misses of the energy in each step [J], and a bound of it (docs/certificate/energy.md).
+
+    In one step from 0 to 1 with stages i, weights b_i, accelerations a_i and their mean a, and with D the actual
+    inertia, M its mean over both ends and u the mean twist, the residual is exactly
+
+        h sum b_i (M u - D_i chi-dot_i).(a_i - a)  +  a.h sum b_i (M u - D_i chi-dot_i)
+        +  1/4 (chi-dot_0.dD chi-dot_0 + chi-dot_1.dD chi-dot_1) - h sum b_i (turning power)_i
+
+    and the bound sums the absolute values of its parts.
+
+    Parameters
+    ----------
+    inertia
+        (4 m, 6, 6), actual, of the stages.
+    turning
+        (m, 4), power of the inertia's turning in the stages [W].
+    """
+    rows = len(stages.tick)
+    first = plant.inertia(np.ascontiguousarray(stages.start_quaternion))
+    last = plant.inertia(np.ascontiguousarray(stages.next_quaternion))
+    mean_twist = (stages.start_twist + stages.next_twist) / 2
+    gap = product((first + last) / 2, mean_twist)[:, None] - product(inertia, stages.rows("twist")).reshape(rows, 4, 6)
+    mean = np.einsum("s,nsj->nj", STAGE_WEIGHTS, stages.acceleration)
+    changing = gap * (stages.acceleration - mean[:, None])
+    steady = (mean * np.einsum("s,nsj->nj", STAGE_WEIGHTS, gap)).sum(axis=1)
+    turned = 0.25 * sum(
+        np.einsum("ni,nij,nj->n", twist, last - first, twist) for twist in (stages.start_twist, stages.next_twist)
+    ) - stages.step * (turning @ STAGE_WEIGHTS)
+    missed = stages.step * (changing.sum(axis=2) @ STAGE_WEIGHTS + steady) + turned
+    bound = stages.step * (np.abs(changing).sum(axis=2) @ STAGE_WEIGHTS + np.abs(steady)) + np.abs(turned)
+    return np.asarray(missed), np.asarray(bound)
+
+
+def _doubled(run: Replay, plant: Plant, plain: bool) -> float:
+    """Bound what the quadrature misses of a smooth run by what it misses in steps twice as long [J].
+
+    That is sixteen times as much where the step is short enough for the method's order to show. In every pair of steps
+    the bound of `_quadrature` holds as well.
+    """
+    tolerance = 0.0
+    for stages in doubled_stages_of(run):
+        inertia = plant.inertia(stages.rows("quaternion"))
+        missed, bound = _quadrature(stages, plant, inertia, _turning(stages, plant, plain))
+        tolerance += float(np.minimum(np.abs(missed), bound).sum())
+    return tolerance
+
+
+def _turning(stages: Stages, plant: Plant, plain: bool) -> Array:
+    """Power of the inertia's turning in the stages, (m, 4) [W]; none where the errors are plain numbers."""
+    if plain:
+        return np.zeros(stages.twist.shape[:2])
+    power = plant.turning_power(*(stages.rows(name) for name in ("position", "quaternion", "twist")))
+    return power.reshape(stages.twist.shape[:2])
+
+
+def _compare(run: Replay, stages: Stages, inertia: Array) -> tuple[float, int, float]:
+    """Compare steps rebuilt to their ends with the samples there.
+
+    With `sign`, rounding decides the sign of a component that is zero but for rounding, and the core's variants may
+    decide otherwise. Such steps are counted, with what they make of the energy.
+
+    Parameters
+    ----------
+    inertia
+        (n, 6, 6), of the samples.
+
+    Returns
+    -------
+    tuple
+        Largest difference of a twist elsewhere, by the largest twist; steps with such a sign; their energy [J].
+    """
+    if not stages.to_sample:
+        return 0.0, 0, 0.0
+    largest = max(float(np.abs(run.twist).max()), np.finfo(float).tiny)
+    ends = stages.tick + 1
+    difference = np.abs(stages.next_twist - run.twist[ends]).max(axis=1) / largest
+    wrong = difference > _SAME
+    if run.continuous and run.scenario.controller.switching.kind == "sign":
+        tossed = wrong & (np.abs(stages.twist) <= _ZERO * largest).any(axis=(1, 2))
+    else:
+        tossed = np.zeros_like(wrong)
+    energies = (
+        0.5 * np.einsum("ni,nij,nj->n", twist[tossed], inertia[ends[tossed]], twist[tossed])
+        for twist in (stages.next_twist, run.twist[ends])
+    )
+    doubt = float(np.abs(next(energies) - next(energies)).sum())
+    return float(difference[~tossed].max(initial=0.0)), int(np.count_nonzero(tossed)), doubt
+
+
+def _smooth(run: Replay) -> bool:
+    """Whether the law has a switching term that is smooth, or none."""
+    terms = [term for term, _ in _TERMS[run.scenario.controller.law]]
+    return "switching" not in terms or run.scenario.controller.switching.kind == "tanh"
+
+
+def _part(value: float, whole: float) -> str:
+    return f"{value / whole:.1g}" if whole > 0 else "none"

@@ -1,0 +1,421 @@
+"""The Lyapunov function (16) along a run of the law `hybrid`, and its rate two ways (docs/certificate/lyapunov.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo.findings.certificate.replay import Plant, Replay, probe_without, sgn_breaks
+from hexservo.findings.certificate.uncertainty import AXES, Assumption, Uncertainty
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.wording import joules, number
+
+__all__ = ["Lyapunov", "Rise", "differentiate", "lyapunov_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+Flags: TypeAlias = NDArray[np.bool_]
+
+PAGE = "docs/certificate/lyapunov.md"
+_ROWS = 12  # of the table of rises, at most
+_SHOWN = 1500  # points of a curve, at most
+# Central differences of a function at distances 1, 2, 3, by half width; errors of order 4 and 6.
+_STENCILS = {2: (8 / 12, -1 / 12), 3: (45 / 60, -9 / 60, 1 / 60)}
+_WIDEST = max(_STENCILS)
+_AGREE = 0.5  # RMS of the difference of the two rates, by that of the rate: beyond it neither is known
+_ABOVE = 0.01  # of the range of V: what it may be above its start by error alone
+
+
+@dataclass(frozen=True, eq=False)
+class Rise:
+    """Samples one after another at which V grows, and what makes it grow most."""
+
+    first: float  # [s]
+    last: float  # [s]
+    samples: int
+    rate: float  # largest V-dot [W]
+    axis: int  # that adds most to it there, 0 to 5
+    term: str  # of that axis, with the largest power: a part of Delta-tau, -tau_f*, or what the weights' options do
+    power: float  # of that part [W]
+    gamma: float  # approximation error of that axis there [N; N m]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Lyapunov(Findings):
+    """V and its terms at n samples, and V-dot from the samples and by (20)."""
+
+    time: Array = field(repr=False)  # (n,) [s]
+    kinetic: Array = field(repr=False)  # (n,) 1/2 chi-dot^T D-bar chi-dot [J]
+    image: Array = field(repr=False)  # (n,) 1/2 xi~^T K_p xi~ [J]
+    weight: Array = field(repr=False)  # (n,) 1/2 sum w~^T Psi w~ [J]
+    change: Array = field(repr=False)  # (n,) V - V(0), to more digits than the sum of the three has [J]
+    differentiated: Array = field(repr=False)  # (n,) V-dot by differences; NaN where there is none [W]
+    predicted: Array = field(repr=False)  # (n,) V-dot by (20) [W]
+    bound: Array = field(repr=False)  # (n,) of the error of V-dot; NaN where there is none [W]
+    rises: tuple[Rise, ...]
+    switched: int  # samples left out next to a step with a sign change of chi-dot_j, with `sign`
+    limited: int  # samples left out next to a step at whose end the weights' limit acted
+    change_in_switches: float  # of V, over all steps with a sign change [J]
+    rise_in_a_switch: float  # largest of one such step; 0 where V falls in all of them [J]
+    switching: str  # kind of the switching function
+
+    @property
+    def value(self) -> Array:
+        """V, (n,) [J]."""
+        return self.kinetic + self.image + self.weight
+
+    @property
+    def compared(self) -> int:
+        """Samples at which the two rates were compared."""
+        return int(np.count_nonzero(np.isfinite(self.differentiated)))
+
+    @property
+    def disagreement(self) -> Array:
+        """(n,), difference of the two rates; NaN where there is none [W]."""
+        return self.differentiated - self.predicted
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the two rates are the same on the whole; otherwise the step is too coarse to say where V grows."""
+        known = np.isfinite(self.differentiated)
+        if not known.any():
+            return False
+        gap, rate = (float(np.sqrt(np.mean(values[known] ** 2))) for values in (self.disagreement, self.predicted))
+        return gap <= _AGREE * rate + _rounding(self.change, float(self.time[1] - self.time[0]))
+
+    @property
+    def above_start(self) -> bool:
+        """Whether V was above its start anywhere, also in steps that are left out, by more than error explains."""
+        return float(self.change.max()) > _ABOVE * float(np.ptp(self.change))
+
+    def section(self) -> Section:
+        """Words, the table of rises, curves of V, of its change and of its rate."""
+        gap = np.abs(self.disagreement[np.isfinite(self.differentiated)])
+        largest, rms = (float(gap.max()), float(np.sqrt(np.mean(gap**2)))) if len(gap) else (np.nan, np.nan)
+        scale = float(np.abs(self.predicted).max())
+        change, top = float(self.change[-1]), float(self.change.max())
+        rising = sum(rise.samples for rise in self.rises)
+        sentences = []
+        if not len(gap):
+            sentences.append("No sample has enough neighbours without a switch: V-dot could not be compared.")
+        elif not self.agrees:
+            sentences.append(
+                "The two rates of V do not agree: their RMS difference is more than half of the rate itself. The step "
+                f"is too coarse to say where V grows; from start to end it changed by {joules(change)}."
+            )
+        elif rising == 0:
+            sentences.append(
+                f"V-dot was not positive beyond the integrator's error at any of the {self.compared} samples compared "
+                f"(of {len(self.time)}); V changed by {joules(change)} in all."
+            )
+            if self.above_start:
+                highest = float(self.time[int(self.change.argmax())])
+                sentences.append(
+                    f"Yet V was {joules(top, 3)} above its start at t = {highest:.4g} s: it grew where that "
+                    "error is large, or at samples that are left out."
+                )
+        else:
+            worst = max(self.rises, key=lambda rise: rise.rate)
+            sentences.append(
+                f"V grew at {rising} of {self.compared} samples compared (of {len(self.time)}), by up to "
+                f"{joules(worst.rate, 3, 'W')} at t = {worst.first:.4g} to {worst.last:.4g} s, most of it by "
+                f"{_blame(worst)}; "
+                f"over the whole run V changed by {joules(change)}."
+            )
+        if len(gap):
+            sentences.append(
+                f"V-dot by differences and by (20) differ by {joules(largest, 2, 'W')} at most and "
+                f"{joules(rms, 2, 'W')} RMS, "
+                f"of up to {joules(scale, 4, 'W')}; where all is smooth the difference falls with the fourth power of "
+                "the step."
+            )
+        start = float(self.value[0])
+        sentences.append(
+            f"V starts at {number(start)} J, of which {number(float(self.weight[0]))} J are the distance of the "
+            f"weights from the best ones, and was at most {joules(max(top, 0.0), 3)} above its start."
+        )
+        if self.switched:
+            sentences.append(
+                f"{self.switched} of {len(self.time)} samples lie next to a step in which sgn changes and are left "
+                f"out: V-dot jumps there. In those steps V changed by {joules(self.change_in_switches, 3)} in all, "
+                f"and grew by at most {joules(self.rise_in_a_switch, 2)} in one."
+            )
+        if self.limited:
+            sentences.append(
+                f"{self.limited} samples lie next to a step that the weights' limit cut and are left out; the cut "
+                "itself never raises V, since w* keeps the limit."
+            )
+        if rising and self.switching in ("tanh", "saturation"):
+            sentences.append(
+                f"With {self.switching} K_v acts in full only outside of its layer: V may grow inside it although the "
+                "assumption holds."
+            )
+        sentences.append(
+            "This is a numerical check at the samples of one trajectory and proves no stability. V contains w*, which "
+            "is known only afterwards; and even a V that falls from every start means stability, not convergence: "
+            "friction-like switching may hold an error for good."
+        )
+        return Section(
+            name="lyapunov",
+            title="Lyapunov function along the run",
+            sentences=sentences,
+            items=self._items(),
+            verdict=self._verdict(),
+            data={
+                "start": {
+                    "total": float(self.value[0]),
+                    "kinetic": float(self.kinetic[0]),
+                    "image": float(self.image[0]),
+                    "weights": float(self.weight[0]),
+                },
+                "end": {
+                    "total": float(self.value[-1]),
+                    "kinetic": float(self.kinetic[-1]),
+                    "image": float(self.image[-1]),
+                    "weights": float(self.weight[-1]),
+                },
+                "change": change,
+                "largest_above_start": top,
+                "disagreement_max": largest,
+                "disagreement_rms": rms,
+                "rates_agree": self.agrees,
+                "largest_rate": scale,
+                "samples": len(self.time),
+                "samples_compared": self.compared,
+                "samples_left_out_switching": self.switched,
+                "samples_left_out_limit": self.limited,
+                "change_in_switches": self.change_in_switches,
+                "rise_in_a_switch": self.rise_in_a_switch,
+                "samples_rising": rising,
+                "rises": [vars(rise) for rise in self.rises],
+            },
+        )
+
+    def _verdict(self) -> Literal["good", "warning", "open"]:
+        if not self.agrees:
+            return "warning" if self.above_start else "open"
+        return "warning" if self.rises or self.above_start else "good"
+
+    def _items(self) -> tuple[Table | Curves, ...]:
+        stride = slice(None, None, -(-len(self.time) // _SHOWN))
+        time = self.time[stride]
+        floor = np.finfo(float).tiny
+        rises = sorted(self.rises, key=lambda rise: -rise.rate)
+        table = Table(
+            "Where V grows, worst first",
+            (
+                Column("from", "s"),
+                Column("to", "s"),
+                Column("samples"),
+                Column("largest V-dot", "uW"),
+                Column("axis"),
+                Column("term to blame"),
+                Column("its power", "uW"),
+                Column("gamma of the axis"),
+            ),
+            [
+                (
+                    rise.first,
+                    rise.last,
+                    rise.samples,
+                    rise.rate * 1e6,
+                    AXES[rise.axis],
+                    rise.term,
+                    rise.power * 1e6,
+                    rise.gamma,
+                )
+                for rise in rises[:_ROWS]
+            ],
+            note=f"{len(rises)} stretches in all. gamma in N or N m.",
+            page=PAGE,
+        )
+        terms = (("kinetic energy", self.kinetic), ("image error", self.image), ("weight error", self.weight))
+        return (
+            *((table,) if rises else ()),
+            Curves(
+                "V and its terms",
+                "time [s]",
+                "energy [J]",
+                [Line("V", time, np.maximum(self.value[stride], floor))]
+                + [Line(name, time[part[stride] > 0], part[stride][part[stride] > 0]) for name, part in terms],
+                y_log=True,
+                page=PAGE,
+            ),
+            Curves(
+                "Change of V and of its terms since the start",
+                "time [s]",
+                "change [uJ]",
+                [Line("V", time, self.change[stride] * 1e6)]
+                + [Line(name, time, (part - part[0])[stride] * 1e6) for name, part in terms[:2]]
+                + [
+                    Line(
+                        "weight error",
+                        time,
+                        (self.change - (self.kinetic - self.kinetic[0]) - (self.image - self.image[0]))[stride] * 1e6,
+                    )
+                ],
+                page=PAGE,
+            ),
+            Curves(
+                "V-dot, two ways",
+                "time [s]",
+                "V-dot [uW]",
+                [
+                    Line("by (20)", time, self.predicted[stride] * 1e6),
+                    Line("by differences of V", time, self.differentiated[stride] * 1e6, "points"),
+                ],
+                page=PAGE,
+            ),
+        )
+
+
+def lyapunov_of(run: Replay, plant: Plant, uncertainty: Uncertainty, assumption: Assumption) -> Lyapunov:
+    """Follow V along a run of the law `hybrid` in continuous mode, with the best weights of `assumption`."""
+    settings = run.settings
+    assert isinstance(settings, _core.HybridSettings)
+    kinetic = 0.5 * np.einsum("ni,nij,nj->n", run.twist, run.probe.inertia(run.quaternion), run.twist)
+    image = 0.5 * (run.feature_error**2) @ settings.gains.kp
+    sign = settings.switching.kind == _core.SwitchingKind.sign
+    believed = run.probe.measured_depth(run.depth)
+    state = (run.features, believed, run.position, run.quaternion, run.twist)
+    switching = run.probe.law(*state).wrench - probe_without(run.scenario, "kv").law(*state).wrench  # -K_v sw(chi-dot)
+    # chi-dot^T gamma by axis: what neither K_v nor fuzzy systems answer.
+    own = run.twist * (assumption.gamma + switching)
+    options = np.zeros_like(own)
+    weight = learned = np.zeros(len(run.time))
+    breaks = sgn_breaks(run.twist) if sign else np.zeros(len(run.time) - 1, dtype=bool)
+    cut = np.zeros_like(breaks)
+    if run.weights is not None:
+        assert uncertainty.basis is not None
+        assert uncertainty.adaptation is not None
+        fuzzy = settings.gains.fuzzy
+        weights = run.weights.reshape(len(run.time), 6, -1)
+        ideal = assumption.ideal
+        missing = ideal - weights  # w~
+        weight = 0.5 * np.einsum("j,njk,njk->n", fuzzy.adaptation, missing, missing)
+        # Without the constant part, which may be many orders of magnitude larger than what changes.
+        learnt = weights - weights[0]
+        learned = np.einsum("j,njk,njk->n", fuzzy.adaptation, 0.5 * learnt - missing[0], learnt)
+        # w~.(chi-dot_j phi-bar - Psi w-dot): zero by (22), but for dead zone and leakage.
+        taught = np.einsum("njk,njk->nj", missing, uncertainty.basis)
+        forgotten = np.einsum("njk,njk->nj", missing, weights) * fuzzy.leakage
+        options = taught * (run.twist - fuzzy.adaptation * uncertainty.adaptation) + fuzzy.adaptation * forgotten
+        finite = np.isfinite(fuzzy.weight_limit)
+        reached = np.abs(weights[:, finite]).max(axis=2, initial=0.0) >= fuzzy.weight_limit[finite] * (1 - 1e-12)
+        cut = np.asarray(reached[1:].any(axis=1))
+    change = (kinetic - kinetic[0]) + (image - image[0]) + learned
+    predicted = (own + options).sum(axis=1)
+    differentiated = differentiate(change, run.step, breaks | cut)
+    bound = _error_bound(differentiated - predicted, change, run.step)
+    parts = {f"{name} error": power for name, power in uncertainty.parts.items()}
+    return Lyapunov(
+        time=run.time,
+        kinetic=kinetic,
+        image=image,
+        weight=weight,
+        change=change,
+        differentiated=differentiated,
+        predicted=predicted,
+        bound=bound,
+        rises=_rises(
+            run, predicted, bound, own, options, parts, assumption.gamma, uncertainty.total - assumption.gamma
+        ),
+        switched=_beside(breaks),
+        limited=_beside(cut),
+        change_in_switches=float(np.diff(change)[breaks].sum()),
+        rise_in_a_switch=float(np.diff(change)[breaks].max(initial=0.0)),
+        switching=settings.switching.kind.name,
+    )
+
+
+def differentiate(values: Array, step: float, breaks: Flags) -> Array:
+    """Differentiate samples by central differences over up to seven of them, (n,).
+
+    Parameters
+    ----------
+    values
+        (n,), evenly spaced.
+    step
+        Between two samples.
+    breaks
+        (n - 1,), steps that no difference may reach over. Where fewer than two steps on either side are free of them,
+        there is no derivative: NaN. With two the error is of fourth order in the step, with three of sixth.
+    """
+    count = len(values)
+    found = np.full(count, np.nan)
+    blocked = np.r_[True, np.asarray(breaks, dtype=bool), True]  # nothing before the first sample and after the last
+    for half, weights in _STENCILS.items():  # the wider one overwrites the narrower one
+        if count < 2 * half + 1:
+            continue
+        middle = np.arange(half, count - half)
+        free = ~np.any([blocked[middle + offset] for offset in range(1 - half, half + 1)], axis=0)
+        slope = np.zeros(len(middle))
+        for distance, weight in enumerate(weights, start=1):
+            slope += weight * (values[middle + distance] - values[middle - distance])
+        found[middle[free]] = (slope / step)[free]
+    return found
+
+
+def _error_bound(disagreement: Array, change: Array, step: float) -> Array:
+    """Give the largest disagreement within reach of the differences, and their rounding; NaN where there is none."""
+    count = len(disagreement)
+    known = np.abs(np.nan_to_num(disagreement, nan=0.0))
+    padded = np.pad(known, _WIDEST)
+    nearby = np.max([padded[offset : offset + count] for offset in range(2 * _WIDEST + 1)], axis=0)
+    return np.where(np.isfinite(disagreement), nearby + _rounding(change, step), np.nan)
+
+
+def _rounding(change: Array, step: float) -> float:
+    """Give what rounding may make of a difference of V [W]."""
+    return 4 * np.finfo(float).eps * float(np.abs(change).max(initial=0.0)) / step
+
+
+def _beside(breaks: Flags) -> int:
+    """Count the samples at either end of a step that is left out."""
+    return int(np.count_nonzero(np.r_[False, breaks] | np.r_[breaks, False]))
+
+
+def _rises(
+    run: Replay,
+    predicted: Array,
+    bound: Array,
+    own: Array,
+    options: Array,
+    parts: Mapping[str, Array],
+    gamma: Array,
+    ideal: Array,
+) -> tuple[Rise, ...]:
+    """Find the stretches in which V grows beyond the error of its rate, each with the term to blame at its worst."""
+    with np.errstate(invalid="ignore"):
+        growing = predicted > bound  # false where there is no bound
+    edges = np.flatnonzero(np.diff(np.r_[False, growing, False].astype(np.int8)))
+    rises = []
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        worst = int(first + np.argmax(predicted[first:end]))
+        axis = int(np.argmax((own + options)[worst]))
+        powers = {name: float(run.twist[worst, axis] * part[worst, axis]) for name, part in parts.items()}
+        powers["best weights' output, -tau_f*"] = float(run.twist[worst, axis] * -ideal[worst, axis])
+        powers["dead zone and leakage of the weights"] = float(options[worst, axis])
+        term = max(powers, key=lambda name: powers[name])
+        rises.append(
+            Rise(
+                first=float(run.time[first]),
+                last=float(run.time[end - 1]),
+                samples=int(end - first),
+                rate=float(predicted[worst]),
+                axis=axis,
+                term=term,
+                power=powers[term],
+                gamma=float(gamma[worst, axis]),
+            )
+        )
+    return tuple(rises)
+
+
+def _blame(rise: Rise) -> str:
+    return f"{AXES[rise.axis]} ({rise.term}; gamma = {rise.gamma:.3g} there)"

@@ -1,0 +1,240 @@
+"""The overall uncertainty of a run, Delta-tau of (19), and how well fuzzy systems could have matched it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo.findings.certificate.replay import Plant, Replay, product
+from hexservo.findings.certificate.weights import BestWeights, best_weights
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.wording import number
+
+__all__ = ["AXES", "UNITS", "Assumption", "Uncertainty", "assumption_of", "uncertainty_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+PAGE = "docs/certificate/assumption.md"
+AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
+UNITS = ("N", "N", "N", "N m", "N m", "N m")
+_ROUNDING = 1e-12  # of the largest force or moment: gamma is a difference of such numbers
+_SHOWN = 1500  # points of a curve, at most
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Delta-tau at every sample, as the simulation knows it, with its parts and the fuzzy basis there."""
+
+    parts: Mapping[str, Array]  # inertia, Coriolis, gravity, depth error -> (n, 6) [N; N m]; they sum to `total`
+    total: Array  # (n, 6), Delta-tau [N; N m]
+    basis: Array | None  # (n, 6, 49), phi-bar; None without fuzzy systems
+    adaptation: Array | None  # (n, 6), omega_j-dot = adaptation_j phi-bar_j, but for leakage and limit [N/s; N m/s]
+
+
+def uncertainty_of(run: Replay, plant: Plant) -> Uncertainty:
+    """Work out Delta-tau of a run of the law `hybrid` (docs/certificate/assumption.md)."""
+    probe, settings = run.probe, run.settings
+    assert isinstance(settings, _core.HybridSettings)
+    inertia = plant.inertia(run.quaternion)
+    acceleration = probe.acceleration(run.position, run.quaternion, run.twist, run.wrench)
+    inertial, coriolis, gravity = probe.estimated_wrenches(run.quaternion, run.twist, acceleration)
+    believed = probe.measured_depth(run.depth)
+    jacobian_error = probe.image_jacobian(run.features, believed, run.quaternion, True) - probe.image_jacobian(
+        run.features, run.depth, run.quaternion
+    )
+    parts = {
+        "inertia": inertial - product(inertia, acceleration),
+        "Coriolis": coriolis - plant.coriolis(run.quaternion, run.twist, inertia),
+        "gravity": np.broadcast_to(gravity - plant.weight, run.twist.shape),
+        "image Jacobian": np.einsum("nij,ni->nj", jacobian_error, settings.gains.kp * run.feature_error),
+    }
+    # delta-tau by (3): what the estimated dynamics need for this motion and tau does not give. No delta enters.
+    total = inertial + coriolis + gravity - run.wrench + parts["image Jacobian"]
+    if run.weights is None:
+        return Uncertainty(parts, total, None, None)
+    law = probe.law(run.features, believed, run.position, run.quaternion, run.twist, run.weights)
+    assert law.error_memberships is not None
+    assert law.rate_memberships is not None
+    basis = law.error_memberships[:, :, :, None] * law.rate_memberships[:, :, None, :]
+    return Uncertainty(parts, total, basis.reshape(len(total), 6, -1), law.adaptation)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Assumption(Findings):
+    """Whether k_v,j >= eta_Delta,j held along a run, axis by axis."""
+
+    kv: Array  # (6,) [N; N m]
+    eta: Array  # (6,), eta_Delta: largest |gamma_j| with the best weights [N; N m]
+    lower_bound: Array  # (6,), no weights within the limit have a smaller one [N; N m]
+    largest: Array  # (6,), largest |Delta-tau_j| [N; N m]
+    instants: Array  # (6,), when |gamma_j| is largest [s]
+    weights: tuple[BestWeights, ...] | None  # by axis; None without fuzzy systems
+    gamma: Array = field(repr=False)  # (n, 6), Delta-tau - tau_f* [N; N m]
+    time: Array = field(repr=False)  # (n,) [s]
+    rounding: Array = field(repr=False)  # (6,), what rounding leaves of a gamma_j that is zero [N; N m]
+
+    @property
+    def margin(self) -> Array:
+        """(6,), k_v - eta_Delta [N; N m]."""
+        return self.kv - self.eta
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """(6,), whether the axis kept the assumption, but for rounding."""
+        return np.asarray(self.margin >= -self.rounding)
+
+    @property
+    def ideal(self) -> Array:
+        """tau_f* = Delta-tau - gamma follows from it; the best weights, (6, 49) [N; N m]."""
+        if self.weights is None:
+            return np.zeros((6, 0))
+        return np.stack([best.weights for best in self.weights])
+
+    def section(self) -> Section:
+        """Words, a table by axis, and gamma over time."""
+        failed = np.flatnonzero(~self.held)
+        if len(failed) == 0:
+            axis = int(np.argmin(self.margin / np.where(self.kv > 0, self.kv, 1.0)))
+            sentences = [
+                f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; it was "
+                f"closest on {AXES[axis]}, where an error of {self.eta[axis]:.3g} {UNITS[axis]} stands against "
+                f"k_v = {self.kv[axis]:.3g} {UNITS[axis]}."
+            ]
+        else:
+            axis = int(failed[np.argmax(self.eta[failed] / np.maximum(self.kv[failed], np.finfo(float).tiny))])
+            sentences = [
+                f"The theorem's assumption k_v >= eta_Delta did not hold on {len(failed)} of 6 axes "
+                f"({', '.join(AXES[j] for j in failed)}); worst on {AXES[axis]}, where an error of "
+                f"{self.eta[axis]:.3g} {UNITS[axis]} at t = {self.instants[axis]:.4g} s stands against "
+                f"k_v = {self.kv[axis]:.3g} {UNITS[axis]}."
+            ]
+        if self.weights is None:
+            sentences.append("No fuzzy systems act: gamma is Delta-tau itself.")
+        else:
+            sentences.append(
+                "eta_Delta is that of the best weights for this run, found afterwards; weights that the law learned "
+                "are others."
+            )
+            limited = [j for j in failed if self.weights[j].limited]
+            if limited:
+                sentences.append(
+                    f"Weights were limited to {number(self.weights[limited[0]].limit)} {UNITS[limited[0]]} on "
+                    f"{AXES[limited[0]]}; larger ones could have a smaller error there."
+                )
+        sentences.append("This holds at the samples of one trajectory, and is no statement about others.")
+        rows = [
+            (
+                AXES[j],
+                UNITS[j],
+                float(self.kv[j]),
+                float(self.largest[j]),
+                float(self.eta[j]),
+                float(self.margin[j]),
+                "yes" if self.held[j] else "no",
+                float(self.instants[j]),
+                None if self.weights is None else float(np.linalg.norm(self.weights[j].weights)),
+            )
+            for j in range(6)
+        ]
+        table = Table(
+            "Assumption of the theorem, axis by axis",
+            (
+                Column("axis"),
+                Column("unit"),
+                Column("k_v"),
+                Column("largest |Delta-tau|"),
+                Column("eta_Delta"),
+                Column("margin"),
+                Column("held"),
+                Column("largest at", "s"),
+                Column("norm of w*"),
+            ),
+            rows,
+            note="Margin: k_v - eta_Delta.",
+            page=PAGE,
+        )
+        stride = slice(None, None, -(-len(self.time) // _SHOWN))
+        curves = Curves(
+            "Error that the best weights leave, as a part of k_v",
+            "time [s]",
+            "gamma_j / k_v,j [1]",
+            [
+                Line(AXES[j], self.time[stride], self.gamma[stride, j] / self.kv[j])
+                for j in range(6)
+                if self.kv[j] > 0.0
+            ],
+            note="The assumption holds where all are within -1 and 1.",
+            page=PAGE,
+        )
+        return Section(
+            name="assumption",
+            title="Assumption of the stability theorem",
+            sentences=sentences,
+            items=(table, curves) if curves.lines else (table,),
+            verdict="good" if bool(self.held.all()) else "warning",
+            data={
+                "kv": self.kv,
+                "eta": self.eta,
+                "lower_bound": self.lower_bound,
+                "margin": self.margin,
+                "held": self.held,
+                "held_on_all_axes": bool(self.held.all()),
+                "largest_uncertainty": self.largest,
+                "time_of_largest_error": self.instants,
+                "weight_limit": None if self.weights is None else [best.limit for best in self.weights],
+                "limited": None if self.weights is None else [best.limited for best in self.weights],
+                "best_weights": self.ideal,
+            },
+        )
+
+
+def assumption_of(run: Replay, uncertainty: Uncertainty, *, smallest: bool = True) -> Assumption:
+    """Find the best weights of every axis, and compare what they leave with K_v.
+
+    Parameters
+    ----------
+    smallest
+        Whether ties between weights matter: without, the error is the same, to the part that counts as a tie.
+
+    Raises
+    ------
+    ArithmeticError
+        Where the solver of the linear programs gives up.
+    """
+    settings = run.settings
+    assert isinstance(settings, _core.HybridSettings)
+    kv = np.array(settings.gains.kv)
+    total = uncertainty.total
+    largest = np.abs(total).max(axis=0)
+    if uncertainty.basis is None:
+        weights, gamma, lower = None, total, largest
+    else:
+        limits = settings.gains.fuzzy.weight_limit
+        weights = tuple(
+            best_weights(
+                uncertainty.basis[:, j],
+                total[:, j],
+                float(limits[j]) if np.isfinite(limits[j]) else None,
+                smallest=smallest,
+            )
+            for j in range(6)
+        )
+        output = np.stack([uncertainty.basis[:, j] @ weights[j].weights for j in range(6)], axis=1)
+        gamma, lower = total - output, np.array([best.lower_bound for best in weights])
+    return Assumption(
+        kv=kv,
+        eta=np.abs(gamma).max(axis=0),
+        lower_bound=lower,
+        largest=largest,
+        instants=run.time[np.abs(gamma).argmax(axis=0)],
+        weights=weights,
+        gamma=gamma,
+        rounding=_ROUNDING * np.repeat(np.abs(run.wrench).reshape(-1, 2, 3).max(axis=(0, 2)), 3),
+        time=run.time,
+    )

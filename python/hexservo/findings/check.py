@@ -1,0 +1,216 @@
+"""What is legal in a scenario and surely not meant, and which of its keys have no effect: for ``hexservo check``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hexservo.findings.analysis.linear_law import NoRestError, linear_law, linear_plant
+from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
+from hexservo.findings.analysis.reach import LegMargin, reach_of_start_and_goal
+from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.scenario.scenario import LAWS, Scenario, default_of, keys_below, value_at
+from hexservo.scenario.wording import number, quantity
+
+__all__ = ["keys_without_effect", "unlikely"]
+
+_TICKS = 10  # servo periods in the shortest time constant of a loop that a held wrench hardly disturbs
+
+
+def unlikely(scenario: Scenario) -> list[str]:
+    """Return a sentence for each thing that is legal and surely not meant.
+
+    The weight at home against the force limits, home against the base, stroke against the leg lengths, start and goal
+    against stroke and image, and in sampled mode the servo period against the loop of the gains, linear at home with
+    the switching term as `linear_law` takes it. Nothing is run.
+    """
+    scene = scene_of(scenario)
+    return [*_of_legs(scene), *_of_goal(scene), *_of_image(scenario), *_of_period(scene)]
+
+
+def _of_legs(scene: Scene) -> Iterator[str]:
+    robot = scene.scenario.robot
+    weight = (1.0 - np.array(scene.settings.uncertainty.dynamics.gravity)) * scene.body.gravity_wrench
+    forces = scene.hexapod.leg_forces(scene.home.position, scene.home.quaternion, weight)
+    leg = int(np.abs(forces).argmax())
+    if abs(forces[leg]) > robot.force_limit:
+        yield (
+            f"robot.force_limit: {number(robot.force_limit)} N is less than the {number(abs(forces[leg]))} N that leg "
+            f"{leg + 1} needs to carry the platform's weight at home"
+        )
+    if robot.home_position[2] > 0:
+        yield (
+            f"robot.home_position: z = {quantity(robot.home_position[2], 'm')} puts home below the base, since z "
+            "points down; above the base z is negative"
+        )
+    shortest = float(np.min(scene.hexapod.home_lengths))
+    if robot.stroke > shortest:
+        yield (
+            f"robot.stroke: {quantity(robot.stroke, 'm')} either way is longer than a leg, of "
+            f"{quantity(shortest, 'm')} at home"
+        )
+
+
+def _of_goal(scene: Scene) -> Iterator[str]:
+    reach = reach_of_start_and_goal(scene.scenario)
+    if not reach.start.within:
+        yield f"robot.home_position: the start is out of reach: {_beyond(reach.start)}"
+    if reach.residual > scene.band:
+        yield (
+            "target.desired_features: no pose was found that shows them; the best one leaves "
+            f"{number(reach.residual)} px"
+        )
+    elif reach.goal_within is False and reach.nearest is not None:
+        yield f"target.desired_features: the goal is out of reach: {_beyond(reach.nearest)}"
+
+
+def _beyond(margin: LegMargin) -> str:
+    return f"leg {margin.leg} would be {quantity(-margin.margin, 'm')} beyond its stroke"
+
+
+def _of_image(scenario: Scenario) -> Iterator[str]:
+    if scenario.camera.image_size is None:
+        return
+    half = np.asarray(scenario.camera.image_size) / 2.0
+    scene = scene_of(scenario)
+    seen = {
+        "target.desired_features: the goal": scene.desired,
+        "target: the start": scene.view(scene.home).features,
+    }
+    for what, features in seen.items():
+        outside = np.flatnonzero((np.abs(features.reshape(4, 2)) > half).any(axis=1)) + 1
+        if len(outside):
+            points = f"point{'s' if len(outside) > 1 else ''} {', '.join(map(str, outside))}"
+            yield f"{what} is outside the image of {half[0] * 2:.0f} x {half[1] * 2:.0f} px ({points})"
+
+
+def _of_period(scene: Scene) -> Iterator[str]:
+    scenario = scene.scenario
+    if scenario.simulation.mode != "sampled":
+        return
+    try:
+        rate = fastest_rate(scene)
+    except (NoRestError, NotApplicableError):  # no law can be evaluated at home
+        return
+    period, shortest = scenario.simulation.step, float(f"{1.0 / rate:.2g}") if rate > 0 else np.inf
+    if _TICKS * period > shortest * (1.0 + 1e-9):
+        yield (
+            f"simulation.step: a servo period of {quantity(period, 's')} is coarser than a tenth of the gains' "
+            f"shortest time constant, {quantity(shortest, 's')}"
+        )
+
+
+def fastest_rate(scene: Scene) -> float:
+    """Return the largest magnitude of the poles of law and plant [1/s], in continuous time, linear at home.
+
+    The law is that of the servo tick with a fresh image (`linear_law`), the plant the actual one (`linear_plant`); the
+    weights of the fuzzy systems stay as they are. `tanh` and `saturation` count with their slope at rest; otherwise
+    K_v = 0, since dry friction has no pole.
+
+    Raises
+    ------
+    NoRestError
+        Where the law cannot be evaluated at home.
+    """
+    calm = quiet(scene.scenario)
+    law = linear_law(calm, scene, scene.home, smooth=_has_slope(scene.scenario))
+    push = linear_plant(calm, scene.home).acceleration
+    by_pose, by_twist = push @ (law.frame[:, :6] + law.pose), push @ law.twist
+    poles = np.linalg.eigvals(np.block([[np.zeros((6, 6)), np.eye(6)], [by_pose, by_twist]]))
+    return float(np.abs(poles).max())
+
+
+# ---- Keys without effect --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Condition:
+    """Keys that act under a condition alone."""
+
+    keys: tuple[str, ...]  # blocks or keys
+    acts: Callable[[Scenario], bool]
+    when: str  # the condition, as it follows "they act"
+
+
+def _switches(scenario: Scenario) -> bool:
+    return scenario.controller.law in ("hybrid", "composite")
+
+
+def _has_slope(scenario: Scenario) -> bool:
+    return _switches(scenario) and scenario.controller.switching.kind in ("tanh", "saturation")
+
+
+def _of_law(law: str) -> _Condition:
+    return _Condition(
+        (f"controller.{law}",), lambda scenario: scenario.controller.law == law, f"with controller.law: {law} alone"
+    )
+
+
+def _of_fuzzy(law: str) -> _Condition:
+    block = f"controller.{law}.fuzzy"
+
+    def enabled(scenario: Scenario) -> bool:
+        return scenario.controller.law != law or value_at(scenario, f"{block}.enabled") is True
+
+    return _Condition((block,), enabled, f"with {block}.enabled: true alone")
+
+
+def _of_motion(keys: str, kind: str) -> _Condition:
+    return _Condition(
+        tuple(f"base_motion.{key}" for key in keys.split()),
+        lambda scenario: scenario.base_motion.kind == kind,
+        f"with base_motion.kind: {kind} alone",
+    )
+
+
+_CONDITIONS = (
+    *map(_of_law, LAWS),
+    *map(_of_fuzzy, ("hybrid", "composite")),
+    _Condition(
+        ("controller.resolved_rate.gain_far", "controller.resolved_rate.gain_slope"),
+        lambda scenario: scenario.controller.law != "resolved_rate" or scenario.controller.resolved_rate.adaptive,
+        "with controller.resolved_rate.adaptive: true alone",
+    ),
+    _Condition(("controller.switching.kind",), _switches, "with the laws hybrid and composite alone"),
+    _Condition(("controller.switching.width",), _has_slope, "where tanh or saturation is the switching term alone"),
+    _Condition(
+        ("camera.outlier_size",),
+        lambda scenario: scenario.camera.outlier_probability > 0,
+        "with camera.outlier_probability above 0 alone",
+    ),
+    _Condition(
+        ("camera.outlier_probability",),
+        lambda scenario: scenario.camera.outlier_size > 0,
+        "with camera.outlier_size above 0 alone",
+    ),
+    _Condition(
+        ("camera.on_lost",), lambda scenario: scenario.camera.image_size is not None, "with camera.image_size alone"
+    ),
+    _Condition(
+        tuple(f"sensors.{key}" for key in ("rate", "resolution", "noise", "period")),
+        lambda scenario: scenario.sensors.pose == "encoders",
+        "with sensors.pose: encoders alone",
+    ),
+    _of_motion("amplitude frequency phase", "sinusoid"),
+    _of_motion("level low_frequency high_frequency", "noise"),
+    _of_motion("samples sample_period", "recorded"),
+)
+
+
+def keys_without_effect(scenario: Scenario) -> list[str]:
+    """Return a sentence for each group of keys that differ from their defaults and do not act with the others.
+
+    They are legal: a scenario that is compared with another law, or runs once without its outliers, keeps them.
+    """
+    sentences = []
+    for condition in _CONDITIONS:
+        if condition.acts(scenario):
+            continue
+        keys = [key for name in condition.keys for key in keys_below(name) if not key.endswith(".enabled")]
+        keys = [key for key in keys if value_at(scenario, key) != default_of(key)]
+        if keys:
+            has, acts = ("has", "it acts") if len(keys) == 1 else ("have", "they act")
+            sentences.append(f"{', '.join(keys)}: {has} no effect here; {acts} {condition.when}")
+    return sentences

@@ -1,0 +1,167 @@
+"""Why a run failed: each suspected cause is removed from the scenario by itself, and the run repeated."""
+
+from __future__ import annotations
+
+from hexservo.findings.diagnosis.causes import CAUSES
+from hexservo.findings.diagnosis.criterion import Judgement, Record
+from hexservo.findings.diagnosis.evidence import SIGNATURES, Signature
+from hexservo.findings.diagnosis.findings import Diagnosis, Finding, Remedy
+from hexservo.findings.diagnosis.model import Case, Removal
+from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs, rank, study
+from hexservo.findings.diagnosis.runs import Run, record_of, run_all
+from hexservo.findings.diagnosis.words import how, margins, misses, warnings_of
+from hexservo.run.result import Result
+
+__all__ = ["Diagnosis", "Finding", "Remedy", "diagnose"]
+
+_LIKELY = 0.3  # score from which on a cause gets a remedy
+_REMEDIES = 3  # causes that get one, at most
+_OTHERWISE = 0.3  # difference in severity between a run and the same run repeated
+
+
+def diagnose(result: Result) -> Diagnosis:
+    """Name the cause of a run that failed, with evidence and remedies, or say that none explains it (docs/diagnosis/).
+
+    A run fails that does not complete, that is not settled (the metric ``settling_time``, with the scenario's
+    ``metrics.band`` and ``metrics.dwell``), whose legs leave their stroke, or whose legs still drift. First it is asked
+    whether the legs can reach the goal at all. For each cause that the scenario may have, the scenario is then run
+    again without it, and each cause whose removal cures the run is put alone into a scenario without other faults: it
+    is named if it fails there too. Nothing is proved. Takes about fifty runs.
+
+    Parameters
+    ----------
+    result
+        Of `simulate`. Of a run with a controller of one's own only the looks are judged.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On Ctrl-C, also while something runs.
+    TypeError
+        For anything but a `Result`.
+    """
+    if not isinstance(result, Result):
+        raise TypeError(f"result: expected a Result (see hs.simulate), got {type(result).__name__}")
+    if result.outcome == "interrupted":
+        return Diagnosis(result, None, ())
+    record = record_of(result)
+    before = judged(result.scenario, record)
+    warnings = warnings_of(result, before)
+    if not before.failed:
+        criteria = margins(result, record, before)
+        return Diagnosis(result, False, criteria, warnings=warnings, _record=record, _judgement=before)
+    case = make_cases([result.scenario])[0]
+    criteria = misses(result, record, before)
+    if result.controller != result.scenario.controller.law:
+        findings, absent = _by_looks(case, record, before)
+        return Diagnosis(
+            result,
+            True,
+            criteria,
+            findings,
+            warnings=warnings,
+            absent=absent,
+            obstacle=case.obstacle,
+            _record=record,
+            _judgement=before,
+        )
+    one = study([case], [before])[0]
+    trials = rank(one)
+    repeated = run_all([Run(case.scenario)])[0]
+    if repeated is not None and abs(judged(case.scenario, repeated).severity - before.severity) > _OTHERWISE:
+        warnings += ("Repeated, the run ends otherwise: rounding decides, and the numbers may be off.",)
+    remedies = _remedies(case, trials)
+    findings = tuple(
+        _finding(case, trial, SIGNATURES[trial.cause.key](case, record, before), remedies.get(trial.cause.key))
+        if trial.cause.key in SIGNATURES
+        else _finding(case, trial, Signature(None, ""), remedies.get(trial.cause.key))
+        for trial in trials
+    )
+    present = {finding.cause for finding in findings}
+    return Diagnosis(
+        result,
+        True,
+        criteria,
+        findings,
+        together=() if case.obstacle is not None else pairs(one, trials),
+        controls=one.controls,
+        warnings=warnings,
+        absent=tuple(cause.title for cause in CAUSES if cause.key not in present),
+        obstacle=case.obstacle,
+        _record=record,
+        _judgement=before,
+        _cured=trials[0].record if trials and trials[0].named else None,
+    )
+
+
+# ---- Parts of it ----------------------------------------------------------------------------------------------------
+
+
+def _remedies(case: Case, trials: list[Trial]) -> dict[str, Remedy]:
+    """Run what may help against the likeliest causes, and keep for each the first that works, or the best."""
+    likely = [trial for trial in trials if trial.named or trial.score >= _LIKELY][:_REMEDIES]
+    offered = [
+        (trial, remedy) for trial in likely for remedy in trial.cause.remedies(case, trial.removal, trial.record)
+    ]
+    new = [remedy for trial, remedy in offered if remedy is not trial.removal]
+    found = iter(run_all([Run(case.scenario, remedy.changes) for remedy in new]))
+    best: dict[str, tuple[float, Remedy]] = {}
+    for trial, remedy in offered:
+        record = trial.record if remedy is trial.removal else next(found)
+        if record is None:
+            continue
+        after = judged(case.scenario, record, remedy)
+        severity = after.severity if after.failed else 0.0
+        key = trial.cause.key
+        if key not in best or severity < best[key][0]:
+            best[key] = (severity, _as_remedy(case, remedy, record, after))
+    return {key: remedy for key, (_, remedy) in best.items()}
+
+
+def _as_remedy(case: Case, removal: Removal, record: Record, after: Judgement) -> Remedy:
+    band = float(removal.changes.get("metrics.band", case.scenario.metrics.band))
+    return Remedy(
+        removal.words,
+        dict(removal.changes),
+        not after.failed,
+        record.outcome,
+        after.error * band,
+        record.metrics["peak_leg_excursion"],
+        record.drift,
+    )
+
+
+def _finding(case: Case, trial: Trial, signature: Signature, remedy: Remedy | None) -> Finding:
+    without = _as_remedy(case, trial.removal, trial.record, trial.judgement)
+    evidence = [f"With {without.words} the run {how(without)}; {trial.cure:.0%} of the failure is gone."]
+    if trial.alone:
+        evidence.append("By itself, in a scenario without other faults, it makes the run fail as well.")
+    if signature.sentence:
+        evidence.append(signature.sentence)
+    return Finding(
+        trial.cause.key,
+        trial.cause.title,
+        trial.named,
+        trial.score,
+        trial.cure,
+        trial.alone,
+        signature.strength,
+        tuple(evidence),
+        without,
+        remedy,
+    )
+
+
+def _by_looks(case: Case, record: Record, before: Judgement) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
+    """Judge by looks alone: a controller of one's own is not run again, since it may keep a state."""
+    findings, absent = [], []
+    for cause in CAUSES:
+        signature = SIGNATURES[cause.key](case, record, before) if cause.key in SIGNATURES else Signature(None, "")
+        of_the_law = cause.kind == "law" or cause.key in ("wrong_sign", "false_equilibrium")
+        if of_the_law or not cause.removals(case) or signature.strength is None:
+            absent.append(cause.title)
+            continue
+        evidence = (signature.sentence,) if signature.sentence else ()
+        strength = signature.strength
+        findings.append(Finding(cause.key, cause.title, False, strength, None, None, strength, evidence, None, None))
+    return tuple(sorted(findings, key=lambda finding: -finding.score)), tuple(absent)

@@ -1,0 +1,40 @@
+"""The causes that a failure may have, in the order in which ties are broken, and the keys that cannot be one."""
+
+from __future__ import annotations
+
+from hexservo.findings.diagnosis.devices import DEVICES
+from hexservo.findings.diagnosis.laws import LAWS, TASKS
+from hexservo.findings.diagnosis.model import Cause
+
+__all__ = ["BLOCKS_IN_COMMON", "CAUSES", "HARMLESS", "IN_COMMON"]
+
+CAUSES: tuple[Cause, ...] = (*TASKS[:1], *DEVICES, *LAWS, *TASKS[1:])
+
+IN_COMMON: dict[str, str] = {
+    "robot.preset": "stands for the robot's other keys",
+    "robot.platform_radius": "leg_limits and gains: it acts by the reach of the legs and by how stiff the loop is",
+    "robot.base_radius": "as platform_radius",
+    "robot.platform_angles": "as platform_radius",
+    "robot.base_angles": "as platform_radius",
+    "robot.home_position": "as platform_radius: home is where a run starts, and no leg is beyond its stroke there",
+    "robot.mass": "gains: they are high or low for a mass",
+    "robot.inertia": "gains: they are high or low for an inertia",
+    "simulation.mode": "decides whether devices act; each of them has its removal",
+    "camera.prediction": "late_camera, depth and encoders: what is carried along repeats their errors and has no own",
+    "camera.convention": "another plant, for the paper's signs; the goal's pose is open there",
+}
+"""Keys that make a run fail only by way of what another cause's removal takes out, each with that way."""
+
+BLOCKS_IN_COMMON: dict[str, str] = {
+    "metrics": "what is asked of a run and measured, and not how it runs",
+    "controller.safe": "acts only while images are too old: image_timeout and lost_features",
+}
+"""The same for all keys of a block, where the schema has it."""
+
+HARMLESS: dict[str, str] = {
+    "name": "names output",
+    "description": "is shown in lists",
+    "seed": "chooses among equal draws; whether it decides is tried with other seeds",
+    "simulation.log_every": "no effect on the run or its metrics",
+}
+"""Keys that cannot make a run fail, each with the reason."""

@@ -1,0 +1,375 @@
+"""Causes in devices and in what the controller believes: how each is taken out of a scenario, by itself."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hexservo.findings.diagnosis.environment import ideal, ordinary, setting
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.findings.diagnosis.remedies import (
+    gravity_remedies,
+    late_camera_remedies,
+    lost_features_remedies,
+    saturation_remedies,
+    slower_remedies,
+    unequal_depth_remedies,
+)
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.scenario import BaseMotion
+
+__all__ = ["DEVICES"]
+
+_IMAGE = frozenset({"camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction"})
+_ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
+
+
+def _keys(*names: str) -> frozenset[str]:
+    return frozenset(names)
+
+
+# ---- Camera ---------------------------------------------------------------------------------------------------------
+
+
+def _sign(case: Case) -> list[Removal]:
+    scenario = case.scenario
+    if scenario.controller.jacobian != "printed" or scenario.camera.convention != "eye_in_hand":
+        return []
+    if scenario.controller.law == "pbvs":  # the sign does not enter
+        return []
+    return [Removal("the sign of the image Jacobian that the camera has", {"controller.jacobian": "consistent"})]
+
+
+def _late_camera(case: Case) -> list[Removal]:
+    camera, step, period = case.scenario.camera, case.scenario.simulation.step, frame_period(case.scenario)
+    if not case.sampled or (period <= step and camera.latency == 0.0 and camera.latency_jitter == 0.0):
+        return []
+    changes: dict[str, Any] = {"camera.period": step, "camera.latency": 0.0, "camera.latency_jitter": 0.0}
+    words = "a frame at every servo tick, without latency"
+    if camera.dropout and period > step:  # many frames would make up for lost ones: the same wait for lost ones
+        wait = camera.dropout / (1.0 - camera.dropout) * period / step if camera.dropout < 1.0 else math.inf
+        changes["camera.dropout"] = wait / (1.0 + wait) if math.isfinite(wait) else 1.0
+        words += ", and so many more of them lost that the wait for lost ones is the same"
+    return [Removal(words, changes)]
+
+
+def _lost_features(case: Case) -> list[Removal]:
+    camera = case.scenario.camera
+    if not case.sampled or (camera.image_size is None and camera.dropout == 0.0):
+        return []
+    changes: dict[str, Any] = {}
+    if camera.image_size is not None:
+        changes["camera.image_size"] = None
+    if camera.dropout:
+        changes["camera.dropout"] = 0.0
+    return [Removal("an image without a border, of which no frame is lost", changes)]
+
+
+def _image_timeout(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.camera.timeout is None:
+        return []
+    return [Removal("images that are used however old they are", {"camera.timeout": None})]
+
+
+def _pixel_noise(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.camera.noise == 0.0:
+        return []
+    return [Removal("features without noise", {"camera.noise": 0.0})]
+
+
+def _pixel_quantisation(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.camera.quantisation == 0.0:
+        return []
+    return [Removal("features that are not rounded", {"camera.quantisation": 0.0})]
+
+
+def _outliers(case: Case) -> list[Removal]:
+    camera = case.scenario.camera
+    if not case.sampled or camera.outlier_probability == 0.0 or camera.outlier_size == 0.0:
+        return []
+    return [Removal("features without outliers", {"camera.outlier_probability": 0.0})]
+
+
+# ---- Encoders -------------------------------------------------------------------------------------------------------
+
+
+def _with_encoders(case: Case) -> bool:
+    return case.sampled and case.scenario.sensors.pose == "encoders"
+
+
+def _encoder_noise(case: Case) -> list[Removal]:
+    if not _with_encoders(case) or case.scenario.sensors.noise == 0.0:
+        return []
+    return [Removal("encoders without noise", {"sensors.noise": 0.0})]
+
+
+def _encoder_resolution(case: Case) -> list[Removal]:
+    if not _with_encoders(case) or case.scenario.sensors.resolution == 0.0:
+        return []
+    return [Removal("encoders that do not round", {"sensors.resolution": 0.0})]
+
+
+def _encoder_period(case: Case) -> list[Removal]:
+    period, step = case.scenario.sensors.period, case.scenario.simulation.step
+    if not _with_encoders(case) or period is None or period <= step * (1.0 + 1e-9):
+        return []
+    return [Removal("encoders that are read at every servo tick", {"sensors.period": None})]
+
+
+def _encoders(case: Case) -> list[Removal]:
+    if not _with_encoders(case):
+        return []
+    exact = [Removal("pose and twist known exactly", {"sensors.pose": True})]
+    if case.scenario.sensors.rate is True:
+        return exact
+    return [Removal("rates of the legs from a sensor of their own", {"sensors.rate": True}), *exact]
+
+
+# ---- Actuators and base ---------------------------------------------------------------------------------------------
+
+
+def _saturation(case: Case) -> list[Removal]:
+    if not case.sampled or not case.scenario.actuators.saturation:
+        return []
+    return [Removal("legs that give any force", {"actuators.saturation": False})]
+
+
+def _actuator_delay(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.actuators.delay == 0.0:
+        return []
+    return [Removal("actuators without delay", {"actuators.delay": 0.0})]
+
+
+def _actuator_lag(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.actuators.bandwidth is None:
+        return []
+    return [Removal("actuators without lag", {"actuators.bandwidth": None})]
+
+
+def _actuator_quantisation(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.actuators.quantisation == 0.0:
+        return []
+    return [Removal("leg forces that are not rounded", {"actuators.quantisation": 0.0})]
+
+
+def _actuator_hold(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.actuators.hold == "wrench":
+        return []
+    return [Removal("a wrench that is held while the legs turn", {"actuators.hold": "wrench"})]
+
+
+def _base_motion(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.base_motion.kind == "none":
+        return []
+    return [Removal("a base at rest", {"base_motion.kind": "none"})]
+
+
+# ---- What the controller believes -----------------------------------------------------------------------------------
+
+
+def _gravity(case: Case) -> list[Removal]:
+    if np.broadcast_to(case.scenario.uncertainty.gravity, 6)[2] == 0.0:  # the weight has no other entry
+        return []
+    return [Removal("the weight that the controller believes in", {"uncertainty.gravity": 0.0})]
+
+
+def _gravity_alone(case: Case) -> list[Alone]:
+    """Ask an ordinary law too: a weight that only these settings do not hold is not the cause."""
+    without = {**ideal(case.scenario), "uncertainty.gravity": 0.0}
+    error = setting(case.scenario, "uncertainty.gravity")
+    wrong = {**without, "uncertainty.gravity": list(error) if isinstance(error, tuple) else error}
+    usual = ordinary(case.scenario)
+    return [Alone(without, wrong), Alone({**without, **usual}, {**wrong, **usual})]
+
+
+def _inertia(case: Case) -> list[Removal]:
+    if not np.any(case.scenario.uncertainty.inertia):
+        return []
+    return [Removal("the inertia that the controller believes in", {"uncertainty.inertia": 0.0})]
+
+
+def _coriolis(case: Case) -> list[Removal]:
+    if not np.any(case.scenario.uncertainty.coriolis):
+        return []
+    return [Removal("the Coriolis terms that the controller believes in", {"uncertainty.coriolis": 0.0})]
+
+
+def _unequal_depth(case: Case) -> list[Removal]:
+    errors = np.asarray(case.scenario.uncertainty.depth, dtype=float)
+    if errors.ndim == 0 or not np.ptp(errors):
+        return []
+    mean = float(errors.mean())
+    return [Removal(f"the same depth error of {mean:.3g} for all points", {"uncertainty.depth": mean})]
+
+
+def _unequal_depth_alone(case: Case) -> list[Alone]:
+    without = ideal(case.scenario)
+    errors = np.asarray(case.scenario.uncertainty.depth, dtype=float)
+    mean = {**without, "uncertainty.depth": float(errors.mean())}
+    return [Alone(mean, {**without, "uncertainty.depth": errors.tolist()})]
+
+
+def _common_depth(case: Case) -> list[Removal]:
+    errors = np.asarray(case.scenario.uncertainty.depth, dtype=float)
+    mean = float(errors.mean())
+    if mean == 0.0:
+        return []
+    rest = 0.0 if errors.ndim == 0 else (errors - mean).tolist()
+    return [Removal("depths whose errors have the mean zero", {"uncertainty.depth": rest})]
+
+
+def _common_depth_alone(case: Case) -> list[Alone]:
+    without = ideal(case.scenario)
+    mean = float(np.mean(case.scenario.uncertainty.depth))
+    return [Alone({**without, "uncertainty.depth": 0.0}, {**without, "uncertainty.depth": mean})]
+
+
+# ---- The list -------------------------------------------------------------------------------------------------------
+
+DEVICES: tuple[Cause, ...] = (
+    Cause("wrong_sign", "the sign of the image Jacobian", "device", _keys("controller.jacobian"), _sign),
+    Cause(
+        "saturation",
+        "saturation of the actuators",
+        "device",
+        _keys("actuators.saturation", "robot.force_limit"),
+        _saturation,
+        saturation_remedies,
+    ),
+    Cause(
+        "image_timeout",
+        "images that time out",
+        "device",
+        _keys("camera.timeout"),
+        _image_timeout,
+        context=_IMAGE | {"camera.dropout", "camera.image_size", "camera.on_lost"},
+    ),
+    Cause(
+        "lost_features",
+        "lost features",
+        "device",
+        _keys("camera.dropout", "camera.image_size", "camera.on_lost"),
+        _lost_features,
+        lost_features_remedies,
+        context=_IMAGE,
+    ),
+    Cause(
+        "outliers",
+        "outliers among the features",
+        "device",
+        _keys("camera.outlier_probability", "camera.outlier_size"),
+        _outliers,
+        context=_IMAGE,
+    ),
+    Cause(
+        "pixel_noise",
+        "noise of the features",
+        "device",
+        _keys("camera.noise"),
+        _pixel_noise,
+        context=_IMAGE,
+    ),
+    Cause(
+        "pixel_quantisation",
+        "features that are rounded",
+        "device",
+        _keys("camera.quantisation"),
+        _pixel_quantisation,
+        context=_IMAGE,
+    ),
+    Cause(
+        "encoder_noise",
+        "noise of the encoders",
+        "device",
+        _keys("sensors.noise"),
+        _encoder_noise,
+        slower_remedies,
+        context=_ENCODERS,
+    ),
+    Cause(
+        "encoder_resolution",
+        "resolution of the encoders",
+        "device",
+        _keys("sensors.resolution"),
+        _encoder_resolution,
+        slower_remedies,
+        context=_ENCODERS,
+    ),
+    Cause(
+        "encoder_period",
+        "encoders that are read too seldom",
+        "device",
+        _keys("sensors.period"),
+        _encoder_period,
+        slower_remedies,
+        context=_ENCODERS - {"sensors.period"},
+    ),
+    Cause("encoders", "pose and twist from leg lengths", "device", _keys("sensors.pose", "sensors.rate"), _encoders),
+    Cause(
+        "actuator_delay", "delay of the actuators", "device", _keys("actuators.delay"), _actuator_delay, slower_remedies
+    ),
+    Cause(
+        "actuator_lag", "lag of the actuators", "device", _keys("actuators.bandwidth"), _actuator_lag, slower_remedies
+    ),
+    Cause(
+        "actuator_quantisation",
+        "leg forces that are rounded",
+        "device",
+        _keys("actuators.quantisation"),
+        _actuator_quantisation,
+    ),
+    Cause(
+        "actuator_hold",
+        "leg forces that are held while the legs turn",
+        "device",
+        _keys("actuators.hold"),
+        _actuator_hold,
+    ),
+    Cause(
+        "base_motion",
+        "motion of the base",
+        "device",
+        _keys(*(f"base_motion.{name}" for name in BaseMotion.model_fields)),
+        _base_motion,
+    ),
+    Cause(
+        "gravity",
+        "a wrong weight",
+        "device",
+        _keys("uncertainty.gravity"),
+        _gravity,
+        gravity_remedies,
+        alone=_gravity_alone,
+    ),
+    Cause("inertia", "a wrong inertia", "device", _keys("uncertainty.inertia"), _inertia),
+    Cause("coriolis", "wrong Coriolis terms", "device", _keys("uncertainty.coriolis"), _coriolis),
+    Cause(
+        "unequal_depth",
+        "unequal depth errors",
+        "device",
+        _keys("uncertainty.depth"),
+        _unequal_depth,
+        unequal_depth_remedies,
+        alone=_unequal_depth_alone,
+    ),
+    Cause(
+        "common_depth",
+        "depths that are all too large or too small",
+        "device",
+        _keys("uncertainty.depth"),
+        _common_depth,
+        slower_remedies,
+        alone=_common_depth_alone,
+    ),
+    Cause(
+        "late_camera",
+        "latency or rate of the camera",
+        "device",
+        _keys("camera.period", "camera.latency", "camera.latency_jitter"),
+        _late_camera,
+        late_camera_remedies,
+        context=_keys("camera.prediction"),
+    ),
+)

@@ -1,0 +1,184 @@
+"""Scenarios without faults: good devices, and beside them ordinary settings of the law, each from the schema.
+
+They do not come from the list of causes: whatever a block of devices holds is at its default there, or within what is
+ordinary, whether a cause of the list speaks of it or not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.scenario import Scenario
+
+__all__ = [
+    "DEVICE_BLOCKS",
+    "FINE_STEP",
+    "ORDINARY",
+    "ORDINARY_BANDWIDTH",
+    "alone_at_its_gains",
+    "alone_pairs",
+    "both_alone",
+    "ideal",
+    "known",
+    "ordinary",
+    "setting",
+]
+
+DEVICE_BLOCKS = ("camera", "sensors", "actuators", "base_motion", "uncertainty")
+FINE_STEP = 1.0e-3  # [s], of an ordinary servo period or integration
+_OF_THE_TASK = frozenset({"camera.focal_length", "camera.pixel_scale", "camera.convention"})
+_FORCES = ("kp", "kt", "kd", "ki", "kv")  # gains of forces, which grow with the mass
+_MICRO_MASS = 0.06  # [kg], that the defaults of the gains are for
+
+ORDINARY: dict[str, float] = {
+    "camera.noise": 0.5,  # [px]
+    "camera.quantisation": 0.5,  # [px]
+    "camera.dropout": 0.1,
+    "sensors.noise": 5e-7,  # [m]
+    "sensors.resolution": 5e-7,  # [m]
+    "actuators.delay": 1e-3,  # [s]
+    "actuators.quantisation": 1e-3,  # [N]
+    "uncertainty.gravity": 1e-3,
+    "uncertainty.inertia": 0.1,
+    "uncertainty.coriolis": 0.15,
+}
+"""What ordinary devices have, and a scenario without faults too: no more than that is a cause."""
+ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
+_KEPT = frozenset({"sensors.pose", "sensors.rate", "actuators.hold"})  # how a machine is built, and no fault
+
+
+def setting(scenario: Scenario, key: str) -> Any:
+    """Give the value of a dotted key as plain data."""
+    value: Any = scenario
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def ideal(scenario: Scenario) -> dict[str, Any]:
+    """Give the changes to devices without faults: a frame at every tick, and the rest no worse than `ORDINARY`."""
+    changes: dict[str, Any] = {}
+    for block in DEVICE_BLOCKS:
+        own = getattr(scenario, block)
+        default = type(own)()
+        for name in type(own).model_fields:
+            key, value, wanted = f"{block}.{name}", getattr(own, name), getattr(default, name)
+            if key in _OF_THE_TASK | _KEPT or (block == "base_motion" and name != "kind"):  # only its own keys act
+                continue
+            if key == "camera.period" and scenario.simulation.mode == "sampled":
+                value, wanted = frame_period(scenario), scenario.simulation.step
+            elif key in ORDINARY:
+                wanted = value if np.abs(value).max() <= ORDINARY[key] else 0.0
+            elif key == "actuators.bandwidth":
+                wanted = value if value is None or value >= ORDINARY_BANDWIDTH else None
+            if value != wanted:
+                changes[key] = wanted
+    if scenario.controller.jacobian == "printed" and scenario.camera.convention == "eye_in_hand":
+        changes["controller.jacobian"] = "consistent"
+    return changes
+
+
+def ordinary(scenario: Scenario) -> dict[str, Any]:
+    """Give the changes to ordinary settings of the same law: its defaults, and a fine step."""
+    changes: dict[str, Any] = {}
+    law = scenario.controller.law
+    own = getattr(scenario.controller, law)
+    default = type(scenario.controller)()
+    ratio = scenario.robot.mass / _MICRO_MASS
+    changes |= _differences(f"controller.{law}", own, getattr(default, law), ratio)
+    sampled = scenario.simulation.mode == "sampled"
+    kind = "implicit" if sampled else "sign"
+    switching = scenario.controller.switching
+    if switching.kind not in (kind, "implicit_coupled"):
+        changes["controller.switching.kind"] = kind
+    if switching.width != default.switching.width:
+        changes["controller.switching.width"] = default.switching.width
+    step = scenario.simulation.step
+    if step > FINE_STEP:
+        step /= math.ceil(step / FINE_STEP - 1e-9)
+        changes["simulation.step"] = step
+        if sampled:
+            changes["camera.period"] = step
+    return changes
+
+
+def _differences(path: str, own: Any, default: Any, ratio: float) -> dict[str, Any]:
+    changes: dict[str, Any] = {}
+    for name in type(own).model_fields:
+        wanted = getattr(default, name)
+        if hasattr(type(wanted), "model_fields"):
+            changes |= _differences(f"{path}.{name}", getattr(own, name), wanted, ratio)
+            continue
+        if name in _FORCES and ratio != 1.0 and "computed_torque" not in path:
+            wanted = (np.asarray(wanted, dtype=float) * ratio).tolist()
+        if getattr(own, name) != wanted:
+            changes[f"{path}.{name}"] = list(wanted) if isinstance(wanted, tuple) and name != "table" else wanted
+    return changes
+
+
+def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
+    """Give the pairs of scenarios that tell whether a cause makes a run fail by itself."""
+    if cause.alone is not None:
+        return cause.alone(case)
+    scenario = case.scenario
+    without = ideal(scenario)
+    if cause.kind == "task":
+        without |= ordinary(scenario)
+        return [Alone({**without, **removal.changes}, without, removal.stroke_counts)]
+    if cause.kind == "law":
+        without |= ordinary(scenario)
+    law = f"controller.{scenario.controller.law}"
+    own = [key.replace("LAW", law) for key in cause.keys]
+    context = [key.replace("LAW", law) for key in cause.context]
+    without = _less(without, context)
+    return [Alone(without, _less(without, own))]
+
+
+def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
+    """Put one setting of a law alone, as it is beside the law's stiffness: with other gains it means something else.
+
+    A loop that is faster as a whole has K_v by the square, and Psi by the inverse square, of what is ordinary.
+    """
+    scenario = case.scenario
+    without = {**ideal(scenario), **ordinary(scenario)}
+    law = scenario.controller.law
+    block, default = getattr(scenario.controller, law), getattr(type(scenario.controller)(), law)
+    stiffness = "kt" if hasattr(block, "kt") else "kp"
+    own = np.broadcast_to(np.asarray(getattr(block, stiffness), dtype=float), 6 if stiffness == "kt" else 8)
+    usual = np.broadcast_to(np.asarray(getattr(default, stiffness), dtype=float), own.shape)
+    ratio = float(np.exp(np.mean(np.log(np.maximum(own, 1e-12 * usual) / usual))))
+    value: Any = block
+    for part in name.split("."):
+        value = getattr(value, part)
+    key = f"controller.{law}.{name}"
+    return [Alone(without, {**without, key: (np.asarray(value, dtype=float) * ratio**power).tolist()})]
+
+
+def both_alone(first: Cause, second: Cause, case: Case) -> Alone:
+    """Give the scenario without faults, and the one that has two causes and no others."""
+    scenario = case.scenario
+    without = ideal(scenario)
+    if "law" in (first.kind, second.kind):
+        without |= ordinary(scenario)
+    law = f"controller.{scenario.controller.law}"
+    own = [key.replace("LAW", law) for cause in (first, second) for key in (*cause.keys, *cause.context)]
+    return Alone(without, _less(without, own))
+
+
+def _less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
+    """Leave the changes of some keys out: there the scenario stays as it was."""
+    kept = dict(changes)
+    for key in keys:
+        kept.pop(key, None)
+    return kept
+
+
+def known(changes: Mapping[str, Any]) -> str:
+    """Give a key by which equal changes are found."""
+    return repr(sorted(changes.items()))

@@ -1,0 +1,183 @@
+"""What a run itself says about each cause, without another run: signatures, each with its strength and a sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo.findings.diagnosis.criterion import Judgement, Record
+from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
+from hexservo.findings.diagnosis.model import Case
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.wording import number
+
+__all__ = ["SIGNATURES", "Signature"]
+
+Array = NDArray[np.float64]
+
+_TAIL = 0.25  # the last part of a run, in which it rests or does not
+_AT_REST = 0.02  # of the stroke, that the legs may move in it
+_AT_LIMIT = 0.999  # of the force limit
+_WANDER = 0.1  # of the stroke, by which one standard deviation of noise moves the pose that the image tells
+
+
+@dataclass(frozen=True)
+class Signature:
+    """How much a run looks like one cause."""
+
+    strength: float | None  # 0 (not at all) to 1; None: this cause leaves no trace of its own
+    sentence: str  # what was seen, with its numbers; "" where there is nothing to say
+
+
+def _wrong_sign(case: Case, record: Record, judgement: Judgement) -> Signature:
+    start = record.error[0]
+    if start <= 0.0 or record.error.min() < 0.98 * start or record.metrics["peak_error"] < 1.5 * start:
+        return Signature(0.0, "The error shrinks at first, which it does not with the wrong sign.")
+    return Signature(
+        1.0,
+        f"The error never shrinks: {number(start)} px at the start, {number(record.metrics['peak_error'])} px at "
+        f"t = {number(record.end_time)} s.",
+    )
+
+
+def _coarse_step(case: Case, record: Record, judgement: Judgement) -> Signature:
+    return Signature(None, "")
+
+
+def _saturation(case: Case, record: Record, judgement: Judgement) -> Signature:
+    limit = case.scenario.robot.force_limit
+    share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
+    sentence = f"A leg gives its limit of {number(limit, 4)} N for {share:.0%} of the time."
+    return Signature(min(1.0, share / 0.2), sentence)
+
+
+def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signature:
+    camera = case.scenario.camera
+    if record.outcome == "feature_lost":
+        return Signature(1.0, f"A feature is lost at t = {number(record.end_time)} s, which ends the run.")
+    strength, sentences = 0.0, []
+    if camera.image_size is not None:
+        features = np.asarray(case.scenario.target.desired_features) - record.samples["feature_error"]
+        outside = (np.abs(features).reshape(len(features), 4, 2) > np.asarray(camera.image_size) / 2.0).any(axis=(1, 2))
+        share = float(outside.mean())
+        strength = min(1.0, share / 0.2)
+        sentences.append(f"A feature is outside of the image for {share:.0%} of the time.")
+    if camera.dropout:
+        strength = max(strength, min(1.0, 2.0 * camera.dropout))
+        period = frame_period(case.scenario)
+        gap = period / (1.0 - camera.dropout) if camera.dropout < 1.0 else np.inf
+        sentences.append(
+            f"A frame that is not lost comes every {number(gap)} s in the mean, not every {number(period)} s."
+        )
+    return Signature(strength, " ".join(sentences))
+
+
+def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
+    moved = record.samples["position"] - record.samples["position"][0]
+    rise = -moved[np.argmax(np.abs(moved[:, 2])), 2]
+    share = float(abs(rise)) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
+    error = float(np.broadcast_to(case.scenario.uncertainty.gravity, 6)[2])  # the weight has no other entry
+    body = _core.RigidBody()
+    body.mass = case.scenario.robot.mass
+    excess = abs(error * body.gravity_wrench[2])
+    sentence = (
+        f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {number(abs(rise) * 1e3)} mm; "
+        f"{number(excess)} N of weight are fed forward "
+        f"{'that are not there' if error > 0.0 else 'too little'}."
+    )
+    return Signature(min(1.0, 1.5 * share) if rise * error > 0.0 else 0.2, sentence)
+
+
+def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signature:
+    if judgement.early or judgement.error > 2.0 or max(judgement.stroke, judgement.drift) <= 1.0:
+        return Signature(0.3, "")
+    return Signature(
+        1.0,
+        f"The image is within {number(2.0 * case.scenario.metrics.band)} px at the end while the platform goes "
+        f"{number(record.metrics['peak_displacement'] * 1e3)} mm away and still moves at "
+        f"{number(record.drift * 1e3, 2)} mm/s by its fastest leg.",
+    )
+
+
+def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
+    law = case.scenario.controller.law
+    if law not in ("hybrid", "composite"):
+        return Signature(0.0, "")
+    scale = np.repeat([1.0, 1.0 / case.scenario.robot.platform_radius], 3)
+    held = math.hypot(*(scale * record.samples["fuzzy_output"][-1]))  # no square of it overflows
+    friction = math.hypot(*(scale * np.broadcast_to(getattr(case.scenario.controller, law).kv, 6)))
+    sentence = (
+        f"At the end the fuzzy systems hold {number(held)} N against {friction:.3g} N of K_v (moments by the radius)."
+    )
+    return Signature(min(1.0, held / (2.0 * friction)) if friction else 1.0, sentence)
+
+
+def _stiction(case: Case, record: Record, judgement: Judgement) -> Signature:
+    last = record.time >= (1.0 - _TAIL) * record.end_time
+    travel = float(np.ptp(record.samples["leg_lengths"][last], axis=0).max())
+    if judgement.early or judgement.error <= 1.0 or travel > _AT_REST * case.scenario.robot.stroke:
+        return Signature(
+            0.0, f"The platform does not rest: its legs move {number(travel * 1e3, 2)} mm in the last quarter."
+        )
+    return Signature(
+        1.0,
+        f"The platform rests with {number(judgement.error * case.scenario.metrics.band)} px left: its legs move "
+        f"{travel * 1e6:.2g} um in the last quarter.",
+    )
+
+
+def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
+    camera = case.scenario.camera
+    error = record.samples["feature_error"]
+    largest = error[:, int(np.argmax(np.abs(error).max(axis=0)))]
+    swings = int((np.diff(np.sign(largest[np.abs(largest) > case.scenario.metrics.band])) != 0).sum())
+    age = camera.latency + camera.latency_jitter + frame_period(case.scenario)
+    sentence = (
+        f"The error swings through zero {swings} times; what the law sees is up to {number(age * 1e3)} ms old, and it "
+        f"acts every {number(case.scenario.simulation.step * 1e3)} ms."
+    )
+    return Signature(min(1.0, swings / 3.0), sentence)
+
+
+def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
+    camera, features, depth = seen_from_home(case.scenario)
+    worst = pixels_per_metre(camera, features, depth)
+    noise = case.scenario.camera.noise if case.scenario.simulation.mode == "sampled" else 0.0
+    wander = noise / worst
+    sentence = f"In the worst direction 1 px is {number(1e3 / worst)} mm at the target's distance"
+    sentence += (
+        f", and the noise of {number(noise)} px is {number(wander * 1e3)} mm." if noise else "; there is no noise."
+    )
+    return Signature(min(1.0, wander / (_WANDER * case.scenario.robot.stroke)), sentence)
+
+
+def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
+    stroke = case.scenario.robot.stroke
+    if case.goal is None:
+        return Signature(None, "")
+    sentence = (
+        f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} mm from its length at home; its stroke is "
+        f"{number(stroke * 1e3)} mm."
+    )
+    return Signature(1.0 if case.goal.leg_travel > stroke else 0.0, sentence)
+
+
+SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {
+    "wrong_sign": _wrong_sign,
+    "coarse_step": _coarse_step,
+    "saturation": _saturation,
+    "lost_features": _lost_features,
+    "gravity": _gravity,
+    "unequal_depth": _unequal_depth,
+    "spring": _spring,
+    "stiction": _stiction,
+    "late_camera": _late_camera,
+    "poor_image": _poor_image,
+    "leg_limits": _leg_limits,
+}
+"""By the causes' keys: of a run that failed, by which criteria."""

@@ -1,0 +1,78 @@
+"""The same loop in another time: every gain of a law, scaled so that its motion is that of before, slower or faster."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["GAIN_KEYS", "damped", "not_below_default", "slower"]
+
+# How a gain goes with the rate of the loop: forces with its square, dampings and rates with itself.
+_POWERS = {
+    "kp": 2.0,
+    "kt": 2.0,
+    "kv": 2.0,
+    "kd": 1.0,
+    "ki": 1.0,
+    "gain": 1.0,
+    "gain_far": 1.0,
+    "gain_slope": 1.0,
+    "drive": 1.0,
+}
+_FUZZY_POWERS = {"adaptation": -2.0, "initial_scale": 2.0, "weight_limit": 2.0, "leakage": 1.0, "dead_zone": 1.0}
+_STIFFNESS, _DAMPING = ("kp", "kt", "gain", "gain_far"), ("kd", "ki", "kv")
+GAIN_KEYS = frozenset(f"LAW.{name}" for name in (*_POWERS, "adaptive") if name != "kv") | {
+    "LAW.fuzzy.adaptation",
+    "LAW.fuzzy.error_scale",
+    "LAW.fuzzy.rate_scale",
+}
+"""What `slower` changes, but for the dry friction K_v, which has a cause of its own."""
+
+
+def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
+    """Give the changes that make the loop `factor` times as slow: t becomes factor t, forces are divided by factor^2.
+
+    Exact for a law whose plant has no weight error: m d2x/dt2 = F keeps its paths where F is divided by the square.
+    """
+    law = scenario.controller.law
+    block = getattr(scenario.controller, law)
+    rate = 1.0 / factor
+    changes = _scaled(f"controller.{law}", block, _POWERS, rate)
+    if hasattr(block, "fuzzy") and block.fuzzy.enabled:
+        powers = dict(_FUZZY_POWERS)
+        # Inputs of the systems: forces and their rates in the law hybrid, a pose error and a velocity in composite.
+        powers |= {"error_scale": -2.0, "rate_scale": -3.0} if law == "hybrid" else {"rate_scale": -1.0}
+        changes |= _scaled(f"controller.{law}.fuzzy", block.fuzzy, powers, rate)
+    return changes
+
+
+def damped(scenario: Scenario, factor: float) -> dict[str, Any]:
+    """Give the changes that damp the loop more."""
+    law = scenario.controller.law
+    return _scaled(f"controller.{law}", getattr(scenario.controller, law), dict.fromkeys(_DAMPING, 1.0), factor)
+
+
+def not_below_default(scenario: Scenario) -> dict[str, Any]:
+    """Give the changes that raise stiffness and damping to the law's defaults where they are lower."""
+    law = scenario.controller.law
+    block, default = getattr(scenario.controller, law), getattr(type(scenario.controller)(), law)
+    changes = {}
+    for name in (*_STIFFNESS, *_DAMPING):
+        if hasattr(block, name):
+            own, wanted = np.asarray(getattr(block, name)), np.asarray(getattr(default, name))
+            if (own < wanted).any():
+                changes[f"controller.{law}.{name}"] = np.maximum(own, wanted).tolist()
+    return changes
+
+
+def _scaled(path: str, block: Any, powers: dict[str, float], rate: float) -> dict[str, Any]:
+    changes = {}
+    for name, power in powers.items():
+        value = getattr(block, name, None)
+        if value is not None and np.any(value):
+            with np.errstate(over="ignore", under="ignore"):  # what is not finite is refused, and then not tried
+                changes[f"{path}.{name}"] = (np.asarray(value, dtype=float) * rate**power).tolist()
+    return changes

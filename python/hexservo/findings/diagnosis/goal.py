@@ -1,0 +1,145 @@
+"""Where the goal of a scenario lies, and how its target would look if it were well spread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.reach import reach_of_start_and_goal
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.diagnosis.criterion import Record
+from hexservo.findings.diagnosis.runs import Run
+from hexservo.scenario.scenario import Scenario, sampled_keys
+
+__all__ = ["Goal", "Obstacle", "goal_of", "goal_run", "obstacle_of", "pixels_per_metre", "spread_target"]
+
+Array = NDArray[np.float64]
+
+_STIFFNESS = 400.0  # [1/s^2], of the run that finds the goal: settles as exp(-20 t)
+_SPREAD = 0.2  # half the side of the square that stands in for a target, in parts of its distance
+_REACHED = 1.0  # [px], of the run that finds the goal: it may be that no pose shows the goal exactly
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """The pose from which the camera sees the goal."""
+
+    position: Array  # (3,) [m], in B
+    quaternion: Array  # (4,) w x y z
+    leg_travel: float  # of the leg that has to go farthest from its length at home [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """Why no law can reach the goal of a scenario."""
+
+    kind: Literal["stroke", "image"]  # legs do not reach a pose that shows it; no pose shows it
+    leg_travel: float  # of the leg that would have to go farthest [m]
+    residual: float  # largest error of a feature at the best pose [px]
+    nearest_image: Array  # (8,) [px], what the best pose shows
+
+
+def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
+    """Ask of the goal's image and of the legs' stroke whether the goal can be reached at all (`_analysis`).
+
+    None where it can, and for a camera as printed, whose goal has no pose.
+    """
+    if scenario.camera.convention != "eye_in_hand" or (goal is not None and goal.leg_travel <= scenario.robot.stroke):
+        return None
+    found = reach_of_start_and_goal(scenario)
+    if found.goal is None or found.nearest is None:
+        return None
+    travel = min(abs(found.goal.travel), abs(found.nearest.travel))
+    goals = find_goals(scene_of(scenario))
+    assert goals is not None  # as `found.goal` is not
+    image = goals.best.view.features
+    if found.residual > scenario.metrics.band:
+        return Obstacle("image", travel, found.residual, image)
+    return None if found.goal_within else Obstacle("stroke", travel, found.residual, image)
+
+
+def goal_run(scenario: Scenario) -> Run:
+    """Prepare the run that finds the goal: position-based control of an exact model, in continuous time."""
+    robot = scenario.robot
+    inertia = np.asarray(robot.inertia)
+    moments = inertia if inertia.ndim == 1 else np.diag(inertia)
+    weights = np.array([robot.mass] * 3 + moments.tolist())
+    changes: dict[str, Any] = {
+        **sampled_keys(),
+        "simulation.mode": "continuous",
+        "simulation.step": 0.005,
+        "simulation.duration": 2.0,
+        "controller.law": "pbvs",
+        "controller.switching.kind": "sign",
+        "controller.pbvs.kp": (_STIFFNESS * weights).tolist(),
+        "controller.pbvs.kd": (2.0 * _STIFFNESS**0.5 * weights).tolist(),
+        "uncertainty.inertia": 0.0,
+        "uncertainty.coriolis": 0.0,
+        "uncertainty.gravity": 0.0,
+        "uncertainty.depth": 0.0,
+    }
+    return Run(scenario, changes, keep=True)
+
+
+def goal_of(record: Record | None) -> Goal | None:
+    """Read the goal off that run; None where it was refused or did not reach it."""
+    if record is None or record.outcome != "completed" or record.metrics["final_error"] > _REACHED:
+        return None
+    lengths = record.samples["leg_lengths"]
+    return Goal(
+        record.samples["position"][-1],
+        record.samples["quaternion"][-1],
+        float(np.abs(lengths[-1] - lengths[0]).max()),
+    )
+
+
+def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array) -> float:
+    """Give the smallest singular value of the image Jacobian at attitude zero [px/m].
+
+    Rotations count as the distance by which they move the target's mean depth: 1 rad as |Z| metres.
+    """
+    jacobian = _core.image_jacobian(camera, features, depth, [1.0, 0.0, 0.0, 0.0])
+    jacobian = jacobian / np.repeat([1.0, np.abs(depth).mean()], 3)
+    return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+
+
+def seen_from_home(scenario: Scenario) -> tuple[_core.Camera, Array, Array]:
+    """Give the camera, and features (8,) [px] and depths (4,) [m] that it sees at the start."""
+    scene = scene_of(scenario)
+    home = scene.view(scene.home)
+    return scene.camera, home.features, home.depth
+
+
+def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float]:
+    """Put a square about the optical axis of home in place of the target, with the goal at the same pose.
+
+    The border of the image, where it has one, is as far out as before in parts of the target's farthest feature.
+
+    Returns
+    -------
+    tuple
+        The changes, and by what factor `pixels_per_metre` grows.
+    """
+    camera, features, depth = seen_from_home(scenario)
+    distance = float(np.abs(depth).mean())
+    corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    home = np.asarray(scenario.robot.home_position, dtype=float)
+    points = home + distance * (_SPREAD * corners - [0.0, 0.0, 1.0])
+    start, start_depth = _core.take_image(camera, home, [1.0, 0.0, 0.0, 0.0], points)
+    end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
+    gain = pixels_per_metre(camera, start, start_depth) / pixels_per_metre(camera, features, depth)
+    changes: dict[str, Any] = {"target.desired_features": end.tolist()}
+    if scenario.camera.image_size is not None:  # whoever leaves the image does so as before
+        before = np.abs(np.concatenate([features, np.asarray(scenario.target.desired_features)]).reshape(8, 2)).max(0)
+        after = np.abs(np.concatenate([start, end]).reshape(8, 2)).max(0)
+        changes["camera.image_size"] = (np.asarray(scenario.camera.image_size) * after / before).tolist()
+    if scenario.target.points is not None:
+        changes["target.points"] = points.tolist()
+    else:
+        changes |= {"target.initial_features": start.tolist(), "target.depth": distance}
+    return changes, gain

@@ -1,0 +1,303 @@
+"""Causes in the settings of a law and of the run, and in the task: how each is taken out of a scenario, by itself."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hexservo.findings.diagnosis.environment import FINE_STEP, ORDINARY, alone_at_its_gains, ideal, ordinary
+from hexservo.findings.diagnosis.gains import GAIN_KEYS, damped, not_below_default, slower
+from hexservo.findings.diagnosis.goal import spread_target
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.findings.diagnosis.remedies import leg_limits_remedies
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.scenario import Fuzzy
+
+__all__ = ["LAWS", "TASKS"]
+
+_WITH_FRICTION = ("hybrid", "composite")
+_RICHER = 2.0  # a target counts as badly spread where a square would show the worst direction so many times better
+_MAX_DELAY = 8  # ticks of the actuators, docs/model.md section 7
+_FACTORS = (4.0, 16.0, 64.0)  # by which a loop is made slower or faster
+_SUBSTEPS = 8  # times as many are tried
+_LONGER = 3.0  # a run is tried so many times as long
+_ENOUGH = 2000  # steps that are tried in place of a few
+_WEIGHTS = frozenset(name for name in Fuzzy.model_fields if name != "adaptation")
+_OPTIONS = ("jacobian_at", "damping", "prior")
+
+
+def _block(case: Case) -> Any:
+    return getattr(case.scenario.controller, case.scenario.controller.law)
+
+
+def _law_key(case: Case, name: str) -> str:
+    return f"controller.{case.scenario.controller.law}.{name}"
+
+
+# ---- Settings of a law ----------------------------------------------------------------------------------------------
+
+
+def _stiction(case: Case) -> list[Removal]:
+    if case.scenario.controller.law not in _WITH_FRICTION:
+        return []
+    gain = np.asarray(_block(case).kv, dtype=float)
+    if not gain.any():
+        return []
+    key = _law_key(case, "kv")
+    return [
+        *(Removal(f"K_v divided by {factor:g}", {key: (gain / factor).tolist()}) for factor in (8.0, 32.0, 128.0)),
+        Removal(
+            "damping in place of friction, K_v tanh(v/0.3)",
+            {"controller.switching.kind": "tanh", "controller.switching.width": 0.3},
+        ),
+    ]
+
+
+def _spring(case: Case) -> list[Removal]:
+    if case.scenario.controller.law not in _WITH_FRICTION or not _block(case).fuzzy.enabled:
+        return []
+    key, slowness = _law_key(case, "fuzzy.adaptation"), np.asarray(_block(case).fuzzy.adaptation, dtype=float)
+    return [
+        *(
+            Removal(f"adaptation {factor:g} times as slow", {key: (factor * slowness).tolist()})
+            for factor in (100.0, 10.0, 1000.0)
+        ),
+        Removal("no adaptation", {_law_key(case, "fuzzy.enabled"): False}),
+    ]
+
+
+def _stiction_alone(case: Case) -> list[Alone]:
+    return alone_at_its_gains(case, "kv", -1.0)
+
+
+def _spring_alone(case: Case) -> list[Alone]:
+    return alone_at_its_gains(case, "fuzzy.adaptation", 1.0)
+
+
+def _weights(case: Case) -> list[Removal]:
+    if case.scenario.controller.law not in _WITH_FRICTION:
+        return []
+    prefix = _law_key(case, "fuzzy")
+    changes = {
+        key: value
+        for key, value in ordinary(case.scenario).items()
+        if key.startswith(prefix) and key.rpartition(".")[2] in _WEIGHTS
+    }
+    return [Removal("the other settings of the fuzzy systems at their defaults", changes)] if changes else []
+
+
+def _switching(case: Case) -> list[Removal]:
+    if case.scenario.controller.law not in _WITH_FRICTION or not np.any(_block(case).kv):
+        return []
+    changes = {key: value for key, value in ordinary(case.scenario).items() if key.startswith("controller.switching")}
+    return [Removal("an ordinary switching term", changes)] if changes else []
+
+
+def _options(case: Case) -> list[Removal]:
+    names = {_law_key(case, name) for name in _OPTIONS}
+    changes = {key: value for key, value in ordinary(case.scenario).items() if key in names}
+    return [Removal("the law's prior and Jacobian at their defaults", changes)] if changes else []
+
+
+def _gains_high(case: Case) -> list[Removal]:
+    scenario = case.scenario
+    removals = [
+        Removal(f"the loop {factor:g} times as slow", changes)
+        for factor in _FACTORS
+        if (changes := slower(scenario, factor))
+    ]
+    more = {**damped(scenario, 8.0)} or not_below_default(scenario)
+    return [*removals, Removal("more damping", more)] if more else removals
+
+
+def _gains_low(case: Case) -> list[Removal]:
+    scenario = case.scenario
+    removals = [
+        Removal(f"the loop {factor:g} times as fast", changes)
+        for factor in _FACTORS
+        if (changes := slower(scenario, 1.0 / factor))
+    ]
+    raised = not_below_default(scenario)
+    return [*removals, Removal("stiffness and damping at least of the defaults", raised)] if raised else removals
+
+
+def _coarse_step(case: Case) -> list[Removal]:
+    simulation = case.scenario.simulation
+    removals = []
+    for factor in (2,) if simulation.step <= FINE_STEP else (4, 16):
+        step = simulation.step / factor
+        changes: dict[str, Any] = {"simulation.step": step}
+        if case.sampled:
+            if round(case.scenario.actuators.delay / step) > _MAX_DELAY:
+                continue
+            if math.isclose(frame_period(case.scenario), simulation.step):  # a frame at every tick, as before
+                changes["camera.period"] = step
+        what = "a servo period" if case.sampled else "a step"
+        removals.append(Removal(f"{what} of {step * 1e3:.4g} ms", changes))
+    if case.sampled:
+        finer = _SUBSTEPS * simulation.substeps
+        removals.append(Removal(f"{finer} steps of the integration in a servo period", {"simulation.substeps": finer}))
+    return removals
+
+
+def _coarse_step_alone(case: Case) -> list[Alone]:
+    fine = {**ideal(case.scenario), **ordinary(case.scenario)}
+    step, substeps = case.scenario.simulation.step, case.scenario.simulation.substeps
+    if case.sampled:
+        fine["simulation.substeps"] = _SUBSTEPS * substeps
+        coarse = {"simulation.step": step, "simulation.substeps": substeps, "camera.period": step}
+        return [Alone(fine, {**fine, **coarse})]
+    return [Alone(fine, {**fine, "simulation.step": step})]
+
+
+# ---- The task -------------------------------------------------------------------------------------------------------
+
+
+def _poor_image(case: Case) -> list[Removal]:
+    if case.goal is None or case.scenario.camera.convention != "eye_in_hand":
+        return []
+    changes, gain = spread_target(case.scenario, case.goal)
+    if gain < _RICHER:
+        return []
+    words = f"four features on a square, which show the worst direction {gain:.3g} times better"
+    return [Removal(words, changes)]
+
+
+def _poor_image_alone(case: Case) -> list[Alone]:
+    """Put the target before no more than ordinary noise, with the law as it is and with an ordinary one."""
+    assert case.goal is not None
+    scenario = case.scenario
+    changes, _ = spread_target(scenario, case.goal)
+    changes.pop("camera.image_size", None)
+    context = ("camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction")
+    seen = {key: value for key, value in ideal(scenario).items() if key not in context}
+    usual = {**seen, **ordinary(scenario)}
+    return [
+        Alone({**seen, **changes}, seen),
+        Alone({**usual, **changes}, usual),
+        Alone({**usual, **_exact(case)}, usual),  # with exact devices it is the law that does not get there
+    ]
+
+
+def _exact(case: Case) -> dict[str, Any]:
+    """Give the changes that make what is ordinary about devices exact."""
+    if not case.sampled:
+        return {}
+    return {key: 0.0 for key in ORDINARY if not key.startswith("uncertainty")}
+
+
+def _leg_limits(case: Case) -> list[Removal]:
+    changes: dict[str, Any] = {"robot.stroke": 1e3 * case.scenario.robot.stroke}
+    if case.scenario.robot.on_limit != "report":
+        changes["robot.on_limit"] = "report"
+    return [Removal("legs of any length", changes, stroke_counts=False)]
+
+
+def _impossible_goal(case: Case) -> list[Removal]:
+    if case.obstacle is None or case.obstacle.kind != "image":
+        return []
+    words = f"the image nearest to the goal that a pose shows, {case.obstacle.residual:.3g} px away"
+    return [Removal(words, {"target.desired_features": case.obstacle.nearest_image.tolist()})]
+
+
+def _false_equilibrium(case: Case) -> list[Removal]:
+    scenario = case.scenario
+    if scenario.controller.law not in ("hybrid", "kelly") or scenario.camera.convention != "eye_in_hand":
+        return []
+    return [Removal("the law pbvs, which goes by the pose", {"controller.law": "pbvs"})]
+
+
+def _duration(case: Case) -> list[Removal]:
+    simulation = case.scenario.simulation
+    longer = max(_LONGER * simulation.duration, _ENOUGH * simulation.step)
+    longer = simulation.step * round(longer / simulation.step)
+    return [Removal(f"a run of {longer:g} s", {"simulation.duration": longer})]
+
+
+LAWS: tuple[Cause, ...] = (
+    Cause(
+        "coarse_step",
+        "a step that is too coarse",
+        "law",
+        frozenset({"simulation.step", "simulation.substeps"}),
+        _coarse_step,
+        alone=_coarse_step_alone,
+    ),
+    Cause(
+        "spring",
+        "adaptation that acts as a spring",
+        "law",
+        frozenset({"LAW.fuzzy.adaptation"}),
+        _spring,
+        alone=_spring_alone,
+    ),
+    Cause("stiction", "stiction: K_v is too large", "law", frozenset({"LAW.kv"}), _stiction, alone=_stiction_alone),
+    Cause(
+        "switching",
+        "a switching term that does not suit the loop",
+        "law",
+        frozenset({"controller.switching.kind", "controller.switching.width"}),
+        _switching,
+    ),
+    Cause(
+        "weights",
+        "settings of the fuzzy systems",
+        "law",
+        frozenset(f"LAW.fuzzy.{name}" for name in _WEIGHTS),
+        _weights,
+        context=frozenset({"uncertainty.gravity"}),
+    ),
+    Cause("prior", "prior or Jacobian of the law", "law", frozenset(f"LAW.{name}" for name in _OPTIONS), _options),
+    Cause("gains_high", "gains that are too high, or too little damped", "law", GAIN_KEYS, _gains_high),
+    Cause("gains_low", "gains that are too low", "law", GAIN_KEYS, _gains_low),
+)
+
+TASKS: tuple[Cause, ...] = (
+    Cause(
+        "impossible_goal",
+        "a goal image that no pose shows",
+        "task",
+        frozenset({"target.desired_features"}),
+        _impossible_goal,
+    ),
+    Cause(
+        "duration",
+        "a run that is too short",
+        "task",
+        frozenset({"simulation.duration"}),
+        _duration,
+    ),
+    Cause(
+        "poor_image",
+        "a target that the image shows badly",
+        "task",
+        frozenset(
+            {
+                "target.initial_features",
+                "target.points",
+                "target.depth",
+                "camera.focal_length",
+                "camera.pixel_scale",
+            }
+        ),
+        _poor_image,
+        alone=_poor_image_alone,
+    ),
+    Cause(
+        "false_equilibrium",
+        "a law that is trapped on this way",
+        "task",
+        frozenset({"controller.law"}),
+        _false_equilibrium,
+    ),
+    Cause(
+        "leg_limits",
+        "limits of the legs",
+        "task",
+        frozenset({"robot.stroke", "robot.on_limit"}),
+        _leg_limits,
+        leg_limits_remedies,
+    ),
+)

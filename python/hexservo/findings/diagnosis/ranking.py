@@ -1,0 +1,255 @@
+"""From the runs with one cause removed, and with one cause alone, to a ranking of the causes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hexservo.findings.diagnosis.causes import CAUSES
+from hexservo.findings.diagnosis.criterion import Allowed, Judgement, Record, judge
+from hexservo.findings.diagnosis.environment import alone_pairs, both_alone, ideal, known, ordinary
+from hexservo.findings.diagnosis.goal import goal_of, goal_run, obstacle_of
+from hexservo.findings.diagnosis.model import Case, Cause, Removal
+from hexservo.findings.diagnosis.runs import Run, run_all
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Study", "Trial", "judged", "make_cases", "pairs", "rank", "study"]
+
+_NOT_ALONE = 0.25  # share of the score that is left to a cause that does no harm by itself
+_ORDINARY = 0.1  # the same of a device that is no worse than ordinary
+_CHANCE = 0.5  # share of the score that is lost where every control passes
+_SIZE = 0.05  # of the random change of a control, relative
+_SEEDS = 2  # other seeds that are tried, and random changes
+_PAIRED = 5  # causes that are removed two at a time
+_RANDOM = ("noise", "dropout", "outlier_probability", "latency_jitter")  # keys of the camera that draw numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A cause with the removal that helped most."""
+
+    cause: Cause
+    removal: Removal
+    record: Record
+    judgement: Judgement
+    cure: float  # share of the severity that the removal takes away, 0 to 1
+    alone: bool | None  # whether it fails an otherwise ideal scenario; None: not asked, since its removal cures nothing
+    score: float  # 0 to 1
+    named: bool  # as the cause
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """All that was run for one case."""
+
+    case: Case
+    before: Judgement
+    best: Mapping[str, Trial]  # by the cause's key, without a score yet
+    controls: tuple[bool, ...]  # whether the run passes with other seeds and with small random changes
+
+
+def make_cases(scenarios: Sequence[Scenario], threads: int = 1) -> list[Case]:
+    """Find the goals of scenarios, and whether they can be reached."""
+    records = run_all([goal_run(scenario) for scenario in scenarios], threads)
+    goals = [goal_of(record) for record in records]
+    return [Case(scenario, goal, obstacle_of(scenario, goal)) for scenario, goal in zip(scenarios, goals, strict=True)]
+
+
+def judged(
+    scenario: Scenario, record: Record, removal: Removal | None = None, before: Judgement | None = None
+) -> Judgement:
+    """Judge a run of a scenario, perhaps with changes, perhaps to be compared to how it was before them."""
+    changes = {} if removal is None else removal.changes
+    free = removal is not None and not removal.stroke_counts
+    stroke = scenario.robot.stroke if free else changes.get("robot.stroke", scenario.robot.stroke)
+    allowed = Allowed(
+        float(changes.get("metrics.band", scenario.metrics.band)),
+        float(changes.get("metrics.dwell", scenario.metrics.dwell)),
+        float(stroke),
+        float(changes.get("simulation.duration", scenario.simulation.duration)),
+        stroke_counts=not free,
+    )
+    return judge(record, allowed, None if before is None else before.cured)
+
+
+def study(cases: Sequence[Case], before: Sequence[Judgement], threads: int = 1) -> list[Study]:
+    """Run every removal of every cause, the controls, and each cause that cures alone in a scenario without faults."""
+    tried = [(cause, removal) for case in cases for cause in CAUSES for removal in cause.removals(case)]
+    counts = [sum(len(cause.removals(case)) for cause in CAUSES) for case in cases]
+    controls = [_controls(case) for case in cases]
+    runs = [
+        Run(case.scenario, removal.changes)
+        for case, own in zip(cases, _split(tried, counts), strict=True)
+        for _, removal in own
+    ]
+    beside = [Run(case.scenario, changes) for case, own in zip(cases, controls, strict=True) for changes in own]
+    records = run_all([*runs, *beside], threads)
+    passed = iter(records[len(runs) :])
+    studies = []
+    rows = zip(cases, before, _split(tried, counts), _split(records[: len(runs)], counts), controls, strict=True)
+    for case, judgement, removals, found, own in rows:
+        best: dict[str, Trial] = {}
+        for (cause, removal), record in zip(removals, found, strict=True):
+            if record is None:
+                continue
+            after = judged(case.scenario, record, removal, judgement)
+            cure = max(0.0, 1.0 - after.severity / judgement.severity)
+            rival = best.get(cause.key)
+            if rival is None or (not after.failed, cure) > (not rival.judgement.failed, rival.cure):
+                best[cause.key] = Trial(cause, removal, record, after, cure, None, 0.0, False)
+        outcomes = tuple(
+            record is not None and not judged(case.scenario, record).failed for record in (next(passed) for _ in own)
+        )
+        studies.append(Study(case, judgement, best, outcomes))
+    return _each_alone(studies, threads)
+
+
+def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
+    """Ask of each cause whose removal cures whether it also fails by itself."""
+    places = []
+    runs: dict[tuple[int, str, bool], Run] = {}
+    for number, one in enumerate(studies):
+        scenario = one.case.scenario
+        for key, trial in one.best.items():
+            if trial.judgement.failed:
+                continue
+            for pair in alone_pairs(trial.cause, one.case, trial.removal):
+                without = Removal("", pair.without, pair.stroke_counts)
+                alone = Removal("", pair.alone)
+                places.append((number, key, without, alone))
+                for removal in (without, alone):
+                    runs[number, known(removal.changes), removal.stroke_counts] = Run(scenario, removal.changes)
+    records = dict(zip(runs, run_all(list(runs.values()), threads), strict=True))
+
+    def fails(number: int, removal: Removal) -> bool | None:
+        record = records[number, known(removal.changes), removal.stroke_counts]
+        return None if record is None else judged(studies[number].case.scenario, record, removal).failed
+
+    verdicts: dict[tuple[int, str], bool] = {}
+    for number, key, without, alone in places:
+        holds = fails(number, without) is False and fails(number, alone) is True
+        verdicts[number, key] = verdicts.get((number, key), True) and holds
+    return [
+        replace(
+            one,
+            best={key: replace(trial, alone=verdicts.get((number, key))) for key, trial in one.best.items()},
+        )
+        for number, one in enumerate(studies)
+    ]
+
+
+def rank(one: Study, withheld: str = "") -> list[Trial]:
+    """Rank the causes of a run that failed, the likeliest one first; `withheld` is left out of the list.
+
+    A cause is named whose removal cures the run, which fails an otherwise ideal scenario by itself, and where small
+    random changes do not cure the run as well. A goal that cannot be reached is named whatever else there is.
+    """
+    obstacle = one.case.obstacle
+    goal_cause = "" if obstacle is None else {"stroke": "leg_limits", "image": "impossible_goal"}[obstacle.kind]
+    chance = float(np.mean(one.controls)) if one.controls else 0.0
+    worse = ideal(one.case.scenario).keys()
+    trials = []
+    for key, trial in one.best.items():
+        if key == withheld:
+            continue
+        cured = not trial.judgement.failed
+        share = 1.0 if trial.alone else _NOT_ALONE
+        if trial.cause.kind == "device" and trial.cause.keys.isdisjoint(worse):
+            share = _ORDINARY
+        score = trial.cure * share * (1.0 - _CHANCE * chance)
+        named = cured and bool(trial.alone) and chance <= 0.5
+        if key == "false_equilibrium" and one.before.early:  # a law that is trapped does not end a run
+            named = False
+        if goal_cause in one.best and goal_cause != withheld:
+            named = key == goal_cause
+            score = 1.0 if named else _NOT_ALONE * trial.cure
+        trials.append(replace(trial, score=score, named=named))
+    return sorted(trials, key=lambda trial: (not trial.named, -trial.score))  # stable: ties keep the order of CAUSES
+
+
+def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, ...]:
+    """Look for two causes that make the run fail together, where no cause is named; () where there are none.
+
+    Either the run passes only without both, or it passes without either of them; and both together, without other
+    faults, make a scenario fail. The likeliest pair counts.
+    """
+    if one.case.obstacle is not None or any(trial.named for trial in trials):
+        return ()
+    scenario = one.case.scenario
+    law = f"controller.{scenario.controller.law}"
+    unusual = {**ideal(scenario), **ordinary(scenario)}.keys()
+    offered = sorted(
+        (
+            trial
+            for trial in trials
+            if trial.cause.kind != "task" and any(key.replace("LAW", law) in unusual for key in trial.cause.keys)
+        ),
+        key=lambda trial: -trial.cure,
+    )
+    likely = [trial for trial in offered if trial.judgement.failed][:_PAIRED]
+    curing = [trial for trial in offered if not trial.judgement.failed][:_PAIRED]
+    joint = [
+        (first, second)
+        for group in (likely, curing)
+        for number, first in enumerate(group)
+        for second in group[number + 1 :]
+        if not first.removal.changes.keys() & second.removal.changes.keys()
+    ]
+    runs = []
+    for first, second in joint:
+        without = both_alone(first.cause, second.cause, one.case)
+        runs += [{**first.removal.changes, **second.removal.changes}, without.without, without.alone]
+    records = run_all([Run(scenario, changes) for changes in runs], threads)
+    failed = [
+        None if record is None else judged(scenario, record, Removal("", changes)).failed
+        for record, changes in zip(records, runs, strict=True)
+    ]
+    passing = [
+        (first.cure + second.cure, first.cause.key, second.cause.key)
+        for number, (first, second) in enumerate(joint)
+        if failed[3 * number : 3 * number + 3] == [False, False, True]
+    ]
+    return max(passing, key=lambda pair: pair[0])[1:] if passing else ()
+
+
+# ---- Parts of it ----------------------------------------------------------------------------------------------------
+
+
+def _controls(case: Case) -> list[dict[str, Any]]:
+    """Give changes that take no cause out: other seeds where something is random, and small changes of the numbers."""
+    scenario = case.scenario
+    camera = scenario.camera
+    drawn = case.sampled and (
+        any(getattr(camera, name) for name in _RANDOM)
+        or (scenario.sensors.pose == "encoders" and scenario.sensors.noise > 0.0)
+        or scenario.base_motion.kind == "noise"
+    )
+    changes: list[dict[str, Any]] = []
+    if drawn:
+        changes += [{"seed": (scenario.seed + number) % 2**31} for number in range(1, 1 + _SEEDS)]
+    random = np.random.default_rng(20)
+    law = scenario.controller.law
+    block = getattr(scenario.controller, law)
+    numbers = {
+        f"controller.{law}.{name}": getattr(block, name)
+        for name in ("kp", "kt", "kd", "ki", "kv", "gain")
+        if hasattr(block, name)
+    }
+    numbers |= {f"uncertainty.{name}": getattr(scenario.uncertainty, name) for name in ("gravity", "depth", "coriolis")}
+    for _ in range(_SEEDS):
+        changes.append(
+            {
+                key: (np.asarray(value, dtype=float) * (1.0 + random.uniform(-_SIZE, _SIZE))).tolist()
+                for key, value in numbers.items()
+            }
+        )
+    return changes
+
+
+def _split(items: Sequence[Any], counts: Sequence[int]) -> list[Sequence[Any]]:
+    """Cut a sequence into parts of given lengths."""
+    ends = np.cumsum(counts).tolist()
+    return [items[end - count : end] for end, count in zip(ends, counts, strict=True)]

@@ -1,0 +1,103 @@
+"""What helps against a cause: changes that one would make on the machine or in its controller; each is run."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hexservo.findings.diagnosis.criterion import Record
+from hexservo.findings.diagnosis.gains import slower
+from hexservo.findings.diagnosis.model import Case, Removal
+
+__all__ = [
+    "gravity_remedies",
+    "late_camera_remedies",
+    "leg_limits_remedies",
+    "lost_features_remedies",
+    "saturation_remedies",
+    "slower_remedies",
+    "unequal_depth_remedies",
+]
+
+
+def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Make the loop slower, or its adaptation, in place of a better device."""
+    law = case.scenario.controller.law
+    offered = [Removal(f"the loop {factor:g} times as slow", slower(case.scenario, factor)) for factor in (2.0, 4.0)]
+    if law in ("hybrid", "composite") and getattr(case.scenario.controller, law).fuzzy.enabled:
+        slowness = np.asarray(getattr(case.scenario.controller, law).fuzzy.adaptation, dtype=float)
+        key = f"controller.{law}.fuzzy.adaptation"
+        offered.append(Removal("adaptation 10 times as slow", {key: (10.0 * slowness).tolist()}))
+    return [*offered, removal]
+
+
+def late_camera_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Carry features along, or make the loop slower."""
+    camera = case.scenario.camera
+    if camera.convention == "eye_in_hand" and camera.prediction == "none":
+        words = "features carried along by the joint sensors between frames"
+        return [Removal(words, {"camera.prediction": "encoder"}), *slower_remedies(case, removal, record)]
+    return slower_remedies(case, removal, record)
+
+
+def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Weigh the platform, or take a law that integrates."""
+    robot, model = case.scenario.robot, case.scenario.uncertainty
+    remedies = []
+    if isinstance(model.gravity, float) and isinstance(model.inertia, float) and isinstance(model.coriolis, float):
+        # The same plant, told to the controller: its terms are (1 - delta) times the estimated ones.
+        share = 1.0 - model.gravity
+        changes = {
+            "robot.mass": share * robot.mass,
+            "robot.inertia": (share * np.asarray(robot.inertia)).tolist(),
+            "uncertainty.gravity": 0.0,
+            "uncertainty.inertia": 1.0 - (1.0 - model.inertia) / share,
+            "uncertainty.coriolis": 1.0 - (1.0 - model.coriolis) / share,
+        }
+        if all(-1.0 < changes[f"uncertainty.{name}"] < 1.0 for name in ("inertia", "coriolis")):
+            remedies.append(Removal(f"the platform weighed, and {share * robot.mass:.4g} kg told to the law", changes))
+    if case.scenario.controller.law != "composite":
+        remedies.append(Removal("the law composite, which integrates a wrong weight", {"controller.law": "composite"}))
+    return [*remedies, removal]
+
+
+def unequal_depth_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Measure the depths alike, or take a law with a prior."""
+    remedies = []
+    if case.scenario.controller.law != "composite":
+        remedies.append(Removal("the law composite, whose prior bounds the drift", {"controller.law": "composite"}))
+    return [removal, *remedies]
+
+
+def saturation_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Take stronger legs."""
+    needed = rounded_up(1.1 * record.metrics["peak_leg_force"])
+    return [Removal(f"legs that give {needed:g} N", {"robot.force_limit": needed})]
+
+
+def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Widen the image, or carry lost features along."""
+    remedies = []
+    camera = case.scenario.camera
+    if camera.image_size is not None:
+        width = rounded_up(2.2 * record.metrics["peak_feature_distance"])
+        size = [max(side, width) for side in camera.image_size]
+        remedies.append(
+            Removal(f"an image of {size[0]:.0f} x {size[1]:.0f} px", {**removal.changes, "camera.image_size": size})
+        )
+    if camera.convention == "eye_in_hand" and camera.prediction == "none":
+        remedies.append(Removal("lost images carried along by the joint sensors", {"camera.prediction": "encoder"}))
+    return [*remedies, removal]
+
+
+def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Take longer legs."""
+    stroke = rounded_up(1.05 * record.metrics["peak_leg_excursion"])
+    return [Removal(f"legs with a stroke of {stroke * 1e3:.3g} mm", {"robot.stroke": stroke})]
+
+
+def rounded_up(number: float) -> float:
+    """Round up to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(number)) - 1)
+    return float(f"{math.ceil(number / unit) * unit:.6g}")

@@ -1,0 +1,139 @@
+"""Runs scenarios with changes, many at once: those that differ in numbers alone share a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.findings.diagnosis.criterion import Record, make_record
+from hexservo.run.batch import BatchResult, simulate_batch, whole
+from hexservo.run.compare import _numbers, _shared
+from hexservo.run.result import Result
+from hexservo.scenario.scenario import NumericKey, Scenario, acting_keys
+
+__all__ = ["Run", "record_of", "run_all"]
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 500  # about so many of a run are kept
+_MAX_BATCH = 64  # runs: bounds the memory of their samples
+_KEPT = ("feature_error", "position", "quaternion", "twist", "wrench", "fuzzy_output", "leg_lengths", "leg_forces")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A scenario that is to be run with some of its keys changed."""
+
+    scenario: Scenario
+    changes: Mapping[str, Any] = field(default_factory=dict)  # by dotted key, as Scenario.updated takes them
+    keep: bool = False  # the samples
+
+
+def record_of(result: Result) -> Record:
+    """Make a record of a result, thinned out to what a run of our own keeps."""
+    every = max(1, len(result.time) // _SAMPLES)
+    kept = np.unique(np.append(np.arange(0, len(result.time), every), len(result.time) - 1))
+    samples = {name: np.asarray(getattr(result, name))[kept] for name in _KEPT}
+    return make_record(
+        result.outcome,
+        result.detail,
+        result.end_time,
+        dict(result.streamed_metrics),
+        result.time[kept],
+        samples,
+        keep=True,
+    )
+
+
+def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
+    """Run them all and give their records in the same order; None where the scenario is refused with its changes.
+
+    A lane of a batch agrees with `simulate` to rounding.
+    """
+    cache: dict[int, tuple[str, dict[str, Any]]] = {}
+    groups: dict[Any, list[list[tuple[int, dict[str, Array]]]]] = {}
+    settings: dict[Any, tuple[Scenario, dict[str, Any]]] = {}
+    for index, run in enumerate(runs):
+        scenario = run.scenario
+        if id(scenario) not in cache:
+            cache[id(scenario)] = (repr(_shared(scenario)), _numbers(scenario))
+        shared, own = cache[id(scenario)]
+        others: dict[str, Any] = {}
+        keys = acting_keys(
+            run.changes.get("controller.law", scenario.controller.law),
+            run.changes.get("simulation.mode", scenario.simulation.mode),
+        )
+        numbers = {name: values for name, values in own.items() if name in keys}
+        for name, value in run.changes.items():
+            if name in numbers and value is not None and not isinstance(value, str):
+                numbers[name] = _wide(keys[name], value)
+            else:
+                others[name] = value
+                numbers.pop(name, None)
+        key = (shared, repr(sorted(others.items())))
+        alike = groups.setdefault(key, [[]])
+        settings.setdefault(key, (scenario, others))
+        if len(alike[-1]) == _MAX_BATCH:
+            alike.append([])
+        alike[-1].append((index, numbers))
+    records: list[Record | None] = [None] * len(runs)
+    for key, alike in groups.items():
+        try:
+            scenario = _thinned(settings[key][0], settings[key][1])
+        except ValueError:  # refused for what is no number
+            continue
+        for group in alike:
+            for index, record in _run(scenario, group, runs, threads):
+                records[index] = record
+    return records
+
+
+def _wide(rule: NumericKey, value: Any) -> Array:
+    """Give a value in the widest shape of its key."""
+    array, shape = np.asarray(value, dtype=rule.dtype), max(rule.shapes, key=len)
+    if array.shape == shape:
+        return array
+    return np.diag(array) if array.ndim else np.full(shape, array)
+
+
+def _thinned(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """Change a scenario, and let it log `_SAMPLES` samples."""
+    step = float(changes.get("simulation.step", scenario.simulation.step))
+    duration = float(changes.get("simulation.duration", scenario.simulation.duration))
+    return scenario.updated({**changes, "simulation.log_every": max(1, round(duration / step) // _SAMPLES)})
+
+
+def _run(
+    scenario: Scenario, group: Sequence[tuple[int, Mapping[str, Array]]], runs: Sequence[Run], threads: int
+) -> Iterable[tuple[int, Record]]:
+    """Run what shares a batch; one by one where the batch is refused for one of them."""
+    variations = {name: np.stack([numbers[name] for _, numbers in group]) for name in group[0][1]}
+    try:
+        batch = whole(simulate_batch(scenario, variations, "trajectory", threads))
+    except ValueError:
+        if len(group) == 1:
+            return
+        for one in group:
+            yield from _run(scenario, [one], runs, threads)
+        return
+    for row, (index, _) in enumerate(group):
+        yield index, _batch_record(batch, row, keep=runs[index].keep)
+
+
+def _batch_record(batch: BatchResult, row: int, *, keep: bool) -> Record:
+    assert batch.time is not None  # of trajectories
+    there = np.isfinite(batch.samples["feature_error"][row]).all(axis=1)
+    names = _KEPT if keep else ("feature_error", "leg_lengths")
+    return make_record(
+        str(batch.outcome[row]),
+        batch.detail(row),
+        float(batch.end_time[row]),
+        {name: float(values[row]) for name, values in batch.metrics.items()},
+        batch.time[there],
+        {name: batch.samples[name][row][there] for name in names},
+        keep=keep,
+    )

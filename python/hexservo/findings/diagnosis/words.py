@@ -1,0 +1,121 @@
+"""Sentences of a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
+from hexservo.run.result import Result
+from hexservo.scenario.wording import number
+
+if TYPE_CHECKING:
+    from hexservo.findings.diagnosis.findings import Finding, Remedy
+
+__all__ = ["ends", "how", "joined", "margins", "misses", "remedy_sentence", "spelt", "warnings_of"]
+
+FEW = 40  # samples, or steps
+_NEAR = 0.7  # of what is allowed: a warning
+_SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not worth a word
+
+
+def joined(parts: Sequence[str]) -> str:
+    """Put clauses side by side."""
+    return "; ".join(parts)
+
+
+def how(run: Remedy) -> str:
+    """Say how a run came out."""
+    return f"{'passes' if run.works else 'still fails'}: it {ends(run.outcome, run.error, run.leg_travel, run.drift)}"
+
+
+def spelt(outcome: str) -> str:
+    """Give an outcome in words."""
+    return outcome.replace("_", " ")
+
+
+def ends(outcome: str, error: float, leg_travel: float, drift: float) -> str:
+    """Say how a run ended."""
+    if outcome != "completed":
+        return f"ends early ({spelt(outcome)})"
+    words = f"ends with {number(error)} px left and {number(leg_travel * 1e3)} mm of leg travel"
+    return words + (f", and still drifts at {number(drift * 1e3, 2)} mm/s" if drift > _SHOWN_DRIFT else "")
+
+
+def misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
+    """Give a clause for each criterion that was missed."""
+    if judgement.early:
+        return (result.detail.rstrip("."),)
+    stroke = result.scenario.robot.stroke
+    allowed = stroke / DRIFT_TIME * 1e3
+    clauses = {_not_settled(result, judgement): 0.0 if judgement.settled else judgement.error}
+    clauses |= {
+        f"a leg goes {number(judgement.stroke * stroke * 1e3)} mm, beyond its stroke of {number(stroke * 1e3)} mm": (
+            judgement.stroke
+        ),
+        f"a leg still moves at {number(record.drift * 1e3, 2)} mm/s at the end, above {allowed:.2g} mm/s": (
+            judgement.drift
+        ),
+    }
+    return tuple(clause for clause, ratio in clauses.items() if ratio > 1.0)
+
+
+def _not_settled(result: Result, judgement: Judgement) -> str:
+    metrics = result.scenario.metrics
+    return (
+        f"not settled: {number(judgement.error * metrics.band)} px in the last {number(metrics.dwell)} s, outside the "
+        f"band of {number(metrics.band)} px"
+    )
+
+
+def margins(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
+    """Return a clause per criterion of a run that passes, with its margin."""
+    metrics, stroke = result.scenario.metrics, result.scenario.robot.stroke
+    allowed = stroke / DRIFT_TIME * 1e3
+    return (
+        f"it is settled, with {number(judgement.error * metrics.band)} px of the band of {number(metrics.band)} px "
+        f"in the last {number(metrics.dwell)} s",
+        f"the legs use {judgement.stroke:.0%} of their stroke of {number(stroke * 1e3, 4)} mm",
+        f"they drift at {number(record.drift * 1e3, 2)} mm/s of the {allowed:.2g} mm/s that are allowed",
+    )
+
+
+def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
+    """Say what is near its limit, what the run passed without being stopped by it, and what its log cannot show."""
+    found = []
+    if len(result.time) < FEW:
+        found.append(f"The run logged {len(result.time)} samples: too few to tell a drift or a swing.")
+    if not judgement.failed:
+        for what, ratio in (
+            ("the error in the dwell time", judgement.error),
+            ("the travel of the legs", judgement.stroke),
+            ("the drift of the legs", judgement.drift),
+        ):
+            if ratio > _NEAR:
+                found.append(f"Near failing: {what} is {ratio:.0%} of what is allowed.")
+    for event in result.events:
+        if event.kind == "force" and not judgement.failed:  # of a failed run it is a symptom
+            found.append(
+                f"At t = {event.time:.3g} s leg {event.leg} asks more than its force limit, which nothing enforces."
+            )
+            break
+    return tuple(found)
+
+
+def remedy_sentence(finding: Finding) -> str:
+    """Say what helps against a cause, and how that run came out."""
+    remedy = finding.remedy
+    assert remedy is not None
+    keys = ", ".join(f"{key}={_value(value)}" for key, value in remedy.changes.items())
+    outcome = how(remedy)
+    if finding.without is not None and remedy.changes == finding.without.changes:
+        return f"Against {finding.title}: {remedy.words} ({keys}); that run {outcome}."
+    return f"Against {finding.title}: {remedy.words} ({keys}). Tried: the run {outcome}."
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else "null" if value is None else str(value)

@@ -1,0 +1,338 @@
+"""The paper's figures 2 to 5 as charts, from the same samples as `hexservo.draw.plots`; nothing here simulates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo.report.charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
+from hexservo.report.html import Html
+from hexservo.run.samples import (
+    ImageView,
+    extremes,
+    image_views,
+    mean_samples,
+    moving_mean,
+    parts,
+    rotation_vectors,
+)
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.scenario import _TERMS, load_scenario
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+
+__all__ = ["figures"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+class _Ink(NamedTuple):
+    colour: str
+    dash: str = "solid"
+
+
+_POINT_COLOURS = ("@blue", "@vermilion", "@green", "@black")
+_FEATURES = tuple(_Ink(colour, dash) for colour in _POINT_COLOURS for dash in ("solid", "dash"))
+_FEATURE_NAMES = ("x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄")
+_AXES = (_Ink("@blue"), _Ink("@vermilion", "dash"), _Ink("@green", "dashdot"))
+_LEGS = (
+    _Ink("@black"),
+    _Ink("@orange"),
+    _Ink("@blue", "dash"),
+    _Ink("@vermilion", "dash"),
+    _Ink("@green", "dashdot"),
+    _Ink("@purple", "dashdot"),
+)
+_DIVERGING = [[0, "#2d004b"], [0.25, "#998ec3"], [0.5, "#f7f7f7"], [0.75, "#f1a340"], [1, "#7f3b08"]]
+_PATHS = "Paths of the four features"
+_FIRST_SHARE, _GAP = 0.62, 0.025  # of the width: the panel of the transient, and between the two
+
+
+def figures(result: Result) -> list[tuple[str, list[Html]]]:
+    """Give each figure as its heading and its charts; a law without fuzzy systems has no rule table."""
+    table = _rule_table(result)
+    drawn = [
+        *([("Rule table of the fuzzy systems", "2a", [table])] if table is not None else []),
+        ("Feature errors", "2b", _feature_errors(result)),
+        ("Feature paths in the image", "3", _feature_paths(result)),
+        ("Motion of the platform", "4", _platform_motion(result)),
+        ("Wrench and leg forces", "5", _wrench(result)),
+    ]
+    of_paper = _is_of_the_paper(result)
+    return [(f"{title} (figure {number})" if of_paper else title, charts) for title, number, charts in drawn]
+
+
+def _is_of_the_paper(result: Result) -> bool:
+    """Return whether a run is that of the packaged scenario `paper`, whose figures have the paper's numbers."""
+    if result.scenario.name != "paper" or result.controller != result.scenario.controller.law:
+        return False
+    own, paper = result.scenario.to_mapping(), load_scenario("paper").to_mapping()
+    for mapping in (own, paper):
+        del mapping["description"], mapping["simulation"]["log_every"]
+    return own == paper
+
+
+def _rule_table(result: Result) -> Html | None:
+    gains = core_parameters(result.scenario).gains
+    if not isinstance(gains, _core.HybridGains | _core.CompositeGains):
+        return None
+    values = np.asarray(gains.fuzzy.table)
+    limit = max(1.0, float(np.abs(values).max()))
+    terms = list(_TERMS)
+    spec = {
+        "data": [
+            {
+                "type": "heatmap",
+                "x": terms,
+                "y": terms,
+                "z": encoded(values),
+                "text": [[_cell(value) for value in row] for row in values],
+                "texttemplate": "%{text}",
+                "zmin": -limit,
+                "zmax": limit,
+                "colorscale": _DIVERGING,
+                "xgap": 1,
+                "ygap": 1,
+                "colorbar": {"title": {"text": "output [1]", "side": "right"}, "thickness": 12, "outlinewidth": 0},
+                "hovertemplate": "u %{y}, its rate %{x}: %{z:.3g}<extra></extra>",
+            }
+        ],
+        "layout": axes("rate of u [1]", "u [1]"),
+    }
+    spec["layout"]["yaxis"]["autorange"] = "reversed"  # type: ignore[index]
+    for axis in ("xaxis", "yaxis"):
+        spec["layout"][axis]["dtick"] = 1  # type: ignore[index]
+    spec["layout"] |= {"maxWidth": 430, "aspect": 1}  # type: ignore[operator]
+    meaning = "image wrench" if result.scenario.controller.law == "hybrid" else "pose error"
+    note = f"Rows: terms of u, the scaled {meaning}. Columns: terms of its rate. The table is that of all six systems."
+    if not gains.fuzzy.enabled:
+        note += " They are switched off in this run."
+    return chart(spec, "Output term of each rule", note=note, height=360)
+
+
+def _feature_errors(result: Result) -> list[Html]:
+    shown = parts(result)
+    titles = ["Feature errors"] if len(shown) == 1 else ["Until the run has settled", "The rest, magnified"]
+    charts, band = [], result.scenario.metrics.band
+    for part, title in zip(shown, titles, strict=True):
+        time, errors = result.time[part], result.feature_error[part]
+        low, high = _range(errors)
+        data = _lines(time, errors, _FEATURE_NAMES, _FEATURES, tolerance=TOLERANCE * (high - low))
+        within = low >= -band and high <= band
+        note = f"All of it is within ±{band:g} px." if within else f"Shaded: ±{band:g} px."
+        layout = axes("time [s]", "feature error [px]", shapes=[] if within else [_band(band)])
+        layout["yaxis"]["range"] = [low, high]
+        layout["xaxis"]["range"] = _time_range(time)
+        charts.append(chart({"data": data, "layout": layout}, title, note=note, wide=len(shown) == 1, height=340))
+    return charts
+
+
+def _feature_paths(result: Result) -> list[Html]:
+    views = image_views(result)
+    titles = (_PATHS, "The same paths, magnified")
+    return [_paths_in(result, view, title, wide=len(views) == 1) for view, title in zip(views, titles, strict=False)]
+
+
+def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Html:
+    features = result.features.reshape(-1, 4, 2)
+    goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
+    data = []
+    for number, colour in enumerate(_POINT_COLOURS):
+        path = features[:, number]
+        kept = np.union1d(extremes(path[:, 0]), extremes(path[:, 1]))
+        data.append(
+            trace(
+                path[kept, 0],
+                path[kept, 1],
+                f"point {number + 1}",
+                {"color": colour, "width": 1.6},
+                customdata=encoded(result.time[kept]),
+                hovertemplate="x %{x:.4g} px, y %{y:.4g} px at %{customdata:.4g} s",
+            )
+        )
+    marks = (
+        ("start", features[0], "circle-open", 10),
+        ("end of the run", features[-1], "circle", 7),
+        ("goal", goals, "square-open", 13),
+    )
+    for name, places, symbol, size in marks:
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "x": encoded(places[:, 0]),
+                "y": encoded(places[:, 1]),
+                "name": name,
+                "marker": {"color": list(_POINT_COLOURS), "symbol": symbol, "size": size, "line": {"width": 1.5}},
+                "hovertemplate": "x %{x:.4g} px, y %{y:.4g} px",
+            }
+        )
+    layout = axes("image x [px]", "image y [px]")
+    for axis, limits in zip(("xaxis", "yaxis"), view.limits, strict=True):
+        layout[axis]["range"] = limits
+    note = ""
+    if view.border is not None:
+        width, height = view.border
+        corners = {"x0": -width / 2, "x1": width / 2, "y0": -height / 2, "y1": height / 2}
+        layout["shapes"] = [{"type": "rect", **corners, "line": {"color": "@grey", "width": 1.2}}]
+        note = f"Grey: border of the image, {width:g} x {height:g} px." if title == _PATHS else ""
+    layout["yaxis"] |= {"scaleanchor": "x", "constrain": "domain"}
+    layout["xaxis"] |= {"constrain": "domain"}
+    layout |= {"maxWidth": 620, "aspect": float(view.half[1] / view.half[0])}
+    return chart({"data": data, "layout": layout}, title, note=note, height=680, wide=wide)
+
+
+def _platform_motion(result: Result) -> list[Html]:
+    displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
+    rotation = 1e3 * rotation_vectors(result.quaternion)
+    return [
+        _over_time(result, "Position relative to home, in B (z points down)", "displacement [mm]", displacement, "xyz"),
+        _over_time(
+            result, "Orientation: axis times angle, in B", "rotation vector [mrad]", rotation, ["θx", "θy", "θz"]
+        ),
+    ]
+
+
+def _wrench(result: Result) -> list[Html]:
+    body = _core.RigidBody()
+    body.mass = result.scenario.robot.mass
+    weight = float(body.gravity_wrench[2])
+    count = mean_samples(result.time)
+    note = ""
+    if count > 1:
+        period = 1e3 * count * float(np.median(np.diff(result.time)))
+        note = f"Thin lines are samples, thick lines their mean over {period:.3g} ms."
+    wrench = result.wrench
+    level = [_level(weight)]
+    return [
+        _over_time(result, "Horizontal force, in B", "force [N]", wrench[:, :2], ["fx", "fy"], count, note=note),
+        _over_time(
+            result,
+            "Vertical force, in B (z points down)",
+            "force [N]",
+            wrench[:, 2:3],
+            ["fz"],
+            count,
+            inks=[_Ink("@green")],
+            shapes=level,
+            also=weight,
+            note=f"Dotted: {weight:.4g} N, the weight that the law feeds forward. {note}".strip(),
+        ),
+        _over_time(result, "Moment, in B", "moment [mN m]", 1e3 * wrench[:, 3:], ["mx", "my", "mz"], count, note=note),
+        _over_time(
+            result,
+            "Leg forces (positive: pushing)",
+            "leg force [N]",
+            result.leg_forces,
+            [f"leg {leg}" for leg in range(1, 7)],
+            count,
+            inks=_LEGS,
+            note=note,
+        ),
+    ]
+
+
+# ---- Over the time --------------------------------------------------------------------------------------------------
+
+
+def _over_time(
+    result: Result,
+    title: str,
+    unit: str,
+    values: Array,
+    names: Sequence[str],
+    count: int = 1,
+    *,
+    inks: Sequence[_Ink] = _AXES,
+    shapes: Sequence[Spec] = (),
+    also: float | None = None,
+    note: str = "",
+) -> Html:
+    """Draw the columns of values over the time, its axis broken where a short transient would be lost in a long run.
+
+    Parameters
+    ----------
+    count
+        Samples of a moving mean; above 1 it is drawn over the samples, which then are thin.
+    also
+        A value that the axis shall hold.
+    """
+    shown = parts(result)
+    if len(shown) == 2 and result.time[shown[0]][-1] > result.time[-1] / 2:
+        shown = [slice(0, len(result.time))]
+    means = moving_mean(values, count)
+    data: list[Spec] = []
+    layout = axes("time [s]", unit, shapes=list(shapes))
+    low, high = layout["yaxis"]["range"] = _range(values if also is None else np.append(values, also))
+    tolerance = TOLERANCE * (high - low)
+    for place, part in enumerate(shown):
+        time, axis = result.time[part], "x" if place == 0 else "x2"
+        if count > 1:
+            thin = [_Ink(ink.colour) for ink in inks]
+            looks: Spec = {"opacity": 0.45, "hoverinfo": "skip", "hovertemplate": None}
+            data += _lines(
+                time, values[part], names, thin, axis=axis, width=0.7, legend=False, tolerance=tolerance, **looks
+            )
+        data += _lines(time, means[part], names, inks, axis=axis, legend=place == 0, tolerance=tolerance)
+        layout[f"xaxis{axis[1:]}"] = {**layout["xaxis"], "range": _time_range(time)}
+    if len(shown) == 2:
+        layout["xaxis"]["domain"] = [0, _FIRST_SHARE - _GAP]
+        layout["xaxis2"] |= {"domain": [_FIRST_SHARE + _GAP, 1], "anchor": "y"}
+    return chart({"data": data, "layout": layout}, title, note=note, wide=False, height=300)
+
+
+def _lines(
+    time: Array,
+    values: Array,
+    names: Sequence[str],
+    inks: Sequence[_Ink],
+    *,
+    axis: str = "x",
+    width: float = 1.6,
+    legend: bool = True,
+    tolerance: float,
+    **more: Any,
+) -> list[Spec]:
+    data = []
+    for column, name, ink in zip(values.T, names, inks, strict=False):  # there are more inks than lines
+        kept = thinned(time, column, tolerance)
+        line = {"color": ink.colour, "dash": ink.dash, "width": width}
+        drawn = trace(time[kept], column[kept], name, line, xaxis=axis, legendgroup=name, showlegend=legend, **more)
+        if len(time) < 3:
+            drawn["mode"] = "lines+markers"
+        data.append({key: value for key, value in drawn.items() if value is not None})
+    return data
+
+
+def _time_range(time: Array) -> list[float]:
+    begin, end = float(time[0]), float(time[-1])
+    return [begin, end if end > begin else begin + 1e-3]
+
+
+def _range(values: Array) -> list[float]:
+    """Hold all values with a margin, rounding noise not magnified."""
+    low, high = float(values.min()), float(values.max())
+    middle, half = low / 2 + high / 2, max(0.56 * (high - low), 4e-3 * max(abs(low), abs(high)), 1e-4)
+    return [middle - half, middle + half]
+
+
+def _band(half: float) -> Spec:
+    place = {"xref": "paper", "x0": 0, "x1": 1, "yref": "y", "y0": -half, "y1": half}
+    return {"type": "rect", "layer": "below", **place, "fillcolor": "@band", "line": {"width": 0}}
+
+
+def _level(value: float) -> Spec:
+    place = {"xref": "paper", "x0": 0, "x1": 1, "yref": "y", "y0": value, "y1": value}
+    return {"type": "line", **place, "line": {"color": "@black", "width": 1.2, "dash": "dot"}}
+
+
+def _cell(value: float) -> str:
+    for term, centre in _TERMS.items():
+        if abs(value - centre) < 1e-9:
+            return term
+    return f"{value:.2g}"

@@ -1,0 +1,237 @@
+"""Puts the page together: its parts in order, with style, scripts and plotly.js inside."""
+
+from __future__ import annotations
+
+import re
+from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hexservo.findings.evidence import Column, Section, Table
+from hexservo.findings.sections import Group, groups
+from hexservo.report import TITLE
+from hexservo.report.documentation import is_page, page_html
+from hexservo.report.evidence_html import badge, section_html, table_html
+from hexservo.report.figures import figures
+from hexservo.report.html import Html, element, json_script, paragraphs
+from hexservo.report.scene import Scene, scene
+from hexservo.report.still import VIEW, still
+from hexservo.report.words import summary_sentences
+from hexservo.run.machine import versions
+from hexservo.run.metrics import METRICS, metrics, readable
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+
+__all__ = ["page"]
+
+# The browser itself keeps the page from loading anything, whatever a library tries.
+_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:; "
+    "form-action 'none'; base-uri 'none'"
+)
+_SLIDER = "The slider takes smaller steps until the run has settled."
+_MAX_SCENARIO = 60_000  # characters of the scenario that are shown: a recorded motion can be far longer
+_METRICS_PAGE = "docs/model.md"
+_WORST_FIRST = ("bad", "warning", "good", "open")  # verdicts, as the summary has them; the diagnosis before others
+
+
+def page(result: Result) -> str:
+    """Give the whole page of a run, beginning with the line that marks it as ours."""
+    name = result.scenario.name
+    plotly = _plotly()
+    found = [group for group in groups(result) if group.sections or group.refusal]
+    seen = scene(result)
+    head = element(
+        "head",
+        Html('<meta charset="utf-8">'),
+        Html(f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'),
+        Html('<meta name="viewport" content="width=device-width, initial-scale=1">'),
+        Html('<meta name="color-scheme" content="light dark">'),
+        element("title", f"{name}: hexservo report"),
+        element("style", Html(_asset("report.css"))),
+    )
+    parts = [
+        ("summary", "Summary", _summary(result, found)),
+        ("figures", "Figures", _figures(result)),
+        ("space", "The machine in space", _space(seen)),
+        *((group.source.name, group.source.title, _group(group)) for group in found),
+        ("metrics", "Metrics", _metrics(result)),
+        ("scenario", "Scenario", _scenario(result)),
+        ("versions", "Versions", _versions(result, plotly)),
+        ("pages", "Explanations", _documentation(found)),
+    ]
+    contents = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in parts]
+    body = element(
+        "body",
+        element("header", element("h1", name), *_lead(result)),
+        element("nav", element("ul", *contents), aria_label="Contents"),
+        element(
+            "noscript",
+            element("p", "Charts need JavaScript, which is off; the rest of the page does not."),
+        ),
+        element("main", *[_part(*part) for part in parts]),
+        element("script", Html(plotly)),
+        element("script", Html(_asset("report.js"))),
+    )
+    return f"{TITLE}\n" + element("html", head, body, lang="en") + "\n"
+
+
+def _part(anchor: str, title: str, content: Html) -> Html:
+    return element("section", element("h2", title), content, id=anchor, class_="part")
+
+
+def _lead(result: Result) -> list[Html]:
+    return [element("p", result.scenario.description, class_="lead")] if result.scenario.description else []
+
+
+def _summary(result: Result, found: list[Group]) -> Html:
+    """Say it in words: the run, then each section's verdict and most important finding, the worst verdicts first."""
+    sections = [(group, section) for group in found for section in group.sections]
+    sections.sort(key=lambda pair: (_WORST_FIRST.index(pair[1].verdict), pair[0].source.name != "diagnose"))
+    rows = [
+        element(
+            "li",
+            badge(section.verdict),
+            " ",
+            element("a", section.title, href=f"#{_anchor(group, section)}"),
+            ": ",
+            section.sentences[0] if section.sentences else "nothing to say",
+        )
+        for group, section in sections
+    ]
+    rows += [
+        element("li", badge("open"), f" {group.source.title}: {group.refusal}") for group in found if group.refusal
+    ]
+    events = [element("li", str(event)) for event in result.events]
+    return Html(
+        element("ul", *[element("li", sentence) for sentence in summary_sentences(result)], class_="findings")
+        + (element("ul", *events, class_="events") if events else "")
+        + (element("ul", *rows, class_="verdicts") if rows else "")
+    )
+
+
+def _figures(result: Result) -> Html:
+    return Html(
+        "".join(
+            element("section", element("h3", title), element("div", *charts, class_="charts"))
+            for title, charts in figures(result)
+        )
+    )
+
+
+def _space(seen: Scene) -> Html:
+    """Give the view in space, its slider, and the still picture that stands in for it."""
+    last = str(len(seen.time) - 1)
+    controls = element(
+        "div",
+        element("button", "Play", type="button", id="play"),
+        Html(f'<input type="range" id="instant" max="{last}" value="{last}" aria-label="Instant of the run">'),
+        element("output", "", id="readout", for_="instant"),
+        class_="controls",
+    )
+    targets = "Coloured rays end at the targets." if seen.targets is not None else "This plant has no targets in space."
+    words = (
+        "Grey: base and legs. Blue: platform. Before the camera, in the middle of the platform, stands its image: "
+        f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B points down; the "
+        "view is upright. "
+    )
+    width, height = 2 * np.abs(seen.corners[:, :2]).max(axis=0) * seen.pixels_per_metre
+    image = element(
+        "div",
+        element("p", f"What the camera sees ({width:.4g} x {height:.4g} px, y up)"),
+        Html('<svg id="image" role="img" aria-label="The image at the chosen instant"></svg>'),
+        class_="image",
+    )
+    return element(
+        "figure",
+        element(
+            "div",
+            element("div", id="webgl", role="img", aria_label="Movable view of the machine in space"),
+            image,
+            class_="side",
+        ),
+        controls,
+        still(seen),
+        element("p", "", id="webgl-missing", hidden=True),
+        element("figcaption", words, element("span", _SLIDER, class_="slider")),
+        json_script({**seen.to_plain(), "view": VIEW}, id="scene"),
+        id="view",
+    )
+
+
+def _group(group: Group) -> Html:
+    if group.refusal:
+        return paragraphs(group.source.introduction, f"It could not be made for this run: {group.refusal}")
+    sections = [section_html(section, _anchor(group, section)) for section in group.sections]
+    return Html(paragraphs(group.source.introduction) + "".join(sections))
+
+
+def _anchor(group: Group, section: Section) -> str:
+    return f"{group.source.name}-{section.name}"
+
+
+def _metrics(result: Result) -> Html:
+    rows = [
+        (name.replace("_", " "), " ".join(readable(name, value)).strip(), METRICS[name][1])
+        for name, value in metrics(result).items()
+    ]
+    columns = (Column("metric"), Column("value"), Column("meaning"))
+    return table_html(Table("Measured at every step of the run", columns, rows, page=_METRICS_PAGE))
+
+
+def _scenario(result: Result) -> Html:
+    text = result.scenario.to_yaml()
+    cut = len(text) - _MAX_SCENARIO
+    if cut > 0:
+        text = text[:_MAX_SCENARIO]
+    return Html(
+        paragraphs("With every key resolved; saved as a file, it runs again with hexservo run FILE.")
+        + element("pre", element("code", text), tabindex="0", aria_label="Scenario as YAML")
+        + paragraphs(f"{cut} more characters are left out here." if cut > 0 else "")
+    )
+
+
+def _versions(result: Result, plotly: str) -> Html:
+    here = versions()
+    rows = [("simulated by hexservo", result.version), ("report by hexservo", here.pop("hexservo"))]
+    rows += [*here.items(), ("plotly.js", _plotly_version(plotly)), ("seed", str(result.scenario.seed))]
+    return table_html(Table("What ran", (Column("part"), Column("version")), rows))
+
+
+def _documentation(found: list[Group]) -> Html:
+    """Give the pages that explain what is shown, closed until a link leads into one."""
+    named = [item.page for group in found for section in group.sections for item in section.items]
+    names = [name for name in dict.fromkeys([*named, _METRICS_PAGE]) if is_page(name)]
+    return Html(
+        paragraphs("The pages of the documentation that this report refers to, of the version that wrote it.")
+        + "".join(page_html(name, names) for name in names)
+    )
+
+
+# ---- What is put inside ---------------------------------------------------------------------------------------------
+
+
+def _asset(name: str) -> str:
+    return (resources.files(__package__) / name).read_text(encoding="utf-8")
+
+
+def _plotly() -> str:
+    """Give plotly.js as the package plotly brings it, which is not imported: that takes longer than the page."""
+    package = find_spec("plotly")
+    script = Path(package.origin or "").parent / "package_data" / "plotly.min.js" if package else Path()
+    if script.is_file():
+        text = script.read_text(encoding="utf-8")
+    else:
+        from plotly.offline import get_plotlyjs
+
+        text = str(get_plotlyjs())
+    return text.replace("</script", "<\\/script")
+
+
+def _plotly_version(script: str) -> str:
+    match = re.search(r"plotly\.js v(\d[\w.+-]*)", script[:1000])
+    return match[1] if match else "unknown"

@@ -1,0 +1,153 @@
+"""The machine in space: legs, platform, camera, image and target at a number of instants of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo.report.charts import encoded
+from hexservo.run.samples import parts, rotation_vectors
+from hexservo.scenario.parameters import core_parameters
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+
+__all__ = ["Scene", "scene"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_FRAMES = (150, 60)  # most instants of the transient, and of the rest
+_IMAGE_DISTANCE = 0.4  # of the drawn image plane from the camera, in parts of the targets' depth
+_MARGIN = 1.2  # of the drawn image round the features
+_WIDEST = 1.0  # half width of the drawn image, in parts of its distance: features farther out are not drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Places in B [m], but for those of the image plane, which are in E [m]."""
+
+    time: Array  # (k,) [s]
+    position: Array  # (k, 3), of E's origin, the camera
+    rotation: Array  # (k, 3, 3), turns E-coordinates into B-coordinates
+    joints: Array  # (k, 6, 3), of the platform
+    base: Array  # (6, 3), joints of the base
+    targets: Array | None  # (4, 3); None where the plant has no points
+    corners: Array  # (4, 3) in E, of the image plane, in the order of a walk round it
+    image: Array  # (k, 4, 3) in E, features on the image plane; NaN beyond its widest
+    goals: Array  # (4, 3) in E
+    displacement: Array  # (k, 3) [m], from home
+    turn: Array  # (k, 3) [rad], rotation vector
+    error: Array  # (k,) [px], largest feature error
+    pixels_per_metre: float  # of the image plane
+
+    def placed(self, frame: int, points: Array) -> Array:
+        """Give points of E, (..., 3), in B at an instant."""
+        return np.asarray(self.position[frame] + points @ self.rotation[frame].T)
+
+    def box(self) -> tuple[Array, Array]:
+        """Give the smallest and the largest coordinates of all that is drawn, (3,) each."""
+        plane = np.concatenate([self.placed(frame, self.corners) for frame in range(len(self.time))])
+        everything = [self.base, self.joints.reshape(-1, 3), self.position, plane]
+        everything += [] if self.targets is None else [self.targets]
+        places = np.concatenate(everything)
+        return places.min(axis=0), places.max(axis=0)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Give what the page's script needs."""
+        low, high = self.box()
+        middle, half = (low + high) / 2, 0.54 * (high - low) + 0.005
+        return {
+            "time": encoded(self.time),
+            "position": encoded(self.position.ravel()),
+            "rotation": encoded(self.rotation.ravel()),
+            "joints": encoded(self.joints.ravel()),
+            "image": encoded(self.image.ravel()),
+            "displacement": encoded(1e3 * self.displacement.ravel()),
+            "turn": encoded(1e3 * self.turn.ravel()),
+            "error": encoded(self.error),
+            "base": self.base.tolist(),
+            "targets": None if self.targets is None else self.targets.tolist(),
+            "corners": self.corners.tolist(),
+            "goals": self.goals.tolist(),
+            "low": (middle - half).tolist(),
+            "high": (middle + half).tolist(),
+        }
+
+
+def scene(result: Result) -> Scene:
+    """Choose the instants of a run that the view shows, and give what is where; more of them while it moves."""
+    settings = core_parameters(result.scenario)
+    hexapod = _core.Hexapod(settings.robot)
+    chosen = _instants(result)
+    position, quaternion = result.position[chosen], result.quaternion[chosen]
+    joints = np.array([_platform_joints(hexapod, *pose) for pose in zip(position, quaternion, strict=True)])
+    rotation = np.array([_rotation(hexapod, *pose) for pose in zip(position, joints, strict=True)])
+    features = result.features[chosen].reshape(-1, 4, 2)
+    goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
+    distance = _IMAGE_DISTANCE * float(np.abs(result.depth[0]).mean())
+    pixel = distance / settings.camera.focal_pixels  # [m], as it appears on the plane
+    half = _half_size(result, features, goals) * pixel
+    half = np.minimum(half, _WIDEST * distance)
+    image = _on_plane(features * pixel, distance)
+    image[np.abs(image[..., :2]).max(axis=-1) > _WIDEST * distance] = np.nan
+    has_points = settings.convention == _core.CameraConvention.eye_in_hand
+    return Scene(
+        time=result.time[chosen],
+        position=position,
+        rotation=rotation,
+        joints=joints,
+        base=np.asarray(hexapod.base_joints),
+        targets=_targets(result, settings.camera.focal_pixels, rotation[0]) if has_points else None,
+        corners=_on_plane(np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * half, distance),
+        image=image,
+        goals=_on_plane(goals * pixel, distance),
+        displacement=position - np.asarray(result.scenario.robot.home_position),
+        turn=rotation_vectors(quaternion),
+        error=np.abs(result.feature_error[chosen]).max(axis=1),
+        pixels_per_metre=1 / pixel,
+    )
+
+
+def _instants(result: Result) -> NDArray[np.intp]:
+    """Choose samples evenly within the transient and, more sparsely, within the rest."""
+    chosen = [
+        np.linspace(part.start, part.stop - 1, min(count, part.stop - part.start)).round().astype(np.intp)
+        for part, count in zip(parts(result), _FRAMES, strict=False)
+    ]
+    return np.unique(np.concatenate(chosen))
+
+
+def _platform_joints(hexapod: _core.Hexapod, position: Array, quaternion: Array) -> Array:
+    """Follow each leg from the base: its length along its direction, which is a column of the wrench map's forces."""
+    directions = np.asarray(hexapod.wrench_map(position, quaternion))[:3]
+    return np.asarray(hexapod.base_joints + (directions * hexapod.leg_lengths(position, quaternion)).T)
+
+
+def _rotation(hexapod: _core.Hexapod, position: Array, joints: Array) -> Array:
+    """Find how E is turned from where the core puts the platform's joints, which lie in E's plane of x and y."""
+    across, *_ = np.linalg.lstsq(np.asarray(hexapod.platform_joints)[:, :2], joints - position, rcond=None)
+    return np.column_stack([across[0], across[1], np.cross(across[0], across[1])])
+
+
+def _on_plane(points: Array, distance: float) -> Array:
+    """Put points (..., 2) [m] on the image plane, which is drawn before the camera: it looks along -z of E."""
+    return np.concatenate([points, np.full((*points.shape[:-1], 1), -distance)], axis=-1)
+
+
+def _targets(result: Result, focal: float, rotation: Array) -> Array:
+    """Find the four points that the first sample sees: as far along each ray as their depth says."""
+    depth = np.abs(result.depth[0])[:, None]
+    rays = np.column_stack([result.features[0].reshape(4, 2) / focal, np.full(4, -1.0)])
+    return np.asarray(result.position[0] + depth * rays @ rotation.T)
+
+
+def _half_size(result: Result, features: Array, goals: Array) -> Array:
+    """Give half the size of the image that is drawn [px], (2,): the sensor's, or what holds all features."""
+    size = result.scenario.camera.image_size
+    if size is not None:
+        return np.asarray(size, dtype=float) / 2
+    return np.full(2, _MARGIN * max(float(np.abs(features).max()), float(np.abs(goals).max())))

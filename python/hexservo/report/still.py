@@ -1,0 +1,97 @@
+"""The machine in space as a still picture: lines and text that need neither WebGL nor a script."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.report.html import Html, element
+from hexservo.report.scene import Scene
+
+__all__ = ["VIEW", "still"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+VIEW = (1.42, -1.75, 1.15)
+"""From where the machine is seen, in the upright frame (x, -y, -z) of B; the page's script begins there too."""
+
+_HEIGHT = 560.0  # of the picture
+_MARGIN = 26.0
+_POINTS = ("blue", "vermilion", "green", "black")
+
+
+def still(scene: Scene) -> Html:
+    """Draw the end of the run, with the paths of the features on the image plane up to there."""
+    last = len(scene.time) - 1
+    joints, camera = scene.joints[last], scene.position[last]
+    corners = scene.placed(last, scene.corners)
+    low, high = scene.box()
+    bounds = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    flat = _seen(bounds)
+    scale = (_HEIGHT - 2 * _MARGIN) / float(np.ptp(flat[:, 1]))
+    offset = np.array([_MARGIN, _MARGIN]) - flat.min(axis=0) * scale
+    width = float(np.ptp(flat[:, 0])) * scale + 2 * _MARGIN + 70
+
+    def at(points: Array) -> Array:
+        return np.asarray(_seen(points) * scale + offset)
+
+    shapes = [_polygon(at(scene.base), "base")]
+    shapes += [_line(at(np.stack([foot, head])), "leg") for foot, head in zip(scene.base, joints, strict=True)]
+    shapes += [_line(at(np.stack([camera, corner])), "frustum") for corner in corners]
+    shapes += [_polygon(at(joints), "platform"), _polygon(at(corners), "image")]
+    image = np.array([scene.placed(last, frame) for frame in scene.image])  # (k, 4, 3)
+    goals = scene.placed(last, scene.goals)
+    for number, colour in enumerate(_POINTS):
+        path = image[np.isfinite(image[:, number]).all(axis=1), number]
+        if scene.targets is not None and len(path):
+            shapes.append(_line(at(np.stack([camera, scene.targets[number]])), f"ray {colour}"))
+            shapes.append(_dot(at(scene.targets[number])[None][0], 4, f"dot {colour}"))
+        if len(path):
+            shapes += [_line(at(path), f"path {colour}"), _dot(at(path[-1]), 3, f"dot {colour}")]
+        shapes.append(_dot(at(goals[number]), 5, f"goal {colour}"))
+    names: list[tuple[str, Array]] = [("base", scene.base[int(at(scene.base)[:, 0].argmax())])]
+    names.append(("platform", joints[int(at(joints)[:, 0].argmax())]))
+    names.append(("image", corners[int(at(corners)[:, 0].argmax())]))
+    if scene.targets is not None:
+        names.append(("targets", scene.targets[int(at(scene.targets)[:, 0].argmax())]))
+    shapes += [_text(at(place), name) for name, place in names]
+    return element(
+        "svg",
+        *shapes,
+        class_="still",
+        viewBox=f"0 0 {width:.0f} {_HEIGHT:.0f}",
+        role="img",
+        aria_label=f"The machine at t = {scene.time[last]:.4g} s: base, six legs, platform, image and targets",
+    )
+
+
+def _seen(points: Array) -> Array:
+    """Project points of B, (..., 3), without perspective: to the right, and down."""
+    upright = points * np.array([1.0, -1.0, -1.0])
+    toward = np.array(VIEW) / np.linalg.norm(VIEW)
+    right = np.cross([0.0, 0.0, 1.0], toward)
+    right /= np.linalg.norm(right)
+    return np.stack([upright @ right, -(upright @ np.cross(toward, right))], axis=-1)
+
+
+def _polygon(points: Array, kind: str) -> Html:
+    return element("polygon", points=_pairs(points), class_=kind)
+
+
+def _line(points: Array, kind: str) -> Html:
+    return element("polyline", points=_pairs(points), class_=kind)
+
+
+def _dot(place: Array, radius: float, kind: str) -> Html:
+    return element("circle", cx=f"{place[0]:.1f}", cy=f"{place[1]:.1f}", r=f"{radius:g}", class_=kind)
+
+
+def _text(place: Array, text: str) -> Html:
+    return element("text", text, x=f"{place[0] + 9:.1f}", y=f"{place[1] + 4:.1f}")
+
+
+def _pairs(points: Iterable[Array]) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)

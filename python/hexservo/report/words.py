@@ -1,0 +1,73 @@
+"""The summary of a run in sentences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hexservo.run.metrics import metrics, readable
+from hexservo.scenario.wording import number
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+
+__all__ = ["summary_sentences"]
+
+
+def summary_sentences(result: Result) -> list[str]:
+    """Say how a run ended, whether it settled, what error remains, and how near the legs came to their limits."""
+    return [_outcome(result), _settling(result), _residual(result), *_legs(result)]
+
+
+def _outcome(result: Result) -> str:
+    ours = result.controller == result.scenario.controller.law
+    law = f"the law {result.controller}" if ours else f"the function {result.controller}"
+    steps = f"{result.end_time:.4g} s in {result.scenario.simulation.mode} mode, controlled by {law}"
+    if result.outcome == "completed":
+        return f"The run completed: {steps}."
+    asked = f"{result.scenario.simulation.duration:.4g} s"
+    return f"The run ended early, at {result.end_time:.4g} s of {asked} ({result.outcome.replace('_', ' ')}): " + (
+        f"{result.detail}. It was controlled by {law}."
+    )
+
+
+def _settling(result: Result) -> str:
+    values, measured = metrics(result), result.scenario.metrics
+    settled = values["settling_time"]
+    if settled != settled:
+        if values["final_error"] <= measured.band:
+            stay = f"at the end they are within {measured.band:g} px, but for less than {measured.dwell:g} s"
+        else:
+            stay = f"at the end an error is larger than {measured.band:g} px"
+        return f"The features did not settle: {stay}."
+    if result.outcome != "completed":
+        return f"Until then the features had been within {measured.band:g} px since {settled:.4g} s."
+    if settled == 0:
+        return f"All features stayed within {measured.band:g} px from the start."
+    return f"All features are within {measured.band:g} px of their goals from {settled:.4g} s on."
+
+
+def _residual(result: Result) -> str:
+    values = metrics(result)
+    text = f"The largest feature error at the end is {number(values['final_error'])} px"
+    rms = values["rms_error"]
+    start = result.scenario.metrics.rms_start
+    return text + (f"; from {start:g} s on their RMS is {number(rms)} px." if rms == rms else ".")
+
+
+def _legs(result: Result) -> list[str]:
+    """Compare the largest travel and force of a leg with what is allowed."""
+    values, robot = metrics(result), result.scenario.robot
+    sentences = []
+    for name, limit, unit, scale, what in (
+        ("peak_leg_excursion", robot.stroke, "mm", 1e3, "travel"),
+        ("peak_leg_force", robot.force_limit, "N", 1.0, "force"),
+    ):
+        found, shown = readable(name, values[name])
+        share = values[name] / limit
+        if share <= 1:
+            verdict = f"{1 - share:.0%} of it is left"
+        else:
+            verdict = f"that is {share - 1:.0%} too much" if share < 3 else f"that is {number(share)} times as much"
+        allowed = f"{number(limit * scale, 4)} {unit}"
+        sentences.append(f"The largest {what} of a leg is {found} {shown} of the {allowed} allowed; {verdict}.")
+    return sentences

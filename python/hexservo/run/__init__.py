@@ -1,0 +1,1 @@
+"""Runs: one scenario, batches, controllers, results, metrics, saving, export and comparison."""

@@ -1,0 +1,506 @@
+"""Runs many variations of a scenario at once, one per lane of the processor's vector registers."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexservo import _core
+from hexservo.findings.display import batch_html, batch_text
+from hexservo.run.custom_controller import OwnController, function_name, run_with
+from hexservo.run.metrics import METRICS
+from hexservo.run.progress import progress_bar
+from hexservo.run.result import _QUANTITIES, _TERMS, _WRENCH
+from hexservo.run.variant import chosen_kernel
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.scenario import (
+    LAWS,
+    MAX_WHOLE_FLOAT,
+    NumericKey,
+    Scenario,
+    ScenarioError,
+    numeric_keys,
+    sampled_keys,
+    without_effect,
+)
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+__all__ = ["BatchResult", "simulate_batch", "whole"]
+
+Array: TypeAlias = NDArray[np.float64]
+Log: TypeAlias = Literal["final", "metrics", "trajectory"]
+ProgressCallback: TypeAlias = Callable[[int, int], object]
+
+_LOGS = {
+    "final": _core.BatchLog.last_sample,
+    "metrics": _core.BatchLog.metrics,
+    "trajectory": _core.BatchLog.trajectory,
+}
+_OUTCOMES = np.array([outcome.name for outcome in sorted(_core.Outcome, key=lambda outcome: outcome.value)])
+_CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda cause: cause.value)])
+_MAX_THREADS = 1024
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BatchResult:
+    """What n scenarios gave, in the order of their variations. Axis 0 of every array is the scenario.
+
+    Frames and orders: docs/model.md section 1. Arrays share the batch's memory.
+    """
+
+    scenario: Scenario  # what the variations vary
+    # as given, each (n or 1, ...) in the key's own shape; floats, but for seeds, which are uint64
+    variations: Mapping[str, NDArray[Any]] = field(repr=False)
+    outcome: NDArray[np.str_] = field(repr=False)  # (n,) as Result.outcome
+    cause: NDArray[np.str_] = field(repr=False)  # (n,) why a run stopped early: none, not_finite, feature_error, ...
+    limit_leg: NDArray[np.int8] = field(repr=False)  # (n,) leg, 1 to 6, that ended a run as leg_limit; 0: none did
+    end_time: Array = field(repr=False)  # (n,) [s], time of the last good sample; NaN where interrupted
+    stop_time: Array = field(repr=False)  # (n,) [s], time of the step that failed, else of the end; NaN likewise
+    metrics: Mapping[str, Array] = field(repr=False)  # name of hs.METRICS -> (n,); NaN where interrupted
+    # log "final": the last good sample, each (n, k); log "trajectory": (n, m, k), NaN from where a run stopped; names,
+    # units and orders as in Result; fuzzy_weights (n, 6, 7, 7) likewise. log "metrics": empty. NaN where interrupted.
+    samples: Mapping[str, Array] = field(repr=False)
+    time: Array | None = field(repr=False)  # (m,) [s], of trajectories
+    controller: str | None = None  # name of the custom controller that acted; None: the scenario's law did
+
+    def __repr__(self) -> str:
+        """Give the batch in a few lines."""
+        return batch_text(self)
+
+    def _repr_html_(self) -> str:
+        """Give outcomes, metrics and a figure for a notebook."""
+        return batch_html(self)
+
+    def __len__(self) -> int:
+        """Give the number of scenarios."""
+        return len(self.outcome)
+
+    def detail(self, index: int) -> str:
+        """Say in one sentence how the run of one scenario ended.
+
+        Raises
+        ------
+        IndexError
+            For an index that no scenario has.
+        """
+        if self.outcome[index] == "interrupted":
+            return "interrupted before its end"
+        cause = _core.StopCause[str(self.cause[index])]
+        return _core.describe(cause, float(self.stop_time[index]), int(self.limit_leg[index]) - 1)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the batch as a flat table: a row for each run, with what varies, how it ended, and its metrics.
+
+        Columns: varied keys by their dotted names, entries of arrays as ``controller.hybrid.kv[0]``; ``outcome``,
+        ``cause``, ``limit_leg``, ``end_time``, ``stop_time``; metrics by their names in `hs.METRICS`. The index is the
+        scenario. ``attrs["units"]`` maps times and metrics to their units.
+        """
+        import pandas as pd
+
+        columns: dict[str, Any] = {}
+        for key, values in self.variations.items():
+            rows = np.broadcast_to(values, (len(self), *values.shape[1:]))
+            for place in np.ndindex(values.shape[1:]):
+                columns[key + "".join(f"[{index}]" for index in place)] = rows[(slice(None), *place)]
+        columns |= {name: getattr(self, name) for name in ("outcome", "cause", "limit_leg", "end_time", "stop_time")}
+        table = pd.DataFrame({**columns, **self.metrics}, index=pd.RangeIndex(len(self), name="scenario"))
+        table.attrs = {
+            "scenario": self.scenario.name,
+            "controller": self.controller or self.scenario.controller.law,
+            "units": {"end_time": "s", "stop_time": "s", **{name: METRICS[name][0] for name in self.metrics}},
+        }
+        return table
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Give the batch as a dataset with the dimension ``scenario``, labelled, with units.
+
+        Variations are variables named after their dotted keys, metrics ``metric_...``. Attributes hold text and
+        numbers only, the base scenario as one YAML string (``scenario``).
+        """
+        import xarray
+
+        from hexservo import __version__
+
+        data: dict[str, Any] = {
+            "outcome": ("scenario", self.outcome, {"long_name": "how the run ended"}),
+            "cause": ("scenario", self.cause, {"long_name": "why the run stopped early"}),
+            "end_time": ("scenario", self.end_time, {"units": "s", "long_name": "time of the last good sample"}),
+        }
+        for name, values in self.metrics.items():
+            unit, meaning = METRICS[name]
+            data[f"metric_{name}"] = ("scenario", values, {"units": unit, "long_name": meaning})
+        for key, values in self.variations.items():
+            whole = np.broadcast_to(values, (len(self), *values.shape[1:]))
+            axes = [f"{key}_{axis}" for axis in range(1, values.ndim)]
+            data[key] = (["scenario", *axes], whole, {"long_name": f"varied {key}"})
+        coords: dict[str, Any] = {"scenario": np.arange(len(self))}
+        middle = [] if self.time is None else ["time"]
+        if self.time is not None:
+            coords["time"] = ("time", self.time, {"units": "s", "long_name": "time"})
+        for name, values in self.samples.items():
+            if name == "fuzzy_weights":
+                attributes = {"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"}
+                data[name] = (["scenario", "wrench_component", "error_term", "rate_term"], values, attributes)
+                coords |= {"wrench_component": _WRENCH, "error_term": _TERMS, "rate_term": _TERMS}
+            else:
+                dimension, labels, unit, meaning = _QUANTITIES[name]
+                data[name] = (["scenario", *middle, dimension], values, {"units": unit, "long_name": meaning})
+                coords[dimension] = labels
+        return xarray.Dataset(
+            data,
+            coords=coords,
+            attrs={
+                "title": f"hexservo batch of {self.scenario.name}",
+                "hexservo_version": __version__,
+                "scenario": self.scenario.to_yaml(),
+            },
+        )
+
+
+def whole(batch: BatchResult) -> BatchResult:
+    """Give a batch on which findings rest: every run of it came to its own end.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C ended it, which `simulate_batch` only notes: what is there of it says nothing.
+    """
+    if (batch.outcome == "interrupted").any():
+        raise KeyboardInterrupt
+    return batch
+
+
+def simulate_batch(
+    scenario: Scenario,
+    variations: Mapping[str, ArrayLike],
+    log: Log = "final",
+    threads: int | None = None,
+    progress: bool | ProgressCallback | None = None,
+    *,
+    controller: OwnController | None = None,
+) -> BatchResult:
+    """Run many variations of a scenario (docs/batch.md).
+
+    Each run is the scenario with one row of every variation, as ``simulate(scenario.updated({key: row}))`` is, one per
+    lane of the processor's vector registers, on all cores. A run depends on its own scenario only: not on the other
+    ones, their number or order, nor on the number of threads, bit for bit within one variant. It agrees with `simulate`
+    to rounding.
+
+    Parameters
+    ----------
+    scenario
+        What the variations vary.
+    variations
+        Values by dotted key, ``{"uncertainty.depth": array}``; every key that holds numbers may vary, of the gains
+        those of the scenario's law, in SI units and pixels. Axis 0 is the scenario, the others are the key's own shape:
+        (8,) on ``controller.hybrid.kp`` are eight scenarios, (n, 8) are n scenarios of eight gains. A length of 1 holds
+        for all: (1, 8). Seeds are whole numbers of 64 bits; as floats, up to 2^53.
+    log
+        What is kept beside outcome, times and metrics: "final", the last good sample and the fuzzy weights; "metrics",
+        nothing; "trajectory", every ``simulation.log_every``-th sample, on one time grid, and the final weights.
+    threads
+        Threads to use, at least 1; None: as many as the process has cores.
+    progress
+        True draws a bar on standard error; a function is called with (scenarios done, scenarios in all) every 50 ms
+        and at the end, in this thread.
+    controller
+        Custom controller in place of the scenario's law, as for `simulate`. It is a Python function: the runs follow
+        one another in this thread, each bit for bit that of `simulate`, and `progress` is called after each. An
+        observation with ``tick`` 0 begins a new run.
+
+    Returns
+    -------
+    BatchResult
+        A run that diverges is a result, with its outcome and time, and disturbs no other. Ctrl-C ends the batch within
+        0.2 s and keeps what is finished; the others are ``interrupted``, with NaN for numbers.
+
+    Raises
+    ------
+    TypeError
+        For anything but a `Scenario`, a mapping and the types above.
+    ValueError
+        Text "key: expected ..., got ..." for unknown keys, shapes and lengths, "scenario 17: key: ..." for the first
+        bad scenario, before any runs; for a result of more than 2 GiB; for trajectories that differ in their times;
+        for a custom controller with more than one thread, or in continuous mode.
+    VariantError
+        Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
+    """
+    if not isinstance(scenario, Scenario):
+        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+    if log not in tuple(_LOGS):  # a tuple: what was given may have no hash
+        raise ValueError(f"log: expected one of {', '.join(_LOGS)}, got {log!r}")
+    kernel = chosen_kernel()
+    arrays = _checked(scenario, variations)
+    count = max(len(values) for values in arrays.values())
+    if controller is not None:
+        return _run_custom(scenario, arrays, count, log, threads, progress, controller)
+    varied = dict(arrays)
+    if "simulation.step" in arrays and scenario.camera.period == scenario.simulation.step:
+        varied.setdefault("camera.period", arrays["simulation.step"])  # a frame at every tick, as `updated` has it
+    rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
+    with _reporting(progress) as report:
+        run = _core.simulate_batch(
+            core_parameters(scenario), rows, count, _LOGS[log], _thread_count(threads), kernel, report
+        )
+    samples = dict(run.samples)
+    if run.fuzzy_weights is not None:
+        samples["fuzzy_weights"] = run.fuzzy_weights
+    return BatchResult(
+        scenario=scenario,
+        variations=arrays,
+        outcome=_OUTCOMES[run.outcome],
+        cause=_CAUSES[run.cause],
+        limit_leg=run.limit_leg + np.int8(1),
+        end_time=run.end_time,
+        stop_time=run.stop_time,
+        metrics=dict(zip(METRICS, run.metrics, strict=True)),
+        samples=samples,
+        time=run.time,
+    )
+
+
+# ---- A custom controller --------------------------------------------------------------------------------------------
+
+_MAX_BYTES = 2 * 2**30  # of a result
+
+
+def _run_custom(
+    scenario: Scenario,
+    arrays: Mapping[str, Array],
+    count: int,
+    log: Log,
+    threads: int | None,
+    progress: bool | ProgressCallback | None,
+    controller: OwnController,
+) -> BatchResult:
+    """Run one scenario after the other with a Python function as their controller."""
+    if not callable(controller):
+        raise TypeError(f"controller: expected a function of an Observation, got {type(controller).__name__}")
+    if threads is not None and _thread_count(threads) != 1:
+        raise ValueError(
+            f"threads: expected 1 or None with a custom controller, which runs in one thread, got {threads}"
+        )
+    law = scenario.controller.law
+    scenarios = [
+        scenario.updated(
+            {key: _plain_row(_known(key, law), values[index % len(values)]) for key, values in arrays.items()}
+        )
+        for index in range(count)
+    ]
+    time = _common_times(scenarios) if log == "trajectory" else None
+    middle = () if time is None else (len(time),)
+    shapes: dict[str, tuple[int, ...]] = {}
+    if log != "metrics":
+        shapes = {name: (*middle, len(labels)) for name, (_, labels, _, _) in _QUANTITIES.items()}
+        shapes["fuzzy_weights"] = (6, 7, 7)
+    size = 8 * count * (sum(math.prod(shape) for shape in shapes.values()) + len(METRICS))
+    if size > _MAX_BYTES:
+        raise ValueError(f"log: expected a result of at most 2 GiB, got {size / 2**30:.3g} GiB")
+    found = BatchResult(
+        scenario=scenario,
+        variations=arrays,
+        outcome=np.full(count, "interrupted", dtype=_OUTCOMES.dtype),
+        cause=np.full(count, "none", dtype=_CAUSES.dtype),
+        limit_leg=np.zeros(count, dtype=np.int8),
+        end_time=np.full(count, np.nan),
+        stop_time=np.full(count, np.nan),
+        metrics={name: np.full(count, np.nan) for name in METRICS},
+        samples={name: np.full((count, *shape), np.nan) for name, shape in shapes.items()},
+        time=time,
+        controller=function_name(controller),
+    )
+    planned = [round(one.simulation.duration / one.simulation.step) for one in scenarios]
+    steps = 0
+    with _reporting(progress) as report, contextlib.suppress(KeyboardInterrupt):
+        for index, one in enumerate(scenarios):
+            try:
+                run = run_with(one, controller)
+            except Exception as error:
+                if hasattr(error, "add_note"):
+                    error.add_note(f"in scenario {index} of the batch")
+                raise
+            if run.outcome == _core.Outcome.interrupted:
+                break
+            _enter(found, index, run, one)
+            steps += planned[index]
+            if report is not None:
+                report(index + 1, count, steps, sum(planned))
+    return found
+
+
+def _common_times(scenarios: list[Scenario]) -> Array:
+    """Return the times of the logged samples [s], which the runs have in common."""
+    grids = {(one.simulation.step, one.simulation.duration, one.simulation.log_every) for one in scenarios}
+    if len(grids) > 1:
+        raise ValueError("log: expected trajectories on one time grid, got scenarios that differ in their times")
+    ((step, duration, log_every),) = grids
+    steps = round(duration / step)
+    return np.union1d(np.arange(0, steps + 1, log_every), steps) * step
+
+
+def _enter(found: BatchResult, index: int, run: _core.Trajectory, scenario: Scenario) -> None:
+    """Enter a run into the arrays of a batch."""
+    step = scenario.simulation.step
+    stop = run.steps * step
+    found.outcome[index] = run.outcome.name
+    cause, leg = next(
+        (cause, leg)
+        for cause in _core.StopCause
+        for leg in (range(6) if cause == _core.StopCause.leg_limit else [-1])
+        if _core.describe(cause, stop, leg) == run.detail
+    )
+    found.cause[index], found.limit_leg[index] = cause.name, leg + 1
+    found.end_time[index], found.stop_time[index] = run.end_time, stop
+    for name, values in found.metrics.items():
+        values[index] = getattr(run.metrics, name)
+    places = None
+    if found.time is not None:  # a run that stopped also has its last good sample, which may be beside the grid
+        grid, own = (np.rint(times / step).astype(np.int64) for times in (found.time, run.time))
+        _, places, kept = np.intersect1d(grid, own, assume_unique=True, return_indices=True)
+    for name, values in found.samples.items():
+        samples = getattr(run, name)
+        if name == "fuzzy_weights":
+            values[index] = samples
+        elif places is None:
+            values[index] = samples[-1]
+        else:
+            values[index, places] = samples[kept]
+
+
+# ---- Variations -----------------------------------------------------------------------------------------------------
+
+
+def _checked(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
+    """Give the variations as arrays of allowed shapes, lengths and values."""
+    if not isinstance(variations, Mapping):
+        raise TypeError(f"variations: expected a mapping of keys to arrays, got {type(variations).__name__}")
+    if not variations:
+        raise ValueError("variations: expected at least one key, got none")
+    law = scenario.controller.law
+    arrays = {key: _array(key, _known(key, law), values) for key, values in variations.items()}
+    idle = [key for key in arrays if key in sampled_keys()] if scenario.simulation.mode == "continuous" else []
+    if idle:
+        raise ScenarioError(without_effect(idle))
+    lengths = {key: len(values) for key, values in arrays.items()}
+    count = max(lengths.values())
+    for key, length in lengths.items():
+        if length not in (1, count):
+            longest = max(lengths, key=lambda name: lengths[name])
+            raise ValueError(f"{key}: expected 1 or {count} scenarios, as {longest} has, got {length}")
+    # The first scenario, checked as a whole: what the other keys of its block allow.
+    try:
+        scenario.updated({key: _plain_row(_known(key, law), values[0]) for key, values in arrays.items()})
+    except ScenarioError as error:
+        raise ScenarioError([f"scenario 0: {problem}" for problem in error.problems]) from None
+    return arrays
+
+
+def _known(key: object, law: str) -> NumericKey:
+    known = numeric_keys(law)
+    if isinstance(key, str) and key in known:
+        return known[key]
+    if any(key in numeric_keys(other) for other in LAWS):
+        raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got one of another law")
+    nearest = difflib.get_close_matches(key.lower(), list(known), 1) if isinstance(key, str) else []
+    hint = f'; did you mean "{nearest[0]}"?' if nearest else ""
+    raise ValueError(f"{key}: expected a key that holds numbers, got another one{hint}")
+
+
+def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
+    """Check shape and values against the scenario's own rules for the key."""
+    try:
+        values = np.asarray(given)
+        if rule.whole and not isinstance(given, np.ndarray):
+            values = _whole_numbers(given, values)
+        if values.dtype.kind not in "iuf":
+            raise ValueError
+    except ValueError:  # ragged, or no numbers
+        raise ValueError(f"{key}: expected an array of numbers, got {_kind(given)}") from None
+    if values.ndim == 0 or values.shape[1:] not in rule.shapes or len(values) == 0:
+        shapes = " or ".join(
+            f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes
+        )
+        raise ValueError(f"{key}: expected shape {shapes}, n scenarios, got {values.shape}")
+    allowed = rule.within(values)
+    if not allowed.all():
+        place = tuple(int(index) for index in np.argwhere(~allowed)[0])
+        entry = "".join(f"[{index}]" for index in place[1:])
+        rounded = rule.whole and values.dtype.kind == "f" and abs(values[place]) > MAX_WHOLE_FLOAT
+        got = f"the float {values[place]!r}, which may have been rounded" if rounded else f"{values[place]:.12g}"
+        raise ValueError(f"scenario {place[0]}: {key}{entry}: expected {rule.expected}, got {got}")
+    numbers = values.astype(rule.dtype)
+    if rule.symmetric and numbers.ndim == 3:
+        numbers = _symmetric(key, numbers)
+    return numbers
+
+
+def _whole_numbers(given: ArrayLike, values: NDArray[Any]) -> NDArray[Any]:
+    """Keep integers of up to 64 bits, of which numpy makes floats where some are above 2^63 and others are not."""
+    if values.dtype.kind not in "fO":
+        return values
+    objects = np.asarray(given, dtype=object)
+    integers = all(isinstance(item, int) and 0 <= item < 2**64 for item in objects.flat)
+    return objects.astype(np.uint64) if integers else values
+
+
+def _symmetric(key: str, matrices: Array) -> Array:
+    """Make nearly symmetric matrices symmetric, as a scenario does."""
+    turned = matrices.transpose(0, 2, 1)
+    uneven = np.abs(matrices - turned).max(axis=(1, 2)) > 1e-9 * np.abs(matrices).max(axis=(1, 2))
+    if uneven.any():
+        raise ValueError(f"scenario {int(np.argmax(uneven))}: {key}: expected a symmetric matrix, got one that is not")
+    return np.asarray(matrices / 2 + turned / 2)
+
+
+def _plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:
+    return int(row) if rule.whole else row.tolist()
+
+
+def _kind(value: object) -> str:
+    dtype = getattr(value, "dtype", None)
+    return f"an array of {dtype}" if dtype is not None else f"something else ({type(value).__name__})"
+
+
+# ---- Threads and progress -------------------------------------------------------------------------------------------
+
+
+def _thread_count(threads: int | None) -> int:
+    if threads is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if isinstance(threads, bool) or not isinstance(threads, int):
+        raise TypeError(f"threads: expected an integer or None, got {type(threads).__name__}")
+    if not 1 <= threads <= _MAX_THREADS:
+        raise ValueError(f"threads: expected an integer from 1 to {_MAX_THREADS}, got {threads}")
+    return threads
+
+
+@contextlib.contextmanager
+def _reporting(progress: bool | ProgressCallback | None) -> Iterator[Callable[[int, int, int, int], object] | None]:
+    if progress is None or progress is False:
+        yield None
+    elif callable(progress):
+        yield lambda done, count, steps, total_steps: progress(done, count)
+    elif progress is True:
+        started = time.monotonic()
+        with progress_bar("scenarios") as draw:
+
+            def report(done: int, count: int, steps: int, total_steps: int) -> None:
+                elapsed = time.monotonic() - started
+                rate = f"{steps / elapsed / 1e6:.3g} million steps/s" if elapsed and steps else "checking"
+                draw(done, count, steps / total_steps if total_steps else None, rate)
+
+            yield report
+    else:
+        raise TypeError(f"progress: expected True, a function or None, got {type(progress).__name__}")

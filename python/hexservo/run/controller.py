@@ -1,0 +1,162 @@
+"""The servo tick, for teaching and tests: the function that a robot calls in C++."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexservo import _core
+from hexservo.scenario.parameters import Settings, core_parameters
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Controller", "ControllerOutput"]
+
+InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_image", "lost_feature"]
+
+
+class ControllerOutput(NamedTuple):
+    """What a tick gives back; vectors are in the base frame B (docs/model.md, section 7)."""
+
+    wrench: NDArray[np.float64]
+    """(6,), force and moment about E's origin [N; N m]."""
+    leg_forces: NDArray[np.float64]
+    """(6,), positive where they push the platform away from the base [N]."""
+    fuzzy_output: NDArray[np.float64]
+    """(6,), output of the fuzzy systems, already subtracted in `wrench` [N; N m]."""
+    invalid_input: bool
+    """The law could not act: the wrench brakes and holds the platform, and nothing is learned."""
+    status: InputStatus
+    """``valid``, or why not, the first that applies: ``unusable`` (a number that is not finite, or beyond its limit),
+    ``missing_image`` (a point has never been seen), ``stale_image`` (a point was not seen for longer than
+    ``camera.timeout``), ``lost_feature`` (``camera.on_lost`` is ``stop``)."""
+    saturated: bool
+    """A leg force is beyond ``robot.force_limit`` where ``actuators.saturation`` is set: nothing is learned."""
+
+
+class Controller:
+    """The controller of a scenario, one tick at a time (docs/model.md, section 7).
+
+    It is the controller of the sampled loop, all of it, and the one that ``hexservo export`` takes to a robot: frames
+    with their times of exposure, prediction, lost points, timeout, the pose of the encoders, the law, the wait of the
+    weights under saturation, and the safe output. It knows what the scenario's controller knows: not ``uncertainty``,
+    which belongs to the plant. A scenario in ``continuous`` mode has a frame and a pose at every tick.
+
+    For teaching and tests. A call from Python costs several times the tick itself, most of it for the conversion of
+    arrays. A robot's program includes the header that ``hexservo export`` writes and calls ``hexservo::step``.
+
+    Parameters
+    ----------
+    scenario
+        Its law, robot, camera, sensors and target.
+    period
+        Time between two ticks [s], at most 1 s; the camera's times have to be whole numbers of it.
+        None: the scenario's ``simulation.step``.
+
+    Raises
+    ------
+    TypeError
+        For anything but a `Scenario`.
+    ValueError
+        For a period that is out of range, or does not fit the camera's times.
+    """
+
+    def __init__(self, scenario: Scenario, period: float | None = None) -> None:
+        if not isinstance(scenario, Scenario):
+            raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+        self._scenario = scenario
+        self._core = _core.Controller(*controller_arguments(scenario, period))
+        self._next = 0.0
+
+    def __repr__(self) -> str:
+        """Show the scenario's name and the period."""
+        return f"Controller({self._scenario.name!r}, period={self.period!r})"
+
+    @property
+    def scenario(self) -> Scenario:
+        """What the controller was made from."""
+        return self._scenario
+
+    @property
+    def period(self) -> float:
+        """Time between two ticks [s]."""
+        return self._core.period
+
+    @property
+    def fuzzy_weights(self) -> NDArray[np.float64]:
+        """Weights of the six fuzzy systems now, (6, 7, 7), row: term of u, column: term of its rate [N; N m]."""
+        return self._core.fuzzy_weights
+
+    def reset(self) -> None:
+        """Go back to the state before the first tick, at time 0."""
+        self._core.reset()
+        self._next = 0.0
+
+    def step(
+        self,
+        features: ArrayLike | None = None,
+        depth: ArrayLike | None = None,
+        position: ArrayLike | None = None,
+        quaternion: ArrayLike | None = None,
+        twist: ArrayLike | None = None,
+        *,
+        exposure: float | None = None,
+        now: float | None = None,
+        leg_lengths: ArrayLike | None = None,
+        leg_rates: ArrayLike | None = None,
+    ) -> ControllerOutput:
+        """Take one tick: sensors, (13), (14), (15), leg forces, and the adaptation (22) over one period.
+
+        Numbers that are not finite are accepted, as sensors give them; they make the output safe (`invalid_input`).
+        So do features more than 1e4 px from the goal, twists beyond 1e3, points that are not in front of the camera, a
+        quaternion without a length, a frame from the future, a clock that goes back, and singular poses.
+
+        Parameters
+        ----------
+        features
+            (8,), measured (x1, y1, ..., x4, y4) from the image centre [px], NaN for a point that the frame does not
+            show. None: no frame arrived since the last tick, and the one before is used, or predicted.
+        depth
+            (4,), measured z of the points in E at the exposure, negative in front of the camera [m].
+        position
+            (3,), of E's origin, in B [m]. Not used where ``sensors.pose`` is ``encoders``.
+        quaternion
+            (4,), attitude of E in B, (w, x, y, z) of any length but zero. Likewise.
+        twist
+            (6,), velocity of E's origin and angular velocity, in B [m/s; rad/s]. Likewise.
+        exposure
+            Time at which the frame was exposed [s]; of two frames the one exposed later counts. None: `now`.
+        now
+            Time of the tick [s]; never less than before. None: a period after the last tick, the first one at 0.
+        leg_lengths
+            (6,), where ``sensors.pose`` is ``encoders`` [m]. None: no reading at this tick, and the last one holds, for
+            twice ``sensors.period`` at most.
+        leg_rates
+            (6,), where ``sensors.rate`` is true [m/s].
+
+        Raises
+        ------
+        ValueError
+            "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers.
+        """
+        time = self._next if now is None else now
+        exposed = np.nan if features is None else time if exposure is None else exposure
+        wrench, leg_forces, fuzzy_output, status, saturated = self._core.step(
+            features, depth, position, quaternion, twist, leg_lengths, leg_rates, exposed, time
+        )
+        if np.isfinite(time):
+            self._next = time + self.period
+        return ControllerOutput(
+            wrench,
+            leg_forces,
+            fuzzy_output,
+            status != _core.InputStatus.valid,
+            cast("InputStatus", status.name),
+            saturated,
+        )
+
+
+def controller_arguments(scenario: Scenario, period: float | None) -> tuple[Settings, float]:
+    """Give the core's settings of a scenario's controller and its period, the scenario's own unless one is given."""
+    return core_parameters(scenario), scenario.simulation.step if period is None else period

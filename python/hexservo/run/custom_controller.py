@@ -1,0 +1,124 @@
+"""Runs a scenario with a controller that is a Python function in place of a law of the core."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexservo import _core
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["LegForces", "Observation", "OwnController", "function_name", "run_with"]
+
+_Array: TypeAlias = NDArray[np.float64]
+
+
+class Observation(NamedTuple):
+    """What a controller sees at a servo tick: measurements, never the plant's own values.
+
+    Frames and orders: docs/model.md section 1; the sampled loop: section 7.
+    """
+
+    tick: int
+    """Number of the tick, from 0; also 0 at the first call of every run."""
+    time: float
+    """Of the tick, ``tick * scenario.simulation.step`` [s]."""
+    exposure: float
+    """Time at which the newest frame was taken [s]; NaN before the first one has arrived."""
+    features: _Array
+    """(8,), as the newest frame or the prediction has them [px]; NaN until every point has been seen once."""
+    depth: _Array
+    """(4,), estimates of Z, negative in front of the camera [m]; NaN as the features."""
+    position: _Array
+    """(3,), of E's origin in B, by the joint sensors [m]."""
+    quaternion: _Array
+    """(4,), attitude of E in B, (w, x, y, z), by the joint sensors."""
+    twist: _Array
+    """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class LegForces:
+    """What a controller gives back that commands the legs one by one.
+
+    Parameters
+    ----------
+    forces
+        (6,), positive where they push the platform away from the base [N].
+    """
+
+    forces: ArrayLike
+
+
+OwnController: TypeAlias = Callable[[Observation], "ArrayLike | LegForces"]
+
+
+def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
+    """Call the controller at every tick, from the first to the last. Ctrl-C ends the run as ``interrupted``.
+
+    Raises
+    ------
+    ValueError
+        For a scenario that is not in sampled mode, and for a command of another shape or with numbers that are not
+        finite, with its tick.
+    Exception
+        What the controller raises, as it is; where the interpreter can (from Python 3.11 on), with a note that names
+        the tick.
+    """
+    run = _core.SampledRun(core_parameters(scenario))
+    try:
+        while run.running:
+            seen = run.observe()
+            observation = Observation(
+                seen.tick,
+                seen.time,
+                seen.exposure,
+                seen.features,
+                seen.depth,
+                seen.position,
+                seen.quaternion,
+                seen.twist,
+            )
+            try:
+                command = controller(observation)
+            except Exception as error:
+                if hasattr(error, "add_note"):
+                    error.add_note(f"raised by the controller {_at(observation)}")
+                raise
+            if isinstance(command, LegForces):
+                run.command_legs(_six("leg forces", command.forces, observation))
+            else:
+                run.command(_six("a wrench", command, observation))
+    except KeyboardInterrupt:
+        pass  # what was computed is kept, and the trajectory says so
+    return run.finish()
+
+
+def function_name(function: object) -> str:
+    """Return the name under which results keep a custom controller."""
+    return str(getattr(function, "__qualname__", type(function).__qualname__))
+
+
+def _six(what: str, command: ArrayLike, seen: Observation) -> _Array:
+    try:
+        numbers = np.asarray(command, dtype=float)
+    except (TypeError, ValueError):
+        numbers = None
+    if numbers is not None and numbers.shape == (6,) and np.isfinite(numbers).all():
+        return numbers
+    if numbers is None:
+        got = f"{command!r:.60}"
+    elif numbers.shape != (6,):
+        got = f"an array of shape {numbers.shape}"
+    else:
+        got = str(numbers)
+    raise ValueError(f"controller: expected {what} of 6 finite numbers {_at(seen)}, got {got}")
+
+
+def _at(seen: Observation) -> str:
+    return f"at tick {seen.tick} (t = {seen.time:.9g} s)"

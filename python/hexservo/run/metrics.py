@@ -1,0 +1,62 @@
+"""Metrics of a run, with their units."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hexservo.scenario.wording import number
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+
+__all__ = ["METRICS", "metrics", "readable"]
+
+# name -> (unit, what it is)
+METRICS: dict[str, tuple[str, str]] = {
+    "settling_time": ("s", "last time any feature error exceeds the settling band"),
+    "final_error": ("px", "largest feature error at the end"),
+    "rms_error": ("px", "RMS of all feature errors from metrics.rms_start on"),
+    "peak_error": ("px", "largest feature error of the run"),
+    "peak_displacement": ("m", "largest distance of the platform from its start"),
+    "peak_rotation": ("rad", "largest rotation of the platform from its start"),
+    "final_linear_speed": ("m/s", "speed of the platform at the end"),
+    "final_angular_speed": ("rad/s", "angular speed of the platform at the end"),
+    "peak_control_force": ("N", "largest force component beyond the estimated weight"),
+    "peak_control_moment": ("N m", "largest moment component"),
+    "peak_leg_force": ("N", "largest leg force"),
+    "peak_leg_excursion": ("m", "largest leg travel from the home length"),
+    "overshoot": ("px", "largest excursion of a feature coordinate beyond its goal"),
+    "relative_overshoot": ("1", "the same, each in parts of its own initial error"),
+    "peak_feature_distance": ("px", "largest distance of a feature from the image centre"),
+    "peak_line_deviation": ("px", "largest distance of a feature from its straight way"),
+    "effort": ("N^2 s", "integral of the squared wrench beyond the estimated weight"),
+    "chatter": ("N/s", "total variation of that wrench per second"),
+}
+
+# Unit of a metric -> the unit people read, and how many of it make one.
+_READABLE_UNITS = {
+    "m": ("mm", 1e3),
+    "rad": ("mrad", 1e3),
+    "m/s": ("mm/s", 1e3),
+    "rad/s": ("mrad/s", 1e3),
+    "N m": ("mN m", 1e3),
+    "1": ("%", 100.0),
+}
+
+
+def metrics(result: Result) -> dict[str, float]:
+    """Give the metrics of a run by name, in SI units and pixels; `METRICS` says what each is.
+
+    The core streams them at every step, so they do not depend on ``simulation.log_every``. NaN stands where a number
+    has no meaning (docs/model.md section 8): ``settling_time`` of a run that is not settled, ``rms_error`` of one that
+    ends before ``metrics.rms_start``, ``chatter`` of one that ends where it starts.
+    """
+    return dict(result.streamed_metrics)
+
+
+def readable(name: str, value: float) -> tuple[str, str]:
+    """Give a metric as people read it: the number in words, and its unit (mm for m, and so on)."""
+    if value != value:
+        return "never" if name == "settling_time" else "none", ""  # NaN: docs/model.md section 8
+    unit, scale = _READABLE_UNITS.get(METRICS[name][0], (METRICS[name][0], 1.0))
+    return f"{number(value * scale, 4)}", unit

@@ -1,0 +1,63 @@
+"""The parts of a scenario's loop at given states, from the core: no analysis copies an equation."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hexservo import _core
+from hexservo.scenario.parameters import core_parameters
+
+if TYPE_CHECKING:
+    from hexservo.scenario.scenario import Scenario
+
+__all__ = ["probe"]
+
+
+def probe(scenario: Scenario) -> _core.Probe:
+    """Give the parts of a scenario's loop, to be evaluated at n states at once (docs/model.md, sections 3 to 7).
+
+    Arrays hold one state per row: features (n, 8) [px], depth (n, 4) [m] and negative in front of the camera, position
+    (n, 3) in B [m], quaternion (n, 4) w x y z of any length but zero (1e-150 to 1e150), twist, wrench and acceleration
+    (n, 6) in B [m/s; rad/s], [N; N m], [m/s^2; rad/s^2], weights (n, 6, 7, 7) [N; N m] with row: term of u, column:
+    term of u-dot. Quaternions are used as they stand: inside a Runge-Kutta step they are not normalised.
+
+    ``image(position, quaternion)``
+        True features and Z, (4). Features are NaN for a point that is not in front of the camera.
+    ``image_jacobian(features, depth, quaternion, controller=False)``
+        (n, 8, 6), (12): twist to feature rates, with the depths as given and the plant's sign or the controller's.
+    ``measured_depth(depth)``
+        The controller's depths (n, 4) for the true ones.
+    ``law(features, depth, position, quaternion, twist, weights=None)``
+        Wrench, fuzzy output, normalised memberships and adaptation; `depth` as the controller believes it. The weights
+        follow omega_j-dot = adaptation_j phi-bar_j - sigma_j omega_j, phi-bar_j being the outer product of the two
+        memberships and sigma_j the leakage; a limit acts at the end of a step. Adaptation holds the dead zone. A
+        sampled scenario's law is that of a servo tick, with the tick's period.
+    ``acceleration(position, quaternion, twist, wrench)``
+        Of the actual plant, (3); the same at every position.
+    ``estimated_wrenches(quaternion, twist, acceleration)``
+        D-bar chi-ddot (n, 6), C-bar chi-dot (n, 6) and G-bar (6,), (1).
+    ``inertia(quaternion)``
+        D-bar, (n, 6, 6).
+    ``stages(features, depth, position, quaternion, twist, weights=None)``
+        One step of the loop in continuous mode from each state, `depth` being the true one: features, depth, position,
+        quaternion, twist, wrench, fuzzy output and acceleration of its four stages, (n, 4, k), and the state after it
+        (``next_...``). From the first stage on that has a point behind the camera, features, wrench, fuzzy output and
+        acceleration are NaN; so are depth and body of the stages after it, and all of ``next_...``. Whether the loop
+        would stop there for another reason is not asked.
+        A quadrature over the step with weights 1/6, 1/3, 1/3, 1/6 is what the method itself does. The
+        weights inside a stage are those of the step plus the stage's way along one rate; ``law`` gives memberships and
+        adaptation of a stage without them, since neither depends on weights.
+    ``moved(position, quaternion, twist, stage_quaternion, stage_twist, stage_acceleration, scale)``
+        The body a `scale` [s] along the rate of a stage, as the next stage starts: position, quaternion, twist.
+    ``after(position, quaternion, twist, stage_quaternion, stage_twist, stage_acceleration, step)``
+        The body after a step from its four stages (n, 4, k), normalised.
+
+    All of them raise ``ValueError("name: expected ..., got ...")`` for arrays of another shape, numbers that are not
+    finite or not real, a quaternion that is zero, depths that are not negative.
+
+    Raises
+    ------
+    ValueError
+        For a scenario that the core refuses.
+    """
+    return _core.Probe(core_parameters(scenario))

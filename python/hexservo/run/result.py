@@ -1,0 +1,206 @@
+"""What a run gives back: plain arrays with their scenario, and the same as a labelled dataset."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo import _core
+from hexservo.findings.display import result_html, result_text
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+    from hexservo.scenario.scenario import Scenario
+
+__all__ = ["LimitEvent", "LimitKind", "Outcome", "Result"]
+
+Array: TypeAlias = NDArray[np.float64]
+Outcome: TypeAlias = Literal[
+    "completed",
+    "diverged",
+    "behind_camera",
+    "feature_lost",
+    "leg_limit",
+    "singular",
+    "solver_failed",
+    "interrupted",
+]
+LimitKind: TypeAlias = Literal["stroke", "force"]
+
+_FEATURES = ["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"]
+_AXES = ["x", "y", "z"]
+_TERMS = ["NB", "NM", "NS", "ZE", "PS", "PM", "PB"]
+_LEGS = [1, 2, 3, 4, 5, 6]
+_TWIST = ["vx", "vy", "vz", "wx", "wy", "wz"]
+_WRENCH = ["fx", "fy", "fz", "mx", "my", "mz"]
+
+# name -> (second dimension, its labels, unit, what it is); the first dimension is time
+_QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
+    "feature_error": ("feature", _FEATURES, "px", "desired minus true feature coordinates"),
+    "depth": ("point", [1, 2, 3, 4], "m", "true Z of the points in the camera frame E, negative in front"),
+    "position": ("axis", _AXES, "m", "platform position in the base frame B"),
+    "quaternion": ("quaternion_component", ["w", "x", "y", "z"], "1", "platform attitude in the base frame B"),
+    "twist": ("twist_component", _TWIST, "m/s; rad/s", "platform velocity and angular velocity in B"),
+    "wrench": ("wrench_component", _WRENCH, "N; N m", "force and moment about the platform's centre, in B"),
+    "fuzzy_output": ("wrench_component", _WRENCH, "N; N m", "output of the fuzzy systems, subtracted from the wrench"),
+    "leg_lengths": ("leg", _LEGS, "m", "leg lengths"),
+    "leg_forces": ("leg", _LEGS, "N", "leg forces, positive where they push the platform away from the base"),
+}
+
+
+@dataclass(frozen=True)
+class LimitEvent:
+    """A leg that passed one of its limits; continuous runs report this and go on."""
+
+    kind: LimitKind
+    leg: int  # 1 to 6; column leg - 1 of the arrays
+    time: float  # when it first passed the limit [s]
+    peak: float  # largest |length - home length| [m] or |force| [N] of the run
+    limit: float  # [m] or [N]
+
+    def __str__(self) -> str:
+        """Say it in a sentence."""
+        scale, unit, what = (1e3, "mm", "its stroke") if self.kind == "stroke" else (1.0, "N", "its force limit")
+        return (
+            f"leg {self.leg} passed {what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s "
+            f"(peak {self.peak * scale:.4g} {unit})"
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """Samples of one run, on the grid that ``simulation.log_every`` asks for; the last good sample is always there.
+
+    Frames and orders: docs/model.md section 1. Arrays are C-contiguous and share the run's memory.
+    """
+
+    scenario: Scenario
+    controller: str  # the law that acted, or the name of the function that stood in its place
+    outcome: Outcome
+    end_time: float  # time of the last good sample [s]
+    detail: str  # one sentence: how the run ended
+    events: tuple[LimitEvent, ...]  # limits passed on the way, by time
+    time: Array  # (n,) [s]
+    feature_error: Array  # (n, 8) [px], desired minus true (x1, y1, ..., x4, y4)
+    depth: Array  # (n, 4) [m], true Z of the points in E, negative in front of the camera
+    position: Array  # (n, 3) [m], in B
+    quaternion: Array  # (n, 4) w x y z
+    twist: Array  # (n, 6) [m/s, rad/s], in B
+    wrench: Array  # (n, 6) [N, N m], in B
+    fuzzy_output: Array  # (n, 6) [N, N m]
+    leg_lengths: Array  # (n, 6) [m]
+    leg_forces: Array  # (n, 6) [N]
+    # (6, 7, 7) [N, N m], row: term of u, column: term of its rate; after the last step, which is one beyond the last
+    # sample where leg_limit, singular or solver_failed ended the run (docs/model.md, section 8)
+    fuzzy_weights: Array
+    streamed_metrics: dict[str, float] = field(repr=False)  # read them through hs.metrics(result)
+    weight_history: Array | None = field(default=None, repr=False)  # (n, 6, 7, 7) like fuzzy_weights, where logged
+    version: str = field(default_factory=lambda: _core.build_info()["hexservo"], repr=False)  # of hexservo that ran it
+
+    def __repr__(self) -> str:
+        """Give the run in a few lines."""
+        return result_text(self)
+
+    def _repr_html_(self) -> str:
+        """Give summary, metrics and figures for a notebook."""
+        return result_html(self)
+
+    @property
+    def features(self) -> Array:
+        """True feature coordinates, (n, 8) [px]."""
+        return np.asarray(self.scenario.target.desired_features) - self.feature_error
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+        """Write the run into a netCDF file that `hs.load_result` reads back bit for bit.
+
+        Parameters
+        ----------
+        path
+            A name in a folder that exists, such as ``result.nc``. The file appears whole or not at all.
+        force
+            Replace an earlier result; no other file is ever replaced.
+
+        Raises
+        ------
+        OutputError
+            The file exists, is no result, or cannot be written (a `ValueError`).
+        """
+        from hexservo.run.saved import save_result
+
+        save_result(self, path, force=force)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the run as a flat table: a row for each sample, a column for each scalar.
+
+        The index is the time [s]. Columns are named after array and component, such as ``feature_error_x1``,
+        ``twist_wz`` and ``leg_forces_6``; ``attrs["units"]`` maps each to its unit, and ``attrs`` also holds scenario,
+        controller and outcome. Weights of the fuzzy systems are no columns: `to_xarray` has them.
+        """
+        import pandas as pd
+
+        columns: dict[str, Array] = {}
+        units: dict[str, str] = {}
+        for name, (_, labels, unit, _meaning) in _QUANTITIES.items():
+            of_force, _, of_moment = unit.partition("; ")
+            for number, label in enumerate(labels):
+                column = f"{name}_{label}"
+                columns[column] = getattr(self, name)[:, number]
+                units[column] = of_moment if of_moment and number >= 3 else of_force
+        table = pd.DataFrame(columns, index=pd.Index(self.time, name="time"))
+        table.attrs = {
+            "scenario": self.scenario.name,
+            "controller": self.controller,
+            "outcome": self.outcome,
+            "units": {"time": "s", **units},
+        }
+        return table
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Give the run as a dataset with labelled dimensions and units.
+
+        Attributes hold text and numbers only: the outcome, the metrics (``metric_...``), the events in sentences
+        (``events``) and as numbers (``event_table``: seconds, and metres or newtons), and the scenario as one YAML
+        string (``scenario``), so that every netCDF reader can open the file. `load_result` reads the files that
+        ``hexservo run --out`` writes, which have a digest of their bytes at the end.
+        """
+        import xarray
+
+        from hexservo.run.saved import saved_attributes
+
+        data = {
+            name: xarray.DataArray(
+                getattr(self, name),
+                dims=("time", dimension),
+                coords={"time": self.time, dimension: labels},
+                attrs={"units": unit, "long_name": meaning},
+            )
+            for name, (dimension, labels, unit, meaning) in _QUANTITIES.items()
+        }
+        data["fuzzy_weights"] = xarray.DataArray(
+            self.fuzzy_weights,
+            dims=("wrench_component", "error_term", "rate_term"),
+            coords={"wrench_component": _WRENCH, "error_term": _TERMS, "rate_term": _TERMS},
+            attrs={"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"},
+        )
+        if self.weight_history is not None:
+            data["weight_history"] = xarray.DataArray(
+                self.weight_history,
+                dims=("time", "wrench_component", "error_term", "rate_term"),
+                attrs={"units": "N; N m", "long_name": "weights of the fuzzy systems"},
+            )
+        dataset = xarray.Dataset(data)
+        dataset["time"].attrs.update({"units": "s", "long_name": "time"})
+        dataset.attrs.update(
+            {
+                "title": f"hexservo run of {self.scenario.name}",
+                "events": "\n".join(map(str, self.events)),
+                **saved_attributes(self),
+            }
+        )
+        return dataset

@@ -1,0 +1,133 @@
+"""Which samples a picture shows, and what is made of them; shared by all that draw, without a plotting library."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.run.metrics import metrics
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+
+__all__ = [
+    "ImageView",
+    "extremes",
+    "image_views",
+    "mean_samples",
+    "moving_mean",
+    "parts",
+    "rotation_vectors",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_MAX_POINTS = 1200  # of one line in one panel: more than print resolves
+_SMALL = 0.4  # of the image: paths within this part of it are shown magnified as well
+_MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings
+
+
+def parts(result: Result) -> list[slice]:
+    """Split the samples where the run has settled for as long again as it took; the parts share a sample.
+
+    One part where the run does not settle, starts settled, or has too few samples.
+    """
+    settled, time = metrics(result)["settling_time"], result.time
+    whole = [slice(0, len(time))]
+    if not settled > 0:
+        return whole
+    split = min(2 * settled, (settled + time[-1]) / 2)
+    rounded = float(f"{split:.1g}")
+    cut = int(np.searchsorted(time, rounded if settled < rounded < time[-1] else split))
+    return [slice(0, cut + 1), slice(cut, len(time))] if 2 <= cut <= len(time) - 3 else whole
+
+
+def rotation_vectors(quaternion: Array) -> Array:
+    """Give axis times angle of unit quaternions (n, 4), w x y z, as (n, 3) [rad]; of the two angles the one up to pi.
+
+    Accurate to rounding from 0 to pi: the angle comes from both parts of the quaternion.
+    """
+    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    unit = np.where(unit[:, :1] < 0, -unit, unit)
+    sine = np.linalg.norm(unit[:, 1:], axis=1, keepdims=True)
+    angle = 2 * np.arctan2(sine, unit[:, :1])
+    return np.asarray(unit[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0))
+
+
+def extremes(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:
+    """Give the indices of the samples to draw: all, or first, last and the extremes of as many bins as print resolves.
+
+    Parameters
+    ----------
+    values
+        Samples of one line, (n,).
+    most
+        Of the samples that are drawn, about.
+    """
+    count = len(values)
+    if count <= most:
+        return np.arange(count)
+    size = -(-count // (most // 2))
+    bins = -(-count // size)
+    padded = np.pad(values, (0, bins * size - count), mode="edge").reshape(bins, size)
+    starts = size * np.arange(bins)
+    chosen = np.concatenate([starts + padded.argmin(axis=1), starts + padded.argmax(axis=1), [0, count - 1]])
+    return np.unique(np.minimum(chosen, count - 1))
+
+
+def mean_samples(time: Array) -> int:
+    """Give the odd number of samples of the moving mean, about 7 ms; 1 for short or coarse runs."""
+    if len(time) < 3:
+        return 1
+    half = round(_MEAN_TIME / 2 / float(np.median(np.diff(time))))
+    return 2 * half + 1 if 2 <= half <= len(time) / 100 else 1
+
+
+def moving_mean(values: Array, count: int) -> Array:
+    """Give the mean of the `count` (odd) samples about each of (n, k) samples; near the ends, of fewer."""
+    if count == 1:
+        return values
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    index = np.arange(len(values))
+    first, last = np.maximum(index - count // 2, 0), np.minimum(index + count // 2 + 1, len(values))
+    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class ImageView:
+    """The part of the image plane that axes show."""
+
+    middle: Array  # (2,) [px]
+    half: Array  # (2,), half the width and half the height [px]
+    border: tuple[float, float] | None  # width and height of the camera's image [px]; None: it has no border
+
+    @property
+    def limits(self) -> list[list[float]]:
+        """Limits of x and y [px]."""
+        return np.column_stack([self.middle - self.half, self.middle + self.half]).tolist()  # type: ignore[no-any-return]
+
+
+def image_views(result: Result) -> list[ImageView]:
+    """Return what axes of the image show: the paths and goals; with ``camera.image_size`` the image, in its shape.
+
+    Paths that leave the image widen that view in both directions alike. Where they take a small part of it, a second
+    view of the same shape magnifies them.
+    """
+    goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
+    places = np.concatenate([result.features.reshape(-1, 2), goals])
+    low, high = places.min(axis=0), places.max(axis=0)
+    middle, extent = (low + high) / 2, (high - low) / 2
+    size = result.scenario.camera.image_size
+    if size is None:
+        return [ImageView(middle, np.full(2, max(1.14 * float(extent.max()), 1.0)), None)]
+    border = (float(size[0]), float(size[1]))
+    shape = np.asarray(border, dtype=float) / 2
+    factor = max(1.0, float((np.abs(places) / shape).max()))
+    views = [ImageView(np.zeros(2), 1.04 * factor * shape, border)]
+    share = max(float((1.14 * extent / shape).max()), 1.0 / float(shape.min()))
+    if share < _SMALL:
+        views.append(ImageView(middle, share * shape, border))
+    return views

@@ -1,0 +1,83 @@
+"""Runs a scenario in the core."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from hexservo import _core
+from hexservo.run.custom_controller import OwnController, function_name, run_with
+from hexservo.run.metrics import METRICS
+from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result
+from hexservo.run.variant import chosen_kernel
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["simulate"]
+
+
+def simulate(scenario: Scenario, *, controller: OwnController | None = None, log_weights: bool = False) -> Result:
+    """Run a scenario from home, at rest (docs/model.md, sections 3 to 8).
+
+    The closed loop runs in the core, without the interpreter's lock. A run that diverges, loses its target or meets a
+    singular pose is a result, with its outcome, its time and its last good sample. Ctrl-C ends the run with the
+    outcome ``interrupted`` and keeps what was computed.
+
+    Parameters
+    ----------
+    scenario
+        What is run.
+    controller
+        A function to be called at every servo tick in place of the scenario's law, in sampled mode alone. It takes an
+        `Observation` and gives a wrench in B about E's origin, (6,) [N; N m], or `LegForces`. Until every point has
+        been seen once, what acts is the wrench that holds the platform, whatever it gives. Python sets the pace: a few
+        hundred thousand ticks a second at the very most.
+    log_weights
+        Whether `Result.weight_history` holds the weights of the fuzzy systems at every logged sample, (n, 6, 7, 7)
+        [N, N m]: 2.4 kB each, within the limit that a log has. It stays None where no fuzzy systems act: for other
+        laws, where they are switched off, and with a custom controller.
+
+    Raises
+    ------
+    TypeError
+        For anything but a `Scenario`, and for a controller that cannot be called.
+    ValueError
+        For a scenario that the core refuses (a `Scenario` is checked when it is made, so this is rare); where the log
+        would not fit because of the weights; for a controller in continuous mode; for a command of another shape or
+        with numbers that are not finite, with its tick. What the controller itself raises goes through as it is.
+    VariantError
+        Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
+    """
+    if not isinstance(scenario, Scenario):
+        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+    if controller is None:
+        run = _core.simulate(core_parameters(scenario), chosen_kernel(), log_weights)
+    elif callable(controller):
+        run = run_with(scenario, controller)
+    else:
+        raise TypeError(f"controller: expected a function of an Observation, got {type(controller).__name__}")
+    return Result(
+        scenario=scenario,
+        controller=scenario.controller.law if controller is None else function_name(controller),
+        outcome=cast("Outcome", run.outcome.name),
+        end_time=run.end_time,
+        detail=run.detail,
+        events=tuple(_limit_event(event) for event in run.events),
+        time=run.time,
+        feature_error=run.feature_error,
+        depth=run.depth,
+        position=run.position,
+        quaternion=run.quaternion,
+        twist=run.twist,
+        wrench=run.wrench,
+        fuzzy_output=run.fuzzy_output,
+        leg_lengths=run.leg_lengths,
+        leg_forces=run.leg_forces,
+        fuzzy_weights=run.fuzzy_weights,
+        streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
+        weight_history=run.weight_history,
+    )
+
+
+def _limit_event(event: _core.LimitEvent) -> LimitEvent:
+    """Count legs from 1, as the paper does."""
+    return LimitEvent(cast("LimitKind", event.kind.name), event.leg + 1, event.first_time, event.peak, event.limit)

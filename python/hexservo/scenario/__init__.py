@@ -1,0 +1,1 @@
+"""Scenarios: their blocks and rules, YAML, messages, and the way to the core's settings."""
