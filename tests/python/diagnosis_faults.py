@@ -169,7 +169,7 @@ class Fault:
     """One form that a cause takes.
 
     Ranges name keys of a scenario, or what `_apply` knows: "slower", "stiffer", "friction", "adaptation" and "prior"
-    are factors of gains, "tick" a servo period, "border", "timeout" and "noise_of_goal" what they say there.
+    are factors of gains, "tick" a servo period, "border", "timeout", "brake" and "noise_of_goal" what they say there.
     """
 
     ranges: Mapping[str, Range]
@@ -330,7 +330,10 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
         Fault({"tick": Choice((0.020, 0.025, 0.040))}, laws=("kelly",), cameras=("every_tick",), devices=("ideal",)),
         Fault({"tick": Choice((0.020, 0.025, 0.040, 0.050))}, laws=("kelly", "hybrid"), continuous=True),
     ),
-    "duration": (Fault({"simulation.duration": Choice((0.01, 0.02, 0.03, 0.05))}),),
+    "duration": (
+        Fault({"simulation.duration": Choice((0.01, 0.02, 0.03, 0.05))}),
+        Fault({"metrics.dwell": Uniform(1.7, 1.98)}),
+    ),
     "poor_image": tuple(
         Fault(
             {"size": size, "jitter": jitter},
@@ -367,6 +370,15 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
                 "kd": Uniform(0.8, 1.25),
             },
             laws=("kelly",),
+        ),
+    ),
+    "band": (Fault({"metrics.band": LogUniform(0.005, 0.2)}),),
+    "brake": (
+        Fault(
+            {"brake": LogUniform(10.0, 200.0)},
+            cameras=("frames", "predicted"),
+            base={"camera.timeout": 0.070},
+            base_ranges={"camera.dropout": Uniform(0.2, 0.6)},
         ),
     ),
 }
@@ -510,6 +522,9 @@ def _others(
         camera = baseline.camera
         age = drawn["timeout"] * (frame_period(baseline) + camera.latency + camera.latency_jitter)
         changes["camera.timeout"] = round(math.ceil(age / 0.001 - 1e-9) * 0.001, 9)
+    if "brake" in drawn:  # damping, of the critical one at 100 rad/s
+        inertia = [baseline.robot.mass] * 3 + list(baseline.robot.inertia)
+        changes["controller.safe.damping"] = [drawn["brake"] * 200.0 * part for part in inertia]
     if "border" in drawn:
         reach = np.abs(goal.reshape(4, 2)).max(axis=0)
         outer = int(np.argmax(reach))

@@ -6,7 +6,7 @@ from hexservo.findings.diagnosis.devices import DEVICES
 from hexservo.findings.diagnosis.laws import LAWS, TASKS
 from hexservo.findings.diagnosis.model import Cause
 
-__all__ = ["BLOCKS_IN_COMMON", "CAUSES", "HARMLESS", "IN_COMMON"]
+__all__ = ["CAUSES", "HARMLESS", "IN_COMMON"]
 
 CAUSES: tuple[Cause, ...] = (*TASKS[:1], *DEVICES, *LAWS, *TASKS[1:])
 
@@ -25,16 +25,11 @@ IN_COMMON: dict[str, str] = {
 }
 """Keys that make a run fail only by way of what another cause's removal takes out, each with that way."""
 
-BLOCKS_IN_COMMON: dict[str, str] = {
-    "metrics": "what is asked of a run and measured, and not how it runs",
-    "controller.safe": "acts only while images are too old: image_timeout and lost_features",
-}
-"""The same for all keys of a block, where the schema has it."""
-
 HARMLESS: dict[str, str] = {
     "name": "names output",
     "description": "is shown in lists",
     "seed": "chooses among equal draws; whether it decides is tried with other seeds",
     "simulation.log_every": "no effect on the run or its metrics",
+    "metrics.rms_start": "no effect but on the metric rms_error, which decides nothing",
 }
 """Keys that cannot make a run fail, each with the reason."""

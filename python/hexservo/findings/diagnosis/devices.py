@@ -67,6 +67,14 @@ def _lost_features(case: Case) -> list[Removal]:
     return [Removal("an image without a border, of which no frame is lost", changes)]
 
 
+def _brake(case: Case) -> list[Removal]:
+    safe = case.scenario.controller.safe
+    changes = {f"controller.safe.{name}": None for name in type(safe).model_fields if getattr(safe, name) is not None}
+    if not case.sampled or not changes:
+        return []
+    return [Removal("the default gains of the brake", changes)]
+
+
 def _image_timeout(case: Case) -> list[Removal]:
     if not case.sampled or case.scenario.camera.timeout is None:
         return []
@@ -245,6 +253,14 @@ DEVICES: tuple[Cause, ...] = (
         _keys("camera.timeout"),
         _image_timeout,
         context=_IMAGE | {"camera.dropout", "camera.image_size", "camera.on_lost"},
+    ),
+    Cause(
+        "brake",
+        "gains of the brake that acts without an image",
+        "device",
+        _keys("controller.safe.damping", "controller.safe.hold"),
+        _brake,
+        context=_IMAGE | {"camera.timeout", "camera.dropout", "camera.image_size", "camera.on_lost"},
     ),
     Cause(
         "lost_features",

@@ -21,6 +21,8 @@ __all__ = [
     "FINE_STEP",
     "ORDINARY",
     "ORDINARY_BANDWIDTH",
+    "ORDINARY_BASE",
+    "ORDINARY_DEPTH",
     "alone_at_its_gains",
     "alone_pairs",
     "both_alone",
@@ -28,6 +30,7 @@ __all__ = [
     "known",
     "ordinary",
     "setting",
+    "unusual",
 ]
 
 DEVICE_BLOCKS = ("camera", "sensors", "actuators", "base_motion", "uncertainty")
@@ -49,7 +52,11 @@ ORDINARY: dict[str, float] = {
     "uncertainty.coriolis": 0.15,
 }
 """What ordinary devices have, and a scenario without faults too: no more than that is a cause."""
+ORDINARY_BASE = 0.05  # [m/s^2], amplitude of a sinusoidal motion of the base
+ORDINARY_DEPTH = 0.3  # mean error of the depths: a loop that bears no 30 % of its gains has another cause
+"""A motion and an error of at most these are no causes, though a scenario without faults has neither."""
 ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
+_NEAR = 1.5  # factor between a gain and its default within which it is ordinary
 _KEPT = frozenset({"sensors.pose", "sensors.rate", "actuators.hold"})  # how a machine is built, and no fault
 
 
@@ -79,6 +86,8 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
                 wanted = value if value is None or value >= ORDINARY_BANDWIDTH else None
             if value != wanted:
                 changes[key] = wanted
+    safe = scenario.controller.safe
+    changes |= {f"controller.safe.{name}": None for name in type(safe).model_fields if getattr(safe, name) is not None}
     if scenario.controller.jacobian == "printed" and scenario.camera.convention == "eye_in_hand":
         changes["controller.jacobian"] = "consistent"
     return changes
@@ -120,6 +129,26 @@ def _differences(path: str, own: Any, default: Any, ratio: float) -> dict[str, A
         if getattr(own, name) != wanted:
             changes[f"{path}.{name}"] = list(wanted) if isinstance(wanted, tuple) and name != "table" else wanted
     return changes
+
+
+def unusual(scenario: Scenario) -> frozenset[str]:
+    """Give the keys whose values are neither those of good devices nor near the ordinary settings of the law."""
+    found = set(ideal(scenario))
+    for key, wanted in ordinary(scenario).items():
+        own = setting(scenario, key)
+        if _numeric(own) and _numeric(wanted):
+            one, other = np.asarray(own, dtype=float), np.asarray(wanted, dtype=float)
+            low, high = np.minimum(one, other), np.maximum(one, other)
+            if (high <= _NEAR * low).all():
+                continue
+        found.add(key)
+    if scenario.metrics.band < type(scenario.metrics)().band:
+        found.add("metrics.band")
+    return frozenset(found)
+
+
+def _numeric(value: Any) -> bool:
+    return np.asarray(value).dtype.kind in "fi"
 
 
 def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:

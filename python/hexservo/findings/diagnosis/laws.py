@@ -13,7 +13,7 @@ from hexservo.findings.diagnosis.goal import spread_target
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import leg_limits_remedies
 from hexservo.scenario.parameters import frame_period
-from hexservo.scenario.scenario import Fuzzy
+from hexservo.scenario.scenario import Fuzzy, Metrics
 
 __all__ = ["LAWS", "TASKS"]
 
@@ -213,7 +213,18 @@ def _duration(case: Case) -> list[Removal]:
     simulation = case.scenario.simulation
     longer = max(_LONGER * simulation.duration, _ENOUGH * simulation.step)
     longer = simulation.step * round(longer / simulation.step)
-    return [Removal(f"a run of {longer:g} s", {"simulation.duration": longer})]
+    removals = [Removal(f"a run of {longer:g} s", {"simulation.duration": longer})]
+    usual = Metrics().dwell
+    if case.scenario.metrics.dwell > usual:
+        removals.append(Removal(f"a dwell time of {usual:g} s", {"metrics.dwell": usual}))
+    return removals
+
+
+def _band(case: Case) -> list[Removal]:
+    usual = Metrics().band
+    if case.scenario.metrics.band >= usual:
+        return []
+    return [Removal(f"a settling band of {usual:g} px", {"metrics.band": usual})]
 
 
 LAWS: tuple[Cause, ...] = (
@@ -262,11 +273,12 @@ TASKS: tuple[Cause, ...] = (
         frozenset({"target.desired_features"}),
         _impossible_goal,
     ),
+    Cause("band", "a settling band that is too narrow", "task", frozenset({"metrics.band"}), _band),
     Cause(
         "duration",
-        "a run that is too short",
+        "a run that is too short for its dwell time",
         "task",
-        frozenset({"simulation.duration"}),
+        frozenset({"simulation.duration", "metrics.dwell"}),
         _duration,
     ),
     Cause(

@@ -10,7 +10,15 @@ import numpy as np
 
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import Allowed, Judgement, Record, judge
-from hexservo.findings.diagnosis.environment import alone_pairs, both_alone, ideal, known, ordinary
+from hexservo.findings.diagnosis.environment import (
+    ORDINARY_BASE,
+    ORDINARY_DEPTH,
+    alone_pairs,
+    both_alone,
+    ideal,
+    known,
+    unusual,
+)
 from hexservo.findings.diagnosis.goal import goal_of, goal_run, obstacle_of
 from hexservo.findings.diagnosis.model import Case, Cause, Removal
 from hexservo.findings.diagnosis.runs import Run, run_all
@@ -19,6 +27,7 @@ from hexservo.scenario.scenario import Scenario
 __all__ = ["Study", "Trial", "judged", "make_cases", "pairs", "rank", "study"]
 
 _NOT_ALONE = 0.25  # share of the score that is left to a cause that does no harm by itself
+_USUAL = 0.15  # the same where nothing about the cause is unusual
 _ORDINARY = 0.1  # the same of a device that is no worse than ordinary
 _CHANCE = 0.5  # share of the score that is lost where every control passes
 _SIZE = 0.05  # of the random change of a control, relative
@@ -150,19 +159,17 @@ def rank(one: Study, withheld: str = "") -> list[Trial]:
     obstacle = one.case.obstacle
     goal_cause = "" if obstacle is None else {"stroke": "leg_limits", "image": "impossible_goal"}[obstacle.kind]
     chance = float(np.mean(one.controls)) if one.controls else 0.0
-    worse = ideal(one.case.scenario).keys()
+    harmless, odd = _ordinary_devices(one.case), _unusual_causes(one.case)
     trials = []
     for key, trial in one.best.items():
         if key == withheld:
             continue
-        cured = not trial.judgement.failed
-        share = 1.0 if trial.alone else _NOT_ALONE
-        if trial.cause.kind == "device" and trial.cause.keys.isdisjoint(worse):
-            share = _ORDINARY
+        is_one = bool(trial.alone) and key not in harmless
+        if key == "false_equilibrium" and not _at_rest_elsewhere(one):
+            is_one = False
+        share = 1.0 if is_one else _ORDINARY if key in harmless else _NOT_ALONE if key in odd else _USUAL
         score = trial.cure * share * (1.0 - _CHANCE * chance)
-        named = cured and bool(trial.alone) and chance <= 0.5
-        if key == "false_equilibrium" and one.before.early:  # a law that is trapped does not end a run
-            named = False
+        named = is_one and chance < 0.5
         if goal_cause in one.best and goal_cause != withheld:
             named = key == goal_cause
             score = 1.0 if named else _NOT_ALONE * trial.cure
@@ -178,15 +185,9 @@ def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, .
     """
     if one.case.obstacle is not None or any(trial.named for trial in trials):
         return ()
-    scenario = one.case.scenario
-    law = f"controller.{scenario.controller.law}"
-    unusual = {**ideal(scenario), **ordinary(scenario)}.keys()
+    scenario, odd = one.case.scenario, _unusual_causes(one.case)
     offered = sorted(
-        (
-            trial
-            for trial in trials
-            if trial.cause.kind != "task" and any(key.replace("LAW", law) in unusual for key in trial.cause.keys)
-        ),
+        (trial for trial in trials if trial.cause.kind != "task" and trial.cause.key in odd),
         key=lambda trial: -trial.cure,
     )
     likely = [trial for trial in offered if trial.judgement.failed][:_PAIRED]
@@ -213,6 +214,32 @@ def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, .
         if failed[3 * number : 3 * number + 3] == [False, False, True]
     ]
     return max(passing, key=lambda pair: pair[0])[1:] if passing else ()
+
+
+def _ordinary_devices(case: Case) -> set[str]:
+    """Give the keys of the causes in devices that are no worse than ordinary."""
+    scenario, base = case.scenario, case.scenario.base_motion
+    worse = ideal(scenario).keys()
+    found = {cause.key for cause in CAUSES if cause.kind == "device" and cause.keys.isdisjoint(worse)}
+    if abs(float(np.mean(scenario.uncertainty.depth))) <= ORDINARY_DEPTH:
+        found.add("common_depth")
+    if base.kind == "sinusoid" and np.abs(base.amplitude).max() <= ORDINARY_BASE:
+        found.add("base_motion")
+    return found
+
+
+def _unusual_causes(case: Case) -> set[str]:
+    """Give the keys of the causes for which a scenario has settings that are not ordinary."""
+    keys = unusual(case.scenario)
+    law = f"controller.{case.scenario.controller.law}"
+    return {cause.key for cause in CAUSES if any(key.replace("LAW", law) in keys for key in cause.keys)}
+
+
+def _at_rest_elsewhere(one: Study) -> bool:
+    """Tell whether the run ended farther from its goal than any band asks: a law that is trapped does not end a run."""
+    metrics = one.case.scenario.metrics
+    usual = type(metrics)().band
+    return not one.before.early and one.before.error * metrics.band > max(usual, metrics.band)
 
 
 # ---- Parts of it ----------------------------------------------------------------------------------------------------
