@@ -327,6 +327,18 @@ def test_noise_seldom_is_a_drift() -> None:
     assert max(drifts) < 0.1 * 0.017 / DRIFT_TIME
 
 
+def test_a_wander_seldom_is_a_drift() -> None:
+    """Random walks of 1 mm over the last half: a straight line through them has a slope far above what is allowed."""
+    random = np.random.default_rng(6)
+    flat = np.zeros(501)
+    walks = random.normal(0.0, 1e-3 / np.sqrt(250.0), (400, 501)).cumsum(axis=1)
+    drifts = np.array([record_by_hand(flat, walk).drift for walk in walks])
+    print(f"seed 6: {np.mean(drifts > 0.0):.1%} of random walks")
+    assert 0.0 < np.mean(drifts > 0.0) < 0.15  # 10.8 % by brute force over 20 000 walks
+    beside = 3e-3 * np.linspace(0.0, 10.0, 501) + random.normal(0.0, 1e-4, 501)  # a drift, and noise beside it
+    assert record_by_hand(flat, beside).drift == pytest.approx(3e-3, rel=0.05)
+
+
 def test_severities_are_ordered_by_kind_and_by_size() -> None:
     flat = np.zeros(1001)
     stroke = ALLOWED.stroke

@@ -100,7 +100,7 @@ def _drift(time: Array, lengths: Array, end_time: float) -> float:
 
     A straight line is laid through the leg lengths (m, 6) of each of two windows, in the least squares. Of slopes with
     the same sign the smaller one counts, of others none; and only of legs whose mean lengths over the blocks of the
-    last half of the run rise or fall throughout. A random walk does that once in 16 times, white noise once in 360.
+    last half of the run rise or fall throughout. A random walk does that once in 9 times, white noise once in 360.
     """
     half = time >= _DRIFT_WINDOWS[0][0] * end_time
     if half.sum() < 2 * _DRIFT_BLOCKS:

@@ -19,10 +19,12 @@ from hexservo.scenario.scenario import Scenario
 __all__ = [
     "DEVICE_BLOCKS",
     "FINE_STEP",
+    "IMAGE_ALONE",
     "ORDINARY",
     "ORDINARY_BANDWIDTH",
     "ORDINARY_BASE",
     "ORDINARY_DEPTH",
+    "ORDINARY_WEIGHT",
     "alone_at_its_gains",
     "alone_pairs",
     "both_alone",
@@ -54,7 +56,9 @@ ORDINARY: dict[str, float] = {
 """What ordinary devices have, and a scenario without faults too: no more than that is a cause."""
 ORDINARY_BASE = 0.05  # [m/s^2], amplitude of a sinusoidal motion of the base
 ORDINARY_DEPTH = 0.3  # mean error of the depths: a loop that bears no 30 % of its gains has another cause
-"""A motion and an error of at most these are no causes, though a scenario without faults has neither."""
+ORDINARY_WEIGHT = 0.02  # error of the weight, before a law that holds more than 0.001 of it
+IMAGE_ALONE = ("hybrid", "kelly")  # laws without pose or rate loop: they hold a weight by image errors alone
+"""Motions and errors of at most these are no causes, though a scenario without faults has none of them."""
 ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary
 _KEPT = frozenset({"sensors.pose", "sensors.rate", "actuators.hold"})  # how a machine is built, and no fault
@@ -86,6 +90,9 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
                 wanted = value if value is None or value >= ORDINARY_BANDWIDTH else None
             if value != wanted:
                 changes[key] = wanted
+    usual = type(scenario.metrics)().dwell
+    if scenario.metrics.dwell > usual:
+        changes["metrics.dwell"] = usual
     safe = scenario.controller.safe
     changes |= {f"controller.safe.{name}": None for name in type(safe).model_fields if getattr(safe, name) is not None}
     if scenario.controller.jacobian == "printed" and scenario.camera.convention == "eye_in_hand":
@@ -158,7 +165,7 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
     scenario = case.scenario
     without = ideal(scenario)
     if cause.kind == "task":
-        without |= ordinary(scenario)
+        without = _less({**without, **ordinary(scenario)}, cause.keys)
         return [Alone({**without, **removal.changes}, without, removal.stroke_counts)]
     if cause.kind == "law":
         without |= ordinary(scenario)

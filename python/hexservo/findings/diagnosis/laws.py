@@ -7,7 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.diagnosis.environment import FINE_STEP, ORDINARY, alone_at_its_gains, ideal, ordinary
+from hexservo.findings.diagnosis.environment import (
+    FINE_STEP,
+    IMAGE_ALONE,
+    ORDINARY,
+    alone_at_its_gains,
+    ideal,
+    ordinary,
+)
 from hexservo.findings.diagnosis.gains import GAIN_KEYS, damped, not_below_default, slower
 from hexservo.findings.diagnosis.goal import spread_target
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
@@ -204,7 +211,7 @@ def _impossible_goal(case: Case) -> list[Removal]:
 
 def _false_equilibrium(case: Case) -> list[Removal]:
     scenario = case.scenario
-    if scenario.controller.law not in ("hybrid", "kelly") or scenario.camera.convention != "eye_in_hand":
+    if scenario.controller.law not in IMAGE_ALONE or scenario.camera.convention != "eye_in_hand":
         return []
     return [Removal("the law pbvs, which goes by the pose", {"controller.law": "pbvs"})]
 

@@ -11,8 +11,10 @@ import numpy as np
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import Allowed, Judgement, Record, judge
 from hexservo.findings.diagnosis.environment import (
+    IMAGE_ALONE,
     ORDINARY_BASE,
     ORDINARY_DEPTH,
+    ORDINARY_WEIGHT,
     alone_pairs,
     both_alone,
     ideal,
@@ -165,7 +167,7 @@ def rank(one: Study, withheld: str = "") -> list[Trial]:
         if key == withheld:
             continue
         is_one = bool(trial.alone) and key not in harmless
-        if key == "false_equilibrium" and not _at_rest_elsewhere(one):
+        if key == "false_equilibrium" and not _is_elsewhere(one):
             is_one = False
         share = 1.0 if is_one else _ORDINARY if key in harmless else _NOT_ALONE if key in odd else _USUAL
         score = trial.cure * share * (1.0 - _CHANCE * chance)
@@ -223,6 +225,8 @@ def _ordinary_devices(case: Case) -> set[str]:
     found = {cause.key for cause in CAUSES if cause.kind == "device" and cause.keys.isdisjoint(worse)}
     if abs(float(np.mean(scenario.uncertainty.depth))) <= ORDINARY_DEPTH:
         found.add("common_depth")
+    if np.abs(scenario.uncertainty.gravity).max() <= ORDINARY_WEIGHT and scenario.controller.law not in IMAGE_ALONE:
+        found.add("gravity")
     if base.kind == "sinusoid" and np.abs(base.amplitude).max() <= ORDINARY_BASE:
         found.add("base_motion")
     return found
@@ -235,11 +239,14 @@ def _unusual_causes(case: Case) -> set[str]:
     return {cause.key for cause in CAUSES if any(key.replace("LAW", law) in keys for key in cause.keys)}
 
 
-def _at_rest_elsewhere(one: Study) -> bool:
-    """Tell whether the run ended farther from its goal than any band asks: a law that is trapped does not end a run."""
-    metrics = one.case.scenario.metrics
-    usual = type(metrics)().band
-    return not one.before.early and one.before.error * metrics.band > max(usual, metrics.band)
+def _is_elsewhere(one: Study) -> bool:
+    """Tell whether the run came to an end elsewhere, or still moves: a law that is trapped does not end a run early.
+
+    An error within the ordinary band is none of a trap, however narrow the band of the scenario is.
+    """
+    metrics, before = one.case.scenario.metrics, one.before
+    far = before.error * metrics.band > max(type(metrics)().band, metrics.band)
+    return not before.early and (far or max(before.stroke, before.drift) > 1.0)
 
 
 # ---- Parts of it ----------------------------------------------------------------------------------------------------
