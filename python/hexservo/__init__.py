@@ -9,30 +9,37 @@
 from __future__ import annotations
 
 from importlib import import_module
-from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 try:
-    from hexservo import _core
+    from hexservo import _core  # noqa: F401
 except ImportError as error:  # a source tree, or a wheel of another Python
     raise ImportError(
         "hexservo: the compiled module hexservo._core is missing or was built for another Python; install the package "
         "(`pip install .` in the source tree) and import it from outside of python/"
     ) from error
 
-from hexservo.findings.analysis import Analysis, analyse
-from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
-from hexservo.findings.diagnosis import Diagnosis, diagnose
-from hexservo.report import write_report
-from hexservo.run.batch import BatchResult, simulate_batch
-from hexservo.run.compare import Comparison, ComparisonRow, compare
-from hexservo.run.controller import Controller, ControllerOutput
-from hexservo.run.custom_controller import LegForces, Observation
-from hexservo.run.metrics import METRICS, metrics
-from hexservo.run.result import LimitEvent, Result
-from hexservo.run.saved import ResultError, load_result
-from hexservo.run.simulation import simulate
-from hexservo.run.variant import VariantError
-from hexservo.scenario.scenario import Scenario, ScenarioError, load_scenario, scenario_names
+from hexservo.run.drawn import drawn_by
+from hexservo.scenario.version import VERSION
+
+if TYPE_CHECKING:
+    from hexservo import plots
+    from hexservo.findings.analysis import Analysis, analyse
+    from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
+    from hexservo.findings.diagnosis import Diagnosis, diagnose
+    from hexservo.report import write_report
+    from hexservo.run.batch import BatchResult, simulate_batch
+    from hexservo.run.compare import compare
+    from hexservo.run.comparison import Comparison, ComparisonRow
+    from hexservo.run.controller import Controller, ControllerOutput
+    from hexservo.run.custom_controller import LegForces, Observation
+    from hexservo.run.metrics import METRICS, metrics
+    from hexservo.run.result import LimitEvent, Result
+    from hexservo.run.saved import load_result
+    from hexservo.run.sealed import ResultError
+    from hexservo.run.simulation import simulate
+    from hexservo.run.variant import VariantError
+    from hexservo.scenario.scenario import Scenario, ScenarioError, load_scenario, scenario_names
 
 __all__ = [
     "METRICS",
@@ -69,16 +76,40 @@ __all__ = [
     "write_report",
 ]
 
-__version__: str = _core.build_info()["hexservo"]
+__version__ = VERSION
+
+# module -> its public names: imported when one of them is first used, since pydantic, SciPy and the rest take a while
+_MODULES = {
+    "findings.analysis": ("Analysis", "analyse"),
+    "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),
+    "findings.diagnosis": ("Diagnosis", "diagnose"),
+    "report": ("write_report",),
+    "run.batch": ("BatchResult", "simulate_batch"),
+    "run.compare": ("Comparison", "ComparisonRow", "compare"),
+    "run.controller": ("Controller", "ControllerOutput"),
+    "run.custom_controller": ("LegForces", "Observation"),
+    "run.metrics": ("METRICS", "metrics"),
+    "run.result": ("LimitEvent", "Result"),
+    "run.saved": ("ResultError", "load_result"),
+    "run.simulation": ("simulate",),
+    "run.variant": ("VariantError",),
+    "scenario.scenario": ("Scenario", "ScenarioError", "load_scenario", "scenario_names"),
+}
+_PLACES = {name: f"hexservo.{module}" for module, names in _MODULES.items() for name in names}
+
+drawn_by(lambda: import_module("hexservo.report.notebook"))
 
 
-def __getattr__(name: str) -> ModuleType:
-    """Import the plotting module when it is first used: matplotlib takes most of a second."""
+def __getattr__(name: str) -> Any:
+    """Import what a public name stands for when it is first used."""
     if name == "plots":
-        return import_module("hexservo.draw.plots")
-    raise AttributeError(f"module 'hexservo' has no attribute {name!r}")
+        return import_module("hexservo.plots")
+    if name not in _PLACES:
+        raise AttributeError(f"module 'hexservo' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_PLACES[name]), name)
+    return value
 
 
 def __dir__() -> list[str]:
-    """Offer the public names, the plotting module among them."""
+    """Offer the public names."""
     return sorted(__all__)

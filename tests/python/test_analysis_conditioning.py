@@ -16,9 +16,9 @@ from hexservo import _core
 from hexservo.findings.analysis import conditioning
 from hexservo.findings.analysis.goal import TOLERANCE, Goals, _turn_rate, find_goals
 from hexservo.findings.analysis.placement import DEPTH_SHARE, image_radius, in_circle, place, placements
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.analysis.words import along, motion_in_words, number, numbers
+from hexservo.scenario.arrays import Array
 
 CORNERS = np.pi * np.array([1, 3, 5, 7]) / 4
 SEED = 20

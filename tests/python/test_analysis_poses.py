@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo.findings.analysis.goal import SHOWN, find_goals
-from hexservo.findings.analysis.poses import Array, Poses, by_displacement, without_sign
+from hexservo.findings.analysis.poses import Poses, by_displacement, without_sign
 from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
+from hexservo.scenario.arrays import Array
 
 SEED = 20
 

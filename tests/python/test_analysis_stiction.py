@@ -12,12 +12,12 @@ from scipy.spatial import HalfspaceIntersection
 import hexservo as hs
 from hexservo.findings.analysis import stiction
 from hexservo.findings.analysis.goal import find_goals
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.rest import RestLaw
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.stiction_runs import Runs
 from hexservo.findings.analysis.stiction_set import RestSet, confirmed, extremes
 from hexservo.findings.analysis.words import number
+from hexservo.scenario.arrays import Array
 
 KV = np.array([2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 1e-4])
 NO_FUZZY = {"controller.hybrid.fuzzy.enabled": False}

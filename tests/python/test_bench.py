@@ -18,8 +18,9 @@ import pytest
 
 import hexservo as hs
 from hexservo import _core
-from hexservo.cli import bench as module
-from hexservo.run.variant import _load, available_variants
+from hexservo.cli.bench import spell
+from hexservo.run import bench as module
+from hexservo.run.variant import available_variants, load_kernel
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import LAWS
 
@@ -205,12 +206,12 @@ def test_a_run_that_stops_cannot_be_replayed(paper: hs.Scenario) -> None:
 
 @pytest.mark.parametrize("variant", available_variants())
 def test_a_wrong_answer_is_not_timed(paper: hs.Scenario, variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    module._check_answers(paper, _load(variant))
+    module._check_answers(paper, load_kernel(variant))
     with pytest.raises(module.BenchmarkError, match=r"_time of paper|_error of paper"):
-        module._check_answers(paper.updated({"uncertainty.gravity": 0.01}), _load(variant))
+        module._check_answers(paper.updated({"uncertainty.gravity": 0.01}), load_kernel(variant))
     monkeypatch.setattr(module, "_LANE_TOLERANCE", -1.0)
     with pytest.raises(module.BenchmarkError, match="of a batch"):
-        module._check_answers(paper, _load(variant))
+        module._check_answers(paper, load_kernel(variant))
 
 
 def test_a_histogram_has_every_tick() -> None:
@@ -225,7 +226,7 @@ def test_a_histogram_has_every_tick() -> None:
 
 
 def test_a_batch_outruns_the_plain_loop(paper: hs.Scenario) -> None:
-    kernels = {name: _load(name) for name in available_variants()}
+    kernels = {name: load_kernel(name) for name in available_variants()}
     plan = module.Plan(rounds=11, duration=0.5, scenarios=32)
     best = dict.fromkeys(kernels, 0.0)
     for _ in range(3):  # a neighbour on the machine may spoil one measurement, and hardly three
@@ -277,15 +278,15 @@ def test_the_tables_hold_what_was_measured(tables: ModuleType, document: dict[st
     assert "| dynamics | 40.0 ns | 30.0 ns |" in text
     assert "| servo tick | 400 ns | – |" in text
     for speed in document["speeds"]:
-        assert f"| {speed['variant']} | {speed['threads']} | {module.spell(speed['wall'])} |" in text
+        assert f"| {speed['variant']} | {speed['threads']} | {spell(speed['wall'])} |" in text
     for tick in document["ticks"]:
-        median = module.spell(tick["latency"]["median"])
+        median = spell(tick["latency"]["median"])
         if tick["rate"] is None:
             assert f"| `{tick['law']}` | {tick['ticks']} | {median} |" in text
         else:
             assert f"| {tick['rate'] / 1e3:g} kHz | {tick['ticks']} | latency | {median} |" in text
     assert "not measured" in tables.benchmarks_block(document, None)
-    assert module.spell(document["ticks"][0]["latency"]["median"]) in tables.readme_sentence(document)
+    assert spell(document["ticks"][0]["latency"]["median"]) in tables.readme_sentence(document)
 
     page = tmp_path / "page.md"
     page.write_text("a <!-- x:begin -->old<!-- x:end --> b", encoding="utf-8")
@@ -302,5 +303,5 @@ def test_the_pages_have_their_markers(page: str, name: str) -> None:
 
 
 def test_times_are_spelled_with_their_unit() -> None:
-    spelled = [module.spell(time) for time in (2e-8, 4.412e-7, 1.234e-6, 1.5e-5, 2.65e-3, 1.2)]
+    spelled = [spell(time) for time in (2e-8, 4.412e-7, 1.234e-6, 1.5e-5, 2.65e-3, 1.2)]
     assert spelled == ["20.0 ns", "441 ns", "1.23 µs", "15.0 µs", "2.65 ms", "1.2 s"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+from collections.abc import Callable
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,8 @@ from hexservo.cli import commands as cli
 from hexservo.cli.output import write_results
 from hexservo.cli.print_sections import printed
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, as_data
-from hexservo.report import TITLE
+from hexservo.findings.sections import SOURCES
+from hexservo.report.html import TITLE
 
 SHORT = ["--set", "simulation.duration=0.02"]
 COMMANDS = ["certify", "analyse", "diagnose"]
@@ -50,7 +53,11 @@ class Findings:
 @pytest.fixture(autouse=True)
 def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in COMMANDS:
-        monkeypatch.setattr(hs, name, Findings, raising=False)
+        replace_judge(monkeypatch, name, Findings)
+
+
+def replace_judge(monkeypatch: pytest.MonkeyPatch, name: str, find: Callable[[Any], Any]) -> None:
+    monkeypatch.setitem(SOURCES, name, dataclasses.replace(SOURCES[name], find=find))
 
 
 def invoke(*arguments: str | Path) -> tuple[int, str, str]:
@@ -122,7 +129,7 @@ def test_a_run_that_a_judge_refuses_is_bad_input(command: str, monkeypatch: pyte
     def refuse(_: object) -> None:
         raise ValueError("controller.law: expected hybrid, got kelly")
 
-    monkeypatch.setattr(hs, command, refuse)
+    replace_judge(monkeypatch, command, refuse)
     code, out, error = invoke(command, "paper", *SHORT)
     assert (code, out, error) == (2, "", "Error: controller.law: expected hybrid, got kelly\n")
 
@@ -141,7 +148,7 @@ def test_the_weights_are_logged_for_the_judge(monkeypatch: pytest.MonkeyPatch) -
         judged.append(result)
         return Findings(result)
 
-    monkeypatch.setattr(hs, "certify", judge)
+    replace_judge(monkeypatch, "certify", judge)
     invoke("certify", "paper", *SHORT)
     assert judged[0].weight_history is not None
     assert judged[0].weight_history.shape == (21, 6, 7, 7)

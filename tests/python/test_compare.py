@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 import hexservo as hs
 from hexservo.cli.commands import app
-from hexservo.draw.plots import _our_style
+from hexservo.draw.style import our_style
 from hexservo.run import compare
-from hexservo.run.compare import COLUMNS
+from hexservo.run.comparison import COLUMNS
 from hexservo.run.files import MARKER
 from hexservo.scenario.scenario import LAWS
 
@@ -248,7 +248,7 @@ def test_no_texts_of_the_figure_overlap() -> None:
     """Neither words of the table, titles and labels of neighbours, nor ticks, with all scenarios that are packaged."""
     figure = hs.compare(list(hs.scenario_names()), None, {"simulation.duration": 0.02}).figure()
     boxes = []
-    with _our_style():
+    with our_style():
         figure.canvas.draw()
         for axes in figure.axes:
             texts = [*axes.texts, axes.xaxis.label, axes.yaxis.label, axes._left_title]  # type: ignore[attr-defined]

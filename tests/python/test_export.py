@@ -19,7 +19,7 @@ import hexservo as hs
 from hexservo.cli import commands as cli
 from hexservo.run import publish
 from hexservo.run.export import gains_header, write_header
-from hexservo.run.files import OutputError
+from hexservo.run.publish import OutputError
 from hexservo.scenario.parameters import core_parameters
 
 ROOT = Path(__file__).resolve().parents[2]

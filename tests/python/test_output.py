@@ -27,8 +27,8 @@ import hexservo as hs
 from fuzz.places import SUBJECTS, Subject, without_exchange
 from hexservo.cli.output import write_results
 from hexservo.run import publish
-from hexservo.run.files import MARKER, OutputError, _Folder, check_folder
-from hexservo.run.publish import draft_beside
+from hexservo.run.files import MARKER, _Folder, check_folder
+from hexservo.run.publish import OutputError, draft_beside
 
 FIGURE = "fig3_feature_paths.svg"
 FILES = {MARKER, "scenario.yaml", "metrics.json", "result.nc", FIGURE}

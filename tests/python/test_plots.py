@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo.draw import plots
+from hexservo.draw.panels import _spread
 from hexservo.run.samples import rotation_vectors
 
 Array = NDArray[np.float64]
@@ -494,7 +495,7 @@ def test_spread_labels_keep_their_distance_and_their_order() -> None:
     generator = np.random.default_rng(SEED)
     for _ in range(200):
         places = generator.uniform(0, 1, size=generator.integers(1, 9)) ** 3
-        spread = plots._spread(places, 0.1)
+        spread = _spread(places, 0.1)
         order = np.argsort(places)
         assert np.all(np.diff(spread[order]) >= 0.1 - 1e-12)
         assert spread.min() >= 0
@@ -502,8 +503,8 @@ def test_spread_labels_keep_their_distance_and_their_order() -> None:
 
 
 def test_spread_labels_stay_where_there_is_room_and_share_the_way_where_there_is_none() -> None:
-    np.testing.assert_array_equal(plots._spread(np.array([0.9, 0.1, 0.5]), 0.2), [0.9, 0.1, 0.5])
-    np.testing.assert_allclose(plots._spread(np.array([0.5, 0.5, 0.5]), 0.1), [0.4, 0.5, 0.6], rtol=1e-14)
+    np.testing.assert_array_equal(_spread(np.array([0.9, 0.1, 0.5]), 0.2), [0.9, 0.1, 0.5])
+    np.testing.assert_allclose(_spread(np.array([0.5, 0.5, 0.5]), 0.1), [0.4, 0.5, 0.6], rtol=1e-14)
 
 
 # ---- Files ----------------------------------------------------------------------------------------------------------

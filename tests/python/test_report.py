@@ -27,18 +27,18 @@ from hexservo import _core
 from hexservo.findings import sections
 from hexservo.findings.evidence import Column, Curves, HeatMap, Line, Section, Table
 from hexservo.findings.sections import Group, Source
-from hexservo.report import TITLE
+from hexservo.findings.wording import cell_text
 from hexservo.report.charts import curves, needed
 from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import page_text
-from hexservo.report.html import Html, element, json_script
+from hexservo.report.html import TITLE, Html, element, json_script
 from hexservo.report.page import page
 from hexservo.report.scene import scene
-from hexservo.report.words import summary_sentences
-from hexservo.run.files import OutputError
+from hexservo.run.publish import OutputError
 from hexservo.run.samples import parts
+from hexservo.run.summary import summary_sentences
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.wording import cell_text, joules, number
+from hexservo.scenario.wording import joules, number
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -86,8 +86,12 @@ def text(result: hs.Result) -> str:
     """The page of a run with made-up findings: whatever analyses there are, they have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
         groups = [
-            Group(Source("certify", "Certificate", False, "What it is."), made_up_sections()),
-            Group(Source("diagnose", "Diagnosis", False, "What it is."), (), f"expected another law, got {EVIL}"),
+            Group(Source("certify", "Certificate", False, "What it is.", hs.certify), made_up_sections()),
+            Group(
+                Source("diagnose", "Diagnosis", False, "What it is.", hs.diagnose),
+                (),
+                f"expected another law, got {EVIL}",
+            ),
         ]
         patch.setattr("hexservo.report.page.groups", lambda _: groups)
         return page(result)
@@ -401,8 +405,11 @@ def test_the_summary_says_the_worst_first(monkeypatch: pytest.MonkeyPatch, resul
     verdicts: tuple[Literal["open", "good", "bad", "warning"], ...] = ("open", "good", "bad", "warning", "bad")
     sections = [Section(f"s{place}", f"Title {place}", ["Words."], verdict=v) for place, v in enumerate(verdicts)]
     found = [
-        Group(Source("certify", "Certificate", False, ""), sections),
-        Group(Source("diagnose", "Diagnosis", False, ""), [Section("cause", "Cause", ["Words."], verdict="bad")]),
+        Group(Source("certify", "Certificate", False, "", hs.certify), sections),
+        Group(
+            Source("diagnose", "Diagnosis", False, "", hs.diagnose),
+            [Section("cause", "Cause", ["Words."], verdict="bad")],
+        ),
     ]
     monkeypatch.setattr("hexservo.report.page.groups", lambda _: found)
     (listed,) = re.findall(r'<ul class="verdicts">(.*?)</ul>', page(result), re.DOTALL)

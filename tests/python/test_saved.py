@@ -20,8 +20,10 @@ import pytest
 import xarray
 
 import hexservo as hs
-from hexservo.run.files import OutputError
-from hexservo.run.saved import FORMAT, MAX_BYTES, _parsed, result_bytes, save_result, sealed_bytes
+from hexservo.run.publish import OutputError
+from hexservo.run.saved import _parsed
+from hexservo.run.saving import result_bytes, save_result
+from hexservo.run.sealed import FORMAT, MAX_BYTES, sealed_bytes
 
 
 @pytest.fixture(scope="module")

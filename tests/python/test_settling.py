@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo.report.words import summary_sentences
+from hexservo.run.summary import summary_sentences
 
 BAND, DWELL = 2.0, 0.2  # defaults, docs/model.md section 8
 

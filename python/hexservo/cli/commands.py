@@ -41,7 +41,7 @@ from hexservo.scenario.wording import number
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from hexservo.run.compare import Column
+    from hexservo.run.comparison import MetricColumn
 
 __all__ = ["app", "main"]
 
@@ -100,7 +100,8 @@ def run(
     """
     with reporting():
         from hexservo.cli.output import write_results
-        from hexservo.run.files import OutputError, check_folder
+        from hexservo.run.files import check_folder
+        from hexservo.run.publish import OutputError
 
         chosen = load(scenario, settings or [])
         if out is not None:
@@ -159,7 +160,8 @@ def compare(
     when, how far off, and at what cost; --out writes it as Markdown and CSV too, with a page of pictures.
     """
     with reporting():
-        from hexservo.run.files import OutputError, check_folder
+        from hexservo.run.files import check_folder
+        from hexservo.run.publish import OutputError
 
         names, chosen_laws = _expanded(scenarios), None if laws is None else _split(laws)
         watched = sys.stderr is not None and sys.stderr.isatty()
@@ -306,17 +308,18 @@ def bench(
     with reporting():
         from dataclasses import replace
 
-        from hexservo.cli import bench as benchmarks
+        from hexservo.cli.bench import report, write_benchmark
+        from hexservo.run.bench import QUICK, Plan, benchmark
         from hexservo.run.files import check_folder, write_folder
 
-        plan = replace(benchmarks.QUICK if quick else benchmarks.Plan(), realtime=realtime)
+        plan = replace(QUICK if quick else Plan(), realtime=realtime)
         plan = replace(plan, ticks=ticks or plan.ticks, seconds=seconds or plan.seconds)
         if out is not None:
             check_folder(out, force=force)
-        result = benchmarks.benchmark(plan, whisper)
+        result = benchmark(plan, whisper)
         if out is not None:
-            write_folder(out, result.write, "a benchmark", force=force)
-        show_parts(*benchmarks.report(result))
+            write_folder(out, lambda folder: write_benchmark(result, folder), "a benchmark", force=force)
+        show_parts(*report(result))
         if out is not None:
             write(f"bench.json, bench.png and bench.svg are in {out}\n")
 
@@ -415,7 +418,7 @@ def _comparison_report(
 
 def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
     """Give as many tables, one below another, as the columns need; a list where not even one column fits."""
-    from hexservo.run.compare import COLUMNS, shown
+    from hexservo.run.comparison import COLUMNS, shown
 
     labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
     left = [max(map(len, texts)) + _GAP for texts in zip(*labels, strict=True)]
@@ -423,7 +426,7 @@ def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
         column: [f"{shown(row, column)}{'!' if column.limit in row.passed_limits else ''}" for row in comparison.rows]
         for column in COLUMNS
     }
-    parts: list[list[Column]] = []
+    parts: list[list[MetricColumn]] = []
     room = -1
     for column, texts in cells.items():
         needs = max(map(len, (column.head, f"[{column.unit}]", *texts))) + _GAP
@@ -440,7 +443,7 @@ def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
 
 
 def _comparison_table(
-    comparison: hs.Comparison, cells: Mapping[Column, Sequence[str]], *, verdict: bool
+    comparison: hs.Comparison, cells: Mapping[MetricColumn, Sequence[str]], *, verdict: bool
 ) -> RenderableType:
     from rich.table import Table
     from rich.text import Text
@@ -460,7 +463,7 @@ def _comparison_table(
     return table
 
 
-def _comparison_list(comparison: hs.Comparison, cells: Mapping[Column, Sequence[str]]) -> RenderableType:
+def _comparison_list(comparison: hs.Comparison, cells: Mapping[MetricColumn, Sequence[str]]) -> RenderableType:
     from rich.text import Text
 
     lines = []

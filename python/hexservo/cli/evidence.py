@@ -90,14 +90,14 @@ def diagnose(
 def _judge(name: str, run: str, settings: list[str] | None, json: str | None, force: bool) -> None:
     with reporting():
         from hexservo.cli.print_sections import printed
-        from hexservo.findings.sections import SOURCES, findings
+        from hexservo.findings.sections import SOURCES
 
         source = SOURCES[name]
         if json is not None:
             _check_json(name, json, force)
         of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [])
         try:
-            found = findings(source, of)
+            found = source.find(of)
         except ValueError as error:  # of a run or scenario that it does not apply to
             raise hs.ScenarioError(str(error).splitlines()) from error
         if json is not None:

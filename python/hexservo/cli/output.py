@@ -32,7 +32,7 @@ def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool
 
 def _write_files(result: Result, folder: Path) -> None:
     from hexservo.draw.plots import paper_figures
-    from hexservo.run.saved import result_bytes
+    from hexservo.run.saving import result_bytes
 
     (folder / "scenario.yaml").write_text(result.scenario.to_yaml(), encoding="utf-8")
     (folder / "metrics.json").write_text(_metrics_json(result), encoding="utf-8")
@@ -42,10 +42,11 @@ def _write_files(result: Result, folder: Path) -> None:
 
 def _metrics_json(result: Result) -> str:
     """Give outcome, events and metrics as strict JSON: what is not finite is null."""
-    from hexservo import METRICS, __version__, metrics
+    from hexservo.run.metrics import METRICS, metrics
+    from hexservo.scenario.version import VERSION
 
     content: dict[str, Any] = {
-        "hexservo": __version__,
+        "hexservo": VERSION,
         "scenario": result.scenario.name,
         "outcome": result.outcome,
         "end_time": {"value": _finite(result.end_time), "unit": "s"},

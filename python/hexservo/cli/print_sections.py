@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hexservo.cli.terminal import width
 from hexservo.findings.evidence import Item, Section, Table
-from hexservo.scenario.wording import VERDICTS, cell_text, numeric_columns
+from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

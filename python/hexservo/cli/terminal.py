@@ -105,7 +105,7 @@ def _read_standard_input() -> hs.Scenario:
 @contextlib.contextmanager
 def reporting() -> Iterator[None]:
     """Turn bad input and Ctrl-C into words on standard error and an exit code; anything else is a bug with a trace."""
-    from hexservo.run.files import OutputError
+    from hexservo.run.publish import OutputError
 
     try:
         yield

@@ -1,1 +1,1 @@
-"""Figures."""
+"""Figures: of a run, a batch, a comparison, findings, a benchmark."""

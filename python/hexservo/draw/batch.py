@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from hexservo.draw.plots import _BLUE, _PAGE, _VERMILION, _styled
+from hexservo.draw.style import BLUE, PAGE, VERMILION, styled
 from hexservo.run.metrics import METRICS
 
 if TYPE_CHECKING:
@@ -18,10 +18,10 @@ __all__ = ["batch_figure"]
 _DRAWN = ("settling_time", "final_error")
 
 
-@_styled
+@styled
 def batch_figure(batch: BatchResult) -> Figure:
     """Draw both metrics over the key that varies, or, where several do, as the share of runs below each value."""
-    figure = Figure(figsize=(_PAGE, 2.4), layout="constrained")
+    figure = Figure(figsize=(PAGE, 2.4), layout="constrained")
     varied = [(key, values) for key, values in batch.variations.items() if len(values) > 1]
     over = varied[0] if len(varied) == 1 and varied[0][1].ndim == 1 else None
     done = batch.outcome == "completed"
@@ -30,14 +30,14 @@ def batch_figure(batch: BatchResult) -> Figure:
         label = f"{name.replace('_', ' ')} [{METRICS[name][0]}]"
         if over is not None:
             key, places = over
-            for shown, colour, text in ((done, _BLUE, "completed"), (~done, _VERMILION, "ended early")):
+            for shown, colour, text in ((done, BLUE, "completed"), (~done, VERMILION, "ended early")):
                 if (shown & np.isfinite(values)).any():
                     axes.plot(places[shown], values[shown], ".", color=colour, markersize=3, label=text)
             axes.set_xlabel(key)
             axes.set_ylabel(label)
         else:
             known = np.sort(values[np.isfinite(values)])
-            axes.step(known, np.arange(1, len(known) + 1) / len(batch), where="post", color=_BLUE)
+            axes.step(known, np.arange(1, len(known) + 1) / len(batch), where="post", color=BLUE)
             axes.set_ylim(0, 1.02)
             axes.set_xlabel(label)
             axes.set_ylabel("share of runs below it")

@@ -9,32 +9,32 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from hexservo.draw.plots import (
-    _BLACK,
-    _BLUE,
-    _DASH_DOT,
-    _DASHED,
-    _GREEN,
-    _ORANGE,
-    _PAGE,
-    _PURPLE,
-    _VERMILION,
-    _Ink,
-    _styled,
+from hexservo.draw.style import (
+    BLACK,
+    BLUE,
+    DASH_DOT,
+    DASHED,
+    GREEN,
+    ORANGE,
+    PAGE,
+    PURPLE,
+    VERMILION,
+    Ink,
+    styled,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from hexservo.cli.bench import Distribution, TickTiming
+    from hexservo.run.bench import Distribution, TickTiming
 
 __all__ = ["tick_figure"]
 
-_RATE_INKS = (_Ink(_BLACK), _Ink(_BLUE), _Ink(_VERMILION, _DASHED), _Ink(_GREEN, _DASH_DOT), _Ink(_ORANGE, (0, (1, 1))))
-_LAW_INKS = (*_RATE_INKS, _Ink(_PURPLE, _DASHED))
+_RATE_INKS = (Ink(BLACK), Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT), Ink(ORANGE, (0, (1, 1))))
+_LAW_INKS = (*_RATE_INKS, Ink(PURPLE, DASHED))
 
 
-@_styled
+@styled
 def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
     """Draw latencies of the tick by rate and by law, and how late the paced ones woke up, all axes logarithmic.
 
@@ -43,7 +43,7 @@ def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
     ticks
         The first one's law is the one that is drawn by rate.
     """
-    figure = Figure(figsize=(_PAGE, 3.4), layout="constrained")
+    figure = Figure(figsize=(PAGE, 3.4), layout="constrained")
     latency, lateness, laws = figure.subplots(1, 3, sharey=True)
     for timing, ink in zip((timing for timing in ticks if timing.law == ticks[0].law), _RATE_INKS, strict=False):
         name = "one after another" if timing.rate is None else f"{timing.rate / 1e3:g} kHz"
@@ -75,7 +75,7 @@ def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, times: Distribution, ink: _Ink, name: str) -> None:
+def _draw(axes: Axes, times: Distribution, ink: Ink, name: str) -> None:
     """Draw a histogram as steps; a bin without ticks is a gap."""
     counts = np.array(times.counts, dtype=float)
     axes.stairs(

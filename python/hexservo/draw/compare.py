@@ -13,25 +13,23 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from hexservo.draw.plots import (
-    _BLACK,
-    _BLUE,
-    _DASH_DOT,
-    _DASHED,
-    _GREEN,
-    _GREY,
-    _ORANGE,
-    _PAGE,
-    _PURPLE,
-    _VERMILION,
-    _axes,
-    _Ink,
-    _label,
-    _short,
-    _size,
-    _styled,
+from hexservo.draw.panels import axes_at, draw_label, size_of
+from hexservo.draw.style import (
+    BLACK,
+    BLUE,
+    DASH_DOT,
+    DASHED,
+    GREEN,
+    GREY,
+    ORANGE,
+    PAGE,
+    PURPLE,
+    VERMILION,
+    Ink,
+    short_number,
+    styled,
 )
-from hexservo.run.compare import Comparison, ComparisonRow
+from hexservo.run.comparison import Comparison, ComparisonRow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,12 +38,12 @@ __all__ = ["comparison_figure"]
 
 # Apart for every kind of colour vision; in grey, dashes and markers tell the laws apart.
 _INKS = (
-    _Ink(_BLUE),
-    _Ink(_VERMILION, _DASHED),
-    _Ink(_GREEN, _DASH_DOT),
-    _Ink(_ORANGE, (0, (1, 1))),
-    _Ink(_PURPLE, (0, (6, 1.5))),
-    _Ink(_BLACK, (0, (3, 1, 1, 1, 1, 1))),
+    Ink(BLUE),
+    Ink(VERMILION, DASHED),
+    Ink(GREEN, DASH_DOT),
+    Ink(ORANGE, (0, (1, 1))),
+    Ink(PURPLE, (0, (6, 1.5))),
+    Ink(BLACK, (0, (3, 1, 1, 1, 1, 1))),
 )
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one more than inks: pairs repeat after 42 laws and controllers
 _ACROSS = 4  # panels side by side
@@ -62,7 +60,7 @@ _WORDS = {
 }
 
 
-@_styled
+@styled
 def comparison_figure(comparison: Comparison) -> Figure:
     """Draw a page: above a panel per scenario with a line per law, below a line per scenario with all laws."""
     names = [scenario.name for scenario in comparison.scenarios]
@@ -71,16 +69,16 @@ def comparison_figure(comparison: Comparison) -> Figure:
     panel, pitch, line = 1.0, 1.4, 0.2  # heights of a panel, of a panel with what surrounds it, of a line below [in]
     table = line * len(names)
     height = 0.62 + bands * pitch + 0.3 + table + 0.85
-    figure = Figure(figsize=(_PAGE, height))
+    figure = Figure(figsize=(PAGE, height))
     looks = {law: (_INKS[i % len(_INKS)], _MARKERS[i % len(_MARKERS)]) for i, law in enumerate(comparison.laws)}
 
     left, gap = 0.55, 0.2
-    width = min(2.3, (_PAGE - left - 0.1 - (across - 1) * gap) / across)
+    width = min(2.3, (PAGE - left - 0.1 - (across - 1) * gap) / across)
     low, high = _error_range(comparison)
     for number, name in enumerate(names):
         band, place = divmod(number, _ACROSS)
         bottom = height - 0.62 - panel - band * pitch
-        axes = _axes(figure, left + place * (width + gap), bottom, width, panel)
+        axes = axes_at(figure, left + place * (width + gap), bottom, width, panel)
         rows = [comparison.row(law, name) for law in comparison.laws]
         _draw_errors(axes, rows, looks)
         axes.set_ylim(low, high)
@@ -91,7 +89,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         else:
             axes.tick_params(axis="y", labelleft=False)
         if number + across >= len(names):
-            _label(axes, "x", "time [s]")
+            draw_label(axes, "x", "time [s]")
     marks = [
         Line2D([], [], color=ink.colour, linestyle=ink.dashes, marker=marker, markersize=3.5, label=law)
         for law, (ink, marker) in looks.items()
@@ -99,7 +97,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     figure.legend(
         handles=marks,
         loc="upper left",
-        bbox_to_anchor=((left - 0.08) / _PAGE, 1 - 0.03 / height),
+        bbox_to_anchor=((left - 0.08) / PAGE, 1 - 0.03 / height),
         ncols=len(marks),
         borderpad=0,
         borderaxespad=0,
@@ -111,25 +109,25 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
     labels = min(1.55, 0.15 + 0.062 * max(map(len, names)))
     cells = min(2.9, max(1.2, 0.62 * len(comparison.laws)))
-    room = (_PAGE - labels - cells - 0.1 - 2 * 0.2) / 2
+    room = (PAGE - labels - cells - 0.1 - 2 * 0.2) / 2
     bottom = 0.8
-    heat = _axes(figure, labels, bottom, cells, table)
+    heat = axes_at(figure, labels, bottom, cells, table)
     _draw_settling(heat, comparison)
     heat.set_yticks(range(len(names)), [_shortened(name, 24) for name in names])
     heat.tick_params(axis="both", length=0)
     for number, (metric, title, unit) in enumerate((("final_error", "Residual", "px"), ("effort", "Effort", "N² s"))):
-        axes = _axes(figure, labels + cells + 0.2 + number * (room + 0.2), bottom, room, table)
+        axes = axes_at(figure, labels + cells + 0.2 + number * (room + 0.2), bottom, room, table)
         _draw_dots(axes, comparison, metric, looks)
         axes.set_title(title, loc="left")
-        _label(axes, "x", f"{title.lower()} [{unit}]")
+        draw_label(axes, "x", f"{title.lower()} [{unit}]")
     dotted = " and ".join(f"{band:g}" for band in _bands(comparison))
     figure.text(
-        0.1 / _PAGE,
+        0.1 / PAGE,
         0.05 / height,
         f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled. "
         f"!: a leg passed its stroke or force limit.{_floor_words(comparison)}",
         fontsize=7,
-        color=_GREY,
+        color=GREY,
         va="bottom",
     )
     return figure
@@ -148,12 +146,12 @@ def _bands(comparison: Comparison) -> list[float]:
     return sorted({scenario.metrics.band for scenario in comparison.scenarios})
 
 
-def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[_Ink, str]]) -> None:
+def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[Ink, str]]) -> None:
     """Draw the largest feature error of each law, every bin of the logarithmic time by its largest value."""
     ends = [float(row.time[-1]) for row in rows if len(row.time) > 1]
     end = max(ends, default=1.0)
     begin = min(1e-2, end / 100)
-    axes.axhline(rows[0].scenario.metrics.band, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
+    axes.axhline(rows[0].scenario.metrics.band, color=GREY, linewidth=0.8, linestyle=":", zorder=1)
     for number, row in enumerate(rows):
         ink, marker = looks[row.law]
         if len(row.time) == 0:
@@ -179,7 +177,7 @@ def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[_
     axes.set_xlim(begin, end)
     for axis, count in ((axes.xaxis, 4), (axes.yaxis, 6)):
         axis.set_major_locator(LogLocator(numticks=count))
-        axis.set_major_formatter(FuncFormatter(_short))
+        axis.set_major_formatter(FuncFormatter(short_number))
         axis.set_minor_locator(NullLocator())
         axis.set_minor_formatter(NullFormatter())
 
@@ -212,17 +210,17 @@ def _draw_settling(axes: Axes, comparison: Comparison) -> None:
         for x, law in enumerate(comparison.laws):
             row = comparison.row(law, name)
             ground: Any = "0.93"
-            ink, weight = _VERMILION, "normal"
+            ink, weight = VERMILION, "normal"
             text = _WORDS.get(row.verdict, row.verdict)
             if row.settled:
                 time = row.metrics["settling_time"]
                 share = (math.log(time) - low) / (high - low) if time > 0 and high > low else 0.0
                 ground = palette(0.8 * share)
                 red, green, blue, _ = ground
-                ink = _BLACK if 0.3 * red + 0.59 * green + 0.11 * blue > 0.5 else "white"
+                ink = BLACK if 0.3 * red + 0.59 * green + 0.11 * blue > 0.5 else "white"
                 text, weight = f"{time:.3g}", "bold"
             elif row.outcome in ("refused", "interrupted"):
-                ink = _GREY
+                ink = GREY
             if row.passed_limits:
                 text += " !"
             axes.add_patch(Rectangle((x - 0.48, y - 0.45), 0.96, 0.9, facecolor=ground, linewidth=0))
@@ -234,7 +232,7 @@ def _draw_settling(axes: Axes, comparison: Comparison) -> None:
     axes.set_title("Settling time [s]", loc="left")
 
 
-def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str, tuple[_Ink, str]]) -> None:
+def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str, tuple[Ink, str]]) -> None:
     """Draw a metric on a logarithmic axis: a line per scenario, a marker per law; hollow where it did not settle."""
     names = [scenario.name for scenario in comparison.scenarios]
     floor = _FLOOR if metric == "final_error" else 0.0
@@ -278,13 +276,13 @@ def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str,
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.yaxis.set_major_locator(FixedLocator(list(range(len(names)))))
     axes.tick_params(axis="y", labelleft=False, length=0)
-    room = _size(axes)[0]
+    room = size_of(axes)[0]
     axes.xaxis.set_major_locator(LogLocator(numticks=max(2, int(room / 0.34))))
-    axes.xaxis.set_major_formatter(FuncFormatter(_power if low < 2e-3 or high > 2e4 else _short))
+    axes.xaxis.set_major_formatter(FuncFormatter(_power if low < 2e-3 or high > 2e4 else short_number))
     axes.xaxis.set_minor_locator(NullLocator())
     if metric == "final_error":
         for band in _bands(comparison):
-            axes.axvline(band, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
+            axes.axvline(band, color=GREY, linewidth=0.8, linestyle=":", zorder=1)
 
 
 def _error_range(comparison: Comparison) -> tuple[float, float]:

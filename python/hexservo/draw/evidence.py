@@ -7,26 +7,18 @@ import textwrap
 import numpy as np
 from matplotlib.figure import Figure
 
-from hexservo.draw.plots import (
-    _BLACK,
-    _BLUE,
-    _GREEN,
-    _GREY,
-    _ORANGE,
-    _PURPLE,
-    _VERMILION,
-    _styled,
-)
-from hexservo.findings.evidence import Array, Curves, HeatMap, Line
+from hexservo.draw.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, styled
+from hexservo.findings.evidence import Curves, HeatMap, Line
 from hexservo.run.samples import extremes
+from hexservo.scenario.arrays import Array
 
 __all__ = ["item_figure"]
 
-_INKS = (_BLUE, _VERMILION, _GREEN, _BLACK, _PURPLE, _ORANGE, _GREY)
+_INKS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE, GREY)
 _STYLES = {"line": "-", "dashed": "--", "points": ""}
 
 
-@_styled
+@styled
 def item_figure(item: Curves | HeatMap) -> Figure:
     """Draw lines over one axis, or a quantity over a rectangle with its contours."""
     figure = Figure(figsize=(5.6, 3.0), layout="constrained")

@@ -1,1 +1,1 @@
-"""Findings about a scenario or a run: the shapes of evidence, and what fills them: analysis, certificate, diagnosis."""
+"""Evidence, and what fills it: analysis, certificate, diagnosis."""

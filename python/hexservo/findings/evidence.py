@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hexservo.scenario.arrays import Array
 
 __all__ = ["Cell", "Column", "Curves", "HeatMap", "Item", "Line", "Section", "Table", "as_data"]
 
-Array: TypeAlias = NDArray[np.float64]
 Cell: TypeAlias = str | float | int | bool | None
 """Of a table: a number is in its column's unit; None where there is none."""
 

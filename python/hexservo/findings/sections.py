@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import hexservo as hs
+from hexservo.findings.analysis import analyse
+from hexservo.findings.certificate import certify
+from hexservo.findings.diagnosis import diagnose
 
 if TYPE_CHECKING:
     from hexservo.findings.evidence import Section
+    from hexservo.run.result import Result
 
-__all__ = ["SOURCES", "Group", "Source", "findings", "groups"]
+__all__ = ["SOURCES", "Group", "Source", "groups"]
 
 
 @dataclass(frozen=True)
@@ -22,14 +25,21 @@ class Source:
     title: str  # of what it gives
     of_scenario: bool  # it takes the scenario; else the result
     introduction: str  # one sentence: what it answers
+    find: Callable[[Any], Any]  # the function: it gives something with ``sections()`` and ``to_dict()``
 
 
 SOURCES = {
     source.name: source
     for source in (
-        Source("certify", "Certificate", False, "Whether this run met the theorem's assumptions: a numerical check."),
-        Source("analyse", "Analysis", True, "What geometry, gains and timing permit, whatever this run did."),
-        Source("diagnose", "Diagnosis", False, "What limits or spoils this run, the likeliest cause first."),
+        Source(
+            "certify",
+            "Certificate",
+            False,
+            "Whether this run met the theorem's assumptions: a numerical check.",
+            certify,
+        ),
+        Source("analyse", "Analysis", True, "What geometry, gains and timing permit, whatever this run did.", analyse),
+        Source("diagnose", "Diagnosis", False, "What limits or spoils this run, the likeliest cause first.", diagnose),
     )
 }
 
@@ -43,27 +53,13 @@ class Group:
     refusal: str = ""  # why there are none
 
 
-def findings(source: Source, run: hs.Result | hs.Scenario) -> Any:
-    """Give what a source has to say: something with ``sections()`` and ``to_dict()``.
-
-    Raises
-    ------
-    ValueError
-        Of the source: it does not apply to this run or scenario.
-    """
-    return getattr(hs, source.name)(run)
-
-
-def groups(result: hs.Result) -> list[Group]:
+def groups(result: Result) -> list[Group]:
     """Give the findings of all sources; one that refuses the run says why, and keeps no other away."""
-    found = []
-    for source in SOURCES.values():
-        if not hasattr(hs, source.name):
-            continue
-        try:
-            sections = findings(source, result.scenario if source.of_scenario else result).sections()
-        except ValueError as error:
-            found.append(Group(source, (), " ".join(str(error).split())))
-        else:
-            found.append(Group(source, sections))
-    return found
+    return [_group(source, result) for source in SOURCES.values()]
+
+
+def _group(source: Source, result: Result) -> Group:
+    try:
+        return Group(source, source.find(result.scenario if source.of_scenario else result).sections())
+    except ValueError as error:
+        return Group(source, (), " ".join(str(error).split()))

@@ -5,15 +5,13 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from hexservo.run.files import write_file
+from hexservo.report.html import TITLE
+from hexservo.run.files import check_file, write_file
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
 __all__ = ["check_report", "write_report"]
-
-TITLE = "<!DOCTYPE html><!-- hexservo report, format 1 -->"
-"""First line of every report: what tells it from a file of somebody else."""
 
 _AUTHOR = "`hexservo report`"
 
@@ -58,6 +56,4 @@ def check_report(path: str | os.PathLike[str], *, force: bool = False) -> None:
     OutputError
         As `write_report`, as far as it can be told without writing anything.
     """
-    from hexservo.run.files import check_file
-
     check_file(path, TITLE, _AUTHOR, force=force)

@@ -16,6 +16,7 @@ from hexservo.findings.evidence import Curves, HeatMap, Line
 from hexservo.report.documentation import anchor_of, is_page
 from hexservo.report.html import Html, element, json_script, paragraphs
 from hexservo.run.samples import extremes
+from hexservo.scenario.arrays import Array
 
 __all__ = [
     "LINE_COLOURS",
@@ -36,7 +37,6 @@ __all__ = [
 Spec: TypeAlias = dict[str, Any]
 """``data`` and ``layout`` of a chart, as plotly.js has them."""
 
-Array: TypeAlias = NDArray[np.float64]
 
 MOST = 700
 """Samples of one line, about: half of them can be told apart where a chart is widest."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hexservo.findings.evidence import Cell, Column, Curves, HeatMap, Item, Section, Table
+from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
 from hexservo.report.charts import curves, explained, heat_map
 from hexservo.report.html import Html, element, paragraphs
-from hexservo.scenario.wording import VERDICTS, cell_text, numeric_columns
 
 __all__ = ["badge", "section_html", "table_html"]
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.report.charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
@@ -20,15 +19,14 @@ from hexservo.run.samples import (
     parts,
     rotation_vectors,
 )
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import _TERMS, load_scenario
+from hexservo.scenario.scenario import TERMS, load_scenario
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
 __all__ = ["figures"]
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class _Ink(NamedTuple):
@@ -83,7 +81,7 @@ def _rule_table(result: Result) -> Html | None:
         return None
     values = np.asarray(gains.fuzzy.table)
     limit = max(1.0, float(np.abs(values).max()))
-    terms = list(_TERMS)
+    terms = list(TERMS)
     spec = {
         "data": [
             {
@@ -332,7 +330,7 @@ def _level(value: float) -> Spec:
 
 
 def _cell(value: float) -> str:
-    for term, centre in _TERMS.items():
+    for term, centre in TERMS.items():
         if abs(value - centre) < 1e-9:
             return term
     return f"{value:.2g}"

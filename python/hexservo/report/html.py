@@ -6,7 +6,10 @@ import json
 from html import escape
 from typing import Any
 
-__all__ = ["Html", "element", "json_script", "paragraphs"]
+__all__ = ["TITLE", "Html", "element", "json_script", "paragraphs"]
+
+TITLE = "<!DOCTYPE html><!-- hexservo report, format 1 -->"
+"""First line of every report: what tells it from a file of somebody else."""
 
 
 class Html(str):

@@ -12,16 +12,15 @@ import numpy as np
 
 from hexservo.findings.evidence import Column, Section, Table
 from hexservo.findings.sections import Group, groups
-from hexservo.report import TITLE
 from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import badge, section_html, table_html
 from hexservo.report.figures import figures
-from hexservo.report.html import Html, element, json_script, paragraphs
+from hexservo.report.html import TITLE, Html, element, json_script, paragraphs
 from hexservo.report.scene import Scene, scene
 from hexservo.report.still import VIEW, still
-from hexservo.report.words import summary_sentences
 from hexservo.run.machine import versions
 from hexservo.run.metrics import METRICS, metrics, readable
+from hexservo.run.summary import summary_sentences
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo.report.charts import encoded
 from hexservo.run.samples import parts, rotation_vectors
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Scene", "scene"]
 
-Array: TypeAlias = NDArray[np.float64]
 
 _FRAMES = (150, 60)  # most instants of the transient, and of the rest
 _IMAGE_DISTANCE = 0.4  # of the drawn image plane from the camera, in parts of the targets' depth

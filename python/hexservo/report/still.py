@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo.report.html import Html, element
 from hexservo.report.scene import Scene
+from hexservo.scenario.arrays import Array
 
 __all__ = ["VIEW", "still"]
 
-Array: TypeAlias = NDArray[np.float64]
 
 VIEW = (1.42, -1.75, 1.15)
 """From where the machine is seen, in the upright frame (x, -y, -z) of B; the page's script begins there too."""

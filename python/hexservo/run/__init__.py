@@ -1,1 +1,1 @@
-"""Runs: one scenario, batches, controllers, results, metrics, saving, export and comparison."""
+"""Runs: one, batches, controllers, results, metrics, files, comparison."""

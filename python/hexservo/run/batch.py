@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import math
 import os
 import time
@@ -15,31 +14,29 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo import _core
-from hexservo.findings.display import batch_html, batch_text
 from hexservo.run.custom_controller import OwnController, function_name, run_with
+from hexservo.run.display import batch_text
+from hexservo.run.drawn import html_of
 from hexservo.run.metrics import METRICS
 from hexservo.run.progress import progress_bar
-from hexservo.run.result import _QUANTITIES, _TERMS, _WRENCH
+from hexservo.run.result import QUANTITIES, TERMS, WRENCH
 from hexservo.run.variant import chosen_kernel
+from hexservo.run.variations import checked_variations, known_key, plain_row
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import (
-    LAWS,
-    MAX_WHOLE_FLOAT,
-    NumericKey,
     Scenario,
-    ScenarioError,
-    numeric_keys,
-    sampled_keys,
-    without_effect,
 )
+from hexservo.scenario.version import VERSION
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
+
 __all__ = ["BatchResult", "simulate_batch", "whole"]
 
-Array: TypeAlias = NDArray[np.float64]
+
 Log: TypeAlias = Literal["final", "metrics", "trajectory"]
 ProgressCallback: TypeAlias = Callable[[int, int], object]
 
@@ -81,7 +78,7 @@ class BatchResult:
 
     def _repr_html_(self) -> str:
         """Give outcomes, metrics and a figure for a notebook."""
-        return batch_html(self)
+        return html_of(self)
 
     def __len__(self) -> int:
         """Give the number of scenarios."""
@@ -131,8 +128,6 @@ class BatchResult:
         """
         import xarray
 
-        from hexservo import __version__
-
         data: dict[str, Any] = {
             "outcome": ("scenario", self.outcome, {"long_name": "how the run ended"}),
             "cause": ("scenario", self.cause, {"long_name": "why the run stopped early"}),
@@ -153,9 +148,9 @@ class BatchResult:
             if name == "fuzzy_weights":
                 attributes = {"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"}
                 data[name] = (["scenario", "wrench_component", "error_term", "rate_term"], values, attributes)
-                coords |= {"wrench_component": _WRENCH, "error_term": _TERMS, "rate_term": _TERMS}
+                coords |= {"wrench_component": WRENCH, "error_term": TERMS, "rate_term": TERMS}
             else:
-                dimension, labels, unit, meaning = _QUANTITIES[name]
+                dimension, labels, unit, meaning = QUANTITIES[name]
                 data[name] = (["scenario", *middle, dimension], values, {"units": unit, "long_name": meaning})
                 coords[dimension] = labels
         return xarray.Dataset(
@@ -163,7 +158,7 @@ class BatchResult:
             coords=coords,
             attrs={
                 "title": f"hexservo batch of {self.scenario.name}",
-                "hexservo_version": __version__,
+                "hexservo_version": VERSION,
                 "scenario": self.scenario.to_yaml(),
             },
         )
@@ -242,7 +237,7 @@ def simulate_batch(
     if log not in tuple(_LOGS):  # a tuple: what was given may have no hash
         raise ValueError(f"log: expected one of {', '.join(_LOGS)}, got {log!r}")
     kernel = chosen_kernel()
-    arrays = _checked(scenario, variations)
+    arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     if controller is not None:
         return _run_custom(scenario, arrays, count, log, threads, progress, controller)
@@ -252,7 +247,7 @@ def simulate_batch(
     rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
     with _reporting(progress) as report:
         run = _core.simulate_batch(
-            core_parameters(scenario), rows, count, _LOGS[log], _thread_count(threads), kernel, report
+            core_parameters(scenario), rows, count, _LOGS[log], thread_count(threads), kernel, report
         )
     samples = dict(run.samples)
     if run.fuzzy_weights is not None:
@@ -273,6 +268,7 @@ def simulate_batch(
 
 # ---- A custom controller --------------------------------------------------------------------------------------------
 
+
 _MAX_BYTES = 2 * 2**30  # of a result
 
 
@@ -288,14 +284,14 @@ def _run_custom(
     """Run one scenario after the other with a Python function as their controller."""
     if not callable(controller):
         raise TypeError(f"controller: expected a function of an Observation, got {type(controller).__name__}")
-    if threads is not None and _thread_count(threads) != 1:
+    if threads is not None and thread_count(threads) != 1:
         raise ValueError(
             f"threads: expected 1 or None with a custom controller, which runs in one thread, got {threads}"
         )
     law = scenario.controller.law
     scenarios = [
         scenario.updated(
-            {key: _plain_row(_known(key, law), values[index % len(values)]) for key, values in arrays.items()}
+            {key: plain_row(known_key(key, law), values[index % len(values)]) for key, values in arrays.items()}
         )
         for index in range(count)
     ]
@@ -303,7 +299,7 @@ def _run_custom(
     middle = () if time is None else (len(time),)
     shapes: dict[str, tuple[int, ...]] = {}
     if log != "metrics":
-        shapes = {name: (*middle, len(labels)) for name, (_, labels, _, _) in _QUANTITIES.items()}
+        shapes = {name: (*middle, len(labels)) for name, (_, labels, _, _) in QUANTITIES.items()}
         shapes["fuzzy_weights"] = (6, 7, 7)
     size = 8 * count * (sum(math.prod(shape) for shape in shapes.values()) + len(METRICS))
     if size > _MAX_BYTES:
@@ -379,104 +375,10 @@ def _enter(found: BatchResult, index: int, run: _core.Trajectory, scenario: Scen
             values[index, places] = samples[kept]
 
 
-# ---- Variations -----------------------------------------------------------------------------------------------------
-
-
-def _checked(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
-    """Give the variations as arrays of allowed shapes, lengths and values."""
-    if not isinstance(variations, Mapping):
-        raise TypeError(f"variations: expected a mapping of keys to arrays, got {type(variations).__name__}")
-    if not variations:
-        raise ValueError("variations: expected at least one key, got none")
-    law = scenario.controller.law
-    arrays = {key: _array(key, _known(key, law), values) for key, values in variations.items()}
-    idle = [key for key in arrays if key in sampled_keys()] if scenario.simulation.mode == "continuous" else []
-    if idle:
-        raise ScenarioError(without_effect(idle))
-    lengths = {key: len(values) for key, values in arrays.items()}
-    count = max(lengths.values())
-    for key, length in lengths.items():
-        if length not in (1, count):
-            longest = max(lengths, key=lambda name: lengths[name])
-            raise ValueError(f"{key}: expected 1 or {count} scenarios, as {longest} has, got {length}")
-    # The first scenario, checked as a whole: what the other keys of its block allow.
-    try:
-        scenario.updated({key: _plain_row(_known(key, law), values[0]) for key, values in arrays.items()})
-    except ScenarioError as error:
-        raise ScenarioError([f"scenario 0: {problem}" for problem in error.problems]) from None
-    return arrays
-
-
-def _known(key: object, law: str) -> NumericKey:
-    known = numeric_keys(law)
-    if isinstance(key, str) and key in known:
-        return known[key]
-    if any(key in numeric_keys(other) for other in LAWS):
-        raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got one of another law")
-    nearest = difflib.get_close_matches(key.lower(), list(known), 1) if isinstance(key, str) else []
-    hint = f'; did you mean "{nearest[0]}"?' if nearest else ""
-    raise ValueError(f"{key}: expected a key that holds numbers, got another one{hint}")
-
-
-def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
-    """Check shape and values against the scenario's own rules for the key."""
-    try:
-        values = np.asarray(given)
-        if rule.whole and not isinstance(given, np.ndarray):
-            values = _whole_numbers(given, values)
-        if values.dtype.kind not in "iuf":
-            raise ValueError
-    except ValueError:  # ragged, or no numbers
-        raise ValueError(f"{key}: expected an array of numbers, got {_kind(given)}") from None
-    if values.ndim == 0 or values.shape[1:] not in rule.shapes or len(values) == 0:
-        shapes = " or ".join(
-            f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes
-        )
-        raise ValueError(f"{key}: expected shape {shapes}, n scenarios, got {values.shape}")
-    allowed = rule.within(values)
-    if not allowed.all():
-        place = tuple(int(index) for index in np.argwhere(~allowed)[0])
-        entry = "".join(f"[{index}]" for index in place[1:])
-        rounded = rule.whole and values.dtype.kind == "f" and abs(values[place]) > MAX_WHOLE_FLOAT
-        got = f"the float {values[place]!r}, which may have been rounded" if rounded else f"{values[place]:.12g}"
-        raise ValueError(f"scenario {place[0]}: {key}{entry}: expected {rule.expected}, got {got}")
-    numbers = values.astype(rule.dtype)
-    if rule.symmetric and numbers.ndim == 3:
-        numbers = _symmetric(key, numbers)
-    return numbers
-
-
-def _whole_numbers(given: ArrayLike, values: NDArray[Any]) -> NDArray[Any]:
-    """Keep integers of up to 64 bits, of which numpy makes floats where some are above 2^63 and others are not."""
-    if values.dtype.kind not in "fO":
-        return values
-    objects = np.asarray(given, dtype=object)
-    integers = all(isinstance(item, int) and 0 <= item < 2**64 for item in objects.flat)
-    return objects.astype(np.uint64) if integers else values
-
-
-def _symmetric(key: str, matrices: Array) -> Array:
-    """Make nearly symmetric matrices symmetric, as a scenario does."""
-    turned = matrices.transpose(0, 2, 1)
-    uneven = np.abs(matrices - turned).max(axis=(1, 2)) > 1e-9 * np.abs(matrices).max(axis=(1, 2))
-    if uneven.any():
-        raise ValueError(f"scenario {int(np.argmax(uneven))}: {key}: expected a symmetric matrix, got one that is not")
-    return np.asarray(matrices / 2 + turned / 2)
-
-
-def _plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:
-    return int(row) if rule.whole else row.tolist()
-
-
-def _kind(value: object) -> str:
-    dtype = getattr(value, "dtype", None)
-    return f"an array of {dtype}" if dtype is not None else f"something else ({type(value).__name__})"
-
-
 # ---- Threads and progress -------------------------------------------------------------------------------------------
 
 
-def _thread_count(threads: int | None) -> int:
+def thread_count(threads: int | None) -> int:
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if isinstance(threads, bool) or not isinstance(threads, int):

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hexservo import _core
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["LegForces", "Observation", "OwnController", "function_name", "run_with"]
-
-_Array: TypeAlias = NDArray[np.float64]
 
 
 class Observation(NamedTuple):
@@ -30,15 +29,15 @@ class Observation(NamedTuple):
     """Of the tick, ``tick * scenario.simulation.step`` [s]."""
     exposure: float
     """Time at which the newest frame was taken [s]; NaN before the first one has arrived."""
-    features: _Array
+    features: Array
     """(8,), as the newest frame or the prediction has them [px]; NaN until every point has been seen once."""
-    depth: _Array
+    depth: Array
     """(4,), estimates of Z, negative in front of the camera [m]; NaN as the features."""
-    position: _Array
+    position: Array
     """(3,), of E's origin in B, by the joint sensors [m]."""
-    quaternion: _Array
+    quaternion: Array
     """(4,), attitude of E in B, (w, x, y, z), by the joint sensors."""
-    twist: _Array
+    twist: Array
     """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
 
 
@@ -104,7 +103,7 @@ def function_name(function: object) -> str:
     return str(getattr(function, "__qualname__", type(function).__qualname__))
 
 
-def _six(what: str, command: ArrayLike, seen: Observation) -> _Array:
+def _six(what: str, command: ArrayLike, seen: Observation) -> Array:
     try:
         numbers = np.asarray(command, dtype=float)
     except (TypeError, ValueError):

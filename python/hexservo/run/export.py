@@ -14,6 +14,7 @@ from hexservo.run.controller import controller_arguments
 from hexservo.run.files import write_file
 from hexservo.scenario.parameters import Settings
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.version import VERSION
 
 __all__ = ["gains_header", "write_header"]
 
@@ -117,8 +118,6 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     ValueError
         For a period that is out of range, or does not fit the camera's times.
     """
-    from hexservo import __version__
-
     settings, period = controller_arguments(scenario, period)
     period = _core.Controller(settings, period).period  # the core's own check
     settings.simulation.step = period
@@ -133,7 +132,7 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     namespace = _namespace(scenario.name)
     lines = [
         _TITLE,
-        f'// The controller of the scenario "{scenario.name}", written by `hexservo export` of hexservo {__version__}.',
+        f'// The controller of the scenario "{scenario.name}", written by `hexservo export` of hexservo {VERSION}.',
         "// Not to be edited: change the scenario, and let `hexservo export --force` write this file anew.",
         "// clang-format off",
         "#pragma once",

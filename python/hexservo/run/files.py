@@ -10,20 +10,12 @@ import stat
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NoReturn, TypeAlias
+from typing import NoReturn, TypeAlias
 
 from hexservo.run.publish import OutputError, Place, draft_beside, publish, shown, signals_raised, synchronize
+from hexservo.scenario.version import VERSION
 
-__all__ = [
-    "MARKER",
-    "OutputError",
-    "Recogniser",
-    "check_file",
-    "check_folder",
-    "open_regular",
-    "write_file",
-    "write_folder",
-]
+__all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "write_file", "write_folder"]
 
 MARKER = ".hexservo-output"
 """Name of the file that tells a folder of results from any other; it lists the other files with their SHA-256."""
@@ -159,11 +151,9 @@ def _refuse_unwritable(path: Path, error: OSError | ValueError, place: str = "fo
 
 
 def _write_marker(contents: str, folder: Path) -> None:
-    from hexservo import __version__
-
     lines = [
         _TITLE,
-        f"# The files of {contents}, written by hexservo {__version__}.",
+        f"# The files of {contents}, written by hexservo {VERSION}.",
         "# hexservo with --force may replace this folder while it holds only these files, unchanged.",
         *(f"{_digest(path)}  {path.name}" for path in sorted(folder.iterdir())),
     ]
@@ -384,29 +374,3 @@ class _File(Place):
 
     def remove(self, replaced: Path) -> None:
         replaced.unlink(missing_ok=True)
-
-
-# ---- Reading --------------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def open_regular(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a regular file to read its bytes, and never wait, as for the other end of a pipe.
-
-    Raises
-    ------
-    OSError
-        As `open`.
-    ValueError
-        The path stands for a folder, a pipe, a device or a socket, or holds a null character.
-    """
-    _refuse_special(Path(path).stat().st_mode)  # before it is opened, which some devices take for a command
-    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY), "rb") as file:
-        _refuse_special(os.fstat(file.fileno()).st_mode)
-        yield file
-
-
-def _refuse_special(mode: int) -> None:
-    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
-    if not stat.S_ISREG(mode):
-        raise ValueError(f"expected a regular file, got {kinds.get(stat.S_IFMT(mode), 'a device')}")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hexservo import _core
-from hexservo.run.batch import _thread_count
+from hexservo.run.batch import thread_count
 from hexservo.run.variant import available_variants, chosen_kernel
 
 __all__ = ["describe_machine", "versions"]
@@ -22,7 +22,7 @@ def describe_machine() -> dict[str, Any]:
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "host": platform.node(),
         "cpu": _cpu_model(),
-        "processors": _thread_count(None),
+        "processors": thread_count(None),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "python": platform.python_version(),
         "load_average": os.getloadavg()[0],

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hexservo import _core
-from hexservo.findings.display import result_html, result_text
+from hexservo.run.display import result_text
+from hexservo.run.drawn import html_of
+from hexservo.run.saving import save_result, saved_attributes
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.version import VERSION
 
 if TYPE_CHECKING:
     import pandas
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LimitEvent", "LimitKind", "Outcome", "Result"]
 
-Array: TypeAlias = NDArray[np.float64]
 Outcome: TypeAlias = Literal[
     "completed",
     "diverged",
@@ -35,20 +36,20 @@ LimitKind: TypeAlias = Literal["stroke", "force"]
 
 _FEATURES = ["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"]
 _AXES = ["x", "y", "z"]
-_TERMS = ["NB", "NM", "NS", "ZE", "PS", "PM", "PB"]
+TERMS = ["NB", "NM", "NS", "ZE", "PS", "PM", "PB"]
 _LEGS = [1, 2, 3, 4, 5, 6]
 _TWIST = ["vx", "vy", "vz", "wx", "wy", "wz"]
-_WRENCH = ["fx", "fy", "fz", "mx", "my", "mz"]
+WRENCH = ["fx", "fy", "fz", "mx", "my", "mz"]
 
 # name -> (second dimension, its labels, unit, what it is); the first dimension is time
-_QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
+QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
     "feature_error": ("feature", _FEATURES, "px", "desired minus true feature coordinates"),
     "depth": ("point", [1, 2, 3, 4], "m", "true Z of the points in the camera frame E, negative in front"),
     "position": ("axis", _AXES, "m", "platform position in the base frame B"),
     "quaternion": ("quaternion_component", ["w", "x", "y", "z"], "1", "platform attitude in the base frame B"),
     "twist": ("twist_component", _TWIST, "m/s; rad/s", "platform velocity and angular velocity in B"),
-    "wrench": ("wrench_component", _WRENCH, "N; N m", "force and moment about the platform's centre, in B"),
-    "fuzzy_output": ("wrench_component", _WRENCH, "N; N m", "output of the fuzzy systems, subtracted from the wrench"),
+    "wrench": ("wrench_component", WRENCH, "N; N m", "force and moment about the platform's centre, in B"),
+    "fuzzy_output": ("wrench_component", WRENCH, "N; N m", "output of the fuzzy systems, subtracted from the wrench"),
     "leg_lengths": ("leg", _LEGS, "m", "leg lengths"),
     "leg_forces": ("leg", _LEGS, "N", "leg forces, positive where they push the platform away from the base"),
 }
@@ -101,7 +102,7 @@ class Result:
     fuzzy_weights: Array
     streamed_metrics: dict[str, float] = field(repr=False)  # read them through hs.metrics(result)
     weight_history: Array | None = field(default=None, repr=False)  # (n, 6, 7, 7) like fuzzy_weights, where logged
-    version: str = field(default_factory=lambda: _core.build_info()["hexservo"], repr=False)  # of hexservo that ran it
+    version: str = field(default=VERSION, repr=False)  # of hexservo that ran it
 
     def __repr__(self) -> str:
         """Give the run in a few lines."""
@@ -109,7 +110,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Give summary, metrics and figures for a notebook."""
-        return result_html(self)
+        return html_of(self)
 
     @property
     def features(self) -> Array:
@@ -131,8 +132,6 @@ class Result:
         OutputError
             The file exists, is no result, or cannot be written (a `ValueError`).
         """
-        from hexservo.run.saved import save_result
-
         save_result(self, path, force=force)
 
     def to_dataframe(self) -> pandas.DataFrame:
@@ -146,7 +145,7 @@ class Result:
 
         columns: dict[str, Array] = {}
         units: dict[str, str] = {}
-        for name, (_, labels, unit, _meaning) in _QUANTITIES.items():
+        for name, (_, labels, unit, _meaning) in QUANTITIES.items():
             of_force, _, of_moment = unit.partition("; ")
             for number, label in enumerate(labels):
                 column = f"{name}_{label}"
@@ -171,8 +170,6 @@ class Result:
         """
         import xarray
 
-        from hexservo.run.saved import saved_attributes
-
         data = {
             name: xarray.DataArray(
                 getattr(self, name),
@@ -180,12 +177,12 @@ class Result:
                 coords={"time": self.time, dimension: labels},
                 attrs={"units": unit, "long_name": meaning},
             )
-            for name, (dimension, labels, unit, meaning) in _QUANTITIES.items()
+            for name, (dimension, labels, unit, meaning) in QUANTITIES.items()
         }
         data["fuzzy_weights"] = xarray.DataArray(
             self.fuzzy_weights,
             dims=("wrench_component", "error_term", "rate_term"),
-            coords={"wrench_component": _WRENCH, "error_term": _TERMS, "rate_term": _TERMS},
+            coords={"wrench_component": WRENCH, "error_term": TERMS, "rate_term": TERMS},
             attrs={"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"},
         )
         if self.weight_history is not None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.run.metrics import metrics
+from hexservo.scenario.arrays import Array
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -23,7 +24,6 @@ __all__ = [
     "rotation_vectors",
 ]
 
-Array: TypeAlias = NDArray[np.float64]
 
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
 _SMALL = 0.4  # of the image: paths within this part of it are shown magnified as well

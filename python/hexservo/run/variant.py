@@ -49,17 +49,17 @@ def _is_supported(name: str) -> bool:
 def _choose(wanted: str) -> _core.Kernel:
     available = available_variants()
     if not wanted:
-        return _load(available[0])
+        return load_kernel(available[0])
     listing = ", ".join(available)
     if wanted not in _VARIANTS:
         raise VariantError(f'{ENVIRONMENT_VARIABLE}: expected one of {listing}, got "{wanted}"')
     if wanted not in available:
         reason = "this processor cannot run it" if _is_built(wanted) else "it was not built"
         raise VariantError(f'{ENVIRONMENT_VARIABLE}: expected one of {listing}, got "{wanted}": {reason}')
-    return _load(wanted)
+    return load_kernel(wanted)
 
 
-def _load(name: str) -> _core.Kernel:
+def load_kernel(name: str) -> _core.Kernel:
     return _core.Kernel(import_module(f"hexservo._core_{name}").kernel)
 
 

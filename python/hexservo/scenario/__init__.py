@@ -1,1 +1,1 @@
-"""Scenarios: their blocks and rules, YAML, messages, and the way to the core's settings."""
+"""Scenarios: blocks and rules, YAML, messages, the core's settings."""

@@ -78,7 +78,7 @@ MAX_WHOLE_FLOAT = 2**53  # up to here a float holds every whole number
 _DEFAULT_PRESET = "micro"
 _DEFAULT_DEPTH = float(_core.Target().depth[0])  # [m], docs/model.md section 4
 _MOST_PROBLEMS = 20  # said of a scenario; of more only their number
-_TERMS = dict(zip(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"), _core.TERM_CENTRES, strict=True))
+TERMS = dict(zip(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"), _core.TERM_CENTRES, strict=True))
 
 
 # ---- What a value may be --------------------------------------------------------------------------------------------
@@ -230,7 +230,7 @@ class _Table(_Rule):
 
     @property
     def expected(self) -> str:
-        return f'"linear" or 7x7 numbers or terms ({" ".join(_TERMS)})'
+        return f'"linear" or 7x7 numbers or terms ({" ".join(TERMS)})'
 
     def accept(self, value: Any) -> str | Matrix:
         if value == "linear":
@@ -242,9 +242,9 @@ class _Table(_Rule):
 
     def _entry(self, value: Any) -> float:
         if isinstance(value, str):
-            if value not in _TERMS:
-                raise _refusal(((), f"expected a number or one of {' '.join(_TERMS)}, got {_shown(value)}"))
-            return _TERMS[value]
+            if value not in TERMS:
+                raise _refusal(((), f"expected a number or one of {' '.join(TERMS)}, got {_shown(value)}"))
+            return TERMS[value]
         return _Number().accept(value)
 
 

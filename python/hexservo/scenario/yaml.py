@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import yaml
 
-from hexservo.run.files import open_regular
+from hexservo.scenario.reading import open_regular
 
 __all__ = [
     "MAX_BYTES",

@@ -39,7 +39,7 @@ class Ending:
 def variant(name: str) -> Iterator[None]:
     """Have runs made by one of the compiled variants."""
     before = kernels._CHOSEN
-    kernels._CHOSEN = kernels._load(name)
+    kernels._CHOSEN = kernels.load_kernel(name)
     try:
         yield
     finally:

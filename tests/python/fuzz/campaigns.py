@@ -19,7 +19,7 @@ from fuzz.campaign import Trial
 from fuzz.promises import check
 from fuzz.scenarios import draw
 from hexservo.run.controller import InputStatus
-from hexservo.run.saved import result_bytes, save_result
+from hexservo.run.saving import result_bytes, save_result
 
 __all__ = ["CAMPAIGNS"]
 

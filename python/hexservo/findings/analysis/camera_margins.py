@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.findings.analysis.linear_loop import BORDER, Clock, SampledLoop
-from hexservo.findings.analysis.poses import Array
+from hexservo.scenario.arrays import Array
 
 __all__ = [
     "LARGEST_FACTOR",

@@ -34,9 +34,9 @@ from hexservo.findings.analysis.loop_of_scenario import (
     scaled,
     seen_from_home,
 )
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, ScenarioError
 
 __all__ = ["CameraRate", "Run", "analyse"]

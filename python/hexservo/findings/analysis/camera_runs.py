@@ -9,12 +9,12 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.linear_loop import Clock
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result
 from hexservo.run.simulation import simulate
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["STARTS", "StartRun", "StrokeBorder", "learned_weights", "start_runs", "stroke_border"]

@@ -9,11 +9,12 @@ import numpy as np
 
 from hexservo.findings.analysis.goal import TOLERANCE, Goals, find_goals
 from hexservo.findings.analysis.placement import DEPTH_SHARE, Placement, image_radius, in_circle, place, placements
-from hexservo.findings.analysis.poses import Array, without_sign
+from hexservo.findings.analysis.poses import without_sign
 from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.analysis.words import displacement_words, motion_in_words, number, numbers
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Conditioning", "Sight", "analyse", "sight"]

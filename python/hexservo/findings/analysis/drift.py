@@ -10,10 +10,11 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.drift_findings import GRID, LARGEST, SIZES, Drift, Pattern, Size
 from hexservo.findings.analysis.goal import find_goals
-from hexservo.findings.analysis.poses import Array, Mask, Poses, without_sign
+from hexservo.findings.analysis.poses import Mask, Poses, without_sign
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.words import not_analysed
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Drift", "Pattern", "Size", "analyse", "loop_matrix"]

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.words import direction_words, open_section
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table
+from hexservo.scenario.arrays import Array
 
 __all__ = ["GRID", "LARGEST", "SIZES", "Drift", "Pattern", "Size"]
 

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from hexservo.findings.analysis.equilibria_findings import SEED, Equilibria, Equilibrium
 from hexservo.findings.analysis.goal import SHOWN, nearest_images
-from hexservo.findings.analysis.poses import Array, Mask, Poses, without_sign
+from hexservo.findings.analysis.poses import Mask, Poses, without_sign
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import WIDER
 from hexservo.findings.analysis.words import not_analysed
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Equilibria", "Equilibrium", "analyse"]

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.scene import WIDER
 from hexservo.findings.analysis.words import direction_words, displacement_words, number, open_section, vector_words
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table
+from hexservo.scenario.arrays import Array
 
 __all__ = ["SEED", "Equilibria", "Equilibrium"]
 

@@ -7,8 +7,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Array, Poses
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View
+from hexservo.scenario.arrays import Array
 
 __all__ = ["SHOWN", "TOLERANCE", "Goal", "Goals", "find_goals", "limited", "nearest_images"]
 

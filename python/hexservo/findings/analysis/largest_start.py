@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from hexservo.findings.analysis.goal import SHOWN, find_goals
 from hexservo.findings.analysis.largest_start_findings import Direction, LargestStart, Timing, Tried, border
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
 from hexservo.run.batch import simulate_batch, whole
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 

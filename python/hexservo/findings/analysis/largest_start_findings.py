@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.words import number, open_section
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table
+from hexservo.scenario.arrays import Array
 
 __all__ = ["Direction", "LargestStart", "Timing", "Tried", "border"]
 

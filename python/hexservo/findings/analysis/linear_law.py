@@ -13,8 +13,9 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
-from hexservo.findings.analysis.poses import Array, Poses
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View, scene_of
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 

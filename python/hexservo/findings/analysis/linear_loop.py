@@ -13,9 +13,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo.scenario.arrays import Array
+
 __all__ = ["BORDER", "Actuation", "Clock", "SampledLoop"]
 
-Array: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
 
 BORDER = 1.0 + 1e-8

@@ -18,9 +18,9 @@ from hexservo.findings.analysis.linear_law import (
     rest_of,
 )
 from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.run.simulation import simulate
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario, ScenarioError
 

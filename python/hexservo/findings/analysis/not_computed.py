@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.words import number, open_section
 from hexservo.findings.evidence import Section
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, load_scenario, numeric_keys
 
 __all__ = ["NotComputed", "not_computed"]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.scene import Scene
+from hexservo.scenario.arrays import Array
 
 __all__ = ["DEPTH_SHARE", "Placement", "image_radius", "in_circle", "place", "placements"]
 

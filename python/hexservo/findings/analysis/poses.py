@@ -9,9 +9,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array", "Mask", "Poses", "by_displacement", "without_sign"]
+from hexservo.scenario.arrays import Array
 
-Array: TypeAlias = NDArray[np.float64]
+__all__ = ["Mask", "Poses", "by_displacement", "without_sign"]
+
 Mask: TypeAlias = NDArray[np.bool_]
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.findings.analysis.goal import find_goals
-from hexservo.findings.analysis.poses import Array, Poses
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import scene_of
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["LegMargin", "StartAndGoal", "leg_margin", "reach_of_start_and_goal"]

@@ -9,7 +9,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from hexservo import _core
-from hexservo.findings.analysis.poses import Array, Mask, Poses
+from hexservo.findings.analysis.poses import Mask, Poses
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 

@@ -8,7 +8,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.analysis.rest import Rest, RestLaw, without_friction
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.analysis.stiction_runs import Runs, run
@@ -16,6 +15,7 @@ from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed
 from hexservo.findings.analysis.words import number
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Fuzzy, Scenario
 
 __all__ = ["Case", "Creep", "Stiction", "analyse"]

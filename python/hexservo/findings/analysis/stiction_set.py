@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Array, Poses
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.rest import RestLaw
 from hexservo.findings.analysis.scene import Scene, View
+from hexservo.scenario.arrays import Array
 
 __all__ = ["SPAN", "Extremes", "RestSet", "confirmed", "extremes"]
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Array
 from hexservo.findings.evidence import Section
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 

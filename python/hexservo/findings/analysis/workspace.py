@@ -8,12 +8,13 @@ from typing import Literal
 import numpy as np
 
 from hexservo.findings.analysis.goal import TOLERANCE, Goals, find_goals
-from hexservo.findings.analysis.poses import Array, Poses
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import LegMargin, leg_margin
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.analysis.words import number
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, HeatMap, Line, Section, Table
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Place", "Reach", "Workspace", "analyse", "reach"]

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo.findings.certificate.replay import Replay
 from hexservo.run.simulation import simulate
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["base_accelerations"]
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 def base_accelerations(run: Replay) -> Array | None:

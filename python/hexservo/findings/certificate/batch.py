@@ -14,14 +14,14 @@ from hexservo.findings.certificate.replay import Plant, every_step, replay_of
 from hexservo.findings.certificate.uncertainty import AXES, assumption_of, uncertainty_of
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Section, Table, as_data
-from hexservo.run.batch import _checked, _known, _plain_row
 from hexservo.run.metrics import metrics
 from hexservo.run.progress import progress_bar
+from hexservo.run.variations import checked_variations, known_key, plain_row
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["BatchCertificate", "certify_batch"]
 
-Array: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
 
 PAGE = "docs/certificate/batch.md"
@@ -170,7 +170,7 @@ def certify_batch(
         raise ValueError(f"controller.law: expected hybrid, of which the theorem is, got {scenario.controller.law}")
     if scenario.simulation.mode != "continuous":
         raise ValueError("simulation.mode: expected continuous, of which the theorem is, got sampled")
-    arrays = _checked(scenario, variations)
+    arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     scenarios = [scenario.updated(_row(scenario, arrays, index)) for index in range(count)]
     outcome = np.full(count, "interrupted", dtype="<U16")
@@ -190,7 +190,7 @@ def certify_batch(
 def _row(scenario: Scenario, arrays: Mapping[str, Array], index: int) -> dict[str, Any]:
     law = scenario.controller.law
     return {
-        key: _plain_row(_known(key, law), values[index if len(values) > 1 else 0]) for key, values in arrays.items()
+        key: plain_row(known_key(key, law), values[index if len(values) > 1 else 0]) for key, values in arrays.items()
     }
 
 

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, probe_without, product
 from hexservo.findings.certificate.stages import STAGE_WEIGHTS, Stages, doubled_stages_of, stages_of
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import joules, number
 
 __all__ = ["EnergyLedger", "energy_ledger"]
 
-Array: TypeAlias = NDArray[np.float64]
 
 PAGE = "docs/certificate/energy.md"
 COARSE = 0.01

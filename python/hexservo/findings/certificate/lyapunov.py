@@ -14,11 +14,11 @@ from hexservo.findings.certificate.replay import Plant, Replay, probe_without, s
 from hexservo.findings.certificate.uncertainty import AXES, Assumption, Uncertainty
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import joules, number
 
 __all__ = ["Lyapunov", "Rise", "differentiate", "lyapunov_of"]
 
-Array: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
 
 PAGE = "docs/certificate/lyapunov.md"

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo.run.result import Result
 from hexservo.run.simulation import simulate
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Plant", "Replay", "every_step", "probe_without", "product", "replay", "replay_of", "sgn_breaks"]
 
-Array: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
 
 # what two runs are compared by -> unit

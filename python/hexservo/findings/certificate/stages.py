@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +11,11 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo.findings.certificate.base import base_accelerations
 from hexservo.findings.certificate.replay import Plant, Replay, product
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 
 __all__ = ["STAGE_WEIGHTS", "Stages", "doubled_stages_of", "stages_of"]
 
-Array: TypeAlias = NDArray[np.float64]
 
 STAGE_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 """Of the classic Runge-Kutta method, which are those of its quadrature too."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,11 @@ from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.findings.certificate.weights import BestWeights, best_weights
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import number
 
 __all__ = ["AXES", "UNITS", "Assumption", "Uncertainty", "assumption_of", "uncertainty_of"]
 
-Array: TypeAlias = NDArray[np.float64]
 
 PAGE = "docs/certificate/assumption.md"
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")

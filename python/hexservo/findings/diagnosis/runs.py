@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from hexservo.findings.diagnosis.criterion import Record, make_record
 from hexservo.run.batch import BatchResult, simulate_batch, whole
-from hexservo.run.compare import _numbers, _shared
 from hexservo.run.result import Result
+from hexservo.run.shared import numbers_of, shared_by
 from hexservo.scenario.scenario import NumericKey, Scenario, acting_keys
 
 __all__ = ["Run", "record_of", "run_all"]
@@ -60,7 +60,7 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
     for index, run in enumerate(runs):
         scenario = run.scenario
         if id(scenario) not in cache:
-            cache[id(scenario)] = (repr(_shared(scenario)), _numbers(scenario))
+            cache[id(scenario)] = (repr(shared_by(scenario)), numbers_of(scenario))
         shared, own = cache[id(scenario)]
         others: dict[str, Any] = {}
         keys = acting_keys(

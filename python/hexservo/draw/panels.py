@@ -1,0 +1,275 @@
+"""Panels over the time: their places, limits, lines and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
+
+from hexservo.draw.style import BLACK, FAINT, GREY, THIN, VERMILION, Ink, short_number
+from hexservo.run.samples import extremes as _extremes
+from hexservo.run.samples import moving_mean as _moving_mean
+from hexservo.run.samples import parts as _parts
+from hexservo.scenario.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from hexservo.run.result import Result
+
+
+__all__ = []
+
+
+class Panel(NamedTuple):
+    """Axes over the time with the samples that they show."""
+
+    axes: Axes
+    part: slice
+    fixed: bool  # of a figure of ours, where everything has its place; else of the caller's
+
+
+def given_axes(axes: Sequence[Axes] | NDArray[Any], count: int) -> tuple[Axes, ...]:
+    """Check the number of the caller's axes, which may be an array as `matplotlib.pyplot.subplots` returns."""
+    found = tuple(np.ravel(np.asarray(axes, dtype=object)))
+    if len(found) != count:
+        raise ValueError(f"axes: expected {count} axes, got {len(found)}")
+    return found
+
+
+def whole_run(axes: Axes, result: Result, values: Sequence[Array]) -> list[Panel]:
+    """Take the caller's axes for the whole run."""
+    set_limits(axes, result.time, *values)
+    return [Panel(axes, slice(0, len(result.time)), fixed=False)]
+
+
+def draw_band(axes: Axes, band: float) -> None:
+    axes.axhspan(-band, band, color="0.92", linewidth=0, zorder=0)
+    axes.axhline(0, color=GREY, linewidth=0.5, zorder=1)
+
+
+def axes_at(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Add axes at a place in inches: what a layout engine would find, without its time."""
+    across, up = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
+def place_panels(
+    figure: Figure, result: Result, box: tuple[float, float, float, float], values: Sequence[Array]
+) -> list[Panel]:
+    """Add axes over the time, broken where a short transient would be lost in a long run.
+
+    Parameters
+    ----------
+    box
+        Left, bottom, width, height [in].
+    values
+        What the y axis shall hold.
+    """
+    left, bottom, width, height = box
+    parts = _parts(result)
+    if len(parts) == 2 and result.time[parts[0]][-1] > result.time[-1] / 2:
+        parts = [slice(0, len(result.time))]
+    gap = 0.1
+    widths = [width] if len(parts) == 1 else [0.62 * (width - gap), 0.38 * (width - gap)]
+    panels: list[Panel] = []
+    for part, own_width in zip(parts, widths, strict=True):
+        axes = axes_at(figure, left, bottom, own_width, height)
+        set_limits(axes, result.time[part], *values)
+        panels.append(Panel(axes, part, fixed=True))
+        left += own_width + gap
+    if len(panels) == 2:
+        draw_break(panels[0].axes, panels[1].axes)
+    return panels
+
+
+def draw_break(first: Axes, second: Axes) -> None:
+    """Mark that the time axis goes on in the second panel, on another scale."""
+    second.spines["left"].set_visible(False)
+    second.tick_params(axis="y", length=0, labelleft=False)
+    for axes, corner in ((first, 1), (second, 0)):
+        axes.plot(
+            corner,
+            0,
+            transform=axes.transAxes,
+            marker=[(-0.5, -1), (0.5, 1)],
+            ms=6,
+            color="black",
+            mew=0.6,
+            clip_on=False,
+        )
+    begin, end = second.get_xlim()
+    ticks = np.array(MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(begin, end))
+    clear = (ticks > begin + 0.12 * (end - begin)) & (ticks <= end)  # of the label that ends the first panel
+    second.xaxis.set_major_locator(FixedLocator(ticks[clear].tolist()))
+
+
+def set_limits(axes: Axes, time: Array, *values: Array) -> None:
+    """Let the x axis hold the time exactly, and the y axis the values with a margin, rounding noise not magnified."""
+    begin, end = float(time[0]), float(time[-1])
+    axes.set_xlim(begin, end if end > begin else begin + 1e-3)
+    low, high = min(float(part.min()) for part in values), max(float(part.max()) for part in values)
+    largest = max(abs(low), abs(high))
+    middle, half = low / 2 + high / 2, max(0.56 * (high - low), 4e-3 * largest, 1e-4)
+    axes.set_ylim(middle - half, middle + half)
+    axes.xaxis.set_major_locator(MaxNLocator(min(10, max(2, int(size_of(axes)[0] / 0.34))), steps=[1, 2, 5, 10]))
+    for axis, size in ((axes.xaxis, abs(end)), (axes.yaxis, largest)):
+        if not 1e-3 < size < 1e5:
+            axis.set_major_formatter(FuncFormatter(short_number))  # a common power of ten would lie below the title
+
+
+def size_of(axes: Axes) -> tuple[float, float]:
+    """Give the width and height of axes [in]."""
+    box, dots = axes.bbox, axes.figure.dpi
+    return float(box.width / dots), float(box.height / dots)
+
+
+def draw_label(axes: Axes, which: Literal["x", "y"], text: str, along: float = 0.5) -> None:
+    """Label an axis at a fixed distance, clear of the longest tick labels, and at a fraction along it."""
+    width, height = size_of(axes)
+    if which == "x":
+        axes.set_xlabel(text)
+        axes.xaxis.set_label_coords(along, -0.21 / height)
+    else:
+        axes.set_ylabel(text)
+        axes.yaxis.set_label_coords(-0.54 / width, along)
+
+
+def describe(panels: Sequence[Panel], label: str, title: str, *, time: bool = False) -> None:
+    """Set the title and the label of the y axis, and say the time below, if it is not said by panels further down."""
+    axes = panels[0].axes
+    if not panels[0].fixed:
+        axes.set_ylabel(label)
+        axes.set_title(title)
+        axes.set_xlabel("time [s]")
+        return
+    widths = [size_of(panel.axes)[0] for panel in panels]
+    draw_label(axes, "y", label)
+    axes.set_title(title, loc="left")
+    if time:
+        draw_label(axes, "x", "time [s]", sum(widths) / 2 / widths[0])
+    else:
+        for panel in panels:
+            panel.axes.tick_params(axis="x", labelbottom=False)
+
+
+def fill_panels(
+    panels: Sequence[Panel],
+    result: Result,
+    values: Array,
+    names: Sequence[str],
+    inks: Sequence[Ink],
+    mean: int = 1,
+    levels: Mapping[str, float] | None = None,
+) -> None:
+    """Draw the columns of values over the time, and name each beside its end.
+
+    Parameters
+    ----------
+    mean
+        Number of samples of a moving mean; above 1 it is drawn over the samples, which then are thin.
+    levels
+        Constants that are named likewise, in black.
+    """
+    means = _moving_mean(values, mean)
+    for axes, part, _ in panels:
+        if mean > 1:
+            thin = [Ink(ink.colour) for ink in inks]
+            draw_lines(axes, result.time[part], values[part], names, thin, linewidth=THIN, alpha=FAINT)
+            draw_lines(axes, result.time[part], means[part], [f"mean {name}" for name in names], inks)
+        else:
+            draw_lines(axes, result.time[part], values[part], names, inks)
+    if not panels[-1].fixed:
+        handles = [
+            Line2D([], [], color=ink.colour, linestyle=ink.dashes, label=name)
+            for name, ink in zip(names, inks, strict=False)  # there may be more inks than lines
+        ]
+        handles += [Line2D([], [], color=BLACK, linestyle=":", label=name) for name in levels or {}]
+        panels[-1].axes.legend(handles=handles, ncols=-(-len(handles) // 4), fontsize="small")
+        return
+    ends = {**dict(zip(names, means[-1], strict=True)), **(levels or {})}
+    label_ends(panels[-1].axes, ends, [*inks, *[Ink(BLACK) for _ in levels or ()]])
+
+
+def draw_lines(axes: Axes, time: Array, values: Array, names: Sequence[str], inks: Sequence[Ink], **looks: Any) -> None:
+    """Draw each column as a line, as dots where there are too few samples for one."""
+    dots: dict[str, Any] = {"marker": "o", "markersize": 2.5} if len(time) < 3 else {}
+    for column, name, ink in zip(values.T, names, inks, strict=True):
+        kept = _extremes(column)
+        axes.plot(time[kept], column[kept], color=ink.colour, linestyle=ink.dashes, gid=name, **dots, **looks)
+
+
+def label_ends(axes: Axes, ends: Mapping[str, float], inks: Sequence[Ink]) -> None:
+    """Name lines to the right of the axes, each as near to its last value as the others allow."""
+    low, high = axes.get_ylim()
+    places = np.clip((np.array(list(ends.values())) - low) / (high - low), 0, 1)
+    width, height = size_of(axes)
+    spread = _spread(places, 0.114 / height)
+    near, far, text = (1 + inches / width for inches in (0.02, 0.14, 0.17))
+    for name, place, label, ink in zip(ends, places, spread, inks, strict=True):
+        axes.plot([near, far], [place, label], color=ink.colour, linewidth=0.4, clip_on=False, transform=axes.transAxes)
+        axes.text(text, label, name, transform=axes.transAxes, va="center", color=ink.colour, fontsize=7)
+
+
+def _spread(places: Array, gap: float) -> Array:
+    """Move places within [0, 1] apart by at least a gap, all together as little as possible in the least squares.
+
+    With the gaps subtracted this is isotonic regression, solved by pooling neighbours.
+    """
+    order = np.argsort(places, kind="stable")
+    steps = gap * np.arange(len(places))
+    pools: list[list[float]] = []
+    for place in places[order] - steps:
+        pools.append([float(place)])
+        while len(pools) > 1 and np.mean(pools[-2]) >= np.mean(pools[-1]):
+            last = pools.pop()
+            pools[-1] += last
+    level = np.concatenate([np.full(len(pool), np.mean(pool)) for pool in pools])
+    spread = np.empty_like(places)
+    spread[order] = np.clip(level, 0, max(1 - steps[-1], 0)) + steps
+    return spread
+
+
+def farther_apart(starts: Array, ends: Array, enough: float) -> Literal[0, -1]:
+    """Tell where names of paths have more room: at the starts (0), if that is enough, or at the ends (-1)."""
+
+    def nearest(places: Array) -> float:
+        return min(float(np.hypot(*(a - b))) for a, b in combinations(places, 2))
+
+    return 0 if nearest(starts) >= min(enough, nearest(ends)) else -1
+
+
+def point_the_way(axes: Axes, path: Array, distance: float, colour: str, number: int) -> None:
+    """Put an arrow head on a path at a distance along it."""
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    if not 0 < distance < travelled[-1]:
+        return
+    tail, head = (
+        np.array([np.interp(at, travelled, path[:, axis]) for axis in (0, 1)]) for at in (0.99 * distance, distance)
+    )
+    direction = np.degrees(np.arctan2(*(head - tail)[::-1]))
+    triangle = MarkerStyle(">").rotated(deg=float(direction))
+    axes.plot(*head, marker=triangle, markersize=5, markeredgewidth=0, color=colour, gid=f"direction {number}")
+
+
+def draw_legend(figure: Figure, handles: Mapping[str, Line2D]) -> None:
+    """Put a legend into the upper right corner, above all panels."""
+    figure.legend(list(handles.values()), list(handles), loc="upper right", ncols=len(handles), borderaxespad=0.2)
+
+
+def note_outcome(place: Figure | Axes, result: Result) -> None:
+    """Say in the corner of a figure, or of the caller's axes, how a run ended that did not complete."""
+    if result.outcome != "completed":
+        text = f"{result.outcome.replace('_', ' ')} after {result.end_time:.4g} s"
+        looks: dict[str, Any] = {"ha": "right", "va": "bottom", "fontweight": "bold", "color": VERMILION}
+        if isinstance(place, Figure):
+            place.text(0.995, 0.012, text, fontsize=7, **looks)
+        else:
+            place.text(0.99, 0.02, text, transform=place.transAxes, **looks)

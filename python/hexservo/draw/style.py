@@ -1,0 +1,142 @@
+"""Colours, lines and sizes of print, and figures as files: the same bytes for the same figure."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Callable, Iterator, Mapping
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
+
+import matplotlib
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    pass
+
+
+__all__ = []
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+COLUMN, PAGE = 3.5, 7.16  # widths of a figure in a two-column paper [in]
+THIN = 0.6  # width of samples under their mean [pt]
+FAINT = 0.45  # opacity of samples under their mean
+
+
+class Ink(NamedTuple):
+    """How one line looks."""
+
+    colour: str
+    dashes: Any = "-"
+
+
+# Okabe and Ito's colours, the light ones darkened for text: apart for every kind of colour vision. In grey, dashes and
+# labels tell the lines apart.
+BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE = "#000000", "#0072B2", "#D55E00", "#009E73", "#B85F93", "#CC8400"
+GREY = "0.45"
+DASHED, DASH_DOT = (0, (4, 1.2)), (0, (5, 1, 1.2, 1))
+
+HALO = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
+
+_STYLE = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same everywhere
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-9, 9),
+    "axes.titley": 1.0,  # fixed places for titles and labels: finding them takes a third of the drawing time
+    "axes.titlepad": 5,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.major.pad": 2.5,
+    "ytick.major.pad": 2.5,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "lines.linewidth": 1.0,
+    "lines.solid_joinstyle": "round",
+    "lines.dash_joinstyle": "round",
+    "figure.dpi": 200,
+    "savefig.dpi": 200,
+    "svg.fonttype": "path",  # needs no font where it is shown
+    "svg.hashsalt": "hexservo",  # the same run gives the same bytes
+}
+# What decides how a figure looks; the rest of the user's settings (backend, keys, ...) is none of our business.
+_LOOK = (
+    "agg.", "axes.", "figure.", "font.", "grid.", "hatch.", "image.", "legend.", "lines.", "markers.", "mathtext.",
+    "patch.", "path.", "savefig.", "svg.", "text.", "xaxis.", "xtick.", "yaxis.", "ytick.",
+)  # fmt: skip
+
+
+@contextlib.contextmanager
+def our_style() -> Iterator[None]:
+    """Draw in our style, from matplotlib's defaults whatever the user's are, and put the user's back."""
+    defaults = {name: value for name, value in matplotlib.rcParamsDefault.items() if name.startswith(_LOOK)}
+    settings: Any = {**defaults, **_STYLE}
+    with matplotlib.rc_context(settings):
+        yield
+
+
+def styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Draw in our style, except into axes of the caller's, which have a style already."""
+
+    @wraps(function)
+    def styled(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        if kwargs.get("ax") is not None or kwargs.get("axes") is not None:
+            return function(*args, **kwargs)
+        with our_style():
+            return function(*args, **kwargs)
+
+    return styled
+
+
+def short_number(value: float, _place: int | None = None) -> str:
+    """Write a very large or very small number in few characters, as 2.25e6."""
+    digits, _, power = f"{value:.4g}".partition("e")
+    return (f"{digits}e{int(power)}" if power else digits).replace("-", "−")
+
+
+@styled
+def image_bytes(figure: Figure, extension: str) -> bytes:
+    """Give a figure as the bytes of a file, without a date."""
+    buffer = io.BytesIO()
+    if extension == "svg":
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    else:
+        figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 1})  # hardly larger, much faster
+    return buffer.getvalue()
+
+
+def write_figures(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Write files under temporary names, then give all of them their own.
+
+    Raises
+    ------
+    OSError
+        Something could not be written; no temporary file is left.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    temporary = {folder / f".{name}.{os.getpid()}.part": folder / name for name in files}
+    try:
+        for path, content in zip(temporary, files.values(), strict=True):
+            path.write_bytes(content)
+        for path, final in temporary.items():
+            path.replace(final)
+    finally:
+        for path in temporary:
+            path.unlink(missing_ok=True)
+    return list(temporary.values())

@@ -1,0 +1,39 @@
+"""How findings read: cells of tables, and what a verdict is called; the same in the terminal and in the report."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from hexservo.findings.evidence import Cell, Column, Table
+from hexservo.scenario.wording import number
+
+__all__ = ["VERDICTS", "cell_text", "numeric_columns"]
+
+VERDICTS = {"good": "good", "warning": "warning", "bad": "bad", "open": "nothing to judge"}
+"""Words for a section's verdict."""
+
+
+def cell_text(cell: Cell, column: Column) -> str:
+    """Give a cell as people read it, without its unit, in ASCII where the cell is no text."""
+    if cell is None:
+        return "-"
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    if isinstance(cell, str):
+        return cell
+    if not math.isfinite(cell):
+        return "-" if math.isnan(cell) else "inf" if cell > 0 else "-inf"
+    whole = isinstance(cell, int) and column.format == Column.format  # 123456 and not 1.235e+05
+    digits = re.fullmatch(r"\.(\d+)g", column.format)
+    shown = str(cell) if whole else number(cell, int(digits[1])) if digits else format(cell, column.format)
+    return re.sub(r"^-(?=0(\.0*)?$)", "", shown)  # minus zero is zero
+
+
+def numeric_columns(table: Table) -> Sequence[bool]:
+    """Tell which columns hold numbers, and are flush right."""
+    return [
+        any(isinstance(row[place], int | float) and not isinstance(row[place], bool) for row in table.rows)
+        for place in range(len(table.columns))
+    ]

@@ -1,0 +1,156 @@
+"""How results and findings show themselves in a notebook: words, tables and figures as HTML."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hexservo.draw.batch import batch_figure
+from hexservo.draw.compare import comparison_figure
+from hexservo.draw.evidence import item_figure
+from hexservo.draw.plots import feature_errors, feature_paths
+from hexservo.draw.style import image_bytes
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Cell, Column, Item, Table
+from hexservo.findings.wording import VERDICTS
+from hexservo.report.evidence_html import table_html
+from hexservo.report.html import Html, element, paragraphs
+from hexservo.run.batch import BatchResult
+from hexservo.run.comparison import COLUMNS, Comparison, shown
+from hexservo.run.display import batch_text, comparison_text
+from hexservo.run.metrics import METRICS, metrics, readable
+from hexservo.run.result import Result
+from hexservo.run.summary import summary_sentences
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["figure_of", "html_of", "image_of"]
+
+figure_of = comparison_figure
+image_of = image_bytes
+
+_SHOWN_DOTS = 2.0  # dots of a picture for one of the page: sharp on fine screens
+_STYLE = (
+    ".hexservo figure{margin:0.6em 0}.hexservo figcaption{font-weight:600}.hexservo ul{margin:0.3em 0}"
+    ".hexservo th,.hexservo td{padding:0.15em 0.8em 0.15em 0;text-align:left;vertical-align:top;white-space:normal}"
+    ".hexservo th{vertical-align:bottom}.hexservo td.text{min-width:9em}.hexservo .unit{font-weight:400}"
+    ".hexservo th.number,.hexservo td.number{text-align:right}.hexservo td.number{white-space:nowrap}"
+    ".hexservo .scroll{overflow-x:auto}.hexservo img{max-width:100%;background:#fff}"
+    ".hexservo .verdict{border:1px solid;border-radius:1em;padding:0 0.5em;font-size:0.85em}"
+)
+
+
+def html_of(shown: object) -> str:
+    """Return a result, batch, comparison or findings as HTML for a notebook.
+
+    Raises
+    ------
+    TypeError
+        For anything else.
+    """
+    match shown:
+        case Result():
+            return _result_html(shown)
+        case BatchResult():
+            return _batch_html(shown)
+        case Comparison():
+            return _comparison_html(shown)
+        case Findings():
+            return _findings_html(shown)
+    raise TypeError(f"expected a result, batch, comparison or findings, got {type(shown).__name__}")
+
+
+def _result_html(result: Result) -> str:
+    """Give a run's summary, metrics and figures 2(b) and 3."""
+    rows = [
+        (name, " ".join(readable(name, value)).strip(), METRICS[name][1]) for name, value in metrics(result).items()
+    ]
+    return _page(
+        element("strong", f'Result of "{result.scenario.name}"'),
+        _list(summary_sentences(result)),
+        _picture(feature_errors(result), "Feature errors over the time"),
+        _picture(feature_paths(result), "Paths of the features in the image"),
+        table_html(Table("Metrics", (Column("metric"), Column("value"), Column("meaning")), rows)),
+    )
+
+
+def _batch_html(batch: BatchResult) -> str:
+    """Give a batch's outcomes, the spread of its metrics, and settling time and last error of every run."""
+    rows: list[list[Cell]] = []
+    for name, values in batch.metrics.items():
+        known = values[np.isfinite(values)]
+        spread = [float(known.min()), float(np.median(known)), float(known.max())] if len(known) else [math.nan] * 3
+        shown = [" ".join(readable(name, value)).strip() if value == value else "–" for value in spread]
+        rows.append([name, *shown, len(known)])
+    columns = (Column("metric"), Column("smallest"), Column("median"), Column("largest"), Column("runs"))
+    head, *lines = batch_text(batch).split("\n")
+    return _page(
+        element("strong", head),
+        _list(line.strip() for line in lines),
+        _picture(batch_figure(batch), "Settling time and last error of every run") if len(batch) else Html(),
+        table_html(Table("Metrics", columns, rows)),
+    )
+
+
+def _comparison_html(comparison: Comparison) -> str:
+    """Give a comparison's table and its page of pictures."""
+    heads = (
+        Column("scenario"),
+        Column("law"),
+        Column("verdict"),
+        *(Column(column.head, column.unit) for column in COLUMNS),
+    )
+    rows = [
+        (row.scenario.name, row.law, row.verdict, *(shown(row, column) for column in COLUMNS))
+        for row in comparison.rows
+    ]
+    return _page(
+        element("strong", comparison_text(comparison).split("\n")[0]),
+        table_html(Table("Laws by scenarios", heads, rows, "!: a leg passed its stroke or force limit.")),
+        _picture(comparison.figure(), "Errors over the time, settling times, residuals and efforts"),
+    )
+
+
+def _findings_html(findings: Findings) -> str:
+    parts = [
+        part
+        for section in findings.all_sections()
+        for part in (
+            element("h4", section.title, " ", element("span", VERDICTS[section.verdict], class_="verdict"), Html(" ")),
+            _list(section.sentences),
+            *map(_item, section.items),
+        )
+    ]
+    return _page(element("strong", findings.headline()), *parts)
+
+
+# ---- Parts ----------------------------------------------------------------------------------------------------------
+
+
+def _page(*parts: Html) -> str:
+    return element("div", element("style", Html(_STYLE)), *parts, class_="hexservo")
+
+
+def _list(sentences: Iterable[str]) -> Html:
+    return element("ul", *[element("li", sentence) for sentence in sentences])
+
+
+def _item(item: Item) -> Html:
+    if isinstance(item, Table):
+        return table_html(replace(item, page=""))
+    return element(
+        "figure", element("figcaption", item.title), _picture(item_figure(item), item.title), paragraphs(item.note)
+    )
+
+
+def _picture(figure: Figure, alt: str) -> Html:
+    content = base64.b64encode(image_bytes(figure, "png")).decode("ascii")
+    width = figure.get_size_inches()[0] * 200 / _SHOWN_DOTS
+    return Html(f'<img src="data:image/png;base64,{content}" width="{width:.0f}" alt="{escape(alt)}">')

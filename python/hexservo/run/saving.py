@@ -1,0 +1,80 @@
+"""Writes results as netCDF files; `hexservo.run.saved` reads them back bit for bit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from hexservo.run.files import check_file, write_file
+from hexservo.run.metrics import metrics
+from hexservo.run.sealed import FORMAT, is_sealed, sealed_bytes
+
+if TYPE_CHECKING:
+    from hexservo.run.result import LimitEvent, Result
+
+
+__all__ = ["check_saved", "result_bytes", "save_result", "saved_attributes"]
+
+
+HISTORY = "weight_history"  # the only array that a result may lack
+EVENT_HEAD = "kind leg time peak limit"  # of the table of events; seconds, and metres (stroke) or newtons (force)
+
+
+def saved_attributes(result: Result) -> dict[str, Any]:
+    """Give what a file must hold beside the arrays, so that `load_result` can give the same result again."""
+    texts = {
+        "controller": result.controller,
+        "outcome": result.outcome,
+        "detail": result.detail,
+        "scenario": result.scenario.to_yaml(),
+        "hexservo_version": result.version,
+        "event_table": _event_table(result.events),
+    }
+    return {"format": FORMAT, **texts, "end_time": result.end_time, **_prefixed(metrics(result))}
+
+
+def result_bytes(result: Result) -> memoryview:
+    """Give a file's content, made in memory: on a full disk HDF5 itself does not fail but crashes the process."""
+    return sealed_bytes(result.to_xarray())
+
+
+def save_result(result: Result, path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write a result into one file that `load_result` reads back bit for bit, and every reader of netCDF opens.
+
+    Parameters
+    ----------
+    result
+        The run; its outcome does not matter.
+    path
+        A name in a folder that exists, as ``result.nc``. The file appears whole or not at all.
+    force
+        Replace a saved result that is as hexservo wrote it; no other file is ever replaced.
+
+    Raises
+    ------
+    OutputError
+        The file exists, is no saved result or was changed, or cannot be written.
+    """
+    check_saved(path, force=force)  # before the work
+    write_file(result_bytes(result), path, is_sealed, "hexservo", force=force)
+
+
+def check_saved(path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Refuse a place that `save_result` would refuse.
+
+    Raises
+    ------
+    OutputError
+        As `save_result`, as far as it can be told without writing anything.
+    """
+    check_file(path, is_sealed, "hexservo", force=force)
+
+
+def _event_table(events: tuple[LimitEvent, ...]) -> str:
+    rows = [f"{event.kind} {event.leg} {event.time!r} {event.peak!r} {event.limit!r}" for event in events]
+    return "\n".join([EVENT_HEAD, *rows])
+
+
+def _prefixed(metrics: Mapping[str, float]) -> dict[str, float]:
+    return {f"metric_{name}": value for name, value in metrics.items()}

@@ -1,0 +1,63 @@
+"""What scenarios of one batch share, and the numbers in which they differ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.scenario import LAWS, Scenario, acting_keys
+
+if TYPE_CHECKING:
+    pass
+
+
+__all__ = []
+
+_ALWAYS = "uncertainty.gravity"  # varies in every batch, be it by nothing
+
+
+def numbers_of(scenario: Scenario) -> dict[str, Any]:
+    """Return the values that a batch may vary, by dotted key, in the widest shape of each; grids are shared."""
+    keys = acting_keys(scenario.controller.law, scenario.simulation.mode)
+    mapping = scenario.to_mapping()
+    numbers = {}
+    for key, rule in keys.items():
+        value: Any = mapping
+        for name in key.split("."):
+            value = value[name]
+        if key.startswith("simulation.") or value is None or isinstance(value, str):
+            continue
+        array = np.asarray(value, dtype=rule.dtype)
+        shape = max(rule.shapes, key=len)
+        if array.shape != shape:  # a number for all entries, or a diagonal
+            array = np.diag(array) if array.ndim else np.full(shape, array)
+        numbers[key] = array
+    return numbers
+
+
+def shared_by(scenario: Scenario) -> dict[str, Any]:
+    """Return what the scenarios of a batch have in common: everything but names, numbers, and gains of other laws."""
+    mapping = scenario.to_mapping()
+    shared = {key: value for key, value in mapping.items() if key not in ("name", "description")}
+    controller = shared["controller"] = dict(shared["controller"])
+    for law in LAWS:
+        if law != scenario.controller.law:
+            controller.pop(law, None)
+    for key in numbers_of(scenario):
+        *blocks, last = key.split(".")
+        inner = shared
+        for block in blocks:
+            inner[block] = dict(inner[block])
+            inner = inner[block]
+        inner[last] = "varies"
+    return shared
+
+
+def variations_of(scenarios: Sequence[Scenario]) -> dict[str, Array]:
+    """Give the numbers in which scenarios differ, for `simulate_batch`, which asks for one at least."""
+    numbers = [numbers_of(scenario) for scenario in scenarios]
+    variations = {key: np.stack([own[key] for own in numbers]) for key in numbers[0]}
+    return {key: values for key, values in variations.items() if key == _ALWAYS or (values != values[0]).any()}

@@ -1,0 +1,119 @@
+"""The values that a batch varies, checked and put into arrays; messages name the key and the run."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.scenario import (
+    LAWS,
+    MAX_WHOLE_FLOAT,
+    NumericKey,
+    Scenario,
+    ScenarioError,
+    numeric_keys,
+    sampled_keys,
+    without_effect,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+__all__ = []
+
+
+def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
+    """Give the variations as arrays of allowed shapes, lengths and values."""
+    if not isinstance(variations, Mapping):
+        raise TypeError(f"variations: expected a mapping of keys to arrays, got {type(variations).__name__}")
+    if not variations:
+        raise ValueError("variations: expected at least one key, got none")
+    law = scenario.controller.law
+    arrays = {key: _array(key, known_key(key, law), values) for key, values in variations.items()}
+    idle = [key for key in arrays if key in sampled_keys()] if scenario.simulation.mode == "continuous" else []
+    if idle:
+        raise ScenarioError(without_effect(idle))
+    lengths = {key: len(values) for key, values in arrays.items()}
+    count = max(lengths.values())
+    for key, length in lengths.items():
+        if length not in (1, count):
+            longest = max(lengths, key=lambda name: lengths[name])
+            raise ValueError(f"{key}: expected 1 or {count} scenarios, as {longest} has, got {length}")
+    # The first scenario, checked as a whole: what the other keys of its block allow.
+    try:
+        scenario.updated({key: plain_row(known_key(key, law), values[0]) for key, values in arrays.items()})
+    except ScenarioError as error:
+        raise ScenarioError([f"scenario 0: {problem}" for problem in error.problems]) from None
+    return arrays
+
+
+def known_key(key: object, law: str) -> NumericKey:
+    known = numeric_keys(law)
+    if isinstance(key, str) and key in known:
+        return known[key]
+    if any(key in numeric_keys(other) for other in LAWS):
+        raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got one of another law")
+    nearest = difflib.get_close_matches(key.lower(), list(known), 1) if isinstance(key, str) else []
+    hint = f'; did you mean "{nearest[0]}"?' if nearest else ""
+    raise ValueError(f"{key}: expected a key that holds numbers, got another one{hint}")
+
+
+def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
+    """Check shape and values against the scenario's own rules for the key."""
+    try:
+        values = np.asarray(given)
+        if rule.whole and not isinstance(given, np.ndarray):
+            values = _whole_numbers(given, values)
+        if values.dtype.kind not in "iuf":
+            raise ValueError
+    except ValueError:  # ragged, or no numbers
+        raise ValueError(f"{key}: expected an array of numbers, got {_kind(given)}") from None
+    if values.ndim == 0 or values.shape[1:] not in rule.shapes or len(values) == 0:
+        shapes = " or ".join(
+            f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes
+        )
+        raise ValueError(f"{key}: expected shape {shapes}, n scenarios, got {values.shape}")
+    allowed = rule.within(values)
+    if not allowed.all():
+        place = tuple(int(index) for index in np.argwhere(~allowed)[0])
+        entry = "".join(f"[{index}]" for index in place[1:])
+        rounded = rule.whole and values.dtype.kind == "f" and abs(values[place]) > MAX_WHOLE_FLOAT
+        got = f"the float {values[place]!r}, which may have been rounded" if rounded else f"{values[place]:.12g}"
+        raise ValueError(f"scenario {place[0]}: {key}{entry}: expected {rule.expected}, got {got}")
+    numbers = values.astype(rule.dtype)
+    if rule.symmetric and numbers.ndim == 3:
+        numbers = _symmetric(key, numbers)
+    return numbers
+
+
+def _whole_numbers(given: ArrayLike, values: NDArray[Any]) -> NDArray[Any]:
+    """Keep integers of up to 64 bits, of which numpy makes floats where some are above 2^63 and others are not."""
+    if values.dtype.kind not in "fO":
+        return values
+    objects = np.asarray(given, dtype=object)
+    integers = all(isinstance(item, int) and 0 <= item < 2**64 for item in objects.flat)
+    return objects.astype(np.uint64) if integers else values
+
+
+def _symmetric(key: str, matrices: Array) -> Array:
+    """Make nearly symmetric matrices symmetric, as a scenario does."""
+    turned = matrices.transpose(0, 2, 1)
+    uneven = np.abs(matrices - turned).max(axis=(1, 2)) > 1e-9 * np.abs(matrices).max(axis=(1, 2))
+    if uneven.any():
+        raise ValueError(f"scenario {int(np.argmax(uneven))}: {key}: expected a symmetric matrix, got one that is not")
+    return np.asarray(matrices / 2 + turned / 2)
+
+
+def plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:
+    return int(row) if rule.whole else row.tolist()
+
+
+def _kind(value: object) -> str:
+    dtype = getattr(value, "dtype", None)
+    return f"an array of {dtype}" if dtype is not None else f"something else ({type(value).__name__})"

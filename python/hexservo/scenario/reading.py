@@ -1,0 +1,35 @@
+"""Opens files to read them, and only regular ones."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+__all__ = ["open_regular"]
+
+
+@contextlib.contextmanager
+def open_regular(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a regular file to read its bytes, and never wait, as for the other end of a pipe.
+
+    Raises
+    ------
+    OSError
+        As `open`.
+    ValueError
+        The path stands for a folder, a pipe, a device or a socket, or holds a null character.
+    """
+    _refuse_special(Path(path).stat().st_mode)  # before it is opened, which some devices take for a command
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY), "rb") as file:
+        _refuse_special(os.fstat(file.fileno()).st_mode)
+        yield file
+
+
+def _refuse_special(mode: int) -> None:
+    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+    if not stat.S_ISREG(mode):
+        raise ValueError(f"expected a regular file, got {kinds.get(stat.S_IFMT(mode), 'a device')}")
