@@ -77,7 +77,8 @@ class _Pages(ast.NodeVisitor):
         place = f"{self.where}:{node.lineno}"
         if page is None and name in self.positions and len(node.args) > self.positions[name]:
             page = node.args[self.positions[name]]
-        if page is not None:
+        taken_off = name == "replace" and isinstance(page, ast.Constant) and page.value == ""  # a notebook has no links
+        if page is not None and not taken_off:
             self.take(page, place)
         elif name in self.positions and self.explained:
             self.problems.append(f"{place}: expected a page for this {name}, got none")

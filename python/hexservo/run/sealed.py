@@ -95,7 +95,7 @@ def _unsealed(is_hdf5: bool) -> str:
     if not is_hdf5:
         return "expected a result that hexservo saved, got another kind of file"
     return (
-        f"expected a result that hexservo saved, format {FORMAT}, got a netCDF or _HDF5 file without the digest at its "
+        f"expected a result that hexservo saved, format {FORMAT}, got a netCDF or HDF5 file without the digest at its "
         "end: it is of format 1 (hexservo 0.1), of another program, or was cut off or changed since; run its scenario "
         "again, which a netCDF reader finds in the attribute scenario"
     )
