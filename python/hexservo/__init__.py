@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from hexservo.run.sealed import ResultError
     from hexservo.run.simulation import simulate
     from hexservo.run.variant import VariantError
-    from hexservo.scenario.scenario import Scenario, ScenarioError, load_scenario, scenario_names
+    from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
+    from hexservo.scenario.yaml import ScenarioError
 
 __all__ = [
     "METRICS",
@@ -93,7 +94,8 @@ _MODULES = {
     "run.saved": ("ResultError", "load_result"),
     "run.simulation": ("simulate",),
     "run.variant": ("VariantError",),
-    "scenario.scenario": ("Scenario", "ScenarioError", "load_scenario", "scenario_names"),
+    "scenario.scenario": ("Scenario", "load_scenario", "scenario_names"),
+    "scenario.yaml": ("ScenarioError",),
 }
 _PLACES = {name: f"hexservo.{module}" for module, names in _MODULES.items() for name in names}
 

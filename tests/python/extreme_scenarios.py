@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 import hexservo as hs
-from hexservo.scenario.scenario import LAWS, numeric_keys
+from hexservo.scenario.keys import numeric_keys
+from hexservo.scenario.laws import LAWS
 
 __all__ = ["extreme_scenario"]
 

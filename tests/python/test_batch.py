@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo import _core
 from hexservo.run.batch import Log
+from hexservo.scenario.keys import numeric_keys
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import LAWS, numeric_keys
 
 CONSTANTS = {"simulation.duration": 0.1, "controller.switching": {"kind": "tanh", "width": 0.01}}
 

@@ -21,8 +21,8 @@ from hexservo import _core
 from hexservo.cli.bench import spell
 from hexservo.run import bench as module
 from hexservo.run.variant import available_variants, load_kernel
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import LAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 HEXSERVO = [sys.executable, "-m", "hexservo"]

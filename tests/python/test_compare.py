@@ -22,7 +22,7 @@ from hexservo.draw.style import our_style
 from hexservo.run import compare
 from hexservo.run.comparison import COLUMNS
 from hexservo.run.files import MARKER
-from hexservo.scenario.scenario import LAWS
+from hexservo.scenario.laws import LAWS
 
 SHORT = {"simulation.duration": 0.3, "controller.switching.kind": "tanh"}  # smooth: a lane agrees with a single run
 

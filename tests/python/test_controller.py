@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import LAWS
 
 GRAVITY = np.array([0.0, 0.0, -0.06 * 9.8, 0.0, 0.0, 0.0])
 INERTIA = np.array([0.06, 0.06, 0.06, 1.5e-4, 1.5e-4, 3e-4])

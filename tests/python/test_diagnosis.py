@@ -33,8 +33,9 @@ from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.evidence import Curves, Table
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import frame_period
-from hexservo.scenario.scenario import LAWS, Scenario
+from hexservo.scenario.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo.scenario.scenario import LAWS, Camera, Scenario, _paths, numeric_keys, sampled_keys, value_at
+from hexservo.scenario.blocks import Camera
+from hexservo.scenario.keys import all_paths, numeric_keys, sampled_keys, value_at
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.scenario import Scenario
 
 # A legal value of every key that acts in sampled mode alone, other than its default; a servo period is 1 ms.
 SAMPLED: dict[str, Any] = {
@@ -63,7 +66,7 @@ def short(paper: hs.Scenario) -> hs.Scenario:
 
 def leaves() -> list[str]:
     """Every key that holds no keys."""
-    paths = list(_paths(Scenario))
+    paths = list(all_paths(Scenario))
     return [path for path in paths if not any(other.startswith(f"{path}.") for other in paths)]
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from packages import PACKAGES, PICTURE, SOURCES, Import, imports, module_name, package_of, picture
 
+MOST_LINES = 500
 TOP = {"", "plots", "__main__"}  # the public names: hexservo itself and hexservo.plots
 IMPORTS = imports()
 
@@ -75,6 +76,11 @@ def test_module_names_have_no_underscore_in_front(package: str) -> None:
     files = (SOURCES / package).glob("*.py") if not package else (SOURCES / package).rglob("*.py")
     names = [module_name(path) for path in files]
     assert not [name for name in names if any(p.startswith("_") for p in name.split(".")) and name != "__main__"]
+
+
+def test_no_long_files() -> None:
+    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES.rglob("*.py")}
+    assert {path.relative_to(SOURCES).as_posix(): n for path, n in lengths.items() if n > MOST_LINES} == {}
 
 
 def test_the_picture_is_that_of_the_sources() -> None:

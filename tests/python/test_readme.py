@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
-from hexservo.scenario.scenario import LAWS
+from hexservo.scenario.laws import LAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"

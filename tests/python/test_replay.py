@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo import _core
 from hexservo.run.export import gains_header
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import LAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 GIVEN = {

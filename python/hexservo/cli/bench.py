@@ -12,7 +12,6 @@ from hexservo.scenario.wording import quantity
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-
 __all__ = ["report", "spell", "write_benchmark"]
 
 

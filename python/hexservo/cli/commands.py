@@ -35,7 +35,7 @@ from hexservo.cli.terminal import (
     whisper,
     write,
 )
-from hexservo.scenario.scenario import LAWS
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from hexservo.run.result import Result
 
-
 __all__ = []
 
 

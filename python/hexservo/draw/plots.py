@@ -66,7 +66,7 @@ from hexservo.run.samples import mean_samples as _mean_samples
 from hexservo.run.samples import parts as _parts
 from hexservo.run.samples import rotation_vectors as _rotation_vector
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import TERMS
+from hexservo.scenario.rules import TERMS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,9 +74,7 @@ if TYPE_CHECKING:
     from hexservo.run.result import Result
     from hexservo.scenario.scenario import Scenario
 
-
 __all__ = ["control_wrench", "feature_errors", "feature_paths", "paper_figures", "platform_motion", "rule_table"]
-
 
 _AXES_INKS = (Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT))
 _POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK)

@@ -11,7 +11,9 @@ from hexservo.findings.analysis.linear_law import NoRestError, linear_law, linea
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
 from hexservo.findings.analysis.reach import LegMargin, reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
-from hexservo.scenario.scenario import LAWS, Scenario, default_of, keys_below, value_at
+from hexservo.scenario.keys import default_of, keys_below, value_at
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
 __all__ = ["keys_without_effect", "unlikely"]

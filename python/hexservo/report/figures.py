@@ -21,7 +21,8 @@ from hexservo.run.samples import (
 )
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import TERMS, load_scenario
+from hexservo.scenario.rules import TERMS
+from hexservo.scenario.scenario import load_scenario
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result

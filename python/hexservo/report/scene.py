@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Scene", "scene"]
 
-
 _FRAMES = (150, 60)  # most instants of the transient, and of the rest
 _IMAGE_DISTANCE = 0.4  # of the drawn image plane from the camera, in parts of the targets' depth
 _MARGIN = 1.2  # of the drawn image round the features

@@ -12,7 +12,6 @@ from hexservo.scenario.arrays import Array
 
 __all__ = ["VIEW", "still"]
 
-
 VIEW = (1.42, -1.75, 1.15)
 """From where the machine is seen, in the upright frame (x, -y, -z) of B; the page's script begins there too."""
 

@@ -24,18 +24,14 @@ from hexservo.run.variant import chosen_kernel
 from hexservo.run.variations import checked_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import (
-    Scenario,
-)
+from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-
 __all__ = ["BatchResult", "simulate_batch", "whole"]
-
 
 Log: TypeAlias = Literal["final", "metrics", "trajectory"]
 ProgressCallback: TypeAlias = Callable[[int, int], object]

@@ -11,7 +11,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,11 @@ from hexservo.run.batch import thread_count
 from hexservo.run.machine import describe_machine
 from hexservo.run.variant import available_variants, load_kernel
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import LAWS, Scenario, load_scenario
-
-if TYPE_CHECKING:
-    pass
-
+from hexservo.scenario.scenario import Scenario, load_scenario
 
 __all__ = ["Benchmark", "BenchmarkError", "Distribution", "Plan", "Ratio", "Speed", "TickTiming", "benchmark"]
-
 
 Say: TypeAlias = Callable[[str], object]
 Work: TypeAlias = Literal["single", "batch"]

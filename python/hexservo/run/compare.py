@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +17,11 @@ from hexservo.run.progress import progress_bar
 from hexservo.run.result import Result
 from hexservo.run.shared import shared_by, variations_of
 from hexservo.run.simulation import simulate
-from hexservo.scenario.scenario import LAWS, Scenario, ScenarioError, load_scenario
-
-if TYPE_CHECKING:
-    pass
-
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.scenario import Scenario, load_scenario
+from hexservo.scenario.yaml import ScenarioError
 
 __all__ = ["compare"]
-
 
 _MAX_SAMPLES = 5000  # of the error that a row keeps
 _MAX_BATCH = 32  # runs in one batch: bounds the memory of their logs

@@ -24,7 +24,6 @@ from hexservo.scenario.wording import number
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 __all__ = ["Comparison", "ComparisonRow"]
 
 

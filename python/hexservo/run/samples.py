@@ -24,7 +24,6 @@ __all__ = [
     "rotation_vectors",
 ]
 
-
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
 _SMALL = 0.4  # of the image: paths within this part of it are shown magnified as well
 _MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,7 @@ from hexservo.run.sealed import ResultError, line_of, quoted, refuse_changed, se
 from hexservo.scenario.reading import open_regular
 from hexservo.scenario.yaml import ScenarioError
 
-if TYPE_CHECKING:
-    pass
-
-
 __all__ = ["load_result"]
-
 
 _TEXTS = ("controller", "outcome", "detail", "scenario", "hexservo_version", "event_table")
 _NUMBERS = ("end_time", *(f"metric_{name}" for name in METRICS))

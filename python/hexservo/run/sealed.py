@@ -21,9 +21,7 @@ from hexservo.scenario.version import VERSION
 if TYPE_CHECKING:
     from xarray import Dataset
 
-
 __all__ = ["FORMAT", "ResultError"]
-
 
 FORMAT = 2
 """Of the files: raised with every change of what a file holds, metrics included. A larger number is not known here."""

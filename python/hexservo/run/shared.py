@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.scenario import LAWS, Scenario, acting_keys
-
-if TYPE_CHECKING:
-    pass
-
+from hexservo.scenario.keys import acting_keys
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.scenario import Scenario
 
 __all__ = []
 

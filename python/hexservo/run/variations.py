@@ -4,26 +4,16 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.scenario import (
-    LAWS,
-    MAX_WHOLE_FLOAT,
-    NumericKey,
-    Scenario,
-    ScenarioError,
-    numeric_keys,
-    sampled_keys,
-    without_effect,
-)
-
-if TYPE_CHECKING:
-    pass
-
+from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, numeric_keys, sampled_keys, without_effect
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.yaml import ScenarioError
 
 __all__ = []
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from hexservo import _core
 
 if TYPE_CHECKING:
-    from hexservo.scenario.scenario import Fuzzy, Scenario
+    from hexservo.scenario.blocks import Blocks
+    from hexservo.scenario.laws import Fuzzy
 
 __all__ = ["Settings", "core_parameters", "frame_period"]
 
@@ -35,7 +36,7 @@ _SETTINGS: dict[str, type[Settings]] = {
 }
 
 
-def core_parameters(scenario: Scenario) -> Settings:
+def core_parameters(scenario: Blocks) -> Settings:
     """Give the core's settings of a scenario, checked by the core.
 
     Raises
@@ -75,7 +76,7 @@ def core_parameters(scenario: Scenario) -> Settings:
     return settings
 
 
-def _of_law(scenario: Scenario) -> Settings:
+def _of_law(scenario: Blocks) -> Settings:
     """Give settings for the scenario's law, with its gains: each key of the law's block has the core's name."""
     law = scenario.controller.law
     settings = _SETTINGS[law]()
@@ -99,7 +100,7 @@ def _filled(value: Any, *shape: int) -> NDArray[np.float64]:
     return np.broadcast_to(np.asarray(value, dtype=float), shape)
 
 
-def _robot(scenario: Scenario) -> _core.RobotParameters:
+def _robot(scenario: Blocks) -> _core.RobotParameters:
     robot = _core.RobotParameters()
     for key in (
         "platform_radius",
@@ -117,7 +118,7 @@ def _robot(scenario: Scenario) -> _core.RobotParameters:
     return robot
 
 
-def _sampling(scenario: Scenario) -> _core.CameraSampling:
+def _sampling(scenario: Blocks) -> _core.CameraSampling:
     camera = scenario.camera
     sampling = _core.CameraSampling()
     sampling.period = frame_period(scenario)
@@ -134,12 +135,12 @@ def _sampling(scenario: Scenario) -> _core.CameraSampling:
     return sampling
 
 
-def frame_period(scenario: Scenario) -> float:
+def frame_period(scenario: Blocks) -> float:
     """Give the time between two exposures [s]: the servo period where the scenario, in continuous mode, has none."""
     return scenario.simulation.step if scenario.camera.period is None else scenario.camera.period
 
 
-def _sensors(scenario: Scenario) -> _core.SensorSettings:
+def _sensors(scenario: Blocks) -> _core.SensorSettings:
     settings = _core.SensorSettings()
     settings.pose = _core.PoseSource.truth if scenario.sensors.pose is True else _core.PoseSource.encoders
     settings.encoders.resolution = scenario.sensors.resolution
@@ -151,7 +152,7 @@ def _sensors(scenario: Scenario) -> _core.SensorSettings:
     return settings
 
 
-def _actuators(scenario: Scenario) -> _core.ActuatorSettings:
+def _actuators(scenario: Blocks) -> _core.ActuatorSettings:
     settings = _core.ActuatorSettings()
     settings.delay = scenario.actuators.delay
     settings.actuators.hold = _core.ActuatorHold[scenario.actuators.hold]
@@ -162,7 +163,7 @@ def _actuators(scenario: Scenario) -> _core.ActuatorSettings:
     return settings
 
 
-def _base_motion(scenario: Scenario) -> _core.BaseMotionSettings:
+def _base_motion(scenario: Blocks) -> _core.BaseMotionSettings:
     settings = _core.BaseMotionSettings()
     base = scenario.base_motion
     settings.motion.kind = _core.BaseMotionKind[base.kind]
@@ -176,7 +177,7 @@ def _base_motion(scenario: Scenario) -> _core.BaseMotionSettings:
     return settings
 
 
-def _target(scenario: Scenario) -> _core.Target:
+def _target(scenario: Blocks) -> _core.Target:
     target = _core.Target()
     target.desired_features = np.asarray(scenario.target.desired_features)
     if scenario.target.points is not None:
@@ -187,7 +188,7 @@ def _target(scenario: Scenario) -> _core.Target:
     return target
 
 
-def _uncertainty(scenario: Scenario) -> _core.Uncertainty:
+def _uncertainty(scenario: Blocks) -> _core.Uncertainty:
     uncertainty = _core.Uncertainty()
     uncertainty.dynamics.inertia = _filled(scenario.uncertainty.inertia, 6, 6)
     uncertainty.dynamics.coriolis = _filled(scenario.uncertainty.coriolis, 6, 6)

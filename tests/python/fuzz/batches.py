@@ -15,7 +15,7 @@ from numpy.random import Generator
 import hexservo as hs
 from fuzz.scenarios import draw
 from hexservo.run import variant as kernels
-from hexservo.scenario.scenario import value_at
+from hexservo.scenario.keys import value_at
 
 __all__ = ["Ending", "batch_and_single_run", "endings", "spread"]
 

@@ -11,7 +11,10 @@ import numpy as np
 from numpy.random import Generator
 
 import hexservo as hs
-from hexservo.scenario import scenario as blocks
+from hexservo.scenario import keys
+from hexservo.scenario import rules as kinds
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.plain import plain as as_plain
 
 __all__ = ["Drawn", "draw", "inclusive_bounds", "rules"]
 
@@ -39,16 +42,16 @@ class Drawn:
 
 
 @cache
-def rules() -> dict[str, blocks._Rule]:
+def rules() -> dict[str, kinds.Rule]:
     """Give all keys of a scenario that hold a value, with their rules."""
-    return dict(blocks._rules(hs.Scenario))
+    return dict(keys.rules(hs.Scenario))
 
 
-def inclusive_bounds(rule: blocks._Rule) -> list[float]:
+def inclusive_bounds(rule: kinds.Rule) -> list[float]:
     """Give the bounds that a value may have."""
-    if isinstance(rule, blocks._Array):
+    if isinstance(rule, kinds.ArrayRule):
         return inclusive_bounds(rule.element)
-    if isinstance(rule, blocks._Number | blocks._Integer):
+    if isinstance(rule, kinds.Number | kinds.Integer):
         return [bound for bound in (rule.at_least, rule.at_most) if bound is not None]
     return []
 
@@ -81,17 +84,17 @@ def draw(
     drawn = Drawn(changes)
     is_sampled = changes["simulation.mode"] == "sampled"
     if not is_sampled:
-        changes |= {key: _plain(value) for key, value in blocks.sampled_keys().items()}
+        changes |= {key: _plain(value) for key, value in keys.sampled_keys().items()}
     elif random.random() < 0.9:
         changes |= _clocks(random, changes["simulation.step"])
     open_keys = [
         key
         for key in rules()
-        if key not in (*GRID, "base_motion.file", "controller.law") and (is_sampled or key not in blocks.sampled_keys())
+        if key not in (*GRID, "base_motion.file", "controller.law") and (is_sampled or key not in keys.sampled_keys())
     ]
-    law = _one(random, blocks.LAWS) if random.random() < 0.5 else base.controller.law
+    law = _one(random, LAWS) if random.random() < 0.5 else base.controller.law
     changes["controller.law"] = law
-    others = tuple(f"controller.{name}." for name in blocks.LAWS if name != law)
+    others = tuple(f"controller.{name}." for name in LAWS if name != law)
     mattering = [key for key in open_keys if not key.startswith(others)]
     if at is not None:
         _set_bound(random, drawn, base, *at)
@@ -114,8 +117,8 @@ def draw(
 def _set_bound(random: Generator, drawn: Drawn, base: hs.Scenario, key: str, bound: float) -> None:
     """Put a value, or one entry of an array that is never a number, at a bound."""
     rule = rules()[key]
-    value: Any = int(bound) if isinstance(rule, blocks._Integer) else bound
-    if isinstance(rule, blocks._Array) and not rule.or_number:
+    value: Any = int(bound) if isinstance(rule, kinds.Integer) else bound
+    if isinstance(rule, kinds.ArrayRule) and not rule.or_number:
         entries = np.array(_current(base, key), dtype=float)
         if entries.shape != rule.shape:
             return
@@ -124,7 +127,7 @@ def _set_bound(random: Generator, drawn: Drawn, base: hs.Scenario, key: str, bou
     if key == "simulation.substeps":  # the costly one: a single step
         drawn.changes |= {"simulation.mode": "sampled", "simulation.duration": drawn.changes["simulation.step"]}
         drawn.changes |= _clocks(random, drawn.changes["simulation.step"])
-    elif key in blocks.sampled_keys():
+    elif key in keys.sampled_keys():
         drawn.changes["simulation.mode"] = "sampled"
     if key == "camera.image_size":
         return
@@ -195,32 +198,32 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
 def _value(random: Generator, key: str, current: Any) -> Any:
     """Draw a value for a key; most of them are legal."""
     rule = rules()[key]
-    if isinstance(rule, blocks._Number):
-        if isinstance(rule, blocks._OptionalNumber) and random.random() < 0.2:
+    if isinstance(rule, kinds.Number):
+        if isinstance(rule, kinds.OptionalNumber) and random.random() < 0.2:
             return None
         return _number(random, rule, current if isinstance(current, float) else 0.0)
-    if isinstance(rule, blocks._SamplePeriod):
+    if isinstance(rule, kinds.SamplePeriod):
         return _one(random, [None, 10.0 ** random.uniform(-4, 0)])
-    if isinstance(rule, blocks._Samples):
+    if isinstance(rule, kinds.Samples):
         return _one(random, [None, random.normal(size=(int(random.integers(2, 50)), 3)).tolist()])
-    if isinstance(rule, blocks._Array):
+    if isinstance(rule, kinds.ArrayRule):
         return _array(random, rule, current)
-    if isinstance(rule, blocks._Inertia):
+    if isinstance(rule, kinds.Inertia):
         return _inertia(random, 10.0 ** random.uniform(-7, 1) if random.random() < 0.3 else 3e-4)
-    if isinstance(rule, blocks._Table):
+    if isinstance(rule, kinds.Table):
         table = random.uniform(-1, 1, (7, 7)).tolist()
         return _one(random, ["linear", table, np.full((7, 7), _one(random, ["NB", "ZE", "PB"])).tolist()])
-    if isinstance(rule, blocks._Integer):
+    if isinstance(rule, kinds.Integer):
         return int(_one(random, [rule.at_least, rule.at_most, _integer(random, rule.at_least, rule.at_most)]))
-    if isinstance(rule, blocks._Flag):
+    if isinstance(rule, kinds.Flag):
         return bool(random.random() < 0.5)
-    if isinstance(rule, blocks._Choice):
+    if isinstance(rule, kinds.Choice):
         return _one(random, [*(rule.choices or _words()[key]), *[None] * rule.or_null])
-    if isinstance(rule, blocks._TrueOr):
+    if isinstance(rule, kinds.TrueOr):
         return _one(random, [True, rule.name])
-    if isinstance(rule, blocks._Name):
+    if isinstance(rule, kinds.Name):
         return _one(random, TEXTS)
-    if isinstance(rule, blocks._Line):
+    if isinstance(rule, kinds.Line):
         return _one(random, LINES)
     raise NotImplementedError(f"the fuzzer knows no values of a {type(rule).__name__}")
 
@@ -228,10 +231,10 @@ def _value(random: Generator, key: str, current: Any) -> Any:
 @cache
 def _words() -> dict[str, tuple[str, ...]]:
     """Give the words of the keys that have them as their type."""
-    return {path: get_args(info.annotation) for path, info, _ in blocks._leaves(hs.Scenario)}
+    return {path: get_args(info.annotation) for path, info, _ in keys.leaves(hs.Scenario)}
 
 
-def _number(random: Generator, rule: blocks._Number, current: float) -> float:
+def _number(random: Generator, rule: kinds.Number, current: float) -> float:
     lowest = rule.at_least if rule.at_least is not None else rule.above
     highest = rule.at_most if rule.at_most is not None else rule.below
     kind = random.random()
@@ -250,7 +253,7 @@ def _number(random: Generator, rule: blocks._Number, current: float) -> float:
     return float(min(max(value, low), high))
 
 
-def _array(random: Generator, rule: blocks._Array, current: Any) -> Any:
+def _array(random: Generator, rule: kinds.ArrayRule, current: Any) -> Any:
     if rule.or_null and random.random() < 0.2:
         return None
     if rule.or_number and random.random() < 0.5:
@@ -290,4 +293,4 @@ def _one(random: Generator, items: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    return blocks._plain(value)
+    return as_plain(value)

@@ -37,10 +37,10 @@ from hexservo.findings.analysis.loop_of_scenario import (
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.scenario import Scenario, ScenarioError
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.yaml import ScenarioError
 
 __all__ = ["CameraRate", "Run", "analyse"]
-
 
 NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""

@@ -22,7 +22,8 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import frame_period
-from hexservo.scenario.scenario import Scenario, ScenarioError
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.yaml import ScenarioError
 
 __all__ = [
     "LoopAtRest",

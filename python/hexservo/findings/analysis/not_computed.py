@@ -11,7 +11,8 @@ import numpy as np
 from hexservo.findings.analysis.words import number, open_section
 from hexservo.findings.evidence import Section
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.scenario import Scenario, load_scenario, numeric_keys
+from hexservo.scenario.keys import numeric_keys
+from hexservo.scenario.scenario import Scenario, load_scenario
 
 __all__ = ["NotComputed", "not_computed"]
 

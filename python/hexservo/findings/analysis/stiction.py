@@ -16,7 +16,8 @@ from hexservo.findings.analysis.words import number
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.scenario import Fuzzy, Scenario
+from hexservo.scenario.laws import Fuzzy
+from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Case", "Creep", "Stiction", "analyse"]
 

@@ -17,7 +17,6 @@ from hexservo.scenario.wording import joules, number
 
 __all__ = ["EnergyLedger", "energy_ledger"]
 
-
 PAGE = "docs/certificate/energy.md"
 COARSE = 0.01
 NEGLIGIBLE = 1e-3  # of the work of lifting the weight by the stroke

@@ -18,7 +18,6 @@ from hexservo.scenario.wording import number
 
 __all__ = ["AXES", "UNITS", "Assumption", "Uncertainty", "assumption_of", "uncertainty_of"]
 
-
 PAGE = "docs/certificate/assumption.md"
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
 UNITS = ("N", "N", "N", "N m", "N m", "N m")

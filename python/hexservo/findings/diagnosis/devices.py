@@ -17,8 +17,8 @@ from hexservo.findings.diagnosis.remedies import (
     slower_remedies,
     unequal_depth_remedies,
 )
+from hexservo.scenario.blocks import BaseMotion
 from hexservo.scenario.parameters import frame_period
-from hexservo.scenario.scenario import BaseMotion
 
 __all__ = ["DEVICES"]
 

@@ -14,7 +14,8 @@ from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.runs import Run
-from hexservo.scenario.scenario import Scenario, sampled_keys
+from hexservo.scenario.keys import sampled_keys
+from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Goal", "Obstacle", "goal_of", "goal_run", "obstacle_of", "pixels_per_metre", "spread_target"]
 

@@ -19,8 +19,9 @@ from hexservo.findings.diagnosis.gains import GAIN_KEYS, damped, not_below_defau
 from hexservo.findings.diagnosis.goal import spread_target
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import leg_limits_remedies
+from hexservo.scenario.blocks import Metrics
+from hexservo.scenario.laws import Fuzzy
 from hexservo.scenario.parameters import frame_period
-from hexservo.scenario.scenario import Fuzzy, Metrics
 
 __all__ = ["LAWS", "TASKS"]
 

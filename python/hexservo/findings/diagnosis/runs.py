@@ -13,7 +13,8 @@ from hexservo.findings.diagnosis.criterion import Record, make_record
 from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.run.result import Result
 from hexservo.run.shared import numbers_of, shared_by
-from hexservo.scenario.scenario import NumericKey, Scenario, acting_keys
+from hexservo.scenario.keys import NumericKey, acting_keys
+from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Run", "record_of", "run_all"]
 

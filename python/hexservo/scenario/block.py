@@ -1,0 +1,67 @@
+"""What all blocks of a scenario have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, ConfigDict
+
+from hexservo.scenario.rules import Number
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+__all__ = []
+
+POSITIVE = Number(above=0)
+NOT_NEGATIVE = Number(at_least=0)
+RELATIVE_ERROR = Number(above=-1, below=1)
+PROBABILITY = Number(at_least=0, at_most=1)
+
+PositiveNumber = Annotated[float, POSITIVE]
+NumberNotNegative = Annotated[float, NOT_NEGATIVE]
+
+
+class _Sampled:
+    """Marks a key, or all keys of a block, as acting in sampled mode alone: `sampled_keys` collects them."""
+
+
+SAMPLED = _Sampled()
+SAMPLED_MODE = "sampled"
+
+
+class Block(BaseModel):
+    """Immutable, and made by validation alone: pydantic's ways around it are closed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Copy, without changes: pydantic would not check them.
+
+        Raises
+        ------
+        TypeError
+            For an `update`.
+        """
+        if update:
+            raise TypeError(
+                f"update: expected none, got {', '.join(map(str, update))}: a copy is not checked; "
+                'use scenario.updated({"block.key": value}), which is'
+            )
+        return super().model_copy(deep=deep)
+
+    copy = model_copy  # type: ignore[assignment]
+
+    @classmethod
+    def model_construct(cls, _fields_set: set[str] | None = None, **values: Any) -> Self:
+        """Refuse to make a block of values that nobody checked.
+
+        Raises
+        ------
+        TypeError
+            Always.
+        """
+        raise TypeError(f"{cls.__name__}: expected checked values; use {cls.__name__}(...) or scenario.updated(...)")
+
+    construct = model_construct

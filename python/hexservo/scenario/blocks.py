@@ -1,0 +1,302 @@
+"""The blocks of a scenario: machine, camera, target, model errors, simulation and metrics.
+
+SI units and radians throughout; image quantities in pixels. Frames, the symbols and the reasons for the defaults:
+docs/model.md. The defaults of the maths have one source, the C++ structs.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from hexservo import _core
+from hexservo.scenario.block import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    PROBABILITY,
+    RELATIVE_ERROR,
+    SAMPLED,
+    Block,
+    NumberNotNegative,
+    PositiveNumber,
+)
+from hexservo.scenario.laws import Controller
+from hexservo.scenario.recording import read_recording
+from hexservo.scenario.rules import (
+    Angle,
+    ArrayRule,
+    Choice,
+    File,
+    Flag,
+    Inertia,
+    Integer,
+    Line,
+    Matrix,
+    Name,
+    OptionalNumber,
+    SamplePeriod,
+    Samples,
+    TrueOr,
+    Vector,
+    diagonal_if_diagonal,
+    map_lists,
+    refusal,
+    shown_value,
+    tupled,
+)
+from hexservo.scenario.yaml import ScenarioError
+
+__all__ = ["Actuators", "BaseMotion", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
+
+_DEFAULT_PRESET = "micro"
+DEFAULT_DEPTH = float(_core.Target().depth[0])  # [m], docs/model.md section 4
+
+
+class Robot(Block):
+    """The hexapod: its geometry, mass and limits.
+
+    In a file, a preset fills in every key that is not given or null; without one (null, the default of a robot block)
+    every key is required. A scenario without a robot block has the preset "micro". Frames B and E: docs/model.md
+    section 1; legs: section 2.
+    """
+
+    preset: Annotated[str | None, Choice(tuple(_core.ROBOT_PRESETS), or_null=True)] = None
+    platform_radius: PositiveNumber  # [m], circle of the platform joints
+    base_radius: PositiveNumber  # [m], circle of the base joints
+    platform_angles: Annotated[Vector, ArrayRule((6,), Angle())]  # (6,) [rad], on that circle, in E
+    base_angles: Annotated[Vector, ArrayRule((6,), Angle())]  # (6,) [rad], on that circle, in B
+    home_position: Annotated[Vector, ArrayRule((3,))]  # (3,) [m], of E's origin in B; z points down
+    mass: PositiveNumber  # [kg], of the platform
+    inertia: Annotated[Vector | Matrix, Inertia()]  # (3,) diagonal or (3, 3) [kg m^2], in E about its origin
+    stroke: PositiveNumber  # [m], each leg's travel either way from its home length
+    force_limit: PositiveNumber  # [N], magnitude of each leg's force
+    # in sampled mode: what a leg beyond its stroke means, an event or the end of the run
+    on_limit: Annotated[Literal["report", "stop"], Choice(), SAMPLED] = "report"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        given = {key: value for key, value in data.items() if value is not None}
+        preset = given.get("preset")
+        if preset is None:
+            return given
+        # An unknown preset is reported at its own key; any values do to check the others.
+        known = isinstance(preset, str) and preset in _core.ROBOT_PRESETS
+        return {**preset_values(preset if known else _DEFAULT_PRESET), **given}
+
+
+class Camera(Block):
+    """The camera in the platform; docs/model.md section 4, (4)-(8).
+
+    Times, faults and predictions act in `sampled` mode alone, where every time is a whole number of servo periods
+    (``simulation.step``); docs/model.md section 7.
+    """
+
+    focal_length: PositiveNumber = Field(default_factory=lambda: _core.Camera().focal_length)  # [m]
+    pixel_scale: PositiveNumber = Field(default_factory=lambda: _core.Camera().pixel_scale)  # [px/m]
+    convention: Annotated[Literal["eye_in_hand", "as_printed"], Choice()] = "eye_in_hand"
+    # [s], between exposures; null: the servo period, which a scenario in sampled mode fills in
+    period: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
+    latency: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [s], from an exposure to its first use
+    latency_jitter: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [s], most that the latency of a frame is longer
+    # [s], since its exposure: an older image is not used, and the wrench holds the platform; null: any is used
+    timeout: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
+    noise: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [px], standard deviation of each coordinate
+    quantisation: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [px], coordinates are multiples of it; 0: of nothing
+    dropout: Annotated[float, PROBABILITY, SAMPLED] = 0.0  # probability that a frame never arrives
+    outlier_probability: Annotated[float, PROBABILITY, SAMPLED] = 0.0  # that a point of a frame is an outlier
+    # [px], standard deviation of what is added to an outlier's coordinates, beside the noise
+    outlier_size: Annotated[NumberNotNegative, SAMPLED] = 0.0
+    # (2,) [px], width and height; a feature outside is lost; null: no border
+    image_size: Annotated[Vector | None, ArrayRule((2,), POSITIVE, or_null=True), SAMPLED] = None
+    # what a law does with a lost feature: its last image, that image carried along by the joint sensors, or no more
+    on_lost: Annotated[Literal["hold", "predict", "stop"], Choice(), SAMPLED] = "hold"
+    # between two frames: the newest one as it is, or carried along by the joint sensors
+    prediction: Annotated[Literal["none", "encoder"], Choice(), SAMPLED] = "none"
+
+
+class Sensors(Block):
+    """How the controller knows the platform's pose and twist, in `sampled` mode; docs/model.md section 7.
+
+    The period is a whole number of servo periods (``simulation.step``).
+    """
+
+    # true: exactly; encoders: from the lengths of the legs, which alone have what follows
+    pose: Annotated[Literal[True, "encoders"], TrueOr("encoders")] = True
+    # what the twist is made of: differences of readings over their period, or the true rates of the legs
+    rate: Annotated[Literal[True, "differences"], TrueOr("differences")] = "differences"
+    resolution: NumberNotNegative = 0.0  # [m], a length is a multiple of it; 0: of nothing
+    noise: NumberNotNegative = 0.0  # [m], standard deviation of each length
+    period: Annotated[float | None, OptionalNumber(above=0)] = None  # [s], between readings; null: every servo period
+
+
+class Actuators(Block):
+    """The actuators of the legs, in `sampled` mode; docs/model.md section 7. The defaults only hold the wrench."""
+
+    hold: Annotated[Literal["wrench", "leg_forces"], Choice()] = "wrench"  # what stays the same between two ticks
+    saturation: Annotated[bool, Flag()] = False  # leg forces are limited to robot.force_limit
+    bandwidth: Annotated[float | None, OptionalNumber(above=0)] = None  # [Hz], of a first-order lag; null: none
+    quantisation: NumberNotNegative = 0.0  # [N], leg forces are multiples of it; 0: of nothing
+    delay: NumberNotNegative = 0.0  # [s], a whole number of servo periods, at most 8
+
+
+class BaseMotion(Block):
+    """Linear acceleration of the base frame B, in `sampled` mode, of which the controller knows nothing.
+
+    Only what the kind needs acts; docs/model.md section 7. A recording is given as a CSV file with the columns t, ax,
+    ay, az [s, m/s^2], which is read at once: a scenario holds the samples, and its own ``file`` is null.
+    """
+
+    kind: Annotated[Literal["none", "sinusoid", "recorded", "noise"], Choice()] = "none"
+    amplitude: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m/s^2], of the sinusoid, in B
+    frequency: NumberNotNegative = Field(default_factory=lambda: _core.BaseMotionParameters().frequency)  # [Hz]
+    phase: Annotated[float, Angle()] = 0.0  # [rad], of the sinusoid at t = 0
+    # [(m/s^2)^2/Hz], one-sided spectral density of the noise, one for all axes or (3,)
+    level: Annotated[float | Vector, ArrayRule((3,), NOT_NEGATIVE, or_number=True)] = 0.0
+    # [Hz], where the noise begins and ends
+    low_frequency: NumberNotNegative = Field(default_factory=lambda: _core.BaseMotionParameters().low_frequency)
+    high_frequency: PositiveNumber = Field(default_factory=lambda: _core.BaseMotionParameters().high_frequency)
+    file: Annotated[str | None, File()] = None  # CSV to read, relative to the scenario's file
+    samples: Annotated[Matrix | None, Samples()] = None  # (n, 3) [m/s^2], recorded, in B
+    sample_period: Annotated[float | None, SamplePeriod()] = None  # [s], of the samples, from t = 0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("file"), str):
+            return data
+        try:
+            period, samples = read_recording(data["file"])
+        except ScenarioError as error:
+            raise refusal((("file",), str(error))) from None
+        return {**data, "file": None, "samples": samples, "sample_period": period}
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> BaseMotion:
+        if (self.samples is None) != (self.sample_period is None):
+            missing, given = ("sample_period", "samples") if self.samples is not None else ("samples", "sample_period")
+            raise refusal(((missing,), f"expected it beside {given}, got null"))
+        if self.kind == "recorded" and self.samples is None:
+            raise refusal((("file",), 'expected the path of a CSV file for the kind "recorded", got null'))
+        return self
+
+
+class Target(Block):
+    """The four points that the camera sees, and where in the image they shall be.
+
+    The points are given either by their image from the home pose and their depth, or by their place in B. Features are
+    ordered (x1, y1, ..., x4, y4), in pixels.
+    """
+
+    initial_features: Annotated[Vector | None, ArrayRule((8,), or_null=True)] = None  # (8,) [px], seen from home
+    desired_features: Annotated[Vector, ArrayRule((8,))]  # (8,) [px]
+    # [m], distance |Z| along the optical axis from home: one for all points or (4,); 0.5 if not given
+    depth: Annotated[float | Vector | None, ArrayRule((4,), POSITIVE, or_number=True, or_null=True)] = None
+    points: Annotated[Matrix | None, ArrayRule((4, 3), or_null=True)] = None  # (4, 3) [m], in B
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("initial_features") is not None and data.get("points") is None:
+            return {**data, "depth": DEFAULT_DEPTH if data.get("depth") is None else data["depth"]}
+        return data
+
+    @model_validator(mode="after")
+    def _has_one_form(self) -> Target:
+        forms = "expected either initial_features (8 numbers, px) with depth (m), or points (4x3 numbers, m, in B)"
+        if self.initial_features is None and self.points is None:
+            raise refusal(((), f"{forms}, got neither"))
+        if self.initial_features is not None and self.points is not None:
+            raise refusal(((), f"{forms}, got both; leave one out or set it to null"))
+        if self.points is not None and self.depth is not None:
+            raise refusal(
+                (("depth",), f"expected no depth beside points, got {shown_value(map_lists(self.depth, list))}")
+            )
+        return self
+
+
+class Uncertainty(Block):
+    """The relative errors delta of the controller's model, each above -1 and below 1; docs/model.md sections 3 and 4.
+
+    The plant has (1 - delta) times the controller's inertia, Coriolis and gravity terms (3); the controller takes
+    (1 + delta) times the true depth of a point. Arrays act element by element.
+    """
+
+    inertia: Annotated[float | Matrix, ArrayRule((6, 6), RELATIVE_ERROR, or_number=True)] = 0.0
+    coriolis: Annotated[float | Matrix, ArrayRule((6, 6), RELATIVE_ERROR, or_number=True)] = 0.0
+    gravity: Annotated[float | Vector, ArrayRule((6,), RELATIVE_ERROR, or_number=True)] = 0.0
+    depth: Annotated[float | Vector, ArrayRule((4,), RELATIVE_ERROR, or_number=True)] = (
+        0.0  # one for all points or (4,)
+    )
+
+
+class Simulation(Block):
+    """How long and how finely; the step divides the duration."""
+
+    # continuous: the law acts in every stage of the integration; sampled: at the servo's ticks, on the camera's frames
+    mode: Annotated[Literal["continuous", "sampled"], Choice()] = "continuous"
+    # [s], of the Runge-Kutta integration; in sampled mode the servo period
+    step: PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().step)
+    # in sampled mode: Runge-Kutta steps in a servo period
+    substeps: Annotated[int, Integer(1, 10**6), SAMPLED] = Field(
+        default_factory=lambda: _core.SimulationSettings().substeps
+    )
+    duration: PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().duration)  # [s]
+    # steps per logged sample
+    log_every: Annotated[int, Integer(1, 10**9)] = Field(default_factory=lambda: _core.SimulationSettings().log_every)
+
+    @model_validator(mode="after")
+    def _step_divides_duration(self) -> Simulation:
+        settings = _core.SimulationSettings()
+        settings.step, settings.duration, settings.log_every = self.step, self.duration, self.log_every
+        try:
+            _core.step_count(settings)
+        except ValueError as error:  # "simulation.step: expected ..., got ..."
+            path, _, sentence = str(error).partition(": ")
+            raise refusal(((path.removeprefix("simulation."),), sentence)) from None
+        return self
+
+
+class Metrics(Block):
+    """What the metrics of a run are measured against; docs/model.md section 8."""
+
+    # [px], of settling, overshoot and straight ways: every feature error is within it
+    band: PositiveNumber = Field(default_factory=lambda: _core.MetricsSettings().band)
+    # [s]: a run is settled where it has been within the band for so long at its end
+    dwell: PositiveNumber = Field(default_factory=lambda: _core.MetricsSettings().dwell)
+    # [s]: from here to the end the RMS error is taken; a run that is not longer has none
+    rms_start: NumberNotNegative = Field(default_factory=lambda: _core.MetricsSettings().rms_start)
+
+
+class Blocks(Block):
+    """All keys of a scenario, block by block, before it is known whether they fit one another."""
+
+    name: Annotated[str, Name()]
+    description: Annotated[str, Line()] = ""  # what it shows, for lists
+    seed: Annotated[int, Integer(0, 2**64 - 1), SAMPLED] = 0  # of everything random
+    robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": _DEFAULT_PRESET}))
+    camera: Camera = Field(default_factory=Camera)
+    sensors: Annotated[Sensors, SAMPLED] = Field(default_factory=Sensors)
+    actuators: Annotated[Actuators, SAMPLED] = Field(default_factory=Actuators)
+    base_motion: Annotated[BaseMotion, SAMPLED] = Field(default_factory=BaseMotion)
+    target: Target
+    uncertainty: Uncertainty = Field(default_factory=Uncertainty)
+    controller: Controller = Field(default_factory=Controller)
+    simulation: Simulation = Field(default_factory=Simulation)
+    metrics: Metrics = Field(default_factory=Metrics)
+
+
+@cache
+def preset_values(preset: str) -> dict[str, Any]:
+    """Return what a preset puts in for each key of the robot block, as plain data (not to be changed)."""
+    robot = _core.robot_preset(preset)
+    values = {
+        key: map_lists(tupled(getattr(robot, key)), list)
+        for key in Robot.model_fields
+        if key not in ("preset", "inertia", "on_limit")
+    }
+    return {**values, "inertia": map_lists(diagonal_if_diagonal(tupled(robot.inertia)), list)}

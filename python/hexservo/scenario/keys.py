@@ -1,0 +1,163 @@
+"""Dotted keys of a scenario: which there are, which hold numbers, and when they act."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from hexservo.scenario.block import SAMPLED, SAMPLED_MODE
+from hexservo.scenario.blocks import Blocks
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.rules import ArrayRule, Inertia, Integer, Number, Rule, Table
+
+__all__ = [
+    "NumericKey",
+    "acting_keys",
+    "default_of",
+    "keys_below",
+    "numeric_keys",
+    "sampled_keys",
+    "value_at",
+    "without_effect",
+]
+
+MAX_WHOLE_FLOAT = 2**53  # up to here a float holds every whole number
+
+
+@dataclass(frozen=True)
+class NumericKey:
+    """What a key takes that holds numbers: the form of a batch's variations of it."""
+
+    shapes: tuple[tuple[int, ...], ...]  # the key's own shape, in each form it may have; () is a number
+    element: Number
+    whole: bool = False  # only integers
+    symmetric: bool = False  # where it is a matrix
+
+    @property
+    def expected(self) -> str:
+        """What each number is expected to be."""
+        return f"an integer {self.element.bounds}" if self.whole else self.element.expected
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type that holds every number of the key: float64, unless it has larger whole numbers."""
+        most = self.element.at_most
+        return np.dtype(np.uint64 if self.whole and most is not None and most > MAX_WHOLE_FLOAT else np.float64)
+
+    def within(self, numbers: NDArray[Any]) -> NDArray[np.bool_]:
+        """Tell which numbers are allowed; NaN is not, nor, of whole numbers, floats that may have been rounded."""
+        allowed = numbers == numbers
+        if self.whole and numbers.dtype.kind == "f":
+            allowed = (numbers == np.floor(numbers)) & (np.abs(numbers) <= MAX_WHOLE_FLOAT)
+        for limit, holds in (
+            (self.element.above, np.greater),
+            (self.element.at_least, np.greater_equal),
+            (self.element.below, np.less),
+            (self.element.at_most, np.less_equal),
+        ):
+            if limit is not None:
+                allowed = allowed & holds(numbers, limit)
+        return np.asarray(allowed & np.isfinite(numbers))
+
+
+@cache
+def numeric_keys(law: str) -> dict[str, NumericKey]:
+    """Return the dotted keys that hold numbers, in the order of a scenario file (not to be changed).
+
+    The gains of other laws than `law` have no effect and are not among them.
+    """
+    keys = {}
+    others = tuple(f"controller.{name}." for name in LAWS if name != law)
+    for path, rule in rules(Blocks):
+        if path.startswith(others):
+            continue
+        if isinstance(rule, Number):
+            keys[path] = NumericKey(((),), rule)
+        elif isinstance(rule, Integer):
+            keys[path] = NumericKey(((),), Number(at_least=rule.at_least, at_most=rule.at_most), whole=True)
+        elif isinstance(rule, ArrayRule):
+            keys[path] = NumericKey(((), rule.shape) if rule.or_number else (rule.shape,), rule.element)
+        elif isinstance(rule, Inertia):
+            keys[path] = NumericKey(((3,), (3, 3)), Number(), symmetric=True)
+        elif isinstance(rule, Table):
+            keys[path] = NumericKey(((7, 7),), Number())
+    return keys
+
+
+def rules(block: type[BaseModel]) -> Iterator[tuple[str, Rule]]:
+    for path, field, _ in leaves(block):
+        yield from ((path, rule) for rule in field.metadata if isinstance(rule, Rule))
+
+
+@cache
+def sampled_keys() -> dict[str, Any]:
+    """Return the dotted keys that act in sampled mode alone, with their defaults (not to be changed).
+
+    A scenario in continuous mode has these values; `updated` with them, before the mode is changed, drops the rest.
+    """
+    return {path: default_of_field(field) for path, field, sampled in leaves(Blocks) if sampled}
+
+
+@cache
+def acting_keys(law: str, mode: str) -> dict[str, NumericKey]:
+    """Return those of the `numeric_keys` that act in a mode: what a batch of such scenarios may vary."""
+    keys = numeric_keys(law)
+    return keys if mode == SAMPLED_MODE else {key: rule for key, rule in keys.items() if key not in sampled_keys()}
+
+
+def without_effect(keys: Sequence[str]) -> str:
+    """Say why these of the `sampled_keys` are refused in continuous mode."""
+    has, them = ("has", "the key") if len(keys) == 1 else ("have", "these keys")
+    return f"{', '.join(keys)}: {has} no effect in continuous mode; set simulation.mode: sampled, or drop {them}"
+
+
+def leaves(block: type[BaseModel], head: str = "", sampled: bool = False) -> Iterator[tuple[str, FieldInfo, bool]]:
+    """Walk all keys that are no blocks: dotted key, field, whether it acts in sampled mode alone."""
+    for key, field in block.model_fields.items():
+        marked = sampled or SAMPLED in field.metadata
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from leaves(field.annotation, f"{head}{key}.", marked)
+        else:
+            yield head + key, field, marked
+
+
+def default_of_field(field: FieldInfo) -> Any:
+    return field.get_default(call_default_factory=True)
+
+
+@cache
+def keys_below(name: str) -> tuple[str, ...]:
+    """Return the dotted keys that a block holds, or the key itself."""
+    return tuple(path for path, _, _ in leaves(Blocks) if path == name or path.startswith(f"{name}."))
+
+
+@cache
+def default_of(key: str) -> Any:
+    """Return the default of a dotted key whose blocks have defaults."""
+    block, *inner = key.split(".")
+    value = default_of_field(Blocks.model_fields[block])
+    for name in inner:
+        value = getattr(value, name)
+    return value
+
+
+def value_at(scenario: Blocks, key: str) -> Any:
+    """Return the value of a dotted key."""
+    value: Any = scenario
+    for name in key.split("."):
+        value = getattr(value, name)
+    return value
+
+
+def all_paths(block: type[BaseModel], head: str = "") -> Iterator[str]:
+    for key, field in block.model_fields.items():
+        yield head + key
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from all_paths(field.annotation, f"{head}{key}.")

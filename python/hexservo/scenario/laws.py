@@ -1,0 +1,246 @@
+"""The block `controller`: one block of gains for each law. Defaults come from the C++ structs (docs/model.md)."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Annotated, Any, Literal, TypeAlias, cast, get_args
+
+from pydantic import Field, model_validator
+
+from hexservo import _core
+from hexservo.scenario.block import NOT_NEGATIVE, POSITIVE, SAMPLED, Block, PositiveNumber
+from hexservo.scenario.rules import ArrayRule, Choice, Flag, Matrix, Number, Table, Vector, collapsed, map_lists
+
+__all__ = [
+    "LAWS",
+    "Composite",
+    "ComputedTorque",
+    "Controller",
+    "Fuzzy",
+    "Hybrid",
+    "Kelly",
+    "Pbvs",
+    "ResolvedRate",
+    "Switching",
+]
+
+SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
+Law: TypeAlias = Literal["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"]
+JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
+LAWS: tuple[str, ...] = get_args(Law)
+
+
+class Switching(Block):
+    """The switching term of the law, sgn or a smooth stand-in; docs/model.md section 6."""
+
+    kind: Annotated[SwitchingKind, Choice()] = Field(
+        default_factory=lambda: cast("SwitchingKind", _core.Switching().kind.name)
+    )
+    # [m/s and rad/s], of tanh and saturation
+    width: PositiveNumber = Field(default_factory=lambda: _core.Switching().width)
+
+
+class Safe(Block):
+    """The brake in sampled mode, where the law may not act: without an image, with an old one, with unusable numbers.
+
+    docs/model.md section 7. A null gain is derived from the estimated inertia; zeros leave the platform to its weight's
+    support alone.
+    """
+
+    # K_s, diagonal, [N s/m] x3, [N m s/rad] x3
+    damping: Annotated[float | Vector | None, ArrayRule((6,), NOT_NEGATIVE, or_number=True, or_null=True)] = None
+    # K_h, diagonal, [N/m] x3, [N m/rad] x3
+    hold: Annotated[float | Vector | None, ArrayRule((6,), NOT_NEGATIVE, or_number=True, or_null=True)] = None
+
+
+class Fuzzy(Block):
+    """The six fuzzy systems and their adaptation, (13) and (22); docs/model.md section 5.
+
+    Where six numbers are allowed they are for x, y, z (N) and about x, y, z (N m). In the block of `composite` the
+    inputs are a pose error and its rate: a [1/m, 1/rad], b [s/m, s/rad], with defaults of their own.
+    """
+
+    enabled: Annotated[bool, Flag()] = Field(default_factory=lambda: _core.FuzzyGains().enabled)
+    # Psi of (22): the larger, the slower the weights
+    adaptation: Annotated[float | Vector, ArrayRule((6,), POSITIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.FuzzyGains().adaptation)
+    )
+    # a, scales g to the first input [1/N, 1/(N m)]
+    error_scale: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.FuzzyGains().error_scale)
+    )
+    # b, scales dg/dt to the second input [s/N, s/(N m)]
+    rate_scale: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.FuzzyGains().rate_scale)
+    )
+    # s0 [N, N m]: the weights start at s0 times the table; above 0 they oppose g, below 0 they help it
+    initial_scale: Annotated[float | Vector, ArrayRule((6,), or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.FuzzyGains().initial_scale)
+    )
+    # rows by the first input, columns by the second, NB to PB; terms stand for -1, -2/3, ..., 1
+    table: Annotated[Literal["linear"] | Matrix, Table()] = "linear"
+    bell_width: PositiveNumber = Field(default_factory=lambda: _core.FuzzyGains().bell_width)  # null: exactly 1/6
+    bell_slope: Annotated[float, Number(above=0, at_most=16)] = Field(
+        default_factory=lambda: _core.FuzzyGains().bell_slope
+    )
+    # sigma, how fast the weights are forgotten [1/s]; at most one over the step
+    leakage: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.FuzzyGains().leakage)
+    )
+    # no weight, and so no output, is larger [N, N m]; null: no limit
+    weight_limit: Annotated[float | Vector | None, ArrayRule((6,), POSITIVE, or_number=True, or_null=True)] = None
+    # what drives the adaptation teaches nothing within this [m/s, rad/s]
+    dead_zone: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.FuzzyGains().dead_zone)
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("bell_width", 0) is None:
+            return {key: value for key, value in data.items() if key != "bell_width"}
+        return data
+
+
+class Hybrid(Block):
+    """Gains of the paper's law (14), (15); docs/model.md section 5."""
+
+    # K_p, diagonal, one entry per feature coordinate [N m/px^2]
+    kp: Annotated[float | Vector, ArrayRule((8,), POSITIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.HybridGains().kp)
+    )
+    # K_v, diagonal, [N] x3, [N m] x3; 0 takes the switching term, the law's only damping, away
+    kv: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.HybridGains().kv)
+    )
+    fuzzy: Fuzzy = Field(default_factory=Fuzzy)
+
+
+@cache
+def _composite_fuzzy() -> dict[str, Any]:
+    """Return the defaults of the fuzzy systems that are not those of `Fuzzy`, as plain data (not to be changed)."""
+    gains = _core.CompositeGains().fuzzy
+    keys = ("adaptation", "error_scale", "rate_scale")
+    return {key: map_lists(collapsed(getattr(gains, key)), list) for key in keys}
+
+
+class Composite(Block):
+    """Gains of the law that regulates the most probable pose error; docs/model.md section 5.
+
+    Its fuzzy systems see that error and its rate, so their scales have other units and other defaults.
+    """
+
+    # K_p, diagonal, one entry per feature coordinate [N m/px^2]
+    kp: Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.CompositeGains().kp)
+    )
+    # K_v, diagonal, [N] x3, [N m] x3
+    kv: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.CompositeGains().kv)
+    )
+    # K_t, diagonal, stiffness against the pose error [N/m] x3, [N m/rad] x3
+    kt: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.CompositeGains().kt)
+    )
+    # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
+    kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.CompositeGains().kd)
+    )
+    # Lambda, diagonal: how fast the pose error drives the adaptation [1/s]
+    drive: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.CompositeGains().drive)
+    )
+    # M, diagonal: weight of the start pose against the image [px^2/m^2] x3, [px^2/rad^2] x3
+    prior: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.CompositeGains().prior)
+    )
+    fuzzy: Fuzzy = Field(default_factory=lambda: Fuzzy(**_composite_fuzzy()))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("fuzzy"), dict):
+            return {**data, "fuzzy": {**_composite_fuzzy(), **data["fuzzy"]}}
+        return data
+
+
+class Kelly(Block):
+    """Gains of the transpose Jacobian law with viscous damping; docs/model.md section 5."""
+
+    # K_p, diagonal, one entry per feature coordinate [N m/px^2]
+    kp: Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.KellyGains().kp)
+    )
+    # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
+    kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.KellyGains().kd)
+    )
+
+
+class ResolvedRate(Block):
+    """Gains of the classical pseudo-inverse law over a velocity loop; docs/model.md section 5."""
+
+    # lambda [1/s]; where it adapts, its value at the goal
+    gain: Annotated[float, NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain)
+    adaptive: Annotated[bool, Flag()] = Field(default_factory=lambda: _core.ResolvedRateGains().adaptive)
+    # of the adaptive gain: its value far from the goal [1/s], at most `gain`, and its slope at the goal [1/(s px)]
+    gain_far: Annotated[float, NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain_far)
+    gain_slope: Annotated[float, NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain_slope)
+    # current: measured features and depths; desired: those of the goal; mean: half the sum of the two Jacobians
+    jacobian_at: Annotated[JacobianPoint, Choice()] = Field(
+        default_factory=lambda: cast("JacobianPoint", _core.ResolvedRateGains().jacobian_at.name)
+    )
+    # K_i, diagonal, of the velocity loop [N s/m] x3, [N m s/rad] x3
+    ki: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.ResolvedRateGains().ki)
+    )
+    # M, diagonal, damps the pseudo-inverse [px^2/m^2] x3, [px^2/rad^2] x3
+    damping: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.ResolvedRateGains().damping)
+    )
+
+
+class Pbvs(Block):
+    """Gains of the position-based law, which estimates its pose from the features; docs/model.md section 5."""
+
+    # K_p, diagonal, stiffness against the pose error [N/m] x3, [N m/rad] x3
+    kp: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.PbvsGains().kp)
+    )
+    # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
+    kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.PbvsGains().kd)
+    )
+
+
+class ComputedTorque(Block):
+    """Gains of the law that turns the estimated dynamics around; docs/model.md section 5."""
+
+    # K_p, diagonal [1/s^2]
+    kp: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.ComputedTorqueGains().kp)
+    )
+    # K_d, diagonal [1/s]
+    kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.ComputedTorqueGains().kd)
+    )
+    # M, diagonal: weight of the start pose against the image [px^2/m^2] x3, [px^2/rad^2] x3; 0: the image alone
+    prior: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.ComputedTorqueGains().prior)
+    )
+
+
+class Controller(Block):
+    """The control law. Each law has a block of its own, and only the selected one acts."""
+
+    law: Annotated[Law, Choice()] = "hybrid"
+    # consistent: the sign of the plant; printed: (8) as it stands
+    jacobian: Annotated[Literal["consistent", "printed"], Choice()] = "consistent"
+    switching: Switching = Field(default_factory=Switching)
+    safe: Annotated[Safe, SAMPLED] = Field(default_factory=Safe)
+    hybrid: Hybrid = Field(default_factory=Hybrid)
+    composite: Composite = Field(default_factory=Composite)
+    kelly: Kelly = Field(default_factory=Kelly)
+    resolved_rate: ResolvedRate = Field(default_factory=ResolvedRate)
+    pbvs: Pbvs = Field(default_factory=Pbvs)
+    computed_torque: ComputedTorque = Field(default_factory=ComputedTorque)

@@ -1,0 +1,65 @@
+"""Scenarios as plain data: dicts, lists, text and numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from hexservo.scenario.rules import shown_value
+from hexservo.scenario.yaml import MAX_DEPTH, ScenarioError
+
+__all__ = []
+
+
+def plain(value: Any, place: str = "", depth: int = 0) -> Any:
+    """Copy into dicts, lists, text, numbers, booleans and None; anything else stays, for a rule to refuse it."""
+    if depth > MAX_DEPTH:
+        raise ScenarioError(f"{place[:60]}...: expected at most {MAX_DEPTH} levels of nesting, got more")
+    if isinstance(value, BaseModel):
+        value = {key: getattr(value, key) for key in type(value).model_fields}
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str) or not _is_unicode(key):
+                raise ScenarioError(f"{place or 'the scenario'}: expected keys that are text, got {shown_value(key)}")
+        return {str(key): plain(item, f"{place}.{key}".lstrip("."), depth + 1) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item, place, depth + 1) for item in value]
+    if isinstance(value, str) and not _is_unicode(value):
+        raise ScenarioError(f"{place}: expected text of whole Unicode characters, got {shown_value(value)}")
+    for kind in (bool, int, float, str):  # numpy's float64 is a float, an enumeration may be text
+        if isinstance(value, kind):
+            return kind(value)
+    return value
+
+
+def _is_unicode(text: str) -> bool:
+    """Tell whether text has no lone surrogates: they can neither be written nor shown."""
+    return not any("\ud800" <= character <= "\udfff" for character in text)
+
+
+def put(keys: dict[str, Any], path: str, value: Any) -> str | None:
+    """Change one value by its dotted path, or say what is wrong with the path. Unknown keys are found later."""
+    *blocks, key = path.split(".")
+    for index, name in enumerate(blocks):
+        inner = keys.setdefault(name, {})
+        if not isinstance(inner, dict):
+            return f"{path}: unknown key; {'.'.join(blocks[: index + 1])} is a value and holds no keys"
+        keys = inner
+    if isinstance(value, dict) and isinstance(keys.get(key), dict):
+        _merge(keys[key], value)
+    else:
+        keys[key] = value
+    return None
+
+
+def _merge(keys: dict[str, Any], changes: dict[str, Any]) -> None:
+    for key, value in changes.items():
+        if isinstance(value, dict) and isinstance(keys.get(key), dict):
+            _merge(keys[key], value)
+        else:
+            keys[key] = value
