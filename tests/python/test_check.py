@@ -77,7 +77,7 @@ def test_start_and_goal_are_in_the_image_by_half_its_sides(paper: hs.Scenario) -
 
 def test_a_goal_that_no_pose_shows(paper: hs.Scenario) -> None:
     crossed = paper.updated({"target.desired_features": [10, 10, -64, 29, 45, -73, -30, -23]})
-    assert "no pose was found that shows them" in only(crossed, "target.desired_features")
+    assert "no pose with these features was found" in only(crossed, "target.desired_features")
 
 
 def test_the_fastest_rate_is_that_of_a_damper_by_hand(paper: hs.Scenario) -> None:

@@ -208,7 +208,7 @@ def test_a_run_that_ends_early_says_so_and_keeps_its_results(tmp_path: Path) -> 
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["outcome"] == "singular"
     assert float(ending[2]) == pytest.approx(metrics["end_time"]["value"], rel=1e-5)
-    limits = [line for line in run.lines if line.startswith("limit passed: leg ")]
+    limits = [line for line in run.lines if line.startswith("limit exceeded: leg ")]
     assert len(limits) == len(metrics["events"]) == 12
 
 
@@ -246,7 +246,7 @@ def test_ctrl_c_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
     run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "a" / "out"))
     assert run.code == 130
-    assert run.errors == ["Interrupted: nothing more was written"]
+    assert run.errors == ["Interrupted: no further files were written"]
     assert list(tmp_path.iterdir()) == []
 
 

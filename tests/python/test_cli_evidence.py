@@ -95,9 +95,9 @@ def test_sections_are_printed_in_words_and_tables(command: str) -> None:
         "A note.",
         "Explained in docs/model.md",
         "",
-        "V over time: `hexservo report` draws it",
+        "V over time: see `hexservo report`",
         "",
-        "Theme two: nothing to judge",
+        "Theme two: not applicable",
         "Does not apply.",
     ]
 
@@ -245,7 +245,7 @@ def test_bad_input(command: str, saved: Path, tmp_path: Path) -> None:
     more: list[str | Path] = ["--out", tmp_path / "r.html"] if command == "report" else []
     code, out, error = invoke(command, saved, "--set", "seed=1", *more)
     assert (code, out) == (2, "")
-    assert "--set: expected a scenario to change, got a saved result" in error
+    assert "--set: expected a scenario, got a saved result" in error
     (tmp_path / "x.nc").write_bytes(b"none")
     code, out, error = invoke(command, tmp_path / "x.nc", *more)
     assert (code, out) == (2, "")

@@ -1,4 +1,4 @@
-"""Comparisons: rows that are the runs, whatever the company; tables and pictures; the command."""
+"""Comparisons: rows equal the single runs; tables and plots; the command."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_verdicts_say_why(comparison: hs.Comparison) -> None:
     row = comparison.row("hybrid", "paper-gravity")
     assert not row.settled
     assert (row.verdict, row.passed_limits) == ("not settled", ("stroke",))
-    assert row.why == "37.58 px off at the end, above 2 px; a leg passed its stroke of 17 mm"
+    assert row.why == "37.58 px from the goal at the end, above 2 px; a leg exceeded its stroke of 17 mm"
     wrong_sign = hs.compare(["paper"], ["hybrid"], {"controller.jacobian": "printed"}).rows[0]
     assert wrong_sign.verdict == "diverged"
     assert wrong_sign.why.startswith(wrong_sign.detail)
@@ -316,7 +316,7 @@ def test_the_command_prints_and_writes(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (("--scenarios", "paper", "--laws", "pid"), "laws: expected some of"),
-        (("--scenarios", "nothing-*"), "expected a pattern that fits one of"),
+        (("--scenarios", "nothing-*"), "expected a pattern that matches one of"),
         (("--scenarios", ","), "expected names with commas between"),
         (("--scenarios", "paper", "--set", "uncertainty.depth=2"), "uncertainty.depth"),
         (("--scenarios", "paperr"), 'did you mean "paper"?'),
@@ -364,6 +364,6 @@ def test_residuals_below_what_is_drawn_are_marked() -> None:
     place = [np.asarray(drawn.get_xdata())[0], np.asarray(drawn.get_ydata())[0]]
     np.testing.assert_array_equal(np.asarray(vars(mark)["xy"]), place)
     assert place[0] == 1e-3
-    assert "Errors below 0.001 px are drawn there, residuals with a <." in figure.texts[-1].get_text()
+    assert "Errors below 0.001 px are drawn at that value, residuals with a <." in figure.texts[-1].get_text()
     above = hs.compare([exact], ["hybrid"])
     assert "Errors below" not in "".join(text.get_text() for text in above.figure().texts)

@@ -26,7 +26,7 @@ PAGES += [page for page in sorted((ROOT / "docs").rglob("*.md")) if page not in 
 
 PAPER_EQUATIONS = [f"({number})" for number in (*range(1, 16), 22)]
 TABLE_HEAD = ["equation", "what it computes", "section", "code", "tests"]
-NO_EQUATION = "Headers without an equation of their own"
+NO_EQUATION = "Headers without an equation"
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*(?:::\w+)*", re.ASCII)
 
 

@@ -35,7 +35,7 @@ def test_a_run_that_the_user_stops_is_not_judged(command: str, tmp_path: Path, m
     option = "--out" if command == "report" else "--json"
     arguments = [command, "paper", "--set", "simulation.duration=0.02", option, str(tmp_path / "written")]
     done = CliRunner().invoke(cli.app, arguments, prog_name="hexservo")
-    assert (done.exit_code, done.stdout, done.stderr) == (130, "", "Interrupted: nothing more was written\n")
+    assert (done.exit_code, done.stdout, done.stderr) == (130, "", "Interrupted: no further files were written\n")
     assert not list(tmp_path.iterdir())
 
 

@@ -568,7 +568,9 @@ def test_files_have_ordinary_permissions(paper: hs.Result, tmp_path: Path) -> No
 )
 def test_an_unusable_folder_is_refused_in_words(make: Callable[[Path], Path], paper: hs.Result, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("kept")
-    with pytest.raises(ValueError, match=r"^folder: expected a folder that exists or can be made.*, got .*\(.+\)$"):
+    with pytest.raises(
+        ValueError, match=r"^folder: expected a writable folder, or one that can be created, got .*\(.+\)$"
+    ):
         plots.paper_figures(paper, make(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_text() == "kept"

@@ -147,8 +147,8 @@ def test_the_order_and_the_words(text: str) -> None:
         "All features are within 2 px of their goals from 0.353 s on.",
         "The largest feature error at the end is 0.0797 px; from 1 s on their RMS is 0.0519 px.",
         "warning A map : The largest stable period is 41 ms.",
-        "nothing to judge Not for this law : Does not apply.",
-        "It could not be made for this run: expected another law",
+        "not applicable Not for this law : Does not apply.",
+        "Not available for this run: expected another law",
         "value [px/mm]",
         "along <x> 1.235 123456 yes none – 7 – far −∞ 1 no",
         "Explained in docs/model.md",
@@ -299,7 +299,7 @@ def test_the_chart_of_the_image_has_its_shape_and_its_border() -> None:
     assert layout["xaxis"]["range"][1] / layout["yaxis"]["range"][1] == pytest.approx(640 / 480)
     magnified = charts["The same paths, magnified"]["layout"]
     assert np.ptp(magnified["xaxis"]["range"]) < 0.4 * np.ptp(layout["xaxis"]["range"])
-    assert "What the camera sees (640 x 480 px, y up)" in words_of(page(run))
+    assert "Camera image (640 x 480 px, y up)" in words_of(page(run))
     plain = specs(page(hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.1}))))
     assert "shapes" not in plain["Paths of the four features"]["layout"]
     assert "The same paths, magnified" not in plain

@@ -185,7 +185,7 @@ def test_a_run_that_has_to_settle_and_does_not_ends_with_4() -> None:
     assert invoke("run", "paper-gravity", "-q")[0] == 0
     code, _, error = invoke("run", "paper-gravity", "-q", "--require-settled")
     assert code == 4
-    assert error == "Not settled: paper-gravity: 37.6 px off at the end\n"
+    assert error == "Not settled: paper-gravity: 37.6 px from the goal at the end\n"
     diverging = ["run", "paper", "-q", "--set", "controller.jacobian=printed"]
     assert invoke(*diverging)[0] == invoke(*diverging, "--require-settled")[0] == 3
 

@@ -1,6 +1,6 @@
 """The command line.
 
-Only its entry is here, so that Ctrl-C is answered in a word while the rest is imported.
+It contains only the entry point, so that Ctrl-C gives a short message while the rest is imported.
 """
 
 from __future__ import annotations

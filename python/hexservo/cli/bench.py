@@ -1,4 +1,4 @@
-"""What `hexservo bench` prints and writes (BENCHMARKS.md)."""
+"""Output of `hexservo bench`: tables and files (BENCHMARKS.md)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["report", "spell", "write_benchmark"]
 
 
 def write_benchmark(result: Benchmark, folder: Path) -> None:
-    """Write bench.json and the picture, bench.png and bench.svg, into a folder that is there."""
+    """Write bench.json and the picture, bench.png and bench.svg, into an existing folder."""
     from hexservo.draw.bench import tick_figure
     from hexservo.draw.style import image_bytes
 
@@ -27,7 +27,7 @@ def write_benchmark(result: Benchmark, folder: Path) -> None:
 
 
 def report(result: Benchmark) -> Iterable[RenderableType]:
-    """Give the tables for a terminal."""
+    """Return the tables for a terminal."""
     from rich.text import Text
 
     machine = result.machine
@@ -41,7 +41,7 @@ def report(result: Benchmark) -> Iterable[RenderableType]:
     yield Text(f"\nservo tick of {first.law}: {first.scheduling}, memory {first.memory}", style="bold")
     yield _table(("rate", "ticks", "", "median", "99 %", "99.9 %", "max", "missed"), _tick_rows(first, paced))
     yield Text(f"each time includes a reading of the clock, {spell(first.clock_cost)}", style="dim")
-    yield Text("\nservo tick of each law, one after another", style="bold")
+    yield Text("\nservo tick of each law, free-running", style="bold")
     rows = ((timing.law, str(timing.ticks), *_spelled(timing.latency)) for timing in free)
     yield _table(("law", "ticks", "median", "99 %", "99.9 %", "max"), rows)
     yield Text("\nclosed loop, per step of one scenario", style="bold")
@@ -85,7 +85,7 @@ def _speed_row(speed: Speed) -> tuple[str, ...]:
 
 
 def spell(seconds: float) -> str:
-    """Give a time with three digits and its unit."""
+    """Return a time with three digits and its unit."""
     for factor, unit in ((1e9, "ns"), (1e6, "µs"), (1e3, "ms")):
         if seconds * factor < 999.5:
             value = seconds * factor

@@ -1,8 +1,7 @@
 """The command line: ``hexservo run | compare | report | scenarios | show | check | export | bench | version`` and more.
 
 Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
-numerical outcome; 4 a run that did not settle, with --require-settled; 130 interrupted; 141 the reader of the output
-left.
+numerical outcome; 4 a run that did not settle, with --require-settled; 130 interrupted; 141 broken pipe.
 """
 
 from __future__ import annotations
@@ -46,16 +45,16 @@ if TYPE_CHECKING:
 __all__ = ["app", "main"]
 
 _GAP = 2  # between two columns of a table
-_WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table leaves out what the metrics mean
+_WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table has no meanings of the metrics
 
 app = typer.Typer(
-    help="Image-based visual servoing of parallel robots: run scenarios, look at results.",
+    help="Image-based visual servoing of parallel robots: run scenarios, inspect results.",
     epilog="Exit codes: 0 done, 2 bad input, 3 a run that ended early (such as divergence), 4 a run that did not "
     "settle (with --require-settled), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # help and usage errors as plain text: nothing boxed, nothing wrapped in logs
+    rich_markup_mode=None,  # help and usage errors as plain text: no boxes, and no line breaks in logs
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -113,7 +112,7 @@ def run(
             raise hs.ScenarioError(str(error).splitlines(), chosen.name) from error
         elapsed = time.perf_counter() - started
         failure = None
-        if out is not None:  # before anything is printed, so that no closed pipe costs the results
+        if out is not None:  # before anything is printed, so that results are not lost to a broken pipe
             try:
                 write_results(result, out, force=force)
             except OutputError as error:
@@ -128,7 +127,7 @@ def run(
             raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
         if require_settled and math.isnan(hs.metrics(result)["settling_time"]):
             residual = number(hs.metrics(result)["final_error"])
-            complain(f"{chosen.name}: {residual} px off at the end", head="Not settled")
+            complain(f"{chosen.name}: {residual} px from the goal at the end", head="Not settled")
             raise typer.Exit(NOT_SETTLED)
 
 
@@ -139,7 +138,7 @@ def compare(
         typer.Option(
             "--scenarios",
             metavar="NAMES",
-            help='Packaged scenarios or paths of YAML files, with commas between; "task-*" stands for all such names.',
+            help='Packaged scenarios or paths of YAML files, with commas between; "task-*" matches all such names.',
         ),
     ],
     laws: Annotated[
@@ -148,7 +147,7 @@ def compare(
     settings: SettingsOption = None,
     out: Annotated[
         str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Write tables and a page of pictures there."),
+        typer.Option("--out", "-o", metavar="FOLDER", help="Write tables and a page of plots there."),
     ] = None,
     force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
@@ -156,8 +155,8 @@ def compare(
 ) -> None:
     """Run several laws on several scenarios and compare them.
 
-    A scenario runs with its law replaced and everything else as it stands. The table says which run settled and why,
-    when, how far off, and at what cost; --out writes it as Markdown and CSV too, with a page of pictures.
+    Only the law of a scenario is replaced. The table lists verdict, settling time, residual and cost of each run;
+    --out writes it as Markdown and CSV too, with a page of plots.
     """
     with reporting():
         from hexservo.run.files import check_folder
@@ -219,7 +218,7 @@ def scenarios() -> None:
 def show(scenario: ScenarioArgument, settings: SettingsOption = None) -> None:
     """Print a scenario as YAML.
 
-    Every default is filled in, so that the output is a good start for a scenario of one's own.
+    All defaults are included, so that the output is a good start for a custom scenario.
     """
     with reporting():
         write(load(scenario, settings or []).to_yaml(), encoding="utf-8")  # what a scenario is read with
@@ -232,8 +231,8 @@ def check(
 ) -> None:
     """Check a scenario.
 
-    Every problem is a line on standard error, and the exit code is 2; without any it is 0. Warnings are of what is
-    legal and surely not meant, such as a weight beyond the force limit; notes are of keys that have no effect.
+    Every error is a line on standard error, and the exit code is 2; without errors it is 0. Warnings are about legal
+    but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect.
     """
     with reporting():
         from hexservo.findings.check import keys_without_effect, unlikely
@@ -260,13 +259,11 @@ def export(
         ),
     ] = None,
     settings: SettingsOption = None,
-    force: Annotated[
-        bool, typer.Option("--force", "-f", help="Replace a header that an earlier export wrote.")
-    ] = False,
+    force: Annotated[bool, typer.Option("--force", "-f", help="Replace the header of an earlier export.")] = False,
 ) -> None:
     """Write the gains of a scenario as a C++ header.
 
-    A robot's control program includes it, calls its controller_gains() once and hexservo::step at every period.
+    A robot's control program includes it, calls its controller_gains() once and hexservo::step every period.
     """
     with reporting():
         from hexservo.run.export import gains_header, write_header
@@ -291,19 +288,19 @@ def bench(
     quick: Annotated[bool, typer.Option("--quick", help="A rougher measurement, in less than 15 s.")] = False,
     ticks: Annotated[
         int | None,
-        typer.Option("--ticks", min=1000, max=100_000_000, help="Ticks one after another.  [default: 1000000]"),
+        typer.Option("--ticks", min=1000, max=100_000_000, help="Free-running ticks.  [default: 1000000]"),
     ] = None,
     seconds: Annotated[
         float | None, typer.Option("--seconds", min=0.01, max=86400.0, help="Of ticks at every rate.  [default: 3]")
     ] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Ask for SCHED_FIFO and locked memory; the table says what was granted.")
+        bool, typer.Option("--realtime", help="Request SCHED_FIFO and locked memory; the table lists what was granted.")
     ] = False,
 ) -> None:
-    """Measure how fast this machine is.
+    """Measure the speed of this machine.
 
-    Latency of the servo tick, one after another and paced by a clock, and the rates of single runs and batches by
-    variant and threads, beside the measured peak of the vector units. Answers are checked.
+    Measures the latency of the servo tick, free-running and paced by a clock, the rates of single runs and batches for
+    each variant and number of threads, and the peak rate of the vector units. Results are checked.
     """
     with reporting():
         from dataclasses import replace
@@ -326,7 +323,7 @@ def bench(
 
 @app.command()
 def version() -> None:
-    """Tell what was built and runs here."""
+    """Print version, compiler and compiled variants."""
     with reporting():
         from hexservo.run.machine import versions
 
@@ -341,7 +338,7 @@ def _split(names: str) -> list[str]:
 
 
 def _expanded(names: str) -> list[str]:
-    """Give the names in a list, patterns replaced by the packaged scenarios that fit."""
+    """Return the names of a list, with patterns replaced by the matching packaged scenarios."""
     from fnmatch import fnmatchcase
 
     chosen: list[str] = []
@@ -349,7 +346,7 @@ def _expanded(names: str) -> list[str]:
         fitting = [known for known in hs.scenario_names() if fnmatchcase(known, name)]
         if not fitting and any(character in name for character in "*?"):
             raise hs.ScenarioError(
-                f'--scenarios: expected a pattern that fits one of {", ".join(hs.scenario_names())}; got "{name}"'
+                f'--scenarios: expected a pattern that matches one of {", ".join(hs.scenario_names())}; got "{name}"'
             )
         chosen += [known for known in fitting or [name] if known not in chosen]
     if not chosen:
@@ -361,7 +358,7 @@ def _expanded(names: str) -> list[str]:
 
 
 def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool) -> Iterator[RenderableType]:
-    """Say how a run ended, its metrics, the limits it passed, and where its files are."""
+    """Print the outcome of a run, its metrics, the exceeded limits, and the place of its files."""
     from rich.text import Text
 
     name = result.scenario.name
@@ -371,7 +368,7 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
         yield Text(f"{name}: {ending(result)} (simulated in {spell_time(elapsed)})", style="bold red")
     yield _metrics_table(result)
     if result.events:
-        yield Text("\n".join(f"limit passed: {event}" for event in result.events), style="yellow")
+        yield Text("\n".join(f"limit exceeded: {event}" for event in result.events), style="yellow")
     if folder is not None:
         yield Text(f"figures, result.nc, metrics.json and scenario.yaml are in {folder}")
     elif hint:
@@ -399,7 +396,7 @@ def _metrics_table(result: hs.Result) -> RenderableType:
 def _comparison_report(
     comparison: hs.Comparison, elapsed: float, folder: str | None, *, hint: bool
 ) -> Iterator[RenderableType]:
-    """Give the table, in parts where the terminal is too narrow for one, the reasons, and where the files are."""
+    """Return the table, in parts if the terminal is too narrow, the reasons, and the place of the files."""
     from rich.text import Text
 
     for table in _comparison_tables(comparison):
@@ -409,15 +406,15 @@ def _comparison_report(
         if not row.settled or row.passed_limits:
             yield Text(f"{row.scenario.name}, {row.law}: {row.verdict}: {row.why}", style="yellow")
     runs = f"{len(comparison.rows)} runs" if len(comparison.rows) > 1 else "1 run"
-    yield Text(f"{runs} in {spell_time(elapsed)}; what the columns are: docs/compare.md", style="dim")
+    yield Text(f"{runs} in {spell_time(elapsed)}; columns are explained in docs/compare.md", style="dim")
     if folder is not None:
         yield Text(f"comparison.md, .csv, .svg, .png and the scenarios are in {folder}")
     elif hint:
-        yield Text("no files written; --out FOLDER writes tables and pictures", style="dim")
+        yield Text("no files written; --out FOLDER writes tables and plots", style="dim")
 
 
 def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
-    """Give as many tables, one below another, as the columns need; a list where not even one column fits."""
+    """Return as many tables as the columns need, or a list if not even one column fits."""
     from hexservo.run.comparison import COLUMNS, shown
 
     labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
@@ -432,7 +429,7 @@ def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
         needs = max(map(len, (column.head, f"[{column.unit}]", *texts))) + _GAP
         if needs > room:
             parts.append([])
-            room = terminal.width() + _GAP - sum(left if len(parts) == 1 else left[:2])  # the verdict stands once
+            room = terminal.width() + _GAP - sum(left if len(parts) == 1 else left[:2])  # the verdict only once
         if needs > room:
             yield _comparison_list(comparison, cells)
             return

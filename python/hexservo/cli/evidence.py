@@ -1,4 +1,4 @@
-"""Commands that judge runs: ``hexservo report | certify | analyse | diagnose``; `cli` puts them among the others."""
+"""Commands about evidence: ``hexservo report | certify | analyse | diagnose``."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def report(
 ) -> None:
     """Write a report of a run as one HTML file.
 
-    It holds the findings in words, the paper's figures, a view in space, certificate, analysis, diagnosis, metrics and
+    It has a summary, the paper's figures, a view in space, certificate, analysis, diagnosis, metrics and
     the scenario, and opens in a browser without a network.
     """
     with reporting():
@@ -60,9 +60,9 @@ def report(
 def certify(
     run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
 ) -> None:
-    """Check the theorem's assumptions on a run.
+    """Check the theorem's assumptions along a run.
 
-    A numerical check, not a proof: what the assumptions say is compared with what the run did.
+    This is a numerical check, not a proof.
     """
     _judge("certify", run, settings, json, force)
 
@@ -70,9 +70,9 @@ def certify(
 def analyse(
     run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
 ) -> None:
-    """Tell what a scenario's geometry, gains and timing permit.
+    """Analyse geometry, gains and timing of a scenario.
 
-    Nothing is simulated but for short checks of a result.
+    Only short runs are simulated, to check results.
     """
     _judge("analyse", run, settings, json, force)
 
@@ -80,9 +80,9 @@ def analyse(
 def diagnose(
     run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
 ) -> None:
-    """Tell what limits or spoils a run.
+    """Find the cause of a failed run.
 
-    The likeliest cause comes first, with its evidence and what to do.
+    The most likely cause comes first, with its evidence and a remedy.
     """
     _judge("diagnose", run, settings, json, force)
 
@@ -98,7 +98,7 @@ def _judge(name: str, run: str, settings: list[str] | None, json: str | None, fo
         of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [])
         try:
             found = source.find(of)
-        except ValueError as error:  # of a run or scenario that it does not apply to
+        except ValueError as error:  # for a run or scenario to which it does not apply
             raise hs.ScenarioError(str(error).splitlines()) from error
         if json is not None:
             _write_json(name, found.to_dict(), json, force)
@@ -107,11 +107,11 @@ def _judge(name: str, run: str, settings: list[str] | None, json: str | None, fo
             _exit_as(of)
 
 
-# ---- What is judged -------------------------------------------------------------------------------------------------
+# ---- Input ----------------------------------------------------------------------------------------------------------
 
 
 def _result(run: str, settings: list[str]) -> hs.Result:
-    """Read a saved result, or run a scenario; a run that Ctrl-C ends here is not judged."""
+    """Read a saved result, or run a scenario; a run interrupted with Ctrl-C is not evaluated."""
     if _is_saved(run, settings):
         return hs.load_result(run)
     scenario = load(run, settings)
@@ -137,12 +137,12 @@ def _scenario(run: str, settings: list[str]) -> hs.Scenario:
 def _is_saved(run: str, settings: list[str]) -> bool:
     saved = run.endswith(".nc") and run not in hs.scenario_names()
     if saved and settings:
-        raise hs.ScenarioError(["expected a scenario to change, got a saved result, which is what it is"], "--set")
+        raise hs.ScenarioError(["expected a scenario, got a saved result, which cannot be changed"], "--set")
     return saved
 
 
 def _exit_as(result: hs.Result) -> None:
-    """End as `hexservo run` does for the same run."""
+    """Exit as `hexservo run` does for the same run."""
     if result.outcome != "completed":
         complain(f"{result.scenario.name}: {ending(result)}", head="Ended early")
         raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
@@ -152,7 +152,7 @@ def _exit_as(result: hs.Result) -> None:
 
 
 def _title(name: str) -> str:
-    """Give the first line of a file of numbers: what tells it from somebody else's, and still JSON."""
+    """Return the first line of a file of numbers, which identifies the file and is valid JSON."""
     return f'{{"hexservo {name}": 1,'
 
 

@@ -24,7 +24,7 @@ def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool
     result
         The run; its outcome does not matter.
     folder, force
-        As for `write_folder`, which also says what is returned and raised.
+        As for `write_folder`; so are the return value and the exceptions.
     """
     contents = f'one run of the scenario "{result.scenario.name}"'
     return write_folder(folder, lambda temporary: _write_files(result, temporary), contents, force=force)
@@ -41,7 +41,7 @@ def _write_files(result: Result, folder: Path) -> None:
 
 
 def _metrics_json(result: Result) -> str:
-    """Give outcome, events and metrics as strict JSON: what is not finite is null."""
+    """Return outcome, events and metrics as strict JSON: numbers that are not finite are null."""
     from hexservo.run.metrics import METRICS, metrics
     from hexservo.scenario.version import VERSION
 

@@ -1,4 +1,4 @@
-"""Findings for the terminal: words and tables; curves and maps are named, and the report draws them."""
+"""Findings for the terminal: sentences and tables; curves and maps, which only the report draws, are named."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "open": "dim
 
 
 def printed(sections: Sequence[Section]) -> Iterator[RenderableType]:
-    """Give sections as rich prints them, in their order."""
+    """Return sections as rich renderables, in their order."""
     from rich.text import Text
 
     for number, section in enumerate(sections):
@@ -39,14 +39,14 @@ def _printed_item(item: Item) -> Iterator[RenderableType]:
         yield Text(item.title, style="underline")
         yield _table(item) if _least_width(item) <= width() else _listed(item)
     else:
-        yield Text(f"{item.title}: `hexservo report` draws it", style="dim")
+        yield Text(f"{item.title}: see `hexservo report`", style="dim")
     for words in (item.note, f"Explained in {item.page}" if item.page else ""):
         if words:
             yield Text(words, style="dim")
 
 
 def _least_width(item: Table) -> int:
-    """Give the width that a table takes with every word and every number in one piece."""
+    """Return the width of a table with no word and no number broken."""
     least = [
         max(map(len, " ".join([column.title, f"[{column.unit}]", *texts]).split()))
         for column, *texts in zip(
@@ -59,7 +59,7 @@ def _least_width(item: Table) -> int:
 
 
 def _listed(item: Table) -> RenderableType:
-    """Give a table that is too wide as one list of its cells per row."""
+    """Return a table that is too wide as one list of its cells per row."""
     from rich.text import Text
 
     lines = []

@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, options, loading a scenario, and writing to the terminal."""
+"""Common parts of all commands: exit codes, options, loading a scenario, and writing to the terminal."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ NOT_SETTLED = 4
 INTERRUPTED = 130  # 128 + SIGINT, as shells count
 READER_LEFT = 141  # 128 + SIGPIPE
 
-_ANY_WIDTH = 10_000  # of what no terminal shows: nothing is wrapped or cut
+_ANY_WIDTH = 10_000  # for files and pipes: lines are not wrapped or cut
 
 ScenarioArgument = Annotated[
     str,
@@ -52,7 +52,7 @@ ScenarioArgument = Annotated[
     ),
 ]
 RequireSettledOption = Annotated[
-    bool, typer.Option("--require-settled", help="End with exit code 4 where a run does not settle.")
+    bool, typer.Option("--require-settled", help="End with exit code 4 if a run does not settle.")
 ]
 ForceOption = Annotated[
     bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
@@ -68,7 +68,7 @@ SettingsOption = Annotated[
 
 
 def load(scenario: str, settings: list[str]) -> hs.Scenario:
-    """Load a scenario and change it as --set says; everything wrong with the settings is reported together."""
+    """Load a scenario and apply the changes of --set; all errors of the settings are reported together."""
     from hexservo.scenario.yaml import load_yaml
 
     loaded = _read_standard_input() if scenario == "-" else hs.load_scenario(scenario)
@@ -104,7 +104,7 @@ def _read_standard_input() -> hs.Scenario:
 
 @contextlib.contextmanager
 def reporting() -> Iterator[None]:
-    """Turn bad input and Ctrl-C into words on standard error and an exit code; anything else is a bug with a trace."""
+    """Convert bad input and Ctrl-C to a message and an exit code; all other exceptions are bugs with a traceback."""
     from hexservo.run.publish import OutputError
 
     try:
@@ -113,34 +113,34 @@ def reporting() -> Iterator[None]:
         complain(*str(error).splitlines())
         raise typer.Exit(BAD_INPUT) from None
     except KeyboardInterrupt:
-        complain("nothing more was written", head="Interrupted")
+        complain("no further files were written", head="Interrupted")
         raise typer.Exit(INTERRUPTED) from None
 
 
 def ending(result: hs.Result) -> str:
-    """Say how a run ended, in a line."""
+    """Return the outcome of a run as one line."""
     return f"{result.outcome.replace('_', ' ')} at t = {result.end_time:.6g} s: {result.detail}"
 
 
 def spell_time(seconds: float) -> str:
-    """Give a duration in s, ms or less."""
+    """Return a duration in s, ms or less."""
     from hexservo.scenario.wording import quantity
 
     return quantity(seconds, "s")
 
 
 def width() -> int:
-    """Width of the terminal; as wide as it takes where standard output is none."""
+    """Return the width of the terminal; unlimited if standard output is not a terminal."""
     import shutil
 
     return shutil.get_terminal_size().columns if sys.stdout is not None and sys.stdout.isatty() else _ANY_WIDTH
 
 
 def show_parts(*parts: RenderableType) -> None:
-    """Print with colours and line breaks that suit the terminal; plain and unbroken into files and pipes."""
+    """Print with colours and line breaks for the terminal; plain and without line breaks into files and pipes."""
     from rich.console import Console
 
-    text = io.StringIO()  # written in one place, with its errors; rich has ways of its own with them
+    text = io.StringIO()  # written in one place, with its errors, which rich would handle differently
     console = Console(
         file=text,
         force_terminal=True if sys.stdout is not None and sys.stdout.isatty() else None,
@@ -156,7 +156,7 @@ def show_parts(*parts: RenderableType) -> None:
 
 
 def write(text: str, encoding: str | None = None) -> None:
-    """Write to standard output at once: here a reader that left and a full disk can still be told from bugs."""
+    """Write to standard output at once, so that a broken pipe and a full disk are distinguished from bugs."""
     if sys.stdout is None:
         return
     try:
@@ -173,13 +173,13 @@ def write(text: str, encoding: str | None = None) -> None:
 
 
 def whisper(text: str) -> None:
-    """Say what is going on, where somebody is looking."""
+    """Print the current activity, on terminals only."""
     if sys.stderr is not None and sys.stderr.isatty():
         print(f"measuring: {text}", file=sys.stderr, flush=True)
 
 
 def _give_up_output(code: int) -> NoReturn:
-    """Exit, and let what Python still holds for standard output go nowhere, not into an error at shutdown."""
+    """Exit, and discard buffered standard output, which would otherwise raise an error at shutdown."""
     with contextlib.suppress(OSError, io.UnsupportedOperation):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     raise typer.Exit(code)
@@ -187,6 +187,6 @@ def _give_up_output(code: int) -> NoReturn:
 
 def complain(*lines: str, head: str = "Error") -> None:
     """Write each line to standard error, after its head."""
-    with contextlib.suppress(OSError):  # nobody is left to be told
+    with contextlib.suppress(OSError):  # standard error is closed too
         for line in lines:
             print(f"{head}: {line}", file=sys.stderr)

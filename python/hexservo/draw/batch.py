@@ -1,4 +1,4 @@
-"""The picture of a batch for a notebook: settling time and last error of every run."""
+"""Figure of a batch for a notebook: settling time and final error of every run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DRAWN = ("settling_time", "final_error")
 
 @styled
 def batch_figure(batch: BatchResult) -> Figure:
-    """Draw both metrics over the key that varies, or, where several do, as the share of runs below each value."""
+    """Draw both metrics over the varied key, or, if several vary, as the share of runs below each value."""
     figure = Figure(figsize=(PAGE, 2.4), layout="constrained")
     varied = [(key, values) for key, values in batch.variations.items() if len(values) > 1]
     over = varied[0] if len(varied) == 1 and varied[0][1].ndim == 1 else None

@@ -1,4 +1,4 @@
-"""The picture of the servo tick's times: how often a tick, or a wake-up, took how long."""
+"""Figure of the servo tick's times: histograms of the latency and of the wake-up delay."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ _LAW_INKS = (*_RATE_INKS, Ink(PURPLE, DASHED))
 
 @styled
 def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
-    """Draw latencies of the tick by rate and by law, and how late the paced ones woke up, all axes logarithmic.
+    """Draw latencies of the tick by rate and by law, and the wake-up delay of paced ticks, all axes logarithmic.
 
     Parameters
     ----------
     ticks
-        The first one's law is the one that is drawn by rate.
+        The law of the first one is drawn for each rate.
     """
     figure = Figure(figsize=(PAGE, 3.4), layout="constrained")
     latency, lateness, laws = figure.subplots(1, 3, sharey=True)
     for timing, ink in zip((timing for timing in ticks if timing.law == ticks[0].law), _RATE_INKS, strict=False):
-        name = "one after another" if timing.rate is None else f"{timing.rate / 1e3:g} kHz"
+        name = "free-running" if timing.rate is None else f"{timing.rate / 1e3:g} kHz"
         _draw(latency, timing.latency, ink, name)
         if timing.lateness is not None:
             _draw(lateness, timing.lateness, ink, name)
@@ -55,8 +55,8 @@ def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
     smallest = min(1.0 / timing.ticks for timing in ticks)
     for axes, title, label in (
         (latency, f"Latency of {ticks[0].law}", "input to leg forces [µs]"),
-        (lateness, "Jitter of the clock", "wake-up behind its time [µs]"),
-        (laws, "Latency, one after another", "input to leg forces [µs]"),
+        (lateness, "Jitter of the clock", "wake-up delay [µs]"),
+        (laws, "Latency, free-running", "input to leg forces [µs]"),
     ):
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -69,7 +69,7 @@ def tick_figure(ticks: Sequence[TickTiming]) -> Figure:
         axes.grid(visible=True, which="major", linewidth=0.4, color="0.88")
         axes.set_axisbelow(True)
     latency.set_ylabel(f"share of ticks per bin of 1/{_bins_per_decade(ticks[0].latency)} decade")
-    # above the panels, where no curve is
+    # above the panels, clear of the curves
     figure.legend(*latency.get_legend_handles_labels(), loc="outside upper left", ncols=3, frameon=False)
     figure.legend(*laws.get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False)
     return figure

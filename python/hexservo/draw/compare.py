@@ -1,4 +1,4 @@
-"""The page of pictures of a comparison: errors over the time, settling times, residuals and efforts."""
+"""Figures of a comparison: errors over time, settling times, residuals and efforts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["comparison_figure"]
 
-# Apart for every kind of colour vision; in grey, dashes and markers tell the laws apart.
+# Distinguishable with every kind of colour vision; in grey, dashes and markers distinguish the laws.
 _INKS = (
     Ink(BLUE),
     Ink(VERMILION, DASHED),
@@ -49,7 +49,7 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one more than inks: pairs repe
 _ACROSS = 4  # panels side by side
 _POINTS = 300  # of one line: more than such a panel resolves
 _FLOOR = 1e-3  # smallest error shown [px]
-_PALETTE = "cividis_r"  # light is fast; told apart by every kind of colour vision
+_PALETTE = "cividis_r"  # light is fast; distinguishable with every kind of colour vision
 _WORDS = {
     "not settled": "never",
     "behind camera": "behind",
@@ -62,11 +62,11 @@ _WORDS = {
 
 @styled
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw a page: above a panel per scenario with a line per law, below a line per scenario with all laws."""
+    """Draw a page: a panel per scenario with a line per law; below, a row per scenario with all laws."""
     names = [scenario.name for scenario in comparison.scenarios]
     bands = -(-len(names) // _ACROSS)
     across = min(len(names), _ACROSS)
-    panel, pitch, line = 1.0, 1.4, 0.2  # heights of a panel, of a panel with what surrounds it, of a line below [in]
+    panel, pitch, line = 1.0, 1.4, 0.2  # heights of a panel, of a panel with its margins, of a row below [in]
     table = line * len(names)
     height = 0.62 + bands * pitch + 0.3 + table + 0.85
     figure = Figure(figsize=(PAGE, height))
@@ -102,7 +102,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         borderpad=0,
         borderaxespad=0,
         columnspacing=1.2,
-        title="Largest feature error over the time",
+        title="Largest feature error over time",
         title_fontproperties={"size": 8},
         alignment="left",
     )
@@ -125,7 +125,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         0.1 / PAGE,
         0.05 / height,
         f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled. "
-        f"!: a leg passed its stroke or force limit.{_floor_words(comparison)}",
+        f"!: a leg exceeded its stroke or force limit.{_floor_words(comparison)}",
         fontsize=7,
         color=GREY,
         va="bottom",
@@ -134,11 +134,11 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def _floor_words(comparison: Comparison) -> str:
-    """Explain the mark of residuals below what is drawn; empty where there are none."""
+    """Explain the mark of residuals below the drawn range; empty if there are none."""
     residuals = [row.metrics.get("final_error", math.nan) for row in comparison.rows]
     lines = [float(row.error.min()) for row in comparison.rows if len(row.error)]
     below = any(value < _FLOOR for value in [*residuals, *lines])
-    return f" Errors below {_FLOOR:g} px are drawn there, residuals with a <." if below else ""
+    return f" Errors below {_FLOOR:g} px are drawn at that value, residuals with a <." if below else ""
 
 
 def _bands(comparison: Comparison) -> list[float]:
@@ -147,7 +147,7 @@ def _bands(comparison: Comparison) -> list[float]:
 
 
 def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[Ink, str]]) -> None:
-    """Draw the largest feature error of each law, every bin of the logarithmic time by its largest value."""
+    """Draw the largest feature error of each law, with the largest value of each bin of logarithmic time."""
     ends = [float(row.time[-1]) for row in rows if len(row.time) > 1]
     end = max(ends, default=1.0)
     begin = min(1e-2, end / 100)
@@ -185,7 +185,7 @@ def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[I
 def _thinned(
     time: NDArray[np.float64], values: NDArray[np.float64], begin: float, end: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the largest value of each bin of the logarithm of time, with its time, and the last one."""
+    """Return the largest value of each bin of logarithmic time, with its time, and the last value."""
     later = time >= begin
     if not later.any():
         return time[-1:], values[-1:]
@@ -198,7 +198,7 @@ def _thinned(
 
 
 def _draw_settling(axes: Axes, comparison: Comparison) -> None:
-    """Draw the settling times as a table with a coloured ground, and words where there is none."""
+    """Draw the settling times as a table with a coloured background, and the verdict where there is none."""
     names = [scenario.name for scenario in comparison.scenarios]
     times = [row.metrics["settling_time"] for row in comparison.rows if row.settled]
     positive = [time for time in times if time > 0]
@@ -233,7 +233,7 @@ def _draw_settling(axes: Axes, comparison: Comparison) -> None:
 
 
 def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str, tuple[Ink, str]]) -> None:
-    """Draw a metric on a logarithmic axis: a line per scenario, a marker per law; hollow where it did not settle."""
+    """Draw a metric on a logarithmic axis: a row per scenario, a marker per law; hollow if the run did not settle."""
     names = [scenario.name for scenario in comparison.scenarios]
     floor = _FLOOR if metric == "final_error" else 0.0
     values: list[float] = []
@@ -286,7 +286,7 @@ def _draw_dots(axes: Axes, comparison: Comparison, metric: str, looks: dict[str,
 
 
 def _error_range(comparison: Comparison) -> tuple[float, float]:
-    """Give the limits of the error axis: whole decades that hold what is drawn."""
+    """Return the limits of the error axis: whole decades around the drawn errors."""
     largest = max((float(row.error.max()) for row in comparison.rows if len(row.error)), default=10.0)
     smallest = min((float(row.error[row.time > 1e-2].min(initial=1.0)) for row in comparison.rows), default=1.0)
     low = 10 ** math.floor(math.log10(max(smallest, _FLOOR)))

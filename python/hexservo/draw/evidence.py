@@ -1,4 +1,4 @@
-"""Curves and maps of findings as matplotlib figures, for notebooks; the report draws the same as movable charts."""
+"""Curves and maps of findings as matplotlib figures, for notebooks; the report has them as interactive charts."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _folded(text: str, width: int) -> str:
 
 
 def _thinned(line: Line) -> tuple[Array, Array]:
-    """Leave out what print does not resolve of a line that has no gaps."""
+    """Drop samples of a line without gaps that print does not resolve."""
     x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
     if line.style == "points" or not np.isfinite(y).all():
         return x, y

@@ -1,4 +1,4 @@
-"""Panels over the time: their places, limits, lines and labels."""
+"""Panels over time: their positions, limits, lines and labels."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ __all__ = []
 
 
 class Panel(NamedTuple):
-    """Axes over the time with the samples that they show."""
+    """Axes over time with the drawn samples."""
 
     axes: Axes
     part: slice
-    fixed: bool  # of a figure of ours, where everything has its place; else of the caller's
+    fixed: bool  # of our own figure, with fixed positions; otherwise of the caller's
 
 
 def given_axes(axes: Sequence[Axes] | NDArray[Any], count: int) -> tuple[Axes, ...]:
@@ -55,7 +55,7 @@ def draw_band(axes: Axes, band: float) -> None:
 
 
 def axes_at(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Add axes at a place in inches: what a layout engine would find, without its time."""
+    """Add axes at a position in inches: as a layout engine would, but faster."""
     across, up = figure.get_size_inches()
     return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
@@ -63,14 +63,14 @@ def axes_at(figure: Figure, left: float, bottom: float, width: float, height: fl
 def place_panels(
     figure: Figure, result: Result, box: tuple[float, float, float, float], values: Sequence[Array]
 ) -> list[Panel]:
-    """Add axes over the time, broken where a short transient would be lost in a long run.
+    """Add axes over time, broken if a short transient would not be visible in a long run.
 
     Parameters
     ----------
     box
         Left, bottom, width, height [in].
     values
-        What the y axis shall hold.
+        The values that the y axis covers.
     """
     left, bottom, width, height = box
     parts = _parts(result)
@@ -90,7 +90,7 @@ def place_panels(
 
 
 def draw_break(first: Axes, second: Axes) -> None:
-    """Mark that the time axis goes on in the second panel, on another scale."""
+    """Mark that the time axis continues in the second panel, on a different scale."""
     second.spines["left"].set_visible(False)
     second.tick_params(axis="y", length=0, labelleft=False)
     for axes, corner in ((first, 1), (second, 0)):
@@ -111,7 +111,7 @@ def draw_break(first: Axes, second: Axes) -> None:
 
 
 def set_limits(axes: Axes, time: Array, *values: Array) -> None:
-    """Let the x axis hold the time exactly, and the y axis the values with a margin, rounding noise not magnified."""
+    """Limit the x axis to the time, and the y axis to the values with a margin; rounding noise is not magnified."""
     begin, end = float(time[0]), float(time[-1])
     axes.set_xlim(begin, end if end > begin else begin + 1e-3)
     low, high = min(float(part.min()) for part in values), max(float(part.max()) for part in values)
@@ -125,7 +125,7 @@ def set_limits(axes: Axes, time: Array, *values: Array) -> None:
 
 
 def size_of(axes: Axes) -> tuple[float, float]:
-    """Give the width and height of axes [in]."""
+    """Return the width and height of axes [in]."""
     box, dots = axes.bbox, axes.figure.dpi
     return float(box.width / dots), float(box.height / dots)
 
@@ -142,7 +142,7 @@ def draw_label(axes: Axes, which: Literal["x", "y"], text: str, along: float = 0
 
 
 def describe(panels: Sequence[Panel], label: str, title: str, *, time: bool = False) -> None:
-    """Set the title and the label of the y axis, and say the time below, if it is not said by panels further down."""
+    """Set the title and the label of the y axis, and label the time axis if no panel below has it."""
     axes = panels[0].axes
     if not panels[0].fixed:
         axes.set_ylabel(label)
@@ -168,14 +168,14 @@ def fill_panels(
     mean: int = 1,
     levels: Mapping[str, float] | None = None,
 ) -> None:
-    """Draw the columns of values over the time, and name each beside its end.
+    """Draw the columns of values over time, and label each next to its end.
 
     Parameters
     ----------
     mean
-        Number of samples of a moving mean; above 1 it is drawn over the samples, which then are thin.
+        Number of samples of a moving mean; above 1 it is drawn over thin lines of the samples.
     levels
-        Constants that are named likewise, in black.
+        Constants, drawn and labelled in black.
     """
     means = _moving_mean(values, mean)
     for axes, part, _ in panels:
@@ -198,7 +198,7 @@ def fill_panels(
 
 
 def draw_lines(axes: Axes, time: Array, values: Array, names: Sequence[str], inks: Sequence[Ink], **looks: Any) -> None:
-    """Draw each column as a line, as dots where there are too few samples for one."""
+    """Draw each column as a line, or as dots if there are too few samples."""
     dots: dict[str, Any] = {"marker": "o", "markersize": 2.5} if len(time) < 3 else {}
     for column, name, ink in zip(values.T, names, inks, strict=True):
         kept = _extremes(column)
@@ -206,7 +206,7 @@ def draw_lines(axes: Axes, time: Array, values: Array, names: Sequence[str], ink
 
 
 def label_ends(axes: Axes, ends: Mapping[str, float], inks: Sequence[Ink]) -> None:
-    """Name lines to the right of the axes, each as near to its last value as the others allow."""
+    """Label lines to the right of the axes, each as near to its last value as possible without overlap."""
     low, high = axes.get_ylim()
     places = np.clip((np.array(list(ends.values())) - low) / (high - low), 0, 1)
     width, height = size_of(axes)
@@ -237,7 +237,7 @@ def _spread(places: Array, gap: float) -> Array:
 
 
 def farther_apart(starts: Array, ends: Array, enough: float) -> Literal[0, -1]:
-    """Tell where names of paths have more room: at the starts (0), if that is enough, or at the ends (-1)."""
+    """Find where labels of paths have more room: at the starts (0), if that is enough, or at the ends (-1)."""
 
     def nearest(places: Array) -> float:
         return min(float(np.hypot(*(a - b))) for a, b in combinations(places, 2))
@@ -264,7 +264,7 @@ def draw_legend(figure: Figure, handles: Mapping[str, Line2D]) -> None:
 
 
 def note_outcome(place: Figure | Axes, result: Result) -> None:
-    """Say in the corner of a figure, or of the caller's axes, how a run ended that did not complete."""
+    """Write the outcome of a run that did not complete into the corner of a figure or of the caller's axes."""
     if result.outcome != "completed":
         text = f"{result.outcome.replace('_', ' ')} after {result.end_time:.4g} s"
         looks: dict[str, Any] = {"ha": "right", "va": "bottom", "fontweight": "bold", "color": VERMILION}

@@ -1,9 +1,9 @@
-"""The paper's figures 2 to 5, drawn from a run. Nothing here simulates, and nothing touches pyplot or the user's style.
+"""The paper's figures 2 to 5, drawn from a run. pyplot and the user's style are not changed.
 
 Each function returns a `matplotlib.figure.Figure` of a printed column's or page's width, with text of 7 to 8 points.
 Given ``ax`` or ``axes`` of an existing figure, it draws into these, in the caller's style, and returns them.
-`paper_figures` writes all of them. Lines keep every sample until that is more than print resolves; from there on they
-keep each bin's smallest and largest sample, so that no peak is lost.
+`paper_figures` writes all of them. Lines have every sample, or, if that is more than print resolves, the smallest and
+largest sample of each bin, so that no peak is lost.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ _FEATURE_NAMES = ("x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄"
 _START: dict[str, Any] = {"marker": "o", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.1}
 _END: dict[str, Any] = {"marker": "o", "markersize": 3.2, "markeredgewidth": 0}
 _GOAL: dict[str, Any] = {"marker": "s", "markersize": 7, "markerfacecolor": "none", "markeredgewidth": 0.9}
-_DIVERGING = "PuOr_r"  # light in the middle, and told apart by every kind of colour vision
+_DIVERGING = "PuOr_r"  # light in the middle, and distinguishable with every kind of colour vision
 
 
 # ---- The figures ----------------------------------------------------------------------------------------------------
@@ -111,12 +111,12 @@ def rule_table(scenario: Scenario, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the rule table of the fuzzy systems, figure 2(a) (docs/model.md section 5).
 
     Rows are the terms of the first input u (the scaled image wrench g of `hybrid`, pose error e of `composite`),
-    columns those of its rate. A cell shows the output's term, or the number where it is no term's centre.
+    columns those of its rate. A cell has the term of the output, or the number if it is not the centre of a term.
 
     Parameters
     ----------
     ax
-        Axes to draw into; the colour bar takes its room from them. None: a new figure.
+        Axes to draw into; the colour bar takes space from them. None: a new figure.
 
     Returns
     -------
@@ -172,8 +172,8 @@ def feature_errors(result: Result, *, ax: Axes) -> Axes: ...
 def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the eight feature errors in px over the time in s, figure 2(b).
 
-    A run that settles is shown in two panels: until somewhat after it has settled, then the rest on a scale of its
-    own. The settling band is shaded.
+    A run that settles is drawn in two panels: until somewhat after settling, and the rest on a different scale.
+    The settling band is shaded.
 
     Parameters
     ----------
@@ -228,8 +228,8 @@ def feature_paths(result: Result, *, ax: Axes) -> Axes: ...
 def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the paths of the four features in the image plane in px, axes equal, figure 3.
 
-    The arrow shows the direction in which each feature starts. y points up, as in (4) seen along the optical axis.
-    Where ``camera.image_size`` is given, the axes have the image's shape and show its border; where the paths take a
+    The arrow is the initial direction of each feature. y points up, as in (4), looking along the optical axis.
+    If ``camera.image_size`` is given, the axes have the aspect ratio and the border of the image; if the paths take a
     small part of the image, a second panel magnifies them.
 
     Parameters
@@ -332,8 +332,8 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any]) -> tu
 def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = None) -> Figure | tuple[Axes, ...]:
     """Draw the wrench in N and mN m, in B, and the six leg forces in N, figure 5.
 
-    Thin lines are the samples; where there are enough of them, thick lines are their moving means: the switching term
-    makes the samples chatter. The dotted line is the weight in Ḡ that the law feeds forward (1), (15).
+    Thin lines are the samples; thick lines, if there are enough samples, are their moving means, since the samples
+    chatter due to the switching term. The dotted line is the weight in Ḡ that the law feeds forward (1), (15).
 
     Parameters
     ----------
@@ -382,10 +382,10 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
 
 
 def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
-    """Write figures 2(a), 2(b), 3, 4 and 5 as SVG and PNG (200 dpi) into a folder, which is made if need be.
+    """Write figures 2(a), 2(b), 3, 4 and 5 as SVG and PNG (200 dpi) into a folder, which is created if necessary.
 
-    Files of the same name are replaced. The same run gives the same bytes. Each file appears whole or not at all, and
-    none before all are drawn.
+    Files of the same name are replaced. The same run gives the same bytes. Either all files are written completely or
+    none is.
 
     Returns
     -------
@@ -417,7 +417,7 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
         raise ValueError(
-            f'folder: expected a folder that exists or can be made, and can be written to, got "{target}" ({reason})'
+            f'folder: expected a writable folder, or one that can be created, got "{target}" ({reason})'
         ) from error
 
 
@@ -432,7 +432,7 @@ def _path_marks() -> list[Line2D]:
 
 
 def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = True) -> None:
-    """Draw border, paths, starts, ends and goals of the four features, and their arrows and names where asked for."""
+    """Draw border, paths, starts, ends and goals of the four features, and on request their arrows and names."""
     features = result.features.reshape(-1, 4, 2)
     goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
     axes.set_xlim(*view.limits[0])

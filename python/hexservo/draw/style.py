@@ -1,4 +1,4 @@
-"""Colours, lines and sizes of print, and figures as files: the same bytes for the same figure."""
+"""Colours, lines and sizes for print, and figures as files: the same figure gives the same bytes."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ FAINT = 0.45  # opacity of samples under their mean
 
 
 class Ink(NamedTuple):
-    """How one line looks."""
+    """Style of one line."""
 
     colour: str
     dashes: Any = "-"
 
 
-# Okabe and Ito's colours, the light ones darkened for text: apart for every kind of colour vision. In grey, dashes and
-# labels tell the lines apart.
+# Okabe and Ito's colours, the light ones darkened for text: distinguishable with every kind of colour vision.
+# In grey, dashes and labels distinguish the lines.
 BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE = "#000000", "#0072B2", "#D55E00", "#009E73", "#B85F93", "#CC8400"
 GREY = "0.45"
 DASHED, DASH_DOT = (0, (4, 1.2)), (0, (5, 1, 1.2, 1))
@@ -68,10 +68,10 @@ _STYLE = {
     "lines.dash_joinstyle": "round",
     "figure.dpi": 200,
     "savefig.dpi": 200,
-    "svg.fonttype": "path",  # needs no font where it is shown
+    "svg.fonttype": "path",  # needs no font in the viewer
     "svg.hashsalt": "hexservo",  # the same run gives the same bytes
 }
-# What decides how a figure looks; the rest of the user's settings (backend, keys, ...) is none of our business.
+# The settings that affect the look of a figure; the user's other settings (backend, keys, ...) are not touched.
 _LOOK = (
     "agg.", "axes.", "figure.", "font.", "grid.", "hatch.", "image.", "legend.", "lines.", "markers.", "mathtext.",
     "patch.", "path.", "savefig.", "svg.", "text.", "xaxis.", "xtick.", "yaxis.", "ytick.",
@@ -80,7 +80,7 @@ _LOOK = (
 
 @contextlib.contextmanager
 def our_style() -> Iterator[None]:
-    """Draw in our style, from matplotlib's defaults whatever the user's are, and put the user's back."""
+    """Draw in our style, from matplotlib's defaults, and restore the user's settings."""
     defaults = {name: value for name, value in matplotlib.rcParamsDefault.items() if name.startswith(_LOOK)}
     settings: Any = {**defaults, **_STYLE}
     with matplotlib.rc_context(settings):
@@ -88,7 +88,7 @@ def our_style() -> Iterator[None]:
 
 
 def styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Draw in our style, except into axes of the caller's, which have a style already."""
+    """Draw in our style, except into the caller's axes, which have a style already."""
 
     @wraps(function)
     def styled(*args: _P.args, **kwargs: _P.kwargs) -> _T:
@@ -108,17 +108,17 @@ def short_number(value: float, _place: int | None = None) -> str:
 
 @styled
 def image_bytes(figure: Figure, extension: str) -> bytes:
-    """Give a figure as the bytes of a file, without a date."""
+    """Return a figure as the bytes of a file, without a date."""
     buffer = io.BytesIO()
     if extension == "svg":
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     else:
-        figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 1})  # hardly larger, much faster
+        figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 1})  # little larger, much faster
     return buffer.getvalue()
 
 
 def write_figures(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files under temporary names, then give all of them their own.
+    """Write files under temporary names, then rename all of them.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Evidence, and what fills it: analysis, certificate, diagnosis."""
+"""Evidence about scenarios and runs: analysis, certificate, diagnosis."""

@@ -1,4 +1,4 @@
-"""What is legal in a scenario and surely not meant, and which of its keys have no effect: for ``hexservo check``."""
+"""Legal but probably unintended settings of a scenario, and keys without effect: for ``hexservo check``."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from hexservo.scenario.wording import number, quantity
 
 __all__ = ["keys_without_effect", "unlikely"]
 
-_TICKS = 10  # servo periods in the shortest time constant of a loop that a held wrench hardly disturbs
+_TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
 
 def unlikely(scenario: Scenario) -> list[str]:
-    """Return a sentence for each thing that is legal and surely not meant.
+    """Return a sentence for each legal but probably unintended setting.
 
-    The weight at home against the force limits, home against the base, stroke against the leg lengths, start and goal
-    against stroke and image, and in sampled mode the servo period against the loop of the gains, linear at home with
-    the switching term as `linear_law` takes it. Nothing is run.
+    Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
+    goal with stroke and image, and in sampled mode the servo period with the loop of the gains, linearised at home with
+    the switching term as in `linear_law`. Does not simulate.
     """
     scene = scene_of(scenario)
     return [*_of_legs(scene), *_of_goal(scene), *_of_image(scenario), *_of_period(scene)]
@@ -61,7 +61,7 @@ def _of_goal(scene: Scene) -> Iterator[str]:
         yield f"robot.home_position: the start is out of reach: {_beyond(reach.start)}"
     if reach.residual > scene.band:
         yield (
-            "target.desired_features: no pose was found that shows them; the best one leaves "
+            "target.desired_features: no pose with these features was found; the best one leaves "
             f"{number(reach.residual)} px"
         )
     elif reach.goal_within is False and reach.nearest is not None:
@@ -108,13 +108,13 @@ def fastest_rate(scene: Scene) -> float:
     """Return the largest magnitude of the poles of law and plant [1/s], in continuous time, linear at home.
 
     The law is that of the servo tick with a fresh image (`linear_law`), the plant the actual one (`linear_plant`); the
-    weights of the fuzzy systems stay as they are. `tanh` and `saturation` count with their slope at rest; otherwise
+    weights of the fuzzy systems are constant. `tanh` and `saturation` have their slope at rest; otherwise
     K_v = 0, since dry friction has no pole.
 
     Raises
     ------
     NoRestError
-        Where the law cannot be evaluated at home.
+        The law cannot be evaluated at home.
     """
     calm = quiet(scene.scenario)
     law = linear_law(calm, scene, scene.home, smooth=_has_slope(scene.scenario))
@@ -129,7 +129,7 @@ def fastest_rate(scene: Scene) -> float:
 
 @dataclass(frozen=True)
 class _Condition:
-    """Keys that act under a condition alone."""
+    """Keys that act only under a condition."""
 
     keys: tuple[str, ...]  # blocks or keys
     acts: Callable[[Scenario], bool]
@@ -146,7 +146,7 @@ def _has_slope(scenario: Scenario) -> bool:
 
 def _of_law(law: str) -> _Condition:
     return _Condition(
-        (f"controller.{law}",), lambda scenario: scenario.controller.law == law, f"with controller.law: {law} alone"
+        (f"controller.{law}",), lambda scenario: scenario.controller.law == law, f"only with controller.law: {law}"
     )
 
 
@@ -156,14 +156,14 @@ def _of_fuzzy(law: str) -> _Condition:
     def enabled(scenario: Scenario) -> bool:
         return scenario.controller.law != law or value_at(scenario, f"{block}.enabled") is True
 
-    return _Condition((block,), enabled, f"with {block}.enabled: true alone")
+    return _Condition((block,), enabled, f"only with {block}.enabled: true")
 
 
 def _of_motion(keys: str, kind: str) -> _Condition:
     return _Condition(
         tuple(f"base_motion.{key}" for key in keys.split()),
         lambda scenario: scenario.base_motion.kind == kind,
-        f"with base_motion.kind: {kind} alone",
+        f"only with base_motion.kind: {kind}",
     )
 
 
@@ -173,27 +173,27 @@ _CONDITIONS = (
     _Condition(
         ("controller.resolved_rate.gain_far", "controller.resolved_rate.gain_slope"),
         lambda scenario: scenario.controller.law != "resolved_rate" or scenario.controller.resolved_rate.adaptive,
-        "with controller.resolved_rate.adaptive: true alone",
+        "only with controller.resolved_rate.adaptive: true",
     ),
-    _Condition(("controller.switching.kind",), _switches, "with the laws hybrid and composite alone"),
-    _Condition(("controller.switching.width",), _has_slope, "where tanh or saturation is the switching term alone"),
+    _Condition(("controller.switching.kind",), _switches, "only with the laws hybrid and composite"),
+    _Condition(("controller.switching.width",), _has_slope, "only where the switching term is tanh or saturation"),
     _Condition(
         ("camera.outlier_size",),
         lambda scenario: scenario.camera.outlier_probability > 0,
-        "with camera.outlier_probability above 0 alone",
+        "only with camera.outlier_probability above 0",
     ),
     _Condition(
         ("camera.outlier_probability",),
         lambda scenario: scenario.camera.outlier_size > 0,
-        "with camera.outlier_size above 0 alone",
+        "only with camera.outlier_size above 0",
     ),
     _Condition(
-        ("camera.on_lost",), lambda scenario: scenario.camera.image_size is not None, "with camera.image_size alone"
+        ("camera.on_lost",), lambda scenario: scenario.camera.image_size is not None, "only with camera.image_size"
     ),
     _Condition(
         tuple(f"sensors.{key}" for key in ("rate", "resolution", "noise", "period")),
         lambda scenario: scenario.sensors.pose == "encoders",
-        "with sensors.pose: encoders alone",
+        "only with sensors.pose: encoders",
     ),
     _of_motion("amplitude frequency phase", "sinusoid"),
     _of_motion("level low_frequency high_frequency", "noise"),
@@ -202,9 +202,9 @@ _CONDITIONS = (
 
 
 def keys_without_effect(scenario: Scenario) -> list[str]:
-    """Return a sentence for each group of keys that differ from their defaults and do not act with the others.
+    """Return a sentence for each group of keys that differ from their defaults and have no effect.
 
-    They are legal: a scenario that is compared with another law, or runs once without its outliers, keeps them.
+    They are legal: a scenario keeps them when its law is replaced in a comparison or its outliers are switched off.
     """
     sentences = []
     for condition in _CONDITIONS:

@@ -1,4 +1,4 @@
-"""How findings show themselves: their sections in a few lines, and as a view in a notebook."""
+"""Display of findings: their sections as a few lines of text, and as HTML in a notebook."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Findings"]
 
 
 class Findings:
-    """Base of what has a ``section()`` or ``sections()``: text and HTML come from these."""
+    """Base of classes with ``section()`` or ``sections()``, from which text and HTML are made."""
 
     def all_sections(self) -> Sequence[Section]:
         """Return all sections."""
@@ -25,13 +25,13 @@ class Findings:
         return [self.section()]  # type: ignore[attr-defined]
 
     def headline(self) -> str:
-        """Say what was judged."""
+        """Return a line that names the evaluated scenario."""
         result = getattr(self, "result", None)
         scenario = getattr(self, "scenario", None) or getattr(result, "scenario", None)
         return type(self).__name__ + (f' of "{scenario.name}"' if scenario is not None else "")
 
     def __repr__(self) -> str:
-        """Give a line for each section: its title, its verdict and the most important finding."""
+        """Return a line for each section: its title, its verdict and the most important finding."""
         found = self.all_sections()
         lines = [
             f"{section.title} ({VERDICTS[section.verdict]}): {''.join(section.sentences[:1])}" for section in found
@@ -39,5 +39,5 @@ class Findings:
         return lines_below(self.headline(), lines, 2 if len(found) > 1 else 5)
 
     def _repr_html_(self) -> str:
-        """Give words, tables and figures for a notebook."""
+        """Return sentences, tables and figures for a notebook."""
         return html_of(self)

@@ -1,6 +1,6 @@
-"""What certificates, analyses and diagnoses have to show: words, tables, curves and maps, without a renderer.
+"""Findings of certificates, analyses and diagnoses: sentences, tables, curves and maps, without a renderer.
 
-The command line prints these, the report draws them; whoever makes them does neither.
+The command line prints these and the report draws them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hexservo.scenario.arrays import Array
 __all__ = ["Cell", "Column", "Curves", "HeatMap", "Item", "Line", "Section", "Table", "as_data"]
 
 Cell: TypeAlias = str | float | int | bool | None
-"""Of a table: a number is in its column's unit; None where there is none."""
+"""Cell of a table: a number is in the unit of its column; None if there is no value."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Column:
     """Head of a table's column."""
 
     title: str
-    unit: str = ""  # of its numbers, as people read it; empty for text and pure numbers
-    format: str = ".4g"  # of its numbers, as `format` takes it
+    unit: str = ""  # unit of its numbers, for display; empty for text and pure numbers
+    format: str = ".4g"  # format of its numbers, for `format`
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Table:
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell]]
     note: str = ""  # one or two sentences below it
-    page: str = ""  # that explains it, such as "docs/analysis/conditioning.md"
+    page: str = ""  # page that explains it, such as "docs/analysis/conditioning.md"
 
     def __post_init__(self) -> None:
-        """Refuse rows of another length.
+        """Refuse rows of the wrong length.
 
         Raises
         ------
@@ -54,7 +54,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One curve, or the marks of one kind."""
+    """One curve, or markers of one kind."""
 
     name: str
     x: Array  # (n,)
@@ -86,7 +86,7 @@ class HeatMap:
     z_label: str
     x: Array  # (m,)
     y: Array  # (n,)
-    z: Array  # (n, m): row by y, column by x; NaN where there is nothing
+    z: Array  # (n, m): row by y, column by x; NaN where there is no value
     levels: Sequence[float] = ()  # contours to draw
     lines: Sequence[Line] = ()  # over it
     note: str = ""
@@ -98,18 +98,18 @@ Item: TypeAlias = Table | Curves | HeatMap
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A theme: first what was found, in words, then what shows it."""
+    """A theme: the findings as sentences, then their tables, curves and maps."""
 
     name: str  # a key, such as "conditioning"
     title: str
     sentences: Sequence[str]  # the findings in plain words, the most important one first
     items: Sequence[Item] = ()
-    verdict: Literal["good", "warning", "bad", "open"] = "open"  # open: nothing to judge
-    data: dict[str, Any] = field(default_factory=dict)  # the same as numbers, in SI units and pixels, for programs
+    verdict: Literal["good", "warning", "bad", "open"] = "open"  # open: not applicable
+    data: dict[str, Any] = field(default_factory=dict)  # the findings as numbers, in SI units and pixels, for programs
 
 
 def as_data(value: Any) -> Any:
-    """Give a value as strict JSON has it: arrays are lists, and what is not finite is null."""
+    """Return a value for strict JSON: arrays become lists, and numbers that are not finite null."""
     if isinstance(value, dict):
         return {str(key): as_data(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""Where findings come from: the certificate of a run, the analysis of its scenario and its diagnosis."""
+"""Sources of findings: the certificate of a run, the analysis of its scenario and its diagnosis."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ __all__ = ["SOURCES", "Group", "Source", "groups"]
 
 @dataclass(frozen=True)
 class Source:
-    """A function of hexservo that has findings."""
+    """A function of hexservo that returns findings."""
 
-    name: str  # of the function
-    title: str  # of what it gives
+    name: str  # name of the function
+    title: str  # title of its findings
     of_scenario: bool  # it takes the scenario; else the result
-    introduction: str  # one sentence: what it answers
-    find: Callable[[Any], Any]  # the function: it gives something with ``sections()`` and ``to_dict()``
+    introduction: str  # one sentence: its subject
+    find: Callable[[Any], Any]  # the function: it returns an object with ``sections()`` and ``to_dict()``
 
 
 SOURCES = {
@@ -38,8 +38,14 @@ SOURCES = {
             "Whether this run met the theorem's assumptions: a numerical check.",
             certify,
         ),
-        Source("analyse", "Analysis", True, "What geometry, gains and timing permit, whatever this run did.", analyse),
-        Source("diagnose", "Diagnosis", False, "What limits or spoils this run, the likeliest cause first.", diagnose),
+        Source(
+            "analyse",
+            "Analysis",
+            True,
+            "Limits that follow from geometry, gains and timing, independent of this run.",
+            analyse,
+        ),
+        Source("diagnose", "Diagnosis", False, "Causes of a failed run, the most likely first.", diagnose),
     )
 }
 
@@ -50,11 +56,11 @@ class Group:
 
     source: Source
     sections: Sequence[Section]
-    refusal: str = ""  # why there are none
+    refusal: str = ""  # the reason if there are none
 
 
 def groups(result: Result) -> list[Group]:
-    """Give the findings of all sources; one that refuses the run says why, and keeps no other away."""
+    """Return the findings of all sources; for one that does not apply to the run, the reason."""
     return [_group(source, result) for source in SOURCES.values()]
 
 

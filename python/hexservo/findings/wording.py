@@ -1,4 +1,4 @@
-"""How findings read: cells of tables, and what a verdict is called; the same in the terminal and in the report."""
+"""Text of findings: cells of tables and names of verdicts, for the terminal and the report."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hexservo.scenario.wording import number
 
 __all__ = ["VERDICTS", "cell_text", "numeric_columns"]
 
-VERDICTS = {"good": "good", "warning": "warning", "bad": "bad", "open": "nothing to judge"}
-"""Words for a section's verdict."""
+VERDICTS = {"good": "good", "warning": "warning", "bad": "bad", "open": "not applicable"}
+"""Text of a section's verdict."""
 
 
 def cell_text(cell: Cell, column: Column) -> str:
-    """Give a cell as people read it, without its unit, in ASCII where the cell is no text."""
+    """Return the text of a cell, without its unit; numbers are in ASCII."""
     if cell is None:
         return "-"
     if isinstance(cell, bool):
@@ -32,7 +32,7 @@ def cell_text(cell: Cell, column: Column) -> str:
 
 
 def numeric_columns(table: Table) -> Sequence[bool]:
-    """Tell which columns hold numbers, and are flush right."""
+    """Return which columns contain numbers and are right-aligned."""
     return [
         any(isinstance(row[place], int | float) and not isinstance(row[place], bool) for row in table.rows)
         for place in range(len(table.columns))

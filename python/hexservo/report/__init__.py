@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that needs nothing else."""
+"""The report of a run as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ _AUTHOR = "`hexservo report`"
 
 
 def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Write the report of a run as one HTML file that loads nothing from elsewhere (docs/report.md).
+    """Write the report of a run as one self-contained HTML file (docs/report.md).
 
-    Certificate, analysis and diagnosis are worked out on the way. The same result gives the same bytes.
+    Includes certificate, analysis and diagnosis. The same result gives the same bytes.
 
     Parameters
     ----------
     result
         The run; its outcome does not matter.
     path
-        A name in a folder that exists. The file appears whole or not at all.
+        A name in an existing folder. The file is written completely or not at all.
     force
-        Replace an earlier report; no other file is ever replaced.
+        Replace an earlier report; other files are never replaced.
 
     Raises
     ------
     KeyboardInterrupt
-        On Ctrl-C, also while something runs.
+        On Ctrl-C, also during a simulation.
     TypeError
         For anything but a `Result`.
     OutputError
-        The file exists, is no report, or cannot be written.
+        The file exists, is not a report, or cannot be written.
     """
     from hexservo.report.page import page
     from hexservo.run.result import Result
@@ -54,6 +54,6 @@ def check_report(path: str | os.PathLike[str], *, force: bool = False) -> None:
     Raises
     ------
     OutputError
-        As `write_report`, as far as it can be told without writing anything.
+        As `write_report`, as far as it can be checked without writing.
     """
     check_file(path, TITLE, _AUTHOR, force=force)

@@ -1,4 +1,4 @@
-"""Charts for plotly.js, as plain data: colours are roles ("@blue") that the page turns into those of its scheme."""
+"""Charts for plotly.js, as plain data: colours are roles ("@blue") that the page replaces by those of its scheme."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ Spec: TypeAlias = dict[str, Any]
 
 
 MOST = 700
-"""Samples of one line, about: half of them can be told apart where a chart is widest."""
+"""Approximate number of samples of one line: twice the resolution of the widest chart."""
 
 _MOST_LOOKED_AT = 8000
 
 TOLERANCE = 3e-4
-"""Of the samples that are left out, in parts of what the axis shows: a tenth of a pixel."""
+"""Tolerance for dropped samples, as a fraction of the axis: a tenth of a pixel."""
 
 LINE_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange", "@grey")
 _SYMBOLS = ("circle", "square", "diamond", "cross")
 _DASHES = ("solid", "dash", "dashdot", "dot")
-# Of maps, in both schemes: dark enough everywhere for white contours, lighter from end to end for every eye.
+# Colours of maps in both schemes: dark enough for white contours, with monotone lightness.
 _SCALE = [[0, "#0a1a33"], [0.5, "#1d5a85"], [1, "#4f9c72"]]
 _MAP_COLOURS = ("#ffb000", "#ff86c2", "#8be3ff")
 _LEVEL, _UPRIGHT = 48, 34  # characters of an axis' title in a line, across a phone and up a chart
@@ -57,32 +57,32 @@ _MAX_CELLS = 160  # of a heat map along each side
 
 
 def encoded(values: ArrayLike) -> Spec:
-    """Give numbers as plotly.js reads them fastest: single precision in base64, NaN where there is nothing."""
+    """Return numbers in the fastest format of plotly.js: single precision in base64, NaN for missing ones."""
     array = np.ascontiguousarray(np.where(np.isfinite(values), values, np.nan), dtype="<f4")
     spec = {"dtype": "f4", "bdata": base64.b64encode(array.data).decode("ascii")}
     return spec if array.ndim == 1 else {**spec, "shape": ", ".join(map(str, array.shape))}
 
 
 def label(text: str) -> str:
-    """Give text as plotly.js shows it: it reads a few HTML tags, which are none here."""
+    """Escape text for plotly.js, which interprets a few HTML tags."""
     return escape(text, quote=False)
 
 
 def chart(
     spec: Spec, title: str, *, note: str = "", page: str = "", height: int = 300, wide: bool = True, alt: str = ""
 ) -> Html:
-    """Give a chart with its title above and its note below.
+    """Return a chart with its title above and its note below.
 
     Parameters
     ----------
     page
-        That explains it, such as "docs/model.md".
+        Page that explains it, such as "docs/model.md".
     height
-        Of the chart [px].
+        Height of the chart [px].
     wide
-        Over the whole width; else two stand side by side where there is room.
+        Use the whole width; otherwise two charts are placed side by side if there is room.
     alt
-        What it shows, for those who do not see it.
+        Alternative text for screen readers.
     """
     return element(
         "figure",
@@ -96,7 +96,7 @@ def chart(
 
 
 def explained(page: str) -> Html:
-    """Say which page explains something, if there is one, with a link to it inside the report."""
+    """Return a line with the page that explains an item, if there is one, linked inside the report."""
     if not page:
         return Html()
     name = element("code", page)
@@ -124,7 +124,7 @@ def curves(item: Curves) -> Html:
 
 
 def _logarithmic(values: Sequence[Array]) -> Spec:
-    """Make an axis logarithmic, with names at whole decades, or at 1, 2 and 5 where there are fewer than two."""
+    """Make an axis logarithmic, with labels at whole decades, or at 1, 2 and 5 if there are fewer than two."""
     positive = np.concatenate([part[np.isfinite(part) & (part > 0)] for part in values] or [np.empty(0)])
     decades = math.log10(positive.max() / positive.min()) if len(positive) else 0.0
     if decades < 2:
@@ -172,7 +172,7 @@ def heat_map(item: HeatMap) -> Html:
 
 
 def trace(x: ArrayLike, y: ArrayLike, name: str, line: Mapping[str, Any], **more: Any) -> Spec:
-    """Give one line; plotly.js draws nothing where a number is not finite."""
+    """Return one line; plotly.js leaves gaps at numbers that are not finite."""
     return {
         "type": "scatter",
         "mode": "lines",
@@ -186,10 +186,10 @@ def trace(x: ArrayLike, y: ArrayLike, name: str, line: Mapping[str, Any], **more
 
 
 def needed(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
-    """Give the indices of samples between which straight lines pass all others within a tolerance, the ends included.
+    """Return the samples, by index, between which straight lines approximate all others within a tolerance.
 
-    From each sample that is kept, the cone of slopes that pass all samples so far narrows until a sample is outside;
-    the one before it is kept. All are, where one is not finite or x does not grow.
+    From each kept sample, the cone of slopes through the tolerances of all following samples narrows until a sample
+    is outside; the one before it is kept. The ends are kept; all samples are if one is not finite or x does not grow.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def needed(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
         or (np.diff(x) <= 0).any()
     ):
         return np.arange(count)
-    xs, ys = x.tolist(), y.tolist()  # plain numbers: this loop is no work for arrays
+    xs, ys = x.tolist(), y.tolist()  # plain numbers: this loop cannot be vectorised
     kept = [0]
     start_x, start_y, steepest, flattest = xs[0], ys[0], math.inf, -math.inf
     for index in range(1, count):
@@ -222,7 +222,7 @@ def needed(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
 
 
 def thinned(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
-    """Give the indices of the samples that show a line: those it needs, or the extremes where it needs too many."""
+    """Return the indices of the samples to draw: those needed for a line, or the extremes if these are too many."""
     kept = extremes(y, _MOST_LOOKED_AT)
     kept = kept[needed(x[kept], y[kept], tolerance)]
     return kept[extremes(y[kept], MOST)]
@@ -243,7 +243,7 @@ def _line(line: Line, number: int, colours: Sequence[str] = LINE_COLOURS, *, y_l
 
 
 def _kept(x: Array, y: Array, y_log: bool) -> NDArray[np.intp]:
-    """Thin out each part of a line between its gaps, which stay; on a logarithmic axis, as that shows it."""
+    """Thin out each part of a line between its gaps, which are kept; on a logarithmic axis, in logarithms."""
     if y_log:
         y = np.log10(y, where=y > 0, out=np.full_like(y, np.nan))
     finite = np.isfinite(x) & np.isfinite(y)
@@ -255,13 +255,13 @@ def _kept(x: Array, y: Array, y_log: bool) -> NDArray[np.intp]:
 def _kept_of_part(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
     if not (len(y) and np.isfinite(x[0]) and np.isfinite(y[0])):
         return np.arange(len(y))[:1]  # of a gap
-    if (np.diff(x) <= 0).any():  # it turns back, as a circle does
+    if (np.diff(x) <= 0).any():  # x decreases, as on a circle
         return np.union1d(extremes(x), extremes(y))
     return thinned(x, y, tolerance)
 
 
 def axes(x: str, y: str, **more: Sequence[Any] | Mapping[str, Any]) -> Spec:
-    """Give a layout with two titled axes; long titles are broken into lines."""
+    """Return a layout with two titled axes; long titles are broken into lines."""
     titles = {"xaxis": _folded(x, _LEVEL), "yaxis": _folded(y, _UPRIGHT)}
     return {**{axis: {"title": {"text": title}} for axis, title in titles.items()}, **more}
 

@@ -1,4 +1,4 @@
-"""Pages of the documentation inside a report, so that "Explained in" leads somewhere wherever the file is opened."""
+"""Pages of the documentation inside a report, so that the links "Explained in" always work."""
 
 from __future__ import annotations
 
@@ -44,22 +44,21 @@ def anchor_of(name: str, heading: str = "") -> str:
 
 
 def page_html(name: str, included: Sequence[str]) -> Html:
-    """Render a page as an element that opens when a link leads into it.
+    """Render a page as an element that opens when a link to it is followed.
 
-    Links to pages that are `included` lead to them; those to other files and to the network are plain text, since the
-    report needs neither.
+    Links to pages that are `included` point to them; links to other files and to the network become plain text.
 
     Raises
     ------
     ValueError
-        For a page that there is not.
+        For a page that does not exist.
     """
     from markdown_it import MarkdownIt
 
     text = _text(name)
     if text is None:
         raise ValueError(f"name: expected a page of {_FOLDER}/, got {name!r}")
-    # What looks like HTML in a page is text.
+    # HTML in a page is treated as text.
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
     tokens = renderer.parse(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
     title = name

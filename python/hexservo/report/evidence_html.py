@@ -1,4 +1,4 @@
-"""Findings as HTML: sections with their words, tables, curves and maps, whoever made them."""
+"""Findings as HTML: sections with their sentences, tables, curves and maps."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ __all__ = ["badge", "section_html", "table_html"]
 
 _SHORT = 22  # characters of a cell that is not broken into lines
 _LONG = 60  # characters from which on a cell's column is made wide
-_PHONE = 44  # characters of a row that a phone shows: a wider table is a list of its cells there
+_PHONE = 44  # characters of a row that fit a phone: a wider table becomes a list of its cells there
 
 
 def badge(verdict: str) -> Html:
-    """Give a verdict in words on its colour."""
+    """Return a verdict as text on its colour."""
     return element("span", VERDICTS[verdict], class_=f"badge {verdict}")
 
 
 def section_html(section: Section, anchor: str) -> Html:
-    """Give a section: its title with the verdict, what was found in words, then what shows it."""
+    """Return a section: its title with the verdict, the findings as sentences, then tables and charts."""
     return element(
         "section",
         element("h3", section.title, " ", badge(section.verdict)),
@@ -33,7 +33,7 @@ def section_html(section: Section, anchor: str) -> Html:
 
 
 def table_html(table: Table) -> Html:
-    """Give a table in a box that scrolls by itself where the page is narrow."""
+    """Return a table in a box that scrolls separately on a narrow page."""
     numeric = numeric_columns(table)
     heads = [
         element("th", column.title, *_unit(column), scope="col", class_="number" if is_number else "text")
@@ -81,7 +81,7 @@ def _cells(row: Sequence[Cell], columns: Sequence[Column], numeric: Sequence[boo
 
 
 def page_text(cell: Cell, column: Column) -> str:
-    """Give a cell as a page shows it: with the signs that a terminal may lack."""
+    """Return the text of a cell, with characters that a terminal may lack."""
     text = cell_text(cell, column)
     if isinstance(cell, str):
         return text
@@ -95,7 +95,7 @@ def _kind(text: str, is_number: bool) -> str:
 
 
 def _least_width(table: Table) -> int:
-    """Return the characters that the widest words of all columns take side by side, a long text counted as one."""
+    """Return the sum of the widest words of all columns in characters, a long text counted as one."""
     widths = []
     for place, column in enumerate(table.columns):
         texts = [cell_text(row[place], column) for row in table.rows]

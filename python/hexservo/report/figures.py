@@ -1,4 +1,4 @@
-"""The paper's figures 2 to 5 as charts, from the same samples as `hexservo.draw.plots`; nothing here simulates."""
+"""The paper's figures 2 to 5 as charts, from the same samples as `hexservo.draw.plots`."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _FIRST_SHARE, _GAP = 0.62, 0.025  # of the width: the panel of the transient, an
 
 
 def figures(result: Result) -> list[tuple[str, list[Html]]]:
-    """Give each figure as its heading and its charts; a law without fuzzy systems has no rule table."""
+    """Return each figure as heading and charts; a law without fuzzy systems has no rule table."""
     table = _rule_table(result)
     drawn = [
         *([("Rule table of the fuzzy systems", "2a", [table])] if table is not None else []),
@@ -123,7 +123,7 @@ def _feature_errors(result: Result) -> list[Html]:
         low, high = _range(errors)
         data = _lines(time, errors, _FEATURE_NAMES, _FEATURES, tolerance=TOLERANCE * (high - low))
         within = low >= -band and high <= band
-        note = f"All of it is within ±{band:g} px." if within else f"Shaded: ±{band:g} px."
+        note = f"All values are within ±{band:g} px." if within else f"Shaded: ±{band:g} px."
         layout = axes("time [s]", "feature error [px]", shapes=[] if within else [_band(band)])
         layout["yaxis"]["range"] = [low, high]
         layout["xaxis"]["range"] = _time_range(time)
@@ -252,14 +252,14 @@ def _over_time(
     also: float | None = None,
     note: str = "",
 ) -> Html:
-    """Draw the columns of values over the time, its axis broken where a short transient would be lost in a long run.
+    """Draw the columns of values over time, the axis broken if a short transient would not be visible in a long run.
 
     Parameters
     ----------
     count
-        Samples of a moving mean; above 1 it is drawn over the samples, which then are thin.
+        Samples of a moving mean; above 1 it is drawn over thin lines of the samples.
     also
-        A value that the axis shall hold.
+        A value that the axis must include.
     """
     shown = parts(result)
     if len(shown) == 2 and result.time[shown[0]][-1] > result.time[-1] / 2:
@@ -314,7 +314,7 @@ def _time_range(time: Array) -> list[float]:
 
 
 def _range(values: Array) -> list[float]:
-    """Hold all values with a margin, rounding noise not magnified."""
+    """Return limits with a margin around all values; rounding noise is not magnified."""
     low, high = float(values.min()), float(values.max())
     middle, half = low / 2 + high / 2, max(0.56 * (high - low), 4e-3 * max(abs(low), abs(high)), 1e-4)
     return [middle - half, middle + half]

@@ -1,4 +1,4 @@
-"""HTML from Python: text is escaped unless it is HTML already, so that no name of a scenario can become markup."""
+"""HTML from Python: text is escaped unless it is HTML already, so that scenario names cannot inject markup."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 __all__ = ["TITLE", "Html", "element", "json_script", "paragraphs"]
 
 TITLE = "<!DOCTYPE html><!-- hexservo report, format 1 -->"
-"""First line of every report: what tells it from a file of somebody else."""
+"""First line of every report, which distinguishes it from other files."""
 
 
 class Html(str):
@@ -19,9 +19,9 @@ class Html(str):
 
 
 def element(tag: str, *children: str, **attributes: str | bool) -> Html:
-    """Give an element; children that are not `Html` are escaped, as are all attributes.
+    """Return an element; children that are not `Html` are escaped, as are all attributes.
 
-    ``class_`` stands for class, ``aria_label`` for aria-label and so on; True gives an attribute without a value.
+    ``class_`` means class, ``aria_label`` aria-label and so on; True gives an attribute without a value.
     """
     head = "".join(
         f" {name.rstrip('_').replace('_', '-')}" + ("" if isinstance(value, bool) else f'="{escape(value)}"')
@@ -33,12 +33,12 @@ def element(tag: str, *children: str, **attributes: str | bool) -> Html:
 
 
 def paragraphs(*texts: str) -> Html:
-    """Give one paragraph for each text that is not empty."""
+    """Return one paragraph for each text that is not empty."""
     return Html("".join(element("p", text) for text in texts if text))
 
 
 def json_script(value: Any, **attributes: str) -> Html:
-    """Give plain data inside a script element that does not run; no text in it can end the element."""
+    """Return plain data inside a script element that is not executed; no text in it can close the element."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")

@@ -1,4 +1,4 @@
-"""How results and findings show themselves in a notebook: words, tables and figures as HTML."""
+"""HTML of results and findings for notebooks: sentences, tables and figures."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ __all__ = ["figure_of", "html_of", "image_of"]
 figure_of = comparison_figure
 image_of = image_bytes
 
-_SHOWN_DOTS = 2.0  # dots of a picture for one of the page: sharp on fine screens
+_SHOWN_DOTS = 2.0  # pixels of a figure per pixel of the page: sharp on high-resolution screens
 _STYLE = (
     ".hexservo figure{margin:0.6em 0}.hexservo figcaption{font-weight:600}.hexservo ul{margin:0.3em 0}"
     ".hexservo th,.hexservo td{padding:0.15em 0.8em 0.15em 0;text-align:left;vertical-align:top;white-space:normal}"
@@ -68,21 +68,21 @@ def html_of(shown: object) -> str:
 
 
 def _result_html(result: Result) -> str:
-    """Give a run's summary, metrics and figures 2(b) and 3."""
+    """Return a run's summary, metrics and figures 2(b) and 3."""
     rows = [
         (name, " ".join(readable(name, value)).strip(), METRICS[name][1]) for name, value in metrics(result).items()
     ]
     return _page(
         element("strong", f'Result of "{result.scenario.name}"'),
         _list(summary_sentences(result)),
-        _picture(feature_errors(result), "Feature errors over the time"),
+        _picture(feature_errors(result), "Feature errors over time"),
         _picture(feature_paths(result), "Paths of the features in the image"),
         table_html(Table("Metrics", (Column("metric"), Column("value"), Column("meaning")), rows)),
     )
 
 
 def _batch_html(batch: BatchResult) -> str:
-    """Give a batch's outcomes, the spread of its metrics, and settling time and last error of every run."""
+    """Return a batch's outcomes, the spread of its metrics, and settling time and final error of every run."""
     rows: list[list[Cell]] = []
     for name, values in batch.metrics.items():
         known = values[np.isfinite(values)]
@@ -94,13 +94,13 @@ def _batch_html(batch: BatchResult) -> str:
     return _page(
         element("strong", head),
         _list(line.strip() for line in lines),
-        _picture(batch_figure(batch), "Settling time and last error of every run") if len(batch) else Html(),
+        _picture(batch_figure(batch), "Settling time and final error of every run") if len(batch) else Html(),
         table_html(Table("Metrics", columns, rows)),
     )
 
 
 def _comparison_html(comparison: Comparison) -> str:
-    """Give a comparison's table and its page of pictures."""
+    """Return a comparison's table and its figures."""
     heads = (
         Column("scenario"),
         Column("law"),
@@ -113,8 +113,8 @@ def _comparison_html(comparison: Comparison) -> str:
     ]
     return _page(
         element("strong", comparison_text(comparison).split("\n")[0]),
-        table_html(Table("Laws by scenarios", heads, rows, "!: a leg passed its stroke or force limit.")),
-        _picture(comparison.figure(), "Errors over the time, settling times, residuals and efforts"),
+        table_html(Table("Laws by scenarios", heads, rows, "!: a leg exceeded its stroke or force limit.")),
+        _picture(comparison.figure(), "Errors over time, settling times, residuals and efforts"),
     )
 
 

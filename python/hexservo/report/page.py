@@ -1,4 +1,4 @@
-"""Puts the page together: its parts in order, with style, scripts and plotly.js inside."""
+"""Assembles the page: its parts in order, with style, scripts and plotly.js inside."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["page"]
 
-# The browser itself keeps the page from loading anything, whatever a library tries.
+# The browser itself prevents the page and its libraries from loading anything.
 _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:; "
     "form-action 'none'; base-uri 'none'"
@@ -39,7 +39,7 @@ _WORST_FIRST = ("bad", "warning", "good", "open")  # verdicts, as the summary ha
 
 
 def page(result: Result) -> str:
-    """Give the whole page of a run, beginning with the line that marks it as ours."""
+    """Return the complete page of a run, beginning with the line that identifies reports."""
     name = result.scenario.name
     plotly = _plotly()
     found = [group for group in groups(result) if group.sections or group.refusal]
@@ -70,7 +70,7 @@ def page(result: Result) -> str:
         element("nav", element("ul", *contents), aria_label="Contents"),
         element(
             "noscript",
-            element("p", "Charts need JavaScript, which is off; the rest of the page does not."),
+            element("p", "JavaScript is off: there are no charts."),
         ),
         element("main", *[_part(*part) for part in parts]),
         element("script", Html(plotly)),
@@ -88,7 +88,7 @@ def _lead(result: Result) -> list[Html]:
 
 
 def _summary(result: Result, found: list[Group]) -> Html:
-    """Say it in words: the run, then each section's verdict and most important finding, the worst verdicts first."""
+    """Summarise the run, then each section's verdict and most important finding, the worst verdicts first."""
     sections = [(group, section) for group in found for section in group.sections]
     sections.sort(key=lambda pair: (_WORST_FIRST.index(pair[1].verdict), pair[0].source.name != "diagnose"))
     rows = [
@@ -98,7 +98,7 @@ def _summary(result: Result, found: list[Group]) -> Html:
             " ",
             element("a", section.title, href=f"#{_anchor(group, section)}"),
             ": ",
-            section.sentences[0] if section.sentences else "nothing to say",
+            section.sentences[0] if section.sentences else "no findings",
         )
         for group, section in sections
     ]
@@ -123,7 +123,7 @@ def _figures(result: Result) -> Html:
 
 
 def _space(seen: Scene) -> Html:
-    """Give the view in space, its slider, and the still picture that stands in for it."""
+    """Return the view in space, its slider, and the still picture that replaces it."""
     last = str(len(seen.time) - 1)
     controls = element(
         "div",
@@ -134,22 +134,22 @@ def _space(seen: Scene) -> Html:
     )
     targets = "Coloured rays end at the targets." if seen.targets is not None else "This plant has no targets in space."
     words = (
-        "Grey: base and legs. Blue: platform. Before the camera, in the middle of the platform, stands its image: "
+        "Grey: base and legs. Blue: platform. In front of the camera, at the centre of the platform, is its image: "
         f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B points down; the "
         "view is upright. "
     )
     width, height = 2 * np.abs(seen.corners[:, :2]).max(axis=0) * seen.pixels_per_metre
     image = element(
         "div",
-        element("p", f"What the camera sees ({width:.4g} x {height:.4g} px, y up)"),
-        Html('<svg id="image" role="img" aria-label="The image at the chosen instant"></svg>'),
+        element("p", f"Camera image ({width:.4g} x {height:.4g} px, y up)"),
+        Html('<svg id="image" role="img" aria-label="The image at the selected instant"></svg>'),
         class_="image",
     )
     return element(
         "figure",
         element(
             "div",
-            element("div", id="webgl", role="img", aria_label="Movable view of the machine in space"),
+            element("div", id="webgl", role="img", aria_label="Interactive view of the machine in space"),
             image,
             class_="side",
         ),
@@ -164,7 +164,7 @@ def _space(seen: Scene) -> Html:
 
 def _group(group: Group) -> Html:
     if group.refusal:
-        return paragraphs(group.source.introduction, f"It could not be made for this run: {group.refusal}")
+        return paragraphs(group.source.introduction, f"Not available for this run: {group.refusal}")
     sections = [section_html(section, _anchor(group, section)) for section in group.sections]
     return Html(paragraphs(group.source.introduction) + "".join(sections))
 
@@ -179,7 +179,7 @@ def _metrics(result: Result) -> Html:
         for name, value in metrics(result).items()
     ]
     columns = (Column("metric"), Column("value"), Column("meaning"))
-    return table_html(Table("Measured at every step of the run", columns, rows, page=_METRICS_PAGE))
+    return table_html(Table("Computed at every step of the run", columns, rows, page=_METRICS_PAGE))
 
 
 def _scenario(result: Result) -> Html:
@@ -188,7 +188,7 @@ def _scenario(result: Result) -> Html:
     if cut > 0:
         text = text[:_MAX_SCENARIO]
     return Html(
-        paragraphs("With every key resolved; saved as a file, it runs again with hexservo run FILE.")
+        paragraphs("Every key is resolved. Save it as a file and run it with hexservo run FILE.")
         + element("pre", element("code", text), tabindex="0", aria_label="Scenario as YAML")
         + paragraphs(f"{cut} more characters are left out here." if cut > 0 else "")
     )
@@ -202,11 +202,11 @@ def _versions(result: Result, plotly: str) -> Html:
 
 
 def _documentation(found: list[Group]) -> Html:
-    """Give the pages that explain what is shown, closed until a link leads into one."""
+    """Return the pages that explain the report, collapsed until a link to one is followed."""
     named = [item.page for group in found for section in group.sections for item in section.items]
     names = [name for name in dict.fromkeys([*named, _METRICS_PAGE]) if is_page(name)]
     return Html(
-        paragraphs("The pages of the documentation that this report refers to, of the version that wrote it.")
+        paragraphs("Pages of the documentation that this report refers to, in the version that wrote it.")
         + "".join(page_html(name, names) for name in names)
     )
 
@@ -219,7 +219,7 @@ def _asset(name: str) -> str:
 
 
 def _plotly() -> str:
-    """Give plotly.js as the package plotly brings it, which is not imported: that takes longer than the page."""
+    """Return plotly.js from the package plotly, without importing it, which would take longer than the page."""
     package = find_spec("plotly")
     script = Path(package.origin or "").parent / "package_data" / "plotly.min.js" if package else Path()
     if script.is_file():

@@ -27,15 +27,15 @@ _WIDEST = 1.0  # half width of the drawn image, in parts of its distance: featur
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Places in B [m], but for those of the image plane, which are in E [m]."""
+    """Positions in B [m], except for those of the image plane, which are in E [m]."""
 
     time: Array  # (k,) [s]
     position: Array  # (k, 3), of E's origin, the camera
-    rotation: Array  # (k, 3, 3), turns E-coordinates into B-coordinates
+    rotation: Array  # (k, 3, 3), transforms E-coordinates into B-coordinates
     joints: Array  # (k, 6, 3), of the platform
     base: Array  # (6, 3), joints of the base
     targets: Array | None  # (4, 3); None where the plant has no points
-    corners: Array  # (4, 3) in E, of the image plane, in the order of a walk round it
+    corners: Array  # (4, 3) in E, of the image plane, in cyclic order
     image: Array  # (k, 4, 3) in E, features on the image plane; NaN beyond its widest
     goals: Array  # (4, 3) in E
     displacement: Array  # (k, 3) [m], from home
@@ -44,11 +44,11 @@ class Scene:
     pixels_per_metre: float  # of the image plane
 
     def placed(self, frame: int, points: Array) -> Array:
-        """Give points of E, (..., 3), in B at an instant."""
+        """Return points of E, (..., 3), in B at an instant."""
         return np.asarray(self.position[frame] + points @ self.rotation[frame].T)
 
     def box(self) -> tuple[Array, Array]:
-        """Give the smallest and the largest coordinates of all that is drawn, (3,) each."""
+        """Return the smallest and the largest coordinates of all drawn points, (3,) each."""
         plane = np.concatenate([self.placed(frame, self.corners) for frame in range(len(self.time))])
         everything = [self.base, self.joints.reshape(-1, 3), self.position, plane]
         everything += [] if self.targets is None else [self.targets]
@@ -56,7 +56,7 @@ class Scene:
         return places.min(axis=0), places.max(axis=0)
 
     def to_plain(self) -> dict[str, Any]:
-        """Give what the page's script needs."""
+        """Return the data for the page's script."""
         low, high = self.box()
         middle, half = (low + high) / 2, 0.54 * (high - low) + 0.005
         return {
@@ -78,7 +78,7 @@ class Scene:
 
 
 def scene(result: Result) -> Scene:
-    """Choose the instants of a run that the view shows, and give what is where; more of them while it moves."""
+    """Select the instants of a run for the view, more of them during the transient, and compute all positions."""
     settings = core_parameters(result.scenario)
     hexapod = _core.Hexapod(settings.robot)
     chosen = _instants(result)
@@ -112,7 +112,7 @@ def scene(result: Result) -> Scene:
 
 
 def _instants(result: Result) -> NDArray[np.intp]:
-    """Choose samples evenly within the transient and, more sparsely, within the rest."""
+    """Select samples uniformly within the transient and, more sparsely, within the rest."""
     chosen = [
         np.linspace(part.start, part.stop - 1, min(count, part.stop - part.start)).round().astype(np.intp)
         for part, count in zip(parts(result), _FRAMES, strict=False)
@@ -121,31 +121,31 @@ def _instants(result: Result) -> NDArray[np.intp]:
 
 
 def _platform_joints(hexapod: _core.Hexapod, position: Array, quaternion: Array) -> Array:
-    """Follow each leg from the base: its length along its direction, which is a column of the wrench map's forces."""
+    """Compute the platform joints: from the base, the leg length along the leg direction in the wrench map."""
     directions = np.asarray(hexapod.wrench_map(position, quaternion))[:3]
     return np.asarray(hexapod.base_joints + (directions * hexapod.leg_lengths(position, quaternion)).T)
 
 
 def _rotation(hexapod: _core.Hexapod, position: Array, joints: Array) -> Array:
-    """Find how E is turned from where the core puts the platform's joints, which lie in E's plane of x and y."""
+    """Compute the attitude of E from the platform joints of the core, which lie in the xy plane of E."""
     across, *_ = np.linalg.lstsq(np.asarray(hexapod.platform_joints)[:, :2], joints - position, rcond=None)
     return np.column_stack([across[0], across[1], np.cross(across[0], across[1])])
 
 
 def _on_plane(points: Array, distance: float) -> Array:
-    """Put points (..., 2) [m] on the image plane, which is drawn before the camera: it looks along -z of E."""
+    """Place points (..., 2) [m] on the image plane, drawn in front of the camera, which looks along -z of E."""
     return np.concatenate([points, np.full((*points.shape[:-1], 1), -distance)], axis=-1)
 
 
 def _targets(result: Result, focal: float, rotation: Array) -> Array:
-    """Find the four points that the first sample sees: as far along each ray as their depth says."""
+    """Compute the four target points from the features and depths of the first sample."""
     depth = np.abs(result.depth[0])[:, None]
     rays = np.column_stack([result.features[0].reshape(4, 2) / focal, np.full(4, -1.0)])
     return np.asarray(result.position[0] + depth * rays @ rotation.T)
 
 
 def _half_size(result: Result, features: Array, goals: Array) -> Array:
-    """Give half the size of the image that is drawn [px], (2,): the sensor's, or what holds all features."""
+    """Return half the size of the drawn image [px], (2,): the sensor's, or one that contains all features."""
     size = result.scenario.camera.image_size
     if size is not None:
         return np.asarray(size, dtype=float) / 2

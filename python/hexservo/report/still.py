@@ -1,4 +1,4 @@
-"""The machine in space as a still picture: lines and text that need neither WebGL nor a script."""
+"""The machine in space as a still picture: lines and text, without WebGL and scripts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hexservo.scenario.arrays import Array
 __all__ = ["VIEW", "still"]
 
 VIEW = (1.42, -1.75, 1.15)
-"""From where the machine is seen, in the upright frame (x, -y, -z) of B; the page's script begins there too."""
+"""Viewpoint in the upright frame (x, -y, -z) of B; also the initial one of the page's script."""
 
 _HEIGHT = 560.0  # of the picture
 _MARGIN = 26.0

@@ -54,7 +54,7 @@ class BenchmarkError(RuntimeError):
 class Plan:
     """How long to measure."""
 
-    ticks: int = 1_000_000  # of law `hybrid`, one after another
+    ticks: int = 1_000_000  # of law `hybrid`, free-running
     seconds: float = 3.0  # of every rate
     realtime: bool = False  # ask for SCHED_FIFO and locked memory
     rounds: int = 9  # of the rates

@@ -59,14 +59,14 @@ class ComparisonRow:
 
     @property
     def passed_limits(self) -> tuple[str, ...]:
-        """Which limits of the legs were passed on the way: "stroke", "force"."""
+        """The limits of the legs that were exceeded: "stroke", "force"."""
         robot = self.scenario.robot
         peaks = {"stroke": ("peak_leg_excursion", robot.stroke), "force": ("peak_leg_force", robot.force_limit)}
         return tuple(what for what, (name, limit) in peaks.items() if self.metrics.get(name, math.nan) > limit)
 
     @property
     def why(self) -> str:
-        """One sentence: what the verdict rests on, and the limits that were passed."""
+        """One sentence: the reason of the verdict, and the exceeded limits."""
         measured = self.scenario.metrics
         if self.outcome != "completed":
             sentence = self.detail
@@ -75,11 +75,11 @@ class ComparisonRow:
         elif self.metrics["final_error"] <= measured.band:
             sentence = f"within {measured.band:g} px at the end, but for less than {measured.dwell:g} s"
         else:
-            sentence = f"{self.metrics['final_error']:.4g} px off at the end, above {measured.band:g} px"
+            sentence = f"{self.metrics['final_error']:.4g} px from the goal at the end, above {measured.band:g} px"
         robot = self.scenario.robot
         excess = {
-            "stroke": f"a leg passed its stroke of {robot.stroke * 1e3:.4g} mm",
-            "force": f"a leg passed its force limit of {robot.force_limit:.4g} N",
+            "stroke": f"a leg exceeded its stroke of {robot.stroke * 1e3:.4g} mm",
+            "force": f"a leg exceeded its force limit of {robot.force_limit:.4g} N",
         }
         return "; ".join([sentence, *(excess[what] for what in self.passed_limits)])
 
@@ -156,7 +156,7 @@ class Comparison:
         raise KeyError(f'law, scenario: expected a pair that was compared, got "{law}", "{scenario}"')
 
     def to_markdown(self) -> str:
-        """Give the table for people as Markdown; an exclamation mark follows what passed a limit of the legs."""
+        """Give the table for people as Markdown; an exclamation mark follows values beyond a limit of the legs."""
         head = ["scenario", "law", "verdict", *(f"{column.head} [{column.unit}]" for column in COLUMNS), "why"]
         lines = [head, ["---", "---", "---", *("---:" for _ in COLUMNS), "---"]]
         lines += [
@@ -188,7 +188,7 @@ class Comparison:
         return text.getvalue()
 
     def figure(self) -> Figure:
-        """Draw the page of pictures: errors over the time, settling times, residuals and efforts."""
+        """Draw errors over time, settling times, residuals and efforts."""
         return figure_of(self)
 
     def write(self, folder: str | os.PathLike[str], *, force: bool = False) -> Path:
@@ -217,7 +217,7 @@ class Comparison:
 
 
 def shown(row: ComparisonRow, column: MetricColumn) -> str:
-    """Write one number of the table; "-" where there is none, "!" where it passed a limit."""
+    """Write one number of the table; "-" where there is none, "!" if it exceeds a limit."""
     value = row.metrics.get(column.metric, math.nan) * column.scale
     if math.isnan(value):
         return "never" if column.metric == "settling_time" and row.outcome == "completed" else "-"

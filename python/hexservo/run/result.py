@@ -57,11 +57,11 @@ QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
 
 @dataclass(frozen=True)
 class LimitEvent:
-    """A leg that passed one of its limits; continuous runs report this and go on."""
+    """A leg beyond one of its limits; continuous runs report this and continue."""
 
     kind: LimitKind
     leg: int  # 1 to 6; column leg - 1 of the arrays
-    time: float  # when it first passed the limit [s]
+    time: float  # when it first exceeded the limit [s]
     peak: float  # largest |length - home length| [m] or |force| [N] of the run
     limit: float  # [m] or [N]
 
@@ -69,7 +69,7 @@ class LimitEvent:
         """Say it in a sentence."""
         scale, unit, what = (1e3, "mm", "its stroke") if self.kind == "stroke" else (1.0, "N", "its force limit")
         return (
-            f"leg {self.leg} passed {what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s "
+            f"leg {self.leg} exceeded {what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s "
             f"(peak {self.peak * scale:.4g} {unit})"
         )
 
@@ -86,7 +86,7 @@ class Result:
     outcome: Outcome
     end_time: float  # time of the last good sample [s]
     detail: str  # one sentence: how the run ended
-    events: tuple[LimitEvent, ...]  # limits passed on the way, by time
+    events: tuple[LimitEvent, ...]  # exceeded limits, by time
     time: Array  # (n,) [s]
     feature_error: Array  # (n, 8) [px], desired minus true (x1, y1, ..., x4, y4)
     depth: Array  # (n, 4) [m], true Z of the points in E, negative in front of the camera
