@@ -188,7 +188,7 @@ def test_events_read_as_sentences() -> None:
     stroke = hs.LimitEvent("stroke", 3, 0.25, 0.0183, 0.017)
     force = hs.LimitEvent("force", 6, 1.0, 1.25, 1.0)
     assert str(stroke) == "leg 3 exceeded its stroke of 17 mm at t = 0.25 s (peak 18.3 mm)"
-    assert str(force) == "leg 6 passed its force limit of 1 N at t = 1 s (peak 1.25 N)"
+    assert str(force) == "leg 6 exceeded its force limit of 1 N at t = 1 s (peak 1.25 N)"
 
 
 # ---- The dataset ----------------------------------------------------------------------------------------------------
