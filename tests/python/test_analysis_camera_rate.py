@@ -20,13 +20,13 @@ from hexservo.findings.analysis.linear_law import linear_law, linear_plant, rest
 from hexservo.findings.analysis.linear_loop import BORDER, Actuation, Clock, SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import (
     LoopAtRest,
+    at_rest_at_home,
     clock_of,
     growth,
     loop_at_rest,
     loop_with_weights,
     quiet,
     scaled,
-    seen_from_home,
 )
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.evidence import HeatMap, Table, as_data
@@ -357,7 +357,7 @@ def test_weights_along_their_basis_add_no_stiffness() -> None:
 def test_scaled_multiplies_what_answers_to_a_displacement_and_nothing_else(law: str) -> None:
     """Kp, kt, drive or gain times 1.7: so is the answer to a displacement, and what it teaches; the damping stays."""
     scenario = hs.load_scenario("slow-camera").updated({"controller.law": law})
-    home = seen_from_home(loop_at_rest(scenario))
+    home = at_rest_at_home(loop_at_rest(scenario))
     _, one = rest_and_law(home)
     _, more = rest_and_law(scaled(home, 1.7))
     for name, factor in [
@@ -393,7 +393,7 @@ def test_the_linear_plant_is_newton_and_euler() -> None:
 
 
 def at_home(scenario: hs.Scenario) -> tuple[hs.Scenario, LoopAtRest, Clock]:
-    home = seen_from_home(loop_at_rest(scenario))
+    home = at_rest_at_home(loop_at_rest(scenario))
     return home, loop_at_rest(home), clock_of(home)
 
 
@@ -554,7 +554,7 @@ def variation(random: np.random.Generator) -> hs.Scenario:
 
 def comes_to_rest(scenario: hs.Scenario, random: np.random.Generator, offset: float) -> bool | None:
     """Run 30 s from beside the goal, another way and size than the analysis: None where it is still on its way."""
-    home = seen_from_home(loop_at_rest(scenario))
+    home = at_rest_at_home(loop_at_rest(scenario))
     scene = scene_of(home)
     view = scene.view(scene.home)
     shift = view.jacobian @ (random.normal(size=6) * scene.unit)

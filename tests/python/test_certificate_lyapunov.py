@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo.findings.certificate.lyapunov import Lyapunov, differentiate
 from hexservo.findings.certificate.replay import Plant, replay
-from hexservo.findings.certificate.uncertainty import Assumption, Uncertainty, uncertainty_of
+from hexservo.findings.certificate.uncertainty import Assumption, DeltaTau, uncertainty_of
 from hexservo.findings.evidence import Curves, Table
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def parts_of(scenario: hs.Scenario) -> tuple[Lyapunov, Assumption]:
     return certificate.lyapunov, certificate.assumption
 
 
-def uncertainty(scenario: hs.Scenario) -> tuple[hs.Result, Uncertainty]:
+def uncertainty(scenario: hs.Scenario) -> tuple[hs.Result, DeltaTau]:
     result = hs.simulate(scenario)
     run = replay(result)
     return result, uncertainty_of(run, Plant.of(run.probe))

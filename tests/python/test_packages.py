@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import subprocess
+import sys
+from collections import Counter
+
 import pytest
 
+import hexservo as hs
 from packages import PACKAGES, PICTURE, SOURCES, Import, imports, module_name, package_of, picture
 
 MOST_LINES = 500
@@ -81,6 +87,79 @@ def test_module_names_have_no_underscore_in_front(package: str) -> None:
 def test_no_long_files() -> None:
     lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES.rglob("*.py")}
     assert {path.relative_to(SOURCES).as_posix(): n for path, n in lengths.items() if n > MOST_LINES} == {}
+
+
+def test_no_two_classes_of_one_name() -> None:
+    """But for the blocks of a scenario, which are named after their keys."""
+    names = Counter(
+        node.name
+        for path in SOURCES.rglob("*.py")
+        if path.name not in ("blocks.py", "laws.py") or path.parent.name != "scenario"
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert {name for name, count in names.items() if count > 1} == set()
+
+
+def test_public_names_are_listed_once_and_there() -> None:
+    """The names that `hexservo` lists, imports for type checkers, and imports when they are used are the same."""
+    tree = ast.parse((SOURCES / "__init__.py").read_text(encoding="utf-8"))
+    typed = {(each.source, each.name) for each in IMPORTS if each.module == "" and each.for_types}
+    table = ast.literal_eval(
+        next(
+            node.value
+            for node in tree.body
+            if isinstance(node, ast.Assign)
+            and isinstance(node.targets[0], ast.Name)
+            and node.targets[0].id == "_MODULES"
+        )
+    )
+    assert typed == {(module, name) for module, names in table.items() for name in names} | {("plots", "")}
+    assert set(hs.__all__) == {name for _, name in typed if name} | {"plots", "__version__"}
+    assert all(getattr(hs, name) is not None for name in hs.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        hs.simulat  # noqa: B018
+
+
+def test_importing_hexservo_imports_nothing_heavy() -> None:
+    heavy = ("numpy", "pydantic", "scipy", "matplotlib", "xarray", "pandas", "typer", "yaml")
+    program = f"import sys, hexservo; print([name for name in {heavy} if name in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout == "[]\n"
+
+
+# The process sends itself SIGINT when a module is first looked for: every moment is met exactly.
+INTERRUPTED_AT = """
+import os, signal, sys
+WANTED = sys.argv[1]
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == WANTED:
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+from hexservo.cli import main
+sys.argv = ["hexservo", "version"]
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    "module", ["hexservo.cli.commands", "typer", "hexservo.cli.evidence", "hexservo.scenario.laws", "numpy", "pydantic"]
+)
+def test_ctrl_c_while_the_command_line_is_imported(module: str) -> None:
+    for _ in range(3):
+        run = subprocess.run(
+            [sys.executable, "-c", INTERRUPTED_AT, module], capture_output=True, text=True, check=False
+        )
+        assert (run.returncode, run.stdout, run.stderr) == (130, "", "Interrupted\n")
+
+
+def test_ctrl_c_that_the_caller_ignores_stays_ignored() -> None:
+    program = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n" + INTERRUPTED_AT
+    run = subprocess.run([sys.executable, "-c", program, "typer"], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.startswith(f"hexservo:  {hs.__version__}")
 
 
 def test_the_picture_is_that_of_the_sources() -> None:

@@ -16,7 +16,7 @@ from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import badge, section_html, table_html
 from hexservo.report.figures import figures
 from hexservo.report.html import TITLE, Html, element, json_script, paragraphs
-from hexservo.report.scene import Scene, scene
+from hexservo.report.scene import SpaceView, scene
 from hexservo.report.still import VIEW, still
 from hexservo.run.machine import versions
 from hexservo.run.metrics import METRICS, metrics, readable
@@ -122,7 +122,7 @@ def _figures(result: Result) -> Html:
     )
 
 
-def _space(seen: Scene) -> Html:
+def _space(seen: SpaceView) -> Html:
     """Return the view in space, its slider, and the still picture that replaces it."""
     last = str(len(seen.time) - 1)
     controls = element(

@@ -17,7 +17,7 @@ from hexservo.scenario.parameters import core_parameters
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["Scene", "scene"]
+__all__ = ["SpaceView", "scene"]
 
 _FRAMES = (150, 60)  # most instants of the transient, and of the rest
 _IMAGE_DISTANCE = 0.4  # of the drawn image plane from the camera, in parts of the targets' depth
@@ -26,7 +26,7 @@ _WIDEST = 1.0  # half width of the drawn image, in parts of its distance: featur
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class SpaceView:
     """Positions in B [m], except for those of the image plane, which are in E [m]."""
 
     time: Array  # (k,) [s]
@@ -77,7 +77,7 @@ class Scene:
         }
 
 
-def scene(result: Result) -> Scene:
+def scene(result: Result) -> SpaceView:
     """Select the instants of a run for the view, more of them during the transient, and compute all positions."""
     settings = core_parameters(result.scenario)
     hexapod = _core.Hexapod(settings.robot)
@@ -94,7 +94,7 @@ def scene(result: Result) -> Scene:
     image = _on_plane(features * pixel, distance)
     image[np.abs(image[..., :2]).max(axis=-1) > _WIDEST * distance] = np.nan
     has_points = settings.convention == _core.CameraConvention.eye_in_hand
-    return Scene(
+    return SpaceView(
         time=result.time[chosen],
         position=position,
         rotation=rotation,

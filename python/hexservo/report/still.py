@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from hexservo.report.html import Html, element
-from hexservo.report.scene import Scene
+from hexservo.report.scene import SpaceView
 from hexservo.scenario.arrays import Array
 
 __all__ = ["VIEW", "still"]
@@ -20,7 +20,7 @@ _MARGIN = 26.0
 _POINTS = ("blue", "vermilion", "green", "black")
 
 
-def still(scene: Scene) -> Html:
+def still(scene: SpaceView) -> Html:
     """Draw the end of the run, with the paths of the features on the image plane up to there."""
     last = len(scene.time) - 1
     joints, camera = scene.joints[last], scene.position[last]

@@ -32,7 +32,7 @@ from hexservo.scenario.rules import (
     Flag,
     Inertia,
     Integer,
-    Line,
+    LineRule,
     Matrix,
     Name,
     OptionalNumber,
@@ -276,7 +276,7 @@ class Blocks(Block):
     """All keys of a scenario, block by block, before it is known whether they fit one another."""
 
     name: Annotated[str, Name()]
-    description: Annotated[str, Line()] = ""  # what it shows, for lists
+    description: Annotated[str, LineRule()] = ""  # what it shows, for lists
     seed: Annotated[int, Integer(0, 2**64 - 1), SAMPLED] = 0  # of everything random
     robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": _DEFAULT_PRESET}))
     camera: Camera = Field(default_factory=Camera)

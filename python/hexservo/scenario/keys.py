@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from hexservo.scenario.block import SAMPLED, SAMPLED_MODE
 from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.rules import ArrayRule, Inertia, Integer, Number, Rule, Table
+from hexservo.scenario.rules import ArrayRule, Inertia, Integer, Number, Rule, TableRule
 
 __all__ = [
     "NumericKey",
@@ -86,7 +86,7 @@ def numeric_keys(law: str) -> dict[str, NumericKey]:
             keys[path] = NumericKey(((), rule.shape) if rule.or_number else (rule.shape,), rule.element)
         elif isinstance(rule, Inertia):
             keys[path] = NumericKey(((3,), (3, 3)), Number(), symmetric=True)
-        elif isinstance(rule, Table):
+        elif isinstance(rule, TableRule):
             keys[path] = NumericKey(((7, 7),), Number())
     return keys
 

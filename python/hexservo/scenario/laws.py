@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from hexservo import _core
 from hexservo.scenario.block import NOT_NEGATIVE, POSITIVE, SAMPLED, Block, PositiveNumber
-from hexservo.scenario.rules import ArrayRule, Choice, Flag, Matrix, Number, Table, Vector, collapsed, map_lists
+from hexservo.scenario.rules import ArrayRule, Choice, Flag, Matrix, Number, TableRule, Vector, collapsed, map_lists
 
 __all__ = [
     "LAWS",
@@ -78,7 +78,7 @@ class Fuzzy(Block):
         default_factory=lambda: collapsed(_core.FuzzyGains().initial_scale)
     )
     # rows by the first input, columns by the second, NB to PB; terms stand for -1, -2/3, ..., 1
-    table: Annotated[Literal["linear"] | Matrix, Table()] = "linear"
+    table: Annotated[Literal["linear"] | Matrix, TableRule()] = "linear"
     bell_width: PositiveNumber = Field(default_factory=lambda: _core.FuzzyGains().bell_width)  # null: exactly 1/6
     bell_slope: Annotated[float, Number(above=0, at_most=16)] = Field(
         default_factory=lambda: _core.FuzzyGains().bell_slope

@@ -164,7 +164,7 @@ class Inertia(Rule):
 
 
 @dataclass(frozen=True)
-class Table(Rule):
+class TableRule(Rule):
     """A rule table: rows by the first input, columns by the second, from NB to PB; entries are output terms."""
 
     @property
@@ -327,7 +327,7 @@ class Name(Rule):
 
 
 @dataclass(frozen=True)
-class Line(Rule):
+class LineRule(Rule):
     @property
     def expected(self) -> str:
         return "one line of at most 200 printable characters"

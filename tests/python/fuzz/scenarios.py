@@ -210,7 +210,7 @@ def _value(random: Generator, key: str, current: Any) -> Any:
         return _array(random, rule, current)
     if isinstance(rule, kinds.Inertia):
         return _inertia(random, 10.0 ** random.uniform(-7, 1) if random.random() < 0.3 else 3e-4)
-    if isinstance(rule, kinds.Table):
+    if isinstance(rule, kinds.TableRule):
         table = random.uniform(-1, 1, (7, 7)).tolist()
         return _one(random, ["linear", table, np.full((7, 7), _one(random, ["NB", "ZE", "PB"])).tolist()])
     if isinstance(rule, kinds.Integer):
@@ -223,7 +223,7 @@ def _value(random: Generator, key: str, current: Any) -> Any:
         return _one(random, [True, rule.name])
     if isinstance(rule, kinds.Name):
         return _one(random, TEXTS)
-    if isinstance(rule, kinds.Line):
+    if isinstance(rule, kinds.LineRule):
         return _one(random, LINES)
     raise NotImplementedError(f"the fuzzer knows no values of a {type(rule).__name__}")
 

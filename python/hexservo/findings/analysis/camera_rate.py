@@ -27,12 +27,12 @@ from hexservo.findings.analysis.loop_of_scenario import (
     OFFSET,
     LoopAtRest,
     NotApplicableError,
+    at_rest_at_home,
     clock_of,
     growth,
     loop_at_rest,
     loop_with_weights,
     scaled,
-    seen_from_home,
 )
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section
@@ -40,7 +40,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["CameraRate", "Run", "analyse"]
+__all__ = ["BorderRun", "CameraRate", "analyse"]
 
 NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
@@ -50,7 +50,7 @@ SMALL_OFFSET = 1e-6
 
 
 @dataclass(frozen=True)
-class Run:
+class BorderRun:
     """A run by the core beside a border, against the linear loop."""
 
     key: Literal["gain", "latency", "period"]
@@ -81,7 +81,7 @@ class CameraRate(Findings):
     periods: Array | None = None  # (m,) of the map [s]
     latencies: Array | None = None  # (k,) [s]
     radii: Array | None = None  # (k, m) spectral radius over one camera period, without drifts
-    runs: tuple[Run, ...] = ()
+    runs: tuple[BorderRun, ...] = ()
     starts: tuple[StartRun, ...] = ()  # from small starts; empty where the core refuses them
     stroke: dict[Literal["period", "latency"], StrokeBorder] = field(default_factory=dict)  # of the task
 
@@ -116,9 +116,9 @@ class CameraRate(Findings):
 
 
 # --- the check by simulation ------------------------------------------------------------------------------------------
-def _check(at_rest: LoopAtRest, found: Margins) -> tuple[Run, ...]:
+def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
     """Run the loop just inside and just outside of its border: by gain where it has one, else by latency or period."""
-    home = seen_from_home(at_rest)
+    home = at_rest_at_home(at_rest)
     loop = loop_at_rest(home).free
     clock, tick = clock_of(home), home.simulation.step
     drifts = found.drifts
@@ -166,7 +166,7 @@ class _Place:
 
 def _run(
     place: _Place, exponent: complex, drifts: int, offsets: tuple[float, ...] = (OFFSET, SMALL_OFFSET)
-) -> Run | None:
+) -> BorderRun | None:
     """Measure the growth of a mode from the first offset [px] that tells its sign; None where no run shows it."""
     seconds = place.loop.seconds(place.clock)
     predicted, turning = exponent.real, abs(exponent.imag)
@@ -197,7 +197,7 @@ def _run(
             break
     if np.isnan(measured):
         return None
-    return Run(place.key, place.value, predicted, measured, offset, NEARLY)
+    return BorderRun(place.key, place.value, predicted, measured, offset, NEARLY)
 
 
 def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
@@ -244,7 +244,7 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
 
 def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
     try:
-        return start_runs(seen_from_home(at_rest))
+        return start_runs(at_rest_at_home(at_rest))
     except ScenarioError:  # the core refuses an image of rest as a goal
         return ()
 

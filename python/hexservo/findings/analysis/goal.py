@@ -11,7 +11,7 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View
 from hexservo.scenario.arrays import Array
 
-__all__ = ["SHOWN", "TOLERANCE", "Goal", "Goals", "find_goals", "limited", "nearest_images"]
+__all__ = ["SHOWN", "TOLERANCE", "GoalPose", "Goals", "find_goals", "limited", "nearest_images"]
 
 SHOWN = 1e-6  # [px], an image this close to the goal is the goal
 TOLERANCE = 0.1  # [px], how far the nearest pose may leave a feature from what the best pose reaches
@@ -21,7 +21,7 @@ _UNSEEN = 1e5  # [px], stands for the image of a pose that has a point behind th
 
 
 @dataclass(frozen=True, eq=False)
-class Goal:
+class GoalPose:
     """A pose that shows the goal image, or is as close to it as any near it."""
 
     view: View
@@ -39,10 +39,10 @@ class Goals:
     """The pose of least image error, and the one nearest to home whose image error is hardly larger."""
 
     scene: Scene
-    best: Goal
+    best: GoalPose
 
     @cached_property
-    def nearest(self) -> Goal:
+    def nearest(self) -> GoalPose:
         """The pose nearest to home that leaves no feature more than `TOLERANCE` further off than `best` leaves one."""
         return _nearest(self.scene, self.best)
 
@@ -129,7 +129,7 @@ def limited(step: Array) -> Array:
     return np.asarray(step * np.minimum(1.0, _STEP / longest))
 
 
-def _nearest(scene: Scene, best: Goal) -> Goal:
+def _nearest(scene: Scene, best: GoalPose) -> GoalPose:
     """Minimise the way from home under the tolerance: sequential quadratic programs from `best`."""
     from scipy.optimize import minimize
 
@@ -166,9 +166,9 @@ def _nearest(scene: Scene, best: Goal) -> Goal:
     return nearest if kept else best
 
 
-def _goal(scene: Scene, pose: Poses) -> Goal:
+def _goal(scene: Scene, pose: Poses) -> GoalPose:
     view = scene.view(pose)
-    return Goal(view, pose.displacement_from(scene.home), scene.desired - view.features)
+    return GoalPose(view, pose.displacement_from(scene.home), scene.desired - view.features)
 
 
 def _turn_rate(turn: Array) -> Array:

@@ -28,13 +28,13 @@ from hexservo.scenario.yaml import ScenarioError
 __all__ = [
     "LoopAtRest",
     "NotApplicableError",
+    "at_rest_at_home",
     "clock_of",
     "growth",
     "loop_at_rest",
     "loop_with_weights",
     "quiet",
     "scaled",
-    "seen_from_home",
 ]
 
 OFFSET = 0.01
@@ -219,7 +219,7 @@ def scaled(scenario: Scenario, factor: float) -> Scenario:
     return scenario.updated(changes)
 
 
-def seen_from_home(at_rest: LoopAtRest) -> Scenario:
+def at_rest_at_home(at_rest: LoopAtRest) -> Scenario:
     """Give the same loop with its pose of rest at home, where every run starts: the image there is the goal.
 
     What differs from the scenario is the attitude at rest, and the pose of the legs.
@@ -255,7 +255,7 @@ def growth(
     Parameters
     ----------
     scenario
-        As `seen_from_home` gives it.
+        As `at_rest_at_home` gives it.
     duration
         Of the run [s]; at least 64 samples are taken.
     every

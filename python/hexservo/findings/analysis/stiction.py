@@ -19,7 +19,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Fuzzy
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Case", "Creep", "Stiction", "analyse"]
+__all__ = ["Creep", "Stiction", "StictionCase", "analyse"]
 
 PAGE = "docs/analysis/stiction.md"
 _GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
@@ -28,7 +28,7 @@ Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class StictionCase:
     """The set for one reading of the law."""
 
     name: str
@@ -56,8 +56,8 @@ class Stiction(Findings):
     reason: str  # why it is of that kind, in a sentence
     kv: Array  # (6,) [N; N m]; zeros for a law without
     gravity_error: Array  # delta_G G-bar, (6,) [N; N m]
-    cases: tuple[Case, ...] = ()
-    around_home: Case | None = None  # the set that the runs are compared with
+    cases: tuple[StictionCase, ...] = ()
+    around_home: StictionCase | None = None  # the set that the runs are compared with
     runs: tuple[Runs, ...] = ()
     creep: Creep | None = None
     straight_way: Array | None = None  # (6,) [N; N m], what the fuzzy systems take up on the straight way to the goal
@@ -175,20 +175,20 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
     return "set", f"With {switching.kind} a platform in the set is at rest exactly."
 
 
-def _case(scene: Scene, law: RestLaw, goals: Goals, name: str, low: Array, high: Array) -> Case:
+def _case(scene: Scene, law: RestLaw, goals: Goals, name: str, low: Array, high: Array) -> StictionCase:
     point = (high == low).all()  # then it is the goal itself, but for a gravity error
     rest = RestSet.at(scene, law, (goals.best if point else goals.nearest).view, low, high)
     ends = extremes(rest)
     if ends is None:
-        return Case(name, rest, None, None)
+        return StictionCase(name, rest, None, None)
     found = confirmed(scene, law, rest, ends.displacements[0]) if (high > low).all() else None
-    return Case(name, rest, ends, None if found is None else found[1])
+    return StictionCase(name, rest, ends, None if found is None else found[1])
 
 
-def _around_home(scene: Scene, law: RestLaw, box: Array) -> Case:
+def _around_home(scene: Scene, law: RestLaw, box: Array) -> StictionCase:
     home = scene.view(scene.home)
     rest = RestSet.at(scene, law.aimed_at(home.features), home, -box, box)
-    return Case("around home", rest, extremes(rest), None)
+    return StictionCase("around home", rest, extremes(rest), None)
 
 
 def _straight_way(fuzzy: Fuzzy, goals: Goals) -> Array:

@@ -12,7 +12,7 @@ from hexservo.findings.analysis.words import number
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table
 
 if TYPE_CHECKING:
-    from hexservo.findings.analysis.stiction import Case, Stiction
+    from hexservo.findings.analysis.stiction import Stiction, StictionCase
     from hexservo.findings.analysis.stiction_runs import Runs
 
 __all__ = ["section"]
@@ -72,7 +72,7 @@ def _sentences(found: Stiction) -> list[str]:
     return words
 
 
-def _of_the_set(found: Stiction, case: Case) -> str:
+def _of_the_set(found: Stiction, case: StictionCase) -> str:
     ends = case.ends
     if ends is None:
         worst = int(np.argmax(np.abs(found.gravity_error) - found.kv))

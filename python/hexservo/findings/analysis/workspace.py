@@ -17,7 +17,7 @@ from hexservo.findings.evidence import Column, HeatMap, Line, Section, Table
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Place", "Reach", "Workspace", "analyse", "reach"]
+__all__ = ["Reach", "Workspace", "WorkspacePose", "analyse", "reach"]
 
 PAGE = "docs/analysis/workspace.md"
 _RANDOM = 100  # directions of the random reach, and poses of a neighbourhood
@@ -39,7 +39,7 @@ class Reach:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class WorkspacePose:
     """The legs at one pose."""
 
     name: str
@@ -56,9 +56,9 @@ class Workspace(Findings):
 
     scene: Scene
     goals: Goals | None
-    start: Place
-    goal: Place | None  # where the image error is least
-    nearest: Place | None  # the pose nearest to home that shows the goal image within 0.1 px
+    start: WorkspacePose
+    goal: WorkspacePose | None  # where the image error is least
+    nearest: WorkspacePose | None  # the pose nearest to home that shows the goal image within 0.1 px
     axes: tuple[Reach, ...]  # from home: +x, -x, +y, ..., -z as shifts, then as turns
     least_shift: Reach  # of random directions from home: the shortest
     least_turn: Reach
@@ -93,13 +93,13 @@ class Workspace(Findings):
         )
 
     @property
-    def _places(self) -> list[Place]:
+    def _places(self) -> list[WorkspacePose]:
         return [place for place in (self.start, self.goal, self.nearest) if place is not None]
 
-    def _leg(self, place: Place) -> LegMargin:
+    def _leg(self, place: WorkspacePose) -> LegMargin:
         return leg_margin(place.travel, self.stroke)
 
-    def _margin(self, place: Place) -> float:
+    def _margin(self, place: WorkspacePose) -> float:
         return self._leg(place).margin
 
     def _verdict(self) -> Literal["good", "warning", "bad"]:
@@ -338,7 +338,7 @@ def _reaches(scene: Scene, directions: Array) -> list[Reach]:
     return [Reach(*end) for end in zip(directions, distance.tolist(), leg.tolist(), strict=True)]
 
 
-def _place(scene: Scene, name: str, pose: Poses) -> Place:
+def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
     weight = np.array(scene.body.gravity_wrench)
     actual = (1.0 - np.array(scene.settings.uncertainty.dynamics.gravity)) * weight
     legs, at = scene.hexapod, (pose.position, pose.quaternion)
@@ -349,7 +349,7 @@ def _place(scene: Scene, name: str, pose: Poses) -> Place:
         except ValueError:  # a singular pose
             return np.full(6, np.inf)
 
-    return Place(
+    return WorkspacePose(
         name=name,
         pose=pose,
         travel=scene.leg_travel(pose),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, probe_without, sgn_breaks
-from hexservo.findings.certificate.uncertainty import AXES, Assumption, Uncertainty
+from hexservo.findings.certificate.uncertainty import AXES, Assumption, DeltaTau
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
 from hexservo.scenario.arrays import Array
@@ -274,7 +274,7 @@ class Lyapunov(Findings):
         )
 
 
-def lyapunov_of(run: Replay, plant: Plant, uncertainty: Uncertainty, assumption: Assumption) -> Lyapunov:
+def lyapunov_of(run: Replay, plant: Plant, uncertainty: DeltaTau, assumption: Assumption) -> Lyapunov:
     """Follow V along a run of the law `hybrid` in continuous mode, with the best weights of `assumption`."""
     settings = run.settings
     assert isinstance(settings, _core.HybridSettings)

@@ -16,7 +16,7 @@ from hexservo.findings.evidence import Column, Curves, Line, Section, Table
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import number
 
-__all__ = ["AXES", "UNITS", "Assumption", "Uncertainty", "assumption_of", "uncertainty_of"]
+__all__ = ["AXES", "UNITS", "Assumption", "DeltaTau", "assumption_of", "uncertainty_of"]
 
 PAGE = "docs/certificate/assumption.md"
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
@@ -26,7 +26,7 @@ _SHOWN = 1500  # points of a curve, at most
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
+class DeltaTau:
     """Delta-tau at every sample, as the simulation knows it, with its parts and the fuzzy basis there."""
 
     parts: Mapping[str, Array]  # inertia, Coriolis, gravity, depth error -> (n, 6) [N; N m]; they sum to `total`
@@ -35,7 +35,7 @@ class Uncertainty:
     adaptation: Array | None  # (n, 6), omega_j-dot = adaptation_j phi-bar_j, but for leakage and limit [N/s; N m/s]
 
 
-def uncertainty_of(run: Replay, plant: Plant) -> Uncertainty:
+def uncertainty_of(run: Replay, plant: Plant) -> DeltaTau:
     """Work out Delta-tau of a run of the law `hybrid` (docs/certificate/assumption.md)."""
     probe, settings = run.probe, run.settings
     assert isinstance(settings, _core.HybridSettings)
@@ -55,12 +55,12 @@ def uncertainty_of(run: Replay, plant: Plant) -> Uncertainty:
     # delta-tau by (3): what the estimated dynamics need for this motion and tau does not give. No delta enters.
     total = inertial + coriolis + gravity - run.wrench + parts["image Jacobian"]
     if run.weights is None:
-        return Uncertainty(parts, total, None, None)
+        return DeltaTau(parts, total, None, None)
     law = probe.law(run.features, believed, run.position, run.quaternion, run.twist, run.weights)
     assert law.error_memberships is not None
     assert law.rate_memberships is not None
     basis = law.error_memberships[:, :, :, None] * law.rate_memberships[:, :, None, :]
-    return Uncertainty(parts, total, basis.reshape(len(total), 6, -1), law.adaptation)
+    return DeltaTau(parts, total, basis.reshape(len(total), 6, -1), law.adaptation)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -192,7 +192,7 @@ class Assumption(Findings):
         )
 
 
-def assumption_of(run: Replay, uncertainty: Uncertainty, *, smallest: bool = True) -> Assumption:
+def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) -> Assumption:
     """Find the best weights of every axis, and compare what they leave with K_v.
 
     Parameters
