@@ -19,7 +19,7 @@ import numpy as np
 import hexservo as hs
 from hexservo.scenario.parameters import frame_period
 
-KEPT_APART = 5000
+KEPT_APART = 10000
 """Seeds below 1000 are for tuning, from this one on for the test alone."""
 
 

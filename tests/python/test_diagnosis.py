@@ -560,7 +560,7 @@ def test_a_thin_log_is_a_warning() -> None:
     result = hs.simulate(hs.load_scenario("paper").updated({"simulation.log_every": 500}))
     diagnosis = hs.diagnose(result)
     assert diagnosis.failed is False
-    assert diagnosis.warnings == ("The run logged 11 samples: too few to tell a drift or a swing.",)
+    assert diagnosis.warnings == ("The run logged 11 samples: too few to see a drift or an oscillation.",)
 
 
 def test_sections_have_words_a_table_and_curves_and_strict_json() -> None:
@@ -572,9 +572,9 @@ def test_sections_have_words_a_table_and_curves_and_strict_json() -> None:
     table, curves = section.items
     assert isinstance(table, Table)
     assert isinstance(curves, Curves)
-    assert table.rows[0][0] == "as it was"
+    assert table.rows[0][0] == "original run"
     assert [row[0] for row in table.rows[1:]] == [finding.title for finding in diagnosis.causes]
-    assert [line.name for line in curves.lines] == ["as it was", "without: latency or rate of the camera"]
+    assert [line.name for line in curves.lines] == ["original run", "without: latency or rate of the camera"]
     assert all((line.y > 0.0).all() for line in curves.lines)
     assert curves.lines[1].x[-1] == pytest.approx(2.0)
     for item in section.items:
@@ -677,7 +677,7 @@ def test_a_goal_image_that_no_pose_shows_is_called_so() -> None:
     assert diagnosis.obstacle.kind == "image"
     assert diagnosis.obstacle.residual > 2.0
     assert [finding.cause for finding in diagnosis.named] == ["impossible_goal"]
-    assert "no pose that was found shows the goal image" in diagnosis.section().sentences[0]
+    assert "no pose was found whose image is the goal" in diagnosis.section().sentences[0]
 
 
 def test_a_platform_that_never_moves_is_diagnosed() -> None:
@@ -739,7 +739,7 @@ def test_a_controller_of_ones_own_is_judged_by_its_looks() -> None:
     assert diagnosis.failed
     assert diagnosis.causes[0].cause == "saturation"
     assert all(finding.without is None and finding.cure is None for finding in diagnosis.causes)
-    assert "one's own is not run again" in diagnosis.section().sentences[0]
+    assert "custom controller is not run again" in diagnosis.section().sentences[0]
     assert {"wrong_sign", "stiction", "spring"}.isdisjoint(finding.cause for finding in diagnosis.causes)
 
 

@@ -31,7 +31,7 @@ def diagnose(result: Result) -> Diagnosis:
     Parameters
     ----------
     result
-        Of `simulate`. Of a run with a controller of one's own only the looks are judged.
+        Of `simulate`. A run with a custom controller is judged from its recorded signals alone.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def diagnose(result: Result) -> Diagnosis:
 
 
 def _remedies(case: Case, trials: list[Trial]) -> dict[str, Remedy]:
-    """Run what may help against the likeliest causes, and keep for each the first that works, or the best."""
+    """Run what may help against the most likely causes, and keep for each the first that works, or the best."""
     likely = [trial for trial in trials if trial.named or trial.score >= _LIKELY][:_REMEDIES]
     offered = [
         (trial, remedy) for trial in likely for remedy in trial.cause.remedies(case, trial.removal, trial.record)
@@ -153,7 +153,7 @@ def _finding(case: Case, trial: Trial, signature: Signature, remedy: Remedy | No
 
 
 def _by_looks(case: Case, record: Record, before: Judgement) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
-    """Judge by looks alone: a controller of one's own is not run again, since it may keep a state."""
+    """Judge from the recorded signals alone: a custom controller is not run again, since it may keep a state."""
     findings, absent = [], []
     for cause in CAUSES:
         signature = SIGNATURES[cause.key](case, record, before) if cause.key in SIGNATURES else Signature(None, "")

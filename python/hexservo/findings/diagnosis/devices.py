@@ -1,4 +1,4 @@
-"""Causes in devices and in what the controller believes: how each is taken out of a scenario, by itself."""
+"""Causes in devices and in what the controller assumes: how each is taken out of a scenario, by itself."""
 
 from __future__ import annotations
 
@@ -174,13 +174,13 @@ def _base_motion(case: Case) -> list[Removal]:
     return [Removal("a base at rest", {"base_motion.kind": "none"})]
 
 
-# ---- What the controller believes -----------------------------------------------------------------------------------
+# ---- What the controller assumes -----------------------------------------------------------------------------------
 
 
 def _gravity(case: Case) -> list[Removal]:
     if np.broadcast_to(case.scenario.uncertainty.gravity, 6)[2] == 0.0:  # the weight has no other entry
         return []
-    return [Removal("the weight that the controller believes in", {"uncertainty.gravity": 0.0})]
+    return [Removal("an exact estimate of the weight", {"uncertainty.gravity": 0.0})]
 
 
 def _gravity_alone(case: Case) -> list[Alone]:
@@ -195,13 +195,13 @@ def _gravity_alone(case: Case) -> list[Alone]:
 def _inertia(case: Case) -> list[Removal]:
     if not np.any(case.scenario.uncertainty.inertia):
         return []
-    return [Removal("the inertia that the controller believes in", {"uncertainty.inertia": 0.0})]
+    return [Removal("an exact estimate of the inertia", {"uncertainty.inertia": 0.0})]
 
 
 def _coriolis(case: Case) -> list[Removal]:
     if not np.any(case.scenario.uncertainty.coriolis):
         return []
-    return [Removal("the Coriolis terms that the controller believes in", {"uncertainty.coriolis": 0.0})]
+    return [Removal("an exact estimate of the Coriolis terms", {"uncertainty.coriolis": 0.0})]
 
 
 def _unequal_depth(case: Case) -> list[Removal]:

@@ -138,7 +138,7 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
     swings = int((np.diff(np.sign(largest[np.abs(largest) > case.scenario.metrics.band])) != 0).sum())
     age = camera.latency + camera.latency_jitter + frame_period(case.scenario)
     sentence = (
-        f"The error swings through zero {swings} times; what the law sees is up to {number(age * 1e3)} ms old, and it "
+        f"The error crosses zero {swings} times; what the law sees is up to {number(age * 1e3)} ms old, and it "
         f"acts every {number(case.scenario.simulation.step * 1e3)} ms."
     )
     return Signature(min(1.0, swings / 3.0), sentence)

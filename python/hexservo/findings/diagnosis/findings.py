@@ -55,7 +55,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Findings):
-    """Whether a run failed, and why: causes with evidence and remedy, the likeliest one first."""
+    """Whether a run failed, and why: causes with evidence and remedy, the most likely one first."""
 
     result: Result
     failed: bool | None  # None: the run was interrupted
@@ -147,18 +147,19 @@ class Diagnosis(Findings):
             if self.too_short:
                 return f"The run is too short: with simulation.duration={self.too_short:g} it passes."
             return (
-                f"The likeliest cause is {first.title}: with {first.without.words} the run {how(first.without)}; as it "
-                f"was it {was}."
+                f"The most likely cause is {first.title}: with {first.without.words} the run {how(first.without)}; the "
+                f"original run {was}."
             )
         if first is not None and first.without is None:
             return (
-                f"By its looks alone the likeliest cause is {first.title}: a controller of one's own is not run again."
+                f"From the recorded signals alone the most likely cause is {first.title}: a custom controller is not "
+                "run again."
             )
         if self.together:
             together = joined([_TITLES[key] for key in self.together])
             return (
-                f"Not explained by one cause: two make it fail together, {together}; as it was it {was}. Without other "
-                "faults both together fail as well, and neither does alone."
+                f"Not explained by one cause: two make it fail together, {together}; the original run {was}. Without "
+                "other faults both together fail as well, and neither does alone."
             )
         words = f"Not explained: it {was}, and none of the {len(self.causes)} causes that were tried is the cause."
         if first is not None and first.without is not None and first.cure:
@@ -169,12 +170,12 @@ class Diagnosis(Findings):
         robot = self.result.scenario.robot
         if obstacle.kind == "image":
             return (
-                f"The goal cannot be reached: no pose that was found shows the goal image; the best one leaves "
+                f"The goal cannot be reached: no pose was found whose image is the goal; the best one leaves "
                 f"{number(obstacle.residual)} px."
             )
         beyond = (obstacle.leg_travel - robot.stroke) * 1e3
         return (
-            f"The goal cannot be reached: at the nearest pose that shows it a leg is {number(beyond)} mm beyond its "
+            f"The goal cannot be reached: at the nearest pose with that image a leg is {number(beyond)} mm beyond its "
             f"stroke of {number(robot.stroke * 1e3)} mm; nothing else matters until that is changed."
         )
 
@@ -226,7 +227,7 @@ class Diagnosis(Findings):
         )
         rows: list[tuple[str | float | None, ...]] = [
             (
-                "as it was",
+                "original run",
                 None,
                 "",
                 spelt(self._record.outcome),
@@ -242,16 +243,16 @@ class Diagnosis(Findings):
             if run is not None:
                 after = (run.words, spelt(run.outcome), run.error, 1e3 * run.leg_travel)
             rows.append((finding.title, finding.score, *after, alone))
-        note = f"Not tried, since the scenario has nothing of it: {', '.join(self.absent)}." if self.absent else ""
+        note = f"Not present in this scenario: {', '.join(self.absent)}." if self.absent else ""
         return Table("Causes, each removed by itself", columns, rows, note, _PAGE)
 
     def _curves(self) -> tuple[Curves, ...]:
         assert self._record is not None
-        lines = [Line("as it was", self._record.time, np.maximum(self._record.error, _FLOOR))]
+        lines = [Line("original run", self._record.time, np.maximum(self._record.error, _FLOOR))]
         if self._cured is not None:
             name = f"without: {self.causes[0].title}"
             lines.append(Line(name, self._cured.time, np.maximum(self._cured.error, _FLOOR), "dashed"))
-        title = "Largest feature error, with and without the likeliest cause"
+        title = "Largest feature error, with and without the most likely cause"
         at_floor = any((line.y <= _FLOOR).any() for line in lines)
         note = f"Errors below {_FLOOR:g} px are drawn there." if at_floor else ""
         return (Curves(title, "time [s]", "error [px]", lines, y_log=True, note=note, page=_PAGE),)

@@ -206,7 +206,7 @@ def _leg_limits(case: Case) -> list[Removal]:
 def _impossible_goal(case: Case) -> list[Removal]:
     if case.obstacle is None or case.obstacle.kind != "image":
         return []
-    words = f"the image nearest to the goal that a pose shows, {case.obstacle.residual:.3g} px away"
+    words = f"the nearest image that belongs to a pose, {case.obstacle.residual:.3g} px away"
     return [Removal(words, {"target.desired_features": case.obstacle.nearest_image.tolist()})]
 
 
@@ -276,7 +276,7 @@ LAWS: tuple[Cause, ...] = (
 TASKS: tuple[Cause, ...] = (
     Cause(
         "impossible_goal",
-        "a goal image that no pose shows",
+        "a goal image that belongs to no pose",
         "task",
         frozenset({"target.desired_features"}),
         _impossible_goal,
@@ -291,7 +291,7 @@ TASKS: tuple[Cause, ...] = (
     ),
     Cause(
         "poor_image",
-        "a target that the image shows badly",
+        "a poorly observable target",
         "task",
         frozenset(
             {
@@ -307,7 +307,7 @@ TASKS: tuple[Cause, ...] = (
     ),
     Cause(
         "false_equilibrium",
-        "a law that is trapped on this way",
+        "a false equilibrium of the law",
         "task",
         frozenset({"controller.law"}),
         _false_equilibrium,

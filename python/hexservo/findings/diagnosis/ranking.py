@@ -153,7 +153,7 @@ def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
 
 
 def rank(one: Study, withheld: str = "") -> list[Trial]:
-    """Rank the causes of a run that failed, the likeliest one first; `withheld` is left out of the list.
+    """Rank the causes of a run that failed, the most likely one first; `withheld` is left out of the list.
 
     A cause is named whose removal cures the run, which fails an otherwise ideal scenario by itself, and where small
     random changes do not cure the run as well. A goal that cannot be reached is named whatever else there is.
@@ -183,7 +183,7 @@ def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, .
     """Look for two causes that make the run fail together, where no cause is named; () where there are none.
 
     Either the run passes only without both, or it passes without either of them; and both together, without other
-    faults, make a scenario fail. The likeliest pair counts.
+    faults, make a scenario fail. The most likely pair counts.
     """
     if one.case.obstacle is not None or any(trial.named for trial in trials):
         return ()

@@ -84,7 +84,7 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
     """Say what is near its limit, what the run passed without being stopped by it, and what its log cannot show."""
     found = []
     if len(result.time) < FEW:
-        found.append(f"The run logged {len(result.time)} samples: too few to tell a drift or a swing.")
+        found.append(f"The run logged {len(result.time)} samples: too few to see a drift or an oscillation.")
     if not judgement.failed:
         for what, ratio in (
             ("the error in the dwell time", judgement.error),
