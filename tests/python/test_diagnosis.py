@@ -40,7 +40,7 @@ from hexservo.scenario.scenario import Scenario
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)
 SHIPPED = tuple(key for key in KEYS if shipped(key) in hs.scenario_names())
-FAILURES = int(os.environ.get("HEXSERVO_DIAGNOSIS_FAILURES", "8"))  # of each cause; the page has more
+FAILURES = int(os.environ.get("HEXSERVO_DIAGNOSIS_FAILURES", "4"))  # of each cause; the page has more
 RIGHT, WRONG = 0.95, 0.05  # shares that are required: the right cause first, a wrong one with the right one withheld
 
 Array = NDArray[np.float64]
