@@ -605,7 +605,7 @@ def test_a_loop_that_its_weights_make_stable_is_not_called_bad() -> None:
     section = found.section()
     assert section.verdict == "warning"
     assert "The verdict follows these runs" in section.sentences[0]
-    assert "weights that the fuzzy systems start with" in section.sentences[0]
+    assert "initial weights of the fuzzy systems" in section.sentences[0]
     assert any("At the weights at the end of the task's own run the loop is stable" in s for s in section.sentences)
     json.dumps(as_data(section.data), allow_nan=False)
     assert hs.metrics(hs.simulate(scenario))["settling_time"] < 1.0

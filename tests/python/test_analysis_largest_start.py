@@ -177,7 +177,7 @@ def test_a_task_that_starts_at_its_goal_has_no_way_of_its_own(paper: hs.Scenario
     result = largest_start.analyse(still)
     assert result.own is None
     assert len(result.directions) == 12
-    assert "Home shows the goal image" in result.section().sentences[0]
+    assert "The goal image is that from home" in result.section().sentences[0]
     assert result.section().verdict == "open"
 
 

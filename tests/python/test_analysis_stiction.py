@@ -251,7 +251,7 @@ def test_what_one_rule_takes_up_on_the_straight_way(found: stiction.Stiction, pa
     assert found.straight_way is not None
     np.testing.assert_allclose(found.straight_way, goals.nearest.displacement / 10.0)
     by_name = {case.name: case.ends for case in found.cases}
-    plain, taken = by_name["J-hat, with the depth error"], by_name["J-hat, with what the fuzzy systems take up"]
+    plain, taken = by_name["J-hat, with the depth error"], by_name["J-hat, with the output of the fuzzy systems"]
     assert plain is not None
     assert taken is not None
     assert taken.largest > plain.largest
@@ -333,7 +333,7 @@ def test_positive_feedback_does_not_creep_back(paper: hs.Scenario) -> None:
     assert np.isinf(found.creep.times).any()
     section = found.section()
     assert section.verdict == "open"
-    assert "In some direction it does not come back by itself." in section.sentences
+    assert "In some direction it is not restoring." in section.sentences
 
 
 @pytest.mark.parametrize("name", ["paper-composite", "task-rotation", "textbook-general"])

@@ -93,7 +93,7 @@ def test_a_long_stroke_never_ends_a_turn() -> None:
     found = workspace.analyse(hs.load_scenario("textbook-general"))
     assert all(np.isinf(end.distance) and end.leg == 0 for end in found.axes[6:])
     section = found.section()
-    assert any("half a turn about every axis" in sentence for sentence in section.sentences)
+    assert any("180 deg about every axis" in sentence for sentence in section.sentences)
     assert hs.analyse(hs.load_scenario("textbook-general"), ["workspace"]).to_dict()["workspace"]["reach"][-1] == {
         "direction": [0.0, 0.0, 0.0, 0.0, 0.0, -1.0],
         "distance": None,

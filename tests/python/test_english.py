@@ -66,7 +66,7 @@ PAGES = [
         page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md") if page.parent.name != "diagnosis"
     ),
 ]
-PACKAGES = ["cli", "draw", "report"]
+PACKAGES = ["cli", "draw", "findings/analysis", "findings/certificate", "report"]
 SOURCES = sorted(
     file.relative_to(ROOT).as_posix()
     for package in PACKAGES

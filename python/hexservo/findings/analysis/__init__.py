@@ -1,4 +1,4 @@
-"""Answers that need no run: what a scenario's geometry, gains and timing permit."""
+"""Analyses before a run: limits that follow from the geometry, gains and timing of a scenario."""
 
 from __future__ import annotations
 
@@ -21,19 +21,22 @@ _Found = TypeVar("_Found")
 
 # name -> (module of this package, what it answers). Each module has analyse(scenario), whose result has section().
 PARTS: dict[str, tuple[str, str]] = {
-    "conditioning": ("conditioning", "what the image tells of the pose"),
+    "conditioning": ("conditioning", "pose observability from one image"),
     "workspace": ("workspace", "reach, singularities and loads of the legs"),
-    "stiction": ("stiction", "the errors that the switching term holds"),
+    "stiction": ("stiction", "stiction: residual errors held by the switching term"),
     "equilibria": ("equilibria", "where a transpose law comes to rest, and whether a false equilibrium attracts"),
-    "drift": ("drift", "how slowly a law with a pose error creeps, or drifts away, under unequal depth errors"),
-    "camera_rate": ("camera_rate", "the slowest and latest camera that a linear loop endures, gain and delay margins"),
-    "largest_start": ("largest_start", "the largest starting error and slowest camera that settle, by trial"),
+    "drift": ("drift", "creep or drift of a law with a pose error under unequal depth errors"),
+    "camera_rate": (
+        "camera_rate",
+        "largest stable camera period and latency of the linear loop, gain and delay margins",
+    ),
+    "largest_start": ("largest_start", "largest starting error and slowest camera that settle, from runs"),
 }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Analysis(Findings):
-    """What is known of a scenario before it runs: one result per part, by the part's name.
+    """Analysis of a scenario before a run: one result per part, by the part's name.
 
     A part whose numbers leave the range of double precision, or whose matrices are singular, is a `NotComputed`.
     """
@@ -42,14 +45,14 @@ class Analysis(Findings):
     parts: dict[str, Any]
 
     def __getattr__(self, name: str) -> Any:
-        """Give a part by its name, as in ``analysis.conditioning``."""
+        """Return a part by its name, as in ``analysis.conditioning``."""
         parts = self.__dict__.get("parts", {})  # none yet while it is unpickled or copied
         if name not in parts:
             raise AttributeError(f"this analysis has no part {name!r}; it has {', '.join(parts) or 'none'}")
         return parts[name]
 
     def sections(self) -> tuple[Section, ...]:
-        """Words, tables and pictures of all parts, in their order."""
+        """Return sentences, tables and figures of all parts, in their order."""
         return tuple(self._section(name, part) for name, part in self.parts.items())
 
     def _section(self, name: str, part: Any) -> Section:
@@ -57,14 +60,14 @@ class Analysis(Findings):
         return found.section() if isinstance(found, NotComputed) else found
 
     def to_dict(self) -> dict[str, Any]:
-        """Give all numbers as strict JSON has them, by part; SI units and pixels."""
+        """Return all numbers for strict JSON, by part, in SI units and pixels."""
         return {section.name: as_data(section.data) for section in self.sections()}
 
 
 def analyse(
     scenario: Scenario, parts: Sequence[str] | None = None, *, progress: Callable[[str], object] | None = None
 ) -> Analysis:
-    """Work out what can be known of a scenario before it runs (docs/analysis/).
+    """Analyse a scenario before a run (docs/analysis/).
 
     Parameters
     ----------
@@ -108,7 +111,7 @@ def analyse(
 
 
 def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:
-    """Give what a function returns, or why it cannot be computed; a number that overflows is a reason, too."""
+    """Return the result of a function, or the reason why it cannot be computed, such as an overflow."""
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise", under="ignore"):
             return of()

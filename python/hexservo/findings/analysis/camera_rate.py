@@ -126,7 +126,7 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
         return ()
     border = found.gain[1] if found.gain[1] is not None else found.gain[0]
     if border is not None:
-        # At home the attitude is another: the border is found anew, from just below the one at the goal.
+        # At home the attitude is another: the limit is searched again, from just below the one at the goal.
         start = border / 1.05
         nearby = gain_border(lambda g: replace(loop, gain=g * start).growing(clock) <= drifts, up=True)
         if nearby is None:
@@ -145,7 +145,7 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
             places.append(_Place(key, ticks * tick, loop, at, home.updated({f"camera.{key}": ticks * tick})))
     inside, outside = places
     if inside.loop.growing(inside.clock) > drifts or outside.loop.growing(outside.clock) <= drifts:
-        return ()  # a second border within so little: no run of some seconds tells them apart
+        return ()  # a second border within so little: runs of some seconds cannot distinguish them
     modes = crossing((inside.loop, inside.clock), (outside.loop, outside.clock))
     runs = [_run(place, mode, drifts) for place, mode in zip(places, modes, strict=True)]
     if any(run is not None and run.offset < OFFSET for run in runs):  # both sides from where the loop is linear
@@ -167,7 +167,7 @@ class _Place:
 def _run(
     place: _Place, exponent: complex, drifts: int, offsets: tuple[float, ...] = (OFFSET, SMALL_OFFSET)
 ) -> BorderRun | None:
-    """Measure the growth of a mode from the first offset [px] that tells its sign; None where no run shows it."""
+    """Measure the growth of a mode from the first offset [px] for which its sign is clear; None if there is none."""
     seconds = place.loop.seconds(place.clock)
     predicted, turning = exponent.real, abs(exponent.imag)
     # Long enough for many turns and for a change that shows, short enough for a mode that grows to stay small.
@@ -216,7 +216,7 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     Returns
     -------
     CameraRate
-        With `open` in words where the analysis does not apply.
+        With the reason in `open` where the analysis does not apply.
     """
     try:
         at_rest = loop_at_rest(scenario)

@@ -1,4 +1,4 @@
-"""What the part camera_rate of an analysis has to say."""
+"""Sentences and tables of the part camera_rate of an analysis."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ _SCALED = {
 
 
 def section(result: CameraRate) -> Section:
-    """Give words, margins, the map and the runs that check it."""
+    """Return sentences, margins, the map and the runs that check it."""
     if result.open is not None or result.at_rest is None or result.clock is None or result.free is None:
         reason = result.open or "nothing was found"
-        sentences = [f"No answer from a linear loop: {reason}."]
+        sentences = [f"The linear loop does not apply: {reason}."]
         if result.scenario.controller.law == "hybrid":
             sentences.append(
-                "Which starting errors still settle with this camera is found by runs instead, and is empirical: see "
+                "The starting errors that settle with this camera are found by runs instead (empirical): see "
                 "the part largest_start."
             )
         return Section("camera_rate", _TITLE, sentences, verdict="open", data={"open": reason})
@@ -72,7 +72,7 @@ def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Literal["good
 
 
 def _stroke(result: CameraRate) -> float:
-    """Give the stroke of the legs [m]."""
+    """Return the stroke of the legs [m]."""
     return float(result.scenario.robot.stroke)
 
 
@@ -84,7 +84,7 @@ def _at_most(border: Border, tick: float, what: str) -> str:
     if border.stable is None:
         return f"no {what} is short enough"
     if border.unstable is None:
-        return f"it is stable at every {what} looked at, up to {_ms(border.looked_at * tick)}"
+        return f"it is stable at every {what} searched, up to {_ms(border.looked_at * tick)}"
     return f"the {what} may be at most {_ms(border.stable * tick)}"
 
 
@@ -127,7 +127,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         drift = (
             f"{acting.drifts} of the modes drifts away with any camera, at {acting.drift_rate:.3g} 1/s with a perfect "
             "one: the assumed depths reverse a direction that is weakly observable in the image. The "
-            "borders are those of all other modes; see the part drift."
+            "limits are those of all other modes; see the part drift."
         )
         found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
 
@@ -145,15 +145,15 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         found.append(f"{what} must not be multiplied by less than {below:.3g}.")
     if not acting.stable and below is not None:
         found.append(
-            f"{what} times {below:.3g} or less would be stable with this camera; at that border a mode turns"
+            f"{what} times {below:.3g} or less would be stable with this camera; at that limit a mode oscillates"
             f"{_which(acting)}."
         )
     if acting.stable and above is None and below is None:
-        found.append(f"{what} may be multiplied or divided by {LARGEST_FACTOR:g}: no border was found.")
+        found.append(f"{what} may be multiplied or divided by {LARGEST_FACTOR:g}: no limit was found.")
     if acting.resting:
         found.append(
-            f"{acting.resting} modes stay as they are whatever the camera does, and are left out: no gain answers to "
-            "them, or fuzzy systems that learn from the rate alone (drive 0) make them a spring towards the start."
+            f"{acting.resting} modes are neutral with any camera, and are excluded: they have no stiffness, "
+            "or fuzzy systems driven by the rate alone (drive 0) make them a spring towards the start."
         )
     found = [*_about_starts(result, acting), *found] if result.stable != acting.stable else found
     if result.stable == acting.stable:
@@ -193,12 +193,12 @@ _ENDINGS = {
     "goes on": "does not come to rest",
     "stroke": "takes a leg beyond its stroke",
     "ended": "ends early",
-    "open": "is too slow to be judged",
+    "open": "is undecided",
 }
 
 
 def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
-    """Say how the runs from small starts end, and whether the verdict follows them."""
+    """Describe how the runs from small starts end, and whether the verdict follows them."""
     if not result.starts:
         return ["No run from a small start checks this: the law refuses the image of rest as a goal."]
     ends = " and ".join(
@@ -207,13 +207,13 @@ def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
         for run in result.starts
     )
     longest = max(run.duration for run in result.starts)
-    text = f"Of runs of {longest:g} s from beside the goal, K_v as it is, {ends}"
+    text = f"Of runs of {longest:g} s from near the goal, with the scenario's K_v, {ends}"
     if result.settles is None:
-        why = "they do not decide" if acting.stable and acting.drifts else "that decides nothing"
+        why = "they are inconclusive" if acting.stable and acting.drifts else "that is inconclusive"
         return [f"{text}: {why}, and the verdict is that of the linear loop."]
     if result.settles == acting.stable:
         return [f"{text}, as the linear loop predicts."]
-    weights = "the weights that the fuzzy systems start with" if result.at_rest and result.at_rest.free.axes else "rest"
+    weights = "the initial weights of the fuzzy systems" if result.at_rest and result.at_rest.free.axes else "rest"
     return [
         f"{text}. The verdict follows these runs: the linear loop, taken at {weights}, is "
         f"{'stable' if acting.stable else 'unstable'} and does not describe them."
@@ -221,7 +221,7 @@ def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
 
 
 def _about_learned(result: CameraRate, tick: float) -> list[str]:
-    """Say what the linear loop is at the weights of the task's own run."""
+    """Describe the linear loop at the weights of the task's own run."""
     if result.at_rest is None or not result.at_rest.free.axes:
         return []
     learned = result.learned
@@ -237,7 +237,7 @@ def _about_learned(result: CameraRate, tick: float) -> list[str]:
 
 
 def _about_stroke(result: CameraRate, tick: float) -> list[str]:
-    """Say how far the legs let period and latency go, which a linear loop does not know."""
+    """Describe the limits of period and latency due to the stroke, which is not in the linear loop."""
     stroke = f"their stroke of {number(1e3 * _stroke(result))} mm"
     found = []
     for key, border in result.stroke.items():
@@ -259,23 +259,23 @@ def _about_stroke(result: CameraRate, tick: float) -> list[str]:
 
 def _about_runs(result: CameraRate) -> list[str]:
     if not result.runs:
-        return ["No border was there to be checked by simulation."]
+        return ["There was no stability limit to check by simulation."]
     inside, outside = result.runs
     agree = inside.agrees and outside.agrees
     name = {"gain": "gain", "latency": "latency", "period": "camera period"}[inside.key]
     offsets = " and ".join(dict.fromkeys(f"{run.offset:g} px" for run in result.runs))
     text = (
-        f"A numerical check by two runs with K_v = 0 beside the border in {name}, from {offsets}: inside predicted "
-        f"{inside.predicted:+.3g} 1/s, measured {inside.measured:+.3g} 1/s; outside {outside.predicted:+.3g} 1/s, "
-        f"measured {outside.measured:+.3g} 1/s."
+        f"A numerical check by two runs with K_v = 0 near the stability limit in {name}, from {offsets}: inside "
+        f"predicted {inside.predicted:+.3g} 1/s, measured {inside.measured:+.3g} 1/s; outside "
+        f"{outside.predicted:+.3g} 1/s, measured {outside.measured:+.3g} 1/s."
     )
     if not agree:
         return [text + " They disagree: the linear loop does not describe these runs."]
     if any(run.offset < START for run in result.runs):
-        text += f" From {START:g} px a run behaves otherwise: so far from its goal this loop is not linear any more."
+        text += f" From {START:g} px a run behaves differently: this far from its goal the loop is not linear."
     if inside.key == "gain":
-        return [text + f" The border lies where it is predicted, within {100 * inside.apart:g} %."]
-    return [text + " The border lies between them, as predicted."]
+        return [text + f" The limit agrees with the prediction within {100 * inside.apart:g} %."]
+    return [text + " The limit lies between them, as predicted."]
 
 
 def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting: Margins) -> list[str]:
@@ -283,7 +283,7 @@ def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting:
     found = []
     if at_rest.as_if_sampled:
         found.append(
-            "The scenario is in continuous mode, where no camera acts: this is the loop that it would be in sampled "
+            "The scenario is in continuous mode, without camera timing: this is the loop in sampled "
             f"mode, with a servo period of {_ms(tick)} and the period and latency of its camera block."
         )
     if scenario.camera.latency_jitter > 0.0:
@@ -291,7 +291,7 @@ def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting:
         beyond = acting.latency.stable is not None and longest > acting.latency.stable
         found.append(
             f"The latency is taken as constant. The longest one with jitter, {_ms(longest * tick)}, is "
-            + ("beyond the border." if beyond else "inside the border, if it were constant.")
+            + ("beyond the limit." if beyond else "inside the limit, if it were constant.")
         )
     if scenario.camera.dropout > 0.0:
         found.append("Lost frames are not part of the linear loop; each one is a period twice as long.")
@@ -304,13 +304,13 @@ def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting:
     if at_rest.rest.residual > 1.0:
         found.append(
             f"The loop rests where a feature is {at_rest.rest.residual:.3g} px from its goal: the prior draws it "
-            "towards home, or the goal is an image that no pose shows."
+            "towards home, or the goal image belongs to no pose."
         )
     return found
 
 
 def _number(border: Border, tick: float, less: int = 0) -> Cell:
-    """Give a border in ms, less some ticks; in words where none was found."""
+    """Return a limit in ms, less some ticks; as text if none was found."""
     if border.stable is None:
         return None
     value = 1e3 * (border.stable - less) * tick
@@ -338,11 +338,11 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
             "ms",
             lambda m: _number(m.latency, tick, clock.latency) if m.stable else None,
         ),
-        row("gain factor at the border, upwards", "", lambda m: m.gain[1]),
-        row("gain factor at the border, downwards", "", lambda m: m.gain[0]),
-        row("frequency of the mode at the border", "Hz", lambda m: _finite(m.border_frequency)),
+        row("gain factor at the limit, upwards", "", lambda m: m.gain[1]),
+        row("gain factor at the limit, downwards", "", lambda m: m.gain[0]),
+        row("frequency of the mode at the limit", "Hz", lambda m: _finite(m.border_frequency)),
         row("modes that drift with any camera", "", lambda m: m.drifts),
-        row("modes that stay, left out", "", lambda m: m.resting),
+        row("neutral modes, excluded", "", lambda m: m.resting),
     ]
     longest = _ms(max(free.period.looked_at, free.latency.looked_at) * tick)
     items: list[Table | HeatMap] = [
@@ -350,9 +350,9 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
             "Margins of the linear sampled loop at the goal",
             [Column("quantity"), Column("unit"), *(Column(head) for head in heads)],
             rows,
-            note=f"Periods and latencies are whole ticks, looked at up to {longest}; gain factors between "
+            note=f"Periods and latencies are whole ticks, searched up to {longest}; gain factors between "
             f"{1 / LARGEST_FACTOR:g} and {LARGEST_FACTOR:g}. An empty cell: there is none. All columns are at the "
-            "weights that the fuzzy systems start with, but the one at those that the task's own run ends with.",
+            "initial weights of the fuzzy systems, except the one at the final weights of the task's own run.",
             page=PAGE,
         )
     ]
@@ -372,15 +372,15 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
                 levels=(1.0,),
                 lines=(here,),
                 note="K_v = 0. Beyond the contour at 1 the loop is unstable"
-                + (", drifts aside." if free.drifts else ".")
-                + f" Empty where more than {at_rest.free.few} frames are under way at once.",
+                + (", except for drifts." if free.drifts else ".")
+                + f" Empty where more than {at_rest.free.few} frames are in transit at once.",
                 page=PAGE,
             )
         )
     if result.runs:
         items.append(
             Table(
-                "Runs beside the border",
+                "Runs near the stability limit",
                 [
                     Column("varied"),
                     Column("value", "1 or s"),
@@ -393,7 +393,7 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
                     [run.key, run.value, run.offset, run.predicted, _finite(run.measured), run.agrees]
                     for run in result.runs
                 ],
-                note="The goal's image is seen from home, no noise, K_v = 0. An empty growth: the run ended early.",
+                note="The goal image is that from home; no noise, K_v = 0. An empty growth: the run ended early.",
                 page=PAGE,
             )
         )

@@ -1,4 +1,4 @@
-"""What one image tells of the pose, at the start and at the goal, in mm and mrad (docs/analysis/conditioning.md)."""
+"""Pose observability from one image, at the start and at the goal, in mm and mrad (docs/analysis/conditioning.md)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["Conditioning", "Sight", "analyse", "sight"]
 
 PAGE = "docs/analysis/conditioning.md"
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
-_SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the motion that shows what the image hardly sees; the turn at most
+_SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the displayed least observable motion; the rotation at most
 _GRIP = 0.1  # of the stroke: a pose that is less certain than this, at `NOISE`, is worth a warning
 
 
@@ -46,19 +46,19 @@ class Sight:
 
     @property
     def scaled_condition(self) -> float:
-        """Condition number with turns times `length`."""
+        """Condition number with rotations scaled by `length`."""
         return _ratio(self.scaled_values)
 
     @property
     def worst(self) -> float:
-        """What 1 px of noise is in the direction that is seen worst, with turns times `length` [m/px]."""
+        """Pose error due to 1 px of noise in the worst direction, with rotations scaled by `length` [m/px]."""
         return float(1.0 / self.scaled_values[-1]) if self.scaled_values[-1] > 0 else np.inf
 
     @property
     def hidden(self) -> Array:
-        """The motion that the image hardly shows, (6,) [m; rad], with a shift of 10 mm.
+        """The least observable motion, (6,) [m; rad], with a translation of 10 mm.
 
-        Where it hardly shifts, it is as long as that with turns times `length`. It turns by 0.2 rad at most.
+        With little translation it has this length with rotations scaled by `length`. It rotates by at most 0.2 rad.
         """
         motion = self.directions[-1]
         shift, turn = (float(np.linalg.norm(part)) for part in (motion[:3], motion[3:]))
@@ -78,11 +78,11 @@ class Conditioning(Findings):
     placements: tuple[Placement, ...]  # the scenario's own first, the best one found last
 
     def section(self) -> Section:
-        """Put the findings in words, tables and curves."""
+        """Return the findings as sentences, tables and curves."""
         sights = [found for found in (self.start, self.goal, self.nearest) if found is not None]
         return Section(
             name="conditioning",
-            title="What the image tells of the pose",
+            title="Pose observability from one image",
             sentences=self._sentences(sights),
             items=(_sights_table(sights), _directions_table(sights), _placement_table(self.placements), self._curves()),
             verdict=self._verdict(sights),
@@ -91,7 +91,7 @@ class Conditioning(Findings):
 
     @property
     def noise(self) -> float:
-        """Noise that the sentences speak of [px]: that of the camera where it has any, else 0.1 px."""
+        """Noise in the sentences [px]: that of the camera if it has any, otherwise 0.1 px."""
         scenario = self.scene.scenario
         noisy = scenario.simulation.mode == "sampled" and scenario.camera.noise > 0
         return scenario.camera.noise if noisy else NOISE
@@ -112,9 +112,9 @@ class Conditioning(Findings):
         seen = sights[:2][-1]
         motion = seen.hidden
         words.append(
-            f"What the image hardly shows there is {motion_in_words(seen.view.jacobian, motion)}: "
+            f"The least observable motion there is {motion_in_words(seen.view.jacobian, motion)}: "
             f"{number(1e3 * float(np.linalg.norm(motion[:3])))} mm with "
-            f"{number(1e3 * float(np.linalg.norm(motion[3:])))} mrad move no coordinate by more than "
+            f"{number(1e3 * float(np.linalg.norm(motion[3:])))} mrad change no image coordinate by more than "
             f"{number(self._change(seen, motion))} px."
         )
         words.append(
@@ -122,15 +122,15 @@ class Conditioning(Findings):
             + " and ".join(f"{found.condition:.0f} at the {found.place}" for found in sights[:2])
             + " in metres and radians, "
             + " and ".join(f"{found.scaled_condition:.0f}" for found in sights[:2])
-            + f" with turns times the depth of {self.start.length:.3g} m."
+            + f" with rotations scaled by the depth of {self.start.length:.3g} m."
         )
         words.append(self._goal_in_words())
         own, best = self.placements[0], self.placements[-1]
         cheap = self.placements[1]
         words.append(
             f"Within {image_radius(self.scene):.0f} px of the image centre and {DEPTH_SHARE:.0%} of the depth, other "
-            f"places of the four points make the worst direction {_times(own.worst / best.worst)} "
-            f"({number(1e3 * own.worst)} mm per px as they are, {number(1e3 * best.worst)} mm with the best found); "
+            f"placements of the four points make the worst direction {_times(own.worst / best.worst)} "
+            f"({number(1e3 * own.worst)} mm per px originally, {number(1e3 * best.worst)} mm with the best found); "
             + (
                 f"one point off the plane alone makes it {_times(own.worst / cheap.worst)}."
                 if cheap.worst < own.worst
@@ -154,17 +154,17 @@ class Conditioning(Findings):
         if self.goals is None:
             return (
                 "The goal pose is open: a camera as printed has no points in space, so no pose belongs to an image; "
-                "everything here is for the start."
+                "all results are for the start."
             )
         best, nearest = self.goals.best, self.goals.nearest
         if not self.goals.reachable and best.largest_residual > TOLERANCE:
             return (
-                f"No pose that was found shows the goal image: the best one leaves {best.largest_residual:.3g} px, "
-                f"home moved by {displacement_words(best.displacement)}."
+                f"No pose with the goal image was found: the best one leaves {best.largest_residual:.3g} px, "
+                f"at {displacement_words(best.displacement)} from home."
             )
         return (
-            f"The goal image is seen from home moved by {displacement_words(best.displacement)}; the nearest pose that "
-            f"leaves no coordinate more than {TOLERANCE} px further off is home moved by "
+            f"The goal pose is at {displacement_words(best.displacement)} from home; the nearest pose that "
+            f"leaves no coordinate more than {TOLERANCE} px further off is at "
             f"{displacement_words(nearest.displacement)}."
         )
 
@@ -182,9 +182,9 @@ class Conditioning(Findings):
 
         best = self.placements[-1]
         return Curves(
-            title="How the worst direction depends on where the points are",
+            title="Worst direction for different placements of the points",
             x_label="largest distance of a feature from the image centre [px]",
-            y_label="worst direction, turns times the depth [mm per px of noise]",
+            y_label="worst direction, rotations scaled by the depth [mm per px of noise]",
             lines=(
                 Line("a square in a plane", radii, worst(plane)),
                 Line(f"one corner {DEPTH_SHARE:.0%} of the depth nearer", radii, worst(near), "dashed"),
@@ -259,7 +259,7 @@ def sight(place: str, view: View, length: float) -> Sight:
     Parameters
     ----------
     place
-        In words.
+        As a sentence.
     view
         With the true Jacobian.
     length
@@ -291,11 +291,11 @@ def _times(factor: float) -> str:
 
 def _sights_table(sights: list[Sight]) -> Table:
     return Table(
-        title="What 1 px of noise in each coordinate is in the pose",
+        title="Pose error due to 1 px of noise in each coordinate",
         columns=(
             Column("at"),
             Column("condition number", format=".0f"),
-            Column("with turns times depth", format=".0f"),
+            Column("with rotations scaled by depth", format=".0f"),
             *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
             *(Column(f"about {axis}", "mrad/px", ".3g") for axis in "xyz"),
             Column("worst direction", "mm/px", ".3g"),
@@ -310,8 +310,8 @@ def _sights_table(sights: list[Sight]) -> Table:
             )
             for found in sights
         ],
-        note="Least squares from one image, 1 sigma of each axis in the base frame, linearised; what is larger than "
-        "the depth or a radian only says that the image does not tell. Worst direction: turns count times the depth.",
+        note="Least squares from one image, 1 sigma of each axis in the base frame, linearised; a value larger than "
+        "the depth or a radian only means unobservable. Worst direction: rotations are scaled by the depth.",
         page=PAGE,
     )
 
@@ -328,7 +328,7 @@ def _directions_table(sights: list[Sight]) -> Table:
         for value, direction in zip(found.scaled_values, found.directions, strict=True)
     ]
     return Table(
-        title="Singular values of the image Jacobian, with turns times the depth",
+        title="Singular values of the image Jacobian, with rotations scaled by the depth",
         columns=(
             Column("at"),
             Column("singular value", "px/m", ".4g"),
@@ -336,8 +336,8 @@ def _directions_table(sights: list[Sight]) -> Table:
             Column("of the direction"),
         ),
         rows=rows,
-        note="Shifts and turns are of the platform, in the base frame. Of two values that are equal any mix of the "
-        "directions serves as well.",
+        note="Translations and rotations are of the platform, in the base frame. For two equal values any combination "
+        "of the directions is equivalent.",
         page=PAGE,
     )
 
@@ -345,7 +345,7 @@ def _directions_table(sights: list[Sight]) -> Table:
 def _placement_table(placements: tuple[Placement, ...]) -> Table:
     own = placements[0]
     return Table(
-        title="Other places of the four points, seen from home",
+        title="Other placements of the four points, from home",
         columns=(
             Column("points"),
             *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
@@ -361,6 +361,6 @@ def _placement_table(placements: tuple[Placement, ...]) -> Table:
             f"({x:.0f}, {y:.0f}) px at {-z:.4g} m"
             for (x, y), z in zip(placements[-1].features.reshape(4, 2) + 0.0, placements[-1].depth, strict=True)
         )
-        + ". A goal image has to be taken anew for points that move.",
+        + ". Moved points need a new goal image.",
         page=PAGE,
     )

@@ -24,9 +24,9 @@ _CREEP_ROUNDS = 30  # of the search for the end of the drift
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=4)))  # (16, 4)
 
 _NOT_FOR = {
-    "hybrid": "it forms no pose error; what its image part does under unequal depth errors is in equilibria",
-    "kelly": "it forms no pose error; what its image part does under unequal depth errors is in equilibria",
-    "pbvs": "it estimates the pose by iteration from points that it believes to know",
+    "hybrid": "it forms no pose error; for its image part under unequal depth errors see equilibria",
+    "kelly": "it forms no pose error; for its image part under unequal depth errors see equilibria",
+    "pbvs": "it estimates the pose by iteration from assumed target points",
 }
 
 
@@ -44,7 +44,7 @@ def analyse(scenario: Scenario) -> Drift:
     if law == "resolved_rate" and scenario.controller.resolved_rate.jacobian_at != "current":
         return Drift(law, "resolved_rate with a Jacobian of the goal: not analysed, since no depth of an image enters.")
     if scenario.controller.jacobian == "printed":
-        return Drift(law, "With the printed sign of the Jacobian every feature runs away from its goal: not analysed.")
+        return Drift(law, "With the printed sign of the Jacobian every feature moves away from its goal: not analysed.")
     return _Worker(scenario).drift()
 
 

@@ -1,4 +1,4 @@
-"""What the analysis of the drift found, in words, tables and curves (docs/analysis/drift.md)."""
+"""Findings of the drift analysis as sentences, tables and curves (docs/analysis/drift.md)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["GRID", "LARGEST", "SIZES", "Drift", "Pattern", "Size"]
 
 PAGE = "docs/analysis/drift.md"
 SIZES = (0.05, 0.3)  # of depth errors, beside the scenario's own
-LARGEST = 0.95  # that is searched; at 1 a believed depth is zero
+LARGEST = 0.95  # that is searched; at 1 an assumed depth is zero
 GRID = 20  # sizes up to it before the bisection, so that a border that is not the only one is found
 
 
@@ -109,7 +109,7 @@ class Drift(Findings):
     def _sentences(self) -> list[str]:
         assert self.own is not None
         chosen, worst = self._chosen, self._chosen.worst
-        places = "start and goal" if self.has_goal else "the start (no pose shows the goal image)"
+        places = "start and goal" if self.has_goal else "the start (the goal image belongs to no pose)"
         words = [
             f"Of all sixteen signs of depth errors of {100 * chosen.size:.3g} % the worst is {worst.signs}: the "
             f"smallest eigenvalue of the loop matrix is {worst.start:.3g} at the start"
@@ -124,7 +124,7 @@ class Drift(Findings):
         else:
             words.append(
                 f"There {self.law} drifts away: the pose error grows e-fold in {-worst.time_constant:.3g} s "
-                f"({self.driven_by}) until something else stops it."
+                f"({self.driven_by}) until another effect stops it."
             )
         own = self.own
         if np.ptp(own.errors) > 0.0:
@@ -135,7 +135,7 @@ class Drift(Findings):
         else:
             words.append(
                 f"The scenario's own depth errors are equal ({own.errors[0]:+.3g}): the smallest eigenvalue is "
-                f"{_smallest(own):.3g}, and what is slowest has a time constant of {own.time_constant:.3g} s."
+                f"{_smallest(own):.3g}, and the slowest mode has a time constant of {own.time_constant:.3g} s."
             )
         without = "; ".join(
             f"{s.negative_image_only[0]} of 14 at the start"
@@ -146,7 +146,7 @@ class Drift(Findings):
         if self.has_prior:
             words.append(f"Without the prior some of the 14 unequal patterns have a negative eigenvalue: {without}.")
         if self.leaks:
-            words.append("The leakage of the weights is left out: it holds the drift back and leaves an error instead.")
+            words.append("The leakage of the weights is neglected: it limits the drift and leaves an error instead.")
         limits = [limit for limit in (self.limit_start, self.limit_goal) if limit is not None]
         if limits:
             words.append(

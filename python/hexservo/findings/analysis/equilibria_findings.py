@@ -1,4 +1,4 @@
-"""What the search for equilibria found, in words, tables and curves (docs/analysis/equilibria.md)."""
+"""Findings of the search for equilibria as sentences, tables and curves (docs/analysis/equilibria.md)."""
 
 from __future__ import annotations
 
@@ -85,12 +85,12 @@ class Equilibria(Findings):
         goal = self.goals[0] if self.goals else None
         searched = (
             f"{self.starts_within} starts within the stroke of {1e3 * self.stroke:.3g} mm and {self.starts_wider} in "
-            f"a wider region ({1e3 * WIDER[0] * self.depth:.3g} mm either way, half a turn about z, {WIDER[3]:g} rad "
+            f"a wider region ({1e3 * WIDER[0] * self.depth:.3g} mm either way, 180 deg about z, {WIDER[3]:g} rad "
             "about x and y)"
         )
         if goal is not None and goal.stability == "oscillating":
             words.append(
-                "The goal does not attract: the stiffness pulls back in every direction, but is not symmetric, and the "
+                "The goal does not attract: the stiffness is restoring in every direction, but not symmetric, and the "
                 f"damping of {self.law} is too small for the oscillation that it feeds, which grows by "
                 f"{goal.growth:.3g} 1/s."
             )
@@ -108,7 +108,7 @@ class Equilibria(Findings):
             words.append(
                 self._gravity_words(goal)
                 if self.gravity_force
-                else f"No equilibrium that shows the goal was found from {searched}."
+                else f"No equilibrium with the goal image was found from {searched}."
             )
         elif goal.kind == "displaced goal":
             words.append(self._gravity_words(goal))
@@ -141,7 +141,7 @@ class Equilibria(Findings):
         if self.law == "hybrid":
             words.append(
                 "K_v holds the platform wherever the image part is below it, about each of these poses (see stiction); "
-                "the fuzzy systems are left out."
+                "the fuzzy systems are neglected."
             )
         words.append("This is a search by multistart, not a proof: an equilibrium may have been missed.")
         return words
@@ -162,7 +162,7 @@ class Equilibria(Findings):
         if goal is not None and goal.kind == "displaced goal":
             place = displacement_words(goal.displacement)
             return f"{text}: the goal moves to {place} from home and keeps {goal.residual:.3g} px of error."
-        return f"{text}: the goal's equilibrium is lost on the way to this error, or leaves the region searched."
+        return f"{text}: the goal's equilibrium vanishes before this error is reached, or leaves the region searched."
 
     def _items(self) -> list[Item]:
         rows: list[list[Cell]] = [
@@ -203,8 +203,8 @@ class Equilibria(Findings):
                     "Image error on the way from the false equilibrium to the goal",
                     "part of the way [1]",
                     "root of the weighted mean square error [px]",
-                    [Line("straight way in pose", *self.barrier)],
-                    note="The platform would have to climb this hill; the law only goes down.",
+                    [Line("straight path in pose", *self.barrier)],
+                    note="The law only decreases this error, so the platform cannot pass the maximum.",
                     page=PAGE,
                 )
             )

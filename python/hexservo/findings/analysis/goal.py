@@ -1,4 +1,4 @@
-"""The pose, or the poses, that show the goal image: least squares on the core's projection."""
+"""The pose or poses with the goal image: least squares on the core's projection."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Goals:
 
 @lru_cache(maxsize=8)  # several parts of an analysis ask
 def find_goals(scene: Scene) -> Goals | None:
-    """Find where the camera sees the goal image (docs/analysis/conditioning.md).
+    """Find the pose with the goal image (docs/analysis/conditioning.md).
 
     `best` is searched from home turned about the optical axis in eighths and, where that leaves a coordinate of a
     feature more than `TOLERANCE` off, from 64 poses of `Scene.spread`. Of poses that show the goal image to `SHOWN` it

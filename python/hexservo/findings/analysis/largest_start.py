@@ -153,7 +153,7 @@ class _Way:
 
 
 def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
-    """Try goals along the task's own way, the axes and the turns, all ways in one batch per round."""
+    """Try goals along the task's own way, the axes and the rotations, all in one batch per round."""
     ways = [_Way(name, unit, *_largest(scene, unit), {}, {}, {}) for name, unit in _units(scene)]
     ways = [way for way in ways if way.largest > 0.0]
 
@@ -229,7 +229,7 @@ def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
     farthest[3:] = np.pi  # one turn at a time may be larger
     most = float(1.0 / (np.abs(unit) / farthest).max())
     low, limit = 0.0, "region"
-    for _ in range(2):  # the grid, and once more inside the cell that has the border
+    for _ in range(2):  # the grid, then refined inside the cell that has the border
         sizes = np.linspace(low, most, 201)[1:]
         there = scene.home.moved(sizes[:, None] * unit)
         seen = np.asarray(np.isfinite(scene.image(there)[0]).all(axis=1))

@@ -1,4 +1,4 @@
-"""What was tried and where it stopped settling, in words, tables and curves (docs/analysis/largest_start.md)."""
+"""Findings of the trial runs as sentences, tables and curves (docs/analysis/largest_start.md)."""
 
 from __future__ import annotations
 
@@ -147,24 +147,26 @@ class LargestStart(Findings):
         words = []
         own = self.own
         if own is None and self.starts_at_goal:
-            words.append("Home shows the goal image: the task has no way of its own (other ways are tried, empirical).")
+            words.append("The goal image is that from home: the task has no direction (others are tried, empirical).")
         elif own is None:
-            words.append("No pose within the region searched shows the goal image: the task's own way was not tried.")
+            words.append(
+                "No pose within the region searched has the goal image: the direction of the task was not tried."
+            )
         elif own.fails_at is None:
             words.append(
-                f"In all runs along the task's own way the error settles within {self.duration:g} s and the stroke, up "
-                f"to {own.largest:.3g} times the task "
+                f"In all runs in the direction of the task the error settles within {self.duration:g} s and the "
+                f"stroke, up to {own.largest:.3g} times the task "
                 f"({own.amount(own.largest)}), the largest that {_LIMITS[own.limited_by]} (empirical)."
             )
         elif own.settles_to == 0.0:
             words.append(
-                f"Along the task's own way no error was found that settles within {self.duration:g} s: the smallest "
-                f"that was tried, {own.fails_at:.3g} times the task ({own.amount(own.fails_at)}), already fails "
-                "(empirical)."
+                f"In the direction of the task no error was found that settles within {self.duration:g} s: the "
+                f"smallest that was tried, {own.fails_at:.3g} times the task ({own.amount(own.fails_at)}), already "
+                "fails (empirical)."
             )
         else:
             words.append(
-                f"Along the task's own way errors settle within {self.duration:g} s and the stroke up to "
+                f"In the direction of the task errors settle within {self.duration:g} s and the stroke up to "
                 f"{own.settles_to:.3g} times "
                 f"the task ({own.amount(own.settles_to)}, {own.error:.3g} px); {own.fails_at:.3g} times "
                 f"{self._failure(own)} (empirical)."
@@ -175,8 +177,8 @@ class LargestStart(Findings):
         ]
         again = [d.name for d in self.directions if d.settles_again]
         words.append(
-            f"All of this is tried out with {self.runs} runs of {self.duration:g} s, not derived: sizes between those "
-            "that were run are not known, and a border need not be the only one"
+            f"All of this is from {self.runs} runs of {self.duration:g} s, not derived: sizes between those "
+            "that were run are not covered, and a limit need not be the only one"
             + (f" (along {', '.join(again)} a larger error settles again)." if again else ".")
         )
         return words
@@ -186,14 +188,14 @@ class LargestStart(Findings):
         failing = [d for d in others if d.fails_at is not None]
         if not failing:
             return (
-                f"Along all {len(others)} axes and turns every goal tried settles within {self.duration:g} s and the "
-                "stroke, up to "
-                "the end of the stroke, of what the camera sees or of the region searched."
+                f"Along all {len(others)} axes and rotations every goal tried settles within {self.duration:g} s and "
+                "the stroke, up to "
+                "the limit of the stroke, of the camera or of the region searched."
             )
         worst = min(failing, key=lambda d: d.settles_to / d.largest)
         settles, fails = worst.border_words()
         return (
-            f"Of {len(others)} axes and turns {len(failing)} have goals that do not settle within "
+            f"Of {len(others)} axes and rotations {len(failing)} have goals that do not settle within "
             f"{self.duration:g} s; the worst is {worst.name}: "
             + (f"up to {settles} settle" if worst.settles_to else "none that was tried settles")
             + f", {fails} {self._failure(worst)}, of "
@@ -208,7 +210,7 @@ class LargestStart(Findings):
         if direction.settles_later is None:
             return "does not"
         later = f"within {self.longer:g} s"
-        return f"is slower, but does {later}" if direction.settles_later else f"does not, not even {later}"
+        return f"is slower, but settles {later}" if direction.settles_later else f"does not settle {later}"
 
     def _timing_words(self) -> list[str]:
         words = []

@@ -81,7 +81,7 @@ class _Tick:
         self.depth_scale = 1.0 + settings.uncertainty.depth
         self.predicts = scenario.camera.prediction == "encoder"
         self.weight = scene.body.gravity_wrench
-        # The tick knows no `uncertainty`: laws that believe in points get those that the loop would give them.
+        # The tick has no `uncertainty`: laws with a target model get the points that the loop would give them.
         settings.target.points = self._believed(scene.home)
         if scenario.controller.law in ("hybrid", "composite"):
             if smooth:
@@ -97,7 +97,7 @@ class _Tick:
         self.probe = _core.Probe(settings)
 
     def _believed(self, pose: Poses) -> Array:
-        """Lift the image of a pose with the depths that the controller knows: the points as it believes them, (4, 3).
+        """Back-project the image of a pose with the controller's depths: the assumed target points, (4, 3).
 
         Along the ray of each point the distance is scaled as its depth is, (9) and (10).
         """
@@ -134,7 +134,7 @@ class _Tick:
     def response(self, frame: Array, displacement: Array, twist: Array) -> Array:
         """Wrench of one tick away from rest, and the fuzzy outputs of the two ticks at rest that follow it, (18,).
 
-        What a tick teaches does not depend on the weights: the outputs that follow are those after the weights of the
+        The adaptation of a tick does not depend on the weights: the outputs are those after the weights of the
         scenario, the wrench is that with `weights`.
         """
         self.core.reset()
@@ -146,7 +146,7 @@ class _Tick:
         return np.concatenate([wrench, *following])
 
     def balance(self, displacement: Array) -> Array:
-        """Wrench beyond the weight where the platform rests beside `rest`, and what a tick there teaches, (12,)."""
+        """Wrench beyond the weight for a platform at rest near `rest`, and the adaptation of a tick there, (12,)."""
         frame = np.concatenate([displacement, np.zeros(6)])
         pose = self.rest.moved(displacement)
         self.core.reset()
@@ -165,10 +165,10 @@ def _differences(count: int, step: float, at: Callable[[Array], Array]) -> Array
 
 
 def _by_twist(tick: _Tick, step: float) -> tuple[Array, tuple[int, ...], Array]:
-    """Give the response to a twist (18, 6), the axes whose fuzzy systems it teaches, and what a tick leaves of that."""
+    """Give the response to a twist (18, 6), the axes whose fuzzy systems adapt, and the leakage of a tick."""
     zero = np.zeros(6)
     response = _differences(6, step, lambda v: tick.response(np.zeros(12), zero, v))
-    # A twist teaches the system of its own axis; with a dead zone, or without fuzzy systems, none.
+    # A twist drives the system of the same axis; with a dead zone, or without fuzzy systems, none.
     taught = np.diag(response[6:12])
     axes = tuple(int(j) for j in np.flatnonzero(taught))
     decay = np.array([response[12 + j, j] / response[6 + j, j] for j in axes])

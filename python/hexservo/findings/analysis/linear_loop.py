@@ -1,6 +1,6 @@
 """The sampled loop at rest as one matrix over a pattern of its clocks: spectral radius, and what is unstable.
 
-Nothing here knows a robot: matrices of any number of axes go in. `docs/analysis/camera_rate.md` has the formulas.
+Independent of the robot: the matrices may have any number of axes. `docs/analysis/camera_rate.md` has the formulas.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Clock:
 class Actuation:
     """From the commanded wrench to the acting one, for n axes; the default does nothing.
 
-    Leg forces are told as the wrenches that they give at the pose of rest.
+    Leg forces are represented by their wrenches at the pose of rest.
     """
 
     through_legs: bool = False  # the command becomes leg forces at the pose of its tick
@@ -75,7 +75,7 @@ class SampledLoop:
     reading: int = 1  # ticks between two readings of the joint sensors
     differences: bool = False  # the sensors' rate is the difference of two readings over their time
     actuation: Actuation = field(default_factory=Actuation)
-    gain: float = 1.0  # factor on everything that answers to a displacement
+    gain: float = 1.0  # factor on the proportional gains
     _powers: dict[tuple[str, int], Array] = field(default_factory=dict, init=False, repr=False)
 
     # --- the state of a tick: x, v | s | sensors' x, v | commands under way, lag | frame in use -------------------
@@ -108,7 +108,7 @@ class SampledLoop:
     def few(self) -> int:
         """Frames under way up to which growing modes are found from the eigenvalues; beyond it they are counted.
 
-        They cannot be counted where the joint sensors have a period of their own.
+        They cannot be counted if the joint sensors have a separate period.
         """
         return max(1, (_LARGEST - self.size) // int(self.frame.shape[1]))
 
@@ -143,7 +143,7 @@ class SampledLoop:
 
         a = self.actuation
         if a.through_legs and a.stiffness is not None:
-            command = command - a.stiffness @ seen[0]  # as leg forces: H at the pose that the controller knows
+            command = command - a.stiffness @ seen[0]  # as leg forces: H at the controller's pose
         arrived = command
         if a.delay > 0:
             under_way = unit[at["commands"]]
@@ -194,7 +194,7 @@ class SampledLoop:
         return self._power("pauses", rest) @ self._power("readings", readings) @ change
 
     def _exposed(self) -> Array:
-        """Give what a frame exposed now knows, (f, state)."""
+        """Return the content of a frame exposed now, (f, state)."""
         at, unit = self._parts, np.eye(self.size)
         x = unit[at["x"]]
         if self.frame.shape[1] == len(x):
@@ -333,7 +333,7 @@ class SampledLoop:
             sign, logarithm = np.linalg.slogdet(matrices)
             return np.asarray(np.angle(sign)), np.asarray(logarithm)
 
-        # Fine about z = 1, where slow modes are, and fine enough elsewhere for the turns of z^-q.
+        # Fine about z = 1, where slow modes are, and fine enough elsewhere for the winding of z^-q.
         fine = np.geomspace(1e-10, np.pi, 160)
         even = np.linspace(0.0, np.pi, 128 + 3 * under_way)
         angle = np.unique(np.concatenate([fine, even]))

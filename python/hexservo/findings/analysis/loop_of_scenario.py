@@ -195,7 +195,7 @@ def _actuation(scenario: Scenario, plant: LinearPlant) -> Actuation:
 
 
 def scaled(scenario: Scenario, factor: float) -> Scenario:
-    """Multiply what a law answers to a displacement: all its gains but the damping.
+    """Scale the proportional gains of a law: all its gains except the damping.
 
     These are kp of `kelly`, `pbvs` and `computed_torque`, the gain of `resolved_rate`, and kp, kt, drive and the scale
     of the fuzzy systems' error of `composite`.

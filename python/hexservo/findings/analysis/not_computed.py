@@ -1,4 +1,4 @@
-"""Why a part of an analysis could not be computed, in words."""
+"""Reasons why a part of an analysis could not be computed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class NotComputed:
 
     name: str  # of the part
     title: str
-    reason: str  # in words
+    reason: str  # as a clause
 
     def section(self) -> Section:
         """Say why."""
@@ -34,7 +34,7 @@ class NotComputed:
 
 
 def not_computed(scenario: Scenario, name: str, about: str, error: Exception) -> NotComputed:
-    """Put an error of the numerics in words.
+    """Describe a numerical error.
 
     Parameters
     ----------

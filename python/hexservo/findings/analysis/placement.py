@@ -21,14 +21,14 @@ _ANGLES = np.pi * np.array([1, 3, -1, -3]) / 4  # of a square's corners
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Four features seen from home, and what one image of them tells of the pose."""
+    """Four features from home, and the pose observability from one image of them."""
 
     name: str
     features: Array  # (8,) [px]
     depth: Array  # (4,) [m], negative
     # (6,) [m; rad] per px: standard deviations of the pose from one image whose coordinates have a noise of 1 px
     pose_sigma: Array
-    worst: float  # [m/px], of the direction that is seen worst, with turns times the target's mean depth
+    worst: float  # [m/px], of the least observable direction, rotations scaled by the target's mean depth
 
 
 def image_radius(scene: Scene) -> float:
@@ -56,7 +56,7 @@ def place(scene: Scene, name: str, features: Array, depth: Array, length: float)
     scene
         Whose camera and home pose.
     name
-        In words.
+        As text.
     features
         (8,) [px].
     depth
@@ -90,7 +90,7 @@ def placements(scene: Scene) -> tuple[Placement, ...]:
         return place(scene, name, features, depth, length)
 
     raised = [
-        judged(f"as they are, point {point + 1} {off} {word}", own.features, own.depth * _but(point, 1 + sign))
+        judged(f"original, point {point + 1} {off} {word}", own.features, own.depth * _but(point, 1 + sign))
         for point in range(4)
         for sign, word in ((-DEPTH_SHARE, "nearer"), (DEPTH_SHARE, "farther"))
     ]
@@ -112,12 +112,12 @@ def _but(point: int, factor: float) -> Array:
 
 
 def _scaled(scene: Scene, features: Array, depth: Array, length: float) -> Array:
-    """Give the image Jacobian at home for turns times a length, (8, 6) [px/m]."""
+    """Return the image Jacobian at home with rotations scaled by a length, (8, 6) [px/m]."""
     return np.asarray(scene.jacobian(features, depth, scene.home.quaternion) / np.repeat([1.0, length], 3))
 
 
 def _search(scene: Scene, radius: float, length: float, tested: list[Placement]) -> tuple[Array, Array]:
-    """Search for the least worst direction, and never end with less than what was tested within the bounds."""
+    """Minimise the worst direction; the result is never worse than the placements tested within the bounds."""
     from scipy.optimize import minimize
 
     scale = np.repeat([radius, 1.0, length], 4)

@@ -54,7 +54,7 @@ class Poses:
         return Poses(self.position + displacement[..., :3], quaternion / length)
 
     def displacement_from(self, other: Poses) -> Array:
-        """Give what `moved` takes from other poses to these, (..., 6) [m; rad], turned by half a turn at most."""
+        """Give what `moved` takes from other poses to these, (..., 6) [m; rad], rotated by at most pi."""
         turn = _product(self.quaternion, other.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
         turn = np.where(turn[..., :1] < 0, -turn, turn)
         sine = np.sqrt((turn[..., 1:] ** 2).sum(axis=-1, keepdims=True))
@@ -109,7 +109,7 @@ def without_sign(directions: Array) -> Array:
 
 
 def _product(first: Array, second: Array) -> Array:
-    """Multiply quaternions (..., 4): the turn of the second, then that of the first, both in B."""
+    """Multiply quaternions (..., 4): the rotation of the second, then that of the first, both in B."""
     a, b, c, d = np.moveaxis(first, -1, 0)
     w, x, y, z = np.moveaxis(second, -1, 0)
     return np.stack(

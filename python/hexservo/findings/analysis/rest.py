@@ -58,7 +58,7 @@ class Rest(Scene):
     def wrench(self, poses: Poses, twist: Array | None = None, *, exact_depth: bool = False) -> Array:
         """Give what the law asks for, (..., 6) in B [N; N m], at rest or at twists (..., 6) in B; weight included.
 
-        NaN where the camera does not see all points. With `exact_depth` the controller knows the true depths.
+        NaN where not all points are in view. With `exact_depth` the controller uses the true depths.
         """
         features, depth = self.image(poses)
         seen = np.asarray(np.isfinite(features).all(axis=-1)).ravel()
@@ -76,7 +76,7 @@ class Rest(Scene):
     def acceleration(self, poses: Poses, twist: Array | None = None) -> Array:
         """Give chi-ddot of the plant under the law, (..., 6) [m/s^2; rad/s^2], at rest or at twists (..., 6) in B.
 
-        NaN where the camera does not see all points. Zero at rest: an equilibrium.
+        NaN where not all points are in view. Zero at rest: an equilibrium.
         """
         wrench = self.wrench(poses, twist).reshape(-1, 6)
         seen = np.asarray(np.isfinite(wrench).all(axis=1))
@@ -126,7 +126,7 @@ class RestLaw:
     scene
         With the law, its gains and its goal.
     exact_depth
-        Whether the controller knows the true depths, that is, J in place of J-hat.
+        Whether the controller uses the true depths, that is, J in place of J-hat.
     """
 
     def __init__(self, scene: Scene, *, exact_depth: bool = False) -> None:

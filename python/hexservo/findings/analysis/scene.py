@@ -1,4 +1,4 @@
-"""What the camera of a scenario sees from poses, and what its legs do there, asked of the core."""
+"""Image and leg lengths of a scenario at poses, computed by the core."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NEAR = 0.02  # of the depth of home's nearest point: no search takes a point cl
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What the camera sees from a pose, with the true image Jacobian there; NaN where it does not see all points."""
+    """Image from a pose, with the true image Jacobian there; NaN where not all points are in view."""
 
     pose: Poses
     features: Array  # (8,) [px]
@@ -71,8 +71,8 @@ class Scene:
     def points(self) -> Array:
         """The target's points in B, (4, 3) [m].
 
-        Where the scenario gives features and depths, the core's projection of points beside the optical axis tells how
-        many pixels a metre is at each depth.
+        Where the scenario gives features and depths, the core's projection of points beside the optical axis gives the
+        pixels per metre at each depth.
         """
         target = self.settings.target
         if target.points is not None:

@@ -1,4 +1,4 @@
-"""The errors that the switching term holds: the stiction set of K_v (docs/analysis/stiction.md)."""
+"""Stiction, the residual errors held by the switching term: the set of K_v (docs/analysis/stiction.md)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Creep:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stiction(Findings):
-    """Where the switching term holds the platform, and what short runs show."""
+    """The set of poses held by the switching term, compared with short runs."""
 
     scene: Scene
     kind: Kind
@@ -69,17 +69,17 @@ class Stiction(Findings):
         return float(self.scene.camera.focal_pixels)
 
     def section(self) -> Section:
-        """Put the findings in words and tables."""
+        """Return the findings as sentences and tables."""
         from hexservo.findings.analysis.stiction_words import section  # it needs this class
 
         return section(self)
 
 
 def analyse(scenario: Scenario) -> Stiction:
-    """Find the poses where the switching term holds the platform, and compare with short runs.
+    """Compute the poses at which K_v holds the platform, and compare with short runs.
 
     Applies to `hybrid`, and to `composite` where its fuzzy systems do not integrate, with `sign`, `implicit` or
-    `implicit_coupled`. Other cases are told in words.
+    `implicit_coupled`. Other cases have a sentence only.
     """
     scene = scene_of(scenario)
     kind, reason = _kind(scenario)
@@ -100,12 +100,12 @@ def analyse(scenario: Scenario) -> Stiction:
         creep = _creep(cases[0].rest, law.stiffness(goals.best.view.pose), scenario, kv)
         return Stiction(scene, kind, reason, kv, law.gravity_error, tuple(cases), creep=creep)
     if np.any(np.asarray(scenario.uncertainty.depth) != 0):
-        cases.append(_case(scene, RestLaw(scene, exact_depth=True), goals, "J, depths known", -kv, kv))
+        cases.append(_case(scene, RestLaw(scene, exact_depth=True), goals, "J, exact depths", -kv, kv))
     way = None
     if scenario.controller.law == "hybrid" and block.fuzzy.enabled:
         way = _straight_way(block.fuzzy, goals)
         low, high = np.minimum(way, 0.0) - kv, np.maximum(way, 0.0) + kv
-        cases.append(_case(scene, law, goals, "J-hat, with what the fuzzy systems take up", low, high))
+        cases.append(_case(scene, law, goals, "J-hat, with the output of the fuzzy systems", low, high))
     home = _around_home(scene, law, kv)
     runs: tuple[Runs, ...] = ()
     if home.ends is not None and (kv > 0).all():
@@ -118,8 +118,8 @@ def _unusable(scene: Scene, goals: Goals) -> str | None:
     """Say why there is no goal pose around which a set could be looked for; None where there is one."""
     if goals.best.largest_residual > scene.band:
         return (
-            f"Open: no pose that was found shows the goal image (the best leaves {number(goals.best.largest_residual)} "
-            "px), so there is no goal around which to look for the set."
+            f"Open: no pose with the goal image was found (the best leaves {number(goals.best.largest_residual)} "
+            "px), so there is no goal pose for the set."
         )
     try:
         for goal in (goals.best, goals.nearest):
@@ -149,13 +149,13 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
         )
         if (drive > 0).all() and not restrained:
             return "integrated", (
-                "There is no stiction set: the pose error e drives the fuzzy systems until they overcome K_v, so the "
-                "platform creeps or slips on until e = 0."
+                "There is no stiction set: the pose error e drives the fuzzy systems until their output exceeds K_v, "
+                "so the platform creeps or slips on until e = 0."
             )
         if (drive > 0).any():
             return "open", (
                 "Open: the pose error drives the fuzzy systems in part of the axes only, or leakage, dead zone or "
-                "limit bound what they take up; the set is then not that of K_v alone."
+                "limit bound their output; the set is then not that of K_v alone."
             )
     kv = np.broadcast_to(np.asarray(block.kv, dtype=float), 6)
     if smooth and (kv > 0).all():
@@ -167,8 +167,8 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
         return "open", "Open: a smooth switching term that acts on some axes only."
     if (kv == 0).all():
         return "set", (
-            "K_v = 0: the set is a point, where the law's wrench makes up for the gravity error"
-            + (", and nothing damps the motion about it." if law == "hybrid" else ".")
+            "K_v = 0: the set is a point, where the law's wrench balances the gravity error"
+            + (", and the motion about it is undamped." if law == "hybrid" else ".")
         )
     if switching.kind == "sign":
         return "set", ""

@@ -1,4 +1,4 @@
-"""Short runs to goals near the start: where the switching term holds the platform indeed."""
+"""Short runs to goals near the start: the poses at which K_v actually holds the platform."""
 
 from __future__ import annotations
 

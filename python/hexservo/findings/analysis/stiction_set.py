@@ -158,7 +158,7 @@ def extremes(rest: RestSet) -> Extremes | None:
     """
     jacobian = rest.view.jacobian
     axis = _optical_axis(rest.view.pose)
-    across = np.zeros((6, 6))  # a turn about the optical axis does not move it
+    across = np.zeros((6, 6))  # a rotation about the optical axis does not move it
     across[3:, 3:] = np.eye(3) - np.outer(axis, axis)
     sideways = np.linalg.svd(across)[2][:2]
     ways = np.vstack([jacobian, np.eye(6), sideways, sideways.sum(axis=0)])
@@ -182,7 +182,7 @@ def extremes(rest: RestSet) -> Extremes | None:
 def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) -> tuple[Poses, float] | None:
     """Follow an extreme of the linearised set to a pose that K_v holds indeed, by the core's law and projection.
 
-    The set is linearised anew where the last linear program ended, with steps that become shorter.
+    The set is linearised again where the last linear program ended, with steps that become shorter.
 
     Parameters
     ----------

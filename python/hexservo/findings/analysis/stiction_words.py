@@ -1,4 +1,4 @@
-"""The findings about the stiction set in words, tables and curves."""
+"""The findings about the stiction set as sentences, tables and curves."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _SHORT = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
 def section(found: Stiction) -> Section:
-    """Put the findings in words, tables and curves."""
+    """Return the findings as sentences, tables and curves."""
     return Section(
         name="stiction",
-        title="The errors that the switching term holds",
+        title="Stiction: residual errors held by the switching term",
         sentences=_sentences(found),
         items=_items(found),
         verdict=_verdict(found),
@@ -55,7 +55,7 @@ def _sentences(found: Stiction) -> list[str]:
         if found.prior_error is not None:
             words.append(
                 f"There the image is {number(found.prior_error)} px off: the prior, which expects the start, "
-                "outweighs what the image hardly shows."
+                "dominates the poorly observable directions."
             )
         return words
     words = [_of_the_set(found, found.cases[0])]
@@ -97,8 +97,8 @@ def _of_the_set(found: Stiction, case: StictionCase) -> str:
     text = (
         f"{holds} the platform with image errors of up to {number(ends.largest)} px in a coordinate "
         f"({number(ends.rms)} px RMS), {number(1e3 * ends.largest / found.focal_pixels)} mrad at the focal length; "
-        f"what ends the set there is {' and '.join(limits)}. Its optical axis is up to {number(1e3 * ends.turn)} mrad "
-        "from where the goal has it."
+        f"the set is limited by {' and '.join(limits)}. Its optical axis is up to {number(1e3 * ends.turn)} mrad "
+        "from that at the goal."
     )
     if case.confirmed is not None:
         text += (
@@ -113,9 +113,9 @@ def _of_creep(found: Stiction) -> str:
     duration = found.scene.scenario.simulation.duration
     slowest = found.creep.times[0]
     text = (
-        f"Its slowest direction takes {number(slowest)} s by 1/e"
+        f"Its slowest direction has a time constant of {number(slowest)} s"
         if np.isfinite(slowest)
-        else "In some direction it does not come back by itself"
+        else "In some direction it is not restoring"
     )
     if found.creep.left is not None:
         text += f"; after the {number(duration)} s of a run up to {number(found.creep.left)} px are left"
@@ -139,7 +139,7 @@ def _of_runs(found: Stiction, runs: Runs) -> str:
         f"Of {len(counted) - 1} runs of {number(runs.duration)} s {with_fuzzy} fuzzy systems to goals near the start "
         f"{int(counted.sum())} came to rest, {inside} of them within K_v, with up to {number(largest)} px: "
         f"{largest / bound:.0%} of the {number(bound)} px that the set has there"
-        + (", what the fuzzy systems took up included" if runs.fuzzy else "")
+        + (", including the output of the fuzzy systems" if runs.fuzzy else "")
         + f"{own}."
     )
 
@@ -172,7 +172,7 @@ def _case_table(found: Stiction) -> Table:
             ]
         )
     return Table(
-        title="What K_v holds around the goal",
+        title="Set held by K_v around the goal",
         columns=(
             Column("case"),
             Column("largest coordinate", "px", ".3g"),
@@ -186,8 +186,8 @@ def _case_table(found: Stiction) -> Table:
         ),
         rows=rows,
         note="Linear programs over the box of K_v and the stroke of the legs, linearised at the pose nearest to home "
-        "that shows the goal image within 0.1 px; tau_f = 0 but where said. Checked pose: where the law itself and "
-        "the legs were evaluated.",
+        "with the goal image within 0.1 px; tau_f = 0 unless stated. Checked pose: the law itself and "
+        "the legs were evaluated there.",
         page=PAGE,
     )
 
@@ -210,17 +210,17 @@ def _axis_table(found: Stiction) -> Table:
         for axis, name in enumerate(_AXES)
     ]
     return Table(
-        title="What acts on a platform at rest, by axis",
+        title="Wrenches on a platform at rest, by axis",
         columns=(
             Column("axis"),
             Column("unit"),
             Column("K_v", format=".3g"),
             Column("gravity error", format=".3g"),
-            Column("fuzzy systems, straight way", format=".3g"),
+            Column("fuzzy systems, straight path", format=".3g"),
             Column("fuzzy systems, largest in the runs", format=".3g"),
         ),
         rows=rows,
-        note="Straight way: what one rule takes up between home and the goal, displacement/Psi.",
+        note="Straight path: output of one rule between home and the goal, displacement/Psi.",
         page=PAGE,
     )
 
@@ -274,7 +274,7 @@ def _run_curves(found: Stiction) -> Curves:
     ]
     widest = max(float(line.x.max(initial=0.0)) for line in lines)
     for runs in found.runs:
-        name = "largest of the set" + (", with what the fuzzy systems took up" if runs.fuzzy else "")
+        name = "largest of the set" + (", with the output of the fuzzy systems" if runs.fuzzy else "")
         lines.append(Line(name, np.array([0.0, widest]), np.full(2, runs.bound), "dashed"))
     return Curves(
         title="Where runs come to rest",

@@ -1,4 +1,4 @@
-"""Numbers, directions and displacements in words, for the sentences of the analyses."""
+"""Text of numbers, directions and displacements, for the sentences of the analyses."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _LITTLE = 0.03  # of what the other part does to the image: a part that is left 
 
 
 def numbers(values: Array) -> str:
-    """Write numbers one after another: "1.2, 3.4 and 5.6"."""
+    """Write a list of numbers: "1.2, 3.4 and 5.6"."""
     texts = [number(value) for value in values]
     return ", ".join(texts[:-1]) + " and " + texts[-1] if len(texts) > 1 else texts[0]
 
 
 def along(vector: Array, *, signed: bool = False) -> str:
-    """Name the axis that a vector (3,) is along, or give its direction: "x", "(0.71, 0.70, 0.00)".
+    """Name the axis that a vector (3,) is along, or its direction: "x", "(0.71, 0.70, 0.00)".
 
-    Signed, an axis that it is against is "-x".
+    Signed, the opposite direction is "-x".
     """
     unit = vector / np.linalg.norm(vector)
     largest = int(np.abs(unit).argmax())
@@ -47,15 +47,15 @@ def along(vector: Array, *, signed: bool = False) -> str:
 
 
 def direction_words(direction: Array, depth: float) -> str:
-    """Say in words a direction (6,) [m; rad] in B, of any length, for a target at a depth [m].
+    """Describe a direction (6,) [m; rad] in B, of any length, for a target at a depth [m].
 
     A part that moves the image less than 3 % of the other one is left out.
     """
     shift, turn = np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:])
     if turn * depth < _LITTLE * shift:
-        return f"a shift along {along(direction[:3], signed=True)}"
+        return f"a translation along {along(direction[:3], signed=True)}"
     if shift < _LITTLE * turn * depth:
-        return f"a turn about {along(direction[3:], signed=True)}"
+        return f"a rotation about {along(direction[3:], signed=True)}"
     return (
         f"10 mm along {along(direction[:3], signed=True)} with "
         f"{10 * turn / shift:.3g} mrad about {along(direction[3:], signed=True)}"
@@ -63,7 +63,7 @@ def direction_words(direction: Array, depth: float) -> str:
 
 
 def motion_in_words(jacobian: Array, motion: Array) -> str:
-    """Say what a small motion is, by what its parts do to the image.
+    """Describe a small motion by the image motion of its parts.
 
     Parameters
     ----------
@@ -77,17 +77,21 @@ def motion_in_words(jacobian: Array, motion: Array) -> str:
     by_turn = float(np.linalg.norm(jacobian[:, 3:] @ turn))
     left = float(np.linalg.norm(jacobian @ motion))
     if by_turn <= 0.2 * by_shift:
-        return f"a shift along {along(shift)}"
+        return f"a translation along {along(shift)}"
     if by_shift <= 0.2 * by_turn:
-        return f"a turn about {along(turn)}"
-    together = "that a turn about {} undoes" if left < 0.5 * max(by_shift, by_turn) else "with a turn about {}"
-    return f"a shift along {along(shift)} " + together.format(along(turn))
+        return f"a rotation about {along(turn)}"
+    together = (
+        "barely distinguishable from a rotation about {}"
+        if left < 0.5 * max(by_shift, by_turn)
+        else "with a rotation about {}"
+    )
+    return f"a translation along {along(shift)} " + together.format(along(turn))
 
 
 def displacement_words(displacement: Array) -> str:
-    """Say a displacement (6,) [m; rad]: "(1.5, 0, 20) mm and a turn of (0, 31.2, 0) mrad"."""
+    """Describe a displacement (6,) [m; rad]: "(1.5, 0, 20) mm and a rotation of (0, 31.2, 0) mrad"."""
     shift, turn = (vector_words(1e3 * part) for part in (displacement[:3], displacement[3:]))
-    return f"{shift} mm and a turn of {turn} mrad"
+    return f"{shift} mm and a rotation of {turn} mrad"
 
 
 def vector_words(values: Array) -> str:
@@ -96,7 +100,7 @@ def vector_words(values: Array) -> str:
 
 
 def not_analysed(scenario: Scenario, reasons: Mapping[str, str]) -> str:
-    """Say why an analysis of poses and laws does not apply; empty where it does.
+    """Return why an analysis of poses and laws does not apply; empty if it does.
 
     Parameters
     ----------
@@ -114,5 +118,5 @@ def not_analysed(scenario: Scenario, reasons: Mapping[str, str]) -> str:
 
 
 def open_section(name: str, title: str, reason: str) -> Section:
-    """Say why an analysis does not apply."""
+    """Return why an analysis does not apply."""
     return Section(name, title, [reason], data={"applies": False, "reason": reason})

@@ -35,7 +35,7 @@ class Reach:
 
     direction: Array  # (6,), unit shift or unit turn, or both; distance is measured along it [m; rad]
     distance: float  # in units of the direction; infinite where no limit was met within half a turn
-    leg: int  # 1 to 6, that ends it; 0: none
+    leg: int  # 1 to 6, the limiting one; 0: none
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Workspace(Findings):
         return float(self.scene.settings.robot.force_limit)
 
     def section(self) -> Section:
-        """Put the findings in words, tables and a map."""
+        """Return the findings as sentences, tables and a map."""
         return Section(
             name="workspace",
             title="Reach and loads of the legs",
@@ -118,8 +118,8 @@ class Workspace(Findings):
             words.append("The goal pose is open: a camera as printed has no points in space.")
         words.append(
             f"From home the legs allow {_reach_words(self.axes[:6], 'mm', 'along')} and "
-            f"{_reach_words(self.axes[6:], 'mrad', 'about')}; the shortest of {_RANDOM} random shifts and turns are "
-            f"{_distance(self.least_shift)} mm and {_distance(self.least_turn)} mrad."
+            f"{_reach_words(self.axes[6:], 'mrad', 'about')}; the shortest of {_RANDOM} random translations and "
+            f"rotations are {_distance(self.least_shift)} mm and {_distance(self.least_turn)} mrad."
         )
         places = self._places[:2]
         words.append(
@@ -150,7 +150,7 @@ class Workspace(Findings):
         text = ""
         for place, name in (
             (self.goal, "At the goal"),
-            (self.nearest, f"at the nearest pose that shows it within {TOLERANCE} px"),
+            (self.nearest, f"at the nearest pose with this image within {TOLERANCE} px"),
         ):
             leg = self._leg(place)
             text += (
@@ -164,9 +164,9 @@ class Workspace(Findings):
             )
         least = float(self.way_margin.min())
         if least >= 0:
-            return text + f"on the straight way to the goal {number(1e3 * least)} mm are left everywhere."
+            return text + f"on the straight path to the goal {number(1e3 * least)} mm are left everywhere."
         first = int(np.flatnonzero(self.way_margin < 0)[0])
-        return text + f"the straight way to the goal leaves the stroke after {100 * first / (_WAY - 1):.0f} % of it."
+        return text + f"the straight path to the goal leaves the stroke after {100 * first / (_WAY - 1):.0f} % of it."
 
     def _places_table(self) -> Table:
         return Table(
@@ -177,7 +177,7 @@ class Workspace(Findings):
                 Column("stroke left", "mm", ".2f"),
                 Column("distance to singularity", format=".3f"),
                 Column("largest leg force", "N", ".3g"),
-                Column("the same, actual weight", "N", ".3g"),
+                Column("largest leg force, actual weight", "N", ".3g"),
             ),
             rows=[
                 (
@@ -209,12 +209,12 @@ class Workspace(Findings):
                 Column("unit"),
                 Column("ahead", format=".4g"),
                 Column("back", format=".4g"),
-                Column("leg that ends it ahead", format="d"),
+                Column("limiting leg ahead", format="d"),
                 Column("and back", format="d"),
             ),
             rows=rows,
             note="Until the first leg is at the end of its stroke; one motion at a time, in the base frame. Empty: no "
-            "limit within half a turn.",
+            "limit within 180 deg.",
             page=PAGE,
         )
 
@@ -227,16 +227,16 @@ class Workspace(Findings):
             lines.append(Line("goal", np.array([x]), np.array([y]), "points"))
         where = "goal" if self.goal is not None else "start"
         return HeatMap(
-            title=f"Stroke that is left, at the height and attitude of the {where}",
-            x_label="shift along x from home [mm]",
-            y_label="shift along y from home [mm]",
+            title=f"Remaining stroke, at the height and attitude of the {where}",
+            x_label="translation along x from home [mm]",
+            y_label="translation along y from home [mm]",
             z_label="stroke left [mm]",
             x=1e3 * self.map_x,
             y=1e3 * self.map_y,
             z=1e3 * self.map_margin,
             levels=(0.0,),
             lines=lines,
-            note="Of the leg that is nearest to its limit; beyond the stroke it is negative.",
+            note="For the leg nearest to its limit; beyond the stroke it is negative.",
             page=PAGE,
         )
 
@@ -303,7 +303,7 @@ def analyse(scenario: Scenario) -> Workspace:
 def reach(scene: Scene, direction: Array) -> Reach:
     """Move from home along a direction until a leg is at the end of its stroke.
 
-    A leg changes its length by no more than the platform joints move, so that the stroke that is left tells how far
+    A leg changes its length by no more than the platform joints move, so that the remaining stroke bounds how far
     the next step may go without passing a limit: the march never steps over one.
 
     Parameters
@@ -399,6 +399,6 @@ def _cell(end: Reach) -> float | None:
 def _reach_words(ends: tuple[Reach, ...], unit: str, word: str) -> str:
     """Say how far the motions of three axes go, ahead and back."""
     if not any(np.isfinite(end.distance) for end in ends):
-        return f"half a turn {word} every axis"
+        return f"180 deg {word} every axis"
     pairs = [f"+{_distance(ends[2 * k])}/-{_distance(ends[2 * k + 1])} {unit} {word} {_AXES[k]}" for k in range(3)]
     return ", ".join(pairs)

@@ -26,7 +26,7 @@ _TITLES = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(Findings):
-    """What is known of a run afterwards. A numerical check of that one trajectory at its samples, and no proof."""
+    """Certificate of a finished run: a numerical check of one trajectory at its samples, not a proof."""
 
     scenario: Scenario
     lyapunov: Lyapunov | None  # None where `open_questions` says why
@@ -76,7 +76,7 @@ def certify(result: Result) -> Certificate:
     TypeError
         For anything but a `Result`.
     ValueError
-        For a result of a controller of one's own that does not hold every step (``simulation.log_every`` above 1); for
+        For a result of a custom controller without every step (``simulation.log_every`` above 1); for
         a run too long for a log of every step with its weights (2 GiB).
     """
     run = replay(result)
@@ -100,7 +100,7 @@ def certify(result: Result) -> Certificate:
         try:
             energy = energy_ledger(run, plant)
         except ArithmeticError as error:
-            open_questions["energy"] = f"The ledger could not be made: {error}."
+            open_questions["energy"] = f"The energy balance could not be computed: {error}."
     return Certificate(
         scenario=result.scenario,
         lyapunov=lyapunov,
@@ -113,7 +113,7 @@ def certify(result: Result) -> Certificate:
 
 
 def _outside_theorem(run: Replay) -> str:
-    """Say why the theorem does not speak of a run; empty where it does."""
+    """Return why the theorem does not apply to a run; empty if it does."""
     if run.own:
         return "Does not apply: the controller is its user's function, and the theorem is of the law hybrid."
     if run.scenario.controller.law != "hybrid":

@@ -15,7 +15,7 @@ __all__ = ["base_accelerations"]
 def base_accelerations(run: Replay) -> Array | None:
     """Give the acceleration of B at start, middle and end of every step of the integration, (m, 3, 3) [m/s^2].
 
-    The core has no function that tells it, so it is measured: a platform without model errors and with nothing but
+    The core has no function for it, so it is measured: a platform without model errors and with nothing but
     viscous damping runs on the same base. Its velocity changes in a step by what its wrench, which is logged, and the
     base do; what is left is the mean of the acceleration over the step, as the integration takes it. From the means of
     neighbouring steps follow the three values, to fourth order in the step where the acceleration is smooth, and with

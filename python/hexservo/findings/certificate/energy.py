@@ -52,7 +52,7 @@ _NAMES = {
     "switching": "switching term, -K_v sw(chi-dot)",
     "fuzzy": "fuzzy systems, -tau_f",
     "coriolis_feedforward": "Coriolis feed-forward",
-    "own": "the controller of one's own, beyond the estimated weight",
+    "own": "custom controller, beyond the estimated weight",
     "acting": "the law, beyond the estimated weight",
     "gravity": "weight: fed forward minus actual",
     "coriolis": "Coriolis and inertia errors",
@@ -85,7 +85,7 @@ class EnergyLedger(Findings):
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Say in words why the ledger does not close; empty where it does."""
+        """Return why the energy balance does not close; empty if it does."""
         found = []
         if not self.mismatch <= _SAME:
             found.append(

@@ -1,4 +1,4 @@
-"""A run once more, with everything that a certificate needs of it."""
+"""A repeated run, with everything that a certificate needs."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Replay:
     def remark(self) -> str:
         """Say in a sentence whether these are the result's own numbers."""
         if self.own:
-            return "These are the result's own samples: a controller of one's own cannot be run again."
+            return "These are the result's own samples: a custom controller cannot be run again."
         if not self.differences:
             return "The run was repeated with every step logged, and gave the result's samples bit for bit."
         worst = ", ".join(
@@ -89,7 +89,7 @@ def replay(result: Result) -> Replay:
     TypeError
         For anything but a `Result`.
     ValueError
-        For a result of a controller of one's own whose steps are not all logged; for a log that does not fit into the
+        For a result of a custom controller whose steps are not all logged; for a log that does not fit into the
         core's limit of 2 GiB.
     """
     if not isinstance(result, Result):
@@ -98,7 +98,7 @@ def replay(result: Result) -> Replay:
     own = result.controller != scenario.controller.law
     if own and scenario.simulation.log_every != 1:
         raise ValueError(
-            f"result: expected simulation.log_every = 1 of a run with a controller of one's own ({result.controller}), "
+            f"result: expected simulation.log_every = 1 of a run with a custom controller ({result.controller}), "
             f"since it cannot be run again, got {scenario.simulation.log_every}"
         )
     run = result if own else every_step(scenario)
@@ -180,7 +180,7 @@ def sgn_breaks(twist: Array) -> Flags:
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """Matrices and wrenches of the actual platform (3), found from how it answers to wrenches."""
+    """Matrices and wrenches of the actual platform (3), computed from its accelerations under given wrenches."""
 
     probe: _core.Probe
     weight: Array  # (6,) (1 - delta_G) G-bar [N; N m]; it does not depend on the pose

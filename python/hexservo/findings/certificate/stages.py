@@ -72,7 +72,7 @@ def doubled_stages_of(run: Replay) -> Iterator[Stages]:
 
 
 def _continuous(run: Replay, ticks: NDArray[np.intp], probe: _core.Probe, step: float) -> Stages:
-    """Let the core take the steps once more, law and all."""
+    """Repeat the steps in the core, including the law."""
     weights = None if run.weights is None else run.weights[ticks]
     taken = probe.stages(
         run.features[ticks], run.depth[ticks], run.position[ticks], run.quaternion[ticks], run.twist[ticks], weights

@@ -27,7 +27,7 @@ _SHOWN = 1500  # points of a curve, at most
 
 @dataclass(frozen=True, eq=False)
 class DeltaTau:
-    """Delta-tau at every sample, as the simulation knows it, with its parts and the fuzzy basis there."""
+    """Delta-tau at every sample, with its parts and the fuzzy basis there."""
 
     parts: Mapping[str, Array]  # inertia, Coriolis, gravity, depth error -> (n, 6) [N; N m]; they sum to `total`
     total: Array  # (n, 6), Delta-tau [N; N m]
@@ -101,7 +101,7 @@ class Assumption(Findings):
             axis = int(np.argmin(self.margin / np.where(self.kv > 0, self.kv, 1.0)))
             sentences = [
                 f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; it was "
-                f"closest on {AXES[axis]}, where an error of {self.eta[axis]:.3g} {UNITS[axis]} stands against "
+                f"closest on {AXES[axis]}, where an error of {self.eta[axis]:.3g} {UNITS[axis]} is compared with "
                 f"k_v = {self.kv[axis]:.3g} {UNITS[axis]}."
             ]
         else:
@@ -109,7 +109,7 @@ class Assumption(Findings):
             sentences = [
                 f"The theorem's assumption k_v >= eta_Delta did not hold on {len(failed)} of 6 axes "
                 f"({', '.join(AXES[j] for j in failed)}); worst on {AXES[axis]}, where an error of "
-                f"{self.eta[axis]:.3g} {UNITS[axis]} at t = {self.instants[axis]:.4g} s stands against "
+                f"{self.eta[axis]:.3g} {UNITS[axis]} at t = {self.instants[axis]:.4g} s is compared with "
                 f"k_v = {self.kv[axis]:.3g} {UNITS[axis]}."
             ]
         if self.weights is None:

@@ -23,7 +23,7 @@ TIE = 1e-6
 
 _FLOOR = 1e-9  # errors below this part of the largest target count as zero
 # How the linear programs are solved: presolve, method, feasibility. The first is the fastest; where columns of the
-# basis are nearly dependent it may fail. Whatever solves them, `_Problem.bound_of` tells how good the answer is.
+# basis are nearly dependent it may fail. `_Problem.bound_of` bounds the error of any solution.
 _ATTEMPTS = (
     (False, "highs-ds", 1e-10),
     (True, "highs-ds", 1e-10),
@@ -194,7 +194,7 @@ class _Problem:
                     base, triangle = np.linalg.qr(normals)
                     along = base.T @ normal
                     free = normal - base @ along
-                    free -= base @ (base.T @ free)  # once more: what is left may be small
+                    free -= base @ (base.T @ free)  # repeated: the remainder may be small
                     share = np.linalg.solve(triangle, along)
                 reach = float(free @ normal)
                 full = lacking / reach if reach > _APART else np.inf
