@@ -36,7 +36,7 @@ FORBIDDEN = {
     r"of (?:one's|its|their|his|her|my|your) own": "custom; user-defined; separate",
     r"all that is known": "full report",
     r"switching term holds": "stiction: residual errors held by the switching term",
-    r"how things stand|what ends the set|ends it": "limit; limited by",
+    r"how things stand|what ends the set": "limit; limited by",
     r"as it was|as they were": "original; unchanged",
     r"without turning": "without oscillation",
     r"swings? through": "crosses",
