@@ -33,7 +33,7 @@ class Record:
     time: Array  # (m,) [s], of the samples that there are
     error: Array  # (m,) [px], largest |feature error|
     drift: float  # [m/s], of the fastest leg: what its last two quarters have in common
-    samples: Mapping[str, Array]  # name of Result -> (m, k); empty where nobody asked for them
+    samples: Mapping[str, Array]  # name of Result -> (m, k); empty where they were not asked for
 
     @property
     def settled(self) -> bool:

@@ -132,7 +132,7 @@ def _encoders(case: Case) -> list[Removal]:
     exact = [Removal("pose and twist known exactly", {"sensors.pose": True})]
     if case.scenario.sensors.rate is True:
         return exact
-    return [Removal("rates of the legs from a sensor of their own", {"sensors.rate": True}), *exact]
+    return [Removal("rates of the legs from a separate sensor", {"sensors.rate": True}), *exact]
 
 
 # ---- Actuators and base ---------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """Scenarios without faults: good devices, and beside them ordinary settings of the law, each from the schema.
 
 They do not come from the list of causes: whatever a block of devices holds is at its default there, or within what is
-ordinary, whether a cause of the list speaks of it or not.
+ordinary, whether a cause of the list is about it or not.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ def both_alone(first: Cause, second: Cause, case: Case) -> Alone:
 
 
 def _less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
-    """Leave the changes of some keys out: there the scenario stays as it was."""
+    """Leave the changes of some keys out: there the scenario is unchanged."""
     kept = dict(changes)
     for key in keys:
         kept.pop(key, None)

@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
 _AT_REST = 0.02  # of the stroke, that the legs may move in it
 _AT_LIMIT = 0.999  # of the force limit
-_WANDER = 0.1  # of the stroke, by which one standard deviation of noise moves the pose that the image tells
+_WANDER = 0.1  # of the stroke, by which one standard deviation of noise moves the pose that follows from the image
 
 
 @dataclass(frozen=True)
 class Signature:
     """How much a run looks like one cause."""
 
-    strength: float | None  # 0 (not at all) to 1; None: this cause leaves no trace of its own
+    strength: float | None  # 0 (not at all) to 1; None: this cause leaves no trace
     sentence: str  # what was seen, with its numbers; "" where there is nothing to say
 
 

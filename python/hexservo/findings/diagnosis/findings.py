@@ -47,7 +47,7 @@ class Finding:
     score: float  # 0 to 1: how much of the failure its removal takes away, less where it does no harm by itself
     cure: float | None  # share of the severity that is gone without it; None: nothing could be run
     alone: bool | None  # whether it fails a scenario without other faults; None: not asked
-    look: float | None  # how much the run looks like it, 0 to 1; None: it leaves no trace of its own
+    look: float | None  # how much the run looks like it, 0 to 1; None: it leaves no trace
     evidence: tuple[str, ...]  # sentences with numbers
     without: Remedy | None  # the run without this cause; it may be more than one can have
     remedy: Remedy | None  # what helps; None for causes of little score
@@ -64,7 +64,7 @@ class Diagnosis(Findings):
     together: tuple[str, ...] = ()  # keys of two causes that have to go together, where neither alone is enough
     controls: tuple[bool, ...] = ()  # whether the run passes with other seeds and with small random changes
     warnings: tuple[str, ...] = ()
-    absent: tuple[str, ...] = ()  # titles of causes that the scenario has nothing of, or that could not be tried
+    absent: tuple[str, ...] = ()  # titles of causes that are not present in the scenario, or that could not be tried
     obstacle: Obstacle | None = None  # why no law can reach the goal
     _record: Record | None = None
     _judgement: Judgement | None = None
@@ -86,7 +86,7 @@ class Diagnosis(Findings):
     def section(self) -> Section:
         """Words first, then a table of the causes and the error over the time, with and without the first one."""
         if self._record is None or self._judgement is None:
-            return Section("diagnosis", "Diagnosis", ["The run was interrupted: there is nothing to judge."])
+            return Section("diagnosis", "Diagnosis", ["The run was interrupted: it is not judged."])
         data = self.to_dict()
         if not self.failed:
             if not self.warnings:
@@ -163,7 +163,7 @@ class Diagnosis(Findings):
             )
         words = f"Not explained: it {was}, and none of the {len(self.causes)} causes that were tried is the cause."
         if first is not None and first.without is not None and first.cure:
-            words += f" Most of it goes with {first.without.words}: the run then {how(first.without)}."
+            words += f" Most of it is gone with {first.without.words}: the run then {how(first.without)}."
         return words
 
     def _of_obstacle(self, obstacle: Obstacle) -> str:

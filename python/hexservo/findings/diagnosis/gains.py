@@ -10,7 +10,7 @@ from hexservo.scenario.scenario import Scenario
 
 __all__ = ["GAIN_KEYS", "damped", "not_below_default", "slower"]
 
-# How a gain goes with the rate of the loop: forces with its square, dampings and rates with itself.
+# How a gain scales with the rate of the loop: forces with its square, dampings and rates with itself.
 _POWERS = {
     "kp": 2.0,
     "kt": 2.0,
@@ -29,7 +29,7 @@ GAIN_KEYS = frozenset(f"LAW.{name}" for name in (*_POWERS, "adaptive") if name !
     "LAW.fuzzy.error_scale",
     "LAW.fuzzy.rate_scale",
 }
-"""What `slower` changes, but for the dry friction K_v, which has a cause of its own."""
+"""What `slower` changes, but for the dry friction K_v, which is a separate cause."""
 
 
 def slower(scenario: Scenario, factor: float) -> dict[str, Any]:

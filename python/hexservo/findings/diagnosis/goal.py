@@ -29,7 +29,7 @@ _REACHED = 1.0  # [px], of the run that finds the goal: it may be that no pose s
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """The pose from which the camera sees the goal."""
+    """The pose whose image is the goal."""
 
     position: Array  # (3,) [m], in B
     quaternion: Array  # (4,) w x y z
@@ -138,7 +138,7 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
     end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
     gain = pixels_per_metre(camera, start, start_depth) / pixels_per_metre(camera, features, depth)
     changes: dict[str, Any] = {"target.desired_features": end.tolist()}
-    if scenario.camera.image_size is not None:  # whoever leaves the image does so as before
+    if scenario.camera.image_size is not None:  # features that leave the image do so as before
         before = np.abs(np.concatenate([features, np.asarray(scenario.target.desired_features)]).reshape(8, 2)).max(0)
         after = np.abs(np.concatenate([start, end]).reshape(8, 2)).max(0)
         changes["camera.image_size"] = (np.asarray(scenario.camera.image_size) * after / before).tolist()

@@ -65,7 +65,7 @@ class Cause:
     title: str
     kind: Kind
     keys: frozenset[str]  # of a scenario, that make up this cause; "LAW" stands for the law's own block
-    removals: Callable[[Case], list[Removal]]  # empty: the scenario has nothing of it
+    removals: Callable[[Case], list[Removal]]  # empty: not present in the scenario
     remedies: Callable[[Case, Removal, Record], list[Removal]] = (
         same  # after the removal that helped most, with its run
     )

@@ -46,7 +46,7 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
     robot, model = case.scenario.robot, case.scenario.uncertainty
     remedies = []
     if isinstance(model.gravity, float) and isinstance(model.inertia, float) and isinstance(model.coriolis, float):
-        # The same plant, told to the controller: its terms are (1 - delta) times the estimated ones.
+        # The same plant, given to the controller: its terms are (1 - delta) times the estimated ones.
         share = 1.0 - model.gravity
         changes = {
             "robot.mass": share * robot.mass,
@@ -56,7 +56,7 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
             "uncertainty.coriolis": 1.0 - (1.0 - model.coriolis) / share,
         }
         if all(-1.0 < changes[f"uncertainty.{name}"] < 1.0 for name in ("inertia", "coriolis")):
-            remedies.append(Removal(f"the platform weighed, and {share * robot.mass:.4g} kg told to the law", changes))
+            remedies.append(Removal(f"the platform weighed, and {share * robot.mass:.4g} kg given to the law", changes))
     if case.scenario.controller.law != "composite":
         remedies.append(Removal("the law composite, which integrates a wrong weight", {"controller.law": "composite"}))
     return [*remedies, removal]

@@ -30,7 +30,7 @@ def how(run: Remedy) -> str:
 
 
 def spelt(outcome: str) -> str:
-    """Give an outcome in words."""
+    """Spell out an outcome."""
     return outcome.replace("_", " ")
 
 
