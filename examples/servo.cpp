@@ -3,7 +3,7 @@
 // Camera, joint sensors and legs are simulated here by `Robot`; its two functions are what a real program would
 // replace. gains.hpp was written by `hexservo export paper --header gains.hpp`; any other scenario's header will do.
 //
-//   servo [SECONDS]    how long to run, 1 s if not given; exit code 0 if the features reach their goal
+//   servo [SECONDS]    how long to run, 1 s if not given; exit code 0 if the features settle at their goal
 #include "gains.hpp"
 
 #include <hexservo/controller.hpp>
@@ -103,11 +103,12 @@ int main(int argc, char** argv) {
   const auto gains = exported::controller_gains();  // may throw: before the loop, never in it
   auto state = hexservo::initial_state(gains);      // takes the memory that the ticks need
   Robot robot(gains);
+  const auto settling = exported::settings().metrics;
 
   const auto period = std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(gains.period));
   const long ticks = static_cast<long>(seconds / gains.period + 0.5);
   Clock::duration slowest{};
-  double settled_at = 0.0;
+  double within_since = 0.0;
   long missed = 0, invalid = 0;
   Clock::time_point deadline = Clock::now();
   for (long tick = 0; tick < ticks; ++tick) {
@@ -118,18 +119,18 @@ int main(int argc, char** argv) {
     robot.push(output.leg_forces);
 
     invalid += output.invalid_input() ? 1 : 0;
-    if (robot.error() > 2.0) settled_at = static_cast<double>(tick + 1) * gains.period;
+    if (!(robot.error() <= settling.band)) within_since = static_cast<double>(tick + 1) * gains.period;
     deadline += period;  // an absolute clock: a late tick does not move the later ones
     if (Clock::now() > deadline) ++missed;
     std::this_thread::sleep_until(deadline);
   }
 
-  const double error = robot.error();
-  const bool settled = error <= 2.0;
+  const double error = robot.error(), end = static_cast<double>(ticks) * gains.period;
+  const bool settled = error <= settling.band && end - within_since >= std::min(settling.dwell, end);
   std::printf("%ld ticks of %g ms; slowest tick %.2f us, deadlines missed %ld, ticks without the law %ld\n", ticks,
               1e3 * gains.period, 1e6 * std::chrono::duration<double>(slowest).count(), missed, invalid);
   if (settled)
-    std::printf("features within 2 px from %.3f s on, %.3f px at the end\n", settled_at, error);
+    std::printf("features within %g px from %.3f s on, %.3f px at the end\n", settling.band, within_since, error);
   else
     std::printf("features not settled: %.3f px at the end\n", error);
   return settled ? EXIT_SUCCESS : EXIT_FAILURE;

@@ -225,7 +225,8 @@ void bind_settings(py::module_& m) {
   py::class_<PoseBased>(m, "PbvsGains", "Gains of the law pbvs.")
       .def(py::init<>())
       .def_readwrite("kp", &PoseBased::kp, "(6,) diagonal of K_p [N/m; N m/rad]")
-      .def_readwrite("kd", &PoseBased::kd, "(6,) diagonal of K_d [N s/m; N m s/rad]");
+      .def_readwrite("kd", &PoseBased::kd, "(6,) diagonal of K_d [N s/m; N m s/rad]")
+      .def_readwrite("prior", &PoseBased::prior, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]");
 
   using Torque = ComputedTorqueGains<double>;
   py::class_<Torque>(m, "ComputedTorqueGains", "Gains of the law computed_torque.")

@@ -45,6 +45,7 @@ Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points
                        const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
   using Fit = PoseFit<double, kPoints>;
   const Vectors3<double, kPoints> points(points_B);
+  const PosePrior<double> none{home, Vector6<double>::Zero()};
   std::vector<Fit> found;
   double least = std::numeric_limits<double>::infinity();
   const auto keep = [&](const Fit& fit) {
@@ -58,10 +59,10 @@ Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points
     least = std::min(least, fit.squared_residual);
   };
   for (const Pose<double>& start : goal_starts(points_B, home)) {
-    const Fit fit = fit_pose<double, kPoints>(f, points, desired_features, start, kGoalRounds);
+    const Fit fit = fit_pose<double, kPoints>(f, points, desired_features, none, start, kGoalRounds);
     keep(fit);
     if (least <= kExactGoal) break;
-    keep(fit_pose<double, kPoints>(f, points, desired_features, mirrored_pose(points_B, fit.pose), kGoalRounds));
+    keep(fit_pose<double, kPoints>(f, points, desired_features, none, mirrored_pose(points_B, fit.pose), kGoalRounds));
   }
   if (found.empty())
     detail::refuse("target.desired_features",

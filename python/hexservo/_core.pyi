@@ -342,6 +342,7 @@ class PbvsGains(metaclass=_PybindType):
     def __init__(self) -> None: ...
     kp: _Array
     kd: _Array
+    prior: _Array
 
 class ComputedTorqueGains(metaclass=_PybindType):
     """Gains of the law computed_torque."""

@@ -69,7 +69,7 @@ TEST_CASE("a free platform answers a sinusoid of the base as x-ddot = -a, whatev
       motion.phase = 0.4;
       Driven driven(settings);
       for (int tick = 0; tick < 400; ++tick) REQUIRE(driven.tick(driven.weight()));
-      driven.plant.command(driven.weight(), Vector6<double>::Zero());
+      driven.plant.command(driven.weight());
       const double t = driven.plant.plant().time(), omega = kTwoPi * motion.frequency;
       // twice the integral of -A sin(omega t + phase), from rest
       const double speed = (std::cos(omega * t + motion.phase) - std::cos(motion.phase)) / omega;
@@ -92,7 +92,7 @@ TEST_CASE("a recorded base is the same for every step of the integration, and en
   settings.base_motion.sample_period = 0.05;
   Driven driven(settings);
   for (int tick = 0; tick < 150; ++tick) REQUIRE(driven.tick(driven.weight()));
-  driven.plant.command(driven.weight(), Vector6<double>::Zero());
+  driven.plant.command(driven.weight());
   // integrals of the straight lines: trapezoids; nothing moves the platform after 0.1 s
   CHECK(distance(driven.sample().twist.head<3>(), -0.05 * Vector3<double>(0.3, 0.15, 0.1)) <= 1e-14);
 }
@@ -109,8 +109,8 @@ TEST_CASE("leg forces that hold are those of a platform under constant leg force
     CHECK(distance(driven.sample().leg_forces, forces) <= 1e-14);
     REQUIRE(wrench_held.tick(wrench_held.legs().wrench(forces)));
   }
-  driven.plant.command(driven.weight(), Vector6<double>::Zero());
-  wrench_held.plant.command(driven.weight(), Vector6<double>::Zero());
+  driven.plant.command(driven.weight());
+  wrench_held.plant.command(driven.weight());
   const LoopParameters<double, Hybrid>& p = driven.parameters;
   const BodyState<double> expected =
       drive_legs(p.hexapod, p.body, p.dynamics_error, body_state<double>(home_pose(p.hexapod), Vector6<double>::Zero()),
@@ -134,7 +134,7 @@ TEST_CASE("a delay of some ticks shifts what acts; before that the platform is h
       const Legs<double> legs = inverse_kinematics(driven.parameters.hexapod, seen.pose.position, seen.R_BE);
       const Vector6<double> wrench = driven.weight() + random.six(1e-2, 1e-3);
       asked.push_back(WrenchMapSolver<double>(driven.parameters.hexapod, legs).leg_forces(wrench));
-      driven.plant.command(wrench, Vector6<double>::Zero());
+      driven.plant.command(wrench);
       if (tick >= delay)
         CHECK(distance(driven.sample().leg_forces, asked[static_cast<std::size_t>(tick - delay)]) <= 1e-15);
       else
@@ -183,7 +183,7 @@ TEST_CASE("a leg beyond its stroke ends the run where it shall, with the leg and
   while (ticks < 1000 && stopping.tick(stopping.weight() + push)) {
     REQUIRE(reporting.tick(reporting.weight() + push));
     ++ticks;
-    stopping.plant.command(stopping.weight() + push, Vector6<double>::Zero());
+    stopping.plant.command(stopping.weight() + push);
     if (!stopping.plant.record().running()) break;
   }
   for (int i = 0; i < 2; ++i) REQUIRE(reporting.tick(reporting.weight() + push));
@@ -235,7 +235,7 @@ TEST_CASE("encoders whose readings belong to no pose end the run") {
   Driven driven(settings);
   int ticks = 0;
   while (ticks < 100 && driven.tick(driven.weight())) ++ticks;
-  driven.plant.command(driven.weight(), Vector6<double>::Zero());
+  driven.plant.command(driven.weight());
   CHECK(driven.plant.record().cause() == static_cast<double>(StopCause::solver_failed));
   CHECK(outcome_of(StopCause::solver_failed) == Outcome::solver_failed);
   CHECK(describe(StopCause::leg_limit, 0.25, 2) == "leg 3 passed its stroke at t = 0.25 s");

@@ -436,10 +436,6 @@ def test_the_gain_border_is_that_of_runs(law: str, prediction: str) -> None:
         if side is above[0]:
             assert measured_near(scaled(home, low[0].gain), *low, decays, 0.01) < 0.0
         growths.append(measured_near(scaled(home, side[0].gain), *side, grows, 0.01))
-    # The estimate of `pbvs` is not at its minimum after the rounds of a tick: so close to the border its runs still
-    # decay, and only the side below it is compared.
-    if law == "pbvs":
-        return
     assert growths[2] > 0.0
     if law != "composite":  # whose fuzzy systems bend already at 0.01 px: see the next test
         zero = 0.01 - 0.02 * growths[0] / (growths[1] - growths[0])

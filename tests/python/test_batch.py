@@ -46,26 +46,6 @@ def assert_same(
         np.testing.assert_allclose(values[index], last, rtol=0, atol=tolerance * size, err_msg=name)
 
 
-def assert_within_rounding(batch: hs.BatchResult, index: int, single: hs.Result, floor: float) -> None:
-    """Compare with what one or two units in the last place of focal length or pixel scale change in the single run.
-
-    An estimate of a pose compares sums of squares, and so knows the pose to the root of rounding where the image is not
-    exactly that of the target. How far a loop carries that is what runs with other roundings show.
-    """
-    others = []
-    for key in ("focal_length", "pixel_scale"):
-        value = getattr(single.scenario.camera, key)
-        for ulps in (-2, -1, 1, 2):
-            moved = single.scenario.updated({f"camera.{key}": value + ulps * float(np.spacing(value))})
-            others.append(hs.metrics(hs.simulate(moved)))
-    assert batch.outcome[index] == single.outcome
-    for name, value in hs.metrics(single).items():
-        spread = max(abs(other[name] - value) for other in others)
-        got = float(batch.metrics[name][index])
-        allowed = max(30.0 * spread, floor, 1e-9 * abs(value))  # a tick rounds some thousand times
-        assert (np.isnan(got) and np.isnan(value)) or abs(got - value) <= allowed, (name, got, value, spread)
-
-
 SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
     "seed": [0.0, 1.0, 2.0],
     "camera.period": [0.005, 0.004, 0.002],
@@ -184,10 +164,7 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         for index, row in enumerate(rows):
             value = int(row) if key in ("seed", "simulation.log_every", "simulation.substeps") else row.tolist()
             single = hs.simulate(base.updated({key: value}))
-            if law == "pbvs":
-                assert_within_rounding(batch, index, single, floor)
-            else:
-                assert_same(batch, index, single, tolerance, floor)
+            assert_same(batch, index, single, tolerance, floor)
         everything = np.column_stack(
             [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
         )

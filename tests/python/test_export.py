@@ -46,7 +46,7 @@ OWN = {
         *("gains.gain", "gains.adaptive", "gains.gain_far", "gains.gain_slope"),
         *("gains.jacobian_at", "gains.ki", "gains.damping"),
     ],
-    "pbvs": ["gains.kp", "gains.kd"],
+    "pbvs": ["gains.kp", "gains.kd", "gains.prior"],
     "computed_torque": ["gains.kp", "gains.kd", "gains.prior"],
 }
 MEMBERS = {law: [*SHARED, *own] for law, own in OWN.items()}
@@ -123,7 +123,11 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
                 "ki": about(*[6] * 3, *[0.02] * 3),
                 "damping": about(*[10] * 6),
             },
-            "controller.pbvs": {"kp": about(*[20] * 3, *[0.1] * 3), "kd": about(*[2] * 3, *[0.01] * 3)},
+            "controller.pbvs": {
+                "kp": about(*[20] * 3, *[0.1] * 3),
+                "kd": about(*[2] * 3, *[0.01] * 3),
+                "prior": about(*[400] * 3, *[60] * 3),
+            },
             "controller.computed_torque": {
                 "kp": about(*[400] * 6),
                 "kd": about(*[40] * 6),

@@ -85,7 +85,7 @@ def resolved(form: str) -> dict[str, Any]:
         **{
             f"controller.{key}": np.linspace(1, 2, 6)
             for key in (
-                *("kelly.kd", "resolved_rate.ki", "resolved_rate.damping", "pbvs.kp", "pbvs.kd"),
+                *("kelly.kd", "resolved_rate.ki", "resolved_rate.damping", "pbvs.kp", "pbvs.kd", "pbvs.prior"),
                 *("computed_torque.kp", "computed_torque.kd", "computed_torque.prior"),
             )
         },
@@ -503,7 +503,7 @@ CONTROLLERS = block(
         ki=GAINS,
         damping=GAINS,
     ),
-    pbvs=block(kp=GAINS, kd=GAINS),
+    pbvs=block(kp=GAINS, kd=GAINS, prior=GAINS),
     computed_torque=block(kp=GAINS, kd=GAINS, prior=GAINS),
 )
 UNCERTAINTIES = block(

@@ -766,6 +766,7 @@ CHANGES = st.fixed_dictionaries(
         ),
         "controller.resolved_rate.damping": number_or(6, st.just(0.0) | GAIN),
         "controller.pbvs.kd": number_or(6, st.just(0.0) | GAIN),
+        "controller.pbvs.prior": number_or(6, GAIN),
         "controller.computed_torque.prior": number_or(6, GAIN),
         "controller.hybrid.kp": number_or(8, GAIN),
         "controller.hybrid.kv": number_or(6, st.just(0.0) | GAIN),

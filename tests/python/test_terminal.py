@@ -215,7 +215,7 @@ def test_a_comparison_that_is_interrupted_counts_its_runs(tmp_path: Path) -> Non
     with subprocess.Popen(
         [sys.executable, "-m", "hexservo", "compare", *what, *changes],
         cwd=tmp_path,
-        env=environment(),
+        env=environment(OPENBLAS_NUM_THREADS="1"),  # threads of NumPy would be taken for those of the runs
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -173,10 +173,10 @@ class CommandedPlant {
   const Perceived<S, N>& observe() const noexcept { return state_.perception.now(); }
 
   /// Commands a wrench in B [N; N m]; where a controller may not act the safe output takes its place.
-  void command(const Vector6<S>& wrench, const Vector6<S>& fuzzy_output = Vector6<S>::Zero()) noexcept {
+  void command(const Vector6<S>& wrench) noexcept {
     Command<S> command;
     decide(gains_, state_, wrench, command);
-    plant_.command(command, observe(), select(command.acts, fuzzy_output, Vector6<S>(Vector6<S>::Zero())));
+    plant_.command(command, observe(), Vector6<S>::Zero());
   }
 
   /// To the next tick.

@@ -47,10 +47,40 @@ inline constexpr int kMirrorRounds = 4;       ///< of those from the mirror imag
 inline constexpr int kPolishRounds = 3;       ///< of those from the better of the two
 inline constexpr double kPoseStep = 0.5;      ///< largest first-order step of a round, in mean depths and in rad
 inline constexpr double kPoseDamping = 1e-6;  ///< of the first round, times the diagonal of J^T J [1]
+/// Sums of squares r^2 cannot be compared below this times r: some hundred roundings of features of 1e3 px [px].
+inline constexpr double kResidualRounding = 1e-11;
 /// The mirror image replaces the pose that was found from the start where its squared residual is below this share [1].
 inline constexpr double kMirrorShare = 0.04;
 
-/// What the camera sees from a pose, and how far that is from the image.
+/// What is known of a pose beside the image.
+template <class S>
+struct PosePrior {
+  Pose<S> pose;       ///< expected, in B; quaternion of unit length
+  Vector6<S> weight;  ///< diagonal of M, (sigma of a feature/sigma of a pose component)^2 [px^2/m^2; px^2/rad^2]
+
+  /// e = pose - p: difference of the positions, then twice the vector part of q_pose (x) conj(q_p), in B [m; rad].
+  Vector6<S> error(const Pose<S>& p) const noexcept {
+    const Vector3<S> u = p.quaternion.template tail<3>(), v = pose.quaternion.template tail<3>();
+    const S cosine = pose.quaternion.dot(p.quaternion);
+    const S twice = select(cosine < S(0.0), S(-2.0), S(2.0));
+    Vector6<S> e;
+    e.template head<3>() = pose.position - p.position;
+    e.template tail<3>() = twice * (p.quaternion(0) * v - pose.quaternion(0) * u + cross<S>(u, v));
+    return e;
+  }
+
+  /// Half of what e^T M e falls by along a displacement, per m and rad, to first order.
+  Vector6<S> gradient(const Vector6<S>& e) const noexcept {
+    using std::sqrt;
+    Vector6<S> slope = weight.cwiseProduct(e);
+    const Vector3<S> half = S(0.5) * e.template tail<3>(), moment = slope.template tail<3>();
+    const S cosine = sqrt(larger(S(S(1.0) - half.squaredNorm()), S(0.0)));
+    slope.template tail<3>() = cosine * moment - cross<S>(half, moment);
+    return slope;
+  }
+};
+
+/// What the camera sees from a pose, and how far that is from the image and from the prior.
 template <class S, int N>
 struct PoseFit {
   Pose<S> pose;                ///< in B; quaternion of unit length
@@ -58,6 +88,8 @@ struct PoseFit {
   Vector<S, 2 * N> features;   ///< xi(pose) [px]
   Vector<S, N> inverse_depth;  ///< 1/Z_i [1/m]
   S squared_residual;          ///< |xi - xi(pose)|^2 [px^2]; infinite where a point is not in front of the camera
+  Vector6<S> prior_error;      ///< e of the prior [m; rad]
+  S cost;                      ///< squared_residual + e^T M e [px^2]
 
   /// Takes over another fit in the lanes of `where`.
   void replace(const Mask<S>& where, const PoseFit& other) {
@@ -67,13 +99,15 @@ struct PoseFit {
     features = select(where, other.features, features);
     inverse_depth = select(where, other.inverse_depth, inverse_depth);
     squared_residual = select(where, other.squared_residual, squared_residual);
+    prior_error = select(where, other.prior_error, prior_error);
+    cost = select(where, other.cost, cost);
   }
 };
 
 /// The fit of one pose; NaN where a number is.
 template <class S, int N>
 PoseFit<S, N> pose_fit(const S& f, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
-                       const Pose<S>& pose) noexcept {
+                       const PosePrior<S>& prior, const Pose<S>& pose) noexcept {
   PoseFit<S, N> fit;
   fit.pose = pose;
   fit.R_BE = rotation_matrix(pose.quaternion);
@@ -84,6 +118,8 @@ PoseFit<S, N> pose_fit(const S& f, const Vectors3<S, N>& points_B, const Vector<
   fit.features = image.features;
   fit.squared_residual = select(nearest < S(0.0), S((measured - image.features).squaredNorm()),
                                 S(std::numeric_limits<double>::infinity()));
+  fit.prior_error = prior.error(pose);
+  fit.cost = fit.squared_residual + fit.prior_error.dot(prior.weight.cwiseProduct(fit.prior_error));
   return fit;
 }
 
@@ -114,46 +150,94 @@ S quartic_line_search(const Vector<S, M>& r, const Vector<S, M>& Jd, const Vecto
   return t;
 }
 
-/// Levenberg-Marquardt on the reprojection error: the pose from which known points look as measured, in the least
-/// squares. Never worse than its start.
+/// Sum of r_i times the second derivative of feature i for a displacement (v, theta) in B: 6 x 6, its lower triangle.
 ///
-/// Each round solves (J^T J + mu diag(J^T J)) d = J^T (xi - xi(pose)) for a small displacement d in B and shortens it
-/// to `kPoseStep`. What the full step changes beyond J d is the features' curvature along d, and `quartic_line_search`
-/// takes it into account; the better of the two steps is applied if it lowers the residual. mu follows the ratio of
-/// actual to expected decrease (Nielsen 1999). Always the same number of rounds.
+/// With w = P_i - x_p, a displacement moves a point relative to the camera by -v - theta x w + theta x v
+/// + theta x (theta x w)/2, in B. With g the gradient of the features, weighted by r, for a motion of the point, and
+/// e_z the optical axis, their second derivative for that motion is -(g e_z^T + e_z g^T)/Z.
+/// @param r weights [px]
+template <class S, int N>
+Matrix6<S> feature_curvature(const S& f, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& r) noexcept {
+  const Vector3<S> axis = fit.R_BE.col(2);
+  Matrix6<S> sum = Matrix6<S>::Zero();
+  for (int i = 0; i < N; ++i) {
+    const S x = fit.features(2 * i), y = fit.features(2 * i + 1), rx = r(2 * i), ry = r(2 * i + 1);
+    const S inverse_depth = fit.inverse_depth(i);
+    const Vector3<S> g_E(S(-f * rx * inverse_depth), S(-f * ry * inverse_depth), S(-(x * rx + y * ry) * inverse_depth));
+    const Vector3<S> g = rotate<S>(fit.R_BE, g_E);
+    const Vector3<S> w = rotate<S>(fit.R_BE, back_project<S>(f, Vector2<S>(x, y), S(S(1.0) / inverse_depth)));
+    Vector6<S> a, b;
+    a.template head<3>() = -g;
+    a.template tail<3>() = cross<S>(g, w);
+    b.template head<3>() = -inverse_depth * axis;
+    b.template tail<3>() = inverse_depth * cross<S>(axis, w);
+    for (int column = 0; column < 6; ++column) sum.col(column) -= a * b(column) + b * a(column);
+    sum(4, 0) -= g(2);
+    sum(5, 0) += g(1);
+    sum(3, 1) += g(2);
+    sum(5, 1) -= g(0);
+    sum(3, 2) -= g(1);
+    sum(4, 2) += g(0);
+    const S along = dot<S>(g, w);
+    for (int column = 0; column < 3; ++column) {
+      for (int row = column; row < 3; ++row)
+        sum(3 + row, 3 + column) += S(0.5) * (g(row) * w(column) + w(row) * g(column));
+      sum(3 + column, 3 + column) -= along;
+    }
+  }
+  return sum;
+}
+
+/// Levenberg-Marquardt on the reprojection error: the pose from which known points look as measured, in the least
+/// squares, weighed against a prior: the minimum of C = |xi - xi(pose)|^2 + e^T M e. Never worse than its start, but
+/// for `kResidualRounding`.
+///
+/// Each round solves (A + mu diag(A)) d = J^T (xi - xi(pose)) + M e, A = J^T J + M, for a small displacement d in B and
+/// shortens it to `kPoseStep`. Where it is positive definite, Newton's matrix takes the place of A: it has the
+/// `feature_curvature` of the residual as well, with which the last rounds converge quadratically. What the full step
+/// changes beyond J d is the features' curvature along d, and `quartic_line_search` takes it into account; the better
+/// of the two steps is applied if it lowers C. mu follows the ratio of actual to expected decrease (Nielsen 1999).
+/// Where the expected decrease of C is below `kResidualRounding` sqrt(C), the costs differ by their rounding: there the
+/// full step is applied, which follows the gradient alone, and the pose is found to rounding instead of its square
+/// root. Always the same number of rounds.
 /// @param measured features [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param start its quaternion need not be of unit length
 template <class S, int N>
 PoseFit<S, N> fit_pose(const S& f, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
-                       const Pose<S>& start, int rounds) noexcept {
+                       const PosePrior<S>& prior, const Pose<S>& start, int rounds) noexcept {
   using std::abs;
   using std::sqrt;
-  PoseFit<S, N> best = pose_fit<S, N>(f, points_B, measured, displaced<S>(start, Vector6<S>::Zero()));
+  PoseFit<S, N> best = pose_fit<S, N>(f, points_B, measured, prior, displaced<S>(start, Vector6<S>::Zero()));
   S mu(kPoseDamping), growth(2.0);
   for (int round = 0; round < rounds; ++round) {
     const ImageJacobian<S, N> J(f, S(-1.0), best.features, best.inverse_depth, best.R_BE);
     const Vector<S, 2 * N> residual = measured - best.features;
-    const Vector6<S> gradient = J.pull(residual);
+    const Vector6<S> gradient = J.pull(residual) + prior.gradient(best.prior_error);
     Matrix6<S> A = J.normal_matrix();
+    A.diagonal() += prior.weight;
     const Vector6<S> damping = mu * A.diagonal();
     A.diagonal() += damping;
-    const Cholesky<S, 6> solver(A);
-    Vector6<S> d = solver.solve(gradient);
+    const Cholesky<S, 6> gauss(A);
+    A -= feature_curvature<S, N>(f, best, residual);
+    const Cholesky<S, 6> newton(A);
+    Vector6<S> d = select(newton.failed(), gauss.solve(gradient), newton.solve(gradient));
 
     S mean_depth(0.0);
     for (int i = 0; i < N; ++i) mean_depth += S(1.0 / N) / abs(best.inverse_depth(i));
     const S length = max(S(sqrt(S(d.template head<3>().squaredNorm())) / mean_depth),
                          S(sqrt(S(d.template tail<3>().squaredNorm()))));
     d *= select(length > S(kPoseStep), S(S(kPoseStep) / length), S(1.0));
-    const PoseFit<S, N> full = pose_fit<S, N>(f, points_B, measured, displaced<S>(best.pose, d));
+    const PoseFit<S, N> full = pose_fit<S, N>(f, points_B, measured, prior, displaced<S>(best.pose, d));
     const Vector<S, 2 * N> Jd = J.push(d);
     const S t = quartic_line_search<S, 2 * N>(residual, Jd, S(2.0) * (full.features - best.features - Jd));
-    PoseFit<S, N> next = pose_fit<S, N>(f, points_B, measured, displaced<S>(best.pose, t * d));
-    next.replace(!(next.squared_residual < full.squared_residual), full);
-
-    const Mask<S> better = (next.squared_residual < best.squared_residual) & !solver.failed();
+    PoseFit<S, N> next = pose_fit<S, N>(f, points_B, measured, prior, displaced<S>(best.pose, t * d));
     const S expected = larger(S(d.dot(damping.cwiseProduct(d) + gradient)), S(1e-300));
-    const S surplus = S(2.0) * (best.squared_residual - full.squared_residual) / expected - S(1.0);
+    const Mask<S> rounding = expected * expected < S(kResidualRounding * kResidualRounding) *
+                                                       (best.cost + S(kResidualRounding * kResidualRounding));
+    next.replace(rounding | !(next.cost < full.cost), full);
+
+    const Mask<S> better = (rounding | (next.cost < best.cost)) & is_finite(next.cost) & !gauss.failed();
+    const S surplus = S(2.0) * (best.cost - full.cost) / expected - S(1.0);
     mu *= select(better, clip(S(S(1.0) - surplus * surplus * surplus), S(1.0 / 3.0), S(2.0)), growth);
     mu = clip(mu, S(1e-14), S(1e8));
     growth = select(better, S(2.0), S(larger(S(1.0), S(S(2.0) * growth))));
@@ -196,36 +280,42 @@ template <class S>
 struct PoseEstimate {
   Pose<S> pose;        ///< in B; quaternion of unit length
   S squared_residual;  ///< |xi - xi(pose)|^2 [px^2]
-  S decrement;         ///< |P_J (xi - xi(pose))|^2, what a first-order step would still gain; 0 at a minimum [px^2]
+  S decrement;         ///< what a first-order step would still gain, |P_J (xi - xi(pose))|^2 without a prior; 0 at a
+                       ///< minimum [px^2]
   Mask<S> mirrored;    ///< it was found from the mirror image of the pose near the start
   Mask<S> failed;      ///< a point is not in front of the camera, or the image does not determine the pose
 };
 
-/// The pose from which known points look as measured, in the least squares, by `fit_pose` from a start.
+/// The pose from which known points look as measured, in the least squares, by `fit_pose` from the pose of the joint
+/// sensors, which may be a prior as well: along what the image hardly constrains, its noise is then not followed.
 ///
 /// A planar target has two poses that look alike. The mirror image of what is found from the start is followed as well
-/// (`mirrored_pose`), and taken where its squared residual is below `kMirrorShare` of the first one's: the pose near
+/// (`mirrored_pose`), and taken where its cost C is below `kMirrorShare` of the first one's: the pose near
 /// the joint sensors' stays unless the other one explains the image clearly better, so that noise alone does not make
 /// the estimate change sides from one image to the next. Always the same number of rounds, and never worse than the
 /// start.
 /// @param points_B in B [m]
 /// @param features measured [px], by a camera that projects (`CameraConvention::eye_in_hand`)
-/// @param start its quaternion need not be of unit length
+/// @param joints pose of the joint sensors: start, and centre of the prior; its quaternion need not be of unit length
+/// @param prior_weight diagonal of M [px^2/m^2; px^2/rad^2]; 0: the image alone
 template <class S, int N>
 PoseEstimate<S> estimate_pose(const S& f, const Eigen::Matrix<S, 3, N>& points_B, const Vector<S, 2 * N>& features,
-                              const Pose<S>& start) noexcept {
+                              const Pose<S>& joints, const Vector6<S>& prior_weight) noexcept {
   const Vectors3<S, N> points(points_B);
-  PoseFit<S, N> fit = fit_pose<S, N>(f, points, features, start, kPoseRounds);
+  const PosePrior<S> prior{displaced<S>(joints, Vector6<S>::Zero()), prior_weight};
+  PoseFit<S, N> fit = fit_pose<S, N>(f, points, features, prior, joints, kPoseRounds);
   const PoseFit<S, N> mirror =
-      fit_pose<S, N>(f, points, features, mirrored_pose<S, N>(points_B, fit.pose), kMirrorRounds);
+      fit_pose<S, N>(f, points, features, prior, mirrored_pose<S, N>(points_B, fit.pose), kMirrorRounds);
   PoseEstimate<S> estimate;
-  estimate.mirrored = mirror.squared_residual < S(kMirrorShare) * fit.squared_residual;
+  estimate.mirrored = mirror.cost < S(kMirrorShare) * fit.cost;
   fit.replace(estimate.mirrored, mirror);
-  fit = fit_pose<S, N>(f, points, features, fit.pose, kPolishRounds);
+  fit = fit_pose<S, N>(f, points, features, prior, fit.pose, kPolishRounds);
 
   const ImageJacobian<S, N> J(f, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
-  const Cholesky<S, 6> solver(J.normal_matrix());
-  const Vector6<S> gradient = J.pull(Vector<S, 2 * N>(features - fit.features));
+  Matrix6<S> A = J.normal_matrix();
+  A.diagonal() += prior.weight;
+  const Cholesky<S, 6> solver(A);
+  const Vector6<S> gradient = J.pull(Vector<S, 2 * N>(features - fit.features)) + prior.gradient(fit.prior_error);
   estimate.pose = fit.pose;
   estimate.squared_residual = fit.squared_residual;
   estimate.decrement = gradient.dot(solver.solve(gradient));

@@ -4,8 +4,10 @@
 namespace hexservo {
 
 void validate(const PbvsGains<double>& gains) {
-  detail::require_not_negative("controller.pbvs.kp", gains.kp);
-  detail::require_not_negative("controller.pbvs.kd", gains.kd);
+  const std::string key = "controller.pbvs.";
+  detail::require_not_negative(key + "kp", gains.kp);
+  detail::require_not_negative(key + "kd", gains.kd);
+  detail::require_not_negative(key + "prior", gains.prior);
 }
 
 template class ClosedLoop<double, Pbvs>;

@@ -91,7 +91,7 @@ _GAINS = {
         "gains.ki": "N s/m; N m s/rad",
         "gains.damping": "px^2/m^2; px^2/rad^2",
     },
-    "pbvs": {"gains.kp": "N/m; N m/rad", "gains.kd": "N s/m; N m s/rad"},
+    "pbvs": {"gains.kp": "N/m; N m/rad", "gains.kd": "N s/m; N m s/rad", "gains.prior": "px^2/m^2; px^2/rad^2"},
     "computed_torque": {"gains.kp": "1/s^2", "gains.kd": "1/s", "gains.prior": "px^2/m^2; px^2/rad^2"},
 }
 

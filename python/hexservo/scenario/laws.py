@@ -211,6 +211,10 @@ class Pbvs(Block):
     kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
         default_factory=lambda: collapsed(_core.PbvsGains().kd)
     )
+    # M, diagonal: weight of the joint sensors against the image [px^2/m^2] x3, [px^2/rad^2] x3; 0: the image alone
+    prior: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
+        default_factory=lambda: collapsed(_core.PbvsGains().prior)
+    )
 
 
 class ComputedTorque(Block):

@@ -16,7 +16,9 @@ struct PbvsGains {
   Vector6<S> kd{S(2.4),  S(2.4),  S(2.4),
                 S(6e-3), S(6e-3), S(1.2e-2)};  ///< diagonal of K_d [N s/m; N m s/rad], 2.4 x3, 6e-3 x2, 1.2e-2
 
-  static constexpr const char* keys[] = {"kp", "kd"};  ///< of the scenario's block, as `visit` has them
+  Vector6<S> prior = Vector6<S>::Zero();  ///< diagonal of M [px^2/m^2; px^2/rad^2], 0
+
+  static constexpr const char* keys[] = {"kp", "kd", "prior"};  ///< of the scenario's block, as `visit` has them
 
   /// The task has to hold the pose of the goal.
   static constexpr bool needs_goal() { return true; }
@@ -25,6 +27,7 @@ struct PbvsGains {
   static void visit(F&& f, A& a, B& b) {
     f(a.kp, b.kp);
     f(a.kd, b.kd);
+    f(a.prior, b.prior);
   }
 };
 
@@ -33,11 +36,12 @@ struct Pbvs : StatelessLaw<PbvsGains> {
   static constexpr const char* name = "pbvs";
 
   /// tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat from the features by `estimate_pose`, started at
-  /// the pose of the joint sensors. NaN where there is no estimate.
+  /// the pose of the joint sensors and, with M > 0, weighed against it. NaN where there is no estimate.
   template <class S, int N>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
-    const PoseEstimate<S> estimate = estimate_pose(task.focal_pixels, task.target.points_B, input.features, input.pose);
+    const PoseEstimate<S> estimate =
+        estimate_pose(task.focal_pixels, task.target.points_B, input.features, input.pose, gains.prior);
     const Vector6<S> error =
         select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
     out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
