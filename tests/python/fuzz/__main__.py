@@ -12,14 +12,14 @@ import tempfile
 import traceback
 from pathlib import Path
 
-from fuzz.campaign import run
+from fuzz.campaign import Findings, run
 from fuzz.campaigns import CAMPAIGNS
 
 _HUNG = 120.0  # [s], after which a trial is taken to hang: a trace of all threads, and the end
 
 
 def main() -> int:
-    """Run the campaigns and tell the exit code: 1 where a trial failed."""
+    """Run the campaigns and return the exit code: 1 where a trial failed."""
     parser = argparse.ArgumentParser(prog="fuzz", description="Random campaigns (docs/testing.md).")
     parser.add_argument("--seconds", type=float, default=60.0, help="for all campaigns together")
     parser.add_argument("--seed", type=int, default=None, help="default: drawn, and printed")
@@ -41,11 +41,22 @@ def main() -> int:
             findings = run(name, CAMPAIGNS[name], Path(folder), seed=seed, seconds=seconds, **trials)
             faulthandler.cancel_dump_traceback_later()
         print(findings, flush=True)
-        for trial, error in findings.failures:
-            failed += 1
-            print(f"\n{name}, trial {trial} (again: --campaign {name} --seed {seed} --trial {trial})")
-            traceback.print_exception(error, file=sys.stdout)
+        failed += len(findings.failures)
+        _print_failures(findings)
     return 1 if failed else 0
+
+
+def _print_failures(findings: Findings) -> None:
+    """Print a traceback for each place in the code where trials failed, and the numbers of all trials that did."""
+    places: dict[tuple[str, int | None], list[int]] = {}
+    errors = dict(findings.failures)
+    for trial, error in findings.failures:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        places.setdefault((last.filename, last.lineno), []).append(trial)
+    for trials in places.values():
+        again = f"--campaign {findings.name} --seed {findings.seed} --trial {trials[0]}"
+        print(f"\n{findings.name}, {len(trials)} failed: trials {', '.join(map(str, trials[:10]))} (again: {again})")
+        traceback.print_exception(errors[trials[0]], file=sys.stdout)
 
 
 def _places(folder: Path, seed: int, seconds: float) -> int:
