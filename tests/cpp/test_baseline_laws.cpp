@@ -242,7 +242,7 @@ TEST_CASE("pbvs: tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat 
   for (int trial = 0; trial < 100; ++trial) {
     CAPTURE(trial);
     Situation<Pbvs> s = random_situation<Pbvs>(random);
-    s.gains = {random_positive<6>(random, 20.0), random_positive<6>(random, 1.0)};
+    s.gains = {random_positive<6>(random, 20.0), random_positive<6>(random, 1.0), Vector6<double>::Zero()};
     s.task.target.goal = {Vector3<double>(0.01, 0.0, -0.15) + random.matrix<3>(0.02), random.quaternion(0.5, 2.0)};
     // the points are where the true pose sees them, and the sensors say that the platform is elsewhere
     const Pose<double> truth = s.input.pose;
@@ -257,6 +257,11 @@ TEST_CASE("pbvs: tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat 
     const Vector6<double> tau = s.gains.kp.asDiagonal() * difference(s.task.target.goal, truth) -
                                 s.gains.kd.asDiagonal() * s.input.twist + s.task.gravity_wrench;
     CHECK(distance(s.wrench(), tau) <= 1e-7);  // the estimate is good to 1e-9
+    // a prior that outweighs the image: the pose of the sensors
+    s.gains.prior.setConstant(1e16);
+    const Vector6<double> sensed = s.gains.kp.asDiagonal() * difference(s.task.target.goal, s.input.pose) -
+                                   s.gains.kd.asDiagonal() * s.input.twist + s.task.gravity_wrench;
+    CHECK(distance(s.wrench(), sensed) <= 1e-7);
   }
 }
 

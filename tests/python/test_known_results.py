@@ -111,7 +111,7 @@ def test_laws_to_compare_with(law: str, scenario: str, settling: float, final: f
 @pytest.mark.parametrize("law", ["resolved_rate", "pbvs"])
 def test_the_goal_itself_is_reached_where_all_depths_err_alike(law: str, paper: hs.Scenario) -> None:
     """Every feature shifts by (-20, -8) px at 0.5 m: by hand, a pure translation."""
-    result, metrics = run(paper.updated({"controller.law": law}))
+    result, metrics = run(paper.updated({"controller.law": law, "controller.pbvs.prior": 0.0}))
     goal = np.array([20.0, 8.0]) * 0.5 / (72727 * 0.008)
     np.testing.assert_allclose((result.position[-1] - result.position[0])[:2], goal, rtol=0, atol=1e-9)
     assert metrics["final_error"] < 1e-6

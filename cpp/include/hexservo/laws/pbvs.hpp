@@ -16,7 +16,7 @@ struct PbvsGains {
   Vector6<S> kd{S(2.4),  S(2.4),  S(2.4),
                 S(6e-3), S(6e-3), S(1.2e-2)};  ///< diagonal of K_d [N s/m; N m s/rad], 2.4 x3, 6e-3 x2, 1.2e-2
 
-  Vector6<S> prior = Vector6<S>::Zero();  ///< diagonal of M [px^2/m^2; px^2/rad^2], 0
+  Vector6<S> prior = linear_angular<S>(1e4, 1600.0);  ///< diagonal of M [px^2/m^2; px^2/rad^2], 1e4 x3, 1600 x3
 
   static constexpr const char* keys[] = {"kp", "kd", "prior"};  ///< of the scenario's block, as `visit` has them
 

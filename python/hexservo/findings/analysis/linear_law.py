@@ -81,8 +81,9 @@ class _Tick:
         self.depth_scale = 1.0 + settings.uncertainty.depth
         self.predicts = scenario.camera.prediction == "encoder"
         self.weight = scene.body.gravity_wrench
-        # The tick has no `uncertainty`: laws with a target model get the points that the loop would give them.
+        # The points that the controller assumes, with their errors of depth: the tick adds none to them.
         settings.target.points = self._believed(scene.home)
+        settings.uncertainty.depth = np.zeros(4)
         if scenario.controller.law in ("hybrid", "composite"):
             if smooth:
                 settings.switching.kind = _core.SwitchingKind.tanh
