@@ -156,7 +156,7 @@ def test_the_recorded_run_is_the_simulated_one(law: str, monkeypatch: pytest.Mon
     """Ticks are recorded from the very loop that `hs.simulate` runs, and `hs.Controller` answers them the same."""
     scenario = hs.load_scenario("composite-30hz").updated({"controller.law": law, "simulation.duration": 0.5})
     ticks = _core.recorded_ticks(core_parameters(scenario))
-    monkeypatch.setattr(variant, "_CHOSEN", variant._load("baseline"))  # the others fuse products and sums
+    monkeypatch.setattr(variant, "_CHOSEN", variant.load_kernel("baseline"))  # the others fuse products and sums
     result = hs.simulate(scenario)
     n = len(result.time)
     np.testing.assert_array_equal(ticks["fuzzy_output"][:n], result.fuzzy_output)
