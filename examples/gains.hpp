@@ -1,6 +1,6 @@
 // hexservo gains, format 1
 // The controller of the scenario "paper", written by `hexservo export` of hexservo 0.1.0.
-// Not to be edited: change the scenario, and let `hexservo export --force` write this file anew.
+// Not to be edited: change the scenario and run `hexservo export --force` again.
 // clang-format off
 #pragma once
 

@@ -1,4 +1,4 @@
-"""Controllers of one's own: what they see, what they may give, what becomes of their errors."""
+"""Custom controllers: their inputs, their valid outputs, and the treatment of their errors."""
 
 from __future__ import annotations
 
@@ -272,7 +272,7 @@ def test_it_is_compared_beside_laws(sampled: hs.Scenario, paper: hs.Scenario) ->
     assert hs.compare(scenarios[:1], [], controllers={"held": hold}).laws == ("held",)
     with pytest.raises(ZeroDivisionError):
         hs.compare(scenarios[:1], [], controllers={"broken": lambda seen: 1 / 0})
-    with pytest.raises(ValueError, match="expected names in words other than those of laws, got 'hybrid'"):
+    with pytest.raises(ValueError, match="expected names that are text and not names of laws, got 'hybrid'"):
         hs.compare(scenarios[:1], controllers={"hybrid": hold})
     with pytest.raises(TypeError, match="controllers: held: expected a function, got int"):
         hs.compare(scenarios[:1], controllers={"held": 1})  # type: ignore[dict-item]

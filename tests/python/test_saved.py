@@ -242,7 +242,7 @@ FORGERIES: dict[str, tuple[Callable[[xarray.Dataset], Any], str]] = {
     "another end": (lambda data: data.attrs.update(end_time=0.25), "attribute end_time, which is not the last time"),
     "no outcome": (
         lambda data: data.attrs.update(outcome="splendid"),
-        'an outcome that hexservo knows, got "splendid"',
+        'a known outcome, got "splendid"',
     ),
     "no scenario": (lambda data: data.attrs.update(scenario="name: x"), "its scenario: ScenarioError: "),
     "no table": (lambda data: data.attrs.update(event_table="kind"), "attribute event_table"),

@@ -1,6 +1,6 @@
 """Measures this machine: the servo tick's latency, and the rates of single runs and batches (BENCHMARKS.md).
 
-The loops that are timed are C++. Every answer is checked before its time counts.
+The loops that are timed are C++. Every result is checked before it is timed.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ _TICK_TOLERANCES = {"hybrid": 5e-4, "composite": 2e-3} | dict.fromkeys(
 
 
 class BenchmarkError(RuntimeError):
-    """What was timed gave a wrong answer."""
+    """A timed computation gave a wrong result."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How long to measure."""
+    """Durations and repetitions of the measurements."""
 
     ticks: int = 1_000_000  # of law `hybrid`, free-running
     seconds: float = 3.0  # of every rate
@@ -63,7 +63,7 @@ class Plan:
 
     @property
     def law_ticks(self) -> int:
-        """Ticks of each other law, one after another: a fifth, and enough for a 99.9 % quantile."""
+        """Free-running ticks of each other law: a fifth, and enough for a 99.9 % quantile."""
         return max(1000, self.ticks // 5)
 
 
@@ -87,7 +87,7 @@ class TickTiming:
     """Ticks of one law at one rate."""
 
     law: str
-    rate: float | None  # [Hz]; None: one after another
+    rate: float | None  # [Hz]; None: free-running
     ticks: int
     periods: int
     missed: int  # periods whose tick had not ended when the next one began
@@ -153,7 +153,7 @@ def benchmark(plan: Plan, say: Say = lambda text: None) -> Benchmark:
     plan
         How long.
     say
-        Told what is being measured.
+        Called with the name of each measurement.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def benchmark(plan: Plan, say: Say = lambda text: None) -> Benchmark:
     scenario = load_scenario("paper")
     ticks = []
     for rate in (None, *TICK_RATES):
-        say("ticks, one after another" if rate is None else f"ticks at {rate / 1e3:g} kHz")
+        say("ticks, free-running" if rate is None else f"ticks at {rate / 1e3:g} kHz")
         ticks.append(_time_ticks(scenario, rate, plan))
     for law in LAWS:
         if law != scenario.controller.law:
@@ -192,7 +192,7 @@ def _parameters(scenario: Scenario) -> _core.HybridSettings:
 def _replayed(scenario: Scenario, law: str) -> Scenario:
     """Give the run of another law that its ticks replay.
 
-    A tick knows no error of the depth and a run's law does (docs/model.md, section 5, ``pbvs``), so there is none.
+    A tick has no depth error and a run's law does (docs/model.md, section 5, ``pbvs``), so there is none.
     """
     return scenario.updated({"controller.law": law, "uncertainty.depth": 0.0})
 
@@ -206,7 +206,7 @@ def _time_ticks(scenario: Scenario, rate: float | None, plan: Plan) -> TickTimin
     times = _core.time_ticks(core_parameters(scenario), periods, rate or 0.0, plan.realtime)
     if times.interrupted:
         raise KeyboardInterrupt
-    what = f"ticks of {law}, one after another" if rate is None else f"ticks of {law} at {rate:g} Hz"
+    what = f"ticks of {law}, free-running" if rate is None else f"ticks of {law} at {rate:g} Hz"
     _require(times.invalid == 0, what, "no invalid input", f"{times.invalid} of them")
     _require(times.reproduced, what, "the same outputs in every replay", "others")
     difference, allowed = times.wrench_difference, _TICK_TOLERANCES[law]

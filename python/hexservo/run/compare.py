@@ -39,11 +39,10 @@ def compare(
     *,
     controllers: Mapping[str, OwnController] | None = None,
 ) -> Comparison:
-    """Run every law on every scenario and put the results side by side (docs/compare.md).
+    """Run every law on every scenario and tabulate the results (docs/compare.md).
 
-    A scenario runs with ``controller.law`` replaced and everything else as it stands; each law has a block of gains of
-    its own there. Runs that differ in numbers alone share a batch (`simulate_batch`); what a batch does not take is run
-    by itself (`simulate`).
+    Only ``controller.law`` of a scenario is replaced; each law has its own block of gains. Runs that differ in numbers
+    only share a batch (`simulate_batch`); all others are single runs (`simulate`).
 
     Parameters
     ----------
@@ -58,7 +57,7 @@ def compare(
     progress
         True draws a bar on standard error; a function is called with (runs done, runs in all), in this thread.
     controllers
-        Custom controllers by the names of their rows, compared beside the laws; functions as `simulate` takes them.
+        Custom controllers by the names of their rows, compared with the laws; functions as for `simulate`.
         They run one by one in this thread, in sampled mode alone: a scenario in continuous mode is "refused". An
         observation with ``tick`` 0 begins a new run.
 
@@ -121,7 +120,7 @@ def _checked_controllers(controllers: Mapping[str, OwnController] | None) -> dic
         raise TypeError(f"controllers: expected a mapping of names to functions, got {type(controllers).__name__}")
     for name, function in controllers.items():
         if not str(name).strip() or not str(name).isprintable() or name in LAWS:
-            raise ValueError(f"controllers: expected names in words other than those of laws, got {name!r}")
+            raise ValueError(f"controllers: expected names that are text and not names of laws, got {name!r}")
         if not callable(function):
             raise TypeError(f"controllers: {name}: expected a function, got {type(function).__name__}")
     return dict(controllers)

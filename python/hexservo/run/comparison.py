@@ -1,4 +1,4 @@
-"""What several laws did on several scenarios, side by side (docs/compare.md)."""
+"""Results of several laws on several scenarios (docs/compare.md)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["Comparison", "ComparisonRow"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ComparisonRow:
-    """What one law did in one scenario."""
+    """Result of one law in one scenario."""
 
     law: str
     scenario: Scenario  # with that law; as given where the law refuses it
@@ -115,7 +115,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Several laws on several scenarios, one row for each pair: scenario by scenario, law by law, as they were given.
+    """Several laws on several scenarios, one row for each pair: scenario by scenario, law by law, in the given order.
 
     A row depends on its law and scenario only, not on the other rows, bit for bit within one variant.
     """

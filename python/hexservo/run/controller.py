@@ -1,4 +1,4 @@
-"""The servo tick, for teaching and tests: the function that a robot calls in C++."""
+"""The servo tick, for education and tests: the function that a robot calls in C++."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class Controller:
 
     It is the controller of the sampled loop, all of it, and the one that ``hexservo export`` takes to a robot: frames
     with their times of exposure, prediction, lost points, timeout, the pose of the encoders, the law, the wait of the
-    weights under saturation, and the safe output. It knows what the scenario's controller knows: not ``uncertainty``,
+    weights under saturation, and the safe output. It uses the data of the scenario's controller: not ``uncertainty``,
     which belongs to the plant. A scenario in ``continuous`` mode has a frame and a pose at every tick.
 
-    For teaching and tests. A call from Python costs several times the tick itself, most of it for the conversion of
+    For education and tests. A call from Python costs several times the tick itself, most of it for the conversion of
     arrays. A robot's program includes the header that ``hexservo export`` writes and calls ``hexservo::step``.
 
     Parameters

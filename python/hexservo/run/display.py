@@ -1,4 +1,4 @@
-"""How results of runs show themselves: a few lines as text, and a view in a notebook where something draws it."""
+"""Display of results: a few lines of text, and HTML in a notebook if a renderer is there."""
 
 from __future__ import annotations
 

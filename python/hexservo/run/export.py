@@ -19,7 +19,7 @@ from hexservo.scenario.version import VERSION
 __all__ = ["gains_header", "write_header"]
 
 _TITLE = "// hexservo gains, format 1"
-"""First line of every header that we write: what tells it from a file of somebody else."""
+"""First line of every exported header, which distinguishes it from other files."""
 
 # Member of hexservo::Settings and its unit; one block each. What is left out here belongs to the plant or to a run.
 _ROBOT = {
@@ -97,7 +97,7 @@ _GAINS = {
 
 
 def gains_header(scenario: Scenario, period: float | None = None) -> str:
-    """Give a C++ header with everything that the controller of a scenario knows, as constants.
+    """Return a C++ header with all parameters of the controller of a scenario, as constants.
 
     The header defines ``Law``, ``period``, ``settings()`` and ``controller_gains()`` in the namespace
     ``hexservo_NAME``, where NAME is the scenario's, with "_" for what is neither letter nor digit, and the macro
@@ -133,7 +133,7 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     lines = [
         _TITLE,
         f'// The controller of the scenario "{scenario.name}", written by `hexservo export` of hexservo {VERSION}.',
-        "// Not to be edited: change the scenario, and let `hexservo export --force` write this file anew.",
+        "// Not to be edited: change the scenario and run `hexservo export --force` again.",
         "// clang-format off",
         "#pragma once",
         "",
@@ -230,7 +230,7 @@ def write_header(text: str, file: str | os.PathLike[str], *, force: bool = False
     file
         A name in a folder that exists. A file of that name is kept.
     force
-        Replace a header that we wrote earlier, which its first line tells; no other file is ever replaced.
+        Replace an earlier exported header, recognised by its first line; other files are never replaced.
 
     Raises
     ------

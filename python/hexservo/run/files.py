@@ -18,10 +18,10 @@ from hexservo.scenario.version import VERSION
 __all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "write_file", "write_folder"]
 
 MARKER = ".hexservo-output"
-"""Name of the file that tells a folder of results from any other; it lists the other files with their SHA-256."""
+"""Name of the file that identifies a folder of results; it lists the other files with their SHA-256."""
 
 Recogniser: TypeAlias = "str | Callable[[Path], bool]"
-"""What tells files that we write from other ones: their first line, or a function of the path."""
+"""Identification of files that hexservo wrote: their first line, or a function of the path."""
 
 _TITLE = "# hexservo output, format 1"
 _LISTED = re.compile(r"(?P<digest>[0-9a-f]{64})  (?P<name>[^/]+)")  # as sha256sum writes and reads it
@@ -37,7 +37,7 @@ def check_folder(folder: str | os.PathLike[str], *, force: bool = False) -> None
     Raises
     ------
     OutputError
-        As `write_folder`, as far as it can be told without writing anything.
+        As `write_folder`, as far as it can be checked without writing.
     """
     _Folder(_located(folder), force).check_early()
 
@@ -194,7 +194,7 @@ def check_file(file: str | os.PathLike[str], title: Recogniser, author: str, *, 
     Raises
     ------
     OutputError
-        As `write_file`, as far as it can be told without writing anything.
+        As `write_file`, as far as it can be checked without writing.
     """
     path = Path(file)
     with _refusing_in_words(path):
@@ -218,7 +218,7 @@ def write_file(
     file
         A name in a folder that exists. A file of that name is kept.
     title
-        What tells such files from those of somebody else: their first line, or a function that recognises them.
+        Identifies such files: their first line, or a function that recognises them.
     author
         What writes such files, for the refusal of others.
     force

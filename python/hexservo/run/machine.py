@@ -31,7 +31,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Tell what was built and runs here."""
+    """Return version, compiler and compiled variants."""
     import numpy as np
 
     build = _core.build_info()

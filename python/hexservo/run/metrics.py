@@ -26,7 +26,7 @@ METRICS: dict[str, tuple[str, str]] = {
     "peak_leg_force": ("N", "largest leg force"),
     "peak_leg_excursion": ("m", "largest leg travel from the home length"),
     "overshoot": ("px", "largest excursion of a feature coordinate beyond its goal"),
-    "relative_overshoot": ("1", "the same, each in parts of its own initial error"),
+    "relative_overshoot": ("1", "overshoot as a fraction of the initial error of the component"),
     "peak_feature_distance": ("px", "largest distance of a feature from the image centre"),
     "peak_line_deviation": ("px", "largest distance of a feature from its straight way"),
     "effort": ("N^2 s", "integral of the squared wrench beyond the estimated weight"),
@@ -55,7 +55,7 @@ def metrics(result: Result) -> dict[str, float]:
 
 
 def readable(name: str, value: float) -> tuple[str, str]:
-    """Give a metric as people read it: the number in words, and its unit (mm for m, and so on)."""
+    """Return the text of a metric and its display unit (mm for m, and so on)."""
     if value != value:
         return "never" if name == "settling_time" else "none", ""  # NaN: docs/model.md section 8
     unit, scale = _READABLE_UNITS.get(METRICS[name][0], (METRICS[name][0], 1.0))

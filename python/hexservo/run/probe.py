@@ -28,7 +28,7 @@ def probe(scenario: Scenario) -> _core.Probe:
     ``measured_depth(depth)``
         The controller's depths (n, 4) for the true ones.
     ``law(features, depth, position, quaternion, twist, weights=None)``
-        Wrench, fuzzy output, normalised memberships and adaptation; `depth` as the controller believes it. The weights
+        Wrench, fuzzy output, normalised memberships and adaptation; `depth` is the controller's. The weights
         follow omega_j-dot = adaptation_j phi-bar_j - sigma_j omega_j, phi-bar_j being the outer product of the two
         memberships and sigma_j the leakage; a limit acts at the end of a step. Adaptation holds the dead zone. A
         sampled scenario's law is that of a servo tick, with the tick's period.

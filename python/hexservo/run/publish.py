@@ -124,7 +124,7 @@ def publish(draft: Path, place: Place) -> None:
 
 
 def _replace(draft: Path, place: Place) -> None:
-    """Exchange old and new, look at the old once more, and remove it; or exchange them back."""
+    """Exchange old and new, check the old again, and remove it; or exchange them back."""
     path, ready = place.path, _beside(place.path, _READY)
     new = _identity(draft)
     try:
@@ -230,8 +230,8 @@ def _left_over(path: Path) -> list[tuple[str, Path]]:
 def _clear_away(place: Place) -> None:
     """Put back results whose name is missing, and remove what killed processes left; under the parent's lock.
 
-    What is "ready" or "aside" while nobody else has the lock belongs to nobody who lives. It is removed only if it is
-    ours and whole: had somebody else's file got among it, the process was killed before it could say so.
+    What is "ready" or "aside" while no process has the lock belongs to a process that has ended. It is removed only
+    if it is ours and complete: if a foreign file is in it, the process was killed before it could report that.
     """
     for purpose, left in _left_over(place.path):
         with contextlib.suppress(OSError, OutputError):  # another process of ours will try again
@@ -296,7 +296,7 @@ class _Opened:
     def lock(self, flags: int) -> bool:
         try:
             fcntl.flock(self.descriptor, flags)
-        except OSError:  # somebody else has it, or the file system has no locks
+        except OSError:  # another process has it, or the file system has no locks
             return False
         return True
 
@@ -343,7 +343,7 @@ def synchronize(path: Path) -> None:
 
 
 def shown(path: Path) -> str:
-    """Quote a path so that it stays on its line, whatever characters it has; near ones relative, as they were typed."""
+    """Quote a path so that it stays on its line, whatever characters it has; near ones relative, as typed."""
     try:
         text = str(path.relative_to(Path.cwd()))
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Which samples a picture shows, and what is made of them; shared by all that draw, without a plotting library."""
+"""Selection and processing of samples for figures and charts, without a plotting library."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class ImageView:
 
 
 def image_views(result: Result) -> list[ImageView]:
-    """Return what axes of the image show: the paths and goals; with ``camera.image_size`` the image, in its shape.
+    """Return the limits of image axes: the paths and goals; with ``camera.image_size`` the image, in its shape.
 
     Paths that leave the image widen that view in both directions alike. Where they take a small part of it, a second
     view of the same shape magnifies them.

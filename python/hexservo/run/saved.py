@@ -90,7 +90,7 @@ def _result(arrays: Mapping[str, NDArray[np.float64]], attributes: Mapping[str, 
     if numbers["end_time"] != arrays["time"][-1]:
         refuse_changed(place, "attribute end_time, which is not the last time")
     if texts["outcome"] not in get_args(Outcome):
-        raise ResultError(f"{place}: expected an outcome that hexservo knows, got {quoted(texts['outcome'])}")
+        raise ResultError(f"{place}: expected a known outcome, got {quoted(texts['outcome'])}")
     try:
         scenario = Scenario.from_yaml(texts["scenario"])
     except ScenarioError as error:

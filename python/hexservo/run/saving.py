@@ -64,7 +64,7 @@ def check_saved(path: str | os.PathLike[str], *, force: bool = False) -> None:
     Raises
     ------
     OutputError
-        As `save_result`, as far as it can be told without writing anything.
+        As `save_result`, as far as it can be checked without writing.
     """
     check_file(path, is_sealed, "hexservo", force=force)
 

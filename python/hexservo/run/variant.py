@@ -64,7 +64,7 @@ def load_kernel(name: str) -> _core.Kernel:
 
 
 def _chosen() -> _core.Kernel | VariantError:
-    # A wrong choice is told where a run needs it: what does not simulate (`hexservo check`) goes on working.
+    # A wrong choice raises only where a run needs it: commands that do not simulate (`hexservo check`) still work.
     try:
         return _choose(os.environ.get(ENVIRONMENT_VARIABLE, ""))
     except VariantError as error:

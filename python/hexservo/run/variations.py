@@ -19,7 +19,7 @@ __all__ = []
 
 
 def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
-    """Give the variations as arrays of allowed shapes, lengths and values."""
+    """Return the variations as arrays of allowed shapes, lengths and values."""
     if not isinstance(variations, Mapping):
         raise TypeError(f"variations: expected a mapping of keys to arrays, got {type(variations).__name__}")
     if not variations:
@@ -48,10 +48,10 @@ def known_key(key: object, law: str) -> NumericKey:
     if isinstance(key, str) and key in known:
         return known[key]
     if any(key in numeric_keys(other) for other in LAWS):
-        raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got one of another law")
+        raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got a key of a different law")
     nearest = difflib.get_close_matches(key.lower(), list(known), 1) if isinstance(key, str) else []
     hint = f'; did you mean "{nearest[0]}"?' if nearest else ""
-    raise ValueError(f"{key}: expected a key that holds numbers, got another one{hint}")
+    raise ValueError(f"{key}: expected a numeric key, got one that is not numeric and cannot vary within a batch{hint}")
 
 
 def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:

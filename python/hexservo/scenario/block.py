@@ -55,7 +55,7 @@ class Block(BaseModel):
 
     @classmethod
     def model_construct(cls, _fields_set: set[str] | None = None, **values: Any) -> Self:
-        """Refuse to make a block of values that nobody checked.
+        """Refuse to make a block of unvalidated values.
 
         Raises
         ------

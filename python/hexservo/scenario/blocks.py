@@ -106,7 +106,7 @@ class Camera(Block):
     # [s], since its exposure: an older image is not used, and the wrench holds the platform; null: any is used
     timeout: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
     noise: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [px], standard deviation of each coordinate
-    quantisation: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [px], coordinates are multiples of it; 0: of nothing
+    quantisation: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [px], coordinates are multiples of it; 0: not rounded
     dropout: Annotated[float, PROBABILITY, SAMPLED] = 0.0  # probability that a frame never arrives
     outlier_probability: Annotated[float, PROBABILITY, SAMPLED] = 0.0  # that a point of a frame is an outlier
     # [px], standard deviation of what is added to an outlier's coordinates, beside the noise
@@ -120,7 +120,7 @@ class Camera(Block):
 
 
 class Sensors(Block):
-    """How the controller knows the platform's pose and twist, in `sampled` mode; docs/model.md section 7.
+    """Source of the controller's pose and twist, in `sampled` mode; docs/model.md section 7.
 
     The period is a whole number of servo periods (``simulation.step``).
     """
@@ -129,7 +129,7 @@ class Sensors(Block):
     pose: Annotated[Literal[True, "encoders"], TrueOr("encoders")] = True
     # what the twist is made of: differences of readings over their period, or the true rates of the legs
     rate: Annotated[Literal[True, "differences"], TrueOr("differences")] = "differences"
-    resolution: NumberNotNegative = 0.0  # [m], a length is a multiple of it; 0: of nothing
+    resolution: NumberNotNegative = 0.0  # [m], a length is a multiple of it; 0: not rounded
     noise: NumberNotNegative = 0.0  # [m], standard deviation of each length
     period: Annotated[float | None, OptionalNumber(above=0)] = None  # [s], between readings; null: every servo period
 
@@ -140,12 +140,12 @@ class Actuators(Block):
     hold: Annotated[Literal["wrench", "leg_forces"], Choice()] = "wrench"  # what stays the same between two ticks
     saturation: Annotated[bool, Flag()] = False  # leg forces are limited to robot.force_limit
     bandwidth: Annotated[float | None, OptionalNumber(above=0)] = None  # [Hz], of a first-order lag; null: none
-    quantisation: NumberNotNegative = 0.0  # [N], leg forces are multiples of it; 0: of nothing
+    quantisation: NumberNotNegative = 0.0  # [N], leg forces are multiples of it; 0: not rounded
     delay: NumberNotNegative = 0.0  # [s], a whole number of servo periods, at most 8
 
 
 class BaseMotion(Block):
-    """Linear acceleration of the base frame B, in `sampled` mode, of which the controller knows nothing.
+    """Linear acceleration of the base frame B, in `sampled` mode, which the controller does not measure.
 
     Only what the kind needs acts; docs/model.md section 7. A recording is given as a CSV file with the columns t, ax,
     ay, az [s, m/s^2], which is read at once: a scenario holds the samples, and its own ``file`` is null.
@@ -186,7 +186,7 @@ class BaseMotion(Block):
 
 
 class Target(Block):
-    """The four points that the camera sees, and where in the image they shall be.
+    """The four points in view of the camera, and their desired image.
 
     The points are given either by their image from the home pose and their depth, or by their place in B. Features are
     ordered (x1, y1, ..., x4, y4), in pixels.

@@ -57,7 +57,7 @@ class Fuzzy(Block):
     """The six fuzzy systems and their adaptation, (13) and (22); docs/model.md section 5.
 
     Where six numbers are allowed they are for x, y, z (N) and about x, y, z (N m). In the block of `composite` the
-    inputs are a pose error and its rate: a [1/m, 1/rad], b [s/m, s/rad], with defaults of their own.
+    inputs are a pose error and its rate: a [1/m, 1/rad], b [s/m, s/rad], with different defaults.
     """
 
     enabled: Annotated[bool, Flag()] = Field(default_factory=lambda: _core.FuzzyGains().enabled)
@@ -89,7 +89,7 @@ class Fuzzy(Block):
     )
     # no weight, and so no output, is larger [N, N m]; null: no limit
     weight_limit: Annotated[float | Vector | None, ArrayRule((6,), POSITIVE, or_number=True, or_null=True)] = None
-    # what drives the adaptation teaches nothing within this [m/s, rad/s]
+    # the driver of the adaptation has no effect within this [m/s, rad/s]
     dead_zone: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
         default_factory=lambda: collapsed(_core.FuzzyGains().dead_zone)
     )
@@ -235,7 +235,7 @@ class ComputedTorque(Block):
 
 
 class Controller(Block):
-    """The control law. Each law has a block of its own, and only the selected one acts."""
+    """The control law. Each law has a separate block, and only the selected one has an effect."""
 
     law: Annotated[Law, Choice()] = "hybrid"
     # consistent: the sign of the plant; printed: (8) as it stands

@@ -1,4 +1,4 @@
-"""What is wrong with a scenario, in words: one line for each problem."""
+"""Messages about an invalid scenario: one line for each problem."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MOST_PROBLEMS = 20  # said of a scenario; of more only their number
 
 
 def in_words(error: ValidationError) -> Iterator[str]:
-    """Say each problem that pydantic found in a line of its own, the first ones if there are many."""
+    """Return one line for each problem found by pydantic, the first ones if there are many."""
     missing: dict[tuple[int | str, ...], list[str]] = {}
     problems = error.errors(include_url=False)
     for problem in problems[:_MOST_PROBLEMS]:

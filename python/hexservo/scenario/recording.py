@@ -81,7 +81,7 @@ def _parsed(text: str) -> tuple[float, list[list[float]]]:
 
 
 def _order(line: int, names: list[str]) -> list[int]:
-    """Say where each column is. The file may be another one than was meant, so nothing of it is repeated."""
+    """Find the position of each column. The file may be the wrong one, so the message does not quote it."""
     if sorted(names) != sorted(_COLUMNS):
         got = "1 other field" if len(names) == 1 else f"{len(names)} fields"
         missing = ", ".join(name for name in _COLUMNS if name not in names)

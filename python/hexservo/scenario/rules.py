@@ -95,7 +95,7 @@ class Number(Rule):
 
 @dataclass(frozen=True)
 class Angle(Number):
-    """An angle in radians, at most one turn either way: more is somebody's degrees."""
+    """An angle in radians, at most 2 pi in magnitude: larger values are probably degrees."""
 
     at_least: float | None = -2 * math.pi
     at_most: float | None = 2 * math.pi
@@ -270,7 +270,7 @@ class Flag(Rule):
 
 @dataclass(frozen=True)
 class Choice(Rule):
-    """One of some words: those of the Literal it annotates, if it is not told others."""
+    """One of several words: by default those of the annotated Literal."""
 
     choices: tuple[str, ...] = ()
     or_null: bool = False
