@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from hexservo.report.html import TITLE
 from hexservo.run.files import check_file, write_file
+from hexservo.scenario.wording import wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -43,7 +44,7 @@ def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = 
     from hexservo.run.result import Result
 
     if not isinstance(result, Result):
-        raise TypeError(f"result: expected a Result (see hs.simulate), got {type(result).__name__}")
+        raise wrong_type("result", "a Result (see hs.simulate)", result)
     check_report(path, force=force)  # before the work
     write_file(page(result), path, TITLE, _AUTHOR, force=force)
 

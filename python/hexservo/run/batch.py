@@ -26,6 +26,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
+from hexservo.scenario.wording import wrong_type
 
 if TYPE_CHECKING:
     import pandas
@@ -229,7 +230,7 @@ def simulate_batch(
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """
     if not isinstance(scenario, Scenario):
-        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     if log not in tuple(_LOGS):  # a tuple: what was given may have no hash
         raise ValueError(f"log: expected one of {', '.join(_LOGS)}, got {log!r}")
     kernel = chosen_kernel()
@@ -279,7 +280,7 @@ def _run_custom(
 ) -> BatchResult:
     """Run one scenario after the other with a Python function as their controller."""
     if not callable(controller):
-        raise TypeError(f"controller: expected a function of an Observation, got {type(controller).__name__}")
+        raise wrong_type("controller", "a function of an Observation", controller)
     if threads is not None and thread_count(threads) != 1:
         raise ValueError(
             f"threads: expected 1 or None with a custom controller, which runs in one thread, got {threads}"
@@ -378,7 +379,7 @@ def thread_count(threads: int | None) -> int:
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if isinstance(threads, bool) or not isinstance(threads, int):
-        raise TypeError(f"threads: expected an integer or None, got {type(threads).__name__}")
+        raise wrong_type("threads", "an integer or None", threads)
     if not 1 <= threads <= _MAX_THREADS:
         raise ValueError(f"threads: expected an integer from 1 to {_MAX_THREADS}, got {threads}")
     return threads
@@ -401,4 +402,4 @@ def _reporting(progress: bool | ProgressCallback | None) -> Iterator[Callable[[i
 
             yield report
     else:
-        raise TypeError(f"progress: expected True, a function or None, got {type(progress).__name__}")
+        raise wrong_type("progress", "True, a function or None", progress)

@@ -19,6 +19,7 @@ from hexservo.run.shared import shared_by, variations_of
 from hexservo.run.simulation import simulate
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.scenario import Scenario, load_scenario
+from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
 __all__ = ["compare"]
@@ -117,7 +118,7 @@ def _checked_controllers(controllers: Mapping[str, OwnController] | None) -> dic
     if controllers is None:
         return {}
     if not isinstance(controllers, Mapping):
-        raise TypeError(f"controllers: expected a mapping of names to functions, got {type(controllers).__name__}")
+        raise wrong_type("controllers", "a mapping of names to functions", controllers)
     for name, function in controllers.items():
         if not str(name).strip() or not str(name).isprintable() or name in LAWS:
             raise ValueError(f"controllers: expected names that are text and not names of laws, got {name!r}")
@@ -249,4 +250,4 @@ def _reporting(progress: bool | ProgressCallback | None, count: int) -> Iterator
         with progress_bar("runs", transient=True) as draw:
             yield lambda done: draw(done, count, done / count)
     else:
-        raise TypeError(f"progress: expected True, a function or None, got {type(progress).__name__}")
+        raise wrong_type("progress", "True, a function or None", progress)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexservo import _core
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["Controller", "ControllerOutput"]
 
@@ -64,7 +65,7 @@ class Controller:
 
     def __init__(self, scenario: Scenario, period: float | None = None) -> None:
         if not isinstance(scenario, Scenario):
-            raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+            raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
         self._scenario = scenario
         self._core = _core.Controller(*controller_arguments(scenario, period))
         self._next = 0.0

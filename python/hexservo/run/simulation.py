@@ -11,6 +11,7 @@ from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result
 from hexservo.run.variant import chosen_kernel
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["simulate"]
 
@@ -48,13 +49,13 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """
     if not isinstance(scenario, Scenario):
-        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     if controller is None:
         run = _core.simulate(core_parameters(scenario), chosen_kernel(), log_weights)
     elif callable(controller):
         run = run_with(scenario, controller)
     else:
-        raise TypeError(f"controller: expected a function of an Observation, got {type(controller).__name__}")
+        raise wrong_type("controller", "a function of an Observation", controller)
     return Result(
         scenario=scenario,
         controller=scenario.controller.law if controller is None else function_name(controller),

@@ -13,6 +13,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, numeric_keys, sampled_keys, without_effect
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
 __all__ = []
@@ -21,7 +22,7 @@ __all__ = []
 def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
     """Return the variations as arrays of allowed shapes, lengths and values."""
     if not isinstance(variations, Mapping):
-        raise TypeError(f"variations: expected a mapping of keys to arrays, got {type(variations).__name__}")
+        raise wrong_type("variations", "a mapping of keys to arrays", variations)
     if not variations:
         raise ValueError("variations: expected at least one key, got none")
     law = scenario.controller.law

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["joules", "number", "quantity"]
+__all__ = ["joules", "number", "quantity", "wrong_type"]
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -28,3 +28,8 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 def joules(value: float, digits: int = 4, unit: str = "J") -> str:
     """Write an energy [J], or a power with the unit W."""
     return quantity(value, unit, digits)
+
+
+def wrong_type(name: str, expected: str, got: object) -> TypeError:
+    """Return the error for an argument of another type: "name: expected ..., got int"."""
+    return TypeError(f"{name}: expected {expected}, got {type(got).__name__}")

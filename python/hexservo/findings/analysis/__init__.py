@@ -14,6 +14,7 @@ from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
 
@@ -94,7 +95,7 @@ def analyse(
         For parts that there are not.
     """
     if not isinstance(scenario, Scenario):
-        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     if isinstance(parts, str):
         raise ValueError(f"parts: expected a list of names, got the text {parts!r}; write [{parts!r}]")
     asked = list(PARTS) if parts is None else list(parts)

@@ -19,6 +19,7 @@ from hexservo.run.progress import progress_bar
 from hexservo.run.variations import checked_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["BatchCertificate", "certify_batch"]
 
@@ -165,7 +166,7 @@ def certify_batch(
         For another law or mode, of which the theorem does not speak, and as `simulate_batch` for the variations.
     """
     if not isinstance(scenario, Scenario):
-        raise TypeError(f"scenario: expected a Scenario (see hs.load_scenario), got {type(scenario).__name__}")
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     if scenario.controller.law != "hybrid":
         raise ValueError(f"controller.law: expected hybrid, of which the theorem is, got {scenario.controller.law}")
     if scenario.simulation.mode != "continuous":
@@ -206,4 +207,4 @@ def _reporting(
         with progress_bar("runs certified") as draw:
             yield lambda done, count: draw(done, count, done / count)
     else:
-        raise TypeError(f"progress: expected True, a function or None, got {type(progress).__name__}")
+        raise wrong_type("progress", "True, a function or None", progress)

@@ -15,6 +15,7 @@ from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["Plant", "Replay", "every_step", "probe_without", "product", "replay", "replay_of", "sgn_breaks"]
 
@@ -93,7 +94,7 @@ def replay(result: Result) -> Replay:
         core's limit of 2 GiB.
     """
     if not isinstance(result, Result):
-        raise TypeError(f"result: expected a Result (see hs.simulate), got {type(result).__name__}")
+        raise wrong_type("result", "a Result (see hs.simulate)", result)
     scenario = result.scenario
     own = result.controller != scenario.controller.law
     if own and scenario.simulation.log_every != 1:

@@ -11,6 +11,7 @@ from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.diagnosis.words import how, margins, misses, warnings_of
 from hexservo.run.result import Result
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["Diagnosis", "Finding", "Remedy", "diagnose"]
 
@@ -41,7 +42,7 @@ def diagnose(result: Result) -> Diagnosis:
         For anything but a `Result`.
     """
     if not isinstance(result, Result):
-        raise TypeError(f"result: expected a Result (see hs.simulate), got {type(result).__name__}")
+        raise wrong_type("result", "a Result (see hs.simulate)", result)
     if result.outcome == "interrupted":
         return Diagnosis(result, None, ())
     record = record_of(result)
