@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hexservo.findings.evidence import as_data
 from hexservo.run.files import write_folder
 
 if TYPE_CHECKING:
@@ -49,26 +49,22 @@ def _metrics_json(result: Result) -> str:
         "hexservo": VERSION,
         "scenario": result.scenario.name,
         "outcome": result.outcome,
-        "end_time": {"value": _finite(result.end_time), "unit": "s"},
+        "end_time": {"value": result.end_time, "unit": "s"},
         "detail": result.detail,
         "events": [
             {
                 "kind": event.kind,
                 "leg": event.leg,
-                "time": {"value": _finite(event.time), "unit": "s"},
-                "peak": {"value": _finite(event.peak), "unit": unit},
-                "limit": {"value": _finite(event.limit), "unit": unit},
+                "time": {"value": event.time, "unit": "s"},
+                "peak": {"value": event.peak, "unit": unit},
+                "limit": {"value": event.limit, "unit": unit},
             }
             for event in result.events
             for unit in ["m" if event.kind == "stroke" else "N"]
         ],
         "metrics": {
-            name: {"value": _finite(value), "unit": METRICS[name][0], "meaning": METRICS[name][1]}
+            name: {"value": value, "unit": METRICS[name][0], "meaning": METRICS[name][1]}
             for name, value in metrics(result).items()
         },
     }
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return json.dumps(as_data(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"

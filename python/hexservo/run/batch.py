@@ -18,7 +18,7 @@ from hexservo.run.custom_controller import OwnController, function_name, run_wit
 from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
 from hexservo.run.metrics import METRICS
-from hexservo.run.progress import progress_bar
+from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.result import QUANTITIES, TERMS, WRENCH
 from hexservo.run.variant import chosen_kernel
 from hexservo.run.variations import checked_variations, known_key, plain_row
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 __all__ = ["BatchResult", "simulate_batch", "whole"]
 
 Log: TypeAlias = Literal["final", "metrics", "trajectory"]
-ProgressCallback: TypeAlias = Callable[[int, int], object]
 
 _LOGS = {
     "final": _core.BatchLog.last_sample,

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.run.batch import ProgressCallback, simulate_batch
+from hexservo.run.batch import simulate_batch
 from hexservo.run.comparison import Comparison, ComparisonRow
 from hexservo.run.custom_controller import OwnController
 from hexservo.run.metrics import metrics
-from hexservo.run.progress import progress_bar
+from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.result import Result
 from hexservo.run.shared import shared_by, variations_of
 from hexservo.run.simulation import simulate
@@ -84,18 +84,18 @@ def compare(
     loaded = _checked_scenarios(scenarios, changes)
     rows = [_prepared(scenario, law, custom=law in functions) for scenario in loaded for law in chosen_laws]
     groups = _groups(rows, functions)
-    with _reporting(progress, len(rows)) as report, contextlib.suppress(KeyboardInterrupt):
+    with reporting(progress, "runs", transient=True) as report, contextlib.suppress(KeyboardInterrupt):
         done = sum(row.outcome == "refused" for row in rows)
-        report(done)
+        report(done, len(rows))
         for group in groups:
 
             def told(finished: int, before: int = done) -> None:
-                report(before + finished)
+                report(before + finished, len(rows))
 
             for index, row in _run([(index, rows[index]) for index in group], threads, told, functions):
                 rows[index] = row
             done += len(group)
-            report(done)
+            report(done, len(rows))
             if any(rows[index].outcome == "interrupted" for index in group):
                 break
     return Comparison(chosen_laws, loaded, tuple(rows))
@@ -238,16 +238,3 @@ def _row_of(row: ComparisonRow, result: Result) -> ComparisonRow:
     return ComparisonRow(
         row.law, row.scenario, result.outcome, result.detail, result.end_time, metrics(result), result.time, largest
     )
-
-
-@contextlib.contextmanager
-def _reporting(progress: bool | ProgressCallback | None, count: int) -> Iterator[Callable[[int], object]]:
-    if progress is None or progress is False:
-        yield lambda done: None
-    elif callable(progress):
-        yield lambda done: progress(done, count)
-    elif progress is True:
-        with progress_bar("runs", transient=True) as draw:
-            yield lambda done: draw(done, count, done / count)
-    else:
-        raise wrong_type("progress", "True, a function or None", progress)

@@ -5,11 +5,16 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from html import escape
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
-__all__ = ["Report", "in_notebook", "progress_bar"]
+from hexservo.scenario.wording import wrong_type
+
+__all__ = ["ProgressCallback", "Report", "in_notebook", "progress_bar", "reporting"]
+
+ProgressCallback: TypeAlias = Callable[[int, int], object]
+"""Called with how many are done, and how many there are."""
 
 _REDRAWN = 0.1  # shortest time between two updates of a notebook's cell [s]
 
@@ -43,6 +48,28 @@ def progress_bar(what: str, *, transient: bool = False) -> Iterator[Report]:
     """
     with _notebook_bar(what, transient) if in_notebook() else _terminal_bar(what, transient) as report:
         yield report
+
+
+@contextlib.contextmanager
+def reporting(
+    progress: bool | ProgressCallback | None, what: str, *, transient: bool = False
+) -> Iterator[ProgressCallback]:
+    """Report progress as a user asks for it: True is a bar, a function is called, None is nothing.
+
+    Raises
+    ------
+    TypeError
+        For anything else.
+    """
+    if progress is None or progress is False:
+        yield lambda done, count: None
+    elif callable(progress):
+        yield progress
+    elif progress is True:
+        with progress_bar(what, transient=transient) as draw:
+            yield lambda done, count: draw(done, count, done / count)
+    else:
+        raise wrong_type("progress", "True, a function or None", progress)
 
 
 @contextlib.contextmanager

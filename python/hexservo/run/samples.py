@@ -22,6 +22,7 @@ __all__ = [
     "moving_mean",
     "parts",
     "rotation_vectors",
+    "unit_rotation_vectors",
 ]
 
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
@@ -50,10 +51,15 @@ def rotation_vectors(quaternion: Array) -> Array:
     Accurate to rounding from 0 to pi: the angle comes from both parts of the quaternion.
     """
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    unit = np.where(unit[:, :1] < 0, -unit, unit)
-    sine = np.linalg.norm(unit[:, 1:], axis=1, keepdims=True)
-    angle = 2 * np.arctan2(sine, unit[:, :1])
-    return np.asarray(unit[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0))
+    return unit_rotation_vectors(unit)
+
+
+def unit_rotation_vectors(unit: Array) -> Array:
+    """Return axis times angle of quaternions of length one, (..., 4), w x y z, as (..., 3) [rad]."""
+    unit = np.where(unit[..., :1] < 0, -unit, unit)
+    sine = np.sqrt((unit[..., 1:] ** 2).sum(axis=-1, keepdims=True))
+    half = np.arctan2(sine, unit[..., :1])
+    return np.asarray(2.0 * unit[..., 1:] / np.sinc(half / np.pi))
 
 
 def extremes(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:

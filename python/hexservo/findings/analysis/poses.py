@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo.run.samples import unit_rotation_vectors
 from hexservo.scenario.arrays import Array
 
 __all__ = ["Mask", "Poses", "by_displacement", "without_sign"]
@@ -56,11 +57,7 @@ class Poses:
     def displacement_from(self, other: Poses) -> Array:
         """Give what `moved` takes from other poses to these, (..., 6) [m; rad], rotated by at most pi."""
         turn = _product(self.quaternion, other.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
-        turn = np.where(turn[..., :1] < 0, -turn, turn)
-        sine = np.sqrt((turn[..., 1:] ** 2).sum(axis=-1, keepdims=True))
-        angle = np.arctan2(sine, turn[..., :1])
-        vector = 2.0 * turn[..., 1:] / np.sinc(angle / np.pi)
-        return np.concatenate([self.position - other.position, vector], axis=-1)
+        return np.concatenate([self.position - other.position, unit_rotation_vectors(turn)], axis=-1)
 
     def repeated(self, count: int) -> Poses:
         """Give one pose several times, as rows."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -15,7 +15,7 @@ from hexservo.findings.certificate.uncertainty import AXES, assumption_of, uncer
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Section, Table, as_data
 from hexservo.run.metrics import metrics
-from hexservo.run.progress import progress_bar
+from hexservo.run.progress import reporting
 from hexservo.run.variations import checked_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
@@ -176,7 +176,7 @@ def certify_batch(
     scenarios = [scenario.updated(_row(scenario, arrays, index)) for index in range(count)]
     outcome = np.full(count, "interrupted", dtype="<U16")
     settling_time, eta, margin = np.full(count, np.nan), np.full((count, 6), np.nan), np.full((count, 6), np.nan)
-    with contextlib.suppress(KeyboardInterrupt), _reporting(progress) as report:
+    with contextlib.suppress(KeyboardInterrupt), reporting(progress, "runs certified") as report:
         for index, varied in enumerate(scenarios):
             result = every_step(varied)
             run = replay_of(result, varied, result.end_time)
@@ -193,18 +193,3 @@ def _row(scenario: Scenario, arrays: Mapping[str, Array], index: int) -> dict[st
     return {
         key: plain_row(known_key(key, law), values[index if len(values) > 1 else 0]) for key, values in arrays.items()
     }
-
-
-@contextlib.contextmanager
-def _reporting(
-    progress: bool | Callable[[int, int], object] | None,
-) -> Iterator[Callable[[int, int], object]]:
-    if progress is None or progress is False:
-        yield lambda done, count: None
-    elif callable(progress):
-        yield progress
-    elif progress is True:
-        with progress_bar("runs certified") as draw:
-            yield lambda done, count: draw(done, count, done / count)
-    else:
-        raise wrong_type("progress", "True, a function or None", progress)
