@@ -823,7 +823,7 @@ def test_without_scripts_words_tables_and_the_still_picture_remain(visit: Callab
     seen = visit(viewport=PHONE, java_script_enabled=False)
     shown = seen.open()
     assert shown.locator("svg.still").is_visible()
-    assert "Charts need JavaScript" in shown.locator("noscript").inner_text()
+    assert "JavaScript is off: there are no charts." in shown.locator("noscript").inner_text()
     assert shown.get_by_text("along <x>").is_visible()
     assert not shown.locator("#play").is_visible()
 
