@@ -21,7 +21,13 @@ HEADERS = ROOT / "cpp" / "include" / "hexservo"
 MODEL = ROOT / "docs" / "model.md"
 ERRATA = ROOT / "docs" / "errata.md"
 # The changelog is young; everything else that is named here has to be there.
-PAGES = [ROOT / "README.md", *(page for page in [ROOT / "CHANGELOG.md"] if page.exists()), MODEL, ERRATA]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *(page for page in [ROOT / "CHANGELOG.md"] if page.exists()),
+    MODEL,
+    ERRATA,
+]
 PAGES += [page for page in sorted((ROOT / "docs").rglob("*.md")) if page not in PAGES]
 
 PAPER_EQUATIONS = [f"({number})" for number in (*range(1, 16), 22)]
@@ -513,3 +519,13 @@ def test_every_erratum_is_complete_and_has_a_test(number: int) -> None:
     own = {name for name in tests if name.startswith(f"test_erratum_{number}_")}
     assert own, f"tests/python/test_errata.py has no test_erratum_{number}_..."
     assert own <= named, f"erratum {number} does not name {sorted(own - named)}"
+
+
+def test_files_named_in_the_guide_for_contributors_are_there() -> None:
+    roots = (ROOT, ROOT / "cpp" / "include", ROOT / "cpp" / "include" / "hexservo", ROOT / "python" / "hexservo")
+    spans = re.findall(r"`([\w./]+(?:\.(?:hpp|cpp|py|pyi|yaml|md|txt)|/))`", prose_of(ROOT / "CONTRIBUTING.md"))
+    assert len(spans) > 30
+    # short names stand for files beside the one named before them
+    folders = {path.parent for path in ROOT.joinpath("python", "hexservo").rglob("*.py")}
+    missing = [name for name in spans if not any((folder / name).exists() for folder in (*roots, *folders))]
+    assert not missing

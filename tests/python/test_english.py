@@ -61,6 +61,7 @@ EXCEPTIONS: set[tuple[str, str]] = set()
 
 PAGES = [
     "README.md",
+    "CONTRIBUTING.md",
     "CHANGELOG.md",
     *sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md")),
 ]
