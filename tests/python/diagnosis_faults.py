@@ -267,8 +267,8 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
     "inertia": (Fault({"uncertainty.inertia": EitherSign(0.5, 0.99)}),),
     "coriolis": (Fault({"uncertainty.coriolis": EitherSign(0.5, 0.99)}),),
     "unequal_depth": (
-        Fault(SIGNED, laws=("pbvs", "resolved_rate"), base=DRIFTING),
-        Fault(SIGNED, laws=("pbvs", "resolved_rate"), base=DRIFTING, continuous=True),
+        Fault(SIGNED, laws=("pbvs", "resolved_rate"), base={**DRIFTING, "controller.pbvs.prior": 0.0}),
+        Fault(SIGNED, laws=("pbvs", "resolved_rate"), base={**DRIFTING, "controller.pbvs.prior": 0.0}, continuous=True),
         Fault(SIGNED, laws=("computed_torque",), base={**DRIFTING, "controller.computed_torque.prior": 0.0}),
     ),
     "common_depth": (
