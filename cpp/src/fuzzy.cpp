@@ -10,7 +10,7 @@ namespace hexservo {
 namespace {
 
 constexpr double kMaxProductDigits = 290.0;  // decimal exponent that products of bell denominators may reach
-constexpr double kMaxAdaptation = 1e100;     // Psi, and its inverse
+constexpr double kLeastAdaptation = 1e-100;  // Psi
 constexpr double kMaxLeakagePerStep = 1.0;   // sigma h; the method's error grows with its fourth power
 
 }  // namespace
@@ -34,9 +34,8 @@ void require_resolved(const FuzzyGains<double>& gains, const std::string& key, d
 void validate(const FuzzyGains<double>& gains, const std::string& key) {
   detail::require_positive(key + "adaptation", gains.adaptation);
   for (int j = 0; j < kAxes; ++j)  // 1/Psi and what it multiplies stay finite
-    if (!(gains.adaptation(j) >= 1.0 / kMaxAdaptation && gains.adaptation(j) <= kMaxAdaptation))
-      detail::refuse(detail::words(key, "adaptation[", j, "]"),
-                     detail::words("a number from ", 1.0 / kMaxAdaptation, " to ", kMaxAdaptation),
+    if (gains.adaptation(j) < kLeastAdaptation)
+      detail::refuse(detail::words(key, "adaptation[", j, "]"), detail::words("a number >= ", kLeastAdaptation),
                      detail::words(gains.adaptation(j)));
   detail::require_finite(key + "error_scale", gains.error_scale);
   detail::require_finite(key + "rate_scale", gains.rate_scale);

@@ -371,7 +371,7 @@ TEST_CASE("bells are either refused as too steep, or give a partition of unity e
 
 TEST_CASE("an adaptation whose inverse would overflow what it multiplies is refused") {
   FuzzyGains<double> gains;
-  for (const double bad : {5e-324, 1e-101, 1e101, 1.7e308}) {
+  for (const double bad : {5e-324, 1e-300, 1e-101}) {
     gains.adaptation(4) = bad;
     CHECK(is_about(refusal([&] { validate(gains, "controller.hybrid.fuzzy."); }),
                    "controller.hybrid.fuzzy.adaptation[4]"));

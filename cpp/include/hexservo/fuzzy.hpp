@@ -453,7 +453,7 @@ void require_resolved(const FuzzyGains<double>& gains, const std::string& key, d
 
 /// Checks a design as a user gives it.
 /// @param key what the scenario's keys start with, "controller.hybrid.fuzzy."
-/// @throws std::invalid_argument naming the scenario key: Psi not within 1e-100 and 1e100, bell width or slope not
+/// @throws std::invalid_argument naming the scenario key: Psi below 1e-100, bell width or slope not
 /// positive, bells too steep to normalise, anything not finite
 void validate(const FuzzyGains<double>& gains, const std::string& key);
 

@@ -33,7 +33,7 @@ set(warnings "-Wall -Wextra -Werror")
 run("${CMAKE_COMMAND}" -S "${work}/examples" -B "${work}/build" -G "${GENERATOR}" ${shared}
     "-DCMAKE_CXX_FLAGS=${CXX_FLAGS} ${warnings}")
 run("${CMAKE_COMMAND}" --build "${work}/build")
-run("${work}/build/servo" 0.6)
+run("${work}/build/servo" 1.0)
 
 # The memory layout is part of the interface: other instruction-set flags must not link.
 if(PROCESSOR MATCHES "^(x86_64|AMD64|amd64)$" AND NOT CXX_FLAGS MATCHES "-m(arch|avx)")
