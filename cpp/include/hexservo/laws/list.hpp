@@ -3,7 +3,7 @@
 ///
 /// A new law is a header with its equation beside this one, its file in cpp/src/laws, cpp/src/kernel_<law>.cpp and a
 /// line here. Laws with fuzzy systems have their sampled loop in kernel_<law>_sampled.cpp, compiled side by side. The
-/// gains are bound in bind_settings.cpp and have a block in scenario/scenario.py.
+/// gains are bound in bind_settings.cpp and have a block in scenario/laws.py.
 #pragma once
 
 #include <type_traits>
