@@ -9,8 +9,7 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis import drift
-from hexservo.findings.analysis.drift import loop_matrix
-from hexservo.findings.analysis.drift_findings import Drift, Pattern, Size
+from hexservo.findings.analysis.drift import Drift, Pattern, Size, loop_matrix
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of

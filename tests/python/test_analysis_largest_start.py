@@ -11,6 +11,7 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis import largest_start
 from hexservo.findings.analysis.largest_start import Direction, LargestStart, border
+from hexservo.findings.analysis.largest_start_words import border_words
 from hexservo.findings.analysis.scene import Scene
 
 
@@ -58,8 +59,8 @@ def test_a_border_lies_below_the_smallest_that_fails() -> None:
 def test_two_sides_of_a_border_read_as_two() -> None:
     turn = Direction("turn +z", np.array([0.0, 0, 0, 0, 0, math.radians(14.2)]), 1.0, "stroke", {}, {}, None, {}, 2.0)
     near = replace(turn, tried={0.8120: True, 0.8130: False})
-    assert near.border_words() == ("11.53 deg", "11.54 deg")
-    assert replace(turn, tried={0.5: True, 0.75: False}).border_words() == ("7.1 deg", "10.6 deg")
+    assert border_words(near) == ("11.53 deg", "11.54 deg")
+    assert border_words(replace(turn, tried={0.5: True, 0.75: False})) == ("7.1 deg", "10.6 deg")
 
 
 def test_a_border_that_is_known_by_hand() -> None:

@@ -10,6 +10,7 @@ from collections import Counter
 import pytest
 
 import hexservo as hs
+from hexservo.findings.analysis import PARTS
 from packages import PACKAGES, PICTURE, SOURCES, Import, imports, module_name, package_of, picture
 
 MOST_LINES = 500
@@ -65,6 +66,34 @@ def test_no_import_circles() -> None:
     assert circle(IMPORTS) == []
     pairs = [Import("a", "b", "", 1), Import("b", "c", "", 1), Import("c", "a", "", 1)]
     assert circle(pairs) == ["a", "b", "c", "a"]
+
+
+@pytest.mark.parametrize("part", sorted(module for module, _ in PARTS.values()))
+def test_numbers_of_an_analysis_do_not_depend_on_its_words(part: str) -> None:
+    """`x` computes, `x_words` makes sentences of what it returns; nothing that `x` imports makes sentences."""
+    module = f"findings.analysis.{part}"
+    words = f"{module}_words"
+    used = {(each.source, each.name) for each in IMPORTS if each.module == words}
+    assert any(source == module for source, _ in used), f"{words} does not import {module}"
+    wording = {each.module for each in IMPORTS if each.source == "findings.evidence" and each.name == "Section"}
+    wording -= {"findings.analysis.part"}  # looks up the words of a part by name when they are asked for
+    used_by_numbers = {each.source for each in IMPORTS if each.module == module}
+    assert used_by_numbers & wording == set()
+    assert not [source for source in used_by_numbers if source.endswith("words") or source == "findings.evidence"]
+    tree = ast.parse((SOURCES / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8"))
+    parts = [
+        node.name
+        for node in tree.body
+        if isinstance(node, ast.ClassDef)
+        and any(isinstance(base, ast.Name) and base.id == "Part" for base in node.bases)
+    ]
+    assert len(parts) == 1, f"{module}: expected one class of base Part, got {parts}"
+    assert "section" in functions_of(words)
+
+
+def functions_of(module: str) -> set[str]:
+    tree = ast.parse((SOURCES / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8"))
+    return {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
 def test_no_private_name_leaves_its_module() -> None:

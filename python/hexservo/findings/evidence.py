@@ -14,10 +14,13 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array
 
-__all__ = ["Cell", "Column", "Curves", "HeatMap", "Item", "Line", "Section", "Table", "as_data"]
+__all__ = ["Cell", "Column", "Curves", "HeatMap", "Item", "Line", "Section", "Table", "Verdict", "as_data"]
 
 Cell: TypeAlias = str | float | int | bool | None
 """Cell of a table: a number is in the unit of its column; None if there is no value."""
+
+Verdict: TypeAlias = Literal["good", "warning", "bad", "open"]
+"""Verdict of a section; open: not applicable."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ class Section:
     title: str
     sentences: Sequence[str]  # the findings in plain words, the most important one first
     items: Sequence[Item] = ()
-    verdict: Literal["good", "warning", "bad", "open"] = "open"  # open: not applicable
+    verdict: Verdict = "open"
     data: dict[str, Any] = field(default_factory=dict)  # the findings as numbers, in SI units and pixels, for programs
 
 

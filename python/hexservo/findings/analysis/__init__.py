@@ -20,7 +20,8 @@ __all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
 
 _Found = TypeVar("_Found")
 
-# name -> (module of this package, what it answers). Each module has analyse(scenario), whose result has section().
+# name -> (module of this package, its subject). A module has analyse(scenario), which returns a `Part`; the module
+# beside it, with _words after its name, has section(part).
 PARTS: dict[str, tuple[str, str]] = {
     "conditioning": ("conditioning", "pose observability from one image"),
     "workspace": ("workspace", "reach, singularities and loads of the legs"),

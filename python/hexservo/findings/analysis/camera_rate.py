@@ -20,7 +20,6 @@ from hexservo.findings.analysis.camera_margins import (
     motion_of,
     radius_map,
 )
-from hexservo.findings.analysis.camera_rate_words import section
 from hexservo.findings.analysis.camera_runs import StartRun, StrokeBorder, learned_weights, start_runs, stroke_border
 from hexservo.findings.analysis.linear_loop import Clock, SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import (
@@ -34,8 +33,7 @@ from hexservo.findings.analysis.loop_of_scenario import (
     loop_with_weights,
     scaled,
 )
-from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Section
+from hexservo.findings.analysis.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
@@ -67,7 +65,7 @@ class BorderRun:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CameraRate(Findings):
+class CameraRate(Part):
     """What periods and latencies of the camera a scenario's loop endures."""
 
     scenario: Scenario
@@ -109,10 +107,6 @@ class CameraRate(Findings):
         """Margins of the loop that small motions meet: with the slope of K_v only where the scenario has one."""
         smoothing = self.scenario.controller.switching.kind in ("tanh", "saturation")
         return self.smooth if smoothing and self.smooth is not None else self.free
-
-    def section(self) -> Section:
-        """Give words, margins, the map and the runs that check it."""
-        return section(self)
 
 
 # --- the check by simulation ------------------------------------------------------------------------------------------

@@ -1,21 +1,19 @@
-"""Sentences and tables of the part camera_rate of an analysis."""
+"""Limits of camera period and latency as sentences, tables and a map (docs/analysis/camera_rate.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import numpy as np
 
 from hexservo.findings.analysis.camera_margins import LARGEST_FACTOR, Border, Margins
+from hexservo.findings.analysis.camera_rate import CameraRate
 from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest
 from hexservo.findings.analysis.words import number
-from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table
-
-if TYPE_CHECKING:
-    from hexservo.findings.analysis.camera_rate import CameraRate
+from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict
 
 __all__ = ["section"]
 
@@ -58,7 +56,7 @@ def section(result: CameraRate) -> Section:
     )
 
 
-def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Literal["good", "warning", "bad"]:
+def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Verdict:
     if not result.stable:
         damped = result.settles is None and result.smooth is not None and result.smooth.stable
         return "warning" if damped else "bad"

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from hexservo import _core
-from hexservo.findings.analysis.drift_findings import GRID, LARGEST, SIZES, Drift, Pattern, Size
 from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.part import Part, not_analysed
 from hexservo.findings.analysis.poses import Mask, Poses, without_sign
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.analysis.words import not_analysed
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Drift", "Pattern", "Size", "analyse", "loop_matrix"]
+__all__ = ["GRID", "LARGEST", "SIZES", "Drift", "Pattern", "Size", "analyse", "loop_matrix"]
 
+SIZES = (0.05, 0.3)  # of depth errors, beside the scenario's own
+LARGEST = 0.95  # that is searched; at 1 an assumed depth is zero
+GRID = 20  # sizes up to it before the bisection, so that a border that is not the only one is found
 _ROUNDS = 20  # of bisection
 _CREEP_ROUNDS = 30  # of the search for the end of the drift
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=4)))  # (16, 4)
@@ -28,6 +31,80 @@ _NOT_FOR = {
     "kelly": "it forms no pose error; for its image part under unequal depth errors see equilibria",
     "pbvs": "it estimates the pose by iteration from assumed target points",
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Depth errors of one size with one sign per point."""
+
+    signs: str  # such as (+,-,-,+)
+    errors: Array  # (4,) delta_Z
+    start: float  # smallest real part of an eigenvalue of the loop matrix at the start [1]
+    goal: float  # the same at the goal; NaN where there is no goal pose
+    direction: Array  # (6,) [m; rad], in B: the one that belongs to `start`
+    rate: float  # [1/s], smallest real part of the drift's rates, at the start
+    end: Array | None  # (6,) from home [m; rad], where the pose error is zero; None where none attracts
+    end_rate: float  # [1/s], as `rate`, there
+    end_error: float  # [px], largest |xi_d - xi| there
+    end_travel: float  # [m], largest leg travel there
+
+    @property
+    def smallest(self) -> float:
+        """Smallest real part of an eigenvalue at start and goal [1]."""
+        return float(np.nanmin([self.start, self.goal]))
+
+    @property
+    def rank(self) -> float:
+        """`smallest`, rounded: two patterns that symmetry makes equal are not ordered by their rounding errors."""
+        return round(self.smallest, 9)
+
+    @property
+    def time_constant(self) -> float:
+        """1/rate [s]: of the slowest part of the way where positive, of its growth where negative."""
+        return 1.0 / self.rate if self.rate != 0.0 else np.inf
+
+    @property
+    def end_time_constant(self) -> float:
+        """1/end_rate [s]; NaN without an end."""
+        return 1.0 / self.end_rate
+
+
+@dataclass(frozen=True, eq=False)
+class Size:
+    """All sixteen sign patterns of one size."""
+
+    size: float  # |delta_Z|
+    patterns: tuple[Pattern, ...]
+    negative: tuple[int, int]  # at start and goal, of the 14 patterns that differ: how many have a negative eigenvalue
+    negative_inverse_only: tuple[int, int]  # the same with the prior in the inverse alone
+    negative_image_only: tuple[int, int]  # the same without a prior, M = 0
+
+    @property
+    def worst(self) -> Pattern:
+        """The pattern with the smallest eigenvalue at start or goal."""
+        return min(self.patterns, key=lambda pattern: pattern.rank)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Drift(Part):
+    """Eigenvalues that decide the drift, or why there are none."""
+
+    law: str
+    open_because: str  # empty where the analysis applies
+    driven_by: str = ""  # what takes the pose error to a velocity
+    depth: float = 0.0  # [m], mean, from home
+    stroke: float = 0.0  # [m]
+    own: Pattern | None = None  # the scenario's own depth errors
+    sizes: tuple[Size, ...] = ()  # by size; the scenario's own among them
+    limit_start: float | None = (
+        None  # |delta_Z| up to which all patterns are positive; None: up to the largest searched
+    )
+    limit_goal: float | None = None
+    has_goal: bool = True
+    has_prior: bool = True  # one that is expected, not only in the inverse
+    leaks: bool = False  # the weights that integrate
+    grid: Array | None = None  # (n,) sizes
+    curves: dict[str, Array] | None = None  # (n,) smallest eigenvalue over all patterns, by place and prior
 
 
 def analyse(scenario: Scenario) -> Drift:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo.findings.analysis.equilibria_findings import SEED, Equilibria, Equilibrium
 from hexservo.findings.analysis.goal import SHOWN, nearest_images
+from hexservo.findings.analysis.part import Part, not_analysed
 from hexservo.findings.analysis.poses import Mask, Poses, without_sign
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import WIDER
-from hexservo.findings.analysis.words import not_analysed
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Equilibria", "Equilibrium", "analyse"]
+__all__ = ["SEED", "Equilibria", "Equilibrium", "analyse"]
 
+SEED = 20  # of the starts; the same in every analysis
 _WITHIN, _WIDER = 64, 64  # starts inside the stroke, and in the wider region
 _SAME = 1e-4  # [mean depth; rad], equilibria closer than this are one
 _ZERO = 1e-11  # of the largest eigenvalue, below which the sign of another one is rounding
@@ -30,6 +31,53 @@ _NOT_FOR = {
     "resolved_rate": "it follows the pseudo-inverse of the image Jacobian, not its transpose",
     "pbvs": "it regulates an estimated pose, not the image",
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A pose at which the law leaves the platform at rest."""
+
+    kind: str  # goal | displaced goal (by the gravity error) | false
+    position: Array  # (3,) [m], in B
+    quaternion: Array  # (4,) w x y z
+    displacement: Array  # (6,) from home [m; rad], in B
+    residual: float  # [px], largest |xi_d - xi|
+    eigenvalues: Array  # (6,) complex [1/s^2], of the stiffness over the actual inertia, by their real parts
+    weakest: Array  # (6,) [m; rad], in B, the direction of the first of them
+    # attracting | oscillating (stiff, but damped too little) | saddle | repelling | undecided (an eigenvalue is zero to
+    # rounding)
+    stability: str
+    growth: float | None  # [1/s], largest real part of the loop linearised with its viscous damping; None without any
+    leg_travel: Array  # (6,) [m], against home
+    reachable: bool  # within the stroke, and on home's side of the singular poses
+    starts: int  # how many of the searches ended here
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Equilibria(Part):
+    """Equilibria that a search found, or why there was none."""
+
+    law: str
+    open_because: str  # empty where the analysis applies
+    found: tuple[Equilibrium, ...] = ()  # the goal first, then by distance from home
+    starts_within: int = 0
+    starts_wider: int = 0
+    stroke: float = 0.0  # [m]
+    depth: float = 0.0  # [m], mean, from home
+    gravity_force: float = 0.0  # [N], what the gravity error leaves along z
+    gravity_stiffness: float | None = None  # [N/m], of the image part along z at the goal without that error
+    band: float = 0.0  # [px], of settling
+    barrier: tuple[Array, Array] | None = None  # the way from a false one to the goal [1], image error on it [px]
+
+    @property
+    def goals(self) -> tuple[Equilibrium, ...]:
+        """Where the image is the goal image, or is displaced from it by the gravity error alone."""
+        return tuple(e for e in self.found if e.kind != "false")
+
+    @property
+    def traps(self) -> tuple[Equilibrium, ...]:
+        """False equilibria that attract and that the legs reach."""
+        return tuple(e for e in self.found if e.kind == "false" and e.stability == "attracting" and e.reachable)
 
 
 def analyse(scenario: Scenario) -> Equilibria:
@@ -76,7 +124,7 @@ def analyse(scenario: Scenario) -> Equilibria:
         goal_stiffness,
         rest.band,
     )
-    return Equilibria(**{**vars(result), "barrier": _barrier(level, result)})
+    return replace(result, barrier=_barrier(level, result))
 
 
 _BARE: dict[str, dict[str, Any]] = {

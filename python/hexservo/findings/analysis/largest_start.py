@@ -8,12 +8,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.findings.analysis.goal import SHOWN, find_goals
-from hexservo.findings.analysis.largest_start_findings import Direction, LargestStart, Timing, Tried, border
+from hexservo.findings.analysis.part import Part
 from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array
@@ -26,6 +27,109 @@ _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself nee
 _GRID = 8  # sizes in the first round, up to the largest that is possible
 _ROUNDS = 2  # of bisection in quarters
 _TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200, 300, 500)  # periods and latencies of the first round
+
+
+Tried: TypeAlias = dict[float, bool]
+"""Size or time -> whether it settled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """Goals along one way from home."""
+
+    name: str
+    unit: Array  # (6,) displacement from home at size 1 [m; rad], in B
+    largest: float  # size up to which goals were possible
+    limited_by: str  # stroke | view | the region searched | the core, which refuses a larger one
+    tried: Tried  # by size
+    settling: dict[float, float]  # [s], of those that settled
+    settles_later: bool | None  # whether the smallest that fails settles in a longer run; None where there was none
+    # Largest leg travel [m] by size, of those that fail for that alone: the image error settles, or the run was stopped
+    beyond: dict[float, float]
+    error: float  # [px], largest |xi_d - xi| at the start for the size `settles_to`, NaN for none
+
+    @property
+    def settles_to(self) -> float:
+        """Largest size below which everything that was tried settles; 0 where nothing does."""
+        return border(self.tried)[0]
+
+    @property
+    def fails_at(self) -> float | None:
+        """Smallest size that was seen to fail; None where none was."""
+        return border(self.tried)[1]
+
+    @property
+    def beyond_stroke(self) -> float | None:
+        """Smallest size whose image error settles with a leg beyond its stroke on the way; None where none was seen."""
+        return min(self.beyond, default=None)
+
+    @property
+    def settles_again(self) -> bool:
+        """Whether a larger size than the smallest that fails settles: the border is not the only one."""
+        failed = self.fails_at
+        return failed is not None and any(good for size, good in self.tried.items() if size > failed)
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """One time of the camera, the other one held."""
+
+    what: str  # period | latency
+    prediction: str  # none | encoder
+    other: float  # [s], the one that is held
+    tried: Tried  # by time [s]
+    beyond: dict[
+        float, float
+    ]  # largest leg travel [m] by time [s], of those that fail for a leg beyond its stroke alone
+
+    @property
+    def settles_to(self) -> float | None:
+        """Largest time [s] below which everything that was tried settles; None where the smallest already fails."""
+        good = [time for time, settled in self.tried.items() if settled]
+        failed = self.fails_at
+        low = [time for time in good if failed is None or time < failed]
+        return max(low) if low else None
+
+    @property
+    def fails_at(self) -> float | None:
+        """Smallest time [s] that was seen to fail; None where none was."""
+        return border(self.tried)[1]
+
+    @property
+    def limited_by(self) -> str | None:
+        """What fails first, `error` or `stroke`; None where nothing was seen to fail."""
+        if self.fails_at is None:
+            return None
+        return "stroke" if self.fails_at in self.beyond else "error"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LargestStart(Part):
+    """What was tried, and where it stopped settling."""
+
+    law: str
+    open_because: str  # empty where the analysis applies
+    directions: tuple[Direction, ...] = ()  # the task's own first, where its goal has a pose
+    timings: tuple[Timing, ...] = ()
+    duration: float = 0.0  # [s], of every run
+    longer: float = 0.0  # [s], of those of the smallest sizes that fail; 0: there were none
+    runs: int = 0
+    starts_at_goal: bool = False  # home shows the goal image
+    band: float = 0.0  # [px], of settling
+    dwell: float = 0.0  # [s], how long a run must have been within the band at its end
+    assumed: str = ""  # what the runs with camera times assume beside the scenario
+
+    @property
+    def own(self) -> Direction | None:
+        """The way to the task's own goal."""
+        return self.directions[0] if self.directions and self.directions[0].name == "own" else None
+
+
+def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
+    """Give the largest size below the smallest that fails, and that one: (0, ...) for none, (..., None) for none."""
+    failed = min((size for size, good in tried.items() if not good), default=None)
+    good = [size for size, settled in tried.items() if settled and (failed is None or size < failed)]
+    return max(good, default=0.0), failed
 
 
 def analyse(scenario: Scenario) -> LargestStart:

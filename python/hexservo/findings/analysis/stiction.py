@@ -8,20 +8,18 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
+from hexservo.findings.analysis.part import Part
 from hexservo.findings.analysis.rest import Rest, RestLaw, without_friction
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.analysis.stiction_runs import Runs, run
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed, extremes
-from hexservo.findings.analysis.words import number
-from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Section
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Fuzzy
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number
 
 __all__ = ["Creep", "Stiction", "StictionCase", "analyse"]
 
-PAGE = "docs/analysis/stiction.md"
 _GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
 
 Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]
@@ -48,7 +46,7 @@ class Creep:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Stiction(Findings):
+class Stiction(Part):
     """The set of poses held by the switching term, compared with short runs."""
 
     scene: Scene
@@ -67,12 +65,6 @@ class Stiction(Findings):
     def focal_pixels(self) -> float:
         """Give f [px]."""
         return float(self.scene.camera.focal_pixels)
-
-    def section(self) -> Section:
-        """Return the findings as sentences and tables."""
-        from hexservo.findings.analysis.stiction_words import section  # it needs this class
-
-        return section(self)
 
 
 def analyse(scenario: Scenario) -> Stiction:

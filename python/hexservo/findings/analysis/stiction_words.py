@@ -1,19 +1,16 @@
-"""The findings about the stiction set as sentences, tables and curves."""
+"""The stiction set and the runs that check it as sentences, tables and curves (docs/analysis/stiction.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from hexservo.findings.analysis.stiction import Stiction, StictionCase
+from hexservo.findings.analysis.stiction_runs import Runs
 from hexservo.findings.analysis.stiction_set import SPAN
 from hexservo.findings.analysis.words import number
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table
-
-if TYPE_CHECKING:
-    from hexservo.findings.analysis.stiction import Stiction, StictionCase
-    from hexservo.findings.analysis.stiction_runs import Runs
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
 
 __all__ = ["section"]
 
@@ -35,7 +32,7 @@ def section(found: Stiction) -> Section:
     )
 
 
-def _verdict(found: Stiction) -> Literal["good", "warning", "bad", "open"]:
+def _verdict(found: Stiction) -> Verdict:
     if found.kind == "none":
         return "good"
     error = found.prior_error

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from hexservo.findings.evidence import Section
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
 __all__ = [
@@ -16,7 +13,6 @@ __all__ = [
     "direction_words",
     "displacement_words",
     "motion_in_words",
-    "not_analysed",
     "number",
     "numbers",
     "open_section",
@@ -97,24 +93,6 @@ def displacement_words(displacement: Array) -> str:
 def vector_words(values: Array) -> str:
     """Write the entries of a vector with three digits, those below 0.005 as zero."""
     return "(" + ", ".join(number(0.0 if abs(value) < 0.005 else value) for value in values) + ")"
-
-
-def not_analysed(scenario: Scenario, reasons: Mapping[str, str]) -> str:
-    """Return why an analysis of poses and laws does not apply; empty if it does.
-
-    Parameters
-    ----------
-    scenario
-        Whose law and camera are asked.
-    reasons
-        By law, of those that are not analysed.
-    """
-    law = scenario.controller.law
-    if law in reasons:
-        return f"The law {law} is not analysed here: {reasons[law]}."
-    if scenario.camera.convention == "as_printed":
-        return "A camera as_printed has no points in space, so no pose belongs to an image: not analysed."
-    return ""
 
 
 def open_section(name: str, title: str, reason: str) -> Section:

@@ -1,0 +1,259 @@
+"""Pose observability from one image as sentences, tables and curves (docs/analysis/conditioning.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hexservo.findings.analysis.conditioning import Conditioning, Sight
+from hexservo.findings.analysis.goal import TOLERANCE
+from hexservo.findings.analysis.placement import DEPTH_SHARE, Placement, image_radius, in_circle, place
+from hexservo.findings.analysis.words import displacement_words, motion_in_words, number, numbers
+from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
+from hexservo.scenario.arrays import Array
+
+__all__ = ["section"]
+
+PAGE = "docs/analysis/conditioning.md"
+_GRIP = 0.1  # of the stroke: a pose that is less certain than this, at the camera's noise, is worth a warning
+
+
+def section(found: Conditioning) -> Section:
+    """Return the findings as sentences, tables and curves."""
+    sights = [sight for sight in (found.start, found.goal, found.nearest) if sight is not None]
+    return Section(
+        name="conditioning",
+        title="Pose observability from one image",
+        sentences=_sentences(found, sights),
+        items=(_sights_table(sights), _directions_table(sights), _placement_table(found.placements), _curves(found)),
+        verdict=_verdict(found, sights),
+        data=_data(found, sights),
+    )
+
+
+def _verdict(found: Conditioning, sights: list[Sight]) -> Verdict:
+    if found.goals is not None and found.goals.best.largest_residual > found.scene.band:
+        return "bad"
+    uncertain = found.noise * max(sight.worst for sight in sights) > _GRIP * found.scene.stroke
+    return "warning" if uncertain else "good"
+
+
+def _sentences(found: Conditioning, sights: list[Sight]) -> list[str]:
+    words = [
+        f"At the {sight.place}, {number(found.noise)} px of noise in each coordinate (1 sigma) makes the pose "
+        f"uncertain by {numbers(1e3 * found.noise * sight.pose_sigma[:3])} mm along x, y and z and by "
+        f"{numbers(1e3 * found.noise * sight.pose_sigma[3:])} mrad about them."
+        for sight in sights[:2]
+    ]
+    seen = sights[:2][-1]
+    motion = seen.hidden
+    words.append(
+        f"The least observable motion there is {motion_in_words(seen.view.jacobian, motion)}: "
+        f"{number(1e3 * float(np.linalg.norm(motion[:3])))} mm with "
+        f"{number(1e3 * float(np.linalg.norm(motion[3:])))} mrad change no image coordinate by more than "
+        f"{number(_change(found, seen, motion))} px."
+    )
+    words.append(
+        "The condition number of the image Jacobian is "
+        + " and ".join(f"{sight.condition:.0f} at the {sight.place}" for sight in sights[:2])
+        + " in metres and radians, "
+        + " and ".join(f"{sight.scaled_condition:.0f}" for sight in sights[:2])
+        + f" with rotations scaled by the depth of {found.start.length:.3g} m."
+    )
+    words.append(_goal_in_words(found))
+    own, best = found.placements[0], found.placements[-1]
+    cheap = found.placements[1]
+    words.append(
+        f"Within {image_radius(found.scene):.0f} px of the image centre and {DEPTH_SHARE:.0%} of the depth, other "
+        f"placements of the four points make the worst direction {_times(own.worst / best.worst)} "
+        f"({number(1e3 * own.worst)} mm per px originally, {number(1e3 * best.worst)} mm with the best found); "
+        + (
+            f"one point off the plane alone makes it {_times(own.worst / cheap.worst)}."
+            if cheap.worst < own.worst
+            else "one point off the plane alone does not help."
+        )
+    )
+    return words
+
+
+def _change(found: Conditioning, seen: Sight, motion: Array) -> float:
+    """Return the largest change of a coordinate that a motion from a pose makes [px].
+
+    Linearised where there are no points in space, or the camera does not see all of them after the motion.
+    """
+    if found.scene.has_points:
+        moved = float(np.abs(found.scene.view(seen.view.pose.moved(motion)).features - seen.view.features).max())
+        if np.isfinite(moved):
+            return moved
+    return float(np.abs(seen.view.jacobian @ motion).max())
+
+
+def _goal_in_words(found: Conditioning) -> str:
+    if found.goals is None:
+        return (
+            "The goal pose is open: a camera as printed has no points in space, so no pose belongs to an image; "
+            "all results are for the start."
+        )
+    best, nearest = found.goals.best, found.goals.nearest
+    if not found.goals.reachable and best.largest_residual > TOLERANCE:
+        return (
+            f"No pose with the goal image was found: the best one leaves {best.largest_residual:.3g} px, "
+            f"at {displacement_words(best.displacement)} from home."
+        )
+    return (
+        f"The goal pose is at {displacement_words(best.displacement)} from home; the nearest pose that "
+        f"leaves no coordinate more than {TOLERANCE} px further off is at "
+        f"{displacement_words(nearest.displacement)}."
+    )
+
+
+def _curves(found: Conditioning) -> Curves:
+    """Draw the worst direction over the size of a square, in a plane and with one corner off it."""
+    length = found.start.length
+    own = float(np.hypot(*found.start.view.features.reshape(4, 2).T).max())
+    radii = np.geomspace(min(20.0, own), max(image_radius(found.scene), own), 30)
+    plane = np.full(4, -length)
+    near = plane * np.array([1 - DEPTH_SHARE, 1, 1, 1])
+    corners = np.pi * np.array([1, 3, 5, 7]) / 4
+
+    def worst(depth: Array) -> Array:
+        return np.array([1e3 * place(found.scene, "", in_circle(r, corners), depth, length).worst for r in radii])
+
+    best = found.placements[-1]
+    return Curves(
+        title="Worst direction for different placements of the points",
+        x_label="largest distance of a feature from the image centre [px]",
+        y_label="worst direction, rotations scaled by the depth [mm per px of noise]",
+        lines=(
+            Line("a square in a plane", radii, worst(plane)),
+            Line(f"one corner {DEPTH_SHARE:.0%} of the depth nearer", radii, worst(near), "dashed"),
+            Line("as they are", np.array([own]), np.array([1e3 * found.placements[0].worst]), "points"),
+            Line(
+                "best found",
+                np.array([float(np.hypot(*best.features.reshape(4, 2).T).max())]),
+                np.array([1e3 * best.worst]),
+                "points",
+            ),
+        ),
+        x_log=True,
+        y_log=True,
+        note="At home, for the mean depth of the scenario's points.",
+        page=PAGE,
+    )
+
+
+def _data(found: Conditioning, sights: list[Sight]) -> dict[str, object]:
+    goals = found.goals
+    return {
+        "length": found.start.length,
+        **{
+            sight.place.replace(" ", "_"): {
+                "singular_values": sight.values,
+                "scaled_singular_values": sight.scaled_values,
+                "directions": sight.directions,
+                "condition": sight.condition,
+                "scaled_condition": sight.scaled_condition,
+                "pose_sigma_per_px": sight.pose_sigma,
+                "worst_per_px": sight.worst,
+                "position": sight.view.pose.position,
+                "quaternion": sight.view.pose.quaternion,
+            }
+            for sight in sights
+        },
+        "goal_reachable": None if goals is None else goals.reachable,
+        "goal_residual": None if goals is None else goals.best.largest_residual,
+        "goal_displacement": None if goals is None else goals.best.displacement,
+        "nearest_goal_displacement": None if goals is None else goals.nearest.displacement,
+        "image_radius": image_radius(found.scene),
+        "placements": [
+            {
+                "name": placement.name,
+                "features": placement.features,
+                "depth": placement.depth,
+                "pose_sigma_per_px": placement.pose_sigma,
+                "worst_per_px": placement.worst,
+            }
+            for placement in found.placements
+        ],
+    }
+
+
+def _times(factor: float) -> str:
+    return f"{number(factor)} times better" if factor > 1.005 else "no better"
+
+
+def _sights_table(sights: list[Sight]) -> Table:
+    return Table(
+        title="Pose error due to 1 px of noise in each coordinate",
+        columns=(
+            Column("at"),
+            Column("condition number", format=".0f"),
+            Column("with rotations scaled by depth", format=".0f"),
+            *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
+            *(Column(f"about {axis}", "mrad/px", ".3g") for axis in "xyz"),
+            Column("worst direction", "mm/px", ".3g"),
+        ),
+        rows=[
+            (
+                sight.place,
+                sight.condition,
+                sight.scaled_condition,
+                *(1e3 * sight.pose_sigma),
+                1e3 * sight.worst,
+            )
+            for sight in sights
+        ],
+        note="Least squares from one image, 1 sigma of each axis in the base frame, linearised; a value larger than "
+        "the depth or a radian only means unobservable. Worst direction: rotations are scaled by the depth.",
+        page=PAGE,
+    )
+
+
+def _directions_table(sights: list[Sight]) -> Table:
+    rows: list[list[Cell]] = [
+        [
+            sight.place,
+            float(value),
+            float(1e3 / value) if value > 0 else None,
+            motion_in_words(sight.view.jacobian, direction),
+        ]
+        for sight in sights[:2]
+        for value, direction in zip(sight.scaled_values, sight.directions, strict=True)
+    ]
+    return Table(
+        title="Singular values of the image Jacobian, with rotations scaled by the depth",
+        columns=(
+            Column("at"),
+            Column("singular value", "px/m", ".4g"),
+            Column("1 px is", "mm", ".3g"),
+            Column("of the direction"),
+        ),
+        rows=rows,
+        note="Translations and rotations are of the platform, in the base frame. For two equal values any combination "
+        "of the directions is equivalent.",
+        page=PAGE,
+    )
+
+
+def _placement_table(placements: tuple[Placement, ...]) -> Table:
+    own = placements[0]
+    return Table(
+        title="Other placements of the four points, from home",
+        columns=(
+            Column("points"),
+            *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
+            *(Column(f"about {axis}", "mrad/px", ".3g") for axis in "xyz"),
+            Column("worst direction", "mm/px", ".3g"),
+            Column("better by", "times", ".3g"),
+        ),
+        rows=[
+            (placement.name, *(1e3 * placement.pose_sigma), 1e3 * placement.worst, own.worst / placement.worst)
+            for placement in placements
+        ],
+        note="The best found: "
+        + "; ".join(
+            f"({x:.0f}, {y:.0f}) px at {-z:.4g} m"
+            for (x, y), z in zip(placements[-1].features.reshape(4, 2) + 0.0, placements[-1].depth, strict=True)
+        )
+        + ". Moved points need a new goal image.",
+        page=PAGE,
+    )

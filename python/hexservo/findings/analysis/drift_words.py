@@ -1,0 +1,232 @@
+"""The drift of a law with a pose error as sentences, tables and curves (docs/analysis/drift.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift, Pattern, Size
+from hexservo.findings.analysis.words import direction_words, open_section
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+
+__all__ = ["section"]
+
+PAGE = "docs/analysis/drift.md"
+
+
+def section(found: Drift) -> Section:
+    """Return sentences, the sixteen patterns, the sizes, and the smallest eigenvalue over the size."""
+    title = "Slow drift under unequal depth errors"
+    if found.open_because:
+        return open_section("drift", title, found.open_because)
+    return Section("drift", title, _sentences(found), _items(found), _verdict(found), _data(found))
+
+
+def _verdict(found: Drift) -> Verdict:
+    assert found.own is not None
+    if found.own.smallest <= 0.0:
+        return "bad"
+    return "warning" if _chosen(found).worst.smallest <= 0.0 or _beyond(found, found.own) else "good"
+
+
+def _sentences(found: Drift) -> list[str]:
+    assert found.own is not None
+    chosen, worst = _chosen(found), _chosen(found).worst
+    places = "start and goal" if found.has_goal else "the start (the goal image belongs to no pose)"
+    words = [
+        f"Of all sixteen signs of depth errors of {100 * chosen.size:.3g} % the worst is {worst.signs}: the "
+        f"smallest eigenvalue of the loop matrix is {worst.start:.3g} at the start"
+        + (f" and {worst.goal:.3g} at the goal" if found.has_goal else "")
+        + f", along {direction_words(worst.direction, found.depth)}."
+    ]
+    if worst.rate > 0.0:
+        words.append(
+            f"There {found.law} creeps with a time constant of {worst.time_constant:.3g} s at the start "
+            f"({found.driven_by})" + _end_words(found, worst) + "."
+        )
+    else:
+        words.append(
+            f"There {found.law} drifts away: the pose error grows e-fold in {-worst.time_constant:.3g} s "
+            f"({found.driven_by}) until another effect stops it."
+        )
+    own = found.own
+    if np.ptp(own.errors) > 0.0:
+        words.append(
+            f"With the scenario's own depth errors the smallest eigenvalue is {own.smallest:.3g}, and the time "
+            f"constant at the start {own.time_constant:.3g} s" + _end_words(found, own) + "."
+        )
+    else:
+        words.append(
+            f"The scenario's own depth errors are equal ({own.errors[0]:+.3g}): the smallest eigenvalue is "
+            f"{own.smallest:.3g}, and the slowest mode has a time constant of {own.time_constant:.3g} s."
+        )
+    without = "; ".join(
+        f"{s.negative_image_only[0]} of 14 at the start"
+        + (f" and {s.negative_image_only[1]} at the goal" if found.has_goal else "")
+        + f" at {100 * s.size:.3g} %"
+        for s in found.sizes
+    )
+    if found.has_prior:
+        words.append(f"Without the prior some of the 14 unequal patterns have a negative eigenvalue: {without}.")
+    if found.leaks:
+        words.append("The leakage of the weights is neglected: it limits the drift and leaves an error instead.")
+    limits = [limit for limit in (found.limit_start, found.limit_goal) if limit is not None]
+    if limits:
+        words.append(
+            f"All patterns stay positive at {places} up to depth errors of {100 * min(limits):.3g} % (searched on "
+            f"a grid of {GRID} sizes up to {100 * LARGEST:.3g} % and by bisection)."
+        )
+    else:
+        words.append(f"All patterns stay positive at {places} up to {100 * LARGEST:.3g} %, the largest searched.")
+    return words
+
+
+def _end_words(found: Drift, pattern: Pattern) -> str:
+    if pattern.end is None:
+        return ""
+    away = 1e3 * np.linalg.norm(pattern.end[:3])
+    text = (
+        f" and {pattern.end_time_constant:.3g} s at its end, {away:.3g} mm from home, with "
+        f"{pattern.end_error:.3g} px and {1e3 * pattern.end_travel:.3g} mm of leg travel"
+    )
+    return text + (f", beyond the stroke of {1e3 * found.stroke:.3g} mm" if _beyond(found, pattern) else "")
+
+
+def _items(found: Drift) -> list[Item]:
+    chosen = _chosen(found)
+    rows: list[list[Cell]] = [
+        [
+            p.signs,
+            p.start,
+            _number(p.goal),
+            _number(p.time_constant),
+            _number(p.end_time_constant),
+            None if p.end is None else 1e3 * float(np.linalg.norm(p.end[:3])),
+            _number(p.end_error),
+            _number(1e3 * p.end_travel),
+            direction_words(p.direction, found.depth),
+        ]
+        for p in sorted(chosen.patterns, key=lambda pattern: pattern.rank)
+    ]
+    columns = [
+        Column("signs"),
+        Column("smallest eigenvalue, start", "1", ".3g"),
+        Column("smallest eigenvalue, goal", "1", ".3g"),
+        Column("time constant, start", "s", ".3g"),
+        Column("time constant, end", "s", ".3g"),
+        Column("end of the drift, from home", "mm", ".3g"),
+        Column("image error there", "px", ".2g"),
+        Column("leg travel there", "mm", ".3g"),
+        Column("direction"),
+    ]
+    sizes: list[list[Cell]] = [
+        [
+            100 * s.size,
+            s.worst.signs,
+            s.worst.smallest,
+            s.negative[0],
+            _count(s.negative[1], found.has_goal),
+            s.negative_inverse_only[0],
+            _count(s.negative_inverse_only[1], found.has_goal),
+            s.negative_image_only[0],
+            _count(s.negative_image_only[1], found.has_goal),
+        ]
+        for s in found.sizes
+    ]
+    size_columns = [
+        Column("depth errors", "%", ".3g"),
+        Column("worst signs"),
+        Column("its smallest eigenvalue", "1", ".3g"),
+        Column("negative, start", "of 14", "d"),
+        Column("negative, goal", "of 14", "d"),
+        Column("prior in the inverse only, start", "of 14", "d"),
+        Column("prior in the inverse only, goal", "of 14", "d"),
+        Column("no prior, start", "of 14", "d"),
+        Column("no prior, goal", "of 14", "d"),
+    ]
+    items: list[Item] = [
+        Table(
+            f"Sign patterns of depth errors of {100 * chosen.size:.3g} %",
+            columns,
+            rows,
+            "A negative time constant is that of growth. The end is where the pose error is zero, by Newton's "
+            "method on the core's law, without a gravity error.",
+            PAGE,
+        ),
+        Table("Sizes of depth errors", size_columns, sizes, "Unequal signs only: 14 of the 16 patterns.", PAGE),
+    ]
+    if found.grid is not None and found.curves:
+        lines = [
+            Line(name, 100 * found.grid, values, "dashed" if "no prior" in name else "line")
+            for name, values in found.curves.items()
+        ]
+        items.append(
+            Curves(
+                "Smallest eigenvalue over all sign patterns",
+                "depth error [%]",
+                "smallest real part [1]",
+                lines,
+                note="Below zero the pose error grows in some direction.",
+                page=PAGE,
+            )
+        )
+    return items
+
+
+def _data(found: Drift) -> dict[str, Any]:
+    assert found.own is not None
+
+    def numbers(p: Pattern) -> dict[str, Any]:
+        return {
+            "signs": p.signs,
+            "depth_errors": p.errors,
+            "smallest_eigenvalue_start": p.start,
+            "smallest_eigenvalue_goal": p.goal,
+            "direction": p.direction,
+            "rate": p.rate,
+            "time_constant": p.time_constant,
+            "end_displacement": p.end,
+            "end_rate": p.end_rate,
+            "end_error": p.end_error,
+            "end_leg_travel": p.end_travel,
+        }
+
+    return {
+        "applies": True,
+        "law": found.law,
+        "own": numbers(found.own),
+        "sizes": [
+            {
+                "size": s.size,
+                "worst": s.worst.signs,
+                "negative": s.negative,
+                "negative_prior_in_inverse_only": s.negative_inverse_only,
+                "negative_without_prior": s.negative_image_only,
+                "patterns": [numbers(p) for p in s.patterns],
+            }
+            for s in found.sizes
+        ],
+        "limit_start": found.limit_start,
+        "limit_goal": found.limit_goal,
+        "largest_searched": LARGEST,
+    }
+
+
+def _chosen(found: Drift) -> Size:
+    """Return the scenario's size of depth errors, or 30 % where it has none."""
+    assert found.own is not None
+    size = float(np.abs(found.own.errors).max()) or SIZES[-1]
+    return next(s for s in found.sizes if s.size == size)
+
+
+def _beyond(found: Drift, pattern: Pattern) -> bool:
+    return pattern.end is None or pattern.end_travel > found.stroke
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _count(value: int, known: bool) -> int | None:
+    return value if known else None

@@ -1,0 +1,288 @@
+"""Runs from larger and larger starting errors as sentences, tables and curves (docs/analysis/largest_start.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hexservo.findings.analysis.largest_start import Direction, LargestStart, Timing
+from hexservo.findings.analysis.words import number, open_section
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+
+__all__ = ["border_words", "section"]
+
+PAGE = "docs/analysis/largest_start.md"
+
+
+_NAMES = {
+    "own": "the task's own",
+    **{f"{kind} {sign}{axis}": f"{kind} {sign}{axis}" for kind in ("shift", "turn") for sign in "+-" for axis in "xyz"},
+}
+_LIMITING = {"error": "image error", "stroke": "stroke of the legs"}
+_LIMITS = {
+    "stroke": "the stroke allows",
+    "view": "leaves all points in front of the camera",
+    "region": "the region searched has",
+    "core": "the core accepts",
+}
+
+
+def section(found: LargestStart) -> Section:
+    """Return sentences, the directions, the camera's times, and settling times over the size."""
+    title = "Largest starting error and slowest camera that still settle (empirical)"
+    if found.open_because:
+        return open_section("largest_start", title, found.open_because)
+    return Section("largest_start", title, _sentences(found), _items(found), _verdict(found), _data(found))
+
+
+def _verdict(found: LargestStart) -> Verdict:
+    own = found.own
+    if own is None:
+        return "open"
+    if not own.tried.get(1.0, False):
+        return "bad"
+    return "warning" if own.fails_at is not None and own.fails_at < 1.25 else "good"
+
+
+def _sentences(found: LargestStart) -> list[str]:
+    words = []
+    own = found.own
+    if own is None and found.starts_at_goal:
+        words.append("The goal image is that from home: the task has no direction (others are tried, empirical).")
+    elif own is None:
+        words.append("No pose within the region searched has the goal image: the direction of the task was not tried.")
+    elif own.fails_at is None:
+        words.append(
+            f"In all runs in the direction of the task the error settles within {found.duration:g} s and the "
+            f"stroke, up to {own.largest:.3g} times the task "
+            f"({_amount(own, own.largest)}), the largest that {_LIMITS[own.limited_by]} (empirical)."
+        )
+    elif own.settles_to == 0.0:
+        words.append(
+            f"In the direction of the task no error was found that settles within {found.duration:g} s: the "
+            f"smallest that was tried, {own.fails_at:.3g} times the task ({_amount(own, own.fails_at)}), already "
+            "fails (empirical)."
+        )
+    else:
+        words.append(
+            f"In the direction of the task errors settle within {found.duration:g} s and the stroke up to "
+            f"{own.settles_to:.3g} times "
+            f"the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); {own.fails_at:.3g} times "
+            f"{_failure(found, own)} (empirical)."
+        )
+    words.append(_others(found))
+    words += _timing_words(found) or ["The task itself does not settle within the stroke: camera times were not tried."]
+    again = [d.name for d in found.directions if d.settles_again]
+    words.append(
+        f"All of this is from {found.runs} runs of {found.duration:g} s, not derived: sizes between those "
+        "that were run are not covered, and a limit need not be the only one"
+        + (f" (along {', '.join(again)} a larger error settles again)." if again else ".")
+    )
+    return words
+
+
+def _others(found: LargestStart) -> str:
+    others = [d for d in found.directions if d.name != "own"]
+    failing = [d for d in others if d.fails_at is not None]
+    if not failing:
+        return (
+            f"Along all {len(others)} axes and rotations every goal tried settles within {found.duration:g} s and "
+            "the stroke, up to "
+            "the limit of the stroke, of the camera or of the region searched."
+        )
+    worst = min(failing, key=lambda d: d.settles_to / d.largest)
+    settles, fails = border_words(worst)
+    return (
+        f"Of {len(others)} axes and rotations {len(failing)} have goals that do not settle within "
+        f"{found.duration:g} s; the worst is {worst.name}: "
+        + (f"up to {settles} settle" if worst.settles_to else "none that was tried settles")
+        + f", {fails} {_failure(found, worst)}, of "
+        f"{_amount(worst, worst.largest)} that were possible."
+    )
+
+
+def _failure(found: LargestStart, direction: Direction) -> str:
+    """Return what happens at the smallest size that fails, in a longer run too."""
+    if direction.fails_at in direction.beyond:
+        travel = 1e3 * direction.beyond[direction.fails_at]
+        return f"takes a leg {number(travel)} mm from its length at home, beyond its stroke"
+    if direction.settles_later is None:
+        return "does not"
+    later = f"within {found.longer:g} s"
+    return f"is slower, but settles {later}" if direction.settles_later else f"does not settle {later}"
+
+
+def _timing_words(found: LargestStart) -> list[str]:
+    words = []
+    for prediction in dict.fromkeys(t.prediction for t in found.timings):
+        parts = []
+        for t in (t for t in found.timings if t.prediction == prediction):
+            other = "latency" if t.what == "period" else "period"
+            held = f"at a {other} of {1e3 * t.other:.3g} ms"
+            if t.settles_to is None:
+                parts.append(f"no {t.what} settles {held}")
+            elif t.fails_at is None:
+                parts.append(f"every {t.what} tried settles {held}, up to {1e3 * t.settles_to:.4g} ms")
+            else:
+                parts.append(
+                    f"a {t.what} of {1e3 * t.settles_to:.4g} ms settles {held} and {1e3 * t.fails_at:.4g} ms "
+                    + _timing_failure(t)
+                )
+        how = "without prediction" if prediction == "none" else "with prediction by the encoders"
+        words.append(f"The task itself, {found.assumed}{how}: {'; '.join(parts)}.")
+    return words
+
+
+def _timing_failure(timing: Timing) -> str:
+    """Return by what the smallest time fails that does."""
+    if timing.fails_at not in timing.beyond:
+        return "does not settle"
+    return f"takes a leg {number(1e3 * timing.beyond[timing.fails_at])} mm from home, beyond its stroke"
+
+
+def _items(found: LargestStart) -> list[Item]:
+    rows: list[list[Cell]] = [
+        [
+            _NAMES[d.name],
+            "none" if not d.settles_to else _amount(d, d.settles_to) if d.fails_at is None else border_words(d)[0],
+            None if np.isnan(d.error) else d.error,
+            None if d.fails_at is None else border_words(d)[1],
+            None if d.settles_later is None else "yes" if d.settles_later else "no",
+            _amount(d, d.largest),
+            d.limited_by,
+            "yes" if d.settles_again else "no",
+            None if d.beyond_stroke is None else _amount(d, d.beyond_stroke),
+            len(d.tried),
+        ]
+        for d in found.directions
+    ]
+    columns = [
+        Column("way from home to the goal"),
+        Column("settles up to"),
+        Column("its image error", "px", ".3g"),
+        Column("smallest that fails"),
+        Column(f"settles in {found.longer:g} s" if found.longer else "settles in a longer run"),
+        Column("largest possible"),
+        Column("limited by"),
+        Column("settles again beyond"),
+        Column("fails by the stroke alone from"),
+        Column("runs", "", "d"),
+    ]
+    note = (
+        f"Settles: the run of {found.duration:g} s completes, stays within {found.band:g} px for its last "
+        f"{found.dwell:g} s and keeps all legs within their stroke; one that is only slow fails, and one that "
+        f"starts within {found.band:g} px needs no motion. The border lies between two sizes that were run."
+    )
+    items: list[Item] = [Table("Starting errors that settle (empirical)", columns, rows, note, PAGE)]
+    if found.timings:
+        timing_rows: list[list[Cell]] = [
+            [
+                t.what,
+                t.prediction,
+                1e3 * t.other,
+                None if t.settles_to is None else 1e3 * t.settles_to,
+                None if t.fails_at is None else 1e3 * t.fails_at,
+                None if t.limited_by is None else _LIMITING[t.limited_by],
+                len(t.tried),
+            ]
+            for t in found.timings
+        ]
+        items.append(
+            Table(
+                "Camera times with which the task settles (empirical)",
+                [
+                    Column("time"),
+                    Column("prediction"),
+                    Column("the other one", "ms", ".4g"),
+                    Column("settles up to", "ms", ".4g"),
+                    Column("smallest that fails", "ms", ".4g"),
+                    Column("limited by"),
+                    Column("runs", "", "d"),
+                ],
+                timing_rows,
+                "One seed where there is noise.",
+                PAGE,
+            )
+        )
+    lines = []
+    for d in found.directions:
+        if d.settling:
+            sizes = np.array(sorted(d.settling))
+            lines.append(
+                Line(_NAMES[d.name], sizes / d.largest, np.array([d.settling[size] for size in sizes]), "points")
+            )
+    if lines:
+        items.append(
+            Curves(
+                "Settling time over the starting error",
+                "starting error, of the largest possible [1]",
+                "settling time [s]",
+                lines,
+                note="Runs that do not settle have no mark.",
+                page=PAGE,
+            )
+        )
+    return items
+
+
+def _data(found: LargestStart) -> dict[str, Any]:
+    return {
+        "applies": True,
+        "empirical": True,
+        "law": found.law,
+        "duration": found.duration,
+        "longer_duration": found.longer or None,
+        "runs": found.runs,
+        "directions": [
+            {
+                "name": d.name,
+                "unit": d.unit,
+                "settles_to": d.settles_to,
+                "fails_at": d.fails_at,
+                "settles_later": d.settles_later,
+                "settles_again": d.settles_again,
+                "largest": d.largest,
+                "limited_by": d.limited_by,
+                "image_error": d.error,
+                "beyond_stroke": d.beyond_stroke,
+                "sizes": sorted(d.tried),
+                "settled": [d.tried[size] for size in sorted(d.tried)],
+            }
+            for d in found.directions
+        ],
+        "timings": [
+            {
+                "what": t.what,
+                "prediction": t.prediction,
+                "other": t.other,
+                "settles_to": t.settles_to,
+                "fails_at": t.fails_at,
+                "limited_by": t.limited_by,
+                "times": sorted(t.tried),
+                "settled": [t.tried[time] for time in sorted(t.tried)],
+            }
+            for t in found.timings
+        ],
+    }
+
+
+def _amount(direction: Direction, size: float, digits: int = 3) -> str:
+    """Return a size in mm and degrees as text."""
+    shift = 1e3 * float(np.linalg.norm(size * direction.unit[:3]))
+    turn = math.degrees(float(np.linalg.norm(size * direction.unit[3:])))
+    parts = ([f"{number(shift, digits)} mm"] if shift > 1e-3 * turn else []) + (
+        [f"{number(turn, digits)} deg"] if turn > 1e-3 * shift else []
+    )
+    return " and ".join(parts) or "0 mm"
+
+
+def border_words(direction: Direction) -> tuple[str, str]:
+    """Return the largest size that settles and the smallest that fails as two texts that differ."""
+    assert direction.fails_at is not None
+    both = [
+        (_amount(direction, direction.settles_to, digits), _amount(direction, direction.fails_at, digits))
+        for digits in (3, 4, 5)
+    ]
+    return next((pair for pair in both if pair[0] != pair[1]), both[-1])

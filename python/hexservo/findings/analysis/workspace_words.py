@@ -1,0 +1,227 @@
+"""Reach, singularities and loads of the legs as sentences, tables and a map (docs/analysis/workspace.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hexservo.findings.analysis.goal import TOLERANCE
+from hexservo.findings.analysis.reach import LegMargin, leg_margin
+from hexservo.findings.analysis.words import number
+from hexservo.findings.analysis.workspace import RANDOM, WAY, Reach, Workspace, WorkspacePose
+from hexservo.findings.evidence import Column, HeatMap, Line, Section, Table, Verdict
+
+__all__ = ["section"]
+
+PAGE = "docs/analysis/workspace.md"
+_SLIM = 0.1  # of stroke, force limit or distance to singularity: less than this is worth a warning
+_AXES = "xyz"
+
+
+def section(found: Workspace) -> Section:
+    """Return the findings as sentences, tables and a map."""
+    return Section(
+        name="workspace",
+        title="Reach and loads of the legs",
+        sentences=_sentences(found),
+        items=(_places_table(found), _reach_table(found), _map(found)),
+        verdict=_verdict(found),
+        data=_data(found),
+    )
+
+
+def _verdict(found: Workspace) -> Verdict:
+    reached = found.nearest or found.start
+    if _margin(found, reached) < 0 or np.abs(reached.actual_forces).max() > found.force_limit:
+        return "bad"
+    force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
+    margins = [_margin(found, place) for place in _places(found)]
+    slim = min([*margins, *found.way_margin]) < _SLIM * found.stroke or force > (1 - _SLIM) * found.force_limit
+    singular = found.neighbourhood_singularity < _SLIM * found.start.singularity
+    return "warning" if slim or singular else "good"
+
+
+def _sentences(found: Workspace) -> list[str]:
+    words = [_of_goal(found)] if found.goal is not None and found.nearest is not None else []
+    if found.goals is None:
+        words.append("The goal pose is open: a camera as printed has no points in space.")
+    words.append(
+        f"From home the legs allow {_reach_words(found.axes[:6], 'mm', 'along')} and "
+        f"{_reach_words(found.axes[6:], 'mrad', 'about')}; the shortest of {RANDOM} random translations and "
+        f"rotations are {_distance(found.least_shift)} mm and {_distance(found.least_turn)} mrad."
+    )
+    places = _places(found)[:2]
+    words.append(
+        "The distance to a singularity (smallest singular value of H, moments divided by r_p) is "
+        + " and ".join(f"{number(place.singularity)} at the {place.name}" for place in places)
+        + f", and at least {number(found.neighbourhood_singularity)} at random poses around the {places[-1].name} "
+        "within the stroke."
+    )
+    heaviest = max(_places(found), key=lambda place: float(np.abs(place.actual_forces).max()))
+    words.append(
+        f"Holding the platform takes up to {number(float(np.abs(heaviest.actual_forces).max()))} N in a leg at the "
+        f"{heaviest.name}, and up to {number(found.neighbourhood_force)} N around the {places[-1].name}, of "
+        f"{number(found.force_limit)} N allowed; this is without motion."
+    )
+    if _overloaded(found):  # what decides the verdict comes first
+        words.insert(0, words.pop())
+    return words
+
+
+def _overloaded(found: Workspace) -> bool:
+    """Whether holding the platform takes nearly all that the legs allow, or more, and their stroke is no worse."""
+    force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
+    beyond = _margin(found, found.nearest or found.start) < 0
+    return not beyond and force > (1 - _SLIM) * found.force_limit
+
+
+def _of_goal(found: Workspace) -> str:
+    assert found.goal is not None
+    assert found.nearest is not None
+    text = ""
+    for place, name in (
+        (found.goal, "At the goal"),
+        (found.nearest, f"at the nearest pose with this image within {TOLERANCE} px"),
+    ):
+        leg = _leg(found, place)
+        text += (
+            f"{name} leg {leg.leg} is {number(1e3 * abs(leg.travel))} mm from its length at home, "
+            + (
+                f"with {number(1e3 * leg.margin)} mm of stroke left"
+                if leg.within
+                else f"{number(-1e3 * leg.margin)} mm beyond its stroke"
+            )
+            + "; "
+        )
+    least = float(found.way_margin.min())
+    if least >= 0:
+        return text + f"on the straight path to the goal {number(1e3 * least)} mm are left everywhere."
+    first = int(np.flatnonzero(found.way_margin < 0)[0])
+    return text + f"the straight path to the goal leaves the stroke after {100 * first / (WAY - 1):.0f} % of it."
+
+
+def _places_table(found: Workspace) -> Table:
+    return Table(
+        title="The legs at the start and at the goal",
+        columns=(
+            Column("at"),
+            *(Column(f"leg {leg}", "mm", ".2f") for leg in range(1, 7)),
+            Column("stroke left", "mm", ".2f"),
+            Column("distance to singularity", format=".3f"),
+            Column("largest leg force", "N", ".3g"),
+            Column("largest leg force, actual weight", "N", ".3g"),
+        ),
+        rows=[
+            (
+                place.name,
+                *(1e3 * place.travel),
+                1e3 * _margin(found, place),
+                place.singularity,
+                float(np.abs(place.forces).max()),
+                float(np.abs(place.actual_forces).max()),
+            )
+            for place in _places(found)
+        ],
+        note=f"Travel of the legs from their lengths at home; {number(1e3 * found.stroke)} mm are allowed each way. "
+        "Forces hold the weight, estimated and actual, without motion.",
+        page=PAGE,
+    )
+
+
+def _reach_table(found: Workspace) -> Table:
+    rows = []
+    for pair in range(6):
+        ahead, back = found.axes[2 * pair], found.axes[2 * pair + 1]
+        unit = "mm" if pair < 3 else "mrad"
+        name = ("shift along " if pair < 3 else "turn about ") + _AXES[pair % 3]
+        rows.append((name, unit, *(_cell(end) for end in (ahead, back)), ahead.leg or None, back.leg or None))
+    return Table(
+        title="Reach from home, by axis",
+        columns=(
+            Column("motion"),
+            Column("unit"),
+            Column("ahead", format=".4g"),
+            Column("back", format=".4g"),
+            Column("limiting leg ahead", format="d"),
+            Column("and back", format="d"),
+        ),
+        rows=rows,
+        note="Until the first leg is at the end of its stroke; one motion at a time, in the base frame. Empty: no "
+        "limit within 180 deg.",
+        page=PAGE,
+    )
+
+
+def _map(found: Workspace) -> HeatMap:
+    centre = found.goal or found.start
+    home = found.scene.home.position
+    lines = [Line("start", np.zeros(1), np.zeros(1), "points")]
+    if found.goal is not None:
+        x, y = 1e3 * (centre.pose.position - home)[:2]
+        lines.append(Line("goal", np.array([x]), np.array([y]), "points"))
+    where = "goal" if found.goal is not None else "start"
+    return HeatMap(
+        title=f"Remaining stroke, at the height and attitude of the {where}",
+        x_label="translation along x from home [mm]",
+        y_label="translation along y from home [mm]",
+        z_label="stroke left [mm]",
+        x=1e3 * found.map_x,
+        y=1e3 * found.map_y,
+        z=1e3 * found.map_margin,
+        levels=(0.0,),
+        lines=lines,
+        note="For the leg nearest to its limit; beyond the stroke it is negative.",
+        page=PAGE,
+    )
+
+
+def _data(found: Workspace) -> dict[str, object]:
+    return {
+        "stroke": found.stroke,
+        "force_limit": found.force_limit,
+        **{
+            place.name.replace(" ", "_"): {
+                "position": place.pose.position,
+                "quaternion": place.pose.quaternion,
+                "leg_travel": place.travel,
+                "stroke_left": _margin(found, place),
+                "singularity": place.singularity,
+                "leg_forces": place.forces,
+                "actual_leg_forces": place.actual_forces,
+            }
+            for place in _places(found)
+        },
+        "reach": [{"direction": end.direction, "distance": end.distance, "leg": end.leg} for end in found.axes],
+        "least_shift": {"direction": found.least_shift.direction, "distance": found.least_shift.distance},
+        "least_turn": {"direction": found.least_turn.direction, "distance": found.least_turn.distance},
+        "way_stroke_left": found.way_margin,
+        "neighbourhood_singularity": found.neighbourhood_singularity,
+        "neighbourhood_force": found.neighbourhood_force,
+    }
+
+
+def _places(found: Workspace) -> list[WorkspacePose]:
+    return [place for place in (found.start, found.goal, found.nearest) if place is not None]
+
+
+def _leg(found: Workspace, place: WorkspacePose) -> LegMargin:
+    return leg_margin(place.travel, found.stroke)
+
+
+def _margin(found: Workspace, place: WorkspacePose) -> float:
+    return _leg(found, place).margin
+
+
+def _distance(end: Reach) -> str:
+    return number(1e3 * end.distance) if np.isfinite(end.distance) else "any number of"
+
+
+def _cell(end: Reach) -> float | None:
+    return 1e3 * end.distance if np.isfinite(end.distance) else None
+
+
+def _reach_words(ends: tuple[Reach, ...], unit: str, word: str) -> str:
+    """Return how far three axes reach, ahead and back."""
+    if not any(np.isfinite(end.distance) for end in ends):
+        return f"180 deg {word} every axis"
+    pairs = [f"+{_distance(ends[2 * k])}/-{_distance(ends[2 * k + 1])} {unit} {word} {_AXES[k]}" for k in range(3)]
+    return ", ".join(pairs)
