@@ -130,6 +130,31 @@ def test_no_two_classes_of_one_name() -> None:
     assert {name for name, count in names.items() if count > 1} == set()
 
 
+def test_no_two_functions_of_one_name() -> None:
+    """Below the packages that draw. `analyse` and `section` are what every part of an analysis has."""
+    names = Counter(
+        node.name
+        for package in PACKAGES[: PACKAGES.index("draw")]
+        for path in (SOURCES / package).rglob("*.py")
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_") and not node.decorator_list
+    )
+    assert {name for name, count in names.items() if count > 1} == {"analyse", "section"}
+
+
+def test_array_types_have_one_home() -> None:
+    """`Array`, `Complex` and `Mask` are defined in scenario/arrays.py and nowhere else."""
+    aliases = {
+        path.relative_to(SOURCES).as_posix()
+        for path in SOURCES.rglob("*.py")
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.Assign | ast.AnnAssign)
+        and node.value is not None
+        and ast.unparse(node.value).startswith("NDArray[")
+    }
+    assert aliases == {"scenario/arrays.py"}
+
+
 def test_public_names_are_listed_once_and_there() -> None:
     """The names that `hexservo` lists, imports for type checkers, and imports when they are used are the same."""
     tree = ast.parse((SOURCES / "__init__.py").read_text(encoding="utf-8"))

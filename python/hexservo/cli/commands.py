@@ -27,8 +27,8 @@ from hexservo.cli.terminal import (
     SettingsOption,
     complain,
     ending,
+    errors_as_messages,
     load,
-    reporting,
     show_parts,
     spell_time,
     whisper,
@@ -97,7 +97,7 @@ def run(
 
     The results are printed as a table; --out writes figures and data too.
     """
-    with reporting():
+    with errors_as_messages():
         from hexservo.cli.output import write_results
         from hexservo.run.files import check_folder
         from hexservo.run.publish import OutputError
@@ -158,7 +158,7 @@ def compare(
     Only the law of a scenario is replaced. The table lists verdict, settling time, residual and cost of each run;
     --out writes it as Markdown and CSV too, with a page of plots.
     """
-    with reporting():
+    with errors_as_messages():
         from hexservo.run.files import check_folder
         from hexservo.run.publish import OutputError
 
@@ -203,7 +203,7 @@ for command in (evidence.report, evidence.certify, evidence.analyse, evidence.di
 @app.command()
 def scenarios() -> None:
     """List the packaged scenarios."""
-    with reporting():
+    with errors_as_messages():
         from rich.table import Table
 
         table = Table.grid(padding=(0, 2))
@@ -220,7 +220,7 @@ def show(scenario: ScenarioArgument, settings: SettingsOption = None) -> None:
 
     All defaults are included, so that the output is a good start for a custom scenario.
     """
-    with reporting():
+    with errors_as_messages():
         write(load(scenario, settings or []).to_yaml(), encoding="utf-8")  # what a scenario is read with
 
 
@@ -234,7 +234,7 @@ def check(
     Every error is a line on standard error, and the exit code is 2; without errors it is 0. Warnings are about legal
     but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect.
     """
-    with reporting():
+    with errors_as_messages():
         from hexservo.findings.check import keys_without_effect, unlikely
 
         chosen = load(scenario, settings or [])
@@ -265,7 +265,7 @@ def export(
 
     A robot's control program includes it, calls its controller_gains() once and hexservo::step every period.
     """
-    with reporting():
+    with errors_as_messages():
         from hexservo.run.export import gains_header, write_header
 
         chosen = load(scenario, settings or [])
@@ -302,7 +302,7 @@ def bench(
     Measures the latency of the servo tick, free-running and paced by a clock, the rates of single runs and batches for
     each variant and number of threads, and the peak rate of the vector units. Results are checked.
     """
-    with reporting():
+    with errors_as_messages():
         from dataclasses import replace
 
         from hexservo.cli.bench import report, write_benchmark
@@ -324,7 +324,7 @@ def bench(
 @app.command()
 def version() -> None:
     """Print version, compiler and compiled variants."""
-    with reporting():
+    with errors_as_messages():
         from hexservo.run.machine import versions
 
         write("".join(f"{name + ':':<11}{value}\n" for name, value in versions().items()))
@@ -415,12 +415,14 @@ def _comparison_report(
 
 def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
     """Return as many tables as the columns need, or a list if not even one column fits."""
-    from hexservo.run.comparison import COLUMNS, shown
+    from hexservo.run.comparison import COLUMNS, metric_text
 
     labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
     left = [max(map(len, texts)) + _GAP for texts in zip(*labels, strict=True)]
     cells = {
-        column: [f"{shown(row, column)}{'!' if column.limit in row.passed_limits else ''}" for row in comparison.rows]
+        column: [
+            f"{metric_text(row, column)}{'!' if column.limit in row.passed_limits else ''}" for row in comparison.rows
+        ]
         for column in COLUMNS
     }
     parts: list[list[MetricColumn]] = []

@@ -15,8 +15,8 @@ from hexservo.cli.terminal import (
     SettingsOption,
     complain,
     ending,
+    errors_as_messages,
     load,
-    reporting,
     show_parts,
     spell_time,
     write,
@@ -46,7 +46,7 @@ def report(
     It has a summary, the paper's figures, a view in space, certificate, analysis, diagnosis, metrics and
     the scenario, and opens in a browser without a network.
     """
-    with reporting():
+    with errors_as_messages():
         from hexservo.report import check_report, write_report
 
         check_report(out, force=force)
@@ -88,7 +88,7 @@ def diagnose(
 
 
 def _judge(name: str, run: str, settings: list[str] | None, json: str | None, force: bool) -> None:
-    with reporting():
+    with errors_as_messages():
         from hexservo.cli.print_sections import printed
         from hexservo.findings.sections import SOURCES
 

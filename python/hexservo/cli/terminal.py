@@ -28,8 +28,8 @@ __all__ = [
     "SettingsOption",
     "complain",
     "ending",
+    "errors_as_messages",
     "load",
-    "reporting",
     "show_parts",
     "spell_time",
     "whisper",
@@ -103,7 +103,7 @@ def _read_standard_input() -> hs.Scenario:
 
 
 @contextlib.contextmanager
-def reporting() -> Iterator[None]:
+def errors_as_messages() -> Iterator[None]:
     """Convert bad input and Ctrl-C to a message and an exit code; all other exceptions are bugs with a traceback."""
     from hexservo.run.publish import OutputError
 

@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from hexservo.draw.style import BLACK, FAINT, GREY, THIN, VERMILION, Ink, short_number
-from hexservo.run.samples import extremes as _extremes
+from hexservo.run.samples import extreme_samples as _extreme_samples
 from hexservo.run.samples import moving_mean as _moving_mean
 from hexservo.run.samples import parts as _parts
 from hexservo.scenario.arrays import Array
@@ -201,7 +201,7 @@ def draw_lines(axes: Axes, time: Array, values: Array, names: Sequence[str], ink
     """Draw each column as a line, or as dots if there are too few samples."""
     dots: dict[str, Any] = {"marker": "o", "markersize": 2.5} if len(time) < 3 else {}
     for column, name, ink in zip(values.T, names, inks, strict=True):
-        kept = _extremes(column)
+        kept = _extreme_samples(column)
         axes.plot(time[kept], column[kept], color=ink.colour, linestyle=ink.dashes, gid=name, **dots, **looks)
 
 

@@ -61,12 +61,12 @@ from hexservo.draw.style import (
 )
 from hexservo.run.metrics import metrics
 from hexservo.run.samples import ImageView, image_views
-from hexservo.run.samples import extremes as _extremes
+from hexservo.run.samples import extreme_samples as _extreme_samples
 from hexservo.run.samples import mean_samples as _mean_samples
 from hexservo.run.samples import parts as _parts
 from hexservo.run.samples import rotation_vectors as _rotation_vector
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.rules import TERMS
+from hexservo.scenario.rules import TERMS, term_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -139,7 +139,7 @@ def rule_table(scenario: Scenario, *, ax: Axes | None = None) -> Figure | Axes:
     image = axes.imshow(table, cmap=_DIVERGING, vmin=-limit, vmax=limit)
     for (row, column), value in np.ndenumerate(table):
         ink = "white" if abs(value) > 0.6 * limit else "black"
-        axes.text(column, row, _cell_text(value), ha="center", va="center", color=ink, fontsize=7)
+        axes.text(column, row, term_text(value), ha="center", va="center", color=ink, fontsize=7)
     axes.set_xticks(range(7), terms)
     axes.set_yticks(range(7), terms)
     axes.set_xticks(np.arange(0.5, 6), minor=True)
@@ -455,7 +455,7 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
     half = float(view.half.min())
     corner_of = farther_apart(features[0], features[-1], 0.16 * half)
     for number, path, goal, colour in zip(range(1, 5), features.swapaxes(0, 1), goals, _POINT_COLOURS, strict=True):
-        kept = np.union1d(_extremes(path[:, 0]), _extremes(path[:, 1]))
+        kept = np.union1d(_extreme_samples(path[:, 0]), _extreme_samples(path[:, 1]))
         axes.plot(path[kept, 0], path[kept, 1], color=colour, linewidth=0.8, gid=f"path {number}")
         for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):
             looks = {"markerfacecolor": colour, **mark}
@@ -468,10 +468,3 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
         axes.annotate(
             str(number), at, away, textcoords="offset points", color=colour, ha="center", va="center", bbox=HALO
         )
-
-
-def _cell_text(value: float) -> str:
-    for term, centre in TERMS.items():
-        if abs(value - centre) < 1e-9:
-            return term
-    return f"{value:.2g}"

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexservo.findings.evidence import Curves, HeatMap, Line
 from hexservo.report.documentation import anchor_of, is_page
 from hexservo.report.html import Html, element, json_script, paragraphs
-from hexservo.run.samples import extremes
+from hexservo.run.samples import extreme_samples
 from hexservo.scenario.arrays import Array
 
 __all__ = [
@@ -223,9 +223,9 @@ def needed(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
 
 def thinned(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
     """Return the indices of the samples to draw: those needed for a line, or the extremes if these are too many."""
-    kept = extremes(y, _MOST_LOOKED_AT)
+    kept = extreme_samples(y, _MOST_LOOKED_AT)
     kept = kept[needed(x[kept], y[kept], tolerance)]
-    return kept[extremes(y[kept], MOST)]
+    return kept[extreme_samples(y[kept], MOST)]
 
 
 def _line(line: Line, number: int, colours: Sequence[str] = LINE_COLOURS, *, y_log: bool = False) -> Spec:
@@ -256,7 +256,7 @@ def _kept_of_part(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
     if not (len(y) and np.isfinite(x[0]) and np.isfinite(y[0])):
         return np.arange(len(y))[:1]  # of a gap
     if (np.diff(x) <= 0).any():  # x decreases, as on a circle
-        return np.union1d(extremes(x), extremes(y))
+        return np.union1d(extreme_samples(x), extreme_samples(y))
     return thinned(x, y, tolerance)
 
 

@@ -12,7 +12,7 @@ from hexservo.report.charts import TOLERANCE, Spec, axes, chart, encoded, thinne
 from hexservo.report.html import Html
 from hexservo.run.samples import (
     ImageView,
-    extremes,
+    extreme_samples,
     image_views,
     mean_samples,
     moving_mean,
@@ -21,7 +21,7 @@ from hexservo.run.samples import (
 )
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.rules import TERMS
+from hexservo.scenario.rules import TERMS, term_text
 from hexservo.scenario.scenario import load_scenario
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def _rule_table(result: Result) -> Html | None:
                 "x": terms,
                 "y": terms,
                 "z": encoded(values),
-                "text": [[_cell(value) for value in row] for row in values],
+                "text": [[term_text(value) for value in row] for row in values],
                 "texttemplate": "%{text}",
                 "zmin": -limit,
                 "zmax": limit,
@@ -143,7 +143,7 @@ def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Htm
     data = []
     for number, colour in enumerate(_POINT_COLOURS):
         path = features[:, number]
-        kept = np.union1d(extremes(path[:, 0]), extremes(path[:, 1]))
+        kept = np.union1d(extreme_samples(path[:, 0]), extreme_samples(path[:, 1]))
         data.append(
             trace(
                 path[kept, 0],
@@ -328,10 +328,3 @@ def _band(half: float) -> Spec:
 def _level(value: float) -> Spec:
     place = {"xref": "paper", "x0": 0, "x1": 1, "yref": "y", "y0": value, "y1": value}
     return {"type": "line", **place, "line": {"color": "@black", "width": 1.2, "dash": "dot"}}
-
-
-def _cell(value: float) -> str:
-    for term, centre in TERMS.items():
-        if abs(value - centre) < 1e-9:
-            return term
-    return f"{value:.2g}"

@@ -22,7 +22,7 @@ from hexservo.findings.wording import VERDICTS
 from hexservo.report.evidence_html import table_html
 from hexservo.report.html import Html, element, paragraphs
 from hexservo.run.batch import BatchResult
-from hexservo.run.comparison import COLUMNS, Comparison, shown
+from hexservo.run.comparison import COLUMNS, Comparison, metric_text
 from hexservo.run.display import batch_text, comparison_text
 from hexservo.run.metrics import METRICS, metrics, readable
 from hexservo.run.result import Result
@@ -108,7 +108,7 @@ def _comparison_html(comparison: Comparison) -> str:
         *(Column(column.head, column.unit) for column in COLUMNS),
     )
     rows = [
-        (row.scenario.name, row.law, row.verdict, *(shown(row, column) for column in COLUMNS))
+        (row.scenario.name, row.law, row.verdict, *(metric_text(row, column) for column in COLUMNS))
         for row in comparison.rows
     ]
     return _page(

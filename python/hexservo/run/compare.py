@@ -123,7 +123,7 @@ def _checked_controllers(controllers: Mapping[str, OwnController] | None) -> dic
         if not str(name).strip() or not str(name).isprintable() or name in LAWS:
             raise ValueError(f"controllers: expected names that are text and not names of laws, got {name!r}")
         if not callable(function):
-            raise TypeError(f"controllers: {name}: expected a function, got {type(function).__name__}")
+            raise wrong_type(f"controllers: {name}", "a function", function)
     return dict(controllers)
 
 

@@ -160,7 +160,7 @@ class Comparison:
         head = ["scenario", "law", "verdict", *(f"{column.head} [{column.unit}]" for column in COLUMNS), "why"]
         lines = [head, ["---", "---", "---", *("---:" for _ in COLUMNS), "---"]]
         lines += [
-            [row.scenario.name, row.law, row.verdict, *(shown(row, column) for column in COLUMNS), row.why]
+            [row.scenario.name, row.law, row.verdict, *(metric_text(row, column) for column in COLUMNS), row.why]
             for row in self.rows
         ]
         return "".join(f"| {' | '.join(_escaped(cell) for cell in line)} |\n" for line in lines)
@@ -216,7 +216,7 @@ class Comparison:
             (folder / f"{scenario.name}.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
 
 
-def shown(row: ComparisonRow, column: MetricColumn) -> str:
+def metric_text(row: ComparisonRow, column: MetricColumn) -> str:
     """Write one number of the table; "-" where there is none, "!" if it exceeds a limit."""
     value = row.metrics.get(column.metric, math.nan) * column.scale
     if math.isnan(value):

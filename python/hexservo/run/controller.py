@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hexservo import _core
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
@@ -20,11 +21,11 @@ InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_im
 class ControllerOutput(NamedTuple):
     """What a tick gives back; vectors are in the base frame B (docs/model.md, section 7)."""
 
-    wrench: NDArray[np.float64]
+    wrench: Array
     """(6,), force and moment about E's origin [N; N m]."""
-    leg_forces: NDArray[np.float64]
+    leg_forces: Array
     """(6,), positive where they push the platform away from the base [N]."""
-    fuzzy_output: NDArray[np.float64]
+    fuzzy_output: Array
     """(6,), output of the fuzzy systems, already subtracted in `wrench` [N; N m]."""
     invalid_input: bool
     """The law could not act: the wrench brakes and holds the platform, and nothing is learned."""
@@ -85,7 +86,7 @@ class Controller:
         return self._core.period
 
     @property
-    def fuzzy_weights(self) -> NDArray[np.float64]:
+    def fuzzy_weights(self) -> Array:
         """Weights of the six fuzzy systems now, (6, 7, 7), row: term of u, column: term of its rate [N; N m]."""
         return self._core.fuzzy_weights
 

@@ -29,7 +29,7 @@ from functools import cache
 from pathlib import Path
 from types import FrameType
 
-__all__ = ["OutputError", "Place", "draft_beside", "publish", "shown", "signals_raised", "synchronize"]
+__all__ = ["OutputError", "Place", "draft_beside", "publish", "quoted", "signals_raised", "synchronize"]
 
 
 class OutputError(ValueError):
@@ -175,8 +175,8 @@ def _put_back(aside: Path, place: Path) -> None:
         aside.rename(place)
     except OSError as error:
         raise OutputError(
-            f"{shown(place)}: expected to put the earlier results back there, got: {error.strerror}; "
-            f"they are in {shown(aside)}"
+            f"{quoted(place)}: expected to put the earlier results back there, got: {error.strerror}; "
+            f"they are in {quoted(aside)}"
         ) from error
 
 
@@ -342,7 +342,7 @@ def synchronize(path: Path) -> None:
         os.close(descriptor)
 
 
-def shown(path: Path) -> str:
+def quoted(path: Path) -> str:
     """Quote a path so that it stays on its line, whatever characters it has; near ones relative, as typed."""
     try:
         text = str(path.relative_to(Path.cwd()))

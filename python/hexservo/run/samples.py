@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ImageView",
-    "extremes",
+    "extreme_samples",
     "image_views",
     "mean_samples",
     "moving_mean",
@@ -62,7 +62,7 @@ def unit_rotation_vectors(unit: Array) -> Array:
     return np.asarray(2.0 * unit[..., 1:] / np.sinc(half / np.pi))
 
 
-def extremes(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:
+def extreme_samples(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:
     """Give the indices of the samples to draw: all, or first, last and the extremes of as many bins as print resolves.
 
     Parameters

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from typing import Any, cast, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo.run.metrics import METRICS
 from hexservo.run.result import QUANTITIES, LimitEvent, LimitKind, Outcome, Result
 from hexservo.run.saving import EVENT_HEAD, HISTORY
 from hexservo.run.sealed import ResultError, line_of, quoted, refuse_changed, sealed_blocks, shown_path
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import open_regular
 from hexservo.scenario.yaml import ScenarioError
 
@@ -56,7 +56,7 @@ def load_result(path: str | os.PathLike[str]) -> Result:
     return _result(arrays, attributes, place)
 
 
-def _parsed(content: bytes, place: str) -> tuple[dict[str, NDArray[np.float64]], dict[str, Any]]:
+def _parsed(content: bytes, place: str) -> tuple[dict[str, Array], dict[str, Any]]:
     """Read arrays and attributes from bytes whose digest is right: what is wrong in them now was written so."""
     import h5py
 
@@ -79,7 +79,7 @@ def _parsed(content: bytes, place: str) -> tuple[dict[str, NDArray[np.float64]],
 # ---- From what was read to a result ---------------------------------------------------------------------------------
 
 
-def _result(arrays: Mapping[str, NDArray[np.float64]], attributes: Mapping[str, Any], place: str) -> Result:
+def _result(arrays: Mapping[str, Array], attributes: Mapping[str, Any], place: str) -> Result:
     from hexservo.scenario.scenario import Scenario
 
     for name in (*_TEXTS, *_NUMBERS):
@@ -108,7 +108,7 @@ def _result(arrays: Mapping[str, NDArray[np.float64]], attributes: Mapping[str, 
     )
 
 
-def _check_arrays(arrays: Mapping[str, NDArray[np.float64]], place: str) -> None:
+def _check_arrays(arrays: Mapping[str, Array], place: str) -> None:
     """Refuse arrays that no run gives: other shapes, no sample, numbers that are not finite, times that go back."""
     time = arrays["time"]
     count = len(time) if time.ndim else 0

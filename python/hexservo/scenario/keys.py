@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from hexservo.scenario.arrays import Mask
 from hexservo.scenario.block import SAMPLED, SAMPLED_MODE
 from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.laws import LAWS
@@ -51,7 +52,7 @@ class NumericKey:
         most = self.element.at_most
         return np.dtype(np.uint64 if self.whole and most is not None and most > MAX_WHOLE_FLOAT else np.float64)
 
-    def within(self, numbers: NDArray[Any]) -> NDArray[np.bool_]:
+    def within(self, numbers: NDArray[Any]) -> Mask:
         """Tell which numbers are allowed; NaN is not, nor, of whole numbers, floats that may have been rounded."""
         allowed = numbers == numbers
         if self.whole and numbers.dtype.kind == "f":

@@ -422,6 +422,11 @@ def _shortened(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def term_text(value: float) -> str:
+    """Return the term of the fuzzy output that has this centre, such as "PS"; the number where none has."""
+    return next((term for term, centre in TERMS.items() if abs(value - centre) < 1e-9), f"{value:.2g}")
+
+
 def did_you_mean(value: Any, names: Iterable[str]) -> str:
     nearest = difflib.get_close_matches(value.lower(), list(names), 1) if isinstance(value, str) else []
     return f'; did you mean "{nearest[0]}"?' if nearest else ""

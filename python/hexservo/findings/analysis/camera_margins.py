@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo.findings.analysis.linear_loop import BORDER, Clock, SampledLoop
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Complex
 
 __all__ = [
     "LARGEST_FACTOR",
@@ -27,7 +25,6 @@ __all__ = [
     "radius_map",
 ]
 
-Complex: TypeAlias = NDArray[np.complex128]
 
 LONGEST = 0.5
 """Periods and latencies are looked at up to this, or ten times the loop's own [s]."""

@@ -11,10 +11,10 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.part import Part, not_analysed
-from hexservo.findings.analysis.poses import Mask, Poses, without_sign
+from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["GRID", "LARGEST", "SIZES", "Drift", "Pattern", "Size", "analyse", "loop_matrix"]

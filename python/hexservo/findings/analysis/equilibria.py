@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from hexservo.findings.analysis.goal import SHOWN, nearest_images
 from hexservo.findings.analysis.part import Part, not_analysed
-from hexservo.findings.analysis.poses import Mask, Poses, without_sign
+from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import WIDER
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["SEED", "Equilibria", "Equilibrium", "analyse"]

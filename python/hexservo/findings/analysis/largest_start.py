@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo.findings.analysis.goal import SHOWN, find_goals
 from hexservo.findings.analysis.part import Part
 from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
 from hexservo.run.batch import simulate_batch, whole
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
@@ -171,11 +170,11 @@ def analyse(scenario: Scenario) -> LargestStart:
 class _Ends:
     """How variations of a scenario end, one row each."""
 
-    settled: NDArray[np.bool_]  # in the image, with all legs within their stroke all the way
-    only_stroke: NDArray[np.bool_]  # would have settled but for a leg beyond its stroke
+    settled: Mask  # in the image, with all legs within their stroke all the way
+    only_stroke: Mask  # would have settled but for a leg beyond its stroke
     times: Array  # [s], settling time of the image error; NaN: none
     travel: Array  # [m], largest leg travel from home
-    ran: NDArray[np.bool_]  # False: refused by the core
+    ran: Mask  # False: refused by the core
 
 
 class _Trial:

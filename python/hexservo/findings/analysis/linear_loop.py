@@ -8,16 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import lcm
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Complex
 
 __all__ = ["BORDER", "Actuation", "Clock", "SampledLoop"]
 
-Complex: TypeAlias = NDArray[np.complex128]
 
 BORDER = 1.0 + 1e-8
 """A spectral radius beyond it counts as unstable: closer to 1 rounding and finite differences decide."""

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.run.samples import unit_rotation_vectors
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 
-__all__ = ["Mask", "Poses", "by_displacement", "without_sign"]
-
-Mask: TypeAlias = NDArray[np.bool_]
+__all__ = ["Poses", "by_displacement", "without_sign"]
 
 
 @dataclass(frozen=True, eq=False)

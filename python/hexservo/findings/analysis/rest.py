@@ -9,9 +9,9 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import limited
-from hexservo.findings.analysis.poses import Mask, Poses, by_displacement
+from hexservo.findings.analysis.poses import Poses, by_displacement
 from hexservo.findings.analysis.scene import Scene
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Rest", "RestLaw", "without_friction"]

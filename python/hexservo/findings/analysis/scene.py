@@ -9,8 +9,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from hexservo import _core
-from hexservo.findings.analysis.poses import Mask, Poses
-from hexservo.scenario.arrays import Array
+from hexservo.findings.analysis.poses import Poses
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 

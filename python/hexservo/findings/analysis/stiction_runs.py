@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Mask, Poses
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.rest import RestLaw
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet
 from hexservo.run.batch import simulate_batch, whole
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 
 __all__ = ["COUNT", "Runs", "run"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,13 +17,12 @@ from hexservo.findings.evidence import Column, Section, Table, as_data
 from hexservo.run.metrics import metrics
 from hexservo.run.progress import reporting
 from hexservo.run.variations import checked_variations, known_key, plain_row
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
 __all__ = ["BatchCertificate", "certify_batch"]
 
-Flags: TypeAlias = NDArray[np.bool_]
 
 PAGE = "docs/certificate/batch.md"
 
@@ -44,17 +43,17 @@ class BatchCertificate(Findings):
         return len(self.outcome)
 
     @property
-    def finished(self) -> Flags:
+    def finished(self) -> Mask:
         """(n,), runs that were run to their end and whose best weights were found."""
         return np.asarray(np.isfinite(self.eta).all(axis=1))
 
     @property
-    def held(self) -> Flags:
+    def held(self) -> Mask:
         """(n,), whether the assumption held on all six axes; false where it is not known."""
         return np.asarray((self.margin >= 0.0).all(axis=1))
 
     @property
-    def settled(self) -> Flags:
+    def settled(self) -> Mask:
         """(n,), whether the run completed and has a settling time (docs/model.md, section 8)."""
         return np.asarray((self.outcome == "completed") & np.isfinite(self.settling_time))
 

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, probe_without, sgn_breaks
 from hexservo.findings.certificate.uncertainty import AXES, Assumption, DeltaTau
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.wording import joules, number
 
 __all__ = ["Lyapunov", "Rise", "differentiate", "lyapunov_of"]
 
-Flags: TypeAlias = NDArray[np.bool_]
 
 PAGE = "docs/certificate/lyapunov.md"
 _ROWS = 12  # of the table of rises, at most
@@ -333,7 +331,7 @@ def lyapunov_of(run: Replay, plant: Plant, uncertainty: DeltaTau, assumption: As
     )
 
 
-def differentiate(values: Array, step: float, breaks: Flags) -> Array:
+def differentiate(values: Array, step: float, breaks: Mask) -> Array:
     """Differentiate samples by central differences over up to seven of them, (n,).
 
     Parameters
@@ -375,7 +373,7 @@ def _rounding(change: Array, step: float) -> float:
     return 4 * np.finfo(float).eps * float(np.abs(change).max(initial=0.0)) / step
 
 
-def _beside(breaks: Flags) -> int:
+def _beside(breaks: Mask) -> int:
     """Count the samples at either end of a step that is left out."""
     return int(np.count_nonzero(np.r_[False, breaks] | np.r_[breaks, False]))
 

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.run.result import Result
 from hexservo.run.simulation import simulate
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
 __all__ = ["Plant", "Replay", "every_step", "probe_without", "product", "replay", "replay_of", "sgn_breaks"]
 
-Flags: TypeAlias = NDArray[np.bool_]
 
 # what two runs are compared by -> unit
 _COMPARED = {
@@ -173,7 +170,7 @@ def probe_without(scenario: Scenario, *gains: str) -> _core.Probe:
     return _core.Probe(settings)
 
 
-def sgn_breaks(twist: Array) -> Flags:
+def sgn_breaks(twist: Array) -> Mask:
     """Tell which of the n - 1 steps between n samples contain a sign change of any component."""
     signs = np.sign(twist)
     return np.asarray((signs[1:] != signs[:-1]).any(axis=1))

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.findings.certificate.weights import BestWeights, best_weights
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.wording import number
 
 __all__ = ["AXES", "UNITS", "Assumption", "DeltaTau", "assumption_of", "uncertainty_of"]
@@ -83,7 +82,7 @@ class Assumption(Findings):
         return self.kv - self.eta
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Mask:
         """(6,), whether the axis kept the assumption, but for rounding."""
         return np.asarray(self.margin >= -self.rounding)
 

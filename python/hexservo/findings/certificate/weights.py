@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LIMIT", "TIE", "BestWeights", "best_weights"]
+from hexservo.scenario.arrays import Array, Mask
 
-Array = NDArray[np.float64]
+__all__ = ["LIMIT", "TIE", "BestWeights", "best_weights"]
 
 LIMIT = 1e3
 """Largest weight that is tried, in units of the largest target."""
@@ -215,7 +215,7 @@ class _Problem:
                 normals, forces = np.delete(normals, dropped, axis=1), np.delete(forces, dropped)
         return start
 
-    def _violated(self, weights: Array, error: float, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    def _violated(self, weights: Array, error: float, chosen: Mask) -> NDArray[np.intp]:
         """Give the worst samples beyond an error that are not yet chosen: first one of each run of neighbours."""
         beyond = np.abs(self.target - self.basis @ weights)
         wrong = (beyond > error * (1 + _FLOOR) + 1e-13) & ~chosen

@@ -9,7 +9,7 @@ from hexservo.findings.diagnosis.findings import Diagnosis, Finding, Remedy
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
-from hexservo.findings.diagnosis.words import how, margins, misses, warnings_of
+from hexservo.findings.diagnosis.words import criteria_met, how, misses, warnings_of
 from hexservo.run.result import Result
 from hexservo.scenario.wording import wrong_type
 
@@ -49,7 +49,7 @@ def diagnose(result: Result) -> Diagnosis:
     before = judged(result.scenario, record)
     warnings = warnings_of(result, before)
     if not before.failed:
-        criteria = margins(result, record, before)
+        criteria = criteria_met(result, record, before)
         return Diagnosis(result, False, criteria, warnings=warnings, _record=record, _judgement=before)
     case = make_cases([result.scenario])[0]
     criteria = misses(result, record, before)

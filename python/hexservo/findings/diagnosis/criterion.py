@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hexservo.scenario.arrays import Array
 
 __all__ = ["DRIFT_TIME", "Allowed", "Judgement", "Record", "judge", "make_record"]
-
-Array = NDArray[np.float64]
 
 DRIFT_TIME = 30.0
 """[s]: a leg that still moves so fast at the end that it would leave its stroke within this time is a failure."""

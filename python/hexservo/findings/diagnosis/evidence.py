@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.findings.diagnosis.criterion import Judgement, Record
@@ -17,8 +16,6 @@ from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.wording import number
 
 __all__ = ["SIGNATURES", "Signature"]
-
-Array = NDArray[np.float64]
 
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
 _AT_REST = 0.02  # of the stroke, that the legs may move in it

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
@@ -14,12 +13,11 @@ from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.runs import Run
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import sampled_keys
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Goal", "Obstacle", "goal_of", "goal_run", "obstacle_of", "pixels_per_metre", "spread_target"]
-
-Array = NDArray[np.float64]
 
 _STIFFNESS = 400.0  # [1/s^2], of the run that finds the goal: settles as exp(-20 t)
 _SPREAD = 0.2  # half the side of the square that stands in for a target, in parts of its distance

@@ -7,18 +7,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hexservo.findings.diagnosis.criterion import Record, make_record
 from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.run.result import Result
 from hexservo.run.shared import numbers_of, shared_by
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import NumericKey, acting_keys
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Run", "record_of", "run_all"]
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 500  # about so many of a run are kept
 _MAX_BATCH = 64  # runs: bounds the memory of their samples

@@ -12,7 +12,7 @@ from hexservo.scenario.wording import number
 if TYPE_CHECKING:
     from hexservo.findings.diagnosis.findings import Finding, Remedy
 
-__all__ = ["ends", "how", "joined", "margins", "misses", "remedy_sentence", "spelt", "warnings_of"]
+__all__ = ["criteria_met", "ends", "how", "joined", "misses", "remedy_sentence", "spelt", "warnings_of"]
 
 FEW = 40  # samples, or steps
 _NEAR = 0.7  # of what is allowed: a warning
@@ -68,7 +68,7 @@ def _not_settled(result: Result, judgement: Judgement) -> str:
     )
 
 
-def margins(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
+def criteria_met(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
     """Return a clause per criterion of a run that passes, with its margin."""
     metrics, stroke = result.scenario.metrics, result.scenario.robot.stroke
     allowed = stroke / DRIFT_TIME * 1e3
