@@ -29,7 +29,9 @@ from functools import cache
 from pathlib import Path
 from types import FrameType
 
-__all__ = ["OutputError", "Place", "draft_beside", "publish", "quoted", "signals_raised", "synchronize"]
+from hexservo.scenario.wording import quoted
+
+__all__ = ["OutputError", "Place", "draft_beside", "publish", "quoted_path", "signals_raised", "synchronize"]
 
 
 class OutputError(ValueError):
@@ -175,8 +177,8 @@ def _put_back(aside: Path, place: Path) -> None:
         aside.rename(place)
     except OSError as error:
         raise OutputError(
-            f"{quoted(place)}: expected to put the earlier results back there, got: {error.strerror}; "
-            f"they are in {quoted(aside)}"
+            f"{quoted_path(place)}: expected to put the earlier results back there, got: {error.strerror}; "
+            f"they are in {quoted_path(aside)}"
         ) from error
 
 
@@ -342,11 +344,10 @@ def synchronize(path: Path) -> None:
         os.close(descriptor)
 
 
-def quoted(path: Path) -> str:
+def quoted_path(path: Path) -> str:
     """Quote a path so that it stays on its line, whatever characters it has; near ones relative, as typed."""
     try:
         text = str(path.relative_to(Path.cwd()))
     except (OSError, ValueError):
         text = str(path)
-    text = text if len(text) <= 200 else f"{text[:100]}...{text[-90:]}"
-    return f'"{text}"' if text.isprintable() else ascii(text)
+    return quoted(text)

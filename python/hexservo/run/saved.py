@@ -12,9 +12,10 @@ import numpy as np
 from hexservo.run.metrics import METRICS
 from hexservo.run.result import QUANTITIES, LimitEvent, LimitKind, Outcome, Result
 from hexservo.run.saving import EVENT_HEAD, HISTORY
-from hexservo.run.sealed import ResultError, line_of, quoted, refuse_changed, sealed_blocks, shown_path
+from hexservo.run.sealed import ResultError, line_of, refuse_changed, sealed_blocks, shown_path
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import open_regular
+from hexservo.scenario.wording import quoted
 from hexservo.scenario.yaml import ScenarioError
 
 __all__ = ["load_result"]

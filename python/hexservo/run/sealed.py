@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, BinaryIO, NoReturn
 
 from hexservo.scenario.reading import open_regular
 from hexservo.scenario.version import VERSION
+from hexservo.scenario.wording import quoted
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -117,8 +118,3 @@ def line_of(error: Exception) -> str:
 
 def shown_path(path: str | os.PathLike[str]) -> str:
     return quoted(os.fsdecode(path))
-
-
-def quoted(text: str) -> str:
-    text = text if len(text) <= 200 else f"{text[:100]}...{text[-90:]}"
-    return f'"{text}"' if text.isprintable() else ascii(text)

@@ -1,8 +1,8 @@
-"""Numbers and quantities in messages."""
+"""Numbers, quantities and foreign text in messages."""
 
 from __future__ import annotations
 
-__all__ = ["joules", "number", "quantity", "wrong_type"]
+__all__ = ["joules", "number", "quantity", "quoted", "wrong_type"]
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -28,6 +28,12 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 def joules(value: float, digits: int = 4, unit: str = "J") -> str:
     """Write an energy [J], or a power with the unit W."""
     return quantity(value, unit, digits)
+
+
+def quoted(text: str) -> str:
+    """Return a text in quotes on one line, whatever characters it has, and at most about 200 of them."""
+    text = text if len(text) <= 200 else f"{text[:100]}...{text[-90:]}"
+    return f'"{text}"' if text.isprintable() else ascii(text)
 
 
 def wrong_type(name: str, expected: str, got: object) -> TypeError:
