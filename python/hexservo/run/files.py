@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, TypeAlias
 
-from hexservo.run.publish import OutputError, Place, draft_beside, publish, quoted_path, signals_raised, synchronize
+from hexservo.run.publish import OutputError, Place, draft_beside, named, publish, signals_raised, synchronize
 from hexservo.scenario.version import VERSION
 
 __all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "write_file", "write_folder"]
@@ -113,10 +113,10 @@ def _located(folder: str | os.PathLike[str]) -> Path:
 def _check_parents(path: Path) -> None:
     parent = next(parent for parent in path.parents if os.path.lexists(parent))
     if not parent.is_dir():
-        raise OutputError(f"{quoted_path(path)}: expected a folder to make it in, got the file {quoted_path(parent)}")
+        raise OutputError(f"{named(path)}: expected a folder to make it in, got the file {named(parent)}")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(
-            f"{quoted_path(path)}: expected a place that can be written, but writing into {quoted_path(parent)} is not permitted"
+            f"{named(path)}: expected a place that can be written, but writing into {named(parent)} is not permitted"
         )
 
 
@@ -143,8 +143,7 @@ def _listing(names: list[str]) -> str:
 def _refuse_unwritable(path: Path, error: OSError | ValueError, place: str = "folder") -> NoReturn:
     reason = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())
     raise OutputError(
-        f"{quoted_path(path)}: expected a {place} that can be written, got: {reason}; nothing was written, "
-        "name another place"
+        f"{named(path)}: expected a {place} that can be written, got: {reason}; nothing was written, name another place"
     ) from error
 
 
@@ -275,11 +274,11 @@ class _Folder(Place):
             _refuse_unwritable(self.path, error)
         if stat.S_ISLNK(mode):
             raise OutputError(
-                f"{quoted_path(self.path)}: expected a folder, got a symbolic link to {quoted_path(found.readlink())}; "
+                f"{named(self.path)}: expected a folder, got a symbolic link to {named(found.readlink())}; "
                 "name that folder itself"
             )
         if not stat.S_ISDIR(mode):
-            raise OutputError(f"{quoted_path(self.path)}: expected a folder, got a file; name another place")
+            raise OutputError(f"{named(self.path)}: expected a folder, got a file; name another place")
         try:
             is_empty = not any(found.iterdir())
             is_current = found.samefile(os.curdir)
@@ -288,7 +287,7 @@ class _Folder(Place):
             _refuse_unwritable(self.path, error)
         if is_current:
             raise OutputError(
-                f"{quoted_path(self.path)}: expected a folder other than the current one; name a new one inside it"
+                f"{named(self.path)}: expected a folder other than the current one; name a new one inside it"
             )
         if not is_empty:
             self._check_contents(strangers)
@@ -297,17 +296,17 @@ class _Folder(Place):
         """Refuse a folder that holds more than our results as we left them, or them without `force`."""
         if strangers is None:
             raise OutputError(
-                f"{quoted_path(self.path)}: the folder holds files that are not results of hexservo "
+                f"{named(self.path)}: the folder holds files that are not results of hexservo "
                 f"(it has no valid {MARKER}), so it is kept; name another folder"
             )
         if strangers:
             raise OutputError(
-                f"{quoted_path(self.path)}: the folder holds files that hexservo did not write, so it is kept: "
+                f"{named(self.path)}: the folder holds files that hexservo did not write, so it is kept: "
                 f"{_listing(strangers)}; move them away or name another folder"
             )
         if not self.force:
             raise OutputError(
-                f"{quoted_path(self.path)}: the folder holds results already; replace them with --force "
+                f"{named(self.path)}: the folder holds results already; replace them with --force "
                 "(force=True in Python), or name another folder"
             )
 
@@ -329,8 +328,8 @@ class _Folder(Place):
             replaced.rmdir()
         except OSError as error:
             raise OutputError(
-                f"{quoted_path(self.path)}: the new results are there, but the old ones could not be removed "
-                f"({error.strerror}); what is left of them is in {quoted_path(replaced)}"
+                f"{named(self.path)}: the new results are there, but the old ones could not be removed "
+                f"({error.strerror}); what is left of them is in {named(replaced)}"
             ) from error
 
 
@@ -344,27 +343,25 @@ class _File(Place):
     def check(self, found: Path | None = None) -> None:
         found = found or self.path
         if self.path.name in ("", ".."):
-            raise OutputError(f"{quoted_path(self.path)}: expected the name of a file, got a folder; name a file in it")
+            raise OutputError(f"{named(self.path)}: expected the name of a file, got a folder; name a file in it")
         try:
             mode = found.lstat().st_mode
         except FileNotFoundError:
             if not self.path.parent.is_dir():
                 raise OutputError(
-                    f"{quoted_path(self.path)}: expected a folder that exists, got {quoted_path(self.path.parent)}; make it first"
+                    f"{named(self.path)}: expected a folder that exists, got {named(self.path.parent)}; make it first"
                 ) from None
             return
         if not stat.S_ISREG(mode):
             kind = "a symbolic link" if stat.S_ISLNK(mode) else "a folder" if stat.S_ISDIR(mode) else "something else"
-            raise OutputError(
-                f"{quoted_path(self.path)}: expected a file or a new name, got {kind}; name another place"
-            )
+            raise OutputError(f"{named(self.path)}: expected a file or a new name, got {kind}; name another place")
         if not self.is_ours(found):
             raise OutputError(
-                f"{quoted_path(self.path)}: the file was not written by {self.author}, so it is kept; name another"
+                f"{named(self.path)}: the file was not written by {self.author}, so it is kept; name another"
             )
         if not self.force:
             raise OutputError(
-                f"{quoted_path(self.path)}: the file exists; replace it with --force (force=True in Python), or name another"
+                f"{named(self.path)}: the file exists; replace it with --force (force=True in Python), or name another"
             )
 
     def make(self, draft: Path) -> None:

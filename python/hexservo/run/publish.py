@@ -31,7 +31,7 @@ from types import FrameType
 
 from hexservo.scenario.wording import quoted
 
-__all__ = ["OutputError", "Place", "draft_beside", "publish", "quoted_path", "signals_raised", "synchronize"]
+__all__ = ["OutputError", "Place", "draft_beside", "named", "publish", "signals_raised", "synchronize"]
 
 
 class OutputError(ValueError):
@@ -177,8 +177,8 @@ def _put_back(aside: Path, place: Path) -> None:
         aside.rename(place)
     except OSError as error:
         raise OutputError(
-            f"{quoted_path(place)}: expected to put the earlier results back there, got: {error.strerror}; "
-            f"they are in {quoted_path(aside)}"
+            f"{named(place)}: expected to put the earlier results back there, got: {error.strerror}; "
+            f"they are in {named(aside)}"
         ) from error
 
 
@@ -344,7 +344,7 @@ def synchronize(path: Path) -> None:
         os.close(descriptor)
 
 
-def quoted_path(path: Path) -> str:
+def named(path: Path) -> str:
     """Quote a path so that it stays on its line, whatever characters it has; near ones relative, as typed."""
     try:
         text = str(path.relative_to(Path.cwd()))
