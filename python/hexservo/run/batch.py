@@ -21,7 +21,7 @@ from hexservo.run.metrics import METRICS
 from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.result import QUANTITIES, TERMS, WRENCH
 from hexservo.run.variant import chosen_kernel
-from hexservo.run.variations import checked_variations, known_key, plain_row
+from hexservo.run.variations import checked_variations, columns_of, known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
@@ -104,9 +104,7 @@ class BatchResult:
 
         columns: dict[str, Any] = {}
         for key, values in self.variations.items():
-            rows = np.broadcast_to(values, (len(self), *values.shape[1:]))
-            for place in np.ndindex(values.shape[1:]):
-                columns[key + "".join(f"[{index}]" for index in place)] = rows[(slice(None), *place)]
+            columns |= columns_of(key, np.broadcast_to(values, (len(self), *values.shape[1:])))
         columns |= {name: getattr(self, name) for name in ("outcome", "cause", "limit_leg", "end_time", "stop_time")}
         table = pd.DataFrame({**columns, **self.metrics}, index=pd.RangeIndex(len(self), name="scenario"))
         table.attrs = {

@@ -101,6 +101,14 @@ def _symmetric(key: str, matrices: Array) -> Array:
     return np.asarray(matrices / 2 + turned / 2)
 
 
+def columns_of(key: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Return the variations of a key as columns of a table: entries of arrays as ``controller.hybrid.kv[0]``."""
+    return {
+        key + "".join(f"[{index}]" for index in place): values[(slice(None), *place)]
+        for place in np.ndindex(values.shape[1:])
+    }
+
+
 def plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:
     return int(row) if rule.whole else row.tolist()
 

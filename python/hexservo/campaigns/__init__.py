@@ -1,0 +1,1 @@
+"""Campaigns: drawn variations, judged against requirements."""

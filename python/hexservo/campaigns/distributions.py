@@ -1,0 +1,146 @@
+"""Distributions of what a campaign varies: how a file writes them, and how random bits become their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import exp10, ndtri
+
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.rules import Flag, Number, did_you_mean, is_number, refusal, shown_value
+
+__all__ = ["SEED", "Variation", "uniform_of"]
+
+SEED = "each"
+"""What the key ``seed`` has in place of a distribution: 64 random bits in each run."""
+
+_KINDS = {
+    "normal": "[mean, standard deviation > 0]",
+    "uniform": "[low, high], low < high",
+    "log": "[low, high], 0 < low < high",
+    "choice": "a list of at least one number",
+}
+_FLAGS = ("add", "each", "symmetric")
+_EXPECTED = "one of " + ", ".join(f"{{{kind}: {form}}}" for kind, form in _KINDS.items())
+_SMALLEST = 0.5**53  # smallest uniform number; the largest is 1 - this
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How one key of a scenario varies (docs/campaigns.md, section 2).
+
+    The drawn number is in the unit of its key: SI units, radians and pixels.
+    """
+
+    kind: str  # normal, uniform, log, choice, or SEED
+    parameters: tuple[float, ...] = ()  # as the file writes them
+    clip: tuple[float, float] | None = None  # what is drawn beyond these becomes the nearer one
+    add: bool = False  # the number is added to that of the scenario
+    each: bool = False  # every entry of an array has a separate number
+    symmetric: bool = False  # with `each`: entries (i, j) and (j, i) have the same number
+
+    def numbers(self, uniform: Array) -> Array:
+        """Return the drawn numbers that belong to uniform ones.
+
+        Parameters
+        ----------
+        uniform
+            Numbers above 0 and below 1, of any shape; the result has the same shape.
+        """
+        first, last = self.parameters[0], self.parameters[-1]
+        if self.kind == "normal":
+            drawn = first + last * ndtri(uniform)
+        elif self.kind == "choice":
+            count = len(self.parameters)
+            drawn = np.asarray(self.parameters)[np.minimum((uniform * count).astype(np.int64), count - 1)]
+        else:  # clipped, since rounding may pass an end
+            low, high = (np.log10(first), np.log10(last)) if self.kind == "log" else (first, last)
+            between = low + (high - low) * uniform
+            drawn = np.clip(exp10(between) if self.kind == "log" else between, first, last)
+        return np.asarray(drawn if self.clip is None else np.clip(drawn, *self.clip), dtype=float)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The smallest and the largest number that can be drawn; 8.2 standard deviations for a normal one."""
+        if self.kind == "choice":
+            return min(self.parameters), max(self.parameters)
+        low, high = self.numbers(np.array([_SMALLEST, 1.0 - _SMALLEST]))
+        return float(low), float(high)
+
+    def to_plain(self) -> Any:
+        """Return what a campaign file writes for it."""
+        if self.kind == SEED:
+            return SEED
+        plain: dict[str, Any] = {self.kind: list(self.parameters)}
+        if self.clip is not None:
+            plain["clip"] = list(self.clip)
+        return plain | {flag: True for flag in _FLAGS if getattr(self, flag)}
+
+
+def uniform_of(bits: NDArray[np.uint64]) -> Array:
+    """Return numbers above 0 and below 1, the middles of 2^52 equal cells, from the upper 52 of 64 random bits."""
+    return np.asarray(((bits >> np.uint64(12)).astype(float) + 0.5) * 0.5**52)  # all of them are exact
+
+
+def distribution_of(value: Any) -> Variation:
+    """Return a distribution from its form in a file.
+
+    Raises
+    ------
+    ValidationError
+        One problem for each part that is wrong, at its place.
+    """
+    if not isinstance(value, Mapping):
+        raise refusal(((), f"expected {_EXPECTED}; got {shown_value(value)}"))
+    unknown = [key for key in value if key not in (*_KINDS, "clip", *_FLAGS)]
+    kinds = [kind for kind in _KINDS if kind in value]
+    if unknown:
+        known = (*_KINDS, "clip", *_FLAGS)
+        raise refusal(
+            *(
+                ((key,), f"unknown key{did_you_mean(key, known) or ';'} known keys: {', '.join(known)}")
+                for key in unknown
+            )
+        )
+    if len(kinds) != 1:
+        got = f"{len(kinds)} of them: {', '.join(kinds)}" if kinds else "none of them"
+        raise refusal(((), f"expected {_EXPECTED}; got {got}"))
+    kind = kinds[0]
+    parameters = _numbers(value[kind], (kind,), _KINDS[kind], None if kind == "choice" else 2)
+    first, last = parameters[0], parameters[-1]
+    if (
+        (kind == "normal" and last <= 0)
+        or (kind in ("uniform", "log") and first >= last)
+        or (kind == "log" and first <= 0)
+    ):
+        raise refusal(((kind,), f"expected {_KINDS[kind]}, got {shown_value(value[kind])}"))
+    clip = None
+    if "clip" in value:
+        low, high = _numbers(value["clip"], ("clip",), "[low, high], low < high", 2)
+        if low >= high:
+            raise refusal((("clip",), f"expected [low, high], low < high, got {shown_value(value['clip'])}"))
+        clip = (low, high)
+    flags = {flag: Flag().accept(value[flag]) for flag in _FLAGS if flag in value}
+    found = Variation(kind, parameters, None, **flags)
+    if found.symmetric and not found.each:
+        raise refusal((("symmetric",), "expected each: true beside it, got none"))
+    if clip is not None:
+        reach = found.reach
+        if clip[1] <= reach[0] or clip[0] >= reach[1]:
+            raise refusal(
+                (("clip",), f"expected limits that leave something of {reach[0]:g} ... {reach[1]:g}, got {list(clip)}")
+            )
+    return Variation(kind, parameters, clip, **flags)
+
+
+def _numbers(value: Any, place: tuple[str, ...], expected: str, count: int | None) -> tuple[float, ...]:
+    if not isinstance(value, list | tuple) or not value or (count is not None and len(value) != count):
+        raise refusal((place, f"expected {expected}, got {shown_value(value)}"))
+    wrong = next((item for item in value if not is_number(item)), None)
+    if wrong is not None:
+        raise refusal((place, f"expected {expected}, got {shown_value(wrong)} in it"))
+    return tuple(Number().accept(item) for item in value)

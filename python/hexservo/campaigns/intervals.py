@@ -1,0 +1,116 @@
+"""Intervals for a failure probability: one that holds at every stop, and one for a number of runs fixed beforehand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import betaincinv, betaln, xlog1py, xlogy
+
+__all__ = ["JEFFREYS", "RARE", "Mixture", "anytime_interval", "clopper_pearson", "log_martingale", "runs_for_bound"]
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """The distribution Beta(a, b) over which the likelihood ratio is averaged."""
+
+    a: float
+    b: float
+
+
+JEFFREYS = Mixture(0.5, 0.5)
+RARE = Mixture(0.1, 1e4)
+"""For failures that are expected once in 1e5 runs or less: narrower there, wider elsewhere."""
+
+
+def log_martingale(probability: Any, failures: Any, runs: Any, mixture: Mixture = JEFFREYS) -> Any:
+    """Return log M_n(p), the mixture martingale of k failures in n runs: the logarithm of
+
+        M_n(p) = B(a + k, b + n - k)/B(a, b) / (p^k (1 - p)^(n - k)).
+
+    For independent runs that fail with the probability p it is a martingale of mean 1, so that it ever reaches 1/alpha
+    with a probability of at most alpha (Ville 1939; Robbins 1970).
+
+    Parameters
+    ----------
+    probability, failures, runs
+        p in [0, 1], k and n, numbers or arrays that broadcast.
+    mixture
+        Beta(a, b), fixed before the first run.
+    """  # noqa: D400 (the formula belongs to the sentence)
+    k, n, p = np.asarray(failures), np.asarray(runs), np.asarray(probability)
+    likelihood = xlogy(k, p) + xlog1py(n - k, -p)
+    return betaln(mixture.a + k, mixture.b + n - k) - betaln(mixture.a, mixture.b) - likelihood
+
+
+def anytime_interval(
+    failures: int, runs: int, confidence: float = 0.95, mixture: Mixture = JEFFREYS
+) -> tuple[float, float]:
+    """Return the interval { p : M_n(p) < 1/(1 - confidence) } for the failure probability.
+
+    With the probability `confidence` it holds the true one at all numbers of runs at once: also at the one where an
+    observer of the results decides to stop (Howard, Ramdas, McAuliffe and Sekhon 2021).
+
+    Parameters
+    ----------
+    failures, runs
+        k of n independent runs failed.
+    confidence
+        Above 0 and below 1.
+    mixture
+        Fixed before the first run.
+
+    Returns
+    -------
+    tuple of float
+        Lower and upper end; (0, 1) without runs.
+    """
+    if runs == 0:
+        return 0.0, 1.0
+    most = -math.log1p(-confidence)
+
+    def excess(logit: float) -> float:  # of log M over log(1/alpha), at p = 1/(1 + exp(-logit))
+        log_p, log_q = -np.logaddexp(0.0, -logit), -np.logaddexp(0.0, logit)
+        evidence = betaln(mixture.a + failures, mixture.b + runs - failures) - betaln(mixture.a, mixture.b)
+        return float(evidence - failures * log_p - (runs - failures) * log_q - most)
+
+    def end(direction: float) -> float:
+        share = min(max(failures / runs, 1e-300), 1 - 1e-16)
+        start = math.log(share) - math.log1p(-share)
+        step = 1.0
+        while excess(start + direction * step) < 0:
+            step *= 2
+        found = brentq(excess, start, start + direction * step, xtol=1e-12, rtol=1e-14)
+        return float(1.0 / (1.0 + math.exp(-found))) if found > -700 else 0.0
+
+    return (0.0 if failures == 0 else end(-1.0)), (1.0 if failures == runs else end(1.0))
+
+
+def clopper_pearson(failures: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Return the interval of Clopper and Pearson (1934) for the failure probability, (1 - confidence)/2 on each side.
+
+    It holds for a number of runs that was fixed before the first one, and for no other.
+    """
+    if runs == 0:
+        return 0.0, 1.0
+    tail = (1.0 - confidence) / 2
+    low = 0.0 if failures == 0 else float(betaincinv(failures, runs - failures + 1, tail))
+    high = 1.0 if failures == runs else float(betaincinv(failures + 1, runs - failures, 1 - tail))
+    return low, high
+
+
+def runs_for_bound(probability: float, failures: int, confidence: float, mixture: Mixture) -> int:
+    """Return the least number of runs with so many failures whose interval lies below a probability."""
+    low, high = failures, max(failures, 1)
+    while anytime_interval(failures, high, confidence, mixture)[1] > probability:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        if anytime_interval(failures, middle, confidence, mixture)[1] > probability:
+            low = middle
+        else:
+            high = middle
+    return high

@@ -1,0 +1,399 @@
+"""Campaign files: which runs are drawn, what they must keep, and how many there are (docs/campaigns.md)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias, TypeVar, cast
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from hexservo.campaigns.distributions import SEED, Variation, distribution_of
+from hexservo.campaigns.drawing import Drawing
+from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture
+from hexservo.campaigns.requirements import Requirement, requirement_of
+from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
+from hexservo.run.variations import checked_variations, known_key
+from hexservo.scenario.block import Block
+from hexservo.scenario.keys import value_at
+from hexservo.scenario.plain import plain
+from hexservo.scenario.problems import in_words
+from hexservo.scenario.rules import Flag, Integer, Number, Rule, refusal, shown_value
+from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
+from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
+
+__all__ = ["CampaignPlan", "Until", "campaign_names", "load_plan"]
+
+MAX_RUNS = 10**12
+CHUNK_SIZE = 5000
+T = TypeVar("T")
+_PROBABILITY = Number(above=0.0, below=1.0)
+
+
+@dataclass(frozen=True)
+class Until:
+    """When a campaign has runs enough."""
+
+    kind: str  # probability_below, width_below
+    value: float  # of the failure probability, or of its interval's width
+
+    def decided(self, low: float, high: float) -> bool:
+        """Return whether the interval decides: it lies on one side of the probability, or is narrow enough."""
+        if self.kind == "probability_below":
+            return high <= self.value or low > self.value
+        return high - low <= self.value
+
+    def to_plain(self) -> dict[str, float]:
+        """Return what a campaign file writes for it."""
+        return {self.kind: self.value}
+
+
+Problem: TypeAlias = tuple[tuple[str | int, ...], str]
+"""A place in a file, and what is wrong there."""
+
+
+def _tried(read: Callable[[Any], T], value: Any, place: str | int, problems: list[Problem]) -> T | None:
+    """Return what is read from a value, or None after its problems were added at its place."""
+    try:
+        return read(value)
+    except ValidationError as error:
+        problems += [((place, *each["loc"]), each["msg"]) for each in error.errors(include_url=False)]
+        return None
+
+
+# ---- The keys of a file ---------------------------------------------------------------------------------------------
+
+
+class _ScenarioRule(Rule):
+    @property
+    def expected(self) -> str:
+        return "a packaged scenario, the path of a file, or the scenario itself"
+
+    def accept(self, value: Any) -> Scenario:
+        if isinstance(value, Scenario):
+            return value
+        if not isinstance(value, str | dict):
+            self.refuse(value)
+        try:
+            return load_scenario(value) if isinstance(value, str) else Scenario.from_mapping(value)
+        except ScenarioError as error:
+            raise refusal(*(((), line) for line in str(error).splitlines())) from None
+
+
+class _VaryRule(Rule):
+    @property
+    def expected(self) -> str:
+        return "a block of dotted keys with their distributions"
+
+    def accept(self, value: Any) -> dict[str, Variation]:
+        if not isinstance(value, dict) or not value:
+            self.refuse(value)
+        problems: list[Problem] = []
+        found = {
+            key: Variation(SEED) if (key, given) == ("seed", SEED) else _tried(distribution_of, given, key, problems)
+            for key, given in value.items()
+        }
+        if problems:
+            raise refusal(*problems)
+        return cast("dict[str, Variation]", found)
+
+
+class _RequireRule(Rule):
+    @property
+    def expected(self) -> str:
+        return "a list of at least one requirement"
+
+    def accept(self, value: Any) -> tuple[Requirement, ...]:
+        if not isinstance(value, list) or not value:
+            self.refuse(value)
+        problems: list[Problem] = []
+        found = [_tried(requirement_of, given, index, problems) for index, given in enumerate(value)]
+        texts = [str(requirement) for requirement in found if requirement]
+        problems += [
+            ((), f'"{text}": duplicate requirement') for text in sorted({t for t in texts if texts.count(t) > 1})
+        ]
+        if problems:
+            raise refusal(*problems)
+        return cast("tuple[Requirement, ...]", tuple(found))
+
+
+class _UntilRule(Rule):
+    @property
+    def expected(self) -> str:
+        return "{probability_below: p} or {width_below: w}, a number > 0 and < 1"
+
+    def accept(self, value: Any) -> Until | None:
+        if value is None:
+            return None
+        if (
+            not isinstance(value, dict)
+            or len(value) != 1
+            or next(iter(value)) not in ("probability_below", "width_below")
+        ):
+            self.refuse(value)
+        ((kind, number),) = value.items()
+        try:
+            return Until(kind, _PROBABILITY.accept(number))
+        except ValidationError as error:
+            raise refusal(*(((kind,), each["msg"]) for each in error.errors(include_url=False))) from None
+
+
+class _OptionalInteger(Integer):
+    @property
+    def expected(self) -> str:
+        return f"{super().expected} or null"
+
+    def accept(self, value: Any) -> int | None:  # type: ignore[override]
+        return None if value is None else super().accept(value)
+
+
+class _VariantRule(Rule):
+    @property
+    def expected(self) -> str:
+        return "avx512, avx2, baseline or null"
+
+    def accept(self, value: Any) -> str | None:
+        if value not in ("avx512", "avx2", "baseline", None):
+            self.refuse(value)
+        return cast("str | None", value)
+
+
+class _RecordRule(Rule):
+    """What a campaign's folder adds to its file: of use there, and of none elsewhere."""
+
+    @property
+    def expected(self) -> str:
+        return "the block that hexservo wrote"
+
+    def accept(self, value: Any) -> None:
+        if value is not None and not isinstance(value, dict):
+            self.refuse(value)
+
+
+class CampaignPlan(Block):
+    """A campaign file, checked. Immutable."""
+
+    scenario: Annotated[Scenario, _ScenarioRule()]  # what `vary` varies
+    vary: Annotated[dict[str, Variation], _VaryRule()]  # by dotted key
+    require: Annotated[tuple[Requirement, ...], _RequireRule()]
+    runs: Annotated[int | None, _OptionalInteger(1, MAX_RUNS)] = None  # with `until`: the most of them
+    until: Annotated[Until | None, _UntilRule()] = None
+    chunk_size: Annotated[int, Integer(1, 10**6)] = CHUNK_SIZE  # runs that are computed and kept together
+    confidence: Annotated[float, _PROBABILITY] = 0.95  # of each interval
+    rare: Annotated[bool, Flag()] = False  # the mixture of the interval is Beta(0.1, 1e4), for rare failures
+    stream: Annotated[int, Integer(0, 2**63 - 1)] = 0  # another number, other variations
+    variant: Annotated[str | None, _VariantRule()] = None  # compiled variant; null: that of the process which begins
+    record: Annotated[None, _RecordRule()] = Field(default=None, exclude=True)
+
+    def __init__(self, /, **keys: Any) -> None:
+        """Check the keys of a campaign file.
+
+        Raises
+        ------
+        ScenarioError
+            With one line for each problem.
+        """
+        given = keys.get("scenario")
+        keys = plain({key: value for key, value in keys.items() if key != "scenario"})
+        if given is not None:
+            keys["scenario"] = given if isinstance(given, Scenario) else plain(given)
+        try:
+            super().__init__(**keys)
+        except ValidationError as error:
+            raise ScenarioError(list(in_words(error, CampaignPlan))) from None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> CampaignPlan:
+        if self.runs is None and self.until is None:
+            raise refusal((("runs",), "expected a number of runs, or until, got neither"))
+        problems = [
+            (("vary", key), sentence)
+            for key, distribution in self.vary.items()
+            if (sentence := _unfit(self.scenario, key, distribution))
+        ]
+        if problems:
+            raise refusal(*problems)
+        first = self.drawing().runs(0, 1)
+        try:
+            checked_variations(self.scenario, first)
+        except ValueError as error:
+            raise refusal(*((("vary",), line) for line in str(error).splitlines())) from None
+        return self
+
+    def drawing(self) -> Drawing:
+        """Return what draws the variations of its runs."""
+        return Drawing(self.scenario, self.vary, int(self.digest()[:32], 16))
+
+    def digest(self) -> str:
+        """Return the SHA-256, in hexadecimal digits, of all that determines the variations of its runs.
+
+        That is the scenario without its name and description, `vary` and `stream`: runs, chunks and requirements may
+        differ.
+        """
+        keys = self.scenario.to_mapping()
+        scenario = {key: value for key, value in keys.items() if key not in ("name", "description")}
+        vary = [[key, distribution.to_plain()] for key, distribution in self.vary.items()]
+        text = json.dumps([scenario, vary, self.stream], allow_nan=False, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the whole file, every default filled in, as dicts, lists, text and numbers."""
+        return {
+            "scenario": self.scenario.to_mapping(),
+            "vary": {key: distribution.to_plain() for key, distribution in self.vary.items()},
+            "require": [requirement.to_plain() for requirement in self.require],
+            "runs": self.runs,
+            "until": None if self.until is None else self.until.to_plain(),
+            "chunk_size": self.chunk_size,
+            "confidence": self.confidence,
+            "rare": self.rare,
+            "stream": self.stream,
+            "variant": self.variant,
+        }
+
+    def to_yaml(self) -> str:
+        """Return the whole file as YAML that `load_plan` reads back equal."""
+        return dump_yaml(self.to_mapping())
+
+    def changed(self, **keys: Any) -> CampaignPlan:
+        """Return a copy with some keys changed, checked again.
+
+        Raises
+        ------
+        ScenarioError
+            With one line for each problem.
+        """
+        return CampaignPlan(**{**self.to_mapping(), "scenario": self.scenario, **keys})
+
+    @property
+    def mixture(self) -> Mixture:
+        """The mixture of the intervals that hold at any stop."""
+        return RARE if self.rare else JEFFREYS
+
+    def required_variant(self) -> str:
+        """Return the compiled variant that its runs need, which is the one that this process uses.
+
+        Raises
+        ------
+        VariantError
+            The campaign needs a different one.
+        """
+        chosen = chosen_kernel().name
+        if self.variant not in (None, chosen):
+            if self.variant in available_variants():
+                remedy = f"set {ENVIRONMENT_VARIABLE}={self.variant}"
+            else:
+                remedy = f"this machine has {', '.join(available_variants())}: run it elsewhere, or in a new folder"
+            raise VariantError(f"variant: expected {self.variant}, that of the campaign, got {chosen}; {remedy}")
+        return chosen
+
+
+def _unfit(scenario: Scenario, key: str, distribution: Variation) -> str:
+    """Say why a distribution cannot belong to a key of the scenario; empty if it can."""
+    try:
+        rule = known_key(key, scenario.controller.law)
+    except ValueError as error:
+        return str(error).partition(": ")[2]
+    if distribution.kind == SEED:
+        return ""
+    if rule.whole and distribution.kind != "choice":
+        return f"expected {{choice: [...]}} of integers, got {distribution.kind}"
+    present = value_at(scenario, key)
+    if distribution.add and (present is None or isinstance(present, str)):
+        return f"add: expected a scenario whose value is a number, got {shown_value(present)}"
+    if distribution.each and rule.shapes == ((),):
+        return "each: expected a key that holds an array, got one that holds a number"
+    if distribution.symmetric and not any(len(shape) == 2 and shape[0] == shape[1] for shape in rule.shapes):
+        return "symmetric: expected a key that holds a square matrix, got one that does not"
+    base = np.asarray(present, dtype=float) if distribution.add else np.zeros(1)
+    low, high = distribution.reach
+    reached = np.array([low + base.min(), high + base.max()])
+    if not rule.within(np.floor(reached) if rule.whole else reached).all():
+        return f"expected {rule.expected}, but it reaches {reached[0]:.4g} ... {reached[1]:.4g}; clip it or narrow it"
+    return ""
+
+
+# ---- Campaigns by name or path --------------------------------------------------------------------------------------
+
+
+def campaign_names() -> tuple[str, ...]:
+    """Return the names of the packaged campaigns, in alphabetical order."""
+    folder = resources.files("hexservo") / "campaigns" / "packaged"
+    return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml")))
+
+
+def load_plan(
+    source: str | os.PathLike[str] | Mapping[str, Any] | CampaignPlan,
+    changes: Mapping[str, Any] | None = None,
+    **keys: Any,
+) -> CampaignPlan:
+    """Load a campaign file.
+
+    Parameters
+    ----------
+    source
+        One of `campaign_names`, the path of a file, or what a file holds. A packaged name wins over a file of the same
+        name in the current folder. A path of a scenario in a file is relative to that file.
+    changes
+        Of its scenario, as for `Scenario.updated`.
+    keys
+        In place of keys of the file; None leaves a key as it is.
+
+    Raises
+    ------
+    TypeError
+        For anything else.
+    ScenarioError
+        No such campaign, a file that cannot be read, or a campaign that is not valid: then with one line for each
+        problem, headed by the file's name.
+    """
+    name, document = None, source
+    if isinstance(source, CampaignPlan):
+        document = {**source.to_mapping(), "scenario": source.scenario}
+    elif isinstance(source, str | os.PathLike):
+        name, document = os.fsdecode(source), _read(source)
+    elif not isinstance(source, Mapping):
+        raise wrong_type("source", "the name or path of a campaign, or a mapping", source)
+    if not isinstance(document, Mapping):
+        raise ScenarioError(
+            f"expected a campaign: a block with scenario, vary and require; got {shown_value(document)}", name
+        )
+    document = {**document, **{key: value for key, value in keys.items() if value is not None}}
+    try:
+        if changes and "scenario" in document:
+            document["scenario"] = _changed(document["scenario"], changes)
+        return CampaignPlan(**document)
+    except ScenarioError as error:
+        raise ScenarioError(error.problems, error.source or name) from None
+
+
+def _changed(scenario: Any, changes: Mapping[str, Any]) -> Scenario:
+    try:
+        return _ScenarioRule().accept(plain(scenario) if isinstance(scenario, Mapping) else scenario).updated(changes)
+    except ValidationError as error:
+        raise ScenarioError([f"scenario: {each['msg']}" for each in error.errors(include_url=False)]) from None
+
+
+def _read(source: str | os.PathLike[str]) -> Any:
+    if isinstance(source, str):
+        if source in campaign_names():
+            packaged = resources.files("hexservo") / "campaigns" / "packaged" / f"{source}.yaml"
+            with resources.as_file(packaged) as path:
+                return read_yaml(path)
+        if not os.path.lexists(source):
+            names = ", ".join(campaign_names())
+            raise ScenarioError(f'"{source}": no such file, and no packaged campaign has that name; packaged: {names}')
+    document = read_yaml(source)
+    if isinstance(document, dict) and isinstance(document.get("scenario"), str):
+        named = str(document["scenario"])
+        beside = Path(os.fsdecode(source)).parent / named
+        if named not in scenario_names() and not Path(named).is_absolute():
+            document["scenario"] = str(beside)
+    return document

@@ -1,0 +1,147 @@
+"""Requirements: what a run must keep to pass, and by how much it does."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.run.metrics import METRICS
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.rules import did_you_mean, is_number, refusal, shown_value
+
+__all__ = ["Requirement", "margins"]
+
+COMPLETED = "completed"
+_COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
+_TEXT = re.compile(r"\s*(?P<name>\w+)\s*(?P<comparison><=|>=|==|!=|<|>)\s*(?P<bound>\S+)\s*\Z")
+_EXPECTED = f'text such as "settling_time <= 0.5" or "outcome == {COMPLETED}"'
+_FAILED_BY_NOTHING = -float(np.finfo(float).tiny)  # margin of a value at a bound that it may not reach
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A bound on a metric, or that the run completes."""
+
+    name: str  # of hs.METRICS, or "outcome"
+    comparison: str = "=="  # <=, >=, <, >; == for the outcome
+    bound: float = math.nan  # in the metric's unit; NaN for the outcome
+    scale: float | None = None  # what a margin of 1 is, in the metric's unit; None: |bound|
+
+    def __str__(self) -> str:
+        """Write it as a file does."""
+        if self.name == "outcome":
+            return f"outcome == {COMPLETED}"
+        return f"{self.name} {self.comparison} {self.bound!r}"
+
+    def to_plain(self) -> Any:
+        """Return what a campaign file writes for it."""
+        return str(self) if self.scale is None else {"holds": str(self), "scale": self.scale}
+
+    def margin(self, values: Array) -> Array:
+        """Return the margins of runs that completed.
+
+        Parameters
+        ----------
+        values
+            (n,) of the metric, in its unit.
+
+        Returns
+        -------
+        Array
+            (n,): distance to the bound in parts of the scale; at least 0 where the requirement holds, else negative;
+            NaN where the metric is.
+        """
+        scale = abs(self.bound) if self.scale is None else self.scale
+        with np.errstate(over="ignore"):  # a margin may be infinite
+            room = (self.bound - values if self.comparison in ("<=", "<") else values - self.bound) / scale
+        holds = _COMPARISONS[self.comparison](values, self.bound)
+        found = np.where(holds, np.maximum(room, 0.0), np.minimum(room, _FAILED_BY_NOTHING))
+        return np.where(np.isnan(values), np.nan, found)
+
+
+def margins(
+    requirements: Sequence[Requirement],
+    outcome: NDArray[np.str_],
+    end_time: Array,
+    duration: Array | float,
+    metrics: Mapping[str, Array],
+) -> Array:
+    """Return the margin of every run for every requirement; a run passes where it is not negative.
+
+    Parameters
+    ----------
+    requirements
+        r of them, at least one.
+    outcome, end_time
+        (n,) as of `BatchResult`; times in s.
+    duration
+        (n,) or a number: the time that a run was to take [s].
+    metrics
+        Name of `hs.METRICS` to (n,), those of the requirements at least.
+
+    Returns
+    -------
+    Array
+        (n, r). A completed run has `Requirement.margin` for a metric, and 1 for the outcome. A run that ended early at
+        t_end has -(1 + (T - t_end)/T) for every requirement, T being its duration; a metric that is NaN counts as if
+        the run had ended at its end: -1.
+    """
+    early = -(1.0 + np.clip((duration - np.nan_to_num(end_time)) / duration, 0.0, 1.0))
+    completed = outcome == COMPLETED
+    columns = [
+        np.ones(len(outcome)) if requirement.name == "outcome" else requirement.margin(metrics[requirement.name])
+        for requirement in requirements
+    ]
+    found = np.where(completed[:, None], np.stack(columns, axis=1), early[:, None])
+    return np.where(np.isnan(found), -1.0, found)
+
+
+def requirement_of(value: Any) -> Requirement:
+    """Return a requirement from its form in a file.
+
+    Raises
+    ------
+    ValidationError
+        One problem, which says what is wrong.
+    """
+    scale = None
+    if isinstance(value, Mapping):
+        if set(value) != {"holds", "scale"}:
+            raise refusal(
+                ((), f"expected {_EXPECTED}, or a block with holds and scale; got {shown_value(dict(value))}")
+            )
+        value, scale = value["holds"], value["scale"]
+        if not is_number(scale) or not 0 < scale < math.inf:
+            raise refusal((("scale",), f"expected a number > 0, got {shown_value(scale)}"))
+    match = _TEXT.match(value) if isinstance(value, str) else None
+    if match is None:
+        raise refusal(((), f"expected {_EXPECTED}, got {shown_value(value)}"))
+    name, comparison, text = match["name"], match["comparison"], match["bound"]
+    if name == "outcome":
+        if (comparison, text, scale) != ("==", COMPLETED, None):
+            raise refusal(((), f'expected "outcome == {COMPLETED}", the only requirement of an outcome, got "{value}"'))
+        return Requirement("outcome")
+    if name not in METRICS:
+        known = ("outcome", *METRICS)
+        raise refusal(((), f'unknown metric "{name}"{did_you_mean(name, known) or ";"} known: {", ".join(known)}'))
+    if comparison not in _COMPARISONS:
+        raise refusal(((), f'expected one of {" ".join(_COMPARISONS)} for a metric, got "{comparison}"'))
+    try:
+        bound = float(text)
+    except ValueError:
+        bound = math.nan
+    if not math.isfinite(bound):
+        unit = METRICS[name][0]
+        raise refusal(((), f'expected a finite bound [{unit}], got "{text}"'))
+    if bound == 0 and scale is None:
+        raise refusal(
+            ((), f'expected a scale for a bound of 0, as {{holds: "{value}", scale: 1.0}}: a margin is a part of it')
+        )
+    return Requirement(name, comparison, bound, None if scale is None else float(scale))

@@ -1,0 +1,300 @@
+"""Campaign files: what they accept, what they refuse, and which runs they stand for."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+import hexservo as hs
+from hexservo.campaigns.plan import CampaignPlan, campaign_names, load_plan
+from hexservo.campaigns.requirements import margins, requirement_of
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.yaml import load_yaml
+
+FILE: dict[str, Any] = {
+    "scenario": "composite-30hz",
+    "vary": {
+        "uncertainty.gravity": {"normal": [0.01, 0.03], "clip": [-0.05, 0.07]},
+        "uncertainty.depth": {"uniform": [-0.3, 0.2], "each": True},
+        "uncertainty.inertia": {"uniform": [-0.075, 0.075], "each": True, "symmetric": True},
+        "camera.latency": {"choice": [0.02, 0.033, 0.05]},
+        "camera.noise": {"log": [1e-3, 10.0]},
+        "target.initial_features": {"normal": [0.0, 5.0], "add": True, "each": True},
+        "controller.composite.kt": {"normal": [0.0, 0.01], "add": True},
+        "seed": "each",
+    },
+    "require": ["outcome == completed", "settling_time <= 0.5"],
+    "runs": 100,
+}
+PLAN = load_plan(FILE)
+RUNS = 40_000
+DRAWN = PLAN.drawing().runs(0, RUNS)
+
+
+# ---- Drawing --------------------------------------------------------------------------------------------------------
+
+
+def philox(counter: int, key: int) -> list[int]:
+    """Philox 4x64 with 10 rounds, from the paper of Salmon, Moraes, Dror and Shaw (2011), in integers."""
+    word = 2**64
+    c = [counter >> 64 * i & word - 1 for i in range(4)]
+    k = [key & word - 1, key >> 64]
+    for _ in range(10):
+        first, second = 0xD2E7470EE14C6C93 * c[0], 0xCA5A826395121157 * c[2]
+        c = [second // word ^ c[1] ^ k[0], second % word, first // word ^ c[3] ^ k[1], first % word]
+        k = [(k[0] + 0x9E3779B97F4A7C15) % word, (k[1] + 0xBB67AE8584CAA73B) % word]
+    return c
+
+
+def test_a_seed_is_a_number_of_the_counter_and_the_key_alone() -> None:
+    known = [0x16554D9ECA36314C, 0xDB20FE9D672D0FDC, 0xD7E772CEE186176B, 0x7E68B68AEC7BA23B]
+    assert philox(0, 0) == known, "the known answer of Random123 for counter 0 and key 0"
+    # 1 gravity, 4 depths, 21 of a symmetric inertia, latency, noise, 8 features, 1 for all of kt: the seed is number 37
+    width = 10  # blocks of 4 that hold 38 numbers
+    key = int(PLAN.digest()[:32], 16)
+    for run in (0, 1, 7, 12_345, 10**11):
+        block = philox(run * width + 37 // 4 + 1, key)  # NumPy counts before it draws
+        assert PLAN.drawing().runs(run, run + 1)["seed"].tolist() == [block[37 % 4]]
+
+
+@pytest.mark.parametrize("sizes", [[1] * 50, [7, 13, 30], [50]])
+def test_numbers_do_not_depend_on_how_runs_are_grouped(sizes: list[int]) -> None:
+    ends = np.cumsum([0, *sizes])
+    parts = [PLAN.drawing().runs(int(first), int(last)) for first, last in itertools.pairwise(ends)]
+    for key, values in DRAWN.items():
+        assert np.concatenate([part[key] for part in parts]).tobytes() == values[:50].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "same"),
+    [
+        ({"runs": 7, "chunk_size": 3, "confidence": 0.9, "rare": True}, True),
+        ({"require": ["rms_error <= 1"]}, True),
+        ({"scenario": hs.load_scenario("composite-30hz").updated({"name": "a", "description": "b"})}, True),
+        ({"stream": 1}, False),
+        ({"scenario": hs.load_scenario("composite-30hz").updated({"camera.period": 0.04})}, False),
+        ({"vary": FILE["vary"] | {"seed": "each", "camera.noise": {"log": [1e-3, 11.0]}}}, False),
+    ],
+)
+def test_numbers_depend_on_scenario_vary_and_stream(change: dict[str, Any], same: bool) -> None:
+    other = PLAN.changed(**change).drawing().runs(0, 5)
+    assert (other["seed"].tobytes() == DRAWN["seed"][:5].tobytes()) is same
+
+
+def kolmogorov(sample: Array, distribution: Any) -> float:
+    """Scaled distance of the empirical distribution: above 1.95 in one of 1000 samples that are right."""
+    return float(stats.ks_1samp(sample, distribution.cdf).statistic * math.sqrt(len(sample)))
+
+
+def test_numbers_have_their_distributions() -> None:
+    base = hs.load_scenario("composite-30hz")
+    shift = DRAWN["target.initial_features"] - np.array(base.target.initial_features)
+    found = {
+        "uniform": kolmogorov(DRAWN["uncertainty.depth"].ravel(), stats.uniform(-0.3, 0.5)),
+        "log": kolmogorov(np.log10(DRAWN["camera.noise"]), stats.uniform(-3, 4)),
+        "normal": kolmogorov(shift.ravel(), stats.norm(0, 5)),
+        "seed": kolmogorov(DRAWN["seed"].astype(float), stats.uniform(0, 2.0**64)),
+    }
+    print(f"stream {PLAN.stream}, {RUNS} runs, scaled Kolmogorov distances (1.95: 0.1 %): {found}")
+    assert max(found.values()) < 1.95
+    counts = [int((DRAWN["camera.latency"] == value).sum()) for value in (0.02, 0.033, 0.05)]
+    assert sum(counts) == RUNS
+    assert stats.chisquare(counts).pvalue > 1e-3
+    clipped = DRAWN["uncertainty.gravity"]
+    assert (clipped.min(), clipped.max()) == (-0.05, 0.07)
+    for end in (-0.05, 0.07):  # each holds the probability of a tail beyond 2 standard deviations
+        assert stats.binomtest(int((clipped == end).sum()), RUNS, stats.norm.sf(2)).pvalue > 1e-3
+    rank = abs(stats.spearmanr(shift[:, :4]).statistic - np.eye(4)).max()
+    assert rank < 4.5 / math.sqrt(RUNS), "entries are independent: each has the variance 1/n"
+
+
+def test_shapes_of_what_varies() -> None:
+    inertia = DRAWN["uncertainty.inertia"]
+    assert inertia.shape == (RUNS, 6, 6)
+    assert (inertia == inertia.transpose(0, 2, 1)).all()
+    assert len(np.unique(inertia[0])) == 21
+    assert DRAWN["uncertainty.gravity"].shape == DRAWN["camera.noise"].shape == (RUNS,)
+    added = DRAWN["controller.composite.kt"] - np.array(hs.load_scenario("composite-30hz").controller.composite.kt)
+    assert added.shape == (RUNS, 6)
+    # one number for all entries; adding it to 98 rounds by 98 * 2^-53, and taking that away again rounds once more
+    np.testing.assert_allclose(added, np.broadcast_to(added[:, -1:], added.shape), rtol=0, atol=4 * 98 * 2.0**-53)
+
+
+# ---- Requirements ---------------------------------------------------------------------------------------------------
+
+
+def test_margins_by_hand() -> None:
+    nan = math.nan
+    requirements = [
+        requirement_of(text)
+        for text in (
+            "outcome == completed",
+            "settling_time <= 0.5",
+            "rms_error >= 2",
+            {"holds": "overshoot < 0", "scale": 4},
+        )
+    ]
+    outcome = np.array(["completed", "completed", "diverged", "completed", "diverged"])
+    metrics = {
+        "settling_time": np.array([0.4, 0.75, 0.1, nan, 0.1]),
+        "rms_error": np.array([3.0, 2.0, 9.0, 1.0, nan]),
+        "overshoot": np.array([-2.0, 2.0, -1.0, 0.0, nan]),
+    }
+    found = margins(requirements, outcome, np.array([5.0, 5.0, 3.75, 5.0, nan]), 5.0, metrics)
+    tiny = -float(np.finfo(float).tiny)
+    expected: list[list[float]] = [[1.0, 0.2, 0.5, 0.5], [1, -0.5, 0, -0.5], [-1.25] * 4, [1, -1, -0.5, tiny], [-2] * 4]
+    np.testing.assert_allclose(found, expected, rtol=1e-15, atol=0)
+
+
+@given(
+    value=st.floats(allow_nan=False),
+    bound=st.floats(-1e9, 1e9).filter(bool),
+    text=st.sampled_from(["<=", "<", ">=", ">"]),
+)
+def test_a_margin_is_negative_where_the_requirement_fails(value: float, bound: float, text: str) -> None:
+    holds = {"<=": value <= bound, "<": value < bound, ">=": value >= bound, ">": value > bound}[text]
+    margin = requirement_of(f"effort {text} {bound!r}").margin(np.array([value]))
+    assert (margin[0] >= 0) == holds
+
+
+# ---- Files ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_resolved_file_is_the_same_campaign() -> None:
+    plan = PLAN.changed(
+        require=["rms_error <= 1", {"holds": "overshoot < 0", "scale": 4.0}], until={"width_below": 1e-3}
+    )
+    again = CampaignPlan(**load_yaml(plan.to_yaml()))  # type: ignore[arg-type]
+    assert again == plan
+    assert again.digest() == PLAN.digest()
+
+
+def test_a_scenario_is_found_beside_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mine.yaml").write_text(hs.load_scenario("composite-30hz").to_yaml(), encoding="utf-8")
+    lines = "vary: {seed: each}\nrequire: [outcome == completed]\nruns: 2\n"
+    (tmp_path / "campaign.yaml").write_text(f"scenario: mine.yaml\n{lines}", encoding="utf-8")
+    monkeypatch.chdir("/")
+    assert load_plan(tmp_path / "campaign.yaml").scenario == hs.load_scenario("composite-30hz")
+
+
+@pytest.mark.parametrize("name", campaign_names())
+def test_packaged_campaigns_are_valid(name: str) -> None:
+    assert load_plan(name).runs
+
+
+VARIED = {"uncertainty.gravity": {"uniform": [-0.1, 0.1]}}
+REFUSED = [
+    (
+        {"vary": {"uncertainty.gravty": {"uniform": [0, 1]}}},
+        'vary.uncertainty.gravty: .*did you mean "uncertainty.gravity"',
+    ),
+    ({"vary": {"controller.law": {"choice": [1]}}}, "vary.controller.law: expected a numeric key"),
+    (
+        {"vary": {"controller.hybrid.kp": {"uniform": [0, 1]}}},
+        "vary.controller.hybrid.kp: expected a key of the scenario's",
+    ),
+    ({"vary": {}}, "vary: expected a block of dotted keys with their distributions, got an empty block"),
+    ({"vary": {"camera.noise": 3}}, r"vary.camera.noise: expected one of \{normal: .*; got 3"),
+    ({"vary": {"camera.noise": {"clip": [0, 1]}}}, "vary.camera.noise: expected one of .*; got none of them"),
+    ({"vary": {"camera.noise": {"normal": [0, 1], "log": [1, 2]}}}, "got 2 of them: normal, log"),
+    ({"vary": {"camera.noise": {"normall": [0, 1]}}}, 'vary.camera.noise.normall: unknown key; did you mean "normal"'),
+    (
+        {"vary": {"camera.noise": {"normal": [1, 0]}}},
+        r"vary.camera.noise.normal: expected \[mean, standard deviation > 0\]",
+    ),
+    ({"vary": {"camera.noise": {"uniform": [1, 1]}}}, r"vary.camera.noise.uniform: expected \[low, high\], low < high"),
+    ({"vary": {"camera.noise": {"log": [0, 1]}}}, r"vary.camera.noise.log: expected \[low, high\], 0 < low < high"),
+    ({"vary": {"camera.noise": {"choice": []}}}, "vary.camera.noise.choice: expected a list of at least one number"),
+    ({"vary": {"camera.noise": {"uniform": [0, "1"]}}}, 'vary.camera.noise.uniform: expected .*, got "1" in it'),
+    ({"vary": {"camera.noise": {"uniform": [0, math.inf]}}}, "vary.camera.noise: expected a finite number, got inf"),
+    (
+        {"vary": {"camera.noise": {"uniform": [0, 1], "clip": [2, 3]}}},
+        "vary.camera.noise.clip: expected limits that leave",
+    ),
+    (
+        {"vary": {"camera.noise": {"uniform": [0, 1], "clip": [1, 0]}}},
+        r"vary.camera.noise.clip: expected \[low, high\]",
+    ),
+    ({"vary": {"camera.noise": {"uniform": [0, 1], "add": 1}}}, "vary.camera.noise: expected true or false, got 1"),
+    (
+        {"vary": {"camera.noise": {"normal": [0, 1]}}},
+        "vary.camera.noise: expected a number >= 0, but it reaches -8.21 ",
+    ),
+    (
+        {"vary": {"camera.noise": {"uniform": [0, 1], "each": True}}},
+        "vary.camera.noise: each: expected a key that holds",
+    ),
+    (
+        {"vary": {"camera.timeout": {"uniform": [0, 1], "add": True}}},
+        "vary.camera.timeout: add: expected a scenario whose",
+    ),
+    (
+        {"vary": {"uncertainty.depth": {"uniform": [0, 1], "symmetric": True}}},
+        "symmetric: expected each: true beside it",
+    ),
+    (
+        {"vary": {"uncertainty.depth": {"uniform": [0, 0.1], "symmetric": True, "each": True}}},
+        "vary.uncertainty.depth: symmetric: expected a key that holds a square matrix",
+    ),
+    ({"vary": {"seed": {"uniform": [0, 1]}}}, r"vary.seed: expected \{choice: \[...\]\} of integers, got uniform"),
+    ({"vary": {"camera.latency": {"uniform": [0, 0.1]}}}, "vary: scenario 0: camera.latency: "),
+    ({"scenario": "paper", "vary": {"seed": "each"}}, "vary: seed: has no effect in continuous mode"),
+    ({"scenario": "papr"}, 'scenario: "papr": .*did you mean "paper"'),
+    ({"scenario": 3}, "scenario: expected a packaged scenario, the path of a file, or the scenario itself, got 3"),
+    ({"scenario": {"name": "a"}}, "scenario: missing key: target"),
+    ({"require": []}, "require: expected a list of at least one requirement"),
+    ({"require": ["setling_time <= 1"]}, r'require\[0\]: unknown metric "setling_time"; did you mean "settling_time"'),
+    ({"require": ["settling_time == 1"]}, r'require\[0\]: expected one of <= >= < > for a metric, got "=="'),
+    ({"require": ["settling_time <= fast"]}, r'require\[0\]: expected a finite bound \[s\], got "fast"'),
+    ({"require": ["outcome == diverged"]}, r'require\[0\]: expected "outcome == completed"'),
+    ({"require": ["overshoot <= 0"]}, r"require\[0\]: expected a scale for a bound of 0"),
+    ({"require": [{"holds": "overshoot <= 0", "scale": 0}]}, r"require\[0\].scale: expected a number > 0, got 0"),
+    ({"require": ["effort <= 1", "effort <= 1.0"]}, 'require: "effort <= 1.0": duplicate requirement'),
+    ({"runs": None}, "runs: expected a number of runs, or until, got neither"),
+    ({"runs": 0}, "runs: expected an integer from 1 to"),
+    ({"until": {"probability": 1}}, r"until: expected \{probability_below: p\}"),
+    ({"until": {"probability_below": 1}}, "until.probability_below: expected a number > 0 and < 1, got 1"),
+    ({"confidence": 1}, "confidence: expected a number > 0 and < 1, got 1"),
+    ({"chunk_size": 0}, "chunk_size: expected an integer from 1 to"),
+    ({"variant": "sse"}, "variant: expected avx512, avx2, baseline or null"),
+    ({"confidenc": 0.9}, 'confidenc: unknown key; did you mean "confidence"'),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), REFUSED)
+def test_refusals(change: dict[str, Any], message: str) -> None:
+    file = {"scenario": "composite-30hz", "vary": VARIED, "require": ["effort <= 1"], "runs": 1}
+    with pytest.raises(hs.ScenarioError, match=message):
+        CampaignPlan(**{**file, **change})
+
+
+def test_no_such_campaign() -> None:
+    with pytest.raises(hs.ScenarioError, match='"campaign-papr": no such file, and no packaged campaign has that name'):
+        load_plan("campaign-papr")
+    with pytest.raises(hs.ScenarioError, match="expected a campaign: a block with scenario, vary and require; got"):
+        load_plan(Path(__file__).parents[2] / "python" / "hexservo" / "py.typed")
+    with pytest.raises(TypeError, match="source: expected the name or path of a campaign, or a mapping, got int"):
+        load_plan(3)  # type: ignore[arg-type]
+    with pytest.raises(hs.ScenarioError, match="runs: expected an integer"):
+        load_plan(FILE, runs=-1)
+    with pytest.raises(hs.ScenarioError, match=r"camera\.period: expected"):
+        load_plan(FILE, {"camera.period": -1})
+
+
+def test_a_machine_without_the_variant_refuses() -> None:
+    from hexservo.run.variant import available_variants, chosen_kernel
+
+    chosen = chosen_kernel().name
+    assert PLAN.required_variant() == PLAN.changed(variant=chosen).required_variant() == chosen
+    for variant in {"avx512", "avx2", "baseline"} - {chosen}:
+        remedy = f"HEXSERVO_VARIANT={variant}" if variant in available_variants() else "run it elsewhere"
+        with pytest.raises(hs.VariantError, match=f"expected {variant}.*, got {chosen}; .*{remedy}"):
+            PLAN.changed(variant=variant).required_variant()

@@ -1,0 +1,137 @@
+"""Intervals for a failure probability: their definition, and what they hold against an adversary who stops at will."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import bdtr, bdtrc
+
+from hexservo.campaigns.intervals import (
+    JEFFREYS,
+    RARE,
+    Mixture,
+    anytime_interval,
+    clopper_pearson,
+    log_martingale,
+    runs_for_bound,
+)
+
+MIXTURES = [JEFFREYS, Mixture(2.0, 5.0)]
+
+
+@pytest.mark.parametrize("mixture", MIXTURES)
+@pytest.mark.parametrize(("k", "n"), [(0, 1), (0, 30), (3, 30), (30, 30)])
+def test_the_martingale_is_a_likelihood_ratio_averaged_over_its_mixture(k: int, n: int, mixture: Mixture) -> None:
+    prior = stats.beta(mixture.a, mixture.b)
+    average = prior.expect(lambda q: q**k * (1 - q) ** (n - k), epsabs=0, epsrel=1e-9)
+    for p in (0.01, 0.3, 0.9):
+        ratio = average / (p**k * (1 - p) ** (n - k))
+        assert log_martingale(p, k, n, mixture) == pytest.approx(math.log(ratio), abs=1e-6)  # of the quadrature
+
+
+@pytest.mark.parametrize("mixture", [*MIXTURES, RARE])
+def test_its_mean_after_one_more_run_is_its_value(mixture: Mixture) -> None:
+    for k, n, p in [(0, 0, 0.3), (0, 10, 1e-3), (4, 1000, 1e-2), (17, 2_000_000, 1e-5)]:
+        now, fails, passes = (
+            float(np.exp(log_martingale(p, k + more, n + runs, mixture) - log_martingale(p, k, n, mixture)))
+            for more, runs in ((0, 0), (1, 1), (0, 1))
+        )
+        # a logarithm of B is a difference of logarithms of Gamma, of the size m log m, each rounded by some 2^-53
+        rounding = 8 * 2.0**-53 * (n + mixture.b + 10) * math.log(n + mixture.b + 10)
+        assert p * fails + (1 - p) * passes == pytest.approx(now, rel=rounding)
+
+
+@pytest.mark.parametrize("mixture", [*MIXTURES, RARE])
+@pytest.mark.parametrize(
+    ("k", "n"), [(0, 1), (0, 100), (1, 1), (7, 100), (100, 100), (3, 10**7), (10**6, 10**8), (0, 10**12)]
+)
+def test_the_ends_are_where_the_martingale_reaches_its_bound(k: int, n: int, mixture: Mixture) -> None:
+    confidence = 0.99
+    low, high = anytime_interval(k, n, confidence, mixture)
+    assert 0 <= low <= k / n <= high <= 1
+    assert (low == 0) == (k == 0)
+    assert (high == 1) == (k == n)
+    for end in (low, high):
+        if 0 < end < 1:
+            rounding = 8 * 2.0**-53 * (n + mixture.b + 10) * math.log(n + mixture.b + 10)  # as above
+            tolerance = rounding + 1e-10 * abs(n * end - k) / (1 - end)  # and the end, to 1e-10 of itself
+            assert log_martingale(end, k, n, mixture) == pytest.approx(math.log(100), abs=tolerance)
+
+
+def test_intervals_narrow_with_runs_and_widen_with_confidence() -> None:
+    highs = [anytime_interval(0, n)[1] for n in (1, 10, 100, 1000, 10_000)]
+    assert highs == sorted(highs, reverse=True)
+    assert anytime_interval(5, 100, 0.9)[1] < anytime_interval(5, 100, 0.99)[1]
+    assert anytime_interval(0, 0) == clopper_pearson(0, 0) == (0.0, 1.0)
+    for k, n in [(0, 50), (3, 50), (50, 50)]:  # holding at every n costs width
+        ours, fixed = anytime_interval(k, n), clopper_pearson(k, n)
+        assert ours[0] <= fixed[0] <= fixed[1] <= ours[1]
+
+
+def test_figures_for_no_failure_in_2_900_000_runs() -> None:
+    assert f"{anytime_interval(0, 2_900_000, 0.95, RARE)[1]:.3g}" == "1.23e-06"
+    # Clopper and Pearson's upper bound alone at 95 %, which is the upper end of the two-sided interval at 90 %
+    assert f"{clopper_pearson(0, 2_900_000, 0.90)[1]:.3g}" == "1.03e-06"
+    assert clopper_pearson(0, 2_900_000, 0.90)[1] == pytest.approx(1 - 0.05 ** (1 / 2_900_000), rel=1e-9)
+
+
+def test_clopper_pearson_is_that_of_scipy() -> None:
+    for k, n in [(0, 10), (3, 10), (10, 10), (12, 5000)]:
+        other = stats.binomtest(k, n).proportion_ci(0.95, "exact")
+        assert clopper_pearson(k, n) == pytest.approx((other.low, other.high), rel=1e-9)
+
+
+@pytest.mark.parametrize("mixture", [JEFFREYS, RARE])
+@pytest.mark.parametrize("failures", [0, 2])
+def test_runs_for_a_bound_are_the_least_ones(failures: int, mixture: Mixture) -> None:
+    runs = runs_for_bound(1e-3, failures, 0.95, mixture)
+    assert anytime_interval(failures, runs, 0.95, mixture)[1] <= 1e-3
+    assert anytime_interval(failures, runs - 1, 0.95, mixture)[1] > 1e-3
+
+
+@pytest.mark.parametrize(("p", "mixture"), [(0.05, JEFFREYS), (0.005, JEFFREYS), (0.001, RARE)])
+def test_coverage_where_an_adversary_stops_at_the_best_moment(p: float, mixture: Mixture) -> None:
+    """The adversary may stop after any of 10 000 runs, and picks one where the interval misses the probability if there
+    is any. One who stops where the upper end is lowest, and one who stops where the lower end is highest, miss at most
+    as often as this one. Between two failures both tests are extreme at an end: a binomial tail falls with every run
+    that passes, and log M_n is convex in n."""
+    seed, repetitions, horizon, confidence = 20261122, 1000, 10_000, 0.95
+    random = np.random.default_rng(seed)
+    ours, fixed = 0, 0
+    for _ in range(repetitions):
+        fails = random.random(horizon) < p
+        n = 1 + np.flatnonzero(fails | np.append(fails[1:], True) | (np.arange(horizon) == 0))
+        k = np.cumsum(fails)[n - 1]
+        ours += bool((log_martingale(p, k, n, mixture) < -math.log1p(-confidence)).all())
+        tail = (1 - confidence) / 2
+        at_least = np.where(k > 0, bdtrc(np.maximum(k, 1) - 1, n, p), 1.0)  # probability of k failures or more
+        fixed += bool(((bdtr(k, n, p) > tail) & (at_least > tail)).all())
+    print(
+        f"p = {p}, seed {seed}: the anytime interval holds in {ours / repetitions:.1%} of {repetitions} repetitions, "
+        f"that of Clopper and Pearson in {fixed / repetitions:.1%}"
+    )
+    assert ours >= confidence * repetitions
+    assert fixed < 0.9 * repetitions
+
+
+def test_the_adversary_of_the_test_above_uses_the_intervals() -> None:
+    """Membership by martingale and by binomial tails is membership in the intervals as they are computed."""
+    random = np.random.default_rng(7)
+    for n, q in [(1, 0.5), (20, 0.1), (400, 0.02), (3000, 0.3)]:
+        k = int(random.binomial(n, q))
+        for p in random.uniform(0, min(1, 3 * q), 20):
+            low, high = anytime_interval(k, n)
+            assert (low < p < high) == (log_martingale(p, k, n) < math.log(20))
+            low, high = clopper_pearson(k, n)
+            assert (low < p < high) == (bdtr(k, n, p) > 0.025 and 1 - (bdtr(k - 1, n, p) if k else 0.0) > 0.025)
+
+
+def test_the_mean_of_the_martingale_is_one() -> None:
+    """The sum over all counts after n runs is 1: what Ville's inequality starts from."""
+    for n, p in [(50, 0.1), (2000, 0.001)]:
+        k = np.arange(n + 1)
+        total = np.exp(log_martingale(p, k, n) + stats.binom.logpmf(k, n, p)).sum()
+        assert total == pytest.approx(1.0, abs=1e-9)
