@@ -9,8 +9,8 @@ error, both of the gravity's, all sixteen sign patterns of the depth errors of t
 
 The search goes from the cheap to the dear:
 
-1. Drift, in closed form. Of a pose error e the law believes (J^T J + M)^-1 (J^T J_true + M) e, with the J that it
-   knows (docs/model.md, section 5). Where that matrix has an eigenvalue that is not positive, the loop drifts, which
+1. Drift, in closed form. Of a pose error e the law estimates (J^T J + M)^-1 (J^T J_true + M) e, with the J that it
+   has (docs/model.md, section 5). Where that matrix has an eigenvalue that is not positive, the loop drifts, which
    bounds the prior M from below. The search chooses M's proportions only; its size is the smallest that keeps all
    eigenvalues above `--eigenvalue` at 35 % of depth error.
 2. Runs of 1 s without noise: settling, leg forces, stroke.

@@ -25,7 +25,7 @@ void servo_tick(benchmark::State& state) {
   }
 }
 
-/// Everything in it: four evaluations, the weights, leg forces, what stops a run, metrics. Starts anew every 5 s.
+/// Everything in it: four evaluations, the weights, leg forces, what stops a run, metrics. Restarts every 5 s.
 template <class S>
 void runge_kutta(benchmark::State& state) {
   constexpr long long kSteps = 5000;

@@ -36,7 +36,7 @@ def build() -> None:
         (BUILD / program).unlink(missing_ok=True)
     generator, keep_going = ("Ninja", ["-k", "0"]) if shutil.which("ninja") else ("Unix Makefiles", ["-k"])
     for command in (
-        # The libraries are looked for anew each time: they may have come or gone.
+        # The libraries are looked for each time: they may have come or gone.
         ["cmake", "-S", str(FOLDER), "-B", str(BUILD), "-U", "*_LIBRARY", "-U", "*_INCLUDE_DIR", "-G", generator],
         ["cmake", "--build", str(BUILD), "--", *keep_going],
     ):

@@ -17,7 +17,7 @@ import numpy as np
 from problem import Answer, Array, Problem
 
 _PAD = 8  # seven terms and one that is always zero
-_CENTRES = np.append((np.arange(7) - 3) / 3.0, 1e60)  # finite, as `fastmath` wants it
+_CENTRES = np.append((np.arange(7) - 3) / 3.0, 1e60)  # finite, as `fastmath` requires
 _FLAGS = {"error_model": "numpy", "fastmath": True, "boundscheck": False}
 _compiled = numba.njit(**_FLAGS)
 _inlined = numba.njit(inline="always", **_FLAGS)

@@ -50,7 +50,7 @@ class NumpyLoop:
         self._jacobian = np.zeros((4, 2, 6))
 
     def features(self, body: Array) -> Array:
-        """Features (8,) that the camera sees [px]."""
+        """Return the image features (8,) [px]."""
         R = np.array(_rotation_rows(*body[3:7].tolist()))  # noqa: N806
         in_E = (self._p.points - body[:3]) @ R  # noqa: N806
         seen: Array = -self._p.focal * in_E[:, :2] / in_E[:, 2:]
@@ -64,7 +64,7 @@ class NumpyLoop:
         R = np.array(rows)  # noqa: N806
         f = p.focal
 
-        # (4), and the Jacobian of points fixed in B with the depths that the controller believes, minus (8), in E
+        # (4), and the Jacobian of points fixed in B with the controller's depth estimates, minus (8), in E
         in_E = (p.points - body[:3]) @ R  # noqa: N806
         depth = in_E[:, 2:]
         seen = in_E[:, :2] * (-f / depth)

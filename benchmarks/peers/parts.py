@@ -59,7 +59,7 @@ def _images(scenario: hs.Scenario, count: int) -> tuple[Array, Array]:
     return start + random.uniform(-10, 10, (count, 4, 2)), random.uniform(-0.55, -0.45, (count, 4))
 
 
-# ViSP's camera looks along +z. Turning E by half a turn about x gives it: (X, Y, Z) -> (X, -Y, -Z), so that its
+# ViSP's camera looks along +z. Rotating E by 180 degrees about x gives it: (X, Y, Z) -> (X, -Y, -Z), so that its
 # normalised coordinates are (x, -y)/f, its depth -Z, and its twists have four signs changed.
 IMAGE_SIGNS = np.array([1.0, -1.0])
 TWIST_SIGNS = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])

@@ -321,7 +321,7 @@ void bind_probe(py::module_& m) {
            "plant's sign, or the controller's.")
       .def("measured_depth", &measured_depth, depth, "Z-hat (n, 4) of the controller for true Z (n, 4) [m].")
       .def("law", &law, features, depth, position, quaternion, twist, py::arg("weights") = py::none(),
-           "What the law gives: depth (n, 4) as the controller believes it [m], weights (n, 6, 7, 7) [N; N m] or the "
+           "Output of the law: depth (n, 4) as the controller estimates it [m], weights (n, 6, 7, 7) [N; N m] or the "
            "scenario's initial ones.")
       .def("acceleration", &acceleration, position, quaternion, twist, py::arg("wrench"),
            "chi-ddot (n, 6) of the actual plant, (3) [m/s^2; rad/s^2]; it is the same at every position.")

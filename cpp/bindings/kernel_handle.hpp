@@ -1,5 +1,5 @@
 /// @file
-/// A kernel from a module of its own, as Python passes it around.
+/// A kernel from a separate module, as Python passes it around.
 #pragma once
 
 #include "bindings.hpp"

@@ -13,7 +13,7 @@ namespace {
 
 constexpr std::size_t kHugePage = std::size_t{2} << 20;
 constexpr std::size_t kCacheLine = 64;
-constexpr std::size_t kLarge = kHugePage / 2;  // worth a huge page of its own
+constexpr std::size_t kLarge = kHugePage / 2;  // worth a separate huge page
 
 }  // namespace
 

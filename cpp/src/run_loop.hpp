@@ -1,5 +1,5 @@
 /// @file
-/// The run loop of a kernel, for one law and mode. Each is compiled in a file of its own: with two in one the compiler
+/// The run loop of a kernel, for one law and mode. Each is compiled in a separate file: with two in one the compiler
 /// inlines less of each, and two files compile side by side.
 #pragma once
 
@@ -23,7 +23,7 @@ void write(const Vector<S, N>& values, int lane, double* to) {
   for (int i = 0; i < N; ++i) to[i] = of_lane(values(i), lane);
 }
 
-/// Writes each quantity of one lane's sample to a place of its own.
+/// Writes each quantity of one lane's sample to its own place.
 template <class S, class Place>
 void write_sample(const Sample<S>& sample, int lane, Place&& place) {
   std::size_t quantity = 0;
@@ -136,7 +136,7 @@ void answer(const LoopRecord<S>& record, const LawState& law_state, const S& ste
   a.interrupted = stopped && a.cause == static_cast<int>(StopCause::none) && a.steps < request.steps;
 }
 
-/// Whether the caller wants the run to end; it may run any code, in the mode of its own thread.
+/// Whether the caller requests the end of the run; it may run any code, in its own thread's mode.
 inline bool is_stopped(const RunRequest& request, long long steps) {
   if (request.stop == nullptr || steps % kQuestionEvery != 0) return false;
   const KeepSubnormals keep;

@@ -12,7 +12,7 @@ namespace hexservo::test {
 inline std::atomic<long long> allocations{0};
 }
 
-// The address and the thread sanitizer have a malloc of their own. GCC defines a macro for each, Clang has a feature.
+// The address and the thread sanitizer replace malloc. GCC defines a macro for each, Clang has a feature.
 #if defined(__has_feature)
 #if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
 #define HEXSERVO_SANITIZER_MALLOC

@@ -120,7 +120,7 @@ TEST_CASE("a delay shifts the leg forces by its ticks; before the first command 
       const Actuation<double> out = step(actuators, at, wrench);
       const Vector6<double> expected = tick < delay ? kResting : commands[static_cast<std::size_t>(tick - delay)];
       CHECK(distance(out.leg_forces, expected) == 0.0);
-      CHECK(out.saturated == (command.cwiseAbs().maxCoeff() > 0.5));  // of the command, which the controller knows now
+      CHECK(out.saturated == (command.cwiseAbs().maxCoeff() > 0.5));  // of the command of this tick
       if (delay > 0) CHECK(distance(out.wrench, at.legs.wrench(expected)) == 0.0);
     }
   }

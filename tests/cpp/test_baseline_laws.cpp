@@ -43,7 +43,7 @@ struct Situation {
   Features feature_error() const { return task.desired_features - input.image.features; }
 };
 
-/// d xi/d chi of points that the camera sees with some depths, by differences of fourth order; (4) written out.
+/// d xi/d chi of points at given depths, by differences of fourth order; (4) written out.
 Jacobian jacobian_by_differences(const Features& features, const Vector4<double>& depth, const Matrix3<double>& R) {
   const auto seen_after = [&](const Vector3<double>& move, const Vector3<double>& turn) {
     const Matrix3<double> turned = Eigen::AngleAxisd(turn.norm(), turn.stableNormalized()).toRotationMatrix() * R;
@@ -186,8 +186,8 @@ TEST_CASE(
       s.gains.gain = lambda;
       s.gains.ki.setOnes();
       // xi_d - xi = (cos - 1) xi + sin xi', with xi' = (-y, x); -xi/|Z| is the image of v_z, -xi' that of omega_z, and
-      // the square makes all other columns of J orthogonal to both. The smaller one tells lateral from angular motion
-      // by x^2/f = 0.7 px of 1163 px per m: normal equations square a condition of some 2e3.
+      // the square makes all other columns of J orthogonal to both. The smaller one separates lateral and angular
+      // motion by x^2/f = 0.7 px of 1163 px per m: normal equations square a condition of some 2e3.
       const double tolerance = 2e3 * 2e3 * kEpsilon;
       const auto wrench = [&](JacobianPoint at) {
         s.gains.jacobian_at = at;
@@ -236,7 +236,7 @@ TEST_CASE(
   CHECK(relative_distance(s.wrench(), velocity_gain(s.gains, s.feature_error().cwiseAbs().maxCoeff()) * unit) <= 1e-13);
 }
 
-TEST_CASE("pbvs: tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat the pose that the image shows") {
+TEST_CASE("pbvs: tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat the pose estimated from the image") {
   Random random(9204);
   CAPTURE(random.seed());
   for (int trial = 0; trial < 100; ++trial) {
@@ -378,7 +378,7 @@ TEST_CASE_TEMPLATE("gains that make no sense are refused, with the key and the p
   }
 }
 
-TEST_CASE("an adaptive gain that grows with the distance is refused; a constant one does not care") {
+TEST_CASE("an adaptive gain that grows with the distance is refused; gain_far has no effect on a constant one") {
   ResolvedRateGains<double> gains;
   gains.gain_far = 2.0 * gains.gain;
   CHECK(refusal([&] { validate(gains); }) == "(accepted)");
@@ -397,7 +397,7 @@ TEST_CASE("a camera as printed has no points: laws that need the goal's pose are
   CHECK(is_about(refusal([&] { loop_parameters(rate); }), "camera.convention"));
 }
 
-TEST_CASE("a controller takes the target for what its depths make of it: the simulated one and that of a robot") {
+TEST_CASE("the target points of a controller follow from its depth estimates: in simulation and on a robot") {
   const LoopParameters<double, Pbvs> loop = loop_parameters(paper_with<Pbvs>());
   const ControlTask<double> task = control_task(loop);
   const ControllerGains<Pbvs> gains = controller_gains(paper_with<Pbvs>(), 1e-3);

@@ -29,7 +29,7 @@ Settings<Law> smooth_run(double duration) {
   return settings;
 }
 
-/// Scenarios as rows of one or more keys, with memory of their own.
+/// Scenarios as rows of one or more keys, each in its own memory.
 struct Rows {
   std::string key;
   std::size_t width;
@@ -357,7 +357,7 @@ TEST_CASE("trajectories lie on one grid with the end, and are NaN from where a r
         }).starts_with("log: expected one time grid for all trajectories, got "));
 }
 
-TEST_CASE("seeds are whole numbers of 64 bits: neighbours beyond 2^53 are runs of their own") {
+TEST_CASE("seeds are whole numbers of 64 bits: neighbours beyond 2^53 give different runs") {
   Settings<Composite> base = smooth_run<Composite>(0.05);
   base.simulation.mode = LoopMode::sampled;
   base.sampling.faults.noise = 0.5;
@@ -395,7 +395,7 @@ TEST_CASE("the first bad scenario is reported before anything runs, whatever the
   CHECK(refusal([&] { run(base, {Rows{"simulation.log_every", 1, {2.0, 1.5}}}, 2); }).starts_with("scenario 1: sim"));
 }
 
-TEST_CASE("keys, widths, counts and results that do not fit are refused in words") {
+TEST_CASE("keys, widths, counts and results of the wrong size are refused with a message") {
   const Settings<Hybrid> base = paper_settings();
   CHECK(refusal([&] { run(base, {Rows{"robot.colour", 1, {1.0}}}, 1); }) ==
         "robot.colour: expected a key that holds numbers, got one that does not");

@@ -198,7 +198,7 @@ TEST_CASE("measured Jacobian (9), (10), (12): J_m = J + Delta J, and only its tr
   }
 }
 
-TEST_CASE("the printed depth rate is the third row of (6), and minus what a moving camera sees") {
+TEST_CASE("the printed depth rate is the third row of (6), and minus the depth rate of a moving camera") {
   Random random(7506);
   CAPTURE(random.seed());
   for (int trial = 0; trial < 200; ++trial) {

@@ -28,7 +28,7 @@ void check_against_eigen(Random& random) {
       const Vector<double, N> x = solver.solve(b), expected = Eigen::LLT<Eigen::MatrixXd>(A).solve(b);
       // Either solution is off by at most about 3 N eps times the condition number (Higham, theorem 10.4).
       CHECK(relative_distance(x, expected) <= 10.0 * N * kEpsilon * condition);
-      // The residual knows nothing of the condition number.
+      // The residual is independent of the condition number.
       CHECK((A * x - b).norm() <= 20.0 * N * kEpsilon * A.norm() * x.norm());
     }
 }

@@ -415,7 +415,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("a single loop that has stopped stays as it is") {
+TEST_CASE("a single loop that has stopped does not change") {
   Settings<Hybrid> settings = paper_settings();
   settings.jacobian = JacobianConvention::printed;
   const Parameters p = loop_parameters(settings);

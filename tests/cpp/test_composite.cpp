@@ -139,7 +139,7 @@ TEST_CASE("rotation vector of a quaternion of any length and sign: Eigen's angle
   }
 }
 
-TEST_CASE("rotation vector: exact for tiny turns and for half turns, about any axis") {
+TEST_CASE("rotation vector: exact for tiny rotations and for those by 180 degrees, about any axis") {
   Random random(8802);
   CAPTURE(random.seed());
   CHECK(rotation_vector<double>({1.0, 0.0, 0.0, 0.0}) == Vector3<double>::Zero());
@@ -324,7 +324,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("at the goal, at home, at rest, with empty weights the law only holds the weight, and learns nothing") {
+TEST_CASE("at the goal, at home, at rest, with zero fuzzy weights the law holds the weight only, and adapts nothing") {
   Random random(8810);
   CAPTURE(random.seed());
   Situation s = random_situation(random);
@@ -615,7 +615,7 @@ TEST_CASE("four scenarios in the lanes of a pack run in the loop of `composite` 
   }
 }
 
-TEST_CASE("options of the weights in the loop: bounded by their limit, forgotten by leakage, untaught in a dead zone") {
+TEST_CASE("options of the weights in the loop: bounded by their limit, decaying by leakage, unchanged in a dead zone") {
   const auto largest_weight = [](const Settings<Composite>& settings, int axis) {
     const LoopParameters<double, Composite> p = loop_parameters(settings);
     ClosedLoop<double, Composite> loop(p);

@@ -58,7 +58,7 @@ ControllerInput random_input(Random& random, const ControllerGains<Law>& gains) 
   return input;
 }
 
-/// The same, with an image of the target that the controller knows.
+/// The same, with an image of the controller's target.
 template <class Law>
 ControllerInput seen_input(Random& random, const ControllerGains<Law>& gains) {
   ControllerInput input = random_input(random, gains);
@@ -292,7 +292,7 @@ TEST_CASE("every law: NaN or infinity in any entry gives the safe output, and go
   });
 }
 
-TEST_CASE("so do numbers that overflow, beyond the limits of divergence, or are no place in front of the camera") {
+TEST_CASE("overflow, values beyond the limits of divergence and points behind the camera give the safe output") {
   const Gains gains = controller_gains(settings_for(SwitchingKind::saturation), kPeriod);
   Random random(74);
   CAPTURE(random.seed());
@@ -341,7 +341,7 @@ TEST_CASE("so do numbers that overflow, beyond the limits of divergence, or are 
   CHECK_FALSE(step(gains, state, far).invalid_input());
 }
 
-TEST_CASE("so does a singular pose, and forces that overflow") {
+TEST_CASE("a singular pose and forces that overflow give the safe output") {
   Settings<Hybrid> settings = settings_for(SwitchingKind::sign);
   Gains gains = controller_gains(settings, kPeriod);
   Random random(75);

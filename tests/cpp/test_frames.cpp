@@ -129,7 +129,7 @@ TEST_CASE("a share of the frames never arrives") {
   CHECK(seen(settings, 50).back() == -kInfinity);
 }
 
-TEST_CASE("noise, outliers and quantisation disturb the features as told, each by its own stream") {
+TEST_CASE("noise, outliers and quantisation disturb the features as set, each from its own random stream") {
   FrameSettings<double> settings = timing(1, 0);
   const auto features = [&settings](long long ticks) {
     Eye eye(settings, 7);
@@ -198,7 +198,7 @@ TEST_CASE("prediction: a platform that moves sees the points where they are, as 
   CHECK(distance(image.features, truth.features) > 1.0);
 }
 
-TEST_CASE("a feature outside of the image is lost: held, predicted, or the end, and told") {
+TEST_CASE("a feature outside of the image is lost: it is held, predicted or ends the run, and is reported") {
   for (const LostFeature policy : {LostFeature::hold, LostFeature::predict, LostFeature::stop}) {
     FrameSettings<double> settings = timing(1, 0);
     settings.image_size = {100.0, 100.0};
@@ -209,7 +209,7 @@ TEST_CASE("a feature outside of the image is lost: held, predicted, or the end, 
     image.depth.setConstant(-0.5);
     eye.tick(0, image);
     CHECK(eye.ready());
-    // The platform moves 10 mm along x: every feature goes by -f 0.01/0.5 px, and the image shows point 2 beyond its
+    // The platform moves 10 mm along x: every feature goes by -f 0.01/0.5 px, and point 2 appears beyond the image's
     // edge.
     image.features(2) = 51;
     const Pose<double> moved{Vector3<double>(0.01, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}};

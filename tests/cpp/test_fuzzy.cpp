@@ -504,7 +504,7 @@ TEST_CASE("leakage inside a stage: the output is that of weights that have decay
   }
 }
 
-TEST_CASE("dead zone: a driver within it teaches nothing, one beyond it by what is beyond, without a jump") {
+TEST_CASE("dead zone: a driver within it changes no weight, one beyond it acts by its excess, without a jump") {
   FuzzyGains<double> gains;
   gains.dead_zone << 0.01, 0.02, 0.03, 0.1, 0.2, 0.0;
   const auto strength = [&](const Vector6<double>& driver) {

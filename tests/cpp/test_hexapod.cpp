@@ -180,7 +180,7 @@ TEST_CASE("forward kinematics accepts a start quaternion of any length") {
   CHECK(distance(found.pose.position, hexapod.home_position) <= 5e-12);
 }
 
-TEST_CASE("forward kinematics says so where it finds no pose") {
+TEST_CASE("forward kinematics reports where it finds no pose") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
   const Pose<double> home = home_of(hexapod);
 
@@ -211,7 +211,7 @@ TEST_CASE("forward kinematics says so where it finds no pose") {
   CHECK(distance(stuck.pose.position, flat.position) == 0.0);  // the last pose before the singular one
 }
 
-TEST_CASE("both failures of forward kinematics occur, and are told apart") {
+TEST_CASE("both failures of forward kinematics occur and are distinguished") {
   // Random lengths that contradict each other: Newton wanders, and never reports a pose that does not fit.
   Random random(7407);
   CAPTURE(random.seed());

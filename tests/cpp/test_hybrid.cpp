@@ -147,7 +147,7 @@ TEST_CASE(
     }
 }
 
-TEST_CASE("at the goal, at rest, with empty weights the law only holds the weight") {
+TEST_CASE("at the goal, at rest, with zero fuzzy weights the law holds the weight only") {
   Random random(7704);
   CAPTURE(random.seed());
   Situation s = random_situation(random);

@@ -47,7 +47,7 @@ bool same(double a, double b) {
   return std::bit_cast<std::uint64_t>(a) == std::bit_cast<std::uint64_t>(b);
 }
 
-/// Walks through all pairs of delicate values, W at a time, each pair in a lane of its own.
+/// Walks through all pairs of delicate values, W at a time, each pair in its own lane.
 template <class S, class Check>
 void for_all_pairs(Check&& check) {
   const std::vector<double> values = delicate_values();

@@ -197,7 +197,7 @@ TEST_CASE("the RMS error starts at rms_start, and is NaN where the run is shorte
   CHECK(std::isnan(metrics_of(samples, {2.0, 0.2, 0.31}, 0.1).rms_error));
 }
 
-TEST_CASE("overshoot is what a coordinate that starts outside goes beyond its goal, in px and of its own start") {
+TEST_CASE("overshoot is the excursion of a coordinate beyond its goal, in px and relative to its initial error") {
   // x1 from +10 to -3; y1 from -40 to +6; x2 from 2.0, on the threshold, to -9: it has no side; y2 from 50, short of
   // it.
   std::vector<Sample<double>> samples = with_errors({0.0, 0.0, 0.0, 0.0});

@@ -165,7 +165,7 @@ TEST_CASE("components, events, sources and seeds are independent of each other")
   }
 }
 
-TEST_CASE("every bit of a seed matters, and every source has numbers of its own") {
+TEST_CASE("every bit of a seed matters, and random streams of different sources differ") {
   std::vector<Vector<double, 2>> seen;
   for (const RandomSource source : kSources) seen.push_back(stream(0, source).normal<2>(0));
   for (int bit = 0; bit < 63; ++bit) seen.push_back(stream(1ull << bit).normal<2>(0));
@@ -188,7 +188,7 @@ TEST_CASE("a number depends on its event and component alone, not on what was dr
   CHECK_FALSE(same_bits<8>(s.normal<8>(17 + (1ull << 32)), first));
 }
 
-TEST_CASE("seeds come back from their halves") {
+TEST_CASE("a seed is recovered from its two halves") {
   for (const std::uint64_t seed : {std::uint64_t{0}, std::uint64_t{1}, (std::uint64_t{1} << 53) + 1, kLargestSeed}) {
     const SeedHalves<double> halves = seed_halves(seed);
     CHECK((static_cast<std::uint64_t>(halves.high) << 32 | static_cast<std::uint64_t>(halves.low)) == seed);

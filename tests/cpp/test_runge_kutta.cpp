@@ -65,7 +65,7 @@ TEST_CASE("a linear equation is integrated as the Taylor polynomial of degree fo
 }
 
 TEST_CASE("a nonlinear equation is integrated with order four") {
-  // The pendulum, whose energy tells nothing that we use: errors against a run with steps 64 times as small.
+  // The pendulum; its energy is not used: errors against a run with steps 64 times as small.
   using State = Vector2<double>;
   const auto pendulum = [](const State& s) { return State(s(1), -std::sin(s(0))); };
   const auto run = [&pendulum](int steps) {

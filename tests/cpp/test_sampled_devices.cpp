@@ -54,7 +54,7 @@ std::unique_ptr<SampledLoop<double, Hybrid>> run(const LoopParameters<double, Hy
 
 }  // namespace
 
-TEST_CASE("a free platform answers a sinusoid of the base as x-ddot = -a, whatever its mass") {
+TEST_CASE("a free platform accelerates by -a under a sinusoid of the base, whatever its mass") {
   for (const double mass_error : {0.0, 0.3}) {
     for (const long long substeps : {1, 4}) {
       CAPTURE(mass_error);

@@ -47,7 +47,7 @@ TEST_CASE("the paper's scenario is accepted, in every convention and with every 
               }) == "(accepted)");
 }
 
-TEST_CASE("what is prepared is what was asked for") {
+TEST_CASE("loop parameters are those of the settings") {
   const PaperSettings settings = paper_settings();
   const LoopParameters<double, Hybrid> p = loop_parameters(settings);
   CHECK(p.initial_image.features == settings.target.initial_features);
@@ -67,7 +67,7 @@ TEST_CASE("what is prepared is what was asked for") {
   CHECK(p.hexapod.home_position == settings.robot.home_position);
 }
 
-TEST_CASE("points and features are two ways to say the same target") {
+TEST_CASE("points and features define the same target") {
   Random random(7901);
   CAPTURE(random.seed());
   PaperSettings by_points = paper_settings();

@@ -1,4 +1,4 @@
-// Subnormal numbers count as zero: in ticks, in runs, in packs; and the caller's floating-point mode stays as it was.
+// Subnormal numbers count as zero: in ticks, in runs, in packs; and the caller's floating-point mode is restored.
 #include "hexservo/subnormals.hpp"
 
 #include "hexservo/batch.hpp"
@@ -27,7 +27,7 @@ constexpr double kSmallestNormal = std::numeric_limits<double>::min();
 
 bool is_subnormal(double value) { return value != 0.0 && std::abs(value) < kSmallestNormal; }
 
-/// What a controller sees of its own target from home [px; m], moving with a given twist in every component.
+/// A controller's image of its target from home [px; m], with a given twist in every component.
 template <class Law>
 ControllerInput input_at_home(const ControllerGains<Law>& gains, double twist) {
   ControllerInput input;

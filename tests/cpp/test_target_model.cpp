@@ -1,4 +1,4 @@
-// What the controller believes of the target (docs/model.md, section 5): the pose that four features tell, and the
+// The controller's target model (docs/model.md, section 5): the pose estimated from four features, and the
 // goal.
 #include "hexservo/target_model.hpp"
 
@@ -129,7 +129,7 @@ TEST_CASE("the pose estimator finds a known pose to 1e-9, from sensors that are 
   CHECK(worst > 0.0);
 }
 
-TEST_CASE("also that of the paper's target, whose image hardly shows lateral from angular motion") {
+TEST_CASE("it also finds the pose of the paper's target, where lateral and angular motion are barely distinguishable") {
   Random random(9102);
   CAPTURE(random.seed());
   Image<double> image;
@@ -189,7 +189,7 @@ TEST_CASE("the curvature of the features is their second derivative, by central 
   }
 }
 
-TEST_CASE("under noise an estimate is known to rounding, not to its square root") {
+TEST_CASE("under noise an estimate is accurate to rounding, not to its square root") {
   // Starts that are 1e-9 m and rad apart. By sums of squares alone the minimum is known to 1e-8 px, which is 1e-9 m.
   Random random(9112);
   CAPTURE(random.seed());
@@ -411,7 +411,8 @@ TEST_CASE("a pack estimates as double does, lane by lane, and a lane without an 
   }
 }
 
-TEST_CASE("the goal is where the believed points give the desired features: a shift, near and half turns") {
+TEST_CASE(
+    "the goal is where the assumed points give the desired features: a translation, rotations up to 180 degrees") {
   Image<double> image;
   image.features << 30, 18, 65, -65, -44, 37, -10, -15;
   image.depth.setConstant(-0.5);
@@ -477,7 +478,7 @@ TEST_CASE("a goal of whole pixels whose residual is a fraction of a pixel, and o
   CHECK(message.find("a residual of") != std::string::npos);
 }
 
-TEST_CASE("points on one line do not determine a goal, which is refused in words") {
+TEST_CASE("points on one line do not determine a goal, and are refused with a message") {
   Points points = Points::Zero();
   for (int i = 0; i < 4; ++i) points.col(i) = Vector3<double>(0.01 * i, 0.02 * i, -0.65);
   const Features desired = seen_from(moved(kHome, {0.01, 0.0, 0.0}, Vector3<double>::Zero()), points);

@@ -50,7 +50,7 @@ TEST_CASE("nothing is allocated from tick to tick, with a clock and without one"
   }
 }
 
-TEST_CASE("a request ends it, and what was timed is kept") {
+TEST_CASE("a stop request ends the benchmark, and the ticks timed so far are kept") {
   for (const double rate : {0.0, 1000.0}) {
     int questions = 0;
     const auto second = [&questions] { return ++questions == 2; };
@@ -72,7 +72,7 @@ TEST_CASE("every tick counts: replays repeat themselves, none refuses its input"
   CHECK(times.wrench_difference < 5e-4);
 }
 
-TEST_CASE("an answer about real time is given, and the scheduling is put back") {
+TEST_CASE("the real-time scheduling obtained is reported, and is restored afterwards") {
   const TickTimes asked = time_ticks(settings(), {100, 0.0, true, {}});
   CHECK(asked.scheduling.rfind("SCHED_FIFO", 0) == 0);
   CHECK(asked.memory.find("lock") != std::string::npos);

@@ -168,7 +168,7 @@ LINE = (60.0, 3.0, 20.0, -2.0, -20.0, 2.0, -60.0, -3.0)  # almost on one line
 class Fault:
     """One form that a cause takes.
 
-    Ranges name keys of a scenario, or what `_apply` knows: "slower", "stiffer", "friction", "adaptation" and "prior"
+    Ranges name keys of a scenario, or changes of `_apply`. "slower", "stiffer", "friction", "adaptation" and "prior"
     are factors of gains, "tick" a servo period, "border", "timeout", "brake" and "noise_of_goal" what they say there.
     """
 

@@ -58,7 +58,7 @@ def extreme_scenario(seed: int, number: int) -> tuple[hs.Scenario, dict[str, Any
 
 
 def _drawn(scenario: hs.Scenario, key: str, random: np.random.Generator) -> np.ndarray[Any, Any] | None:
-    """Give a key's numbers, scaled, drawn anew or zero; None for a key that holds none."""
+    """Return a key's numbers, scaled, redrawn or zero; None for a key that is not numeric."""
     value: Any = scenario
     for part in key.split("."):
         value = getattr(value, part)

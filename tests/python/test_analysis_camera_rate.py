@@ -116,7 +116,7 @@ def test_counted_modes_are_those_of_the_eigenvalues() -> None:
 
 
 def recursion(loop: SampledLoop, clock: Clock, start: Array, ticks: int) -> Array:
-    """Run a loop tick by tick with queues, as docs/model.md section 7 tells it; give x and v at the end."""
+    """Run a loop tick by tick with queues, as docs/model.md section 7 defines it; return x and v at the end."""
     n, a = len(loop.acceleration), loop.actuation
     x, v = start[:n].copy(), start[n : 2 * n].copy()
     s = start[2 * n : 2 * n + len(loop.axes)].copy()
@@ -189,7 +189,7 @@ def random_loop(seed: int, reading: int, differences: bool, through_legs: bool, 
 @pytest.mark.parametrize("differences", [False, True])
 @pytest.mark.parametrize(("through_legs", "held", "delay"), [(False, False, 0), (True, False, 2), (True, True, 1)])
 @pytest.mark.parametrize("clock", [Clock(4, 0), Clock(4, 3), Clock(3, 7), Clock(1, 2), Clock(5, 10)])
-def test_a_pattern_is_what_a_plain_recursion_does(
+def test_the_pattern_matrix_is_that_of_a_recursion_tick_by_tick(
     reading: int, differences: bool, through_legs: bool, held: bool, delay: int, clock: Clock
 ) -> None:
     """Repeated patterns from a state without frames give x and v of a recursion with queues, after four patterns."""
@@ -212,7 +212,7 @@ def test_a_pattern_is_what_a_plain_recursion_does(
 # ---- Modes that stay ------------------------------------------------------------------------------------------------
 
 
-def test_modes_that_stay_are_found_and_taken_out() -> None:
+def test_neutral_modes_are_found_and_excluded() -> None:
     """A state that learns from the rate alone is a spring towards the start; an axis without stiffness stays."""
     two = np.eye(2)
     free = SampledLoop(1e-3, two, frame=np.diag([-100.0, 0.0]), pose=0 * two, twist=-10 * two)
@@ -257,7 +257,7 @@ def test_modes_that_stay_are_found_and_taken_out() -> None:
         ({"controller.law": "kelly", "controller.kelly.kp": [1e-6, 1e-6, 1e-6, 1e-6, 0, 0, 0, 0]}, 2),
     ],
 )
-def test_modes_that_stay_in_scenarios(changes: dict[str, Any], expected: int) -> None:
+def test_neutral_modes_of_scenarios(changes: dict[str, Any], expected: int) -> None:
     """Four coordinates of two points leave two of six motions without stiffness; drive 0 leaves a spring per axis."""
     found = loop_at_rest(hs.load_scenario("slow-camera").updated(changes))
     assert found.free.resting.shape[1] == expected
@@ -292,7 +292,7 @@ def test_the_linear_law_of_kelly_is_known_by_hand() -> None:
     assert law.axes == ()
 
 
-def test_prediction_moves_the_answer_from_the_frame_to_the_joint_sensors() -> None:
+def test_prediction_moves_the_stiffness_from_the_frame_to_the_joint_sensors() -> None:
     """By hand: the frame carries -J-hat' K_p (J - J-hat), the sensors -J-hat' K_p J-hat: their sum is the same."""
     scenario = hs.load_scenario("slow-camera").updated(
         {"controller.law": "kelly", "uncertainty.depth": [0.3, -0.2, 0.1, 0.0]}
@@ -354,8 +354,8 @@ def test_weights_along_their_basis_add_no_stiffness() -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_scaled_multiplies_what_answers_to_a_displacement_and_nothing_else(law: str) -> None:
-    """Kp, kt, drive or gain times 1.7: so is the answer to a displacement, and what it teaches; the damping stays."""
+def test_scaled_multiplies_the_proportional_gains_only(law: str) -> None:
+    """Kp, kt, drive or gain times 1.7: so are the stiffness and the adaptation by displacement; the damping stays."""
     scenario = hs.load_scenario("slow-camera").updated({"controller.law": law})
     home = at_rest_at_home(loop_at_rest(scenario))
     _, one = rest_and_law(home)
@@ -632,7 +632,7 @@ def test_a_loop_that_is_stable_at_rest_alone_is_called_bad() -> None:
 
 
 def test_the_loop_at_learned_weights_is_that_of_a_run() -> None:
-    """A run from 1e-4 px ends with weights of its own: its last motion decays as the loop at these weights does."""
+    """A run from 1e-4 px ends with other weights: its last motion decays as the loop at these weights does."""
     home, at_rest, clock = at_home(bad_at_empty_weights())
     scene = scene_of(home)
     view = scene.view(scene.home)
@@ -746,7 +746,7 @@ def test_the_map_shows_the_borders() -> None:
     assert np.nanmin(found.radii) < 1.0 < np.nanmax(found.radii)
 
 
-def test_a_scenario_in_continuous_mode_is_taken_as_sampled_and_told_so() -> None:
+def test_a_scenario_in_continuous_mode_is_analysed_as_sampled_and_marked() -> None:
     continuous = hs.load_scenario("paper").updated({"controller.law": "kelly"})
     sampled = continuous.updated({"simulation.mode": "sampled"})
     one, other = camera_rate.analyse(continuous), camera_rate.analyse(sampled)
@@ -758,7 +758,7 @@ def test_a_scenario_in_continuous_mode_is_taken_as_sampled_and_told_so() -> None
 
 
 def test_unequal_depths_drift_with_any_camera() -> None:
-    """One slow mode grows whatever the camera does: it is told apart, and the borders are those of the others."""
+    """One slow mode grows whatever the camera does: it is counted apart; the borders are those of the other modes."""
     scenario = hs.load_scenario("composite-30hz").updated({"controller.law": "kelly"})
     found = camera_rate.analyse(scenario)
     assert found.free is not None
@@ -769,7 +769,7 @@ def test_unequal_depths_drift_with_any_camera() -> None:
     assert any("drift" in text for text in found.section().sentences)
 
 
-def test_a_wrong_sign_is_no_question_of_the_camera() -> None:
+def test_with_a_wrong_sign_no_camera_is_fast_enough() -> None:
     scenario = hs.load_scenario("paper").updated({"controller.law": "kelly", "controller.jacobian": "printed"})
     found = camera_rate.analyse(scenario)
     assert found.free is not None
@@ -791,7 +791,7 @@ def test_a_wrong_sign_is_no_question_of_the_camera() -> None:
         ),
     ],
 )
-def test_where_it_does_not_apply_it_says_so(name: str, changes: dict[str, Any], text: str) -> None:
+def test_the_reason_is_given_where_the_analysis_does_not_apply(name: str, changes: dict[str, Any], text: str) -> None:
     section = camera_rate.analyse(hs.load_scenario(name).updated(changes)).section()
     assert section.verdict == "open"
     assert text in section.sentences[0]

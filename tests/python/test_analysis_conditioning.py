@@ -55,7 +55,7 @@ def test_a_square_worked_out_by_hand(size: float, depth: float) -> None:
     np.testing.assert_allclose(found.pose_sigma[[3, 4]], tilt, rtol=1e-9)
     np.testing.assert_allclose(found.pose_sigma[2], ahead, rtol=1e-12)
     np.testing.assert_allclose(found.pose_sigma[5], 1 / (2 * np.sqrt(2) * a), rtol=1e-12)
-    # With turns times the depth the two by two blocks have the product of their singular values in closed form, too:
+    # With rotations scaled by the depth the product of a two by two block's singular values has a closed form, too:
     # det = (2 f/d)^2 (2 a^2/f)^2 / d^2 = (4 a^2/d^2)^2.
     assert found.scaled_values[0] * found.scaled_values[-1] == pytest.approx(4 * a**2 / depth**2, rel=1e-9)
 

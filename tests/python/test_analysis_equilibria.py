@@ -218,7 +218,7 @@ def test_half_a_turn_has_no_false_equilibrium_near_but_a_goal_that_no_leg_reache
     assert found.section().verdict == "warning"
 
 
-def test_directions_in_words() -> None:
+def test_directions_as_text() -> None:
     assert direction_words(np.array([-2.0, 0, 0, 0, 0, 0]), 0.5) == "a translation along -x"
     assert direction_words(np.array([0, 0, 0, 0, 0, 3.0]), 0.5) == "a rotation about z"
     mixed = direction_words(np.array([0, 0.5, 0, 1.0, 0, 0]), 0.5)

@@ -1,4 +1,4 @@
-"""Extreme legal values: every part of an analysis has numbers, or says in words why it has none."""
+"""Extreme legal values: every part of an analysis has numbers, or a sentence with the reason why it has none."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_what_cannot_be_computed_names_the_extreme_value(
         (ValueError("a: expected one\nb: expected two"), "a: expected one (and 1 more of the kind)"),
     ],
 )
-def test_errors_of_the_numerics_in_words(paper: hs.Scenario, error: Exception, words: str) -> None:
+def test_numerical_errors_have_a_message(paper: hs.Scenario, error: Exception, words: str) -> None:
     def fails() -> int:
         raise error
 

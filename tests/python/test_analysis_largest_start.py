@@ -56,7 +56,7 @@ def test_a_border_lies_below_the_smallest_that_fails() -> None:
     assert border({}) == (0.0, None)
 
 
-def test_two_sides_of_a_border_read_as_two() -> None:
+def test_both_sides_of_a_border_are_printed_with_digits_that_differ() -> None:
     turn = Direction("turn +z", np.array([0.0, 0, 0, 0, 0, math.radians(14.2)]), 1.0, "stroke", {}, {}, None, {}, 2.0)
     near = replace(turn, tried={0.8120: True, 0.8130: False})
     assert border_words(near) == ("11.53 deg", "11.54 deg")
@@ -103,7 +103,7 @@ def test_the_papers_own_way_settles_to_the_end_of_the_stroke(found: LargestStart
 
 
 def test_single_runs_agree(found: LargestStart, paper: hs.Scenario) -> None:
-    """The largest that settles and the smallest that fails, of each way, once more by `hs.simulate`."""
+    """The largest that settles and the smallest that fails, of each way, repeated by `hs.simulate`."""
     assert found.duration == 2.0
     failing = 0
     for way in found.directions:
@@ -167,7 +167,7 @@ def test_the_task_that_ends_in_a_false_equilibrium_fails(trap: LargestStart) -> 
     assert not trap.timings
 
 
-def test_a_task_that_starts_at_its_goal_has_no_way_of_its_own(paper: hs.Scenario) -> None:
+def test_a_task_that_starts_at_its_goal_has_no_direction(paper: hs.Scenario) -> None:
     still = paper.updated(
         {
             "target.desired_features": list(paper.target.initial_features or ()),
@@ -207,7 +207,7 @@ def test_a_camera_as_printed_is_not_tried(paper: hs.Scenario) -> None:
     assert section.data["applies"] is False
 
 
-def test_every_text_says_that_it_is_tried_out(found: LargestStart, trap: LargestStart) -> None:
+def test_every_text_is_marked_as_empirical(found: LargestStart, trap: LargestStart) -> None:
     for result in (found, trap):
         section = result.section()
         assert "empirical" in section.title

@@ -73,7 +73,7 @@ def test_a_direction_and_its_opposite_are_written_alike() -> None:
     ways = np.random.default_rng(SEED).normal(size=(50, 6))
     np.testing.assert_array_equal(without_sign(ways), without_sign(-ways))
     np.testing.assert_array_equal(np.abs(without_sign(ways)), np.abs(ways))
-    # of two that rounding alone tells apart the first decides
+    # of two that differ by rounding alone the first decides
     tie = np.array([0.0, -1.0, 0.0, 1.0 + 1e-15, 0.0, 0.0])
     np.testing.assert_array_equal(without_sign(tie), -tie)
 

@@ -106,7 +106,7 @@ def test_friction_along_one_axis_holds_a_square_where_it_is_worked_out_by_hand(p
     f = scene_of(scenario).camera.focal_pixels
     variance = depth**2 * ((f**2 + size**2) ** 2 + size**4) / (4 * f**2 * size**4)  # of x, per px^2
     assert ends.pose[0] == pytest.approx(k * variance / kp, rel=1e-4)
-    # The turn about y that goes with it, from the second row of the same two by two block:
+    # The rotation about y that accompanies it, from the second row of the same two by two block:
     # 4 c (f + a^2/f) dx -+ 4 ((f^2+a^2)^2 + a^4)/f^2 turn = 0 with c = f/d.
     turn = ends.pose[0] * (f / depth) * (f + size**2 / f) * f**2 / ((f**2 + size**2) ** 2 + size**4)
     assert ends.pose[4] == pytest.approx(turn, rel=1e-4)
@@ -269,7 +269,7 @@ def test_without_friction_the_set_is_the_goal(paper: hs.Scenario) -> None:
     assert "is a point, with an image error below 1e-6 px" in found.section().sentences[0]
 
 
-def test_a_point_makes_up_for_the_gravity_error(paper: hs.Scenario) -> None:
+def test_without_kv_the_image_along_z_balances_the_gravity_error(paper: hs.Scenario) -> None:
     """Square, K_v = 0: only the image along z carries the weight, z = delta_G m g/(8 K_p a^2/d^2) at exact depths."""
     size, depth, gravity = 200.0, 0.3, 0.01
     scenario = paper.updated(

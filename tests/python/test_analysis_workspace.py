@@ -1,4 +1,4 @@
-"""Reach, singularities and loads of the legs: closed forms of vertical motion and of a turn about z, and limits."""
+"""Reach, singularities and loads of the legs: closed forms of vertical motion and of rotation about z, and limits."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
         elif not rows.any():  # relative errors and initial scales that are zero
             rows[1], rows[2] = 0.01, -0.02
         if key == "target.initial_features":
-            rows[1] += np.tile([1.0, 2.0], 4)  # a goal that a pose has, which `pbvs` wants
+            rows[1] += np.tile([1.0, 2.0], 4)  # the image of a pose, which `pbvs` needs as a goal
         if key == "target.desired_features":
             rows[1] += np.arange(8)
         arrays.append(rows)
@@ -155,7 +155,7 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         base = base.updated({"uncertainty.depth": [0.3, 0.2, 0.1, 0.25]})  # with equal ones some laws do not turn
     # The plain pseudo-inverse solves with J^T J, whose condition is that of the image squared: 1e7 times the rounding.
     # An estimated pose carries the rounding of the features, times some 1e-1 m or rad per px. What is zero but for that
-    # (a turn, where all depths err alike) has no digits to compare: motions are of 1e-2 to 1 in SI units.
+    # (rotation, where all depths err alike) has no digits to compare: motions are of 1e-2 to 1 in SI units.
     tolerance = {"resolved_rate": 1e-8, "pbvs": 1e-9}.get(law, 1e-11)
     floor = tolerance if law in ("resolved_rate", "pbvs") else 0.0
     for rows in rows_of(base, key):
@@ -210,7 +210,7 @@ def test_settling_band_and_dwell_time_vary_by_lane(paper: hs.Scenario) -> None:
 
 
 @pytest.mark.parametrize("law", ["hybrid", "composite"])
-def test_seeds_beyond_the_whole_numbers_of_a_float_are_runs_of_their_own(sampled: hs.Scenario, law: str) -> None:
+def test_neighbouring_seeds_beyond_2_to_the_53_give_different_runs(sampled: hs.Scenario, law: str) -> None:
     base = sampled.updated({"controller.law": law})
     seeds = [2**53, 2**53 + 1, 2**63, 2**63 + 1, 2**64 - 1, 0]
     for given in (seeds, np.array(seeds, dtype=np.uint64)):
@@ -384,12 +384,12 @@ def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
         ({"robot.mass": np.full(3_000_000, 0.06)}, r"^log: expected a result of at most 2 GiB .*log \"metrics\""),
     ],
 )
-def test_bad_variations_are_refused_in_words(paper: hs.Scenario, variations: Any, message: str) -> None:
+def test_bad_variations_are_refused_with_a_message(paper: hs.Scenario, variations: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         hs.simulate_batch(paper, variations)
 
 
-def test_bad_arguments_are_refused_in_words(paper: hs.Scenario) -> None:
+def test_bad_arguments_are_refused_with_a_message(paper: hs.Scenario) -> None:
     variations = {"uncertainty.depth": [0.1]}
     with pytest.raises(TypeError, match=r"^scenario: expected a Scenario .* got str$"):
         hs.simulate_batch("paper", variations)  # type: ignore[arg-type]
@@ -408,7 +408,7 @@ def test_bad_arguments_are_refused_in_words(paper: hs.Scenario) -> None:
 # ---- Progress, Ctrl-C, memory ---------------------------------------------------------------------------------------
 
 
-def test_progress_is_told_to_a_function(smooth: hs.Scenario) -> None:
+def test_progress_is_reported_to_a_function(smooth: hs.Scenario) -> None:
     told: list[tuple[int, int]] = []
     hs.simulate_batch(smooth, {"uncertainty.depth": np.full(2000, 0.1)}, progress=lambda *at: told.append(at))
     assert told[-1] == (2000, 2000)
@@ -424,7 +424,7 @@ def test_progress_may_be_a_bar_on_standard_error(smooth: hs.Scenario, capfd: pyt
     assert re.search(r"500 of 500 scenarios .* million steps/s", " ".join(err.split()))
 
 
-@pytest.mark.parametrize("inside", [False, True], ids=["in the core", "in the function that is told of progress"])
+@pytest.mark.parametrize("inside", [False, True], ids=["in the core", "in the progress callback"])
 def test_ctrl_c_stops_at_once_and_keeps_what_is_finished(smooth: hs.Scenario, inside: bool) -> None:
     count = 4000
     pressed: list[float] = []

@@ -58,7 +58,7 @@ def test_a_batch_is_its_single_runs(paper: hs.Scenario) -> None:
     assert batch.held.tolist() == [False, True]  # four times k_v is enough about y
 
 
-def test_progress_is_told_after_every_run(paper: hs.Scenario, capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_is_reported_after_every_run(paper: hs.Scenario, capsys: pytest.CaptureFixture[str]) -> None:
     seen: list[tuple[int, int]] = []
     variations = {"uncertainty.gravity": np.array([0.0, 0.01])}
     hs.certify_batch(paper.updated({"simulation.duration": 0.05}), variations, lambda *done: seen.append(done))

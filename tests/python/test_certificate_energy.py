@@ -162,7 +162,7 @@ def exact(paper: hs.Scenario, law: str, duration: float) -> hs.Scenario:
 
 
 def test_the_pose_spring_gives_what_it_loses(paper: hs.Scenario) -> None:
-    """pbvs knows the pose error d - x exactly: the spring's work along an axis is the loss of 1/2 k (d - x)^2."""
+    """pbvs has the pose error d - x exactly: the spring's work along an axis is the loss of 1/2 k (d - x)^2."""
     result = hs.simulate(exact(paper, "pbvs", 0.2))
     ledger = hs.certify(result).energy
     assert ledger is not None
@@ -382,7 +382,7 @@ def test_a_step_that_is_too_coarse_is_flagged(paper: hs.Scenario) -> None:
     assert any("too coarse" in fault for fault in ledger.faults), ledger.faults
 
 
-def test_the_section_shows_the_books(paper: hs.Scenario) -> None:
+def test_the_section_reports_the_energy_balance(paper: hs.Scenario) -> None:
     ledger = ledger_of(varied(paper, {"simulation.duration": 0.3}))
     section = ledger.section()
     assert section.name == "energy"

@@ -292,7 +292,7 @@ def test_the_limit_of_the_weights_binds_the_best_ones_too(paper: hs.Scenario) ->
 
 
 @pytest.mark.parametrize(("width", "step"), [(0.1, 2e-2), (1e-3, 1e-2)])
-def test_rates_that_do_not_agree_are_no_good_news(paper: hs.Scenario, width: float, step: float) -> None:
+def test_disagreeing_rates_exclude_a_good_verdict(paper: hs.Scenario, width: float, step: float) -> None:
     """The loop is unstable at such steps, or nearly: nothing that (20) says of the samples is known of the run."""
     changes = {"controller.switching.kind": "tanh", "controller.switching.width": width, "simulation.duration": 2.0}
     lyapunov, _ = parts_of(paper.updated({**changes, "simulation.step": step}))
@@ -307,7 +307,7 @@ def test_rates_that_do_not_agree_are_no_good_news(paper: hs.Scenario, width: flo
     assert fine.agrees
 
 
-def test_a_v_above_its_start_is_told_where_no_sample_shows_it() -> None:
+def test_v_above_its_start_is_reported_where_its_differences_are_too_coarse() -> None:
     """Fuzzy inputs that race to their limits within 6 ms: the differences are too coarse, but V itself is known."""
     lyapunov, _ = parts_of(hs.load_scenario("fails-spring").updated({"simulation.duration": 0.5}))
     fine, _ = parts_of(
@@ -365,7 +365,7 @@ def test_what_is_certified_does_not_depend_on_the_log(paper: hs.Scenario) -> Non
     assert every == tenth
 
 
-def test_a_result_that_is_not_the_runs_own_is_told(paper: hs.Scenario) -> None:
+def test_a_result_that_differs_from_its_repeated_run_is_reported(paper: hs.Scenario) -> None:
     result = hs.simulate(paper.updated(SHORT))
     twist = result.twist.copy()
     twist[50, 3] += 1e-9
@@ -383,7 +383,9 @@ def test_a_result_that_is_not_the_runs_own_is_told(paper: hs.Scenario) -> None:
         ({"simulation.mode": "sampled", "controller.switching.kind": "implicit"}, "this run is sampled"),
     ],
 )
-def test_other_runs_have_the_ledger_alone(paper: hs.Scenario, changes: dict[str, Any], words: str) -> None:
+def test_runs_outside_the_theorem_have_the_energy_balance_only(
+    paper: hs.Scenario, changes: dict[str, Any], words: str
+) -> None:
     certificate = hs.certify(hs.simulate(paper.updated({**SHORT, **changes})))
     assert certificate.lyapunov is None
     assert certificate.assumption is None
@@ -396,7 +398,7 @@ def test_other_runs_have_the_ledger_alone(paper: hs.Scenario, changes: dict[str,
         assert set(section.data) == {"open"}
 
 
-def test_a_controller_of_ones_own_has_the_ledger_alone(paper: hs.Scenario) -> None:
+def test_a_custom_controller_has_the_energy_balance_only(paper: hs.Scenario) -> None:
     def own(seen: hs.Observation) -> Array:
         return np.asarray(np.array([0, 0, -MASS * GRAVITY, 0, 0, 0]) - 0.5 * np.r_[seen.twist[:3], 0, 0, 0])
 

@@ -211,7 +211,7 @@ def test_bad_input_is_refused(basis: Array, target: Array, limit: float | None, 
         best_weights(basis, target, limit)
 
 
-def test_a_solver_that_gives_up_is_an_error_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_solver_is_an_error_with_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
     failed = SimpleNamespace(status=4, message="numbers too hard")
     monkeypatch.setattr("scipy.optimize.linprog", lambda *args, **options: failed)
     with pytest.raises(ArithmeticError, match="the linear program for the best weights has no solution: numbers too"):

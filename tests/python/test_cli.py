@@ -143,7 +143,7 @@ def test_run_writes_refuses_and_replaces(tmp_path: Path) -> None:
     assert hs.load_scenario(folder / "scenario.yaml").name == "other"
 
 
-def test_a_folder_that_is_refused_is_told_before_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_folder_is_reported_before_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def simulate(scenario: hs.Scenario) -> hs.Result:
         raise AssertionError("simulated in vain")
 
@@ -179,7 +179,7 @@ def test_settings_change_the_scenario_in_order() -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "show"])
-def test_all_bad_settings_are_told_together(command: str) -> None:
+def test_all_bad_settings_are_reported_together(command: str) -> None:
     settings = ["name", "=1", "uncertainty.dept=0.1", "robot.mass=-1", "controller.law=[", "simulation.step=on"]
     run = Run(command, "paper", *(part for setting in settings for part in ("--set", setting)))
     assert (run.code, run.out) == (2, "")
@@ -197,7 +197,7 @@ def test_all_bad_settings_are_told_together(command: str) -> None:
 
 
 @pytest.mark.usefixtures("quick_figures")
-def test_a_run_that_ends_early_says_so_and_keeps_its_results(tmp_path: Path) -> None:
+def test_an_early_end_is_reported_and_its_results_are_kept(tmp_path: Path) -> None:
     run = Run("run", "paper-gravity", *SINGULAR, "--out", str(tmp_path / "out"))
     assert run.code == 3
     ending = re.fullmatch(r"Ended early: (paper-gravity: singular at t = ([0-9.]+) s: .+)", run.errors[-1])
@@ -212,7 +212,7 @@ def test_a_run_that_ends_early_says_so_and_keeps_its_results(tmp_path: Path) -> 
     assert len(limits) == len(metrics["events"]) == 12
 
 
-def test_quiet_says_only_what_went_wrong() -> None:
+def test_quiet_prints_errors_only() -> None:
     run = Run("run", "paper", *SHORT, "--quiet")
     assert (run.code, run.out, run.error) == (0, "", "")
     run = Run("run", "paper-gravity", *SINGULAR, "-q")
@@ -263,7 +263,7 @@ def test_results_that_cannot_be_written_are_still_printed(tmp_path: Path, monkey
     assert "No space left on device" in run.error
 
 
-def test_a_mistake_of_ours_is_not_taken_for_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_internal_error_is_not_reported_as_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mistake = ValueError("shapes do not match")
 
     def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
@@ -275,7 +275,7 @@ def test_a_mistake_of_ours_is_not_taken_for_bad_input(tmp_path: Path, monkeypatc
     assert run.code == 1
 
 
-def test_what_the_core_refuses_is_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_by_the_core_is_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     def simulate(scenario: hs.Scenario) -> hs.Result:
         raise ValueError("step: expected a divisor, got 3")
 
@@ -428,7 +428,7 @@ def test_a_terminal_without_colours(tmp_path: Path, changes: dict[str, str]) -> 
 
 
 @pytest.mark.parametrize("command", ["show", "run", "scenarios", "version"])
-def test_a_reader_that_left(tmp_path: Path, command: str) -> None:
+def test_a_closed_pipe_ends_the_output_without_a_traceback(tmp_path: Path, command: str) -> None:
     arguments = [command] if command in ("scenarios", "version") else [command, "paper"]
     with subprocess.Popen(
         [sys.executable, "-m", "hexservo", *arguments],

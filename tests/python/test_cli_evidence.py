@@ -113,7 +113,7 @@ def test_numbers_as_json(command: str, tmp_path: Path) -> None:
         "one": {"rise": 1.5, "none": None, "per_axis": [0.0, 1.0]},
     }
     code, out, error = invoke(command, "paper", *SHORT, "--json", file)
-    assert (code, out) == (2, "")  # told before the work
+    assert (code, out) == (2, "")  # reported before the work
     assert "the file exists" in error
     assert invoke(command, "paper", *SHORT, "--json", file, "--force")[0] == 0
     assert file.read_text(encoding="utf-8") == written
@@ -223,7 +223,7 @@ def test_a_report_is_replaced_with_force_alone(saved: Path, tmp_path: Path) -> N
     assert invoke("report", saved, "--out", out, "--force")[0] == 0
 
 
-def test_a_report_that_cannot_be_written_is_told_before_the_run(
+def test_a_report_that_cannot_be_written_is_reported_before_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hs, "simulate", lambda *_, **__: pytest.fail("it ran"))

@@ -51,7 +51,7 @@ def test_rows_are_the_runs_scenario_by_scenario() -> None:
         np.testing.assert_allclose(row.error, np.abs(result.feature_error).max(axis=1), rtol=0, atol=1e-8)
 
 
-def test_a_row_does_not_depend_on_the_company(comparison: hs.Comparison) -> None:
+def test_a_row_does_not_depend_on_the_other_rows(comparison: hs.Comparison) -> None:
     for row in comparison.rows:
         (alone,) = hs.compare([row.scenario.name], [row.law]).rows
         assert repr(dict(alone.metrics)) == repr(dict(row.metrics))  # NaN is not itself
@@ -113,7 +113,7 @@ def test_verdicts_say_why(comparison: hs.Comparison) -> None:
 
 
 def test_a_law_that_refuses_a_scenario_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = "controller.law: expected a law that knows this camera, got composite"
+    problem = "controller.law: expected a law for this camera, got composite"
     updated = hs.Scenario.updated
 
     def refusing(self: hs.Scenario, changes: Any) -> hs.Scenario:
@@ -135,7 +135,7 @@ def test_a_law_that_refuses_a_scenario_is_a_row(monkeypatch: pytest.MonkeyPatch)
     assert "refused" in [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
-def test_what_no_batch_takes_runs_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_fits_no_batch_is_simulated_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     together = hs.compare(["paper", "paper-minus"], ["hybrid"], SHORT)
 
     def refused(*arguments: Any) -> hs.BatchResult:
@@ -322,14 +322,14 @@ def test_the_command_prints_and_writes(tmp_path: Path) -> None:
         (("--scenarios", "paperr"), 'did you mean "paper"?'),
     ],
 )
-def test_bad_input_is_told(arguments: tuple[str, ...], words: str) -> None:
+def test_bad_input_is_reported(arguments: tuple[str, ...], words: str) -> None:
     run = invoke(*arguments)
     assert run.exit_code == 2
     assert words in run.stderr
     assert run.stdout == ""
 
 
-def test_ctrl_c_is_told_and_what_is_finished_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_ctrl_c_is_reported_and_finished_runs_are_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def interrupted(*arguments: Any) -> hs.BatchResult:
         raise KeyboardInterrupt
 

@@ -67,7 +67,9 @@ def test_the_first_ticks_are_the_first_samples_of_a_run(paper: hs.Scenario, law:
 
 @pytest.mark.parametrize("jacobian_at", ["current", "desired", "mean"])
 @pytest.mark.parametrize("law", ["kelly", "resolved_rate", "pbvs", "computed_torque"])
-def test_so_are_those_of_laws_without_a_state(paper: hs.Scenario, law: str, jacobian_at: str) -> None:
+def test_the_first_ticks_of_laws_without_a_state_are_the_first_samples_of_a_run(
+    paper: hs.Scenario, law: str, jacobian_at: str
+) -> None:
     """The controller's model of the target has the depth error of the simulated controller."""
     scenario = paper.updated(
         {
@@ -124,7 +126,7 @@ def test_reset_brings_the_first_state_back(paper: hs.Scenario, controller: hs.Co
 
 @pytest.mark.parametrize("name", ARGUMENTS)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
-def test_what_is_no_measurement_gives_safe_output(
+def test_invalid_measurements_give_the_safe_output(
     paper: hs.Scenario, controller: hs.Controller, name: str, value: float
 ) -> None:
     robot = _core.Hexapod(core_parameters(paper).robot)

@@ -320,7 +320,7 @@ def test_a_drift_is_the_slope_that_both_of_the_last_quarters_have() -> None:
     assert judge(record_by_hand(flat, 1.01 * limit * time), ALLOWED).failed
 
 
-def test_noise_seldom_is_a_drift() -> None:
+def test_noise_is_seldom_taken_for_a_drift() -> None:
     """A leg of 0.1 mm of white noise: slopes of both quarters are hundredths of what is allowed."""
     random = np.random.default_rng(5)
     flat = np.zeros(501)
@@ -328,7 +328,7 @@ def test_noise_seldom_is_a_drift() -> None:
     assert max(drifts) < 0.1 * 0.017 / DRIFT_TIME
 
 
-def test_a_wander_seldom_is_a_drift() -> None:
+def test_a_random_walk_is_seldom_taken_for_a_drift() -> None:
     """Random walks of 1 mm over the last half: a straight line through them has a slope far above what is allowed."""
     random = np.random.default_rng(6)
     flat = np.zeros(501)
@@ -398,7 +398,7 @@ def test_a_record_of_a_result_is_that_of_a_run() -> None:
 
 @pytest.mark.parametrize("key", SHIPPED)
 def test_removals_are_valid_and_change_what_they_say(key: str) -> None:
-    """Of its own scenario a cause has removals; none of them is the scenario as it was."""
+    """A cause has removals in the scenario made for it; each of them changes that scenario."""
     case = case_of(hs.load_scenario(shipped(key)))
     removals = cause_of(key).removals(case)
     assert removals
@@ -407,7 +407,7 @@ def test_removals_are_valid_and_change_what_they_say(key: str) -> None:
         assert case.scenario.updated(removal.changes) != case.scenario
 
 
-def test_causes_that_a_scenario_has_nothing_of_are_not_tried() -> None:
+def test_causes_not_present_in_a_scenario_are_not_tried() -> None:
     nominal = hs.load_scenario("paper-nominal")
     kelly = nominal.updated({"controller.law": "kelly"})
     tried = {cause.key for cause in CAUSES if cause.removals(case_of(kelly))}
@@ -436,7 +436,7 @@ def test_the_camera_without_delay_loses_frames_as_before() -> None:
 
 
 def test_the_weighed_platform_is_the_same_platform() -> None:
-    """The remedy against a wrong weight changes what the law believes, and not the plant."""
+    """The remedy against a wrong weight changes the law's estimate, and not the plant."""
     scenario = hs.load_scenario("fails-gravity")
     case = case_of(scenario)
     (removal,) = cause_of("gravity").removals(case)
@@ -491,9 +491,9 @@ def test_a_spread_target_has_its_goal_at_the_same_pose(points: bool) -> None:
 
 
 def test_the_worst_direction_of_a_square_by_hand() -> None:
-    """Corners (+-a, +-a) f at distance d: the image tells worst a shift that a turn undoes but for its second order.
+    """Corners (+-a, +-a) f at distance d: a translation that a rotation compensates is the least observable.
 
-    With u = v_x/d and w the turn about y, a corner moves by f (-u + (1 + a^2) w, +-a^2 w): J^T J of (u, w) is
+    With u = v_x/d and w the rotation about y, a corner moves by f (-u + (1 + a^2) w, +-a^2 w): J^T J of (u, w) is
     4 f^2 [[1, -(1 + a^2)], [-(1 + a^2), (1 + a^2)^2 + a^4]], the same for (v_y, -turn about x); the other two
     directions, along and about the optical axis, have 8 f^2 a^2.
     """
@@ -510,7 +510,7 @@ def test_the_worst_direction_of_a_square_by_hand() -> None:
 # ---- Signatures, by hand --------------------------------------------------------------------------------------------
 
 
-def test_signatures_see_what_is_put_before_them() -> None:
+def test_signatures_detect_the_patterns_they_describe() -> None:
     scenario = hs.load_scenario("fails-saturation")
     result = hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 2.0}))
     record = record_of(result)
@@ -617,7 +617,7 @@ def test_causes_that_fail_only_together_are_named_together() -> None:
             assert finding.alone is False
 
 
-def test_a_run_that_is_too_short_is_called_so() -> None:
+def test_a_run_that_is_too_short_is_diagnosed() -> None:
     """The paper's run is within 2 px after 0.353 s."""
     scenario = hs.load_scenario("paper").updated({"simulation.duration": 0.2})
     diagnosis = hs.diagnose(hs.simulate(scenario))
@@ -628,7 +628,7 @@ def test_a_run_that_is_too_short_is_called_so() -> None:
     assert diagnosis.too_short == pytest.approx(2.0)
 
 
-def test_a_band_narrower_than_an_ordinary_loop_holds_is_called_so() -> None:
+def test_a_settling_band_narrower_than_an_ordinary_loop_reaches_is_diagnosed() -> None:
     """The paper's loop rests 0.08 px from its goal; noise of 1 px before a band of 1 px is the camera's fault."""
     scenario = hs.load_scenario("paper").updated({"metrics.band": 0.05})
     diagnosis = hs.diagnose(hs.simulate(scenario))
@@ -640,7 +640,7 @@ def test_a_band_narrower_than_an_ordinary_loop_holds_is_called_so() -> None:
     assert hs.diagnose(hs.simulate(noisy)).causes[0].cause == "pixel_noise"
 
 
-def test_a_brake_that_diverges_is_called_so() -> None:
+def test_a_brake_that_diverges_is_diagnosed() -> None:
     """Damping of more than 2 m over the servo period, 120 N s/m, makes each tick's speed larger than the one before."""
     scenario = hs.load_scenario("composite-30hz").updated(
         {"camera.dropout": 0.4, "camera.timeout": 0.07, "controller.safe": {"damping": 0.0, "hold": 0.0}}
@@ -668,7 +668,7 @@ def test_a_goal_out_of_reach_comes_before_everything_else() -> None:
     assert "nothing else matters" in diagnosis.section().sentences[0]
 
 
-def test_a_goal_image_that_no_pose_shows_is_called_so() -> None:
+def test_a_goal_image_of_no_pose_is_diagnosed() -> None:
     scenario = hs.load_scenario("paper")
     wrong = np.array([9.0, 0.0, 0.0, -9.0, -9.0, 0.0, 0.0, 9.0])  # [px]
     goal = np.asarray(scenario.target.desired_features) + wrong
@@ -700,14 +700,14 @@ def test_a_platform_that_never_moves_is_diagnosed() -> None:
     assert all(np.isfinite(finding.score) for finding in diagnosis.causes)
 
 
-def test_a_law_that_is_trapped_on_its_way_is_called_so() -> None:
-    """Half a turn about the optical axis, and a false equilibrium: another law gets there."""
+def test_a_false_equilibrium_on_the_way_is_diagnosed() -> None:
+    """A rotation by 180 degrees about the optical axis, and a false equilibrium: another law gets there."""
     for name in ("textbook-half-turn", "false-equilibrium"):
         diagnosis = hs.diagnose(hs.simulate(hs.load_scenario(name)))
         assert [finding.cause for finding in diagnosis.named] == ["false_equilibrium"], name
 
 
-def test_a_failure_that_nothing_explains_is_called_so_with_what_was_tried() -> None:
+def test_an_unexplained_failure_is_reported_with_the_causes_tried() -> None:
     """Three faults at once, each bad enough by itself: no removal cures, and no pair."""
     scenario = hs.load_scenario("fails-late-camera").updated(
         {"controller.jacobian": "printed", "actuators.bandwidth": 0.5, "controller.law": "kelly"}
@@ -727,7 +727,7 @@ def test_a_diagnosis_can_be_pickled() -> None:
     assert pickle.loads(pickle.dumps(diagnosis)).to_dict() == diagnosis.to_dict()
 
 
-def test_a_controller_of_ones_own_is_judged_by_its_looks() -> None:
+def test_a_custom_controller_is_diagnosed_from_the_recorded_signals_alone() -> None:
     scenario = hs.load_scenario("fails-saturation")
     tick = hs.Controller(scenario, period=scenario.simulation.step)
 
@@ -767,7 +767,7 @@ def test_each_page_has_its_headings(page: Path) -> None:
 
 
 def test_each_cause_has_a_page() -> None:
-    """The list of ranking.md links the page of every cause, and that page speaks of it."""
+    """The list of ranking.md links the page of every cause, and that page names it."""
     folder = ROOT / "docs" / "diagnosis"
     text = (folder / "ranking.md").read_text(encoding="utf-8")
     listed = dict(re.findall(r"^\| `(\w+)` \|.*\]\(([\w-]+\.md)\) \|$", text, re.MULTILINE))

@@ -189,7 +189,7 @@ def source_files() -> tuple[Path, ...]:
         file
         for folder in ("cpp", "python", "tests", "benchmarks")
         for file in sorted((ROOT / folder).rglob("*"))
-        if file.suffix in suffixes and file != Path(__file__).resolve()  # this file speaks of citations
+        if file.suffix in suffixes and file != Path(__file__).resolve()  # this file is about citations
     ]
     return (*files, *(ROOT / name for name in ("Makefile", "CMakeLists.txt", "CMakePresets.json", "pyproject.toml")))
 

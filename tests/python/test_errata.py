@@ -115,7 +115,7 @@ def test_erratum_2_kv_has_six_entries(paper: hs.Scenario) -> None:
     assert np.all(result.twist[1:].any(axis=0))
 
 
-# ---- 3: who knows the depth -----------------------------------------------------------------------------------------
+# ---- 3: whose depth it is -------------------------------------------------------------------------------------------
 
 
 def test_erratum_3_the_law_has_the_measured_depth_and_the_plant_the_true_one(paper: hs.Scenario) -> None:
@@ -357,7 +357,7 @@ def test_erratum_9_the_rule_table_is_a_key(paper: hs.Scenario) -> None:
 # ---- 10: one easy test case -----------------------------------------------------------------------------------------
 
 
-def test_erratum_10_the_image_hardly_shows_lateral_motion(paper: hs.Scenario) -> None:
+def test_erratum_10_lateral_motion_is_poorly_observable(paper: hs.Scenario) -> None:
     """Least squares with 0.1 px of noise: the covariance of the pose is (J^T J)^-1 (0.1 px)^2."""
     known = [(paper.target.initial_features, 1760, (21.0, 22.0)), (paper.target.desired_features, 3170, (38.0, 40.0))]
     for features, condition, lateral in known:

@@ -17,7 +17,7 @@ from test_docs import ROOT, cpp_tests, links_in, prose_of, python_tests, tables_
 SOURCES = ("findings/analysis", "findings/certificate", "findings/diagnosis", "report")  # packages of hexservo
 FOLDERS = ("analysis", "certificate", "diagnosis")  # of docs/: nothing but pages of quantities, and an index
 HEADINGS = ["What it is", "Formula", "Source", "Limits", "How it is tested"]
-SPECIFICATION = "docs/model.md"  # may be named too; it has headings and tests of its own
+SPECIFICATION = "docs/model.md"  # may be named too; it has its own headings and tests
 ITEMS = ("Table", "Curves", "HeatMap")
 
 
@@ -91,7 +91,7 @@ class _Pages(ast.NodeVisitor):
             case ast.Name(id=name) if name in self.constants:
                 self.pages.add(self.constants[name])
             case ast.Name(id=name) if any(name in names for names in self.parameters):
-                pass  # whoever calls this function names it
+                pass  # the caller names the file
             case ast.Attribute(attr="page"):
                 pass  # handed on from another item
             case _:
@@ -250,7 +250,7 @@ Here c is the whole [m].
 ## Source
 
 Textbooks have it.
-Nobody claims it.
+It is not claimed.
 
 ## Limits
 
@@ -357,7 +357,7 @@ def test_whatever_is_missing_is_found(tmp_path: Path, changed: dict[str, str], e
 
 
 def test_a_page_may_be_led_to_by_another_one(tmp_path: Path) -> None:
-    linking = replaced(PAGE, "Nobody claims it.", "It is half of [the other part](other.md).")
+    linking = replaced(PAGE, "It is not claimed.", "It is half of [the other part](other.md).")
     write_tree(tmp_path, linking | {INDEX: "# Index\n"})
     assert problems_of(tmp_path) == []
 

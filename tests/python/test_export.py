@@ -66,7 +66,7 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
 
     initial = about(30, 18, 65, -65, -44, 37, -10, -15)
     goal = about(10, 10, 45, -73, -64, 29, -30, -23)
-    if law == "pbvs":  # which wants a goal that a pose has: next to a rotation, whatever the depths
+    if law == "pbvs":  # which needs the image of a pose as its goal: next to a rotation, whatever the depths
         goal = [value + shift for value, shift in zip(initial, about(-20, -8) * 4, strict=True)]
     (radius, mass, stroke, limit, focal, scale, width, bell, slope) = about(0.1, 0.06, 0.02, 2, 0.01, 7e4, 0.02, 0.2, 3)
     return paper.updated(

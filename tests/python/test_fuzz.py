@@ -45,7 +45,7 @@ def test_a_campaign_finds_nothing(name: str, tmp_path: Path) -> None:
 
 
 def test_writing_is_killed_at_any_moment(tmp_path: Path) -> None:
-    """In a process of its own, which may fork: whatever the moment, old or new stands there, whole."""
+    """In a separate process, which may fork: whatever the moment, old or new stands there, whole."""
     done = subprocess.run(
         [sys.executable, "-m", "fuzz.places", str(tmp_path), str(SEED), "100", "60"],
         cwd=Path(__file__).parent,

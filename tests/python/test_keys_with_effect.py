@@ -53,7 +53,7 @@ SAMPLED: dict[str, Any] = {
     "controller.safe.damping": 1.0,
     "controller.safe.hold": 10.0,
 }
-# In continuous mode: what is for people, or speaks of another key, or is a gain that `others` sees.
+# In continuous mode: what is for people, or is about another key, or is a gain that `others` sees.
 FOR_PEOPLE = {"name", "description", "simulation.log_every"}
 TOGETHER = {"base_motion.samples": {"base_motion.sample_period": 0.01}, "base_motion.sample_period": {}}
 SENTENCE = "no effect in continuous mode; set simulation.mode: sampled, or drop"

@@ -97,7 +97,7 @@ def test_smooth_check(paper: hs.Scenario) -> None:
         ("computed_torque", "paper-gravity", 0.184, 0.1747, 0.217),
     ],
 )
-def test_laws_to_compare_with(law: str, scenario: str, settling: float, final: float, force: float) -> None:
+def test_laws_of_the_literature(law: str, scenario: str, settling: float, final: float, force: float) -> None:
     """Smooth right-hand sides, of which each printed digit is that of the equation: half of the last one is allowed."""
     changes: dict[str, object] = {"controller.law": law}
     if law == "pbvs, image alone":

@@ -148,7 +148,7 @@ def test_lengths_and_wrench_map_at_random_poses(robot: _core.RobotParameters, se
     np.testing.assert_allclose(hexapod.wrench_map(position, quaternion), rates.T, rtol=0, atol=rounding)
 
 
-def test_a_motor_pushes(robot: _core.RobotParameters) -> None:
+def test_a_positive_leg_force_acts_as_its_column_of_h(robot: _core.RobotParameters) -> None:
     """The sign that all of the above relies on: one unit of actuator force accelerates as one column of H."""
     hexapod = _core.Hexapod(robot)
     model = mujoco_model(robot, 1e-3)

@@ -79,7 +79,7 @@ def assert_whole(folder: Path) -> None:
 
 @contextmanager
 def refused_and_kept(place: Path, *words: str) -> Iterator[None]:
-    """Expect a refusal with these words, and everything below a place as it was, without leftovers."""
+    """Expect a refusal with these words, and everything below a place unchanged, without leftovers."""
     before = contents(place)
     with pytest.raises(OutputError) as caught:
         yield
@@ -184,7 +184,7 @@ def test_the_longest_name_there_is(result: hs.Result, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("force", [False, True])
-def test_a_folder_of_somebody_else_is_kept(result: hs.Result, tmp_path: Path, force: bool) -> None:
+def test_a_folder_with_foreign_files_is_kept(result: hs.Result, tmp_path: Path, force: bool) -> None:
     folder = tmp_path / "thesis"
     folder.mkdir()
     (folder / "chapter.tex").write_text("years of work")
@@ -271,7 +271,7 @@ def test_force_keeps_what_a_user_made_among_the_results(
         write_results(result, folder, force=True)
 
 
-def test_many_strangers_are_told_in_one_line(result: hs.Result, tmp_path: Path) -> None:
+def test_many_foreign_files_are_reported_in_one_line(result: hs.Result, tmp_path: Path) -> None:
     folder = write_results(result, tmp_path / "out")
     for number in range(12):
         (folder / f"\n{number:02}").touch()
@@ -626,7 +626,9 @@ def test_a_folder_that_appears_while_we_write(
 
 
 @pytest.mark.parametrize("force", [False, True])
-def test_two_at_once(result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: bool) -> None:
+def test_of_two_writers_the_first_wins_and_with_force_the_last(
+    result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: bool
+) -> None:
     """Both have written their files when the first of them renames: one wins without force, the last one with it."""
     folder = tmp_path / "out"
     runs = [hs.simulate(result.scenario.updated({"name": name})) for name in ("one", "two")]
@@ -657,7 +659,7 @@ def test_two_at_once(result: hs.Result, tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("force", [False, True])
-def test_nobody_renames_while_another_does(
+def test_one_writer_at_a_time_renames(
     result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: bool
 ) -> None:
     folder = tmp_path / "out"

@@ -35,7 +35,7 @@ def upward(found: list[Import]) -> list[str]:
 
 
 def test_imports_go_downwards() -> None:
-    """Also those within functions, and those for type checkers: whoever reads an annotation looks its class up."""
+    """Also those within functions, and those for type checkers: a reader of an annotation looks its class up."""
     assert upward(IMPORTS) == []
     assert upward([Import("run.batch", "draw.batch", "batch_figure", 1)]), "the check finds nothing"
 

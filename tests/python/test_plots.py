@@ -137,7 +137,7 @@ def test_rule_table_shows_terms_and_numbers() -> None:
     assert bar.get_ylim() == (-3, 3)
     composite = plots.rule_table(scenario.updated({"controller.law": "composite"}))
     assert "u, the scaled pose error [1]" in labels(composite)
-    assert np.asarray(composite.axes[0].images[0].get_array()).min() == -1  # the table of its own block
+    assert np.asarray(composite.axes[0].images[0].get_array()).min() == -1  # the table of that law's block
 
 
 def test_rule_table_has_symmetric_limits_of_at_least_one() -> None:
@@ -280,7 +280,7 @@ def test_a_run_that_did_not_complete_says_so(draw: Callable[[hs.Result], Figure]
 
 
 def test_figures_are_drawn_into_axes_of_the_caller(result: hs.Result) -> None:
-    """With the same samples as in a figure of their own, the caller's axes returned, and nothing else added."""
+    """With the same samples as in separate figures, the caller's axes returned, and nothing else added."""
     home = np.asarray(result.scenario.robot.home_position)
     figure = Figure(figsize=(9, 12), layout="constrained")
     (errors, paths), (upper, lower), (first, second), (third, fourth) = figure.subplots(4, 2)
@@ -566,7 +566,9 @@ def test_files_have_ordinary_permissions(paper: hs.Result, tmp_path: Path) -> No
     ],
     ids=["a file", "below a file", "a null character", "a long name"],
 )
-def test_an_unusable_folder_is_refused_in_words(make: Callable[[Path], Path], paper: hs.Result, tmp_path: Path) -> None:
+def test_an_unusable_folder_is_refused_with_a_message(
+    make: Callable[[Path], Path], paper: hs.Result, tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("kept")
     with pytest.raises(
         ValueError, match=r"^folder: expected a writable folder, or one that can be created, got .*\(.+\)$"

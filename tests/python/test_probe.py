@@ -152,7 +152,7 @@ def test_the_law_is_that_of_a_servo_tick(paper: hs.Scenario, law: str, kind: str
     assert (given.error_memberships is None) == (law not in FUZZY_LAWS)
 
 
-def test_pbvs_believes_in_the_points_of_the_run(paper: hs.Scenario) -> None:
+def test_pbvs_uses_the_target_points_of_the_run(paper: hs.Scenario) -> None:
     """The wrench of a run with errors of depth, from its samples."""
     scenario = paper.updated({"controller.law": "pbvs", "simulation.duration": 0.3})
     result = hs.simulate(scenario)

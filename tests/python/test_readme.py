@@ -140,7 +140,7 @@ def test_the_examples_of_comparisons_run(tmp_path: Path) -> None:
     assert (tmp_path / "comparison.png").stat().st_size > 0
 
 
-def test_the_example_of_what_is_known_runs(tmp_path: Path) -> None:
+def test_the_example_of_a_full_report_runs(tmp_path: Path) -> None:
     (example,) = (example for example in examples(README) if "diagnose(" in example)
     cause, remedy, conditioning, stiction, *certified = output_of(example, tmp_path).splitlines()
     assert cause == "latency or rate of the camera"

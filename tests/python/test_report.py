@@ -83,7 +83,7 @@ def result() -> hs.Result:
 
 @pytest.fixture(scope="module")
 def text(result: hs.Result) -> str:
-    """The page of a run with made-up findings: whatever analyses there are, they have tests of their own."""
+    """The page of a run with made-up findings: analyses are tested elsewhere."""
     with pytest.MonkeyPatch.context() as patch:
         groups = [
             Group(Source("certify", "Certificate", False, "What it is.", hs.certify), made_up_sections()),
@@ -185,7 +185,7 @@ def test_the_summary_of_other_runs(changes: dict[str, Any], expected: list[str])
         assert part in words
 
 
-def test_a_function_of_ones_own_is_named() -> None:
+def test_a_custom_controller_is_named() -> None:
     scenario = hs.load_scenario("paper").updated({"simulation.mode": "sampled", "simulation.duration": 0.01})
     run = hs.simulate(scenario, controller=lambda observation: np.array([0, 0, -0.588, 0, 0, 0]))
     assert "controlled by the function" in summary_sentences(run)[0]
@@ -256,7 +256,7 @@ def test_lines_of_findings_are_thinned_as_their_axis_shows_them() -> None:
     np.testing.assert_allclose(mixed, [1, 1e-4, 0], atol=1e-7)
 
 
-def test_charts_are_as_the_library_wants_them(text: str) -> None:
+def test_charts_match_the_schema_of_the_library(text: str) -> None:
     """Every name and value is known to plotly's own description of charts."""
     import plotly.graph_objects as go
 
@@ -308,7 +308,7 @@ def test_the_chart_of_the_image_has_its_shape_and_its_border() -> None:
 # ---- Pages of the documentation -------------------------------------------------------------------------------------
 
 
-def test_what_explains_something_is_in_the_report(text: str) -> None:
+def test_every_explanation_is_a_link_within_the_report(text: str) -> None:
     """Every "Explained in" is a link, and every link of the page leads to an element of it."""
     explained = re.findall(r"Explained in (<a href=\"#[^\"]+\"><code>[^<]+</code></a>|<code>)", text)
     assert len(explained) == 3
@@ -401,7 +401,7 @@ def test_numbers_below_a_million_have_no_exponent() -> None:
     assert joules(78.8, 3, "W") == "78.8 W"
 
 
-def test_the_summary_says_the_worst_first(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
+def test_the_summary_begins_with_the_worst_finding(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
     verdicts: tuple[Literal["open", "good", "bad", "warning"], ...] = ("open", "good", "bad", "warning", "bad")
     sections = [Section(f"s{place}", f"Title {place}", ["Words."], verdict=v) for place, v in enumerate(verdicts)]
     found = [
@@ -431,7 +431,7 @@ def test_a_limit_that_is_far_exceeded_is_a_multiple(result: hs.Result) -> None:
 
 @pytest.mark.parametrize("name", ["paper", "task-general"])
 def test_the_scene_is_where_the_core_puts_it(name: str) -> None:
-    """Legs have the run's lengths, and the core's camera sees targets and drawn image exactly where features are."""
+    """Legs have the run's lengths, and targets and drawn image are exactly where the core's camera has the features."""
     result = hs.simulate(hs.load_scenario(name))
     view = scene(result)
     settings = core_parameters(result.scenario)
@@ -675,7 +675,7 @@ def test_the_slider_moves_the_machine_and_the_button_plays(visit: Callable[..., 
     until(shown, "document.getElementById('readout').textContent.startsWith('t = 0.000 s')")
     give_up = time.monotonic() + PATIENCE
     while (np.abs(pixels(shown) - end).max(axis=-1) > 0.1).sum() <= 20:
-        assert time.monotonic() < give_up, "the picture stays as it was"
+        assert time.monotonic() < give_up, "the picture does not change"
     assert "largest feature error 20.0 px" in shown.locator("#readout").inner_text()
     shown.keyboard.press("ArrowRight")
     until(shown, "document.getElementById('instant').getAttribute('aria-valuetext') !== 't = 0.000 s'")
@@ -745,7 +745,7 @@ def test_on_a_phone_no_names_overlap_and_no_columns_are_empty(browser: Browser, 
         assert seen.page.evaluate(EMPTY) == []
         assert seen.page.locator(".stacked").count() > 3
         tall = "[...document.querySelectorAll('main figure.table tr')].map(row => row.getBoundingClientRect().height)"
-        assert max(seen.page.evaluate(tall)) < 600  # was a screen and more of nothing beside one column of words
+        assert max(seen.page.evaluate(tall)) < 600  # was more than one empty screen beside one column of words
         link = seen.page.locator("p.page a").first
         target = link.get_attribute("href")
         link.click()

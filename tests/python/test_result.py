@@ -158,7 +158,7 @@ def test_simulate_takes_a_scenario_only(paper: hs.Scenario) -> None:
 # ---- Metrics and events ---------------------------------------------------------------------------------------------
 
 
-def test_metrics_are_named_and_ones_own(result: hs.Result) -> None:
+def test_metrics_are_named_and_a_copy(result: hs.Result) -> None:
     metrics = hs.metrics(result)
     assert set(metrics) == set(hs.METRICS)
     assert all(isinstance(value, float) for value in metrics.values())

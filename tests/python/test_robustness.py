@@ -339,7 +339,7 @@ class _SomethingElseError(Exception):
     pass
 
 
-def test_what_other_signal_handlers_raise_goes_to_the_caller() -> None:
+def test_exceptions_of_other_signal_handlers_reach_the_caller() -> None:
     def raises(number: int, frame: FrameType | None) -> None:
         raise _SomethingElseError
 

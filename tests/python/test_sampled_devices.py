@@ -138,8 +138,8 @@ def test_a_recording_that_is_wrong_is_refused_with_its_line(
     assert sentence in message
 
 
-def test_what_is_no_recording_is_not_repeated(nominal: hs.Scenario, tmp_path: Path) -> None:
-    """A path that somebody else wrote into a scenario must not show what the user's files hold."""
+def test_the_content_of_other_files_is_not_printed(nominal: hs.Scenario, tmp_path: Path) -> None:
+    """A path in a scenario of another author must not print the content of the user's files."""
     file = tmp_path / "key"
     secrets = ("password,hunter2", "root:x:0:0", "a,b,c,d\n1,2,3,4", "t,ax,ay,az\n0,0,0,hunter2", "\xfftoken")
     for text in secrets:

@@ -139,7 +139,7 @@ def test_events_are_there_in_sentences_and_as_numbers(limited: hs.Result, conten
 
 
 def test_other_readers_open_the_file(limited: hs.Result, tmp_path: Path) -> None:
-    """The two lines after its end do not disturb HDF5, and say what they are to whoever looks (`tail -n 2`)."""
+    """The two lines after its end do not disturb HDF5, and describe themselves (`tail -n 2`)."""
     path = saved(tmp_path, limited)
     for engine in (None, "h5netcdf"):
         with xarray.open_dataset(path, engine=engine) as dataset:

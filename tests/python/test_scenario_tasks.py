@@ -1,4 +1,4 @@
-"""The packaged tasks: their goals are what the camera sees from the goal pose, and their outcomes are as documented.
+"""The packaged tasks: their goals are images from the goal pose, and their outcomes are as documented.
 
 Tolerances come from runs with half and with twice the step: times agree within 2 ms (the coarsest grid), residuals
 within 0.02 px, excursions within 1e-3 of themselves (docs/compare.md, section 4).
@@ -121,7 +121,7 @@ def test_the_camera_retreats_from_half_a_turn() -> None:
 
 @pytest.mark.parametrize("height", [0.05, 0.15, 0.6])
 def test_every_half_turn_about_the_common_axis_passes_a_singular_pose(height: float) -> None:
-    """det H changes its sign with half a turn, and vanishes on the way, wherever on their circles the joints are."""
+    """det H changes its sign over 180 degrees, and vanishes on the way, wherever on their circles the joints are."""
     random = np.random.default_rng(8301)
     for _ in range(20):
         robot = _core.robot_preset("micro")

@@ -51,7 +51,7 @@ def test_commands_on_every_packaged_scenario(name: str) -> None:
     for arguments in (["show", name], ["check", name], ["run", name, *SHORT], ["certify", name, *SHORT]):
         _, out, error = invoke(*arguments)
         (out + error).encode("latin-1")
-        if arguments[0] != "show":  # YAML has numbers of its own
+        if arguments[0] != "show":  # YAML has its own number format
             assert_fit_for_a_terminal(error + out)
 
 

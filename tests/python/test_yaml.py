@@ -179,7 +179,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     cases: list[tuple[str | Path, str]] = [
         (tmp_path / "absent.yaml", "cannot be read: No such file"),
         (tmp_path, "expected a regular file"),
-        (pipe, "expected a regular file"),  # and nobody waits for a writer
+        (pipe, "expected a regular file"),  # and reading does not wait for a writer
         ("/dev/zero", "expected a regular file"),
         ("a\0b", "cannot be read: embedded null"),
         (latin / "below", "cannot be read: Not a directory"),

@@ -1,7 +1,7 @@
-// One fuzzy system of 49 rules in fuzzylite, as a program of its own: nothing of hexservo is linked with it.
+// One fuzzy system of 49 rules in fuzzylite, as a separate program: nothing of hexservo is linked with it.
 //
 // Two inputs with seven bells each, product for "and", constants weighted by their rule's strength (Takagi-Sugeno of
-// order zero, weighted average). Every rule has a constant of its own, because the adaptation gives each its own
+// order zero, weighted average). Every rule has its own constant, because the adaptation gives each its own
 // weight. The engine is built once; setting the inputs, `Engine::process` and reading the output are timed.
 //
 // parameters: width and slope of the bells, 49 weights, row by row (row: term of u); row: u, u-dot; answer: the output

@@ -1,4 +1,4 @@
-// The image-based law of ViSP for four points, as a program of its own: nothing of hexservo is linked with it.
+// The image-based law of ViSP for four points, as a separate program: nothing of hexservo is linked with it.
 //
 //   law jacobian   interaction matrix of the four points and feature error; answer: L (8 x 6) row by row, s - s* (8)
 //   law velocity   `vpServo::computeControlLaw`, v = -lambda pinv(L) (s - s*); answer: v (6)

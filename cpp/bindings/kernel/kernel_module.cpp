@@ -17,7 +17,7 @@ PyMODINIT_FUNC INIT_FUNCTION(HEXSERVO_KERNEL_MODULE)() {
   definition.m_size = -1;
   PyObject* module = PyModule_Create(&definition);
   if (module == nullptr) return nullptr;
-  // A capsule holds a pointer that may be written through; nobody does.
+  // A capsule takes a pointer to non-const; nothing writes through it.
   auto* table = const_cast<hexservo::Kernel*>(&hexservo::built_in_kernel());
   PyObject* capsule = PyCapsule_New(table, hexservo::kKernelCapsule, nullptr);
   if (capsule == nullptr || PyModule_AddObject(module, "kernel", capsule) != 0) {

@@ -2,7 +2,7 @@
 /// Actuators of the sampled loop: from the wrench that the law commands at a tick to what acts on the platform until
 /// the next one (docs/model.md, section 7).
 ///
-///     f = H^-1 tau          leg forces, H as the controller knows it
+///     f = H^-1 tau          leg forces, H at the controller's pose
 ///     f <- nearest multiple of the quantisation, then clip(f, -limit, limit)
 ///     f <- the f of `delay` ticks before; before the first one the forces that hold the platform at rest
 ///     f <- mean over the tick of the output of a first-order lag: y-dot = 2 pi bandwidth (f - y)
@@ -77,7 +77,7 @@ class Actuators {
 
   /// One tick.
   /// @param wrench as commanded, in B [N; N m]
-  /// @param leg_forces H^-1 wrench with H at the pose that the controller knows [N]
+  /// @param leg_forces H^-1 wrench with H at the controller's pose [N]
   /// @param legs at the true pose of the tick
   Actuation<S> step(const Vector6<S>& wrench, const Vector6<S>& leg_forces, const Legs<S>& legs) noexcept {
     using std::abs;

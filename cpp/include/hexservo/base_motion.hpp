@@ -1,5 +1,5 @@
 /// @file
-/// Motion of the base, as of a vehicle: linear acceleration of the frame B, of which the controller knows nothing
+/// Motion of the base, as of a vehicle: linear acceleration of the frame B, unknown to the controller
 /// (docs/model.md, section 7).
 ///
 /// B stays the frame of all quantities; it is then no longer inertial, and the inertial force -(1 - delta_D) m a acts
@@ -8,8 +8,8 @@
 ///
 ///     sinusoid  a = amplitude sin(2 pi frequency t + phase)
 ///     recorded  linear between samples at 0, dt, 2 dt, ...; 0 after the last one
-///     noise     a_x = sum_k sqrt(2 S df) sin(2 pi (f_k t + p_k)), k = 1 ... K, each axis with phases p_k and
-///               frequencies f_k of its own, f_k anywhere in the k-th of K cells of width df = (f_high - f_low)/K
+///     noise     a_x = sum_k sqrt(2 S df) sin(2 pi (f_k t + p_k)), k = 1 ... K, each axis with its own
+///               phases p_k and frequencies f_k, f_k anywhere in the k-th of K cells of width df = (f_high - f_low)/K
 ///
 /// Each wave of the noise carries S df of variance, the share of its cell in a one-sided power spectral density S: the
 /// variance of an axis is S (f_high - f_low), and its expected spectrum is S from f_low to f_high and 0 elsewhere.

@@ -46,7 +46,7 @@ struct BatchOptions {
   BatchLog log = BatchLog::last_sample;
   int threads = 1;
   std::function<bool()> stop_requested;                ///< asked every 50 ms by the calling thread; true ends the batch
-  std::function<void(const BatchProgress&)> progress;  ///< told every 50 ms, and at the end, by the calling thread
+  std::function<void(const BatchProgress&)> progress;  ///< called every 50 ms, and at the end, by the calling thread
 };
 
 /// What a batch gives back; the scenario is the first axis of everything but `metrics` and `time`.

@@ -80,7 +80,7 @@ using PointVector = SideBySide<S, N>;
 /// What the camera at a pose sees of points fixed in B: P_i = R^T (P_i^B - x_p), then (4).
 /// @param points_B of N points [m]
 /// @param image filled in
-/// @param inverse_depth 1/Z_i [1/m], which falls off on the way; filled in
+/// @param inverse_depth 1/Z_i [1/m], a by-product; filled in
 template <class S, int N>
 [[gnu::always_inline]] inline void take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
                                               const Vectors3<S, N>& points_B, Image<S, N>& image,
@@ -209,7 +209,7 @@ class ImageJacobian {
     return J;
   }
 
-  /// J^T J, 6 x 6: what the image tells of a displacement in B [px^2/m^2 ... px^2/rad^2]; J is not formed.
+  /// J^T J, 6 x 6: information in the image about a displacement in B [px^2/m^2 ... px^2/rad^2]; J is not formed.
   Matrix6<S> normal_matrix() const {
     Matrix6<S> sum = Matrix6<S>::Zero();
     for (int i = 0; i < N; ++i) {
@@ -246,7 +246,7 @@ class ImageJacobian {
   const Matrix3<S>& R_BE_;
 };
 
-/// The depths that the controller knows, Z-hat_i = (1 + delta_Z,i) Z_i (docs/model.md, section 4) [m].
+/// The controller's depth estimates, Z-hat_i = (1 + delta_Z,i) Z_i (docs/model.md, section 4) [m].
 template <class S, int N>
 Image<S, N> measured_image(const Image<S, N>& image, const Vector<S, N>& depth_error) {
   return {image.features, image.depth + depth_error.cwiseProduct(image.depth)};

@@ -11,7 +11,7 @@
 
 namespace hexservo {
 
-/// How the controller knows pose and twist, in `sampled` mode.
+/// Source of the controller's pose and twist, in `sampled` mode.
 enum class PoseSource {
   truth,    ///< both are measured directly at every tick, in simulation exactly
   encoders  ///< from the lengths of the legs

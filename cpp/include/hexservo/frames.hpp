@@ -39,7 +39,7 @@ struct FrameSettings {
   LostFeature on_lost = LostFeature::hold;
   S timeout = S(std::numeric_limits<double>::infinity());  ///< oldest image of a point that is used [ticks]
   S noise{0.0};                ///< standard deviation of each coordinate, independent of the others [px], 0
-  S quantisation{0.0};         ///< coordinates are multiples of it [px], 0: of nothing
+  S quantisation{0.0};         ///< coordinates are multiples of it [px], 0: none
   S dropout{0.0};              ///< probability that a frame never arrives [1], 0
   S outlier_probability{0.0};  ///< that a point of a frame is an outlier [1], 0
   S outlier_size{0.0};         ///< standard deviation of what is added to the noisy coordinates of an outlier [px], 0

@@ -51,7 +51,7 @@ struct FuzzyGains {
   double bell_slope = 2.0;                                    ///< s, exponent 2s of the bells [1], 2
   Vector6<S> leakage = Vector6<S>::Zero();                    ///< sigma_j [1/s], 0: no weight is forgotten
   Vector6<S> weight_limit = no_limit<S>();                    ///< largest |omega_j| [N; N m], infinite: none
-  Vector6<S> dead_zone = Vector6<S>::Zero();                  ///< drivers within +- this teach nothing [m/s; rad/s], 0
+  Vector6<S> dead_zone = Vector6<S>::Zero();                  ///< drivers within +- this have no effect [m/s; rad/s], 0
 
   template <class F, class A, class B>
   static void visit(F&& f, A& a, B& b) {
@@ -306,7 +306,7 @@ void advance_rows(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<S>*
                   const std::array<RegisterOf<S>, K>& factor, std::size_t r) {
   using R = RegisterOf<S>;
   std::array<std::array<R, rows>, K> left;
-  std::array<const FuzzyBasis<S>*, K> basis;  // read once: for all the compiler knows, a weight may lie over a pointer
+  std::array<const FuzzyBasis<S>*, K> basis;  // read once: the compiler must assume that a weight may alias a pointer
 #pragma GCC unroll 4
   for (std::size_t k = 0; k < K; ++k) {
     basis[k] = &rates[k]->basis;

@@ -38,7 +38,7 @@ struct RobotParameters {
   double force_limit = 1.0;                                 ///< of each leg, each way [N], 1
 };
 
-/// Names that `robot_preset` knows.
+/// Names that `robot_preset` accepts.
 inline constexpr std::array<std::string_view, 2> kRobotPresets = {"micro", "cubic"};
 
 /// `micro` (the paper's radii) or `cubic` (neighbouring legs orthogonal), docs/model.md, section 2.
@@ -315,7 +315,7 @@ ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6
   return result;
 }
 
-/// In words, for one robot.
+/// Status of the forward kinematics of one robot.
 inline KinematicsStatus status(const ForwardKinematics<double>& result) {
   if (result.converged) return KinematicsStatus::converged;
   return result.singular ? KinematicsStatus::singular : KinematicsStatus::not_converged;

@@ -37,7 +37,7 @@ struct LoopParameters {
   Image<S, N> initial_image;          ///< seen from home [px; m]
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
   Vector<S, N> depth_error;           ///< delta_Z,i [1]
-  Pose<S> goal;                       ///< where the believed points give xi_d; home for laws that do not ask
+  Pose<S> goal;                       ///< where the assumed points give xi_d; home for laws that do not use it
   Switching<S> switching;
   typename Law::template Gains<S> gains;
   LoopMode mode = LoopMode::continuous;
@@ -84,7 +84,7 @@ struct LoopParameters {
   }
 };
 
-/// What the law of a loop knows of its task.
+/// The task of a loop's law: estimates, goal and reference.
 template <class S, class Law, int N>
 ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
   const S f = p.camera.focal_pixels();

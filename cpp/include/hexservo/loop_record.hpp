@@ -10,7 +10,7 @@
 
 namespace hexservo {
 
-/// The books of a run (`S = double`) or of a pack.
+/// Record of a run (`S = double`) or of a pack.
 template <class S, int N = kPoints>
 class LoopRecord {
  public:

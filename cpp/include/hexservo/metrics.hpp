@@ -67,7 +67,7 @@ struct Metrics {
   S peak_leg_force{0.0};       ///< max |f_c,i| [N]
   S peak_leg_excursion{0.0};   ///< max |l_i - home length| [m]
   S overshoot{0.0};            ///< max excursion of a xi_i beyond its goal, seen from its start [px]
-  S relative_overshoot{0.0};   ///< the same, each in parts of its own |xi-tilde_i(0)| [1]
+  S relative_overshoot{0.0};   ///< the same, each relative to |xi-tilde_i(0)| [1]
   S peak_feature_distance{0.0};  ///< max distance of a feature from the image centre [px]
   S peak_line_deviation{0.0};    ///< max distance of a feature from the line through its start and goal [px]
   S effort{0.0};                 ///< integral of |w|^2, w = tau - G with moments divided by the platform radius [N^2 s]
@@ -97,7 +97,7 @@ struct Metrics {
 };
 
 namespace detail {
-/// How books take over numbers where every lane runs and each number is finite: there is nothing to choose.
+/// Accumulation of metrics where every lane runs and each number is finite: no selection by lane.
 struct TakeAll {
   template <class S>
   S keep(const S& /*old*/, const S& next) const {

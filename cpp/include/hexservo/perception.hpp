@@ -1,5 +1,5 @@
 /// @file
-/// What a controller knows at a tick: the image that its law uses, the pose and the twist of the platform, and whether
+/// Input of a controller at a tick: the image that its law uses, the pose and the twist of the platform, and whether
 /// it may act on them (docs/model.md, section 7).
 ///
 /// Frames arrive late, out of order and with points missing; each point keeps the newest image in which it was seen,
@@ -268,7 +268,7 @@ class Perception {
     const Frame<S, N>& frame = input.frame;
     const Mask<S> arrived = now_.usable & (frame.exposure >= now_.newest);  // not where there is none
     if (!any(arrived)) return;
-    Mask<S> good = frame.exposure <= S(input.now + kTickTolerance);  // one from the future tells of a wrong clock
+    Mask<S> good = frame.exposure <= S(input.now + kTickTolerance);  // one from the future means a wrong clock
     std::array<Mask<S>, static_cast<std::size_t>(N)> shown;
     for (int i = 0; i < N; ++i) {
       const S &x = frame.image.features(2 * i), &y = frame.image.features(2 * i + 1), &depth = frame.image.depth(i);

@@ -72,7 +72,7 @@ class Probe {
   /// omega(0); of no meaning without fuzzy systems [N; N m].
   const FuzzyWeights<double>& initial_weights() const noexcept;
 
-  /// What the camera sees of the target, (4).
+  /// Image of the target, (4).
   /// @param features n x 8 [px]; NaN for a point that is not in front of the camera
   /// @param depth n x 4, true Z_i [m]
   /// @throws std::invalid_argument also for a camera `as_printed`, which has no points

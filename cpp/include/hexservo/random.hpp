@@ -2,7 +2,7 @@
 /// Counter-based random numbers: Philox 4x32-10 (Salmon, Moraes, Dror, Shaw: "Parallel random numbers: as easy as 1, 2,
 /// 3", SC 2011; docs/model.md, section 7).
 ///
-/// A number is a function of (seed, source, event, component) and of nothing else: no state is carried along, so that
+/// A number is a function of (seed, source, event, component) alone: no state is carried along, so that
 /// more draws of one source change no other source, and neither the lane nor the thread that asks changes a bit. Every
 /// sum below is one of whole numbers, so that a fused multiply-add cannot change a bit either.
 #pragma once

@@ -13,7 +13,7 @@
 
 namespace hexservo {
 
-/// Mass properties of the platform with its camera, as the controller believes them to be.
+/// Mass properties of the platform with its camera, as the controller assumes them.
 template <class S>
 struct RigidBody {
   S mass{0.06};                                                            ///< platform mass [kg], 0.06 (paper)

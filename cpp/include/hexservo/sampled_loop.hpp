@@ -169,7 +169,7 @@ class CommandedPlant {
     state_.perception.update(gains_, plant_.sense());
   }
 
-  /// What a controller knows at this tick.
+  /// Input of a controller at this tick.
   const Perceived<S, N>& observe() const noexcept { return state_.perception.now(); }
 
   /// Commands a wrench in B [N; N m]; where a controller may not act the safe output takes its place.

@@ -219,7 +219,7 @@ Mask<S> is_finite(const SideBySide<S, K>& numbers) {
     return all(sum == sum);
 }
 
-/// Entry by entry, where lanes have conditions of their own.
+/// Entry by entry, where each lane has its own condition.
 template <int W, int K>
 SideBySide<Lanes<W>, K> select(LaneMask<W> condition, const SideBySide<Lanes<W>, K>& yes,
                                const SideBySide<Lanes<W>, K>& no) {

@@ -32,7 +32,7 @@ using Column = std::span<double>;
 /// Logged samples of a run, row after row: `time` has n entries, a k-wide quantity n k. All columns lie in one block.
 ///
 /// A sample is judged with the weights that belong to it: where a leg limit, a singular pose, sensors without a pose or
-/// a wrench that is not finite end a run, `fuzzy_weights` have advanced once more than the last row.
+/// a wrench that is not finite end a run, `fuzzy_weights` are one step ahead of the last row.
 struct Trajectory {
   Buffer block;
   Column time;                         ///< [s]

@@ -1,6 +1,6 @@
 /// @file
-/// What the controller believes of the target: where its points are in B, the pose that four features tell, and the
-/// pose of the goal (docs/model.md, section 5).
+/// The controller's target model: where its points are in B, the pose estimated from four features, and the pose of
+/// the goal (docs/model.md, section 5).
 #pragma once
 
 #include "hexservo/camera.hpp"
@@ -19,7 +19,7 @@ struct TargetModel {
   Vector<S, N> goal_inverse_depth;  ///< 1/Z of P-hat_i seen from `goal` [1/m]
 };
 
-/// P-hat_i: the image from home, lifted with the depths that the controller knows, (1 + delta_Z,i) Z_i, 3xN in B [m].
+/// P-hat_i: the image from home, lifted with the controller's depth estimates, (1 + delta_Z,i) Z_i, 3xN in B [m].
 template <class S, int N>
 Eigen::Matrix<S, 3, N> believed_points(const S& f, const Pose<S>& home, const Image<S, N>& seen_from_home,
                                        const Vector<S, N>& depth_error) {
@@ -80,7 +80,7 @@ struct PosePrior {
   }
 };
 
-/// What the camera sees from a pose, and how far that is from the image and from the prior.
+/// Image predicted at a pose, and its distance from the measured image and from the prior.
 template <class S, int N>
 struct PoseFit {
   Pose<S> pose;                ///< in B; quaternion of unit length
@@ -275,7 +275,7 @@ Pose<S> mirrored_pose(const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pos
   return mirrored;
 }
 
-/// Pose that an image tells.
+/// Pose estimated from an image.
 template <class S>
 struct PoseEstimate {
   Pose<S> pose;        ///< in B; quaternion of unit length
@@ -326,7 +326,7 @@ PoseEstimate<S> estimate_pose(const S& f, const Eigen::Matrix<S, 3, N>& points_B
 /// The goal is refused where no pose gives the desired features within this, in every coordinate [px].
 inline constexpr double kGoalResidual = 1.0;
 
-/// Pose where the believed points give the desired features, in the least squares.
+/// Pose where the assumed points give the desired features, in the least squares.
 ///
 /// `fit_pose` searches from home, from home turned about the optical axis, moved along it and tilted, and from the
 /// mirror image of each pose that it finds. Of minima whose squared residual is within four times the smallest one, or

@@ -34,7 +34,7 @@ struct TickTimes {
   long long invalid = 0;                ///< ticks that refused their input
   bool reproduced = true;               ///< every complete replay gave the same outputs, bit for bit
   double wrench_difference = 0.0;       ///< largest, between a tick and the run that was recorded [N; N m]
-  std::string scheduling;               ///< what the system granted, in words
+  std::string scheduling;               ///< what the system granted, as text
   std::string memory;                   ///< likewise
   bool interrupted = false;             ///< stopped on request
 };

@@ -8,7 +8,7 @@
 
 namespace hexservo {
 
-/// Attitude, and what the camera sees there.
+/// Attitude, and the image there.
 template <class S, int N = kPoints>
 struct View {
   View() = default;
@@ -20,7 +20,7 @@ struct View {
   Vector<S, N> inverse_depth;  ///< [1/m]
 };
 
-/// Where the platform is and how it moves, with what the camera sees of it.
+/// Where the platform is and how it moves, with the image of the target.
 template <class S, int N = kPoints>
 struct WorldState {
   BodyMotion<S> body;
@@ -145,7 +145,7 @@ class World {
  private:
   bool printed_camera() const noexcept { return convention_ == CameraConvention::as_printed; }
 
-  /// Fills in what the camera sees; in place, since a copy would be waited for.
+  /// Fills in the image; in place, since a copy would be waited for.
   [[gnu::always_inline]] inline void look(const BodyMotion<S>& body, View<S, N>& view) const noexcept {
     view.R_BE = rotation_matrix(quaternion_of(body));
     take_image(focal_pixels_, position_of(body), view.R_BE, points_B_, view.image, view.inverse_depth);

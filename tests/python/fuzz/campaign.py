@@ -1,4 +1,4 @@
-"""What a campaign is: one trial after another, each with a seed of its own."""
+"""A campaign: one trial after another, each with its own seed."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def _judged(random: Generator, judge: Callable[[hs.Result], Any]) -> str:
     result = hs.simulate(scenario)
     found = refused_in_words(lambda: judge(result))
     if found is None:
-        return "refused in words"
+        return "refused with a message"
     found.sections()
     found.to_dict()
     return result.outcome
@@ -86,7 +86,7 @@ def scenario_is_analysed(random: Generator, folder: Path) -> str:
         return "refused"
     found = refused_in_words(lambda: hs.analyse(scenario, [part]))
     if found is None:
-        return "refused in words"
+        return "refused with a message"
     found.sections()
     found.to_dict()
     return part
@@ -115,7 +115,7 @@ def hostile_ticks(random: Generator, folder: Path) -> str:
         return "refused"
     controller = refused_in_words(lambda: hs.Controller(scenario))
     if controller is None:
-        return "refused in words"
+        return "refused with a message"
     start = hs.simulate(scenario.updated({"simulation.duration": scenario.simulation.step}))
     usual: dict[str, Any] = {
         "features": start.features[0],
@@ -167,7 +167,7 @@ def _spoilt(random: Generator, usual: Any, count: int) -> Any:
 
 
 def mutated_results(random: Generator, folder: Path) -> str:
-    """Damage a saved result: it is refused in words, and only a file with all its bytes gives the result."""
+    """Damage a saved result: it is refused with a message, and only a file with all its bytes gives the result."""
     content = _content()
     path = folder / "result.nc"
     kind = ("flips", "zeros", "cut", "inserted", "moved", "appended", "attribute")[random.integers(7)]
@@ -222,7 +222,7 @@ def _content() -> bytes:
 
 
 def special_files(random: Generator, folder: Path) -> str:
-    """Name what is no regular file, or an odd one, to everything that reads: it is refused at once, in words."""
+    """Name what is no regular file, or an odd one, to everything that reads: it is refused at once, with a message."""
     path = folder / "x"
     kind = ("pipe", "folder", "device", "sparse", "loop", "random", "text", "proc")[random.integers(8)]
     if kind == "pipe":

@@ -174,7 +174,7 @@ def _clocks(random: Generator, step: float) -> dict[str, Any]:
 
 
 def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> None:
-    """Give what is in pairs both of them, mostly: the rest of the draws is there to be refused in words."""
+    """Give what is in pairs both of them, mostly: the rest of the draws is there to be refused."""
     if random.random() < 0.05:
         return
     if (changes.get("base_motion.samples") is None) != (changes.get("base_motion.sample_period") is None):
@@ -225,7 +225,7 @@ def _value(random: Generator, key: str, current: Any) -> Any:
         return _one(random, TEXTS)
     if isinstance(rule, kinds.LineRule):
         return _one(random, LINES)
-    raise NotImplementedError(f"the fuzzer knows no values of a {type(rule).__name__}")
+    raise NotImplementedError(f"the fuzzer has no values of a {type(rule).__name__}")
 
 
 @cache
