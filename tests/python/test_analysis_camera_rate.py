@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo import _core
 from hexservo.findings.analysis import camera_rate
-from hexservo.findings.analysis.camera_margins import Border, crossing, exponents, gain_border, margins, motion_of
+from hexservo.findings.analysis.camera_margins import Border, crossing, exponents, gain_border, loop_margins, motion_of
 from hexservo.findings.analysis.linear_law import linear_law, linear_plant, rest_of
 from hexservo.findings.analysis.linear_loop import BORDER, Actuation, Clock, SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import (
@@ -90,7 +90,7 @@ def test_the_delay_margin_is_phase_margin_over_crossover(stiffness: float, dampi
     """The hold delays by half a tick and, frames being P ticks apart, by (P - 1)/2 ticks more on the mean."""
     tick = 1e-4
     loop = one_axis(stiffness, damping, tick)
-    found = margins(loop, Clock(period, 0)).latency
+    found = loop_margins(loop, Clock(period, 0)).latency
     assert found.stable is not None
     assert found.unstable == found.stable + 1
     expected = delay_margin(stiffness, damping) - 0.5 * period * tick
@@ -423,7 +423,7 @@ def test_the_gain_border_is_that_of_runs(law: str, prediction: str) -> None:
         {**VISCOUS, "controller.law": law, "camera.prediction": prediction, "uncertainty.gravity": 0.0}
     )
     home, at_rest, clock = at_home(scenario)
-    found = margins(at_rest.free, clock, 0.1)
+    found = loop_margins(at_rest.free, clock, 0.1)
     border = found.gain[1] if found.gain[1] is not None else found.gain[0]
     assert border is not None
     assert found.drifts == 0
@@ -447,7 +447,7 @@ def test_the_border_of_composite_is_that_of_smaller_runs(prediction: str) -> Non
     """From 1e-6 px the growth itself is that of the linear loop, on both sides of the border."""
     scenario = hs.load_scenario("composite-30hz").updated({"camera.prediction": prediction})
     home, at_rest, clock = at_home(scenario)
-    found = margins(at_rest.free, clock, 0.1)
+    found = loop_margins(at_rest.free, clock, 0.1)
     border = found.gain[1] if found.gain[1] is not None else found.gain[0]
     assert border is not None
     sides = [(replace(at_rest.free, gain=border * (1 + part)), clock) for part in (-0.05, 0.05)]
@@ -461,7 +461,7 @@ def test_borders_in_whole_ticks_are_those_of_runs(key: str) -> None:
     """One tick decides: runs decay at the last stable period or latency and grow at the next tick."""
     scenario = hs.load_scenario("paper").updated({"controller.law": "kelly", "uncertainty.gravity": 0.0})
     home, at_rest, clock = at_home(scenario)
-    found: Border = getattr(margins(at_rest.free, clock, 0.1), key)
+    found: Border = getattr(loop_margins(at_rest.free, clock, 0.1), key)
     assert found.stable is not None
     assert found.unstable == found.stable + 1
     clocks = [replace(clock, **{key: ticks}) for ticks in (found.stable, found.unstable)]
@@ -476,7 +476,7 @@ def test_everything_between_wrench_and_legs_is_in_the_linear_loop() -> None:
     """Encoders with differences, held leg forces, a delay and a lag: the growth of runs on both sides of the border."""
     scenario = hs.load_scenario("real-machine").updated({"sensors.period": 0.002, "camera.prediction": "none"})
     home, at_rest, clock = at_home(scenario)
-    found = margins(at_rest.free, clock, 0.1)
+    found = loop_margins(at_rest.free, clock, 0.1)
     border = found.gain[1]
     assert border is not None
     sides = [(replace(at_rest.free, gain=border * (1 + part)), clock) for part in (-0.05, 0.05)]
@@ -495,10 +495,10 @@ def test_the_slope_of_kv_is_that_of_tanh() -> None:
     np.testing.assert_allclose(
         at_rest.smooth.twist - at_rest.free.twist, -np.diag(at_rest.slope), rtol=1e-5, atol=1e-12
     )
-    found = margins(at_rest.smooth, clock, 0.1)
+    found = loop_margins(at_rest.smooth, clock, 0.1)
     border = found.gain[1]
     assert border is not None
-    assert margins(at_rest.free, clock, 0.1).stable is False
+    assert loop_margins(at_rest.free, clock, 0.1).stable is False
     for part in (-0.05, 0.05):
         loop = replace(at_rest.smooth, gain=border * (1 + part))
         mode = max((value for value in exponents(loop, clock) if value.imag > 1.0), key=lambda value: value.real)
@@ -808,6 +808,6 @@ def test_another_step_in_continuous_mode_brings_its_frames() -> None:
 
 def test_margins_refuse_too_many_frames() -> None:
     with pytest.raises(ValueError, match="clock: expected at most 60 frames under way, got"):
-        margins(one_axis(100.0, 10.0, 1e-3), Clock(1, 61))
+        loop_margins(one_axis(100.0, 10.0, 1e-3), Clock(1, 61))
     with pytest.raises(ValueError, match="inside, outside: expected a mode that grows outside alone"):
         crossing((one_axis(100.0, 10.0, 1e-3), Clock(1, 0)), (one_axis(100.0, 10.0, 1e-3), Clock(1, 1)))

@@ -124,7 +124,7 @@ def test_shapes_of_what_varies() -> None:
     assert DRAWN["uncertainty.gravity"].shape == DRAWN["camera.noise"].shape == (RUNS,)
     added = DRAWN["controller.composite.kt"] - np.array(hs.load_scenario("composite-30hz").controller.composite.kt)
     assert added.shape == (RUNS, 6)
-    # one number for all entries; adding it to 98 rounds by 98 * 2^-53, and taking that away again rounds once more
+    # one number for all entries; adding it to 98 rounds by 98 * 2^-53, and taking that away again rounds again
     np.testing.assert_allclose(added, np.broadcast_to(added[:, -1:], added.shape), rtol=0, atol=4 * 98 * 2.0**-53)
 
 

@@ -8,6 +8,7 @@ exception with its reason, and an exception that nothing needs any more is an er
 
 from __future__ import annotations
 
+import ast
 import io
 import re
 import tokenize
@@ -58,6 +59,9 @@ FORBIDDEN = {
     r"got it twice": "duplicate key",
     r"gone afterwards": "reset",
 }
+
+# Verbs that say less than Return, Compute, Check, Search, Classify.
+CHATTY = {"Give", "Gives", "Tell", "Tells", "Say", "Says", "Ask", "Judge", "Know", "Look", "Work", "Go"}
 
 # Exceptions: file from the root, phrase, the reason.
 EXCEPTIONS = {
@@ -130,6 +134,18 @@ def test_no_forbidden_phrase(name: str) -> None:
         if (name, phrase.lower()) not in EXCEPTIONS
     ]
     assert not problems, "\n".join(problems)
+
+
+@pytest.mark.parametrize("name", [name for name in SOURCES if name.startswith("python/hexservo/")])
+def test_docstrings_begin_with_a_plain_verb(name: str) -> None:
+    """Return, Compute, Check; not Give, Tell, Say."""
+    tree = ast.parse((ROOT / name).read_text(encoding="utf-8"))
+    first = [
+        (node.name, (ast.get_docstring(node) or "-").split()[0])
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+    assert [each for each in first if each[1] in CHATTY] == []
 
 
 def test_every_exception_is_needed() -> None:

@@ -296,7 +296,7 @@ class CampaignPlan(Block):
 
 
 def _unfit(scenario: Scenario, key: str, distribution: Variation) -> str:
-    """Say why a distribution cannot belong to a key of the scenario; empty if it can."""
+    """Return why a distribution does not fit a key of the scenario; empty if it does."""
     try:
         rule = known_key(key, scenario.controller.law)
     except ValueError as error:

@@ -44,7 +44,7 @@ def given_axes(axes: Sequence[Axes] | NDArray[Any], count: int) -> tuple[Axes, .
 
 
 def whole_run(axes: Axes, result: Result, values: Sequence[Array]) -> list[Panel]:
-    """Take the caller's axes for the whole run."""
+    """Return the caller's axes for the whole run."""
     set_limits(axes, result.time, *values)
     return [Panel(axes, slice(0, len(result.time)), fixed=False)]
 

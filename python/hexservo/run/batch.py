@@ -69,19 +69,19 @@ class BatchResult:
     controller: str | None = None  # name of the custom controller that acted; None: the scenario's law did
 
     def __repr__(self) -> str:
-        """Give the batch in a few lines."""
+        """Return the batch in a few lines."""
         return batch_text(self)
 
     def _repr_html_(self) -> str:
-        """Give outcomes, metrics and a figure for a notebook."""
+        """Return outcomes, metrics and a figure for a notebook."""
         return html_of(self)
 
     def __len__(self) -> int:
-        """Give the number of scenarios."""
+        """Return the number of scenarios."""
         return len(self.outcome)
 
     def detail(self, index: int) -> str:
-        """Say in one sentence how the run of one scenario ended.
+        """Return in one sentence how the run of one scenario ended.
 
         Raises
         ------
@@ -115,7 +115,7 @@ class BatchResult:
         return table
 
     def to_xarray(self) -> xarray.Dataset:
-        """Give the batch as a dataset with the dimension ``scenario``, labelled, with units.
+        """Return the batch as a dataset with the dimension ``scenario``, labelled, with units.
 
         Variations are variables named after their dotted keys, metrics ``metric_...``. Attributes hold text and
         numbers only, the base scenario as one YAML string (``scenario``).
@@ -159,7 +159,7 @@ class BatchResult:
 
 
 def whole(batch: BatchResult) -> BatchResult:
-    """Give a batch on which findings rest: every run of it came to its own end.
+    """Return a batch for findings: no run of it was interrupted.
 
     Raises
     ------

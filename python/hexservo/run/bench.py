@@ -140,7 +140,7 @@ class Benchmark:
     ratios: tuple[Ratio, ...]
 
     def to_json(self) -> str:
-        """Give all numbers, in SI units, as strict JSON."""
+        """Return all numbers, in SI units, for strict JSON."""
         content = {"flops_per_step": FLOPS_PER_STEP, **asdict(self)}
         return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -182,7 +182,7 @@ def benchmark(plan: Plan, say: Say = lambda text: None) -> Benchmark:
 
 
 def _parameters(scenario: Scenario) -> _core.HybridSettings:
-    """Give a scenario of the law whose runs are measured as the core's numbers."""
+    """Return the core's settings of a scenario of the law whose runs are measured."""
     parameters = core_parameters(scenario)
     if not isinstance(parameters, _core.HybridSettings):
         raise ValueError(f"controller.law: expected hybrid, got {scenario.controller.law}")
@@ -190,7 +190,7 @@ def _parameters(scenario: Scenario) -> _core.HybridSettings:
 
 
 def _replayed(scenario: Scenario, law: str) -> Scenario:
-    """Give the run of another law that its ticks replay.
+    """Return the run of another law that its ticks replay.
 
     A tick has no depth error and a run's law does (docs/model.md, section 5, ``pbvs``), so there is none.
     """
@@ -307,7 +307,7 @@ class _Rounds:
 def _time_runs(
     scenario: Scenario, kernels: dict[str, _core.Kernel], plan: Plan, say: Say
 ) -> tuple[tuple[Speed, ...], tuple[Ratio, ...]]:
-    """Take turns: in every round each variant runs alone, in a batch on one thread and on all, and at its peak."""
+    """Alternate: in every round each variant runs alone, in a batch on one thread and on all, and at its peak."""
     scenario = scenario.updated({"simulation.duration": plan.duration, "simulation.log_every": 50})
     parameters = _parameters(scenario)
     steps = _core.step_count(parameters.simulation)

@@ -148,7 +148,7 @@ def _checked_scenarios(
 
 
 def _prepared(scenario: Scenario, law: str, *, custom: bool) -> ComparisonRow:
-    """Give a row that is not begun, its scenario with the law and no more samples than a row keeps; or a refusal.
+    """Return a row not yet run, its scenario with the law and no more samples than a row keeps; or a refusal.
 
     A custom controller has no law to put into the scenario.
     """

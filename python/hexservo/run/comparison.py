@@ -42,7 +42,7 @@ class ComparisonRow:
     error: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) [px], largest |feature error|
 
     def __repr__(self) -> str:
-        """Give law, scenario and verdict."""
+        """Return law, scenario and verdict."""
         return f"<{self.law} on {self.scenario.name}: {self.verdict}; {self.why}>"
 
     @property
@@ -125,11 +125,11 @@ class Comparison:
     rows: tuple[ComparisonRow, ...]
 
     def __repr__(self) -> str:
-        """Give the verdicts in a line for each law."""
+        """Return the verdicts in a line for each law."""
         return comparison_text(self)
 
     def _repr_html_(self) -> str:
-        """Give table and figure for a notebook."""
+        """Return table and figure for a notebook."""
         return html_of(self)
 
     @property
@@ -143,7 +143,7 @@ class Comparison:
         return sum(row.outcome != "interrupted" for row in self.rows)
 
     def row(self, law: str, scenario: str) -> ComparisonRow:
-        """Give the row of a law and the name of a scenario.
+        """Return the row of a law and the name of a scenario.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class Comparison:
         raise KeyError(f'law, scenario: expected a pair that was compared, got "{law}", "{scenario}"')
 
     def to_markdown(self) -> str:
-        """Give the table for people as Markdown; an exclamation mark follows values beyond a limit of the legs."""
+        """Return the table for people as Markdown; an exclamation mark follows values beyond a limit of the legs."""
         head = ["scenario", "law", "verdict", *(f"{column.head} [{column.unit}]" for column in COLUMNS), "why"]
         lines = [head, ["---", "---", "---", *("---:" for _ in COLUMNS), "---"]]
         lines += [
@@ -166,7 +166,7 @@ class Comparison:
         return "".join(f"| {' | '.join(_escaped(cell) for cell in line)} |\n" for line in lines)
 
     def to_csv(self) -> str:
-        """Give every metric of every run as CSV in SI units and pixels; empty where a number has no meaning."""
+        """Return every metric of every run as CSV in SI units and pixels; empty where a number has no meaning."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         names = {name: f"{name} [{unit}]" for name, (unit, _) in METRICS.items()}

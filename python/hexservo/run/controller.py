@@ -91,7 +91,7 @@ class Controller:
         return self._core.fuzzy_weights
 
     def reset(self) -> None:
-        """Go back to the state before the first tick, at time 0."""
+        """Reset to the state before the first tick, at time 0."""
         self._core.reset()
         self._next = 0.0
 
@@ -108,7 +108,7 @@ class Controller:
         leg_lengths: ArrayLike | None = None,
         leg_rates: ArrayLike | None = None,
     ) -> ControllerOutput:
-        """Take one tick: sensors, (13), (14), (15), leg forces, and the adaptation (22) over one period.
+        """Run one tick: sensors, (13), (14), (15), leg forces, and the adaptation (22) over one period.
 
         Numbers that are not finite are accepted, as sensors give them; they make the output safe (`invalid_input`).
         So do features more than 1e4 px from the goal, twists beyond 1e3, points that are not in front of the camera, a
@@ -160,5 +160,5 @@ class Controller:
 
 
 def controller_arguments(scenario: Scenario, period: float | None) -> tuple[Settings, float]:
-    """Give the core's settings of a scenario's controller and its period, the scenario's own unless one is given."""
+    """Return the core's settings of a scenario's controller and its period, the scenario's unless one is given."""
     return core_parameters(scenario), scenario.simulation.step if period is None else period

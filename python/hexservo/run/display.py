@@ -18,7 +18,7 @@ _WIDTH = 110  # characters of a line of text
 
 
 def result_text(result: Result) -> str:
-    """Give a run in a few lines."""
+    """Return a run in a few lines."""
     from hexservo.run.summary import summary_sentences
 
     samples = f"{len(result.time)} samples: .to_dataframe(), .to_xarray(), .save(path); hs.metrics(result)"
@@ -26,7 +26,7 @@ def result_text(result: Result) -> str:
 
 
 def batch_text(batch: BatchResult) -> str:
-    """Give a batch in a few lines."""
+    """Return a batch in a few lines."""
     shape = (
         f"law {batch.scenario.controller.law}" if batch.controller is None else f"custom controller {batch.controller}"
     )
@@ -40,7 +40,7 @@ def batch_text(batch: BatchResult) -> str:
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Give a comparison in one line for each law."""
+    """Return a comparison in one line for each law."""
     lines = []
     for law in comparison.laws:
         verdicts = Counter(row.verdict for row in comparison.rows if row.law == law).most_common()
@@ -52,7 +52,7 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def lines_below(head: str, lines: Iterable[str], most: int = 2) -> str:
-    """Put lines below a head, each wrapped into `most` lines at most."""
+    """Return lines below a head, each wrapped into `most` lines at most."""
     filled = [
         textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    ", max_lines=most, placeholder=" ...")
         for line in lines

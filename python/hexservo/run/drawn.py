@@ -18,7 +18,7 @@ _finders: list[Callable[[], Any]] = []
 
 
 def drawn_by(find: Callable[[], Any]) -> None:
-    """Say how to get the module that has ``html_of``, ``figure_of`` and ``image_of``."""
+    """Set the function that imports the module that has ``html_of``, ``figure_of`` and ``image_of``."""
     _finders[:] = [find]
 
 

@@ -45,7 +45,7 @@ _READABLE_UNITS = {
 
 
 def metrics(result: Result) -> dict[str, float]:
-    """Give the metrics of a run by name, in SI units and pixels; `METRICS` says what each is.
+    """Return the metrics of a run by name, in SI units and pixels; `METRICS` describes each.
 
     The core streams them at every step, so they do not depend on ``simulation.log_every``. NaN stands where a number
     has no meaning (docs/model.md section 8): ``settling_time`` of a run that is not settled, ``rms_error`` of one that

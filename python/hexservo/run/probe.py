@@ -14,7 +14,7 @@ __all__ = ["probe"]
 
 
 def probe(scenario: Scenario) -> _core.Probe:
-    """Give the parts of a scenario's loop, to be evaluated at n states at once (docs/model.md, sections 3 to 7).
+    """Return the parts of a scenario's loop, to be evaluated at n states at once (docs/model.md, sections 3 to 7).
 
     Arrays hold one state per row: features (n, 8) [px], depth (n, 4) [m] and negative in front of the camera, position
     (n, 3) in B [m], quaternion (n, 4) w x y z of any length but zero (1e-150 to 1e150), twist, wrench and acceleration

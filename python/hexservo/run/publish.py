@@ -53,7 +53,7 @@ class Place(ABC):
 
     @abstractmethod
     def is_ours(self, found: Path) -> bool:
-        """Tell whether something is whole and was written by us."""
+        """Return whether something is complete and was written by this class."""
 
     @abstractmethod
     def remove(self, replaced: Path) -> None:
@@ -107,7 +107,7 @@ def _discard(draft: Path) -> None:
 
 
 def publish(draft: Path, place: Place) -> None:
-    """Give a complete draft its name, after a second check: what stands there may have changed."""
+    """Rename a complete draft, after a second check: the place may have changed."""
     path = place.path
     with _locked(path.parent):
         place.check()
@@ -322,7 +322,7 @@ _HELD = _Held()
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[bool]:
-    """Let no other hexservo rename in this folder meanwhile; False where the file system has no locks."""
+    """Lock a folder against renaming by another hexservo; False where the file system has no locks."""
     if _HELD.lock is not None:  # a Ctrl-C came at the very moment of closing: this thread would wait for itself
         _HELD.lock.close()
     opened = _HELD.lock = _Opened(Path(os.path.realpath(folder)))

@@ -66,7 +66,7 @@ class LimitEvent:
     limit: float  # [m] or [N]
 
     def __str__(self) -> str:
-        """Say it in a sentence."""
+        """Return the event as a sentence."""
         scale, unit, what = (1e3, "mm", "its stroke") if self.kind == "stroke" else (1.0, "N", "its force limit")
         return (
             f"leg {self.leg} exceeded {what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s "
@@ -105,11 +105,11 @@ class Result:
     version: str = field(default=VERSION, repr=False)  # of hexservo that ran it
 
     def __repr__(self) -> str:
-        """Give the run in a few lines."""
+        """Return the run in a few lines."""
         return result_text(self)
 
     def _repr_html_(self) -> str:
-        """Give summary, metrics and figures for a notebook."""
+        """Return summary, metrics and figures for a notebook."""
         return html_of(self)
 
     @property
@@ -161,7 +161,7 @@ class Result:
         return table
 
     def to_xarray(self) -> xarray.Dataset:
-        """Give the run as a dataset with labelled dimensions and units.
+        """Return the run as a dataset with labelled dimensions and units.
 
         Attributes hold text and numbers only: the outcome, the metrics (``metric_...``), the events in sentences
         (``events``) and as numbers (``event_table``: seconds, and metres or newtons), and the scenario as one YAML

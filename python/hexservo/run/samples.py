@@ -46,7 +46,7 @@ def parts(result: Result) -> list[slice]:
 
 
 def rotation_vectors(quaternion: Array) -> Array:
-    """Give axis times angle of unit quaternions (n, 4), w x y z, as (n, 3) [rad]; of the two angles the one up to pi.
+    """Return axis times angle of unit quaternions (n, 4), w x y z, as (n, 3) [rad]; the angle is at most pi.
 
     Accurate to rounding from 0 to pi: the angle comes from both parts of the quaternion.
     """
@@ -63,7 +63,7 @@ def unit_rotation_vectors(unit: Array) -> Array:
 
 
 def extreme_samples(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:
-    """Give the indices of the samples to draw: all, or first, last and the extremes of as many bins as print resolves.
+    """Return the indices of samples to draw: all, or first, last and the extremes of as many bins as print resolves.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def extreme_samples(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:
 
 
 def mean_samples(time: Array) -> int:
-    """Give the odd number of samples of the moving mean, about 7 ms; 1 for short or coarse runs."""
+    """Return the odd number of samples of the moving mean, about 7 ms; 1 for short or coarse runs."""
     if len(time) < 3:
         return 1
     half = round(_MEAN_TIME / 2 / float(np.median(np.diff(time))))
@@ -92,7 +92,7 @@ def mean_samples(time: Array) -> int:
 
 
 def moving_mean(values: Array, count: int) -> Array:
-    """Give the mean of the `count` (odd) samples about each of (n, k) samples; near the ends, of fewer."""
+    """Return the mean of the `count` (odd) samples about each of (n, k) samples; near the ends, of fewer."""
     if count == 1:
         return values
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])

@@ -149,7 +149,7 @@ def _events(table: str, place: str) -> tuple[LimitEvent, ...]:
 
 
 def _array_shapes(with_history: bool) -> dict[str, tuple[int, ...]]:
-    """Give the arrays of a result with their shapes; -1 stands for the number of samples."""
+    """Return the arrays of a result with their shapes; -1 stands for the number of samples."""
     widths = {name: (-1, len(labels)) for name, (_, labels, _, _) in QUANTITIES.items()}
     history: dict[str, tuple[int, ...]] = {HISTORY: (-1, 6, 7, 7)} if with_history else {}
     return {"time": (-1,), **widths, "fuzzy_weights": (6, 7, 7), **history}

@@ -20,7 +20,7 @@ EVENT_HEAD = "kind leg time peak limit"  # of the table of events; seconds, and 
 
 
 def saved_attributes(result: Result) -> dict[str, Any]:
-    """Give what a file must hold beside the arrays, so that `load_result` can give the same result again."""
+    """Return what a file needs beside the arrays, so that `load_result` returns the same result."""
     texts = {
         "controller": result.controller,
         "outcome": result.outcome,
@@ -33,7 +33,7 @@ def saved_attributes(result: Result) -> dict[str, Any]:
 
 
 def result_bytes(result: Result) -> memoryview:
-    """Give a file's content, made in memory: on a full disk HDF5 itself does not fail but crashes the process."""
+    """Return a file's content, made in memory: on a full disk HDF5 itself does not fail but crashes the process."""
     return sealed_bytes(result.to_xarray())
 
 

@@ -44,7 +44,7 @@ class ResultError(ValueError):
 
 
 def sealed_bytes(dataset: Dataset) -> memoryview:
-    """Give a dataset as a netCDF file with the two lines of a result after it."""
+    """Return a dataset as a netCDF file followed by the two lines of a result."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
@@ -69,7 +69,7 @@ def is_sealed(path: Path) -> bool:
 
 
 def sealed_blocks(file: BinaryIO, place: str, size: int) -> Iterator[bytes]:
-    """Give the bytes that the digest covers, and refuse the file at the end of them where it is another one."""
+    """Yield the bytes that the digest covers; after the last one, refuse a file whose digest differs."""
     if size > MAX_BYTES:
         raise ResultError(f"{place}: expected a file of at most {MAX_BYTES >> 30} GiB, got {size / (1 << 30):.3g} GiB")
     file.seek(max(size - _END_BYTES, 0))
@@ -90,7 +90,7 @@ def sealed_blocks(file: BinaryIO, place: str, size: int) -> Iterator[bytes]:
 
 
 def _unsealed(is_hdf5: bool) -> str:
-    """Say what a file is that does not end as a result does."""
+    """Return what a file is that does not end as a result does."""
     if not is_hdf5:
         return "expected a result that hexservo saved, got another kind of file"
     return (

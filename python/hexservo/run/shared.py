@@ -55,7 +55,7 @@ def shared_by(scenario: Scenario) -> dict[str, Any]:
 
 
 def variations_of(scenarios: Sequence[Scenario]) -> dict[str, Array]:
-    """Give the numbers in which scenarios differ, for `simulate_batch`, which asks for one at least."""
+    """Return the numbers in which scenarios differ, for `simulate_batch`, which asks for one at least."""
     numbers = [numbers_of(scenario) for scenario in scenarios]
     variations = {key: np.stack([own[key] for own in numbers]) for key in numbers[0]}
     return {key: values for key, values in variations.items() if key == _ALWAYS or (values != values[0]).any()}

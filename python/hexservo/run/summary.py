@@ -14,7 +14,7 @@ __all__ = ["summary_sentences"]
 
 
 def summary_sentences(result: Result) -> list[str]:
-    """Say how a run ended, whether it settled, what error remains, and how near the legs came to their limits."""
+    """Return how a run ended, whether it settled, its remaining error, and how near the legs came to their limits."""
     return [_outcome(result), _settling(result), _residual(result), *_legs(result)]
 
 

@@ -53,7 +53,7 @@ class NumericKey:
         return np.dtype(np.uint64 if self.whole and most is not None and most > MAX_WHOLE_FLOAT else np.float64)
 
     def within(self, numbers: NDArray[Any]) -> Mask:
-        """Tell which numbers are allowed; NaN is not, nor, of whole numbers, floats that may have been rounded."""
+        """Return which numbers are allowed; NaN is not, nor, of whole numbers, floats that may have been rounded."""
         allowed = numbers == numbers
         if self.whole and numbers.dtype.kind == "f":
             allowed = (numbers == np.floor(numbers)) & (np.abs(numbers) <= MAX_WHOLE_FLOAT)
@@ -114,7 +114,7 @@ def acting_keys(law: str, mode: str) -> dict[str, NumericKey]:
 
 
 def without_effect(keys: Sequence[str]) -> str:
-    """Say why these of the `sampled_keys` are refused in continuous mode."""
+    """Return why these of the `sampled_keys` are refused in continuous mode."""
     has, them = ("has", "the key") if len(keys) == 1 else ("have", "these keys")
     return f"{', '.join(keys)}: {has} no effect in continuous mode; set simulation.mode: sampled, or drop {them}"
 

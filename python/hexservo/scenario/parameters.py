@@ -37,7 +37,7 @@ _SETTINGS: dict[str, type[Settings]] = {
 
 
 def core_parameters(scenario: Blocks) -> Settings:
-    """Give the core's settings of a scenario, checked by the core.
+    """Return the core's settings of a scenario, checked by the core.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def core_parameters(scenario: Blocks) -> Settings:
 
 
 def _of_law(scenario: Blocks) -> Settings:
-    """Give settings for the scenario's law, with its gains: each key of the law's block has the core's name."""
+    """Return settings for the scenario's law, with its gains: each key of the law's block has the core's name."""
     law = scenario.controller.law
     settings = _SETTINGS[law]()
     block = getattr(scenario.controller, law)
@@ -87,7 +87,7 @@ def _of_law(scenario: Blocks) -> Settings:
 
 
 def _gain(value: Any, default: Any) -> Any:
-    """Give a value of a law's block in the core's form, which the core's default shows."""
+    """Return a value of a law's block in the core's form, that of the core's default."""
     if isinstance(default, _core.FuzzyGains):
         return _fuzzy(value)
     if isinstance(default, np.ndarray):
@@ -96,7 +96,7 @@ def _gain(value: Any, default: Any) -> Any:
 
 
 def _filled(value: Any, *shape: int) -> NDArray[np.float64]:
-    """Give an array of that shape; a number stands for all entries."""
+    """Return an array of that shape; a number stands for all entries."""
     return np.broadcast_to(np.asarray(value, dtype=float), shape)
 
 
@@ -136,7 +136,7 @@ def _sampling(scenario: Blocks) -> _core.CameraSampling:
 
 
 def frame_period(scenario: Blocks) -> float:
-    """Give the time between two exposures [s]: the servo period where the scenario, in continuous mode, has none."""
+    """Return the time between two exposures [s]: the servo period where the scenario, in continuous mode, has none."""
     return scenario.simulation.step if scenario.camera.period is None else scenario.camera.period
 
 

@@ -38,7 +38,7 @@ def plain(value: Any, place: str = "", depth: int = 0) -> Any:
 
 
 def _is_unicode(text: str) -> bool:
-    """Tell whether text has no lone surrogates: they can neither be written nor shown."""
+    """Return whether text has no lone surrogates, which can be neither written nor displayed."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
 
 

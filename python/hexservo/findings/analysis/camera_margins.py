@@ -19,7 +19,7 @@ __all__ = [
     "crossing",
     "exponents",
     "gain_border",
-    "margins",
+    "loop_margins",
     "most_frames",
     "motion_of",
     "radius_map",
@@ -121,19 +121,19 @@ def gain_border(stable: Callable[[float], bool], up: bool) -> float | None:
 
 
 def exponents(loop: SampledLoop, clock: Clock) -> Complex:
-    """Give growth [1/s] and turning [rad/s] of all modes, as complex numbers, the fastest growing first."""
+    """Return growth [1/s] and frequency [rad/s] of all modes, as complex numbers, the fastest growing first."""
     values = loop.multipliers(clock)
     growth = np.log(np.maximum(np.abs(values), 1e-300))
     return np.asarray((growth + 1j * np.angle(values)) / loop.seconds(clock), dtype=complex)
 
 
 def motion_of(loop: SampledLoop, clock: Clock, exponent: complex) -> Complex:
-    """Give the displacement (n,) of the mode with that exponent, of length 1."""
+    """Return the displacement (n,) of the mode with that exponent, of length 1."""
     return loop.motion(clock, complex(np.exp(exponent * loop.seconds(clock))))
 
 
 def crossing(inside: tuple[SampledLoop, Clock], outside: tuple[SampledLoop, Clock]) -> tuple[complex, complex]:
-    """Give the exponent of the mode that begins to grow between two neighbours: its value inside, and outside.
+    """Return the exponent of the mode that begins to grow between two neighbours: its value inside, and outside.
 
     Modes that grow on both sides are set aside, each with its nearest one. Of what grows outside alone the fastest is
     taken, and inside the slowest to decay of those that turn as fast, within a tenth.
@@ -160,7 +160,7 @@ def crossing(inside: tuple[SampledLoop, Clock], outside: tuple[SampledLoop, Cloc
 def _sides(
     loop: SampledLoop, clock: Clock, period: Border, latency: Border, gain: tuple[float | None, float | None]
 ) -> tuple[tuple[SampledLoop, Clock], tuple[SampledLoop, Clock]] | None:
-    """Give a loop just inside and just outside of a border: the one in gain, upwards first, else latency or period."""
+    """Return a loop just inside and outside of a border: the one in gain, upwards first, else latency or period."""
     for factor in (gain[1], gain[0]):
         if factor is not None:
             sides = [(replace(loop, gain=loop.gain * factor * (1.0 + part)), clock) for part in (-1e-4, 1e-4)]
@@ -174,11 +174,11 @@ def _sides(
 
 
 def most_frames(loop: SampledLoop) -> int:
-    """Give how many frames may be under way at once in an analysis: few where the joint sensors have a period."""
+    """Return how many frames an analysis allows in transit at once: few where the joint sensors have a period."""
     return _MOST_FRAMES if loop.reading == 1 else loop.few
 
 
-def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, borders: bool = True) -> Margins:
+def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, borders: bool = True) -> Margins:
     """Find the borders of a linear loop about its own period, latency and gain.
 
     Parameters
@@ -250,7 +250,7 @@ def margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, borders: bo
 
 
 def radius_map(loop: SampledLoop, clock: Clock, found: Margins) -> tuple[Array, Array, Array]:
-    """Give the spectral radius over periods (m,) and latencies (k,) [s] that show the borders, (k, m).
+    """Return the spectral radius over periods (m,) and latencies (k,) [s] that show the borders, (k, m).
 
     NaN where more than `SampledLoop.few` frames are under way.
     """

@@ -15,7 +15,7 @@ from hexservo.findings.analysis.camera_margins import (
     Margins,
     crossing,
     gain_border,
-    margins,
+    loop_margins,
     most_frames,
     motion_of,
     radius_map,
@@ -221,8 +221,8 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     if clock.latency > most * clock.period:
         return CameraRate(scenario, f"more than {most} frames are under way at once; take a longer camera.period")
     radius = scenario.robot.platform_radius
-    free = margins(at_rest.free, clock, radius, borders=borders)
-    smooth = margins(at_rest.smooth, clock, radius, borders=borders) if at_rest.smooth is not None else None
+    free = loop_margins(at_rest.free, clock, radius, borders=borders)
+    smooth = loop_margins(at_rest.smooth, clock, radius, borders=borders) if at_rest.smooth is not None else None
     result = CameraRate(scenario, None, at_rest, clock, free, smooth)
     acting = result.acting or free
     result = replace(result, starts=_start_runs(at_rest))
@@ -244,16 +244,16 @@ def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
 
 
 def _task(at_rest: LoopAtRest) -> Scenario:
-    """Give the task itself, without noise and faults."""
+    """Return the task itself, without noise and faults."""
     return at_rest.scenario.updated({"uncertainty.gravity": at_rest.gravity})
 
 
 def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> Margins | None:
-    """Give the margins at the weights that the task's own run ends with."""
+    """Return the margins at the final weights of the task's own run."""
     if not at_rest.free.axes:  # nothing that learns
         return None
     weights = learned_weights(_task(at_rest))
-    return None if weights is None else margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
+    return None if weights is None else loop_margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
 
 
 def _stroke_border(

@@ -95,7 +95,7 @@ def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
 
 
 def _ending(result: Result, travel: float, stroke: float) -> Ending:
-    """Judge a run by how much its features still move in its last part."""
+    """Classify a run by how much its features still move in its last part."""
     if travel > stroke:
         return "stroke"
     if result.outcome != "completed":
@@ -109,7 +109,7 @@ def _ending(result: Result, travel: float, stroke: float) -> Ending:
 
 
 def learned_weights(task: Scenario) -> Array | None:
-    """Give the weights (6, 7, 7) [N; N m] at the end of a task that settles; None where it does not.
+    """Return the weights (6, 7, 7) [N; N m] at the end of a task that settles; None where it does not.
 
     Settled: docs/model.md, section 8.
     """

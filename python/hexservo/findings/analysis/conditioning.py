@@ -81,7 +81,7 @@ class Conditioning(Part):
 
 
 def analyse(scenario: Scenario) -> Conditioning:
-    """Take the image Jacobian apart at the start and at the goal, and search for better places of the points."""
+    """Decompose the image Jacobian at the start and at the goal, and search for better places of the points."""
     scene = scene_of(scenario)
     goals = find_goals(scene)
     start = scene.view(scene.home)
@@ -96,7 +96,7 @@ def analyse(scenario: Scenario) -> Conditioning:
 
 
 def sight(place: str, view: View, length: float) -> Sight:
-    """Take the image Jacobian of a view apart.
+    """Decompose the image Jacobian of a view by singular values.
 
     Parameters
     ----------

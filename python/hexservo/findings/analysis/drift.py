@@ -108,7 +108,7 @@ class Drift(Part):
 
 
 def analyse(scenario: Scenario) -> Drift:
-    """Give the eigenvalues that decide the drift of a law with a pose error (docs/analysis/drift.md).
+    """Compute the eigenvalues that decide the drift of a law with a pose error (docs/analysis/drift.md).
 
     Raises
     ------
@@ -126,7 +126,7 @@ def analyse(scenario: Scenario) -> Drift:
 
 
 def loop_matrix(known: Array, true: Array, inverse: Array, expected: Array) -> Array:
-    """Give the matrix E of de = -E dchi, (..., 6, 6), dimensionless per pair of like units.
+    """Return the matrix E of de = -E dchi, (..., 6, 6), dimensionless per pair of like units.
 
     E = (J-hat^T J-hat + M)^-1 (J-hat^T J + M_e), where M_e is the part of the prior M that is also expected: M for
     `composite` and `computed_torque`, 0 for a damping that is in the inverse alone.
@@ -167,7 +167,7 @@ class _Worker:
         self.drive, self.driven_by = self._drive()
 
     def _drive(self) -> tuple[Array, str]:
-        """Give the diagonal that takes a small pose error to a velocity [1/s], where the rest is faster."""
+        """Return the diagonal from a small pose error to a velocity [1/s], where all else is faster."""
         if self.law == "resolved_rate":
             return np.full(6, float(self.gains.gain)), "its gain times the eigenvalue"
         if self.law == "computed_torque":
@@ -177,14 +177,14 @@ class _Worker:
         return np.array(self.gains.kt) / np.array(self.gains.kd), "K_t/K_d times the eigenvalue, K_v aside"
 
     def known(self, place: int, errors: Array) -> Array:
-        """Give J-hat (n, 8, 6) at a place for depth errors (n, 4): the core's J at Z-hat = (1 + delta) Z, (9)."""
+        """Return J-hat (n, 8, 6) at a place for depth errors (n, 4): the core's J at Z-hat = (1 + delta) Z, (9)."""
         pose, features, depth = self.places[place]
         count = len(errors)
         attitudes = pose.repeated(count).quaternion
         return self.rest.jacobian(np.tile(features, (count, 1)), (1.0 + errors) * depth, attitudes)
 
     def smallest(self, place: int, errors: Array, inverse: Array, expected: Array) -> Array:
-        """Give the smallest real part of an eigenvalue of the loop matrix, (n,)."""
+        """Return the smallest real part of an eigenvalue of the loop matrix, (n,)."""
         matrix = loop_matrix(self.known(place, errors), self.true[place], inverse, expected)
         return np.asarray(np.linalg.eigvals(matrix).real.min(axis=1))
 
@@ -225,7 +225,7 @@ class _Worker:
         return tuple(found)
 
     def ends(self, errors: Array) -> tuple[Poses, Mask]:
-        """Look for poses where the pose error is zero, from the start, and tell which were found."""
+        """Search for poses of zero pose error, from the start; return them and which converged."""
         probe = _core.Probe(_only_pose_error(self.rest.settings, self.inverse))
         count = len(errors)
         home = self.rest.home
@@ -251,7 +251,7 @@ class _Worker:
         return poses, last < 1e-9
 
     def rates_at(self, poses: Poses, errors: Array, rows: Mask) -> Array:
-        """Give the smallest real part of the drift's rates at poses, (n,) [1/s]; NaN in rows that are not asked for."""
+        """Return the smallest real part of the drift's rates at poses, (n,) [1/s]; NaN in rows not selected."""
         result = np.full(len(poses), np.nan)
         if rows.any():
             there = poses[rows]
@@ -283,12 +283,12 @@ class _Worker:
         )
 
     def over_sizes(self, place: int, sizes: Array, inverse: Array, expected: Array) -> Array:
-        """Give the smallest eigenvalue over all patterns for each size, (n,)."""
+        """Return the smallest eigenvalue over all patterns for each size, (n,)."""
         errors = (sizes[:, None, None] * _SIGNS).reshape(-1, 4)
         return np.asarray(self.smallest(place, errors, inverse, expected).reshape(len(sizes), -1).min(axis=1))
 
     def limit(self, place: int, grid: Array, values: Array) -> float | None:
-        """Give the size at which the first pattern loses its positive eigenvalue, between two sizes of the grid."""
+        """Return the size at which the first pattern loses its positive eigenvalue, between two sizes of the grid."""
         lost = np.flatnonzero(values <= 0.0)
         if not len(lost):
             return None
@@ -303,7 +303,7 @@ class _Worker:
         return low
 
     def drift(self) -> Drift:
-        """Put everything together."""
+        """Compute all results."""
         own = np.array(self.rest.settings.uncertainty.depth, dtype=float)
         size = float(np.abs(own).max())
         sizes = sorted({*SIZES, *([size] if size > 0.0 else [])})
@@ -333,7 +333,7 @@ class _Worker:
 
 
 def _only_pose_error(like: Any, prior: Array) -> _core.CompositeSettings:
-    """Give the law composite with a K_t of one and nothing else but the weight: its wrench is the pose error."""
+    """Return the law composite with K_t = 1 and the weight only: its wrench is the pose error plus the weight."""
     settings = _core.CompositeSettings()
     for key in ("robot", "camera", "convention", "jacobian", "target", "uncertainty"):
         setattr(settings, key, getattr(like, key))

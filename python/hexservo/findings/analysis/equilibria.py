@@ -146,7 +146,7 @@ def _starts_within(rest: Rest) -> Poses:
 
 
 def _search(rest: Rest, starts: Poses, weights: Array) -> tuple[Poses, Mask, NDArray[np.int_]]:
-    """Go down the image error and then to the zero by Newton, and by Newton alone, which also finds saddles.
+    """Search by descent of the image error and then Newton's method, and by Newton's method alone, which finds saddles.
 
     Gives the poses, whether each converged, and the start that each came from.
     """
@@ -157,7 +157,7 @@ def _search(rest: Rest, starts: Poses, weights: Array) -> tuple[Poses, Mask, NDA
 
 
 def _stiffness_along_z(rest: Rest, pose: Poses) -> float:
-    """Give the force per shift along z, the other five directions held [N/m]."""
+    """Return the force per shift along z, the other five directions held [N/m]."""
     acceleration = np.zeros((1, 6))
     acceleration[0, 2] = rest.stiffness(pose)[0, 2, 2]
     still = np.zeros((1, 6))
@@ -190,7 +190,7 @@ def _with_gravity(
 
 
 def _groups(rest: Rest, poses: Poses, converged: Mask) -> list[list[int]]:
-    """Put searches that ended at one pose together, by their rows; those that ended nowhere are left out."""
+    """Group searches that ended at one pose, by their rows; those that did not converge are left out."""
     away = poses.displacement_from(rest.home) / rest.unit
     usable = converged & (np.abs(away[:, :3]).max(axis=1) < _FARTHEST)
     usable &= np.isfinite(rest.image(poses)[0]).all(axis=1)
@@ -241,7 +241,7 @@ def _stability(real: Array, growth: float | None) -> str:
 
 
 def _growth(rest: Rest, pose: Poses, slope: Array) -> float | None:
-    """Give the largest real part of the modes with viscous damping [1/s]; None for a law that has none."""
+    """Return the largest real part of the modes with viscous damping [1/s]; None for a law that has none."""
     step = 1e-3 * np.vstack([np.eye(6), -np.eye(6)]) * rest.unit  # m/s, rad/s: damping is linear, (15) has none
     around = rest.acceleration(pose.repeated(12), step) / rest.unit
     damping = -(around[:6] - around[6:]).T / 2e-3
@@ -252,7 +252,7 @@ def _growth(rest: Rest, pose: Poses, slope: Array) -> float | None:
 
 
 def _barrier(rest: Rest, result: Equilibria) -> tuple[Array, Array] | None:
-    """Give the image error along the straight way in pose from a false equilibrium that attracts to the goal."""
+    """Return the image error along the straight way in pose from a false equilibrium that attracts to the goal."""
     if not result.traps or not result.goals:
         return None
     trap, goal = (Poses(e.position, e.quaternion) for e in (result.traps[0], result.goals[0]))

@@ -89,7 +89,7 @@ def find_goals(scene: Scene) -> Goals | None:
 
 
 def nearest_images(scene: Scene, starts: Poses, weights: Array | None = None, rounds: int = 30) -> Poses:
-    """Go down to the nearest poses of least weighted image error: Levenberg-Marquardt, all starts (n,) at once.
+    """Find nearby minima of the weighted image error: Levenberg-Marquardt, from all starts (n,) at once.
 
     Minimises sum_k w_k (xi_d - xi)_k^2 [px^2]. A step that would raise it, or take a point behind the camera, is
     refused and shortened. What a start reaches is a local minimum, or where the rounds end.
@@ -172,7 +172,7 @@ def _goal(scene: Scene, pose: Poses) -> GoalPose:
 
 
 def _turn_rate(turn: Array) -> Array:
-    """Give the matrix that takes the rate of a rotation vector to the angular velocity, both in B, (3, 3).
+    """Return the matrix from the rate of a rotation vector to the angular velocity, both in B, (3, 3).
 
     I + (1 - cos a)/a^2 S + (a - sin a)/a^3 S^2, with a = |turn| and S the matrix of turn x.
     """

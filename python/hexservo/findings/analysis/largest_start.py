@@ -125,7 +125,7 @@ class LargestStart(Part):
 
 
 def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
-    """Give the largest size below the smallest that fails, and that one: (0, ...) for none, (..., None) for none."""
+    """Return the largest size below the smallest that fails, and that one: (0, ...) for none, (..., None) for none."""
     failed = min((size for size, good in tried.items() if not good), default=None)
     good = [size for size, settled in tried.items() if settled and (failed is None or size < failed)]
     return max(good, default=0.0), failed
@@ -197,7 +197,7 @@ class _Trial:
                 self.scenario = short
 
     def longest(self) -> Scenario:
-        """Give the scenario with the longer duration."""
+        """Return the scenario with the longer duration."""
         return self.scenario.updated({"simulation.duration": self.longer})
 
     def _task_settles(self) -> bool:
@@ -286,7 +286,7 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
         return [] if high is None else [low + part * (high - low) for part in (0.25, 0.5, 0.75)]
 
     def between(way: _Way) -> list[float]:
-        """Give sizes halfway between those of the grid, below the border: does a smaller one fail."""
+        """Return sizes halfway between those of the grid, below the border: a smaller one may fail."""
         high = border(way.tried)[1] or way.largest
         return [size for k in range(_GRID) if (size := way.largest * (k + 0.5) / _GRID) < high]
 
@@ -324,7 +324,7 @@ def _units(scene: Scene) -> list[tuple[str, Array]]:
 
 
 def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
-    """Give the largest size along a way that is reachable, seen and in the region, and what limits it.
+    """Return the largest size along a way that is reachable, seen and in the region, and what limits it.
 
     Every pose on the way to it is reachable and seen as well, on a grid.
     """

@@ -155,7 +155,7 @@ class _Tick:
         return np.concatenate([wrench - self.weight, self.step(frame, pose, np.zeros(6))[1] - before])
 
     def at(self, pose: Poses) -> None:
-        """Take a pose for that of rest."""
+        """Set the pose of rest."""
         self.rest = pose
         self.resting = (*self.image(np.zeros(12), pose), pose.position, pose.quaternion, np.zeros(6))
 
@@ -166,7 +166,7 @@ def _differences(count: int, step: float, at: Callable[[Array], Array]) -> Array
 
 
 def _by_twist(tick: _Tick, step: float) -> tuple[Array, tuple[int, ...], Array]:
-    """Give the response to a twist (18, 6), the axes whose fuzzy systems adapt, and the leakage of a tick."""
+    """Return the response to a twist (18, 6), the axes whose fuzzy systems adapt, and the leakage of a tick."""
     zero = np.zeros(6)
     response = _differences(6, step, lambda v: tick.response(np.zeros(12), zero, v))
     # A twist drives the system of the same axis; with a dead zone, or without fuzzy systems, none.

@@ -111,7 +111,7 @@ class SampledLoop:
         return max(1, (_LARGEST - self.size) // int(self.frame.shape[1]))
 
     def _read(self) -> Array:
-        """Give what a reading of the joint sensors does to the state."""
+        """Return the map of the state by a reading of the joint sensors."""
         change = np.eye(self.size)
         if self._sensing:
             at = self._parts
@@ -124,7 +124,7 @@ class SampledLoop:
         return change
 
     def _act(self) -> Array:
-        """Give what law, actuators and plant do to the state in one tick."""
+        """Return the map of the state by law, actuators and plant in one tick."""
         at, unit = self._parts, np.eye(self.size)
         n = len(self.acceleration)
         x, v, s, f = unit[at["x"]], unit[at["v"]], unit[at["s"]], unit[at["f"]]
@@ -165,7 +165,7 @@ class SampledLoop:
 
     # --- from tick to tick: always after the reading of a tick, before the law's turn -----------------------------
     def _power(self, of: Literal["pauses", "reads", "readings"], count: int) -> Array:
-        """Give the state after some ticks without a reading, with one at each, or after some whole readings."""
+        """Return the map of the state over ticks without a reading, with one at each, or over whole readings."""
         known = self._powers
         if (of, count) not in known:
             if count == 0:
@@ -179,7 +179,7 @@ class SampledLoop:
         return known[of, count]
 
     def _passage(self, start: int, stop: int) -> Array:
-        """Give the state from one tick to another."""
+        """Return the map of the state from one tick to another."""
         if self.reading == 1:
             return self._power("reads", stop - start)
         first = -(-start // self.reading) * self.reading  # the next reading, or one that is just over
@@ -222,7 +222,7 @@ class SampledLoop:
 
     # --- modes that are known to stay -----------------------------------------------------------------------------
     def _balance(self) -> Array:
-        """Give command and change of the law's state, (n + m, n + m), where (x, s) stay."""
+        """Return command and change of the law's state, (n + m, n + m), where (x, s) stay."""
         n, m = len(self.acceleration), len(self.axes)
         balance = np.zeros((n + m, n + m))
         balance[:n, :n] = self.gain * (self.frame[:, :n] + self.pose)
@@ -249,7 +249,7 @@ class SampledLoop:
         return np.asarray(directions[rank:].T / columns[:, None])
 
     def _staying(self, clock: Clock) -> Array:
-        """Give `resting` as states of the pattern."""
+        """Return `resting` as states of the pattern."""
         still = self.resting
         n, at = len(self.acceleration), self._parts
         states = np.zeros((self.size + self.frame.shape[1] * (clock.latency // clock.period), still.shape[1]))
@@ -269,7 +269,7 @@ class SampledLoop:
 
     # --- verdicts -------------------------------------------------------------------------------------------------
     def _reduced(self, clock: Clock) -> tuple[Array, Array]:
-        """Give the pattern without the modes of `resting`, and the states that it acts on, one a column."""
+        """Return the pattern without the modes of `resting`, and the states that it acts on, one a column."""
         whole = self.pattern(clock)
         basis = np.eye(len(whole))
         staying = self._staying(clock)
@@ -290,7 +290,7 @@ class SampledLoop:
         return float(np.abs(self.multipliers(clock)[0]))
 
     def motion(self, clock: Clock, multiplier: complex) -> Complex:
-        """Give the displacement (n,) at the pattern's start of the mode whose multiplier is nearest, of length 1."""
+        """Return the displacement (n,) at the pattern's start of the mode whose multiplier is nearest, of length 1."""
         whole, basis = self._reduced(clock)
         values, vectors = np.linalg.eig(whole)
         mode = basis @ vectors[:, int(np.argmin(np.abs(values - multiplier)))]

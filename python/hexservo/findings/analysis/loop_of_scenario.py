@@ -59,7 +59,7 @@ class LoopAtRest:
 
 
 def quiet(scenario: Scenario) -> Scenario:
-    """Take out what a linear loop does not have: noise, faults, limits, motion of the base, errors of the weight.
+    """Remove what a linear loop does not have: noise, faults, limits, motion of the base, errors of the weight.
 
     A scenario in continuous mode becomes one in sampled mode, with its camera's keys.
 
@@ -94,7 +94,7 @@ def quiet(scenario: Scenario) -> Scenario:
 
 
 def clock_of(scenario: Scenario) -> Clock:
-    """Give the camera's period and latency in ticks."""
+    """Return the camera's period and latency in ticks."""
     tick = scenario.simulation.step
     return Clock(max(1, round(frame_period(scenario) / tick)), round(scenario.camera.latency / tick))
 
@@ -138,7 +138,7 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
 
 
 def loop_with_weights(at_rest: LoopAtRest, weights: Array, *, smooth: bool) -> SampledLoop:
-    """Give the linear loop of a scenario with other fuzzy weights.
+    """Return the linear loop of a scenario with other fuzzy weights.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def scaled(scenario: Scenario, factor: float) -> Scenario:
 
 
 def at_rest_at_home(at_rest: LoopAtRest) -> Scenario:
-    """Give the same loop with its pose of rest at home, where every run starts: the image there is the goal.
+    """Return the loop with its pose of rest at home, where every run starts: the image there is the goal.
 
     What differs from the scenario is the attitude at rest, and the pose of the legs.
     """

@@ -29,7 +29,7 @@ class NotComputed:
     reason: str  # as a clause
 
     def section(self) -> Section:
-        """Say why."""
+        """Return the reason as a section."""
         return open_section(self.name, self.title, f"Cannot be computed: {self.reason}.")
 
 
@@ -64,7 +64,7 @@ def _reason(error: Exception) -> str:
 
 
 def _extreme(scenario: Scenario) -> list[tuple[str, float]]:
-    """Give the keys whose numbers are farthest from those of `paper`, by factors, the farthest first."""
+    """Return the keys whose numbers are farthest from those of `paper`, by factors, the farthest first."""
     law = scenario.controller.law
     usual = dict(_decades(load_scenario("paper"), law))
     farthest: dict[str, tuple[float, float]] = {}
@@ -79,7 +79,7 @@ def _extreme(scenario: Scenario) -> list[tuple[str, float]]:
 
 
 def _decades(scenario: Scenario, law: str) -> Iterator[tuple[str, Array]]:
-    """Give log10 of the sizes of the numbers that are not zero, by key."""
+    """Yield log10 of the sizes of the numbers that are not zero, by key."""
     for key in numeric_keys(law):
         value: object = scenario
         for part in key.split("."):

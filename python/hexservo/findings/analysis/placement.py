@@ -32,7 +32,7 @@ class Placement:
 
 
 def image_radius(scene: Scene) -> float:
-    """Give the radius about the image centre within which features may be placed [px].
+    """Return the radius about the image centre within which features may be placed [px].
 
     95 % of half the smaller side of ``camera.image_size``; without it 240 px, or as far out as the scenario's own
     features are.
@@ -44,12 +44,12 @@ def image_radius(scene: Scene) -> float:
 
 
 def in_circle(radius: Array | float, angles: Array) -> Array:
-    """Give features (8,) [px] at these distances from the image centre [px] and angles (4,) [rad]."""
+    """Return features (8,) [px] at these distances from the image centre [px] and angles (4,) [rad]."""
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles)]).ravel()
 
 
 def place(scene: Scene, name: str, features: Array, depth: Array, length: float) -> Placement:
-    """Judge four features seen from home: least squares on the core's image Jacobian there.
+    """Return the pose observability from four features at home: least squares on the core's image Jacobian there.
 
     Parameters
     ----------

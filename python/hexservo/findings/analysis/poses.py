@@ -25,16 +25,16 @@ class Poses:
     quaternion: Array  # (..., 4) w x y z, of unit length
 
     def __len__(self) -> int:
-        """Give the number of rows."""
+        """Return the number of rows."""
         return len(self.position)
 
     def __getitem__(self, rows: int | np.int_ | slice | Mask | NDArray[np.int_] | list[int]) -> Poses:
-        """Give some of the rows."""
+        """Return the selected rows."""
         return Poses(self.position[rows], self.quaternion[rows])
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Give the leading axes: () for one pose."""
+        """Return the leading axes: () for one pose."""
         return self.position.shape[:-1]
 
     @property
@@ -43,7 +43,7 @@ class Poses:
         return Poses(self.position.reshape(-1, 3), self.quaternion.reshape(-1, 4))
 
     def moved(self, displacement: Array) -> Poses:
-        """Give the poses after displacements, of as many rows or of one that serves all."""
+        """Return the poses after displacements: one per row, or one for all."""
         half = 0.5 * displacement[..., 3:]
         angle = np.sqrt((half * half).sum(axis=-1))
         vector = np.sinc(angle / np.pi)[..., None] * half  # sin(angle)/angle, also at zero
@@ -52,16 +52,16 @@ class Poses:
         return Poses(self.position + displacement[..., :3], quaternion / length)
 
     def displacement_from(self, other: Poses) -> Array:
-        """Give what `moved` takes from other poses to these, (..., 6) [m; rad], rotated by at most pi."""
+        """Return the displacements from other poses to these, (..., 6) [m; rad], as of `moved`; rotation at most pi."""
         turn = _product(self.quaternion, other.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
         return np.concatenate([self.position - other.position, unit_rotation_vectors(turn)], axis=-1)
 
     def repeated(self, count: int) -> Poses:
-        """Give one pose several times, as rows."""
+        """Return one pose repeated, as rows."""
         return Poses(np.tile(self.position, (count, 1)), np.tile(self.quaternion, (count, 1)))
 
     def chosen(self, rows: Mask, others: Poses) -> Poses:
-        """Give the other's pose in the rows that are True, one's own elsewhere."""
+        """Return the other's pose in the rows that are True, this one elsewhere."""
         return Poses(
             np.where(rows[:, None], others.position, self.position),
             np.where(rows[:, None], others.quaternion, self.quaternion),
@@ -69,12 +69,12 @@ class Poses:
 
     @staticmethod
     def joined(*parts: Poses) -> Poses:
-        """Put poses one after the other, as rows."""
+        """Concatenate poses as rows."""
         return Poses(np.vstack([p.position for p in parts]), np.vstack([p.quaternion for p in parts]))
 
 
 def by_displacement(values: Callable[[Poses], Array], poses: Poses, steps: Array) -> Array:
-    """Give the derivative of what depends on the pose by a displacement, (..., k, 6), by central differences.
+    """Return the derivative of a function of the pose by a displacement, (..., k, 6), by central differences.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def by_displacement(values: Callable[[Poses], Array], poses: Poses, steps: Array
 
 
 def without_sign(directions: Array) -> Array:
-    """Give directions (..., 6) whose sign means nothing with that for which the first of the large entries is positive.
+    """Return directions (..., 6) of arbitrary sign with the sign for which the first large entry is positive.
 
     Large is what has at least 0.9 of the largest, so that rounding does not choose between two that are equal.
     """

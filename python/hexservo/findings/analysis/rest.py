@@ -47,7 +47,7 @@ class Rest(Scene):
         self.gravity_error: Array = np.asarray(dynamics.gravity * self.weight)  # delta_G G-bar, (6,) [N; N m]
 
     def aimed_at(self, desired: Array) -> Rest:
-        """Give the same with another goal image, (8,) [px]."""
+        """Return a copy with another goal image, (8,) [px]."""
         other = copy(self)
         self.settings.target.desired_features = desired
         other.probe = _core.Probe(self.settings)  # takes what it needs
@@ -56,7 +56,7 @@ class Rest(Scene):
         return other
 
     def wrench(self, poses: Poses, twist: Array | None = None, *, exact_depth: bool = False) -> Array:
-        """Give what the law asks for, (..., 6) in B [N; N m], at rest or at twists (..., 6) in B; weight included.
+        """Return the law's wrench, (..., 6) in B [N; N m], at rest or at twists (..., 6) in B; weight included.
 
         NaN where not all points are in view. With `exact_depth` the controller uses the true depths.
         """
@@ -74,7 +74,7 @@ class Rest(Scene):
         return result.reshape(*poses.shape, 6)
 
     def acceleration(self, poses: Poses, twist: Array | None = None) -> Array:
-        """Give chi-ddot of the plant under the law, (..., 6) [m/s^2; rad/s^2], at rest or at twists (..., 6) in B.
+        """Return chi-ddot of the plant under the law, (..., 6) [m/s^2; rad/s^2], at rest or at twists (..., 6) in B.
 
         NaN where not all points are in view. Zero at rest: an equilibrium.
         """
@@ -87,14 +87,14 @@ class Rest(Scene):
         return wrench.reshape(*poses.shape, 6)
 
     def stiffness(self, poses: Poses, step: float = 1e-6) -> Array:
-        """Give minus the derivative of `acceleration` by a displacement, (..., 6, 6) [1/s^2], in `unit` on both sides.
+        """Return minus the derivative of `acceleration` by displacement, (..., 6, 6) [1/s^2], in `unit` on both sides.
 
         Central differences: with steps near 1e-6 truncation and rounding leave about 1e-12 of the largest entry.
         """
         return -by_displacement(self.acceleration, poses, step * self.unit) * self.unit / self.unit[:, None]
 
     def settled(self, starts: Poses, rounds: int = 10) -> tuple[Poses, Mask]:
-        """Look for equilibria by Newton's method from each start, and tell which converged (last step below 1e-8)."""
+        """Return equilibria by Newton's method from each start, and which converged (last step below 1e-8)."""
         poses, last = starts, np.full(len(starts), np.inf)
         for _ in range(rounds):
             slope, value = self.stiffness(poses), self.acceleration(poses) / self.unit
@@ -109,7 +109,7 @@ class Rest(Scene):
 
 
 def without_friction(scenario: Scenario) -> Scenario:
-    """Give the scenario with a law that has neither switching term nor fuzzy systems."""
+    """Return the scenario with a law that has neither switching term nor fuzzy systems."""
     law = scenario.controller.law
     changes: dict[str, Any] = {"controller.switching.kind": "sign", f"controller.{law}.kv": 0.0}
     changes[f"controller.{law}.fuzzy.enabled"] = False
@@ -134,7 +134,7 @@ class RestLaw:
         self._exact_depth = exact_depth
 
     def aimed_at(self, desired: Array) -> RestLaw:
-        """Give the same law with another goal image, (8,) [px]."""
+        """Return a copy with another goal image, (8,) [px]."""
         other = copy(self)
         other._rest = self._rest.aimed_at(desired)
         return other
@@ -150,7 +150,7 @@ class RestLaw:
         return self._rest.gravity_error
 
     def wrench(self, poses: Poses) -> Array:
-        """Give the wrench at poses, (..., 6) in B [N; N m].
+        """Return the wrench at poses, (..., 6) in B [N; N m].
 
         Raises
         ------
@@ -163,5 +163,5 @@ class RestLaw:
         return np.asarray(wrench - self._rest.weight + self.gravity_error)
 
     def stiffness(self, poses: Poses) -> Array:
-        """Give minus the derivative of the wrench by the displacement, (..., 6, 6), by central differences."""
+        """Return minus the derivative of the wrench by the displacement, (..., 6, 6), by central differences."""
         return -by_displacement(self.wrench, poses, _STEPS)

@@ -87,14 +87,14 @@ class Scene:
         return body
 
     def points_seen_as(self, features: Array, depth: Array) -> Array:
-        """Give the points in B, (4, 3) [m], that look so from home: features (8,) [px], depth (4,) [m], negative."""
+        """Return points in B, (4, 3) [m], with this image from home: features (8,) [px], depth (4,) [m], negative."""
         beside = np.column_stack([np.ones((4, 2)), depth])  # in E, one metre off the axis each way
         scale, _ = _core.take_image(self.camera, self.home.position, self.home.quaternion, self.home.position + beside)
         lateral = features.reshape(4, 2) / scale.reshape(4, 2)
         return self.home.position + np.column_stack([lateral, depth])
 
     def _image_of_home(self) -> tuple[Array, Array]:
-        """Give the true features (8,) [px] and Z (4,) [m] at the start."""
+        """Return the true features (8,) [px] and Z (4,) [m] at the start."""
         if self.has_points:
             features, depth = self.probe.image(self.home.rows.position, self.home.rows.quaternion)
             return features[0], depth[0]
@@ -102,7 +102,7 @@ class Scene:
         return np.array(target.initial_features), -np.array(target.depth)
 
     def image(self, poses: Poses) -> tuple[Array, Array]:
-        """Give the true features (..., 8) [px] and Z (..., 4) [m]; NaN where a point is not well in front.
+        """Return the true features (..., 8) [px] and Z (..., 4) [m]; NaN where a point is not well in front.
 
         Raises
         ------
@@ -116,33 +116,33 @@ class Scene:
         return features.reshape(*poses.shape, 8), depth.reshape(*poses.shape, 4)
 
     def view(self, pose: Poses) -> View:
-        """Look at the target from one pose; the camera has points, or the pose is home."""
+        """Return the view from one pose; the camera has points, or the pose is home."""
         features, depth = self.image(pose) if self.has_points else self._image_of_home()
         seen = np.isfinite(features).all()
         jacobian = self.jacobian(features, depth, pose.quaternion) if seen else np.full((8, 6), np.nan)
         return View(pose, features, depth, jacobian)
 
     def jacobian(self, features: Array, depth: Array, quaternion: Array) -> Array:
-        """Give the true image Jacobian (..., 8, 6), with the plant's sign, of images that are seen; depths as given."""
+        """Return the true image Jacobian (..., 8, 6), with the plant's sign, of images in view; depths as given."""
         found = self.probe.image_jacobian(features.reshape(-1, 8), depth.reshape(-1, 4), quaternion.reshape(-1, 4))
         return found.reshape(*features.shape[:-1], 8, 6)
 
     def residual(self, poses: Poses) -> Array:
-        """Give the largest |xi_d - xi|, (...) [px]; NaN where a point is not seen."""
+        """Return the largest |xi_d - xi|, (...) [px]; NaN where a point is not seen."""
         return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=-1))
 
     def leg_travel(self, poses: Poses) -> Array:
-        """Give how much longer each leg is than at home, (..., 6) [m]."""
+        """Return how much longer each leg is than at home, (..., 6) [m]."""
         pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
         found = np.asarray([self.hexapod.leg_lengths(*pose) for pose in pairs]) - self.hexapod.home_lengths
         return found.reshape(*poses.shape, 6)
 
     def stroke_left(self, poses: Poses) -> Array:
-        """Give the travel that is left to the leg that is nearest to its limit, (...) [m]; negative beyond it."""
+        """Return the remaining travel of the leg nearest to its limit, (...) [m]; negative beyond it."""
         return np.asarray(self.stroke - np.abs(self.leg_travel(poses)).max(axis=-1))
 
     def reachable(self, poses: Poses) -> Mask:
-        """Tell which poses (n,) are within the stroke and on home's side of the singular ones (the sign of det H)."""
+        """Return which poses (n,) are within the stroke and on home's side of the singular ones (the sign of det H)."""
 
         def side(of: Poses) -> Array:
             pairs = zip(of.position, of.quaternion, strict=True)
@@ -159,7 +159,7 @@ class Scene:
 
 @lru_cache(maxsize=8)  # several parts of an analysis ask
 def scene_of(scenario: Scenario) -> Scene:
-    """Give a scenario in the core's terms."""
+    """Return the scene of a scenario."""
     return Scene(scenario)
 
 

@@ -63,7 +63,7 @@ class Stiction(Part):
 
     @property
     def focal_pixels(self) -> float:
-        """Give f [px]."""
+        """Return f [px]."""
         return float(self.scene.camera.focal_pixels)
 
 
@@ -107,7 +107,7 @@ def analyse(scenario: Scenario) -> Stiction:
 
 
 def _unusable(scene: Scene, goals: Goals) -> str | None:
-    """Say why there is no goal pose around which a set could be looked for; None where there is one."""
+    """Return why there is no goal pose with a set around it; None where there is one."""
     if goals.best.largest_residual > scene.band:
         return (
             f"Open: no pose with the goal image was found (the best leaves {number(goals.best.largest_residual)} "
@@ -122,7 +122,7 @@ def _unusable(scene: Scene, goals: Goals) -> str | None:
 
 
 def _kind(scenario: Scenario) -> tuple[Kind, str]:
-    """Say which question a law poses."""
+    """Return which case of the analysis applies to a law, and the reason."""
     law = scenario.controller.law
     if law not in ("hybrid", "composite"):
         return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
@@ -184,7 +184,7 @@ def _around_home(scene: Scene, law: RestLaw, box: Array) -> StictionCase:
 
 
 def _straight_way(fuzzy: Fuzzy, goals: Goals) -> Array:
-    """Give what one rule that fires alone takes up on the way to the goal: displacement/Psi, within the limit."""
+    """Return the output of one rule that fires alone on the way to the goal: displacement/Psi, within the limit."""
     way = goals.nearest.displacement / np.broadcast_to(np.asarray(fuzzy.adaptation), 6)
     if fuzzy.weight_limit is not None:
         limit = np.asarray(fuzzy.weight_limit)
@@ -219,7 +219,7 @@ def _creep(rest: RestSet, at_goal: Array, scenario: Scenario, kv: Array) -> Cree
 
 
 def _prior_error(scene: Scene, goals: Goals) -> float | None:
-    """Give the image error where the pose error e of `composite` vanishes [px], near the goal; None if not found."""
+    """Return the image error where the pose error e of `composite` vanishes [px], near the goal; None if not found."""
     changes = {"kp": 0.0, "kd": 0.0, "kt": 1.0}  # the law's wrench is then e
     only_e = scene.scenario.updated({f"controller.composite.{key}": value for key, value in changes.items()})
     rest = Rest(without_friction(only_e), gravity=0.0)

@@ -123,7 +123,7 @@ def _share(wrench: Array, kv: Array) -> Array:
 
 
 def _displacements(rest: RestSet, ends: Extremes) -> Array:
-    """Give where the goals are from home, (63, 6) [m; rad]."""
+    """Return the displacements of the goals from home, (63, 6) [m; rad]."""
     random = np.random.default_rng(0)
     vertices = ends.displacements
     held = [vertices[k % len(vertices)] * _SHARES[k % len(_SHARES)] for k in range(COUNT // 2)]

@@ -59,7 +59,7 @@ class RestSet:
         )
 
     def farthest(self, directions: Array, within: float | None = None) -> Array | None:
-        """Give the displacements of the set with the largest direction . d: one linear program for each direction.
+        """Return the displacements of the set with the largest direction . d: one linear program for each direction.
 
         They are solved as one program in blocks, which share nothing.
 
@@ -106,7 +106,7 @@ class RestSet:
 
     @cached_property
     def _inequalities(self) -> tuple[Array, Array, Array]:
-        """Give rows (36, 6), limits (36,) and units (6,), such that rows (d/units) <= limits, all near one."""
+        """Return rows (36, 6), limits (36,) and units (6,), such that rows (d/units) <= limits, all near one."""
         units = np.minimum(self.span, self.stroke / np.repeat([1.0, self.radius], 3))
         pull = self.stiffness * units
         size = np.maximum(np.maximum(np.abs(self.low), np.abs(self.high)), 1e-6 * np.abs(pull).max(axis=1))
@@ -125,13 +125,13 @@ class RestSet:
         return rows, limits, units
 
     def limits_at(self, displacement: Array) -> tuple[Array, Array, Array]:
-        """Tell which axes of K_v, which legs and which axes of the span bound the set there, (6,) of bool each."""
+        """Return which axes of K_v, which legs and which axes of the span bound the set there, (6,) of bool each."""
         rows, limits, units = self._inequalities
         tight = (limits - rows @ (displacement / units) < 1e-6).reshape(6, 6)
         return tight[0] | tight[1], tight[2] | tight[3], tight[4] | tight[5]
 
     def image_error(self, displacement: Array) -> Array:
-        """Give the linearised image error at a displacement, (8,) [px]."""
+        """Return the linearised image error at a displacement, (8,) [px]."""
         return np.asarray(self.error - self.view.jacobian @ displacement)
 
 
@@ -222,13 +222,13 @@ def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) ->
 
 
 def _optical_axis(pose: Poses) -> Array:
-    """Give z of E in B."""
+    """Return z of E in B."""
     w, x, y, z = pose.quaternion
     return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
 def _only(rest: RestSet, copies: int) -> Array | None:
-    """Give the one point of a set without width, (copies, 6); None where it is beyond stroke or span."""
+    """Return the one point of a set without width, (copies, 6); None where it is beyond stroke or span."""
     point = np.linalg.solve(rest.stiffness, rest.wrench - rest.low)
     legs = (np.abs(rest.travel + rest.leg_rates @ point) <= rest.stroke).all()
     return np.tile(point, (copies, 1)) if legs and (np.abs(point) <= rest.span).all() else None

@@ -76,7 +76,7 @@ class Workspace(Part):
 
 
 def analyse(scenario: Scenario) -> Workspace:
-    """Work out reach, distance to singularity, holding forces and margins of stroke, by the core's legs."""
+    """Compute reach, distance to singularity, holding forces and margins of stroke, by the core's legs."""
     scene = scene_of(scenario)
     goals = find_goals(scene)
     random = np.random.default_rng(0)
@@ -127,7 +127,7 @@ def reach(scene: Scene, direction: Array) -> Reach:
 
 
 def _reaches(scene: Scene, directions: Array) -> list[Reach]:
-    """Give `reach` of all directions (n, 6), which march side by side."""
+    """Return `reach` of all directions (n, 6), which march side by side."""
     turning = np.linalg.norm(directions[:, 3:], axis=1)
     speed = np.linalg.norm(directions[:, :3], axis=1) + scene.platform_radius * turning
     distance, leg = np.zeros(len(directions)), np.zeros(len(directions), dtype=int)
@@ -189,7 +189,7 @@ def _way_margin(scene: Scene, displacement: Array) -> Array:
 
 
 def _margin_map(scene: Scene, centre: Poses) -> tuple[Array, Array, Array]:
-    """Give x and y from home [m] and the stroke that is left [m], over what the stroke may reach and the goal."""
+    """Return x and y from home [m] and the remaining stroke [m], over the reach of the stroke and the goal."""
     home = scene.home.position
     half = max(2.0 * scene.stroke, 1.2 * float(np.abs((centre.position - home)[:2]).max()))
     ticks = np.linspace(-half, half, _GRID)

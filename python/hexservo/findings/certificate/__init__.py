@@ -50,7 +50,7 @@ class Certificate(Findings):
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give all numbers as strict JSON has them, by section; SI units and pixels."""
+        """Return all numbers for strict JSON, by section, in SI units and pixels."""
         return {"differences": as_data(dict(self.differences))} | {
             section.name: as_data(section.data) for section in self.sections()
         }

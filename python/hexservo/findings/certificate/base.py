@@ -13,7 +13,7 @@ __all__ = ["base_accelerations"]
 
 
 def base_accelerations(run: Replay) -> Array | None:
-    """Give the acceleration of B at start, middle and end of every step of the integration, (m, 3, 3) [m/s^2].
+    """Return the acceleration of B at start, middle and end of every step of the integration, (m, 3, 3) [m/s^2].
 
     The core has no function for it, so it is measured: a platform without model errors and with nothing but
     viscous damping runs on the same base. Its velocity changes in a step by what its wrench, which is logged, and the
@@ -56,7 +56,7 @@ def base_accelerations(run: Replay) -> Array | None:
 
 
 def _from_means(means: Array) -> Array:
-    """Give values at start, middle and end of n cells, (n, 3, k), from a function's Simpson means over them, (n, k)."""
+    """Return values at start, middle and end of n cells, (n, 3, k), from a function's Simpson means there, (n, k)."""
     first = 2 * means[0] - means[min(1, len(means) - 1)]  # straight on, beyond both ends
     last = 2 * means[-1] - means[max(len(means) - 2, 0)]
     padded = np.concatenate([[2 * first - means[0], first], means, [last, 2 * last - means[-1]]])

@@ -39,7 +39,7 @@ class BatchCertificate(Findings):
     margin: Array = field(repr=False)  # (n, 6), k_v - eta_Delta [N; N m]; likewise
 
     def __len__(self) -> int:
-        """Give the number of scenarios."""
+        """Return the number of scenarios."""
         return len(self.outcome)
 
     @property
@@ -129,7 +129,7 @@ class BatchCertificate(Findings):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Give all numbers as strict JSON has them; SI units and pixels."""
+        """Return all numbers for strict JSON, in SI units and pixels."""
         section = self.section()
         return {section.name: as_data(section.data)}
 

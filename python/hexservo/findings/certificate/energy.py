@@ -102,7 +102,7 @@ class EnergyLedger(Findings):
         return tuple(found)
 
     def work(self, term: str) -> float:
-        """Work of a term over the whole run [J]."""
+        """Return the work of a term over the whole run [J]."""
         return float(self.works[term].sum())
 
     def section(self) -> Section:
@@ -204,7 +204,7 @@ class EnergyLedger(Findings):
 
 
 def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
-    """Work out the ledger of a run.
+    """Compute the energy balance of a run.
 
     Raises
     ------
@@ -291,7 +291,7 @@ class _Terms:
         return cls(run, tuple(without), gravity, known, tuple(remarks))
 
     def wrenches(self, stages: Stages, plant: Plant) -> dict[str, Array]:
-        """Give the wrench of every term in every stage, (m, 4, 6) [N; N m]; they sum to what acts."""
+        """Return the wrench of every term in every stage, (m, 4, 6) [N; N m]; they sum to what acts."""
         found: dict[str, Array] = {}
         if not self.law_is_known:
             found["own" if self.run.own else "acting"] = stages.wrench - self.gravity
@@ -337,7 +337,7 @@ class _Terms:
 
 
 def _quadrature(stages: Stages, plant: Plant, inertia: Array, turning: Array) -> tuple[Array, Array]:
-    """Give what the quadrature misses of the energy in each step [J], and a bound of it (docs/certificate/energy.md).
+    """Return the quadrature error of the energy in each step [J], and its bound (docs/certificate/energy.md).
 
     In one step from 0 to 1 with stages i, weights b_i, accelerations a_i and their mean a, and with D the actual
     inertia, M its mean over both ends and u the mean twist, the residual is exactly

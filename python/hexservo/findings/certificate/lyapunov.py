@@ -360,7 +360,7 @@ def differentiate(values: Array, step: float, breaks: Mask) -> Array:
 
 
 def _error_bound(disagreement: Array, change: Array, step: float) -> Array:
-    """Give the largest disagreement within reach of the differences, and their rounding; NaN where there is none."""
+    """Return the largest disagreement within reach of the differences, and their rounding; NaN where there is none."""
     count = len(disagreement)
     known = np.abs(np.nan_to_num(disagreement, nan=0.0))
     padded = np.pad(known, _WIDEST)
@@ -369,7 +369,7 @@ def _error_bound(disagreement: Array, change: Array, step: float) -> Array:
 
 
 def _rounding(change: Array, step: float) -> float:
-    """Give what rounding may make of a difference of V [W]."""
+    """Return the rounding error of a difference of V [W]."""
     return 4 * np.finfo(float).eps * float(np.abs(change).max(initial=0.0)) / step
 
 

@@ -63,7 +63,7 @@ class Replay:
 
     @property
     def remark(self) -> str:
-        """Say in a sentence whether these are the result's own numbers."""
+        """Return a sentence on whether these numbers are the result's own."""
         if self.own:
             return "These are the result's own samples: a custom controller cannot be run again."
         if not self.differences:
@@ -125,7 +125,7 @@ def replay_of(
     own: bool = False,
     differences: Mapping[str, float] | None = None,
 ) -> Replay:
-    """Take the samples of a run that holds every step, up to a time [s]."""
+    """Select the samples of a run that has every step, up to a time [s]."""
     count = min(len(run.time), round(end_time / scenario.simulation.step) + 1)
     settings = core_parameters(scenario)
     return Replay(
@@ -149,7 +149,7 @@ def replay_of(
 
 
 def _differences(result: Result, run: Result) -> dict[str, float]:
-    """Give the largest difference of every quantity that is not the same, bit for bit; infinite where one ended."""
+    """Return the largest difference of every quantity that is not the same, bit for bit; infinite where one ended."""
     places = np.rint(result.time / result.scenario.simulation.step).astype(np.intp)
     if places[-1] >= len(run.time):
         return dict.fromkeys(_COMPARED, np.inf)
@@ -162,7 +162,7 @@ def _differences(result: Result, run: Result) -> dict[str, float]:
 
 
 def probe_without(scenario: Scenario, *gains: str) -> _core.Probe:
-    """Give the parts of a scenario's loop with some gains of its law zero: what they do is what is missing."""
+    """Return the parts of a scenario's loop with some gains of its law zero, to find the effect of these gains."""
     settings = core_parameters(scenario)
     for name in gains:
         value = getattr(settings.gains, name)
@@ -171,7 +171,7 @@ def probe_without(scenario: Scenario, *gains: str) -> _core.Probe:
 
 
 def sgn_breaks(twist: Array) -> Mask:
-    """Tell which of the n - 1 steps between n samples contain a sign change of any component."""
+    """Return which of the n - 1 steps between n samples contain a sign change of any component."""
     signs = np.sign(twist)
     return np.asarray((signs[1:] != signs[:-1]).any(axis=1))
 

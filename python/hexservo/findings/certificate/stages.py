@@ -44,13 +44,13 @@ class Stages:
     to_sample: bool  # whether the steps end at samples
 
     def rows(self, name: str) -> Array:
-        """Give a quantity with one row per stage, (4 m, k)."""
+        """Return a quantity with one row per stage, (4 m, k)."""
         value = getattr(self, name)
         return np.ascontiguousarray(value.reshape(-1, value.shape[-1]))
 
 
 def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:
-    """Give the stages of all steps between the run's samples, some at a time."""
+    """Return the stages of all steps between the run's samples, some at a time."""
     moving_base = None if run.continuous else base_accelerations(run)
     for first in range(0, len(run.time) - 1, _CHUNK):
         ticks = np.arange(first, min(first + _CHUNK, len(run.time) - 1))
@@ -61,7 +61,7 @@ def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:
 
 
 def doubled_stages_of(run: Replay) -> Iterator[Stages]:
-    """Give the stages of steps twice as long, from every other sample of a run in continuous mode."""
+    """Return the stages of steps twice as long, from every other sample of a run in continuous mode."""
     settings = core_parameters(run.scenario)
     settings.simulation.step = 2 * run.step
     settings.simulation.duration = 2 * run.step * len(run.time)  # any whole number of steps

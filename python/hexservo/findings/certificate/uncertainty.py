@@ -35,7 +35,7 @@ class DeltaTau:
 
 
 def uncertainty_of(run: Replay, plant: Plant) -> DeltaTau:
-    """Work out Delta-tau of a run of the law `hybrid` (docs/certificate/assumption.md)."""
+    """Compute Delta-tau of a run of the law `hybrid` (docs/certificate/assumption.md)."""
     probe, settings = run.probe, run.settings
     assert isinstance(settings, _core.HybridSettings)
     inertia = plant.inertia(run.quaternion)

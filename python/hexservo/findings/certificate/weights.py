@@ -152,7 +152,7 @@ class _Problem:
         raise ArithmeticError(f"the linear program for the best weights has no solution: {solution.message}")
 
     def bound_of(self, dual: Array) -> tuple[float, float]:
-        """Give a bound below which no error can be, and the part of it that the limit would take off.
+        """Return a lower bound of the error, and the part of it that is due to the limit.
 
         For every d with sum |d| = 1 and weights within the limit L:
         max |target - basis w| >= d.(target - basis w) >= d.target - L |basis^T d|_1.
@@ -165,7 +165,7 @@ class _Problem:
         return float(direction @ self.target) - price, price
 
     def smallest(self, start: Array) -> Array:
-        """Give the weights of smallest norm among those that are as good as `start`.
+        """Return the weights of smallest norm among those with the error of `start`.
 
         min |w|^2 subject to |target - basis w| <= e and |w| <= L, by the dual method of D. Goldfarb and A. Idnani ("A
         numerically stable dual method for solving strictly convex quadratic programs", Mathematical Programming 27,
@@ -216,7 +216,7 @@ class _Problem:
         return start
 
     def _violated(self, weights: Array, error: float, chosen: Mask) -> NDArray[np.intp]:
-        """Give the worst samples beyond an error that are not yet chosen: first one of each run of neighbours."""
+        """Return the samples of largest error beyond a value, not yet chosen: first one of each group of neighbours."""
         beyond = np.abs(self.target - self.basis @ weights)
         wrong = (beyond > error * (1 + _FLOOR) + 1e-13) & ~chosen
         padded = np.r_[-np.inf, beyond, -np.inf]

@@ -154,7 +154,7 @@ def _finding(case: Case, trial: Trial, signature: Signature, remedy: Remedy | No
 
 
 def _by_looks(case: Case, record: Record, before: Judgement) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
-    """Judge from the recorded signals alone: a custom controller is not run again, since it may keep a state."""
+    """Diagnose from the recorded signals alone: a custom controller may have a state, so it is not run again."""
     findings, absent = [], []
     for cause in CAUSES:
         signature = SIGNATURES[cause.key](case, record, before) if cause.key in SIGNATURES else Signature(None, "")

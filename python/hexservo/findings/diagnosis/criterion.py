@@ -116,7 +116,7 @@ def _drift(time: Array, lengths: Array, end_time: float) -> float:
 
 
 def judge(record: Record, allowed: Allowed, cured: float | None = None) -> Judgement:
-    """Judge a run: it passes if it is settled, as the metrics have it, and its legs stay within their stroke.
+    """Decide whether a run passes: it is settled, as the metrics define it, and its legs stay within their stroke.
 
     The severity says how much of the task was missed: up to 1 for legs that leave their stroke or drift, and twice as
     much for an error that remains, each by decades, 2 in all; from 2 to 3 for a run that ends early, by the share of

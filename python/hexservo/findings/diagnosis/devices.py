@@ -184,7 +184,7 @@ def _gravity(case: Case) -> list[Removal]:
 
 
 def _gravity_alone(case: Case) -> list[Alone]:
-    """Ask an ordinary law too: a weight that only these settings do not hold is not the cause."""
+    """Try an ordinary law too: a weight that only these settings do not hold is not the cause."""
     without = {**ideal(case.scenario), "uncertainty.gravity": 0.0}
     error = setting(case.scenario, "uncertainty.gravity")
     wrong = {**without, "uncertainty.gravity": list(error) if isinstance(error, tuple) else error}

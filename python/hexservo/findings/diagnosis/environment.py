@@ -65,7 +65,7 @@ _KEPT = frozenset({"sensors.pose", "sensors.rate", "actuators.hold"})  # how a m
 
 
 def setting(scenario: Scenario, key: str) -> Any:
-    """Give the value of a dotted key as plain data."""
+    """Return the value of a dotted key as plain data."""
     value: Any = scenario
     for part in key.split("."):
         value = getattr(value, part)
@@ -73,7 +73,7 @@ def setting(scenario: Scenario, key: str) -> Any:
 
 
 def ideal(scenario: Scenario) -> dict[str, Any]:
-    """Give the changes to devices without faults: a frame at every tick, and the rest no worse than `ORDINARY`."""
+    """Return the changes to devices without faults: a frame at every tick, and the rest no worse than `ORDINARY`."""
     changes: dict[str, Any] = {}
     for block in DEVICE_BLOCKS:
         own = getattr(scenario, block)
@@ -101,7 +101,7 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
 
 
 def ordinary(scenario: Scenario) -> dict[str, Any]:
-    """Give the changes to ordinary settings of the same law: its defaults, and a fine step."""
+    """Return the changes to ordinary settings of the same law: its defaults, and a fine step."""
     changes: dict[str, Any] = {}
     law = scenario.controller.law
     own = getattr(scenario.controller, law)
@@ -139,7 +139,7 @@ def _differences(path: str, own: Any, default: Any, ratio: float) -> dict[str, A
 
 
 def unusual(scenario: Scenario) -> frozenset[str]:
-    """Give the keys whose values are neither those of good devices nor near the ordinary settings of the law."""
+    """Return the keys whose values are neither those of good devices nor near the ordinary settings of the law."""
     found = set(ideal(scenario))
     for key, wanted in ordinary(scenario).items():
         own = setting(scenario, key)
@@ -159,7 +159,7 @@ def _numeric(value: Any) -> bool:
 
 
 def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
-    """Give the pairs of scenarios that tell whether a cause makes a run fail by itself."""
+    """Return the pairs of scenarios that show whether a cause alone makes a run fail."""
     if cause.alone is not None:
         return cause.alone(case)
     scenario = case.scenario
@@ -177,7 +177,7 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
 
 
 def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
-    """Put one setting of a law alone, as it is beside the law's stiffness: with other gains it means something else.
+    """Return one setting of a law alone, relative to the law's stiffness: with other gains it has another effect.
 
     A loop that is faster as a whole has K_v by the square, and Psi by the inverse square, of what is ordinary.
     """
@@ -197,7 +197,7 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
 
 
 def both_alone(first: Cause, second: Cause, case: Case) -> Alone:
-    """Give the scenario without faults, and the one that has two causes and no others."""
+    """Return the scenario without faults, and the one that has two causes and no others."""
     scenario = case.scenario
     without = ideal(scenario)
     if "law" in (first.kind, second.kind):
@@ -216,5 +216,5 @@ def _less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
 
 
 def known(changes: Mapping[str, Any]) -> str:
-    """Give a key by which equal changes are found."""
+    """Return a hashable key, the same for equal changes."""
     return repr(sorted(changes.items()))

@@ -104,11 +104,11 @@ class Diagnosis(Findings):
         )
 
     def sections(self) -> tuple[Section, ...]:
-        """Give the one section that there is."""
+        """Return the only section."""
         return (self.section(),)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give everything as strict JSON has it; SI units and pixels."""
+        """Return all numbers for strict JSON, in SI units and pixels."""
         record, judgement = self._record, self._judgement
         if record is None or judgement is None:
             return {"failed": None, "outcome": self.result.outcome, "causes": []}
@@ -180,7 +180,7 @@ class Diagnosis(Findings):
         )
 
     def _sureness(self) -> list[str]:
-        """Say what speaks against the verdict: other changes that cure the run as well."""
+        """Return the evidence against the verdict: other changes that cure the run as well."""
         found = []
         passing = sum(self.controls)
         if passing:

@@ -33,7 +33,7 @@ GAIN_KEYS = frozenset(f"LAW.{name}" for name in (*_POWERS, "adaptive") if name !
 
 
 def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
-    """Give the changes that make the loop `factor` times as slow: t becomes factor t, forces are divided by factor^2.
+    """Return the changes that slow the loop down by `factor`: t becomes factor t, forces are divided by factor^2.
 
     Exact for a law whose plant has no weight error: m d2x/dt2 = F keeps its paths where F is divided by the square.
     """
@@ -50,13 +50,13 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
 
 
 def damped(scenario: Scenario, factor: float) -> dict[str, Any]:
-    """Give the changes that damp the loop more."""
+    """Return the changes that damp the loop more."""
     law = scenario.controller.law
     return _scaled(f"controller.{law}", getattr(scenario.controller, law), dict.fromkeys(_DAMPING, 1.0), factor)
 
 
 def not_below_default(scenario: Scenario) -> dict[str, Any]:
-    """Give the changes that raise stiffness and damping to the law's defaults where they are lower."""
+    """Return the changes that raise stiffness and damping to the law's defaults where they are lower."""
     law = scenario.controller.law
     block, default = getattr(scenario.controller, law), getattr(type(scenario.controller)(), law)
     changes = {}

@@ -45,7 +45,7 @@ class Obstacle:
 
 
 def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
-    """Ask of the goal's image and of the legs' stroke whether the goal can be reached at all (`_analysis`).
+    """Check by the goal image and the stroke of the legs whether the goal can be reached at all (`_analysis`).
 
     None where it can, and for a camera as printed, whose goal has no pose.
     """
@@ -101,7 +101,7 @@ def goal_of(record: Record | None) -> Goal | None:
 
 
 def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array) -> float:
-    """Give the smallest singular value of the image Jacobian at attitude zero [px/m].
+    """Return the smallest singular value of the image Jacobian at attitude zero [px/m].
 
     Rotations count as the distance by which they move the target's mean depth: 1 rad as |Z| metres.
     """
@@ -111,14 +111,14 @@ def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array) -> flo
 
 
 def seen_from_home(scenario: Scenario) -> tuple[_core.Camera, Array, Array]:
-    """Give the camera, and features (8,) [px] and depths (4,) [m] that it sees at the start."""
+    """Return the camera, and its features (8,) [px] and depths (4,) [m] at the start."""
     scene = scene_of(scenario)
     home = scene.view(scene.home)
     return scene.camera, home.features, home.depth
 
 
 def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float]:
-    """Put a square about the optical axis of home in place of the target, with the goal at the same pose.
+    """Replace the target by a square about the optical axis of home, with the goal at the same pose.
 
     The border of the image, where it has one, is as far out as before in parts of the target's farthest feature.
 

@@ -174,7 +174,7 @@ def _poor_image(case: Case) -> list[Removal]:
 
 
 def _poor_image_alone(case: Case) -> list[Alone]:
-    """Put the target before no more than ordinary noise, with the law as it is and with an ordinary one."""
+    """Reduce the noise to an ordinary level, with the law of the scenario and with an ordinary one."""
     assert case.goal is not None
     scenario = case.scenario
     changes, _ = spread_target(scenario, case.goal)
@@ -190,7 +190,7 @@ def _poor_image_alone(case: Case) -> list[Alone]:
 
 
 def _exact(case: Case) -> dict[str, Any]:
-    """Give the changes that make what is ordinary about devices exact."""
+    """Return the changes that make devices of ordinary quality exact."""
     if not case.sampled:
         return {}
     return {key: 0.0 for key in ORDINARY if not key.startswith("uncertainty")}

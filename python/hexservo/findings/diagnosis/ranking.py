@@ -72,7 +72,7 @@ def make_cases(scenarios: Sequence[Scenario], threads: int = 1) -> list[Case]:
 def judged(
     scenario: Scenario, record: Record, removal: Removal | None = None, before: Judgement | None = None
 ) -> Judgement:
-    """Judge a run of a scenario, perhaps with changes, perhaps to be compared to how it was before them."""
+    """Evaluate a run of a scenario, with changes or without, compared with the run before them if there is one."""
     changes = {} if removal is None else removal.changes
     free = removal is not None and not removal.stroke_counts
     stroke = scenario.robot.stroke if free else changes.get("robot.stroke", scenario.robot.stroke)
@@ -119,7 +119,7 @@ def study(cases: Sequence[Case], before: Sequence[Judgement], threads: int = 1) 
 
 
 def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
-    """Ask of each cause whose removal cures whether it also fails by itself."""
+    """Check for each cause whose removal cures whether it alone makes a run fail."""
     places = []
     runs: dict[tuple[int, str, bool], Run] = {}
     for number, one in enumerate(studies):
@@ -180,7 +180,7 @@ def rank(one: Study, withheld: str = "") -> list[Trial]:
 
 
 def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, ...]:
-    """Look for two causes that make the run fail together, where no cause is named; () where there are none.
+    """Search for two causes that make the run fail together, where no single cause is named; () for none.
 
     Either the run passes only without both, or it passes without either of them; and both together, without other
     faults, make a scenario fail. The most likely pair counts.
@@ -219,7 +219,7 @@ def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, .
 
 
 def _ordinary_devices(case: Case) -> set[str]:
-    """Give the keys of the causes in devices that are no worse than ordinary."""
+    """Return the keys of the causes in devices that are no worse than ordinary."""
     scenario, base = case.scenario, case.scenario.base_motion
     worse = ideal(scenario).keys()
     found = {cause.key for cause in CAUSES if cause.kind == "device" and cause.keys.isdisjoint(worse)}
@@ -233,14 +233,14 @@ def _ordinary_devices(case: Case) -> set[str]:
 
 
 def _unusual_causes(case: Case) -> set[str]:
-    """Give the keys of the causes for which a scenario has settings that are not ordinary."""
+    """Return the keys of the causes for which a scenario has settings that are not ordinary."""
     keys = unusual(case.scenario)
     law = f"controller.{case.scenario.controller.law}"
     return {cause.key for cause in CAUSES if any(key.replace("LAW", law) in keys for key in cause.keys)}
 
 
 def _is_elsewhere(one: Study) -> bool:
-    """Tell whether the run came to an end elsewhere, or still moves: a law that is trapped does not end a run early.
+    """Return whether the run ended for another reason, or still moves: a false equilibrium does not end a run early.
 
     An error within the ordinary band is none of a trap, however narrow the band of the scenario is.
     """
@@ -253,7 +253,7 @@ def _is_elsewhere(one: Study) -> bool:
 
 
 def _controls(case: Case) -> list[dict[str, Any]]:
-    """Give changes that take no cause out: other seeds where something is random, and small changes of the numbers."""
+    """Yield changes that remove no cause: other seeds where something is random, and small changes of the numbers."""
     scenario = case.scenario
     camera = scenario.camera
     drawn = case.sampled and (

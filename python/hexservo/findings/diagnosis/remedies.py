@@ -71,7 +71,7 @@ def unequal_depth_remedies(case: Case, removal: Removal, record: Record) -> list
 
 
 def saturation_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Take stronger legs."""
+    """Use stronger legs."""
     needed = rounded_up(1.1 * record.metrics["peak_leg_force"])
     return [Removal(f"legs that give {needed:g} N", {"robot.force_limit": needed})]
 
@@ -92,7 +92,7 @@ def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list
 
 
 def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Take longer legs."""
+    """Use longer legs."""
     stroke = rounded_up(1.05 * record.metrics["peak_leg_excursion"])
     return [Removal(f"legs with a stroke of {stroke * 1e3:.3g} mm", {"robot.stroke": stroke})]
 

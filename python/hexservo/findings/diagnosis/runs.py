@@ -92,7 +92,7 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
 
 
 def _wide(rule: NumericKey, value: Any) -> Array:
-    """Give a value in the widest shape of its key."""
+    """Return a value in the widest shape of its key."""
     array, shape = np.asarray(value, dtype=rule.dtype), max(rule.shapes, key=len)
     if array.shape == shape:
         return array

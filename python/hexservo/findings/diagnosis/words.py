@@ -20,12 +20,12 @@ _SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not worth a word
 
 
 def joined(parts: Sequence[str]) -> str:
-    """Put clauses side by side."""
+    """Join clauses."""
     return "; ".join(parts)
 
 
 def how(run: Remedy) -> str:
-    """Say how a run came out."""
+    """Return the outcome of a run as a clause."""
     return f"{'passes' if run.works else 'still fails'}: it {ends(run.outcome, run.error, run.leg_travel, run.drift)}"
 
 
@@ -35,7 +35,7 @@ def spelt(outcome: str) -> str:
 
 
 def ends(outcome: str, error: float, leg_travel: float, drift: float) -> str:
-    """Say how a run ended."""
+    """Return how a run ended."""
     if outcome != "completed":
         return f"ends early ({spelt(outcome)})"
     words = f"ends with {number(error)} px left and {number(leg_travel * 1e3)} mm of leg travel"
@@ -43,7 +43,7 @@ def ends(outcome: str, error: float, leg_travel: float, drift: float) -> str:
 
 
 def misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
-    """Give a clause for each criterion that was missed."""
+    """Return a clause for each criterion that was not met."""
     if judgement.early:
         return (result.detail.rstrip("."),)
     stroke = result.scenario.robot.stroke
@@ -81,7 +81,7 @@ def criteria_met(result: Result, record: Record, judgement: Judgement) -> tuple[
 
 
 def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
-    """Say what is near its limit, what the run passed without being stopped by it, and what its log cannot show."""
+    """Return warnings: quantities near their limits, limits passed without a stop, and what a thin log hides."""
     found = []
     if len(result.time) < FEW:
         found.append(f"The run logged {len(result.time)} samples: too few to see a drift or an oscillation.")
@@ -103,7 +103,7 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
 
 
 def remedy_sentence(finding: Finding) -> str:
-    """Say what helps against a cause, and how that run came out."""
+    """Return the remedy against a cause, and the outcome of the run with it."""
     remedy = finding.remedy
     assert remedy is not None
     keys = ", ".join(f"{key}={_value(value)}" for key, value in remedy.changes.items())
