@@ -24,6 +24,9 @@ from hexservo.scenario.version import VERSION
 
 if TYPE_CHECKING:
     from hexservo import plots
+    from hexservo.campaigns.engine import campaign
+    from hexservo.campaigns.plan import CampaignPlan, campaign_names
+    from hexservo.campaigns.result import CampaignResult, WorstRun, load_campaign
     from hexservo.findings.analysis import Analysis, analyse
     from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
     from hexservo.findings.diagnosis import Diagnosis, diagnose
@@ -47,6 +50,8 @@ __all__ = [
     "Analysis",
     "BatchCertificate",
     "BatchResult",
+    "CampaignPlan",
+    "CampaignResult",
     "Certificate",
     "Comparison",
     "ComparisonRow",
@@ -61,12 +66,16 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "VariantError",
+    "WorstRun",
     "__version__",
     "analyse",
+    "campaign",
+    "campaign_names",
     "certify",
     "certify_batch",
     "compare",
     "diagnose",
+    "load_campaign",
     "load_result",
     "load_scenario",
     "metrics",
@@ -81,6 +90,9 @@ __version__ = VERSION
 
 # module -> its public names: imported when one of them is first used, since pydantic, SciPy and the rest take a while
 _MODULES = {
+    "campaigns.engine": ("campaign",),
+    "campaigns.plan": ("CampaignPlan", "campaign_names"),
+    "campaigns.result": ("CampaignResult", "WorstRun", "load_campaign"),
     "findings.analysis": ("Analysis", "analyse"),
     "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),
     "findings.diagnosis": ("Diagnosis", "diagnose"),

@@ -12,10 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo.campaigns.plan import CampaignPlan, campaign_names, load_plan
-from hexservo.campaigns.requirements import margins, requirement_of
+from hexservo.campaigns.requirements import requirement_of, run_margins
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import load_yaml
 
@@ -36,7 +37,7 @@ FILE: dict[str, Any] = {
 }
 PLAN = load_plan(FILE)
 RUNS = 40_000
-DRAWN = PLAN.drawing().runs(0, RUNS)
+DRAWN = PLAN.drawing().numbers(0, RUNS)
 
 
 # ---- Drawing --------------------------------------------------------------------------------------------------------
@@ -62,13 +63,13 @@ def test_a_seed_is_a_number_of_the_counter_and_the_key_alone() -> None:
     key = int(PLAN.digest()[:32], 16)
     for run in (0, 1, 7, 12_345, 10**11):
         block = philox(run * width + 37 // 4 + 1, key)  # NumPy counts before it draws
-        assert PLAN.drawing().runs(run, run + 1)["seed"].tolist() == [block[37 % 4]]
+        assert PLAN.drawing().numbers(run, run + 1)["seed"].tolist() == [block[37 % 4]]
 
 
 @pytest.mark.parametrize("sizes", [[1] * 50, [7, 13, 30], [50]])
 def test_numbers_do_not_depend_on_how_runs_are_grouped(sizes: list[int]) -> None:
     ends = np.cumsum([0, *sizes])
-    parts = [PLAN.drawing().runs(int(first), int(last)) for first, last in itertools.pairwise(ends)]
+    parts = [PLAN.drawing().numbers(int(first), int(last)) for first, last in itertools.pairwise(ends)]
     for key, values in DRAWN.items():
         assert np.concatenate([part[key] for part in parts]).tobytes() == values[:50].tobytes()
 
@@ -85,7 +86,7 @@ def test_numbers_do_not_depend_on_how_runs_are_grouped(sizes: list[int]) -> None
     ],
 )
 def test_numbers_depend_on_scenario_vary_and_stream(change: dict[str, Any], same: bool) -> None:
-    other = PLAN.changed(**change).drawing().runs(0, 5)
+    other = PLAN.changed(**change).drawing().numbers(0, 5)
     assert (other["seed"].tobytes() == DRAWN["seed"][:5].tobytes()) is same
 
 
@@ -128,6 +129,32 @@ def test_shapes_of_what_varies() -> None:
     np.testing.assert_allclose(added, np.broadcast_to(added[:, -1:], added.shape), rtol=0, atol=4 * 98 * 2.0**-53)
 
 
+def test_a_displaced_target_is_the_same_body() -> None:
+    """Rotation about the centroid by a vector, then translation; checked against SciPy, run by run."""
+    vary = {
+        "target.translation": {"normal": [0.0, 0.01], "each": True},
+        "target.rotation": {"uniform": [-1, 1], "each": True},
+    }
+    plan = load_plan(FILE | {"vary": vary})
+    drawing = plan.drawing()
+    drawn = drawing.numbers(0, 200)
+    assert {key: values.shape for key, values in drawn.items()} == dict.fromkeys(vary, (200, 3))
+    found = drawing.variations(drawn)["target.points"]
+    base = np.array(drawing.base["target.points"])
+    focal, camera = (
+        plan.scenario.camera.focal_length * plan.scenario.camera.pixel_scale,
+        base - plan.scenario.robot.home_position,
+    )
+    seen = focal * camera[:, :2] / np.abs(camera[:, 2:])  # the camera looks along -z of E, which is at home
+    np.testing.assert_allclose(seen.ravel(), np.array(plan.scenario.target.initial_features), rtol=0, atol=1e-10)
+    for index, points in enumerate(found):
+        turn = Rotation.from_rotvec(drawn["target.rotation"][index])
+        expected = turn.apply(base - base.mean(axis=0)) + base.mean(axis=0) + drawn["target.translation"][index]
+        np.testing.assert_allclose(points, expected, rtol=0, atol=1e-15)
+    alone = [drawing.variations(drawing.numbers(run, run + 1))["target.points"] for run in range(200)]
+    assert np.concatenate(alone).tobytes() == found.tobytes()
+
+
 # ---- Requirements ---------------------------------------------------------------------------------------------------
 
 
@@ -148,7 +175,7 @@ def test_margins_by_hand() -> None:
         "rms_error": np.array([3.0, 2.0, 9.0, 1.0, nan]),
         "overshoot": np.array([-2.0, 2.0, -1.0, 0.0, nan]),
     }
-    found = margins(requirements, outcome, np.array([5.0, 5.0, 3.75, 5.0, nan]), 5.0, metrics)
+    found = run_margins(requirements, outcome, np.array([5.0, 5.0, 3.75, 5.0, nan]), 5.0, metrics)
     tiny = -float(np.finfo(float).tiny)
     expected: list[list[float]] = [[1.0, 0.2, 0.5, 0.5], [1, -0.5, 0, -0.5], [-1.25] * 4, [1, -1, -0.5, tiny], [-2] * 4]
     np.testing.assert_allclose(found, expected, rtol=1e-15, atol=0)
@@ -201,7 +228,7 @@ REFUSED = [
         {"vary": {"controller.hybrid.kp": {"uniform": [0, 1]}}},
         "vary.controller.hybrid.kp: expected a key of the scenario's",
     ),
-    ({"vary": {}}, "vary: expected a block of dotted keys with their distributions, got an empty block"),
+    ({"vary": {}}, "vary: expected a block of dotted keys with their variations, got an empty block"),
     ({"vary": {"camera.noise": 3}}, r"vary.camera.noise: expected one of \{normal: .*; got 3"),
     ({"vary": {"camera.noise": {"clip": [0, 1]}}}, "vary.camera.noise: expected one of .*; got none of them"),
     ({"vary": {"camera.noise": {"normal": [0, 1], "log": [1, 2]}}}, "got 2 of them: normal, log"),
@@ -246,6 +273,23 @@ REFUSED = [
     ),
     ({"vary": {"seed": {"uniform": [0, 1]}}}, r"vary.seed: expected \{choice: \[...\]\} of integers, got uniform"),
     ({"vary": {"camera.latency": {"uniform": [0, 0.1]}}}, "vary: scenario 0: camera.latency: "),
+    (
+        {"vary": {"simulation.log_every": {"choice": [1, 1.5]}}},
+        "vary.simulation.log_every: choice: expected an integer",
+    ),
+    ({"vary": {"target.rotation": {"uniform": [0, 1], "add": True}}}, "vary.target.rotation: expected neither add nor"),
+    ({"vary": {"target.rotation": 3}}, "vary.target.rotation: expected one of"),
+    (
+        {"vary": {"target.rotation": {"uniform": [0, 0.1]}, "target.depth": {"uniform": [0.4, 0.5]}}},
+        "vary.target.depth: expected nothing that places the points beside target.translation and target.rotation",
+    ),
+    (
+        {
+            "scenario": hs.load_scenario("paper").updated({"camera.convention": "as_printed"}),
+            "vary": {"target.rotation": {"uniform": [0, 1]}},
+        },
+        "vary.target.rotation: expected a scenario with camera.convention eye_in_hand",
+    ),
     ({"scenario": "paper", "vary": {"seed": "each"}}, "vary: seed: has no effect in continuous mode"),
     ({"scenario": "papr"}, 'scenario: "papr": .*did you mean "paper"'),
     ({"scenario": 3}, "scenario: expected a packaged scenario, the path of a file, or the scenario itself, got 3"),

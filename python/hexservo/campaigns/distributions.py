@@ -86,7 +86,7 @@ def uniform_of(bits: NDArray[np.uint64]) -> Array:
     return np.asarray(((bits >> np.uint64(12)).astype(float) + 0.5) * 0.5**52)  # all of them are exact
 
 
-def distribution_of(value: Any) -> Variation:
+def variation_of(value: Any) -> Variation:
     """Return a distribution from its form in a file.
 
     Raises

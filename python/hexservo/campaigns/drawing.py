@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from hexservo.campaigns.distributions import SEED, Variation, uniform_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import numeric_keys, value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Drawing"]
+__all__ = ["PLACED", "Drawing", "points_of"]
 
 _BLOCK = 4  # numbers of 64 bits that one count of Philox gives
 
@@ -24,7 +25,7 @@ class _Key:
     """How one key takes its numbers."""
 
     name: str
-    distribution: Variation
+    variation: Variation
     start: int  # of its numbers among those of a run
     entries: NDArray[np.int64]  # in the key's own shape: which of its numbers each entry has
     base: Array | float  # that is added
@@ -32,6 +33,13 @@ class _Key:
     @property
     def count(self) -> int:
         return int(self.entries.max(initial=0)) + 1
+
+
+PLACED = ("target.translation", "target.rotation")
+"""Keys of `vary` that no scenario has: the target stands elsewhere, displaced as a rigid body.
+
+Translation (3,) [m] and rotation vector (3,) [rad] about the centroid of the points, both in B: p' = R (p - c) + c + t.
+"""
 
 
 class Drawing:
@@ -45,16 +53,22 @@ class Drawing:
         self._key = key
         self._keys: list[_Key] = []
         start = 0
-        for name, distribution in vary.items():
-            one = _Key(
-                name, distribution, start, _entries(scenario, name, distribution), _base(scenario, name, distribution)
-            )
+        for name, variation in vary.items():
+            one = _Key(name, variation, start, _entries(scenario, name, variation), _base(scenario, name, variation))
             self._keys.append(one)
             start += one.count
         self._width = -(-start // _BLOCK)
+        self._points = points_of(scenario) if any(name in vary for name in PLACED) else None
 
-    def runs(self, first: int, last: int) -> dict[str, NDArray[Any]]:
-        """Return the variations of the runs `first` to `last` - 1, for `simulate_batch`.
+    @property
+    def base(self) -> dict[str, Any]:
+        """What all runs change in the scenario, for `Scenario.updated`: the form of a target that stands elsewhere."""
+        if self._points is None:
+            return {}
+        return {"target.initial_features": None, "target.depth": None, "target.points": self._points.tolist()}
+
+    def numbers(self, first: int, last: int) -> dict[str, NDArray[Any]]:
+        """Return what is drawn for the runs `first` to `last` - 1, by the keys of `vary`.
 
         Each is (n, ...) in the key's own shape and unit; seeds are uint64.
         """
@@ -63,41 +77,67 @@ class Drawing:
         bits = generator.random_raw(count * self._width * _BLOCK).reshape(count, -1)
         return {one.name: _values(one, bits[:, one.start : one.start + one.count]) for one in self._keys}
 
+    def variations(self, numbers: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return what `simulate_batch` varies: `numbers`, with points (n, 4, 3) [m] for displacements of the target."""
+        found = {name: values for name, values in numbers.items() if name not in PLACED}
+        if self._points is not None:
+            found["target.points"] = _displaced(self._points, *(numbers.get(name) for name in PLACED))
+        return found
+
+
+def points_of(scenario: Scenario) -> Array:
+    """Return the target's points in B, (4, 3) [m]."""
+    from hexservo.findings.analysis.scene import scene_of
+
+    return scene_of(scenario).points
+
+
+def _displaced(points: Array, translation: Array | None, rotation: Array | None) -> Array:
+    """Displace points as a rigid body, entry by entry: the others of a batch change no bit of a run."""
+    centre = points.mean(axis=0)
+    moved = points[None] - centre
+    if rotation is not None:
+        matrix = Rotation.from_rotvec(rotation).as_matrix()[:, None]
+        moved = matrix[..., 0] * moved[..., :1] + matrix[..., 1] * moved[..., 1:2] + matrix[..., 2] * moved[..., 2:]
+    return np.ascontiguousarray(moved + centre + (0.0 if translation is None else translation[:, None]))
+
 
 def _values(one: _Key, bits: NDArray[np.uint64]) -> NDArray[Any]:
-    if one.distribution.kind == SEED:
+    if one.variation.kind == SEED:
         return np.ascontiguousarray(bits[:, 0])
-    drawn = one.distribution.numbers(uniform_of(bits))
+    drawn = one.variation.numbers(uniform_of(bits))
     return np.ascontiguousarray(one.base + drawn[:, one.entries])
 
 
-def _entries(scenario: Scenario, name: str, distribution: Variation) -> NDArray[np.int64]:
+def _entries(scenario: Scenario, name: str, variation: Variation) -> NDArray[np.int64]:
     """Return which of its numbers each entry of a key has; 0-dimensional where the key takes one number."""
-    shape = _shape(scenario, name, distribution)
-    if not distribution.each:
+    shape = _shape(scenario, name, variation)
+    if not variation.each:
         return np.zeros(shape, dtype=np.int64)
     places = np.arange(int(np.prod(shape, dtype=int)), dtype=np.int64).reshape(shape)
-    if distribution.symmetric:
+    if variation.symmetric:
         return np.unique(np.minimum(places, places.T), return_inverse=True)[1].reshape(shape).astype(np.int64)
     return places
 
 
-def _shape(scenario: Scenario, name: str, distribution: Variation) -> tuple[int, ...]:
+def _shape(scenario: Scenario, name: str, variation: Variation) -> tuple[int, ...]:
     """Return the shape in which a key varies: a number where it takes one and nothing asks for entries."""
+    if name in PLACED:
+        return (3,)
     shapes = numeric_keys(scenario.controller.law)[name].shapes
     present = np.shape(value_at(scenario, name))
-    if distribution.symmetric:
+    if variation.symmetric:
         return max(shapes, key=len)
-    if () in shapes and not distribution.each and not (distribution.add and present):
+    if () in shapes and not variation.each and not (variation.add and present):
         return ()
     return present if present in shapes and present else max(shapes, key=len)
 
 
-def _base(scenario: Scenario, name: str, distribution: Variation) -> Array | float:
-    if not distribution.add:
+def _base(scenario: Scenario, name: str, variation: Variation) -> Array | float:
+    if not variation.add:
         return 0.0
     value = np.asarray(value_at(scenario, name), dtype=float)
-    shape = _shape(scenario, name, distribution)
+    shape = _shape(scenario, name, variation)
     if value.shape != shape and value.ndim == 1 and len(shape) == 2:
         return np.diag(value)
     return np.broadcast_to(value, shape)

@@ -14,8 +14,8 @@ from typing import Annotated, Any, TypeAlias, TypeVar, cast
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from hexservo.campaigns.distributions import SEED, Variation, distribution_of
-from hexservo.campaigns.drawing import Drawing
+from hexservo.campaigns.distributions import SEED, Variation, variation_of
+from hexservo.campaigns.drawing import PLACED, Drawing
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture
 from hexservo.campaigns.requirements import Requirement, requirement_of
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
@@ -90,14 +90,14 @@ class _ScenarioRule(Rule):
 class _VaryRule(Rule):
     @property
     def expected(self) -> str:
-        return "a block of dotted keys with their distributions"
+        return "a block of dotted keys with their variations"
 
     def accept(self, value: Any) -> dict[str, Variation]:
         if not isinstance(value, dict) or not value:
             self.refuse(value)
         problems: list[Problem] = []
         found = {
-            key: Variation(SEED) if (key, given) == ("seed", SEED) else _tried(distribution_of, given, key, problems)
+            key: Variation(SEED) if (key, given) == ("seed", SEED) else _tried(variation_of, given, key, problems)
             for key, given in value.items()
         }
         if problems:
@@ -215,14 +215,20 @@ class CampaignPlan(Block):
             raise refusal((("runs",), "expected a number of runs, or until, got neither"))
         problems = [
             (("vary", key), sentence)
-            for key, distribution in self.vary.items()
-            if (sentence := _unfit(self.scenario, key, distribution))
+            for key, variation in self.vary.items()
+            if (sentence := _unfit(self.scenario, key, variation))
         ]
+        both = [key for key in ("target.initial_features", "target.depth", "target.points") if key in self.vary]
+        if both and any(key in self.vary for key in PLACED):
+            problems += [
+                (("vary", key), f"expected nothing that places the points beside {PLACED[0]} and {PLACED[1]}")
+                for key in both
+            ]
         if problems:
             raise refusal(*problems)
-        first = self.drawing().runs(0, 1)
+        drawing = self.drawing()
         try:
-            checked_variations(self.scenario, first)
+            checked_variations(self.scenario.updated(drawing.base), drawing.variations(drawing.numbers(0, 1)))
         except ValueError as error:
             raise refusal(*((("vary",), line) for line in str(error).splitlines())) from None
         return self
@@ -239,7 +245,7 @@ class CampaignPlan(Block):
         """
         keys = self.scenario.to_mapping()
         scenario = {key: value for key, value in keys.items() if key not in ("name", "description")}
-        vary = [[key, distribution.to_plain()] for key, distribution in self.vary.items()]
+        vary = [[key, variation.to_plain()] for key, variation in self.vary.items()]
         text = json.dumps([scenario, vary, self.stream], allow_nan=False, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -247,7 +253,7 @@ class CampaignPlan(Block):
         """Return the whole file, every default filled in, as dicts, lists, text and numbers."""
         return {
             "scenario": self.scenario.to_mapping(),
-            "vary": {key: distribution.to_plain() for key, distribution in self.vary.items()},
+            "vary": {key: variation.to_plain() for key, variation in self.vary.items()},
             "require": [requirement.to_plain() for requirement in self.require],
             "runs": self.runs,
             "until": None if self.until is None else self.until.to_plain(),
@@ -273,6 +279,17 @@ class CampaignPlan(Block):
         return CampaignPlan(**{**self.to_mapping(), "scenario": self.scenario, **keys})
 
     @property
+    def chunk_count(self) -> int | None:
+        """Number of chunks; None if only the interval ends the campaign."""
+        return None if self.runs is None else -(-self.runs // self.chunk_size)
+
+    def runs_of_chunk(self, index: int) -> tuple[int, int]:
+        """Return the first run of a chunk, and the one after its last."""
+        first = index * self.chunk_size
+        last = first + self.chunk_size
+        return first, last if self.runs is None else min(last, self.runs)
+
+    @property
     def mixture(self) -> Mixture:
         """The mixture of the intervals that hold at any stop."""
         return RARE if self.rare else JEFFREYS
@@ -295,28 +312,41 @@ class CampaignPlan(Block):
         return chosen
 
 
-def _unfit(scenario: Scenario, key: str, distribution: Variation) -> str:
-    """Return why a distribution does not fit a key of the scenario; empty if it does."""
+def _unfit(scenario: Scenario, key: str, variation: Variation) -> str:
+    """Return why a variation does not fit a key of the scenario; empty if it does."""
+    if key in PLACED:
+        return _unfit_place(scenario, variation)
     try:
         rule = known_key(key, scenario.controller.law)
     except ValueError as error:
         return str(error).partition(": ")[2]
-    if distribution.kind == SEED:
+    if variation.kind == SEED:
         return ""
-    if rule.whole and distribution.kind != "choice":
-        return f"expected {{choice: [...]}} of integers, got {distribution.kind}"
+    if rule.whole and variation.kind != "choice":
+        return f"expected {{choice: [...]}} of integers, got {variation.kind}"
     present = value_at(scenario, key)
-    if distribution.add and (present is None or isinstance(present, str)):
+    if variation.add and (present is None or isinstance(present, str)):
         return f"add: expected a scenario whose value is a number, got {shown_value(present)}"
-    if distribution.each and rule.shapes == ((),):
+    if variation.each and rule.shapes == ((),):
         return "each: expected a key that holds an array, got one that holds a number"
-    if distribution.symmetric and not any(len(shape) == 2 and shape[0] == shape[1] for shape in rule.shapes):
+    if variation.symmetric and not any(len(shape) == 2 and shape[0] == shape[1] for shape in rule.shapes):
         return "symmetric: expected a key that holds a square matrix, got one that does not"
-    base = np.asarray(present, dtype=float) if distribution.add else np.zeros(1)
-    low, high = distribution.reach
+    base = np.asarray(present, dtype=float) if variation.add else np.zeros(1)
+    if variation.kind == "choice" and not rule.within(np.add.outer(variation.parameters, base)).all():
+        return f"choice: expected {rule.expected}, got {list(variation.parameters)}"
+    low, high = variation.reach
     reached = np.array([low + base.min(), high + base.max()])
-    if not rule.within(np.floor(reached) if rule.whole else reached).all():
+    if not (rule.whole or rule.within(reached).all()):
         return f"expected {rule.expected}, but it reaches {reached[0]:.4g} ... {reached[1]:.4g}; clip it or narrow it"
+    return ""
+
+
+def _unfit_place(scenario: Scenario, variation: Variation) -> str:
+    """Return why a variation cannot displace the target of a scenario; empty if it can."""
+    if scenario.camera.convention != "eye_in_hand":
+        return "expected a scenario with camera.convention eye_in_hand, whose target has points in space"
+    if variation.add or variation.symmetric:
+        return "expected neither add nor symmetric for a displacement"
     return ""
 
 

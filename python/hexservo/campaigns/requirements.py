@@ -16,7 +16,7 @@ from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.rules import did_you_mean, is_number, refusal, shown_value
 
-__all__ = ["Requirement", "margins"]
+__all__ = ["Requirement", "run_margins"]
 
 COMPLETED = "completed"
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
@@ -66,7 +66,7 @@ class Requirement:
         return np.where(np.isnan(values), np.nan, found)
 
 
-def margins(
+def run_margins(
     requirements: Sequence[Requirement],
     outcome: NDArray[np.str_],
     end_time: Array,

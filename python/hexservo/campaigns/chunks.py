@@ -1,0 +1,149 @@
+"""Chunks of a campaign: Parquet files that carry the SHA-256 of their bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.campaigns.requirements import Requirement, run_margins
+from hexservo.run.batch import BatchResult
+from hexservo.run.sealed import ResultError
+from hexservo.run.variations import columns_of
+from hexservo.scenario.arrays import Array
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["Tally", "chunk_bytes", "chunk_table", "tally_of", "unsealed_chunk"]
+
+_IDENTITY, _SEAL = b"hexservo_chunk", b"hexservo_sha256"
+_BLANK = b"0" * 64  # in place of the digest, while it is computed
+_SEALED = re.compile(re.escape(_SEAL) + rb".{1,4}?(?P<digest>[0-9a-f]{64})", re.DOTALL)
+_FOOTER = 1 << 20  # longer than the end of a file, which holds the seal
+_WORST = 10  # runs of the smallest margins that a tally keeps
+
+
+# ---- Runs as a table ------------------------------------------------------------------------------------------------
+
+
+def chunk_table(
+    batch: BatchResult, numbers: Mapping[str, NDArray[Any]], first: int, requirements: Sequence[Requirement]
+) -> pa.Table:
+    """Return the runs of a batch as a table, with what was drawn for them; `first` is the index of the first one.
+
+    Columns: ``index``; what varies, by dotted key, entries of arrays as ``controller.hybrid.kv[0]``; ``outcome``,
+    ``end_time`` [s], every metric in its unit (`hs.METRICS`), and ``margin``, the smallest one of the requirements.
+    """
+    import pyarrow as pa
+
+    varied = {name: column for key, values in numbers.items() for name, column in columns_of(key, values).items()}
+    duration = varied.get("simulation.duration", batch.scenario.simulation.duration)
+    found = run_margins(requirements, batch.outcome, batch.end_time, duration, batch.metrics)
+    return pa.table(
+        {
+            "index": np.arange(first, first + len(batch), dtype=np.int64),
+            **varied,
+            "outcome": pa.array(batch.outcome.tolist(), pa.string()),
+            "end_time": batch.end_time,
+            **batch.metrics,
+            "margin": found.min(axis=1),
+        }
+    )
+
+
+@dataclass
+class Tally:
+    """Counts of runs, which add up chunk by chunk."""
+
+    failed: list[int]  # by requirement
+    runs: int = 0
+    failures: int = 0  # runs that fail at least one requirement
+    outcomes: Counter[str] = field(default_factory=Counter)
+    worst: list[tuple[float, int]] = field(default_factory=list)  # (margin, index) of the worst runs, the worst first
+
+    def add(self, other: Tally) -> None:
+        """Add the counts of other runs."""
+        self.failed = [one + more for one, more in zip(self.failed, other.failed, strict=True)]
+        self.runs += other.runs
+        self.failures += other.failures
+        self.outcomes.update(other.outcomes)
+        self.worst = sorted(self.worst + other.worst)[:_WORST]
+
+
+def tally_of(table: pa.Table, requirements: Sequence[Requirement], duration: float) -> Tally:
+    """Count the runs of a chunk; `duration` is that of the scenario [s], where it does not vary."""
+    columns = {name: _column(table, name) for name in ("index", "end_time", "margin")}
+    outcome = np.array(table.column("outcome").to_pylist())
+    metrics = {one.name: _column(table, one.name) for one in requirements if one.name != "outcome"}
+    times = _column(table, "simulation.duration") if "simulation.duration" in table.column_names else duration
+    failed = run_margins(requirements, outcome, columns["end_time"], times, metrics) < 0
+    worst = np.argsort(columns["margin"], kind="stable")[:_WORST]
+    return Tally(
+        failed=[int(count) for count in failed.sum(axis=0)],
+        runs=len(outcome),
+        failures=int(failed.any(axis=1).sum()),
+        outcomes=Counter(outcome.tolist()),
+        worst=[(float(columns["margin"][place]), int(columns["index"][place])) for place in worst],
+    )
+
+
+def _column(table: pa.Table, name: str) -> Array | NDArray[Any]:
+    values: NDArray[Any] = table.column(name).to_numpy()
+    return values
+
+
+# ---- Tables as bytes ------------------------------------------------------------------------------------------------
+
+
+def chunk_bytes(table: pa.Table, identity: Mapping[str, Any]) -> bytes:
+    """Return a table as a Parquet file, the same bytes for the same table and version of pyarrow.
+
+    Its metadata have the identity, and the SHA-256 of all bytes, computed with zeros in place of its digits.
+    """
+    import pyarrow.parquet as pq
+
+    file = io.BytesIO()
+    with pq.ParquetWriter(file, table.schema, use_dictionary=["outcome"], store_schema=False) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({_IDENTITY: json.dumps(identity), _SEAL: _BLANK})
+    content = file.getvalue()
+    start, end = _seal(content)
+    return content[:start] + hashlib.sha256(content).hexdigest().encode() + content[end:]
+
+
+def unsealed_chunk(content: bytes) -> tuple[pa.Table, dict[str, Any]]:
+    """Return the table of a chunk's bytes, and its identity.
+
+    Raises
+    ------
+    ResultError
+        The bytes are not those that `chunk_bytes` gave; the text says how they differ, without a place.
+    """
+    import pyarrow.parquet as pq
+
+    start, end = _seal(content)
+    blank = hashlib.sha256(content[:start])
+    blank.update(_BLANK)
+    blank.update(memoryview(content)[end:])
+    if blank.hexdigest().encode() != content[start:end]:
+        raise ResultError("the SHA-256 of its bytes differs from the recorded one")
+    file = pq.ParquetFile(io.BytesIO(content))
+    return file.read(), dict(json.loads(file.metadata.metadata[_IDENTITY]))
+
+
+def _seal(content: bytes) -> tuple[int, int]:
+    """Return where the digits of the digest are."""
+    begin = max(len(content) - _FOOTER, 0)
+    found = list(_SEALED.finditer(content, begin))
+    if not found or not content.startswith(b"PAR1") or not content.endswith(b"PAR1"):
+        raise ResultError("it is cut off, or no Parquet file of hexservo")
+    return found[-1].span("digest")

@@ -1,0 +1,278 @@
+"""Runs campaigns: chunk by chunk, each computed from its index alone, kept as soon as it is whole."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeAlias
+
+from hexservo.campaigns.chunks import Tally, chunk_bytes, chunk_table, tally_of
+from hexservo.campaigns.intervals import anytime_interval, runs_for_bound
+from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.result import CampaignResult, is_complete, scenario_of_run, summary_of
+from hexservo.campaigns.store import ShorterChunkError, Store, new_record
+from hexservo.run.batch import simulate_batch, thread_count
+from hexservo.run.progress import ProgressCallback, progress_bar
+from hexservo.run.sealed import ResultError
+from hexservo.scenario.wording import number, wrong_type
+from hexservo.scenario.yaml import ScenarioError
+
+__all__ = ["campaign"]
+
+_IN_FLIGHT = 2  # chunks that are submitted and not yet kept
+_SUMMARISED = 5.0  # [s], between two summaries while a campaign runs
+_WATCHED = 0.1  # [s], between two looks at what is computed
+_PLACE = re.compile(r"scenario (?P<index>[0-9]+): ")
+
+Warn: TypeAlias = Callable[[str], object]
+"""Called with a sentence about something that needs no decision, such as a damaged chunk."""
+
+
+def campaign(
+    source: str | os.PathLike[str] | Mapping[str, Any] | CampaignPlan,
+    out: str | os.PathLike[str],
+    *,
+    changes: Mapping[str, Any] | None = None,
+    runs: int | None = None,
+    chunk_size: int | None = None,
+    threads: int | None = None,
+    progress: bool | ProgressCallback | None = None,
+    warn: Warn | None = None,
+) -> CampaignResult:
+    """Run a campaign, or go on with one (docs/campaigns.md).
+
+    Chunks that the folder holds, whole and of this campaign, are kept; the others are computed. A run depends on the
+    campaign and its index only, bit for bit: not on threads, chunks or interruptions.
+
+    Parameters
+    ----------
+    source
+        A packaged campaign, the path of a file, or what a file holds.
+    out
+        Folder: new, empty, or of the same campaign, which may have more runs or a different `until` now.
+    changes
+        Of the scenario, as for `Scenario.updated`.
+    runs, chunk_size
+        In place of those of the file.
+    threads
+        As for `simulate_batch`.
+    progress
+        True draws a bar on standard error; a function is called with (runs done, runs in all) in this thread.
+    warn
+        Called with a sentence for each damaged chunk, which is computed again; None: nothing is called.
+
+    Returns
+    -------
+    CampaignResult
+        Ctrl-C ends it within 0.3 s, as ``interrupted``: chunks that are whole stay, and the same call goes on.
+
+    Raises
+    ------
+    TypeError
+        For arguments of other types.
+    ScenarioError
+        The campaign is not valid, or a run draws a scenario that is not ("run 17: key: expected ..., got ...").
+    OutputError
+        The folder holds something else or a different campaign, is in use, or cannot be written (a `ValueError`); what
+        is whole stays.
+    VariantError
+        The folder's runs were computed by a compiled variant that this process does not use.
+    """
+    plan = load_plan(source, changes, runs=runs, chunk_size=chunk_size)
+    store = Store(out, plan, new_record(plan))
+    thread_count(threads)
+    state = _State(store)
+    with store.opened(), _reporting(progress) as report:
+        interrupted = False
+        try:
+            state.take_up(warn or (lambda sentence: None))
+            _compute(state, threads, report)
+        except KeyboardInterrupt:
+            interrupted = True
+        return state.finish(interrupted=interrupted)
+
+
+# ---- What is there --------------------------------------------------------------------------------------------------
+
+
+class _State:
+    """Chunks that are kept, and the counts of those from the first one on without a gap."""
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self.plan = store.plan
+        self.tally = Tally([0] * len(self.plan.require))
+        self.counted = 0  # chunks in the tally
+        self.waiting: dict[int, Tally] = {}  # counts of later ones
+        self.complete = False
+        self._summarised = time.monotonic()
+
+    @property
+    def kept(self) -> int:
+        """Runs that are kept."""
+        return self.tally.runs + sum(tally.runs for tally in self.waiting.values())
+
+    def take_up(self, warn: Warn) -> None:
+        """Count the chunks that are there; damaged ones are set aside."""
+        for index in self.store.indices():
+            if self.complete:
+                break
+            try:
+                table = self.store.read(index)
+            except ShorterChunkError:  # the last one of fewer runs
+                continue
+            except ResultError as error:
+                self.store.set_aside(index)
+                warn(f"{error}; it is kept as .damaged, and its runs are computed again")
+                continue
+            self.enter(index, tally_of(table, self.plan.require, self.plan.scenario.simulation.duration))
+
+    def enter(self, index: int, tally: Tally) -> None:
+        """Count a chunk that is kept; the interval decides on chunks in their order alone."""
+        self.waiting[index] = tally
+        while not self.complete and self.counted in self.waiting:
+            self.tally.add(self.waiting.pop(self.counted))
+            self.counted += 1
+            self.complete = is_complete(self.plan, self.tally)
+
+    def missing(self) -> Iterator[int]:
+        """Yield the indices of the chunks that are to be computed, in order."""
+        present = set(self.waiting)
+        for index in itertools.count(self.counted):
+            if self.plan.chunk_count is not None and index >= self.plan.chunk_count:
+                return
+            if index not in present:
+                yield index
+
+    def summarise(self, *, now: bool = False) -> None:
+        """Write the summary, from time to time while chunks are computed."""
+        if now or time.monotonic() > self._summarised + _SUMMARISED:
+            self._summarised = time.monotonic()
+            self.store.write_summary(summary_of(self.plan, self.store.record, self.tally))
+
+    def finish(self, *, interrupted: bool) -> CampaignResult:
+        """Write summary and worst run, remove chunks after the one that decided, and return what is there."""
+        if self.complete:
+            for index in self.store.indices():
+                if index >= self.counted:
+                    self.store.remove(index)
+        self.summarise(now=True)
+        if self.tally.worst:
+            worst = scenario_of_run(self.plan, self.tally.worst[0][1])
+            self.store.write_worst(worst.to_yaml())
+        summary = summary_of(self.plan, self.store.record, self.tally)
+        return CampaignResult(self.store.folder, self.plan, summary, interrupted=interrupted)
+
+
+# ---- What is computed -----------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Watch:
+    """What the thread that computes and the one that keeps exchange."""
+
+    stop: threading.Event = field(default_factory=threading.Event)
+    done: int = 0  # runs of the chunk that is being computed
+
+
+class _StoppedError(Exception):
+    """The campaign ended while a chunk was computed."""
+
+
+def _compute(state: _State, threads: int | None, report: _Report) -> None:
+    """Compute what is missing, one chunk at a time on all threads, while the one before is kept."""
+    watch = _Watch()
+    missing = state.missing()
+    flying: dict[Future[tuple[bytes, Tally]], int] = {}
+    with ThreadPoolExecutor(1, "campaign") as executor:
+        try:
+            while not state.complete:
+                for index in itertools.islice(missing, _IN_FLIGHT - len(flying)):
+                    flying[executor.submit(_chunk, state.store, index, threads, watch)] = index
+                for future in wait(flying, _WATCHED, FIRST_COMPLETED).done:
+                    index = flying.pop(future)
+                    content, tally = future.result()
+                    state.store.write_chunk(index, content)
+                    state.enter(index, tally)
+                    state.summarise()
+                report(state, watch.done)
+        finally:
+            watch.stop.set()
+            for future in flying:
+                future.cancel()
+
+
+def _chunk(store: Store, index: int, threads: int | None, watch: _Watch) -> tuple[bytes, Tally]:
+    """Compute a chunk: its file and its counts."""
+    plan = store.plan
+    first, last = plan.runs_of_chunk(index)
+
+    def look(done: int, count: int) -> None:
+        watch.done = done
+        if watch.stop.is_set():
+            raise _StoppedError
+
+    look(0, 0)
+    numbers = store.drawing.numbers(first, last)
+    try:
+        batch = simulate_batch(store.base, store.drawing.variations(numbers), "metrics", threads, look)
+    except ValueError as error:
+        lines = [
+            _PLACE.sub(lambda match: f"run {first + int(match['index'])}: ", line) for line in str(error).splitlines()
+        ]
+        raise ScenarioError([f"{line}; narrow or clip what varies" for line in lines]) from None
+    watch.done = 0
+    table = chunk_table(batch, numbers, first, plan.require)
+    return chunk_bytes(table, store.identity(index)), tally_of(table, plan.require, plan.scenario.simulation.duration)
+
+
+# ---- Progress -------------------------------------------------------------------------------------------------------
+
+
+class _Report(Protocol):
+    """Called with what is kept, and how many runs of the current chunk are done."""
+
+    def __call__(self, state: _State, done: int) -> object:
+        """_Report it."""
+
+
+@contextlib.contextmanager
+def _reporting(progress: bool | ProgressCallback | None) -> Iterator[_Report]:
+    if progress is None or progress is False:
+        yield lambda state, done: None
+    elif callable(progress):
+        yield lambda state, done: progress(state.kept + done, _planned(state))
+    elif progress is True:
+        with progress_bar("runs") as draw:
+            begun: list[tuple[float, int]] = []
+
+            def report(state: _State, done: int) -> None:
+                now, runs = time.monotonic(), state.kept + done
+                begun[:] = begun or [(now, runs)]
+                elapsed = now - begun[0][0]
+                rate = f"{number((runs - begun[0][1]) / elapsed)} runs/s, " if elapsed > 0 else ""
+                failures = state.tally.failures
+                high = anytime_interval(failures, state.tally.runs, state.plan.confidence, state.plan.mixture)[1]
+                planned = max(_planned(state), runs)
+                draw(runs, planned, runs / planned, f"{rate}{failures} failures, probability <= {high:.2g}")
+
+            yield report
+    else:
+        raise wrong_type("progress", "True, a function or None", progress)
+
+
+def _planned(state: _State) -> int:
+    """Return the runs in all; for a campaign that the interval ends, as many as it needs without another failure."""
+    plan, until = state.plan, state.plan.until
+    if until is None or until.kind != "probability_below":
+        return plan.runs or state.kept
+    needed = runs_for_bound(until.value, state.tally.failures, plan.confidence, plan.mixture)
+    needed = -(-needed // plan.chunk_size) * plan.chunk_size
+    return needed if plan.runs is None else min(needed, plan.runs)

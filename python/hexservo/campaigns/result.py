@@ -1,0 +1,269 @@
+"""What a campaign gave: read from its folder, lazily."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hexservo.campaigns.chunks import Tally, tally_of
+from hexservo.campaigns.intervals import anytime_interval, clopper_pearson
+from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.store import SUMMARY, Store, read_plan
+from hexservo.run.display import lines_below
+from hexservo.run.sealed import ResultError
+from hexservo.run.variations import known_key, plain_row
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
+from hexservo.scenario.wording import number
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow as pa
+
+__all__ = ["CampaignResult", "WorstRun", "load_campaign"]
+
+
+@dataclass(frozen=True)
+class WorstRun:
+    """A run with a small margin, to be repeated."""
+
+    index: int  # in the campaign
+    margin: float  # smallest one of its requirements; negative: it fails
+    scenario: Scenario  # of the run: `hs.simulate` repeats it, to rounding
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """A campaign's folder. Its runs are those of the chunks from the first one on without a gap."""
+
+    folder: Path
+    plan: CampaignPlan
+    summary: dict[str, Any]  # as summary.json: docs/campaigns.md, section 4
+    interrupted: bool = False  # Ctrl-C came before it was complete
+
+    def __repr__(self) -> str:
+        """Return the verdict in a few lines."""
+        return lines_below(f"Campaign in {self.folder}", self.sentences())
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return int(self.summary["runs"])
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has all its runs, or its interval has decided."""
+        return bool(self.summary["complete"])
+
+    @property
+    def failures(self) -> int:
+        """Number of runs that fail at least one requirement."""
+        return int(self.summary["failures"])
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Interval of the failure probability, which holds at any number of runs (docs/campaigns.md, section 5)."""
+        low, high = self.summary["interval"]
+        return low, high
+
+    def sentences(self) -> list[str]:
+        """Return the verdict: how many runs fail, and what follows for the failure probability."""
+        return verdict_sentences(self.summary)
+
+    def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """Yield the runs chunk by chunk, each verified by its SHA-256 first.
+
+        Parameters
+        ----------
+        columns
+            Names of columns; None: all (docs/campaigns.md, section 4).
+
+        Raises
+        ------
+        ResultError
+            A chunk is damaged.
+        """
+        store = Store(self.folder, *read_plan(self.folder))
+        left, index = len(self), 0
+        while left > 0:
+            table = store.read(index)
+            left, index = left - len(table), index + 1
+            yield table if columns is None else table.select(list(columns))
+
+    def to_arrow(self, columns: Sequence[str] | None = None) -> pa.Table:
+        """Return the runs as one table in memory, ordered by index; arguments and errors as for `tables`.
+
+        Raises
+        ------
+        ValueError
+            There are no runs.
+        """
+        import pyarrow as pa
+
+        tables = list(self.tables(columns))
+        if not tables:
+            raise ValueError(f"{self.folder}: expected a campaign with runs, got none; run it first")
+        return pa.concat_tables(tables).combine_chunks()
+
+    def to_dataframe(self, columns: Sequence[str] | None = None) -> pandas.DataFrame:
+        """Return the runs as a table of pandas; arguments and errors as for `to_arrow`."""
+        frame: pandas.DataFrame = self.to_arrow(columns).to_pandas()
+        return frame
+
+    def margin(self) -> Array:
+        """Return the margin of every run, (n,): the smallest one of its requirements, negative where it fails."""
+        margin: Array = self.to_arrow(["margin"]).column("margin").to_numpy()
+        return margin
+
+    def scenario(self, index: int) -> Scenario:
+        """Return the scenario of a run: `hs.simulate` of it repeats the run, to rounding.
+
+        Raises
+        ------
+        IndexError
+            There is no such run.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"index: expected one from 0 to {len(self) - 1}, got {index}")
+        return scenario_of_run(self.plan, index)
+
+    def worst(self, count: int = 5) -> tuple[WorstRun, ...]:
+        """Return the runs of the smallest margins, the worst first.
+
+        Parameters
+        ----------
+        count
+            How many, at most 10.
+        """
+        found = self.summary["worst"][:count]
+        return tuple(WorstRun(one["index"], one["margin"], self.scenario(one["index"])) for one in found)
+
+    def command(self, index: int) -> str:
+        """Return a command that repeats a run.
+
+        It changes the packaged scenario where the campaign varies one; else it names a file to which `scenario(index)`
+        is to be written first.
+        """
+        name = self.plan.scenario.name
+        if name not in scenario_names() or load_scenario(name) != self.plan.scenario:
+            return f"hexservo run run-{index}.yaml"
+        changes = changes_of_run(self.plan, index)
+        return " ".join(
+            [f"hexservo run {name}", *(f"--set '{key}={_written(value)}'" for key, value in changes.items())]
+        )
+
+
+def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
+    """Load a campaign from its folder, also while it runs; runs are read when they are asked for.
+
+    Raises
+    ------
+    ResultError
+        The folder holds no campaign, or a damaged one.
+    """
+    plan, record = read_plan(folder)
+    store = Store(folder, plan, record)
+    try:
+        summary = json.loads((store.folder / SUMMARY).read_text(encoding="utf-8"))
+        if summary["campaign"] == record["campaign"] and summary["complete"]:
+            return CampaignResult(store.folder, plan, summary)
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # not there, or changed: the chunks have it all
+    tally = Tally([0] * len(plan.require))
+    present = set(store.indices())
+    index = 0
+    while index in present:
+        try:
+            table = store.read(index)
+        except ResultError:
+            break
+        tally.add(tally_of(table, plan.require, plan.scenario.simulation.duration))
+        index += 1
+    return CampaignResult(store.folder, plan, summary_of(plan, record, tally))
+
+
+# ---- Runs -----------------------------------------------------------------------------------------------------------
+
+
+def changes_of_run(plan: CampaignPlan, index: int) -> dict[str, Any]:
+    """Return what a run changes in the scenario, by dotted key, for `Scenario.updated`."""
+    law = plan.scenario.controller.law
+    drawing = plan.drawing()
+    drawn = drawing.variations(drawing.numbers(index, index + 1))
+    return drawing.base | {key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()}
+
+
+def scenario_of_run(plan: CampaignPlan, index: int) -> Scenario:
+    """Return the scenario of a run."""
+    return plan.scenario.updated(changes_of_run(plan, index))
+
+
+def _written(value: Any) -> str:
+    if value is None:
+        return "null"
+    return "[" + ", ".join(map(_written, value)) + "]" if isinstance(value, list) else repr(value)
+
+
+# ---- The summary ----------------------------------------------------------------------------------------------------
+
+
+def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict[str, Any]:
+    """Return what summary.json holds: counts, intervals and the worst runs (docs/campaigns.md, section 4)."""
+    interval = anytime_interval(tally.failures, tally.runs, plan.confidence, plan.mixture)
+    fixed = record["fixed_runs"] is not None and tally.runs == record["fixed_runs"]
+    return {
+        "campaign": record["campaign"],
+        "hexservo": record["hexservo"],
+        "variant": record["variant"],
+        "scenario": plan.scenario.name,
+        "runs": tally.runs,
+        "planned_runs": plan.runs,
+        "until": None if plan.until is None else plan.until.to_plain(),
+        "complete": is_complete(plan, tally),
+        "failures": tally.failures,
+        "confidence": plan.confidence,
+        "interval": list(interval),
+        "mixture": [plan.mixture.a, plan.mixture.b],
+        "clopper_pearson": list(clopper_pearson(tally.failures, tally.runs, plan.confidence)) if fixed else None,
+        "joint_confidence": max(0.0, 1.0 - len(plan.require) * (1.0 - plan.confidence)),
+        "requirements": [
+            {
+                "holds": str(requirement),
+                "failures": failed,
+                "interval": list(anytime_interval(failed, tally.runs, plan.confidence, plan.mixture)),
+            }
+            for requirement, failed in zip(plan.require, tally.failed, strict=True)
+        ],
+        "outcomes": dict(sorted(tally.outcomes.items())),
+        "worst": [{"index": index, "margin": margin} for margin, index in tally.worst],
+    }
+
+
+def is_complete(plan: CampaignPlan, tally: Tally) -> bool:
+    """Return whether there are all runs, or as many as the interval needs to decide."""
+    if tally.runs == plan.runs:
+        return True
+    if plan.until is None or tally.runs == 0:
+        return False
+    return plan.until.decided(*anytime_interval(tally.failures, tally.runs, plan.confidence, plan.mixture))
+
+
+def verdict_sentences(summary: dict[str, Any]) -> list[str]:
+    """Return a summary in sentences."""
+    low, high = summary["interval"]
+    share, runs = f"{summary['confidence']:.4g}", summary["runs"]
+    state = "" if summary["complete"] else "; the campaign is not complete"
+    sentences = [
+        f"{summary['failures']} of {runs} runs fail: the failure probability is from {number(low)} to {number(high)} "
+        f"at a confidence of {share}, at whatever number of runs one stops{state}."
+    ]
+    if summary["clopper_pearson"] is not None:
+        low, high = summary["clopper_pearson"]
+        sentences.append(
+            f"For {runs} runs, a number that was fixed before the first one, the interval of Clopper and Pearson is "
+            f"{number(low)} to {number(high)}."
+        )
+    return sentences

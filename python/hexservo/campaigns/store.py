@@ -1,0 +1,272 @@
+"""The folder of a campaign: every chunk is there whole or not at all, whatever ends the process that writes."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hexservo.campaigns.chunks import unsealed_chunk
+from hexservo.campaigns.plan import CampaignPlan
+from hexservo.run.publish import OutputError, named, synchronize
+from hexservo.run.sealed import ResultError
+from hexservo.scenario.version import VERSION
+from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["Store", "read_plan"]
+
+FORMAT = 1
+"""Of a campaign's folder: raised with every change of what a chunk holds."""
+
+PLAN, SUMMARY, WORST = "campaign.yaml", "summary.json", "worst.yaml"
+_CHUNK = re.compile(r"(?P<index>[0-9]{6,})\.parquet")
+_PART = ".part"
+_MAY_GROW = ("runs", "until")  # what the same campaign may change later: the interval holds at any stop
+
+
+class ShorterChunkError(ResultError):
+    """A chunk has fewer runs than it should: the last one of a campaign that has more runs now."""
+
+
+class Store:
+    """A campaign's folder, of which this process is the only writer while `opened` lasts."""
+
+    def __init__(self, folder: str | os.PathLike[str], plan: CampaignPlan, record: dict[str, Any]) -> None:
+        self.folder = Path(folder)
+        self.plan = plan
+        self.record = record
+        self.drawing = plan.drawing()
+        self.base = plan.scenario.updated(self.drawing.base)  # what a batch varies
+
+    # ---- Reading ----------------------------------------------------------------------------------------------------
+
+    def path_of(self, index: int) -> Path:
+        """Return the path of a chunk."""
+        return self.folder / "chunks" / f"{index:06d}.parquet"
+
+    def indices(self) -> list[int]:
+        """Return the indices of the chunks that are there, in order."""
+        try:
+            names = os.listdir(self.folder / "chunks")  # noqa: PTH208 (names only)
+        except FileNotFoundError:
+            return []
+        return sorted(int(match["index"]) for name in names if (match := _CHUNK.fullmatch(name)))
+
+    def identity(self, index: int) -> dict[str, Any]:
+        """Return what identifies a chunk of this campaign."""
+        first, last = self.plan.runs_of_chunk(index)
+        return {"campaign": self.record["campaign"], "first": first, "last": last}
+
+    def read(self, index: int) -> pa.Table:
+        """Return a chunk.
+
+        Raises
+        ------
+        ResultError
+            It is damaged, or holds other runs than it should. A chunk of a different campaign is an `OutputError`.
+        """
+        path = self.path_of(index)
+        try:
+            table, found = unsealed_chunk(path.read_bytes())
+        except ResultError as error:
+            raise ResultError(
+                f"{named(path)}: expected a chunk as hexservo wrote it, got a different file: {error}"
+            ) from None
+        except OSError as error:
+            raise ResultError(f"{named(path)}: cannot be read: {error.strerror}") from None
+        expected = self.identity(index)
+        if found.get("campaign") != expected["campaign"]:
+            raise OutputError(
+                f"{named(path)}: expected a chunk of this campaign, got one of a different campaign; move it away"
+            )
+        if found != expected:
+            kind = ShorterChunkError if found["first"] == expected["first"] else ResultError
+            raise kind(
+                f"{named(path)}: expected the runs {expected['first']} to {expected['last'] - 1}, "
+                f"got {found['first']} to {found['last'] - 1}"
+            )
+        return table
+
+    # ---- Writing ----------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def opened(self) -> Iterator[None]:
+        """Make the folder, or take it up again, as the only writer.
+
+        Raises
+        ------
+        OutputError
+            The folder holds something else, or a different campaign; a process writes there now; it cannot be written.
+        """
+        with _refusing(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+                    raise OutputError(
+                        f"{named(self.folder)}: expected a folder in which no other process writes; wait for it"
+                    ) from None
+                # a file system without locks: the user is the only guard
+            with _refusing(self.folder):
+                self._begin()
+            yield
+        finally:
+            os.close(descriptor)
+
+    def _begin(self) -> None:
+        plan = self.folder / PLAN
+        if plan.exists():
+            self._take_up(plan)
+        elif not all(entry.name.endswith(_PART) for entry in self.folder.iterdir()):
+            raise OutputError(
+                f"{named(self.folder)}: expected a new folder or that of a campaign, got one with other files"
+            )
+        written = plan_text(self.plan, self.record)
+        if not plan.exists() or plan.read_text(encoding="utf-8") != written:
+            self._write(plan, written.encode())
+        (self.folder / "chunks").mkdir(exist_ok=True)
+        for folder in (self.folder, self.folder / "chunks"):  # what killed processes left
+            for entry in folder.iterdir():
+                if entry.name.startswith(".") and entry.name.endswith(_PART):
+                    entry.unlink()
+
+    def _take_up(self, path: Path) -> None:
+        """Check that the folder's campaign is this one, and keep its record."""
+        there, record = read_plan(self.folder)
+        self.plan.changed(variant=record["variant"]).required_variant()
+        differing = [
+            key
+            for key, value in self.record.items()
+            if key not in ("fixed_runs", "campaign") and record.get(key) != value
+        ]
+        ours, theirs = self.plan.to_mapping(), there.to_mapping()
+        differing += [key for key in ours if key not in _MAY_GROW and ours[key] != theirs[key]]
+        if differing:
+            got = ", ".join(f"{key} {record[key]}" if key in record else key for key in differing)
+            raise OutputError(
+                f"{named(self.folder)}: expected a folder of this campaign, got one that differs in {got}; "
+                "name a new folder"
+            )
+        if self.plan.runs is not None and there.runs is not None and self.plan.runs < there.runs:
+            raise OutputError(
+                f"{named(self.folder)}: expected at least {there.runs} runs, got {self.plan.runs}; name a new folder"
+            )
+        if (ours["runs"], ours["until"]) != (theirs["runs"], theirs["until"]):
+            self.record["fixed_runs"] = None  # their number was changed after a look at the results
+        else:
+            self.record["fixed_runs"] = record["fixed_runs"]
+
+    def write_chunk(self, index: int, content: bytes) -> None:
+        """Write a chunk.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written; the other ones stay.
+        """
+        self._write(self.path_of(index), content)
+
+    def set_aside(self, index: int) -> None:
+        """Rename a damaged chunk to ``....damaged``."""
+        path = self.path_of(index)
+        with _refusing(path):
+            path.replace(path.with_name(path.name + ".damaged"))
+
+    def remove(self, index: int) -> None:
+        """Remove a chunk."""
+        with _refusing(self.path_of(index)):
+            self.path_of(index).unlink(missing_ok=True)
+
+    def write_summary(self, summary: dict[str, Any]) -> None:
+        """Write ``summary.json``."""
+        text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        self._write(self.folder / SUMMARY, text.encode())
+
+    def write_worst(self, text: str) -> None:
+        """Write ``worst.yaml``."""
+        self._write(self.folder / WORST, text.encode())
+
+    def _write(self, path: Path, content: bytes) -> None:
+        """Write a file beside its place, have it on the disk, and give it its name."""
+        draft = path.with_name(f".{path.name}-{secrets.token_hex(6)}{_PART}")
+        with _refusing(path):
+            try:
+                with draft.open("xb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+                draft.replace(path)
+            except BaseException:
+                draft.unlink(missing_ok=True)
+                raise
+            synchronize(path.parent)
+
+
+def new_record(plan: CampaignPlan) -> dict[str, Any]:
+    """Return what a folder records of a campaign that begins now, beside its file."""
+    variant = plan.required_variant()
+    keys = [plan.digest(), [requirement.to_plain() for requirement in plan.require], FORMAT, VERSION, variant]
+    return {
+        "format": FORMAT,
+        "hexservo": VERSION,
+        "variant": variant,
+        "digest": plan.digest(),
+        "campaign": hashlib.sha256(json.dumps(keys).encode()).hexdigest(),
+        "fixed_runs": plan.runs if plan.until is None else None,
+    }
+
+
+def plan_text(plan: CampaignPlan, record: dict[str, Any]) -> str:
+    """Return the text of ``campaign.yaml``."""
+    return dump_yaml({**plan.to_mapping(), "record": record})
+
+
+def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, Any]]:
+    """Return the campaign of a folder, and its record.
+
+    Raises
+    ------
+    ResultError
+        There is no campaign, or one of a format that this version does not read.
+    """
+    path = Path(folder) / PLAN
+    if not path.is_file():
+        raise ResultError(f"{named(Path(folder))}: expected the folder of a campaign, got one without {PLAN}")
+    try:
+        document = read_yaml(path)
+        record = document.get("record") if isinstance(document, dict) else None
+        if not isinstance(record, dict) or record.get("format") != FORMAT:
+            raise ResultError(
+                f"{named(path)}: expected a campaign of format {FORMAT}, got a file without it; "
+                "use the version of hexservo that wrote it"
+            )
+        return CampaignPlan(**document), record  # type: ignore[arg-type]
+    except ScenarioError as error:
+        raise ResultError(
+            f"{named(path)}: expected a campaign that this version reads, got: {error.problems[0]}"
+        ) from None
+
+
+@contextlib.contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Convert errors of the system to a sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"{named(path)}: cannot be written: {error.strerror}; what is whole stays; the same command goes on"
+        ) from error
