@@ -30,8 +30,8 @@ _NUMBERS = ("end_time", *(f"metric_{name}" for name in METRICS))
 def load_result(path: str | os.PathLike[str]) -> Result:
     """Read a result from a file that ``hexservo run --out`` or `Result.save` wrote.
 
-    The result is the same bit for bit: arrays, metrics, events and scenario. Every byte of the file counts: one that
-    another program has changed is refused, even where only a note was added. Other programs open it as any netCDF file.
+    The result is the same bit for bit: arrays, metrics, events and scenario. A file that another program has changed is
+    refused, even if only an attribute was added. Other programs open it as any netCDF file.
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ def load_result(path: str | os.PathLike[str]) -> Result:
     Raises
     ------
     ResultError
-        A file that is not there or cannot be read, is none of ours, is damaged or was changed, or is of another format;
-        also one whose digest is right, and whose content is not that of a run.
+        For a file that does not exist or cannot be read, was not written by hexservo, is damaged or was changed, or has
+        another format; also if its digest is correct and its content is not that of a run.
     """
     place = shown_path(path)
     try:
@@ -58,7 +58,7 @@ def load_result(path: str | os.PathLike[str]) -> Result:
 
 
 def _parsed(content: bytes, place: str) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Read arrays and attributes from bytes whose digest is right: what is wrong in them now was written so."""
+    """Read arrays and attributes from bytes whose digest is correct: any error in them was already written."""
     import h5py
 
     try:
@@ -67,7 +67,7 @@ def _parsed(content: bytes, place: str) -> tuple[dict[str, Array], dict[str, Any
             arrays = {}
             for name in _array_shapes(HISTORY in file):
                 data = file[name]
-                if data.dtype != np.float64 or data.nbytes > len(content):  # more than was ever written
+                if data.dtype != np.float64 or data.nbytes > len(content):  # more than was written
                     refuse_changed(place, f"variable {name}")
                 arrays[name] = np.ascontiguousarray(data[...])
     except ResultError:
@@ -77,7 +77,7 @@ def _parsed(content: bytes, place: str) -> tuple[dict[str, Array], dict[str, Any
     return arrays, attributes
 
 
-# ---- From what was read to a result ---------------------------------------------------------------------------------
+# ---- From arrays to a result ----------------------------------------------------------------------------------------
 
 
 def _result(arrays: Mapping[str, Array], attributes: Mapping[str, Any], place: str) -> Result:
@@ -110,7 +110,7 @@ def _result(arrays: Mapping[str, Array], attributes: Mapping[str, Any], place: s
 
 
 def _check_arrays(arrays: Mapping[str, Array], place: str) -> None:
-    """Refuse arrays that no run gives: other shapes, no sample, numbers that are not finite, times that go back."""
+    """Refuse arrays that no run has: other shapes, no sample, numbers that are not finite, decreasing times."""
     time = arrays["time"]
     count = len(time) if time.ndim else 0
     if count == 0:

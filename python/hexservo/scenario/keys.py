@@ -1,4 +1,4 @@
-"""Dotted keys of a scenario: which there are, which hold numbers, and when they act."""
+"""Dotted keys of a scenario: all of them, the numeric ones, and those that act in sampled mode only."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ __all__ = [
     "without_effect",
 ]
 
-MAX_WHOLE_FLOAT = 2**53  # up to here a float holds every whole number
+MAX_WHOLE_FLOAT = 2**53  # largest integer up to which a float represents every integer
 
 
 @dataclass(frozen=True)
 class NumericKey:
-    """What a key takes that holds numbers: the form of a batch's variations of it."""
+    """Values that a numeric key accepts: the form of its variations in a batch."""
 
     shapes: tuple[tuple[int, ...], ...]  # the key's own shape, in each form it may have; () is a number
     element: Number
@@ -43,17 +43,17 @@ class NumericKey:
 
     @property
     def expected(self) -> str:
-        """What each number is expected to be."""
+        """Expected value of each number, as text."""
         return f"an integer {self.element.bounds}" if self.whole else self.element.expected
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type that holds every number of the key: float64, unless it has larger whole numbers."""
+        """Type that represents every number of the key: float64, unless it has larger integers."""
         most = self.element.at_most
         return np.dtype(np.uint64 if self.whole and most is not None and most > MAX_WHOLE_FLOAT else np.float64)
 
     def within(self, numbers: NDArray[Any]) -> Mask:
-        """Return which numbers are allowed; NaN is not, nor, of whole numbers, floats that may have been rounded."""
+        """Return which numbers are allowed: not NaN, nor, for an integer key, floats that may have been rounded."""
         allowed = numbers == numbers
         if self.whole and numbers.dtype.kind == "f":
             allowed = (numbers == np.floor(numbers)) & (np.abs(numbers) <= MAX_WHOLE_FLOAT)
@@ -70,7 +70,7 @@ class NumericKey:
 
 @cache
 def numeric_keys(law: str) -> dict[str, NumericKey]:
-    """Return the dotted keys that hold numbers, in the order of a scenario file (not to be changed).
+    """Return the numeric dotted keys, in the order of a scenario file (do not modify).
 
     The gains of other laws than `law` have no effect and are not among them.
     """
@@ -99,16 +99,16 @@ def rules(block: type[BaseModel]) -> Iterator[tuple[str, Rule]]:
 
 @cache
 def sampled_keys() -> dict[str, Any]:
-    """Return the dotted keys that act in sampled mode alone, with their defaults (not to be changed).
+    """Return the dotted keys that act in sampled mode only, with their defaults (do not modify).
 
-    A scenario in continuous mode has these values; `updated` with them, before the mode is changed, drops the rest.
+    A scenario in continuous mode has these values; `updated` with them, before the mode is changed, resets the keys.
     """
     return {path: default_of_field(field) for path, field, sampled in leaves(Blocks) if sampled}
 
 
 @cache
 def acting_keys(law: str, mode: str) -> dict[str, NumericKey]:
-    """Return those of the `numeric_keys` that act in a mode: what a batch of such scenarios may vary."""
+    """Return the `numeric_keys` that act in a mode, which a batch of such scenarios may vary."""
     keys = numeric_keys(law)
     return keys if mode == SAMPLED_MODE else {key: rule for key, rule in keys.items() if key not in sampled_keys()}
 
@@ -120,7 +120,7 @@ def without_effect(keys: Sequence[str]) -> str:
 
 
 def leaves(block: type[BaseModel], head: str = "", sampled: bool = False) -> Iterator[tuple[str, FieldInfo, bool]]:
-    """Walk all keys that are no blocks: dotted key, field, whether it acts in sampled mode alone."""
+    """Yield all keys that are not blocks: dotted key, field, whether it acts in sampled mode only."""
     for key, field in block.model_fields.items():
         marked = sampled or SAMPLED in field.metadata
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):

@@ -1,4 +1,4 @@
-"""The causes that a failure may have, in the order in which ties are broken, and the keys that cannot be one."""
+"""The causes of failures, in the order in which ties are broken, and the keys without a cause."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CAUSES: tuple[Cause, ...] = (*TASKS[:1], *DEVICES, *LAWS, *TASKS[1:])
 
 IN_COMMON: dict[str, str] = {
     "robot.preset": "stands for the robot's other keys",
-    "robot.platform_radius": "leg_limits and gains: it acts by the reach of the legs and by how stiff the loop is",
+    "robot.platform_radius": "leg_limits and gains: acts through the reach of the legs and the stiffness of the loop",
     "robot.base_radius": "as platform_radius",
     "robot.platform_angles": "as platform_radius",
     "robot.base_angles": "as platform_radius",
@@ -20,16 +20,16 @@ IN_COMMON: dict[str, str] = {
     "robot.mass": "gains: they are high or low for a mass",
     "robot.inertia": "gains: they are high or low for an inertia",
     "simulation.mode": "decides whether devices act; each of them has its removal",
-    "camera.prediction": "late_camera, depth and encoders: what is carried along repeats their errors and has no own",
+    "camera.prediction": "late_camera, depth and encoders: a prediction repeats their errors and adds none",
     "camera.convention": "another plant, for the paper's signs; the goal's pose is open there",
 }
-"""Keys that make a run fail only by way of what another cause's removal takes out, each with that way."""
+"""Keys that act only through the cause of another key, each with that cause."""
 
 HARMLESS: dict[str, str] = {
     "name": "names output",
     "description": "is shown in lists",
     "seed": "chooses among equal draws; whether it decides is tried with other seeds",
     "simulation.log_every": "no effect on the run or its metrics",
-    "metrics.rms_start": "no effect but on the metric rms_error, which decides nothing",
+    "metrics.rms_start": "affects only the metric rms_error, which is no criterion",
 }
 """Keys that cannot make a run fail, each with the reason."""

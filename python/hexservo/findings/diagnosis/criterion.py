@@ -118,10 +118,9 @@ def _drift(time: Array, lengths: Array, end_time: float) -> float:
 def judge(record: Record, allowed: Allowed, cured: float | None = None) -> Judgement:
     """Decide whether a run passes: it is settled, as the metrics define it, and its legs stay within their stroke.
 
-    The severity says how much of the task was missed: up to 1 for legs that leave their stroke or drift, and twice as
-    much for an error that remains, each by decades, 2 in all; from 2 to 3 for a run that ends early, by the share of
-    the time that it did not run. Where the error failed it counts from half of the band, so that a change that just
-    passes has not cured it.
+    The severity is at most 1 for legs that exceed their stroke or drift and twice as much for a remaining error, each
+    in decades, 2 in total; it is from 2 to 3 for a run that ends early, by the share of the time that it did not run.
+    If the error failed, it counts from half of the band, so that a change that just passes is not a full cure.
 
     Parameters
     ----------

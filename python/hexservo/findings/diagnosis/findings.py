@@ -1,4 +1,4 @@
-"""What a diagnosis gives: causes with their evidence, and how they are shown."""
+"""Result of a diagnosis: causes with their evidence, and its text, table and curves."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ __all__ = ["Diagnosis", "Finding", "Remedy"]
 _PAGE = "docs/diagnosis/ranking.md"
 _TITLES = {cause.key: cause.title for cause in CAUSES}
 _FLOOR = 1e-3  # [px], of the curves
-_HELPERS = 3  # removals that help without being the cause, at most so many are named
+_HELPERS = 3  # most removals that are named which help and are not the cause
 
 
 @dataclass(frozen=True, eq=False)
 class Remedy:
-    """What helps against a cause; it was run."""
+    """A remedy against a cause; it was simulated."""
 
     words: str  # what is changed, as it follows "with"
     changes: dict[str, Any]  # by dotted key, as `Scenario.updated` takes them
-    works: bool  # whether the run then passes
+    works: bool  # whether the run passes with it
     outcome: str  # of that run
-    error: float  # then, the largest one within the dwell time before the end [px]
-    leg_travel: float  # then, of the leg that goes farthest [m]
-    drift: float  # then, of the leg that moves fastest at the end [m/s]
+    error: float  # of that run: the largest one within the dwell time before its end [px]
+    leg_travel: float  # of that run: largest travel of a leg [m]
+    drift: float  # of that run: of the leg that moves fastest at its end [m/s]
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """One cause, with what speaks for it."""
+    """A cause and its evidence."""
 
     cause: str  # its key, such as "late_camera"; its page: docs/diagnosis/
     title: str
     named: bool  # whether it is the cause, by the rules of docs/diagnosis/ranking.md
-    score: float  # 0 to 1: how much of the failure its removal takes away, less where it does no harm by itself
-    cure: float | None  # share of the severity that is gone without it; None: nothing could be run
-    alone: bool | None  # whether it fails a scenario without other faults; None: not asked
-    look: float | None  # how much the run looks like it, 0 to 1; None: it leaves no trace
+    score: float  # 0 to 1: share of the failure that its removal cures, reduced if it makes no run fail alone
+    cure: float | None  # share of the severity that its removal cures; None: no removal could be run
+    alone: bool | None  # whether it makes a scenario without other faults fail; None: not tried
+    look: float | None  # signature: how well the recorded signals fit it, 0 to 1; None: it has no signature
     evidence: tuple[str, ...]  # sentences with numbers
-    without: Remedy | None  # the run without this cause; it may be more than one can have
-    remedy: Remedy | None  # what helps; None for causes of little score
+    without: Remedy | None  # the run without this cause, even if no machine can be without it
+    remedy: Remedy | None  # None for causes of low score
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,9 +59,9 @@ class Diagnosis(Findings):
 
     result: Result
     failed: bool | None  # None: the run was interrupted
-    criteria: tuple[str, ...]  # a sentence for each criterion, with what was and what is allowed
+    criteria: tuple[str, ...]  # a clause for each criterion, with its value and its limit
     causes: tuple[Finding, ...] = ()  # ranked: those that are named first
-    together: tuple[str, ...] = ()  # keys of two causes that have to go together, where neither alone is enough
+    together: tuple[str, ...] = ()  # keys of two causes that make the run fail only together
     controls: tuple[bool, ...] = ()  # whether the run passes with other seeds and with small random changes
     warnings: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()  # titles of causes that are not present in the scenario, or that could not be tried
@@ -77,22 +77,22 @@ class Diagnosis(Findings):
 
     @property
     def too_short(self) -> float | None:
-        """A duration with which the run passes, where its being short is the cause [s]."""
+        """A duration with which the run passes, if the cause is that the run is too short [s]; else None."""
         first = self.causes[0] if self.causes else None
         if first is None or not first.named or first.cause != "duration" or first.without is None:
             return None
         return float(first.without.changes["simulation.duration"])
 
     def section(self) -> Section:
-        """Words first, then a table of the causes and the error over the time, with and without the first one."""
+        """Return sentences, a table of the causes, and the error over time with and without the first cause."""
         if self._record is None or self._judgement is None:
-            return Section("diagnosis", "Diagnosis", ["The run was interrupted: it is not judged."])
+            return Section("diagnosis", "Diagnosis", ["The run was interrupted: there is no diagnosis."])
         data = self.to_dict()
         if not self.failed:
             if not self.warnings:
                 words = [f"Nothing to diagnose: {joined(self.criteria)}."]
                 return Section("diagnosis", "Diagnosis", words, (), "good", data)
-            words = [f"The run passes. {self.warnings[0]}", *self.warnings[1:], f"In all: {joined(self.criteria)}."]
+            words = [f"The run passes. {self.warnings[0]}", *self.warnings[1:], f"Criteria: {joined(self.criteria)}."]
             return Section("diagnosis", "Diagnosis", words, (), "warning", data)
         sentences = [self._verdict(), f"What failed: {joined(self.criteria)}."]
         if self.named:
@@ -161,9 +161,9 @@ class Diagnosis(Findings):
                 f"Not explained by one cause: two make it fail together, {together}; the original run {was}. Without "
                 "other faults both together fail as well, and neither does alone."
             )
-        words = f"Not explained: it {was}, and none of the {len(self.causes)} causes that were tried is the cause."
+        words = f"Not explained: it {was}, and none of the {len(self.causes)} causes that were tried explains it."
         if first is not None and first.without is not None and first.cure:
-            words += f" Most of it is gone with {first.without.words}: the run then {how(first.without)}."
+            words += f" The most effective change was {first.without.words}: the run then {how(first.without)}."
         return words
 
     def _of_obstacle(self, obstacle: Obstacle) -> str:
@@ -185,8 +185,8 @@ class Diagnosis(Findings):
         passing = sum(self.controls)
         if passing:
             found.append(
-                f"Near the border: with other seeds, or numbers changed by 5 % at random, the run passes {passing} of "
-                f"{len(self.controls)} times, so that the cause is less sure."
+                f"Near the limit: with other seeds, or numbers changed randomly by 5 %, the run passes {passing} of "
+                f"{len(self.controls)} times, so the cause is less certain."
             )
         others = [
             finding.without.words
@@ -196,12 +196,12 @@ class Diagnosis(Findings):
         if others and self.obstacle is None:
             more = f", and {len(others) - _HELPERS} others" if len(others) > _HELPERS else ""
             found.append(
-                f"The run also passes with {'; with '.join(others[:_HELPERS])}{more}: that helps, and is not the "
-                "cause, since by itself it fails no scenario without other faults."
+                f"The run also passes with {'; with '.join(others[:_HELPERS])}{more}: that helps, but alone it "
+                "makes no scenario without other faults fail, so it is not the cause."
             )
         also = [finding.title for finding in self.named[1:]]
         if also:
-            found.append(f"As much speaks for {joined(also)}, each removed by itself.")
+            found.append(f"Equally likely: {joined(also)}; each was removed alone.")
         return found
 
     @property
@@ -221,9 +221,9 @@ class Diagnosis(Findings):
             Column("score", format=".2f"),
             Column("what was changed"),
             Column("outcome"),
-            Column("error that remains", "px"),
+            Column("remaining error", "px"),
             Column("leg travel", "mm", ".3g"),
-            Column("fails by itself"),
+            Column("fails alone"),
         )
         rows: list[tuple[str | float | None, ...]] = [
             (
@@ -244,7 +244,7 @@ class Diagnosis(Findings):
                 after = (run.words, spelt(run.outcome), run.error, 1e3 * run.leg_travel)
             rows.append((finding.title, finding.score, *after, alone))
         note = f"Not present in this scenario: {', '.join(self.absent)}." if self.absent else ""
-        return Table("Causes, each removed by itself", columns, rows, note, _PAGE)
+        return Table("Causes, each removed alone", columns, rows, note, _PAGE)
 
     def _curves(self) -> tuple[Curves, ...]:
         assert self._record is not None

@@ -1,4 +1,4 @@
-"""From the runs with one cause removed, and with one cause alone, to a ranking of the causes."""
+"""Ranking of the causes from runs without each cause, and with each cause alone."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Study", "Trial", "judged", "make_cases", "pairs", "rank", "study"]
 
-_NOT_ALONE = 0.25  # share of the score that is left to a cause that does no harm by itself
-_USUAL = 0.15  # the same where nothing about the cause is unusual
-_ORDINARY = 0.1  # the same of a device that is no worse than ordinary
-_CHANCE = 0.5  # share of the score that is lost where every control passes
+_NOT_ALONE = 0.25  # factor of the score for a cause that makes no run fail alone
+_USUAL = 0.15  # the same if no setting of the cause is unusual
+_ORDINARY = 0.1  # the same for a device that is no worse than ordinary
+_CHANCE = 0.5  # share by which the score falls if every control passes
 _SIZE = 0.05  # of the random change of a control, relative
 _SEEDS = 2  # other seeds that are tried, and random changes
 _PAIRED = 5  # causes that are removed two at a time
@@ -40,21 +40,21 @@ _RANDOM = ("noise", "dropout", "outlier_probability", "latency_jitter")  # keys 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A cause with the removal that helped most."""
+    """A cause with its most effective removal."""
 
     cause: Cause
     removal: Removal
     record: Record
     judgement: Judgement
-    cure: float  # share of the severity that the removal takes away, 0 to 1
-    alone: bool | None  # whether it fails an otherwise ideal scenario; None: not asked, since its removal cures nothing
+    cure: float  # share of the severity that the removal cures, 0 to 1
+    alone: bool | None  # whether it makes an otherwise ideal scenario fail; None: not tried, its removal does not cure
     score: float  # 0 to 1
     named: bool  # as the cause
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """All that was run for one case."""
+    """The runs for one case, evaluated."""
 
     case: Case
     before: Judgement
@@ -155,8 +155,8 @@ def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
 def rank(one: Study, withheld: str = "") -> list[Trial]:
     """Rank the causes of a run that failed, the most likely one first; `withheld` is left out of the list.
 
-    A cause is named whose removal cures the run, which fails an otherwise ideal scenario by itself, and where small
-    random changes do not cure the run as well. A goal that cannot be reached is named whatever else there is.
+    A cause is named if its removal cures the run, if it alone makes an otherwise ideal scenario fail, and if small
+    random changes do not cure the run as well. A goal that cannot be reached is always the cause named.
     """
     obstacle = one.case.obstacle
     goal_cause = "" if obstacle is None else {"stroke": "leg_limits", "image": "impossible_goal"}[obstacle.kind]
@@ -182,8 +182,8 @@ def rank(one: Study, withheld: str = "") -> list[Trial]:
 def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, ...]:
     """Search for two causes that make the run fail together, where no single cause is named; () for none.
 
-    Either the run passes only without both, or it passes without either of them; and both together, without other
-    faults, make a scenario fail. The most likely pair counts.
+    The run passes without both, or without either of them, and both together, without other faults, make a scenario
+    fail. The most likely pair is returned.
     """
     if one.case.obstacle is not None or any(trial.named for trial in trials):
         return ()
@@ -242,7 +242,7 @@ def _unusual_causes(case: Case) -> set[str]:
 def _is_elsewhere(one: Study) -> bool:
     """Return whether the run ended for another reason, or still moves: a false equilibrium does not end a run early.
 
-    An error within the ordinary band is none of a trap, however narrow the band of the scenario is.
+    An error within the ordinary band is not that of a false equilibrium, however narrow the band of the scenario is.
     """
     metrics, before = one.case.scenario.metrics, one.before
     far = before.error * metrics.band > max(type(metrics)().band, metrics.band)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 __all__ = ["criteria_met", "ends", "how", "joined", "misses", "remedy_sentence", "spelt", "warnings_of"]
 
 FEW = 40  # samples, or steps
-_NEAR = 0.7  # of what is allowed: a warning
-_SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not worth a word
+_NEAR = 0.7  # share of a limit beyond which there is a warning
+_SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not reported
 
 
 def joined(parts: Sequence[str]) -> str:
@@ -76,7 +76,7 @@ def criteria_met(result: Result, record: Record, judgement: Judgement) -> tuple[
         f"it is settled, with {number(judgement.error * metrics.band)} px of the band of {number(metrics.band)} px "
         f"in the last {number(metrics.dwell)} s",
         f"the legs use {judgement.stroke:.0%} of their stroke of {number(stroke * 1e3, 4)} mm",
-        f"they drift at {number(record.drift * 1e3, 2)} mm/s of the {allowed:.2g} mm/s that are allowed",
+        f"they drift at {number(record.drift * 1e3, 2)} mm/s, where {allowed:.2g} mm/s are allowed",
     )
 
 
@@ -96,7 +96,7 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
     for event in result.events:
         if event.kind == "force" and not judgement.failed:  # of a failed run it is a symptom
             found.append(
-                f"At t = {event.time:.3g} s leg {event.leg} asks more than its force limit, which nothing enforces."
+                f"At t = {event.time:.3g} s leg {event.leg} needs more than its force limit, which is not enforced."
             )
             break
     return tuple(found)
