@@ -122,7 +122,7 @@ def test_the_worst_runs_come_as_scenarios(whole: Path) -> None:
         assert repeated.outcome == row.outcome
         if row.outcome == "completed":  # a single run agrees with a lane to rounding (docs/batch.md)
             assert hs.metrics(repeated)["peak_leg_excursion"] == pytest.approx(row.peak_leg_excursion, rel=1e-6)
-    assert hs.Scenario.from_yaml((whole / "worst.yaml").read_text(encoding="utf-8")) == worst[0].scenario
+    assert hs.Scenario.from_yaml((whole / "worst-run.yaml").read_text(encoding="utf-8")) == worst[0].scenario
     with pytest.raises(IndexError, match="expected one from 0 to 999, got 1000"):
         result.scenario(RUNS)
 
@@ -143,7 +143,7 @@ def test_a_command_repeats_a_run_of_a_packaged_scenario(tmp_path: Path) -> None:
     words = [word for word in eval(arguments) if word != "--set"]
     assert load(words[1], words[2:]) == result.scenario(1)
     changed = hs.campaign(file, tmp_path / "changed", changes={"simulation.duration": 1.0})
-    assert changed.command(1) == "hexservo run run-1.yaml"
+    assert changed.command(1) == "hexservo run run.yaml"
 
 
 # ---- Interruptions --------------------------------------------------------------------------------------------------
@@ -221,7 +221,7 @@ def test_ctrl_c_loses_nothing(whole: Path, tmp_path: Path) -> None:
     assert result.interrupted
     assert not result.complete
     assert 200 <= len(result) < RUNS, "what was kept, without the chunk that was being computed"
-    assert "the campaign is not complete" in result.sentences()[0]
+    assert result.section().sentences[-1] == f"The campaign is not complete: {len(result)} of {RUNS} runs are kept."
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "chunks").iterdir()}
     seen: list[int] = []
     again = hs.campaign(FILE, tmp_path / "out", progress=lambda done, count: seen.append(done))
@@ -315,7 +315,7 @@ def test_a_lost_summary_and_a_changed_one_are_not_needed(whole: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("change", "differs"),
     [
-        ({"stream": 1}, "digest .*stream"),
+        ({"stream": 1}, "stream"),
         ({"require": ["final_error <= 3"]}, "require"),
         ({"confidence": 0.9}, "confidence"),
         ({"chunk_size": 50}, "chunk_size"),

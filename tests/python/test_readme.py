@@ -43,7 +43,9 @@ def test_the_examples_of_batches_run(tmp_path: Path) -> None:
 
 def test_the_examples_of_a_real_camera_run(tmp_path: Path) -> None:
     prediction, own = (
-        example for example in examples(README)[1:] if "simulate(" in example and "diagnose(" not in example
+        example
+        for example in examples(README)[1:]
+        if "simulate(" in example and "diagnose(" not in example and "campaign(" not in example
     )
     without, with_prediction = output_of(prediction, tmp_path).splitlines()
     assert re.fullmatch(r"none diverged \d+\.\d\d px", without)
@@ -138,6 +140,13 @@ def test_the_examples_of_comparisons_run(tmp_path: Path) -> None:
     assert len(table) == 6
     assert last.startswith("settled within 2 px from 0.552 s on ")
     assert (tmp_path / "comparison.png").stat().st_size > 0
+
+
+def test_the_example_of_campaigns_runs(tmp_path: Path) -> None:
+    (example,) = (example for example in examples(README) if "hs.campaign(" in example)
+    verdict, settling_time = output_of(example, tmp_path).splitlines()
+    assert re.match(r"\d+ of 500 runs fails?: the failure probability is between ", verdict)
+    assert 0.1 < float(settling_time) < 0.2
 
 
 def test_the_example_of_a_full_report_runs(tmp_path: Path) -> None:

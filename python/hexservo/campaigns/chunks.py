@@ -23,7 +23,7 @@ from hexservo.scenario.arrays import Array
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Tally", "chunk_bytes", "chunk_table", "tally_of", "unsealed_chunk"]
+__all__ = ["Tally", "batch_margins", "chunk_bytes", "chunk_table", "tally_of", "unsealed_chunk"]
 
 _IDENTITY, _SEAL = b"hexservo_chunk", b"hexservo_sha256"
 _BLANK = b"0" * 64  # in place of the digest, while it is computed
@@ -46,8 +46,6 @@ def chunk_table(
     import pyarrow as pa
 
     varied = {name: column for key, values in numbers.items() for name, column in columns_of(key, values).items()}
-    duration = varied.get("simulation.duration", batch.scenario.simulation.duration)
-    found = run_margins(requirements, batch.outcome, batch.end_time, duration, batch.metrics)
     return pa.table(
         {
             "index": np.arange(first, first + len(batch), dtype=np.int64),
@@ -55,9 +53,17 @@ def chunk_table(
             "outcome": pa.array(batch.outcome.tolist(), pa.string()),
             "end_time": batch.end_time,
             **batch.metrics,
-            "margin": found.min(axis=1),
+            "margin": batch_margins(batch, numbers, requirements).min(axis=1),
         }
     )
+
+
+def batch_margins(
+    batch: BatchResult, numbers: Mapping[str, NDArray[Any]], requirements: Sequence[Requirement]
+) -> Array:
+    """Return the margin of every run of a batch for every requirement, (n, r); `numbers` is what was drawn for it."""
+    duration = numbers.get("simulation.duration", batch.scenario.simulation.duration)
+    return run_margins(requirements, batch.outcome, batch.end_time, duration, batch.metrics)
 
 
 @dataclass

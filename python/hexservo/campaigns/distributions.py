@@ -26,6 +26,7 @@ _KINDS = {
 }
 _FLAGS = ("add", "each", "symmetric")
 _EXPECTED = "one of " + ", ".join(f"{{{kind}: {form}}}" for kind, form in _KINDS.items())
+_SIGMAS = 3.0  # of a normal distribution without a clip, within a box
 _SMALLEST = 0.5**53  # smallest uniform number; the largest is 1 - this
 
 
@@ -70,6 +71,34 @@ class Variation:
             return min(self.parameters), max(self.parameters)
         low, high = self.numbers(np.array([_SMALLEST, 1.0 - _SMALLEST]))
         return float(low), float(high)
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """The smallest and the largest number that a search for the worst case tries: 3 sigma for a normal one."""
+        first, last = self.parameters[0], self.parameters[-1]
+        ends = (first - _SIGMAS * last, first + _SIGMAS * last) if self.kind == "normal" else self.reach
+        low, high = (float(end) for end in (ends if self.clip is None else np.clip(ends, *self.clip)))
+        return low, high
+
+    def in_box(self, share: Array) -> Array:
+        """Return numbers by their place in the box, from 0 to 1; the places of `log` and `choice` are of equal size."""
+        low, high = self.box
+        if self.kind == "choice":
+            count = len(self.parameters)
+            return np.array(self.parameters, dtype=float)[np.minimum((share * count).astype(np.int64), count - 1)]
+        if self.kind == "log":
+            return np.asarray(np.clip(exp10(np.log10(low) + (np.log10(high) - np.log10(low)) * share), low, high))
+        return np.asarray(np.clip(low + (high - low) * share, low, high))
+
+    def share_of(self, numbers: Array) -> Array:
+        """Return the places of numbers in the box, the inverse of `in_box`; 0 or 1 beyond its ends."""
+        low, high = self.box
+        if self.kind == "choice":
+            places = np.abs(numbers[..., None] - np.asarray(self.parameters)).argmin(axis=-1)
+            return np.asarray((places + 0.5) / len(self.parameters))
+        if self.kind == "log":
+            low, high, numbers = np.log(low), np.log(high), np.log(np.maximum(numbers, low))
+        return np.asarray(np.clip((numbers - low) / (high - low), 0.0, 1.0))
 
     def to_plain(self) -> Any:
         """Return what a campaign file writes for it."""

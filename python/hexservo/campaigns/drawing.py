@@ -72,10 +72,41 @@ class Drawing:
 
         Each is (n, ...) in the key's own shape and unit; seeds are uint64.
         """
+        bits = self._bits(first, last)
+        return {one.name: _values(one, bits[:, one.start : one.start + one.count]) for one in self._keys}
+
+    def _bits(self, first: int, last: int) -> NDArray[np.uint64]:
+        """Return the random bits of runs, (n, m)."""
         count = last - first
         generator = np.random.Philox(key=self._key, counter=first * self._width)
-        bits = generator.random_raw(count * self._width * _BLOCK).reshape(count, -1)
-        return {one.name: _values(one, bits[:, one.start : one.start + one.count]) for one in self._keys}
+        return generator.random_raw(count * self._width * _BLOCK).reshape(count, -1)
+
+    @property
+    def dimension(self) -> int:
+        """Number of numbers that vary, without seeds."""
+        return sum(one.count for one in self._keys if one.variation.kind != SEED)
+
+    def shares(self, run: int) -> Array:
+        """Return the place of a run in the box of the variations, (dimension,), from 0 to 1 each."""
+        bits = self._bits(run, run + 1)[0]
+        parts = [
+            one.variation.share_of(one.variation.numbers(uniform_of(bits[one.start : one.start + one.count])))
+            for one in self._keys
+            if one.variation.kind != SEED
+        ]
+        return np.concatenate([np.empty(0), *parts])
+
+    def numbers_at(self, shares: Array, run: int) -> dict[str, NDArray[Any]]:
+        """Return numbers as `numbers` does, for places in the box, (n, dimension), with the seed of a run."""
+        bits, start, found = self._bits(run, run + 1), 0, {}
+        for one in self._keys:
+            if one.variation.kind == SEED:
+                found[one.name] = np.repeat(_values(one, bits[:, one.start : one.start + 1]), len(shares))
+                continue
+            drawn = one.variation.in_box(shares[:, start : start + one.count])
+            found[one.name] = np.ascontiguousarray(one.base + drawn[:, one.entries])
+            start += one.count
+        return found
 
     def variations(self, numbers: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Return what `simulate_batch` varies: `numbers`, with points (n, 4, 3) [m] for displacements of the target."""

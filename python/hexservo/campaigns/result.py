@@ -13,16 +13,18 @@ from hexservo.campaigns.chunks import Tally, tally_of
 from hexservo.campaigns.intervals import anytime_interval, clopper_pearson
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.campaigns.store import SUMMARY, Store, read_plan
-from hexservo.run.display import lines_below
+from hexservo.campaigns.words import summary_section
+from hexservo.findings.display import Findings
 from hexservo.run.sealed import ResultError
 from hexservo.run.variations import known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
-from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:
     import pandas
     import pyarrow as pa
+
+    from hexservo.findings.evidence import Section
 
 __all__ = ["CampaignResult", "WorstRun", "load_campaign"]
 
@@ -36,18 +38,14 @@ class WorstRun:
     scenario: Scenario  # of the run: `hs.simulate` repeats it, to rounding
 
 
-@dataclass(frozen=True)
-class CampaignResult:
+@dataclass(frozen=True, repr=False, eq=False)
+class CampaignResult(Findings):
     """A campaign's folder. Its runs are those of the chunks from the first one on without a gap."""
 
     folder: Path
     plan: CampaignPlan
     summary: dict[str, Any]  # as summary.json: docs/campaigns.md, section 4
     interrupted: bool = False  # Ctrl-C came before it was complete
-
-    def __repr__(self) -> str:
-        """Return the verdict in a few lines."""
-        return lines_below(f"Campaign in {self.folder}", self.sentences())
 
     def __len__(self) -> int:
         """Return the number of runs."""
@@ -69,9 +67,13 @@ class CampaignResult:
         low, high = self.summary["interval"]
         return low, high
 
-    def sentences(self) -> list[str]:
-        """Return the verdict: how many runs fail, and what follows for the failure probability."""
-        return verdict_sentences(self.summary)
+    def section(self) -> Section:
+        """Return the verdict in sentences, with tables of requirements, outcomes and the worst runs."""
+        return summary_section(self.summary)
+
+    def headline(self) -> str:
+        """Return a line that names the folder."""
+        return f"Campaign in {self.folder}"
 
     def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
         """Yield the runs chunk by chunk, each verified by its SHA-256 first.
@@ -141,7 +143,7 @@ class CampaignResult:
         found = self.summary["worst"][:count]
         return tuple(WorstRun(one["index"], one["margin"], self.scenario(one["index"])) for one in found)
 
-    def command(self, index: int) -> str:
+    def command(self, index: int, file: str = "run.yaml") -> str:
         """Return a command that repeats a run.
 
         It changes the packaged scenario where the campaign varies one; else it names a file to which `scenario(index)`
@@ -149,7 +151,7 @@ class CampaignResult:
         """
         name = self.plan.scenario.name
         if name not in scenario_names() or load_scenario(name) != self.plan.scenario:
-            return f"hexservo run run-{index}.yaml"
+            return f"hexservo run {file}"
         changes = changes_of_run(self.plan, index)
         return " ".join(
             [f"hexservo run {name}", *(f"--set '{key}={_written(value)}'" for key, value in changes.items())]
@@ -249,21 +251,3 @@ def is_complete(plan: CampaignPlan, tally: Tally) -> bool:
     if plan.until is None or tally.runs == 0:
         return False
     return plan.until.decided(*anytime_interval(tally.failures, tally.runs, plan.confidence, plan.mixture))
-
-
-def verdict_sentences(summary: dict[str, Any]) -> list[str]:
-    """Return a summary in sentences."""
-    low, high = summary["interval"]
-    share, runs = f"{summary['confidence']:.4g}", summary["runs"]
-    state = "" if summary["complete"] else "; the campaign is not complete"
-    sentences = [
-        f"{summary['failures']} of {runs} runs fail: the failure probability is from {number(low)} to {number(high)} "
-        f"at a confidence of {share}, at whatever number of runs one stops{state}."
-    ]
-    if summary["clopper_pearson"] is not None:
-        low, high = summary["clopper_pearson"]
-        sentences.append(
-            f"For {runs} runs, a number that was fixed before the first one, the interval of Clopper and Pearson is "
-            f"{number(low)} to {number(high)}."
-        )
-    return sentences

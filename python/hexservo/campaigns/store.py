@@ -29,7 +29,7 @@ __all__ = ["Store", "read_plan"]
 FORMAT = 1
 """Of a campaign's folder: raised with every change of what a chunk holds."""
 
-PLAN, SUMMARY, WORST = "campaign.yaml", "summary.json", "worst.yaml"
+PLAN, SUMMARY, WORST = "campaign.yaml", "summary.json", "worst-run.yaml"
 _CHUNK = re.compile(r"(?P<index>[0-9]{6,})\.parquet")
 _PART = ".part"
 _MAY_GROW = ("runs", "until")  # what the same campaign may change later: the interval holds at any stop
@@ -148,11 +148,7 @@ class Store:
         """Check that the folder's campaign is this one, and keep its record."""
         there, record = read_plan(self.folder)
         self.plan.changed(variant=record["variant"]).required_variant()
-        differing = [
-            key
-            for key, value in self.record.items()
-            if key not in ("fixed_runs", "campaign") and record.get(key) != value
-        ]
+        differing = [] if record["hexservo"] == VERSION else ["hexservo"]
         ours, theirs = self.plan.to_mapping(), there.to_mapping()
         differing += [key for key in ours if key not in _MAY_GROW and ours[key] != theirs[key]]
         if differing:
@@ -197,7 +193,7 @@ class Store:
         self._write(self.folder / SUMMARY, text.encode())
 
     def write_worst(self, text: str) -> None:
-        """Write ``worst.yaml``."""
+        """Write ``worst-run.yaml``."""
         self._write(self.folder / WORST, text.encode())
 
     def _write(self, path: Path, content: bytes) -> None:

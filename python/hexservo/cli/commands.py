@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli import evidence, terminal
+from hexservo.cli import assurance, evidence, terminal
 from hexservo.cli.terminal import (
     ENDED_EARLY,
     INTERRUPTED,
@@ -196,7 +196,7 @@ def compare(
             raise typer.Exit(NOT_SETTLED)
 
 
-for command in (evidence.report, evidence.certify, evidence.analyse, evidence.diagnose):
+for command in (evidence.report, evidence.certify, evidence.analyse, evidence.diagnose, assurance.campaign):
     app.command()(command)
 
 

@@ -26,6 +26,7 @@ __all__ = [
     "RequireSettledOption",
     "ScenarioArgument",
     "SettingsOption",
+    "changes_of",
     "complain",
     "ending",
     "errors_as_messages",
@@ -69,9 +70,34 @@ SettingsOption = Annotated[
 
 def load(scenario: str, settings: list[str]) -> hs.Scenario:
     """Load a scenario and apply the changes of --set; all errors of the settings are reported together."""
+    loaded = _read_standard_input() if scenario == "-" else hs.load_scenario(scenario)
+    changes, problems = _changes_of(settings)
+    try:
+        changed = loaded.updated(changes) if changes else loaded
+    except hs.ScenarioError as error:
+        problems += error.problems
+    if problems:
+        raise hs.ScenarioError(problems, "--set")
+    return changed
+
+
+def changes_of(settings: list[str]) -> dict[str, object]:
+    """Return the changes of --set, by dotted key.
+
+    Raises
+    ------
+    ScenarioError
+        A setting is no ``KEY=VALUE``, or its value is no YAML.
+    """
+    changes, problems = _changes_of(settings)
+    if problems:
+        raise hs.ScenarioError(problems, "--set")
+    return changes
+
+
+def _changes_of(settings: list[str]) -> tuple[dict[str, object], list[str]]:
     from hexservo.scenario.yaml import load_yaml
 
-    loaded = _read_standard_input() if scenario == "-" else hs.load_scenario(scenario)
     problems: list[str] = []
     changes: dict[str, object] = {}
     for setting in settings:
@@ -85,13 +111,7 @@ def load(scenario: str, settings: list[str]) -> hs.Scenario:
             changes[key] = load_yaml(value)
         except hs.ScenarioError as error:
             problems += [f"{key}: {problem}" for problem in error.problems]
-    try:
-        changed = loaded.updated(changes) if changes else loaded
-    except hs.ScenarioError as error:
-        problems += error.problems
-    if problems:
-        raise hs.ScenarioError(problems, "--set")
-    return changed
+    return changes, problems
 
 
 def _read_standard_input() -> hs.Scenario:

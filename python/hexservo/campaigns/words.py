@@ -1,0 +1,97 @@
+"""A campaign's summary in sentences and tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hexservo.findings.evidence import Cell, Column, Section, Table
+from hexservo.scenario.wording import number
+
+__all__ = ["summary_section", "verdict_sentences"]
+
+_PAGE = "docs/campaigns.md"
+_OF_EACH = ("failures", "from", "to")
+
+
+def summary_section(summary: dict[str, Any]) -> Section:
+    """Return a summary with its tables: requirements, outcomes and the worst runs."""
+    share = f"{summary['joint_confidence']:.4g}"
+    requirements: list[list[Cell]] = [
+        [one["holds"], one["failures"], *one["interval"]] for one in summary["requirements"]
+    ]
+    tables = [
+        Table(
+            "Requirements",
+            (Column("holds"), *map(Column, _OF_EACH)),
+            requirements,
+            f"Each interval has the confidence of {summary['confidence']:.4g}; all of them together have {share}.",
+            _PAGE,
+        )
+    ]
+    if summary["runs"]:
+        outcomes: list[list[Cell]] = [[name.replace("_", " "), count] for name, count in summary["outcomes"].items()]
+        worst: list[list[Cell]] = [[one["index"], one["margin"]] for one in summary["worst"][:5]]
+        tables += [
+            Table("Outcomes", (Column("outcome"), Column("runs")), outcomes),
+            Table(
+                "Smallest margins",
+                (Column("run"), Column("margin")),
+                worst,
+                "Distance to the nearest bound in parts of it; negative: the run fails.",
+            ),
+        ]
+    return Section(
+        "campaign",
+        f"Campaign on {summary['scenario']}",
+        verdict_sentences(summary),
+        tables,
+        _verdict(summary),
+        summary,
+    )
+
+
+def verdict_sentences(summary: dict[str, Any]) -> list[str]:
+    """Return the verdict: how many runs fail, and the intervals of the failure probability."""
+    low, high = summary["interval"]
+    runs, failures = summary["runs"], summary["failures"]
+    counted = f"{failures} of {runs} runs {'fails' if failures == 1 else 'fail'}"
+    sentences = [
+        f"{counted}: the failure probability is between {number(low)} and {number(high)}, with a confidence of "
+        f"{summary['confidence']:.4g} that holds at whatever number of runs one stops."
+    ]
+    if (until := _decided(summary)) is not None:
+        sentences.append(until)
+    if summary["clopper_pearson"] is not None:
+        low, high = summary["clopper_pearson"]
+        sentences.append(
+            f"The number of runs was fixed before the first one. For that case alone, the interval of Clopper and "
+            f"Pearson is {number(low)} to {number(high)}."
+        )
+    if not summary["complete"]:
+        planned = summary["planned_runs"]
+        of = "" if planned is None else f" of {planned} runs"
+        sentences.append(f"The campaign is not complete: {runs}{of} are kept.")
+    return sentences
+
+
+def _decided(summary: dict[str, Any]) -> str | None:
+    """Return what the interval decides of the goal, if there is one."""
+    bound = (summary["until"] or {}).get("probability_below")
+    if bound is None:
+        return None
+    low, high = summary["interval"]
+    if high <= bound:
+        return f"It is below {number(bound)}, as the campaign was to decide."
+    if low > bound:
+        return f"It is above {number(bound)}: the goal cannot be reached."
+    return f"Whether it is below {number(bound)} is not decided yet."
+
+
+def _verdict(summary: dict[str, Any]) -> Any:
+    if not summary["runs"]:
+        return "open"
+    bound = (summary["until"] or {}).get("probability_below")
+    if bound is not None:
+        low, high = summary["interval"]
+        return "good" if high <= bound else "bad" if low > bound else "open"
+    return "warning" if summary["failures"] else "good"

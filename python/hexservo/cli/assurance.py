@@ -1,0 +1,109 @@
+"""The command ``hexservo campaign``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import hexservo as hs
+from hexservo.cli.print_sections import printed
+from hexservo.cli.terminal import (
+    INTERRUPTED,
+    SettingsOption,
+    changes_of,
+    complain,
+    errors_as_messages,
+    show_parts,
+    spell_time,
+)
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+__all__ = ["campaign"]
+
+_LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
+_WORDS_OF_A_FILE = 3  # of a command that names one
+
+
+def campaign(
+    file: Annotated[
+        str, typer.Argument(metavar="CAMPAIGN", help="Name of a packaged campaign, or path of a YAML file.")
+    ],
+    out: Annotated[
+        str,
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", help="Keep the runs there: a new folder, or that of the same campaign."
+        ),
+    ],
+    runs: Annotated[
+        int | None, typer.Option("--runs", metavar="N", help="Number of runs.  [default: that of the file]")
+    ] = None,
+    chunk_size: Annotated[
+        int | None,
+        typer.Option("--chunk-size", metavar="N", help="Runs in a file of the folder.  [default: that of the file]"),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
+    ] = None,
+    settings: SettingsOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+) -> None:
+    """Run many drawn variations of a scenario, and bound the probability of failure.
+
+    The same command goes on after an interruption, and adds runs with a larger --runs. It prints the interval of
+    the failure probability, which holds at whatever number of runs one stops, and the worst runs.
+    """
+    with errors_as_messages():
+        changes = changes_of(settings or [])
+        watched = sys.stderr is not None and sys.stderr.isatty() and not quiet
+        started = time.perf_counter()
+        try:
+            result = hs.campaign(
+                file,
+                out,
+                changes=changes,
+                runs=runs,
+                chunk_size=chunk_size,
+                threads=threads,
+                progress=watched,
+                warn=lambda sentence: complain(sentence, head="Warning"),
+            )
+        except hs.ScenarioError:
+            raise
+        except ValueError as error:  # of an option, as the number of threads
+            raise _as_message(error) from error
+        if not quiet:
+            show_parts(*_report(result, out, time.perf_counter() - started))
+        if result.interrupted:
+            planned = result.plan.runs
+            of = "" if planned is None else f" of {planned}"
+            complain(f"{len(result)}{of} runs are kept; the same command goes on", head="Interrupted")
+            raise typer.Exit(INTERRUPTED)
+
+
+def _as_message(error: ValueError) -> ValueError:
+    """Return an error with a message for the terminal; those of the output have one."""
+    from hexservo.run.publish import OutputError
+
+    ours = isinstance(error, OutputError | hs.ResultError)
+    return error if ours else hs.ScenarioError(str(error).splitlines())
+
+
+def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[RenderableType]:
+    from rich.text import Text
+
+    yield from printed([result.section()])
+    if len(result):
+        command = result.command(result.worst(1)[0].index)
+        short = len(command) <= _LONGEST_COMMAND and len(command.split()) > _WORDS_OF_A_FILE
+        yield Text("")
+        yield Text(f"the run with the smallest margin: {command if short else f'hexservo run {out}/worst-run.yaml'}")
+    yield Text(
+        f"campaign.yaml, summary.json, worst-run.yaml and chunks/*.parquet are in {out} ({spell_time(elapsed)})",
+        style="dim",
+    )
