@@ -423,3 +423,19 @@ def test_a_run_that_is_no_scenario_is_named(tmp_path: Path) -> None:
     with pytest.raises(hs.ScenarioError, match=rf"run {first}: camera.latency: .*; narrow or clip what varies"):
         hs.campaign(file, tmp_path / "out")
     assert os.listdir(tmp_path / "out" / "chunks") == []  # noqa: PTH208
+
+
+def test_ctrl_c_at_any_moment_leaves_a_summary_of_what_is_kept(tmp_path: Path) -> None:
+    """Each call of the progress function is a different moment."""
+    for moment in range(1, 40, 4):
+        calls = [0]
+
+        def interrupt(done: int, count: int, calls: list[int] = calls, moment: int = moment) -> None:
+            calls[0] += 1
+            if calls[0] == moment:
+                signal.raise_signal(signal.SIGINT)
+
+        result = hs.campaign(FILE, tmp_path / str(moment), chunk_size=20, progress=interrupt)
+        assert result.interrupted != result.complete
+        assert hs.load_campaign(tmp_path / str(moment)).summary == result.summary
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

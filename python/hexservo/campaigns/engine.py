@@ -6,11 +6,13 @@ import contextlib
 import itertools
 import os
 import re
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
+from types import FrameType
 from typing import Any, Protocol, TypeAlias
 
 from hexservo.campaigns.chunks import Tally, chunk_bytes, chunk_table, tally_of
@@ -89,14 +91,37 @@ def campaign(
     store = Store(out, plan, new_record(plan))
     thread_count(threads)
     state = _State(store)
-    with store.opened(), _reporting(progress) as report:
+    with store.opened(), _reporting(progress) as report, _ctrl_c_noted() as asked:
         interrupted = False
         try:
-            state.take_up(warn or (lambda sentence: None))
-            _compute(state, threads, report)
-        except KeyboardInterrupt:
+            state.take_up(warn or (lambda sentence: None), asked)
+            _compute(state, threads, report, asked)
+        except KeyboardInterrupt:  # of a second Ctrl-C, or of a handler that is not Python's own
             interrupted = True
-        return state.finish(interrupted=interrupted)
+        return state.finish(interrupted=(interrupted or asked.is_set()) and not state.complete)
+
+
+@contextlib.contextmanager
+def _ctrl_c_noted() -> Iterator[threading.Event]:
+    """Have Ctrl-C set an event, where it would raise an exception amid the counting; a second one does raise it."""
+    asked = threading.Event()
+
+    def note(signal_number: int, frame: FrameType | None) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+
+    ours = (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if ours:
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield asked
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # ---- What is there --------------------------------------------------------------------------------------------------
@@ -119,10 +144,10 @@ class _State:
         """Runs that are kept."""
         return self.tally.runs + sum(tally.runs for tally in self.waiting.values())
 
-    def take_up(self, warn: Warn) -> None:
+    def take_up(self, warn: Warn, asked: threading.Event) -> None:
         """Count the chunks that are there; damaged ones are set aside."""
         for index in self.store.indices():
-            if self.complete:
+            if self.complete or asked.is_set():
                 break
             try:
                 table = self.store.read(index)
@@ -186,14 +211,14 @@ class _StoppedError(Exception):
     """The campaign ended while a chunk was computed."""
 
 
-def _compute(state: _State, threads: int | None, report: _Report) -> None:
+def _compute(state: _State, threads: int | None, report: _Report, asked: threading.Event) -> None:
     """Compute what is missing, one chunk at a time on all threads, while the one before is kept."""
     watch = _Watch()
     missing = state.missing()
     flying: dict[Future[tuple[bytes, Tally]], int] = {}
     with ThreadPoolExecutor(1, "campaign") as executor:
         try:
-            while not state.complete:
+            while not state.complete and not asked.is_set():
                 for index in itertools.islice(missing, _IN_FLIGHT - len(flying)):
                     flying[executor.submit(_chunk, state.store, index, threads, watch)] = index
                 for future in wait(flying, _WATCHED, FIRST_COMPLETED).done:
