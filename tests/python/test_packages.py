@@ -68,27 +68,38 @@ def test_no_import_circles() -> None:
     assert circle(pairs) == ["a", "b", "c", "a"]
 
 
-@pytest.mark.parametrize("part", sorted(module for module, _ in PARTS.values()))
-def test_numbers_of_an_analysis_do_not_depend_on_its_words(part: str) -> None:
-    """`x` computes, `x_words` makes sentences of what it returns; nothing that `x` imports makes sentences."""
-    module = f"findings.analysis.{part}"
-    words = f"{module}_words"
-    used = {(each.source, each.name) for each in IMPORTS if each.module == words}
-    assert any(source == module for source, _ in used), f"{words} does not import {module}"
-    wording = {each.module for each in IMPORTS if each.source == "findings.evidence" and each.name == "Section"}
-    wording -= {"findings.analysis.part"}  # looks up the words of a part by name when they are asked for
-    used_by_numbers = {each.source for each in IMPORTS if each.module == module}
-    assert used_by_numbers & wording == set()
-    assert not [source for source in used_by_numbers if source.endswith("words") or source == "findings.evidence"]
-    tree = ast.parse((SOURCES / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8"))
-    parts = [
-        node.name
-        for node in tree.body
-        if isinstance(node, ast.ClassDef)
-        and any(isinstance(base, ast.Name) and base.id == "Part" for base in node.bases)
+def parts_of_findings() -> list[str]:
+    """Modules with a class of base Part: the numbers of findings."""
+    return [
+        each.module
+        for each in IMPORTS
+        if (each.source, each.name) == ("findings.part", "Part") and each.module.startswith("findings.")
     ]
-    assert len(parts) == 1, f"{module}: expected one class of base Part, got {parts}"
+
+
+@pytest.mark.parametrize("module", parts_of_findings())
+def test_numbers_of_findings_do_not_depend_on_their_words(module: str) -> None:
+    """`x` computes, `x_words` makes sentences of what it returns; nothing that `x` imports makes tables."""
+    words = f"{module}_words"
+    assert module in {each.source for each in IMPORTS if each.module == words}, f"{words} does not import {module}"
     assert "section" in functions_of(words)
+    used = {each.source for each in IMPORTS if each.module == module}
+    assert not [source for source in used if source.endswith("words")]
+    assert not used & WORDING, f"{module} imports {used & WORDING}, which make tables"
+
+
+WORDING = {each.module for each in IMPORTS if each.source == "findings.evidence" and each.name == "Table"}
+
+
+def test_only_words_make_tables() -> None:
+    """Below the packages that draw: tables are made by modules of words."""
+    assert {module for module in WORDING if module.startswith("findings.")} - {"findings.wording"} == {
+        f"{module}_words" for module in parts_of_findings()
+    }
+
+
+def test_every_analysis_has_numbers_and_words() -> None:
+    assert {f"findings.analysis.{module}" for module, _ in PARTS.values()} <= set(parts_of_findings())
 
 
 def functions_of(module: str) -> set[str]:

@@ -180,7 +180,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo.findings.analysis.part import Part
+from hexservo.findings.part import Part
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
@@ -245,7 +245,7 @@ def test_an_analysis_is_added_by_its_recipe(tree: Path) -> None:
         '"workspace": ("workspace", "reach, singularities and loads of the legs"),\n',
         '    "legs": ("legs", "lengths of the legs at home"),\n',
     )
-    order = "test_packages.py::test_numbers_of_an_analysis_do_not_depend_on_its_words"
+    order = "test_packages.py::test_numbers_of_findings_do_not_depend_on_their_words"
     assert "legs_words" in failures(tree, order)
     (folder / "legs_words.py").write_text(LEGS_WORDS, encoding="utf-8")
     assert_passes(tree, order)

@@ -33,7 +33,7 @@ from hexservo.findings.analysis.loop_of_scenario import (
     loop_with_weights,
     scaled,
 )
-from hexservo.findings.analysis.part import Part
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
-from hexservo.findings.analysis.part import Part
 from hexservo.findings.analysis.placement import Placement, placements
 from hexservo.findings.analysis.poses import without_sign
 from hexservo.findings.analysis.scene import Scene, View, scene_of
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
-from hexservo.findings.analysis.part import Part, not_analysed
 from hexservo.findings.analysis.poses import Poses, without_sign
-from hexservo.findings.analysis.rest import Rest
+from hexservo.findings.analysis.rest import Rest, not_analysed
 from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 

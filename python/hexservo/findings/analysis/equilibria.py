@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.findings.analysis.goal import SHOWN, nearest_images
-from hexservo.findings.analysis.part import Part, not_analysed
 from hexservo.findings.analysis.poses import Poses, without_sign
-from hexservo.findings.analysis.rest import Rest
+from hexservo.findings.analysis.rest import Rest, not_analysed
 from hexservo.findings.analysis.scene import WIDER
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 

@@ -13,8 +13,8 @@ from typing import TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.goal import SHOWN, find_goals
-from hexservo.findings.analysis.part import Part
 from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
+from hexservo.findings.part import Part
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import frame_period

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from typing import Any
 
@@ -14,7 +15,7 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Rest", "RestLaw", "without_friction"]
+__all__ = ["Rest", "RestLaw", "not_analysed", "without_friction"]
 
 _STEPS = np.repeat([1e-5, 1e-5], 3)  # [m; rad], of the central differences of a wrench
 
@@ -114,6 +115,24 @@ def without_friction(scenario: Scenario) -> Scenario:
     changes: dict[str, Any] = {"controller.switching.kind": "sign", f"controller.{law}.kv": 0.0}
     changes[f"controller.{law}.fuzzy.enabled"] = False
     return scenario.updated(changes)
+
+
+def not_analysed(scenario: Scenario, reasons: Mapping[str, str]) -> str:
+    """Return why an analysis of poses and laws does not apply; empty if it does.
+
+    Parameters
+    ----------
+    scenario
+        Its law and its camera decide.
+    reasons
+        By law, of those that are not analysed.
+    """
+    law = scenario.controller.law
+    if law in reasons:
+        return f"The law {law} is not analysed here: {reasons[law]}."
+    if scenario.camera.convention == "as_printed":
+        return "A camera as_printed has no points in space, so no pose belongs to an image: not analysed."
+    return ""
 
 
 class RestLaw:

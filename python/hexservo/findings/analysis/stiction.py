@@ -8,11 +8,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
-from hexservo.findings.analysis.part import Part
 from hexservo.findings.analysis.rest import Rest, RestLaw, without_friction
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.analysis.stiction_runs import Runs, run
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed, extremes
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Fuzzy
 from hexservo.scenario.scenario import Scenario

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
-from hexservo.findings.analysis.part import Part
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 

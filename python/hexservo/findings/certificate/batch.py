@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo.findings.certificate.replay import Plant, every_step, replay_of
-from hexservo.findings.certificate.uncertainty import AXES, assumption_of, uncertainty_of
-from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Column, Section, Table, as_data
+from hexservo.findings.certificate.uncertainty import assumption_of, uncertainty_of
+from hexservo.findings.evidence import as_data
+from hexservo.findings.part import Part
 from hexservo.run.metrics import metrics
 from hexservo.run.progress import reporting
 from hexservo.run.variations import checked_variations, known_key, plain_row
@@ -24,11 +24,8 @@ from hexservo.scenario.wording import wrong_type
 __all__ = ["BatchCertificate", "certify_batch"]
 
 
-PAGE = "docs/certificate/batch.md"
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class BatchCertificate(Findings):
+class BatchCertificate(Part):
     """Whether k_v >= eta_Delta held in n runs, and whether they settled, in the order of their variations."""
 
     scenario: Scenario
@@ -66,66 +63,6 @@ class BatchCertificate(Findings):
                 [np.count_nonzero(done & (self.held == held) & (self.settled == settled)) for settled in (True, False)]
                 for held in (True, False)
             ]
-        )
-
-    def section(self) -> Section:
-        """Words, the table of both shares, and the axes on which the assumption fails."""
-        counts, done = self.counts, int(np.count_nonzero(self.finished))
-        if done == 0:
-            sentences = ["No run was finished: there is nothing to count."]
-        else:
-            sentences = [
-                f"The assumption held in {counts[0].sum()} of {done} runs ({counts[0].sum() / done:.1%}), "
-                f"and {counts[:, 0].sum()} settled ({counts[:, 0].sum() / done:.1%}): {counts[0, 0]} of those where it "
-                f"held, and {counts[1, 0]} of the {counts[1].sum()} where it did not."
-            ]
-        if done < len(self):
-            sentences.append(
-                f"{len(self) - done} of {len(self)} runs have no verdict: not run, or without best weights."
-            )
-        sentences.append(
-            "With sign, and weights without dead zone and leakage, the assumption is sufficient for a V that does not "
-            "grow, at the samples it was checked at; it is neither sufficient nor necessary for settling."
-        )
-        both = Table(
-            "Runs by assumption and settling",
-            (Column("assumption"), Column("settled"), Column("not settled"), Column("share settled", "%")),
-            [
-                (name, int(row[0]), int(row[1]), 100.0 * float(row[0] / row.sum()) if row.sum() else None)
-                for name, row in (("held", counts[0]), ("did not hold", counts[1]))
-            ],
-            page=PAGE,
-        )
-        known = self.margin[self.finished]
-        axes = Table(
-            "Assumption by axis",
-            (Column("axis"), Column("runs where it held"), Column("smallest margin"), Column("unit")),
-            [
-                (name, int(np.count_nonzero(known[:, j] >= 0.0)), float(known[:, j].min()), "N" if j < 3 else "N m")
-                for j, name in enumerate(AXES)
-            ]
-            if done
-            else [],
-            page=PAGE,
-        )
-        return Section(
-            name="assumption_batch",
-            title="Assumption of the stability theorem over a batch",
-            sentences=sentences,
-            items=(both, axes),
-            verdict="open",
-            data={
-                "runs": len(self),
-                "finished": done,
-                "held_and_settled": int(counts[0, 0]),
-                "held_and_not_settled": int(counts[0, 1]),
-                "not_held_and_settled": int(counts[1, 0]),
-                "not_held_and_not_settled": int(counts[1, 1]),
-                "outcome": list(map(str, self.outcome)),
-                "settling_time": self.settling_time,
-                "eta": self.eta,
-                "margin": self.margin,
-            },
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -10,21 +10,17 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, probe_without, product
 from hexservo.findings.certificate.stages import STAGE_WEIGHTS, Stages, doubled_stages_of, stages_of
-from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.wording import joules, number
+from hexservo.scenario.wording import number
 
 __all__ = ["EnergyLedger", "energy_ledger"]
 
-PAGE = "docs/certificate/energy.md"
-COARSE = 0.01
+COARSE = 0.01  # share of the turnover: with a larger tolerance of the quadrature the step is too coarse
 NEGLIGIBLE = 1e-3  # of the work of lifting the weight by the stroke
-"""Part of the turnover beyond which the quadrature's tolerance says that the step is too coarse."""
 _ROUNDING = 1e-12  # of the turnover
 _SAME = 1e-9  # of the largest twist: what rebuilt steps may differ from the samples by
 _ZERO = 1e-12  # likewise: a component that is zero but for rounding
-_SHOWN = 1500  # points of a curve, at most
 
 # law -> gains whose terms are taken out one after another, each (key of the term, gains set to zero)
 _TERMS: Mapping[str, Sequence[tuple[str, tuple[str, ...]]]] = {
@@ -44,25 +40,10 @@ _REST = {
     "pbvs": "pose_spring",
     "computed_torque": "coriolis_feedforward",
 }
-_NAMES = {
-    "image_spring": "image spring, J-hat^T K_p xi~",
-    "pose_spring": "pose spring",
-    "reference": "reference velocity, K_i v*",
-    "damping": "viscous damping",
-    "switching": "switching term, -K_v sw(chi-dot)",
-    "fuzzy": "fuzzy systems, -tau_f",
-    "coriolis_feedforward": "Coriolis feed-forward",
-    "own": "custom controller, beyond the estimated weight",
-    "acting": "the law, beyond the estimated weight",
-    "gravity": "weight: fed forward minus actual",
-    "coriolis": "Coriolis and inertia errors",
-    "base": "motion of the base",
-    "held": "injected by sampling, delay and devices",
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EnergyLedger(Findings):
+class EnergyLedger(Part):
     """Works of all terms over a run, and whether they explain its kinetic energy."""
 
     time: Array = field(repr=False)  # (n,) [s]
@@ -104,103 +85,6 @@ class EnergyLedger(Findings):
     def work(self, term: str) -> float:
         """Return the work of a term over the whole run [J]."""
         return float(self.works[term].sum())
-
-    def section(self) -> Section:
-        """Words, the table of works, and curves of the works so far."""
-        change = float(self.energy[-1] - self.energy[0])
-        largest = sorted(self.works, key=lambda term: -float(np.abs(self.works[term]).sum()))
-        gap = (
-            f"the change of kinetic energy and the works of {len(self.works)} terms differ by "
-            f"{joules(abs(self.residual), 2)}, {_part(abs(self.residual), self.turnover)} of the "
-            f"{joules(self.turnover)} that were turned over (tolerance {joules(self.tolerance, 2)})"
-        )
-        verdict = (
-            f"The energy ledger closes: {gap}."
-            if self.closes
-            else f"The energy ledger does not close: {'; '.join(self.faults)}."
-        )
-        sentences = [verdict]
-        if "held" in self.works:
-            injected = self.work("held")
-            sentences.append(
-                f"Sampling, delay and devices {'put' if injected > 0 else 'took'} {joules(abs(injected))} "
-                f"{'into' if injected > 0 else 'out of'} the platform, compared with the law at each instant's true "
-                "state."
-            )
-        sentences += [
-            f"{name} {'took out' if self.work(term) < 0 else 'put in'} {joules(abs(self.work(term)))}."
-            for term, name in (("switching", "The switching term"), ("damping", "Viscous damping"))
-            if term in self.works
-        ]
-        sentences.extend(self.remarks)
-        sentences.append("This is bookkeeping of one run, and no statement about others.")
-        table = Table(
-            "Work of each term",
-            (
-                Column("term"),
-                Column("work", "uJ"),
-                Column("of translation", "uJ"),
-                Column("of rotation", "uJ"),
-                Column("turned over", "uJ"),
-            ),
-            [
-                (
-                    _NAMES[term],
-                    self.work(term) * 1e6,
-                    float(self.by_axis[term][:3].sum()) * 1e6,
-                    float(self.by_axis[term][3:].sum()) * 1e6,
-                    float(np.abs(self.works[term]).sum()) * 1e6,
-                )
-                for term in self.works
-            ]
-            + [
-                ("sum of the works", sum(map(self.work, self.works)) * 1e6, None, None, self.turnover * 1e6),
-                ("change of kinetic energy", change * 1e6, None, None, None),
-                ("residual", self.residual * 1e6, None, None, None),
-                ("tolerance of the residual", self.tolerance * 1e6, None, None, None),
-            ],
-            note=f"{self.crossings} steps contain a sign change of a twist component.",
-            page=PAGE,
-        )
-        stride = slice(None, None, -(-len(self.time) // _SHOWN))
-        curves = Curves(
-            "Work of each term so far",
-            "time [s]",
-            "work [uJ]",
-            [
-                Line(_NAMES[term], self.time[stride], np.r_[0.0, np.cumsum(self.works[term])][stride] * 1e6)
-                for term in largest
-            ]
-            + [
-                Line(
-                    "change of kinetic energy",
-                    self.time[stride],
-                    (self.energy - self.energy[0])[stride] * 1e6,
-                    "dashed",
-                )
-            ],
-            page=PAGE,
-        )
-        return Section(
-            name="energy",
-            title="Energy ledger",
-            sentences=sentences,
-            items=(table, curves),
-            verdict="good" if self.closes else "bad",
-            data={
-                "works": {term: self.work(term) for term in self.works},
-                "works_by_component": {term: self.by_axis[term] for term in self.works},
-                "change_of_kinetic_energy": change,
-                "residual": self.residual,
-                "tolerance": self.tolerance,
-                "turnover": self.turnover,
-                "mismatch": self.mismatch,
-                "sign_changes": self.crossings,
-                "signs_by_rounding": self.tossed,
-                "closes": self.closes,
-                "faults": list(self.faults),
-            },
-        )
 
 
 def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
@@ -430,7 +314,3 @@ def _smooth(run: Replay) -> bool:
     """Whether the law has a switching term that is smooth, or none."""
     terms = [term for term, _ in _TERMS[run.scenario.controller.law]]
     return "switching" not in terms or run.scenario.controller.switching.kind == "tanh"
-
-
-def _part(value: float, whole: float) -> str:
-    return f"{value / whole:.1g}" if whole > 0 else "none"

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, probe_without, sgn_breaks
-from hexservo.findings.certificate.uncertainty import AXES, Assumption, DeltaTau
-from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.findings.certificate.uncertainty import Assumption, DeltaTau
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.wording import joules, number
 
 __all__ = ["Lyapunov", "Rise", "differentiate", "lyapunov_of"]
 
 
-PAGE = "docs/certificate/lyapunov.md"
-_ROWS = 12  # of the table of rises, at most
-_SHOWN = 1500  # points of a curve, at most
 # Central differences of a function at distances 1, 2, 3, by half width; errors of order 4 and 6.
 _STENCILS = {2: (8 / 12, -1 / 12), 3: (45 / 60, -9 / 60, 1 / 60)}
 _WIDEST = max(_STENCILS)
@@ -44,7 +38,7 @@ class Rise:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Lyapunov(Findings):
+class Lyapunov(Part):
     """V and its terms at n samples, and V-dot from the samples and by (20)."""
 
     time: Array = field(repr=False)  # (n,) [s]
@@ -90,186 +84,6 @@ class Lyapunov(Findings):
     def above_start(self) -> bool:
         """Whether V was above its start anywhere, also in steps that are left out, by more than error explains."""
         return float(self.change.max()) > _ABOVE * float(np.ptp(self.change))
-
-    def section(self) -> Section:
-        """Words, the table of rises, curves of V, of its change and of its rate."""
-        gap = np.abs(self.disagreement[np.isfinite(self.differentiated)])
-        largest, rms = (float(gap.max()), float(np.sqrt(np.mean(gap**2)))) if len(gap) else (np.nan, np.nan)
-        scale = float(np.abs(self.predicted).max())
-        change, top = float(self.change[-1]), float(self.change.max())
-        rising = sum(rise.samples for rise in self.rises)
-        sentences = []
-        if not len(gap):
-            sentences.append("No sample has enough neighbours without a switch: V-dot could not be compared.")
-        elif not self.agrees:
-            sentences.append(
-                "The two rates of V do not agree: their RMS difference is more than half of the rate itself. The step "
-                f"is too coarse to say where V grows; from start to end it changed by {joules(change)}."
-            )
-        elif rising == 0:
-            sentences.append(
-                f"V-dot was not positive beyond the integrator's error at any of the {self.compared} samples compared "
-                f"(of {len(self.time)}); V changed by {joules(change)} in all."
-            )
-            if self.above_start:
-                highest = float(self.time[int(self.change.argmax())])
-                sentences.append(
-                    f"Yet V was {joules(top, 3)} above its start at t = {highest:.4g} s: it grew where that "
-                    "error is large, or at samples that are left out."
-                )
-        else:
-            worst = max(self.rises, key=lambda rise: rise.rate)
-            sentences.append(
-                f"V grew at {rising} of {self.compared} samples compared (of {len(self.time)}), by up to "
-                f"{joules(worst.rate, 3, 'W')} at t = {worst.first:.4g} to {worst.last:.4g} s, most of it by "
-                f"{_blame(worst)}; "
-                f"over the whole run V changed by {joules(change)}."
-            )
-        if len(gap):
-            sentences.append(
-                f"V-dot by differences and by (20) differ by {joules(largest, 2, 'W')} at most and "
-                f"{joules(rms, 2, 'W')} RMS, "
-                f"of up to {joules(scale, 4, 'W')}; where all is smooth the difference falls with the fourth power of "
-                "the step."
-            )
-        start = float(self.value[0])
-        sentences.append(
-            f"V starts at {number(start)} J, of which {number(float(self.weight[0]))} J are the distance of the "
-            f"weights from the best ones, and was at most {joules(max(top, 0.0), 3)} above its start."
-        )
-        if self.switched:
-            sentences.append(
-                f"{self.switched} of {len(self.time)} samples lie next to a step in which sgn changes and are left "
-                f"out: V-dot jumps there. In those steps V changed by {joules(self.change_in_switches, 3)} in all, "
-                f"and grew by at most {joules(self.rise_in_a_switch, 2)} in one."
-            )
-        if self.limited:
-            sentences.append(
-                f"{self.limited} samples lie next to a step that the weights' limit cut and are left out; the cut "
-                "itself never raises V, since w* keeps the limit."
-            )
-        if rising and self.switching in ("tanh", "saturation"):
-            sentences.append(
-                f"With {self.switching} K_v acts in full only outside of its layer: V may grow inside it although the "
-                "assumption holds."
-            )
-        sentences.append(
-            "This is a numerical check at the samples of one trajectory and proves no stability. V contains w*, which "
-            "is known only afterwards; and even a V that falls from every start means stability, not convergence: "
-            "friction-like switching may hold an error for good."
-        )
-        return Section(
-            name="lyapunov",
-            title="Lyapunov function along the run",
-            sentences=sentences,
-            items=self._items(),
-            verdict=self._verdict(),
-            data={
-                "start": {
-                    "total": float(self.value[0]),
-                    "kinetic": float(self.kinetic[0]),
-                    "image": float(self.image[0]),
-                    "weights": float(self.weight[0]),
-                },
-                "end": {
-                    "total": float(self.value[-1]),
-                    "kinetic": float(self.kinetic[-1]),
-                    "image": float(self.image[-1]),
-                    "weights": float(self.weight[-1]),
-                },
-                "change": change,
-                "largest_above_start": top,
-                "disagreement_max": largest,
-                "disagreement_rms": rms,
-                "rates_agree": self.agrees,
-                "largest_rate": scale,
-                "samples": len(self.time),
-                "samples_compared": self.compared,
-                "samples_left_out_switching": self.switched,
-                "samples_left_out_limit": self.limited,
-                "change_in_switches": self.change_in_switches,
-                "rise_in_a_switch": self.rise_in_a_switch,
-                "samples_rising": rising,
-                "rises": [vars(rise) for rise in self.rises],
-            },
-        )
-
-    def _verdict(self) -> Literal["good", "warning", "open"]:
-        if not self.agrees:
-            return "warning" if self.above_start else "open"
-        return "warning" if self.rises or self.above_start else "good"
-
-    def _items(self) -> tuple[Table | Curves, ...]:
-        stride = slice(None, None, -(-len(self.time) // _SHOWN))
-        time = self.time[stride]
-        floor = np.finfo(float).tiny
-        rises = sorted(self.rises, key=lambda rise: -rise.rate)
-        table = Table(
-            "Where V grows, worst first",
-            (
-                Column("from", "s"),
-                Column("to", "s"),
-                Column("samples"),
-                Column("largest V-dot", "uW"),
-                Column("axis"),
-                Column("term to blame"),
-                Column("its power", "uW"),
-                Column("gamma of the axis"),
-            ),
-            [
-                (
-                    rise.first,
-                    rise.last,
-                    rise.samples,
-                    rise.rate * 1e6,
-                    AXES[rise.axis],
-                    rise.term,
-                    rise.power * 1e6,
-                    rise.gamma,
-                )
-                for rise in rises[:_ROWS]
-            ],
-            note=f"{len(rises)} stretches in all. gamma in N or N m.",
-            page=PAGE,
-        )
-        terms = (("kinetic energy", self.kinetic), ("image error", self.image), ("weight error", self.weight))
-        return (
-            *((table,) if rises else ()),
-            Curves(
-                "V and its terms",
-                "time [s]",
-                "energy [J]",
-                [Line("V", time, np.maximum(self.value[stride], floor))]
-                + [Line(name, time[part[stride] > 0], part[stride][part[stride] > 0]) for name, part in terms],
-                y_log=True,
-                page=PAGE,
-            ),
-            Curves(
-                "Change of V and of its terms since the start",
-                "time [s]",
-                "change [uJ]",
-                [Line("V", time, self.change[stride] * 1e6)]
-                + [Line(name, time, (part - part[0])[stride] * 1e6) for name, part in terms[:2]]
-                + [
-                    Line(
-                        "weight error",
-                        time,
-                        (self.change - (self.kinetic - self.kinetic[0]) - (self.image - self.image[0]))[stride] * 1e6,
-                    )
-                ],
-                page=PAGE,
-            ),
-            Curves(
-                "V-dot, two ways",
-                "time [s]",
-                "V-dot [uW]",
-                [
-                    Line("by (20)", time, self.predicted[stride] * 1e6),
-                    Line("by differences of V", time, self.differentiated[stride] * 1e6, "points"),
-                ],
-                page=PAGE,
-            ),
-        )
 
 
 def lyapunov_of(run: Replay, plant: Plant, uncertainty: DeltaTau, assumption: Assumption) -> Lyapunov:
@@ -413,7 +227,3 @@ def _rises(
             )
         )
     return tuple(rises)
-
-
-def _blame(rise: Rise) -> str:
-    return f"{AXES[rise.axis]} ({rise.term}; gamma = {rise.gamma:.3g} there)"

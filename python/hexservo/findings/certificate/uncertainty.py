@@ -10,18 +10,14 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.findings.certificate.weights import BestWeights, best_weights
-from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.wording import number
 
 __all__ = ["AXES", "UNITS", "Assumption", "DeltaTau", "assumption_of", "uncertainty_of"]
 
-PAGE = "docs/certificate/assumption.md"
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
 UNITS = ("N", "N", "N", "N m", "N m", "N m")
 _ROUNDING = 1e-12  # of the largest force or moment: gamma is a difference of such numbers
-_SHOWN = 1500  # points of a curve, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +59,7 @@ def uncertainty_of(run: Replay, plant: Plant) -> DeltaTau:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Assumption(Findings):
+class Assumption(Part):
     """Whether k_v,j >= eta_Delta,j held along a run, axis by axis."""
 
     kv: Array  # (6,) [N; N m]
@@ -92,103 +88,6 @@ class Assumption(Findings):
         if self.weights is None:
             return np.zeros((6, 0))
         return np.stack([best.weights for best in self.weights])
-
-    def section(self) -> Section:
-        """Words, a table by axis, and gamma over time."""
-        failed = np.flatnonzero(~self.held)
-        if len(failed) == 0:
-            axis = int(np.argmin(self.margin / np.where(self.kv > 0, self.kv, 1.0)))
-            sentences = [
-                f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; it was "
-                f"closest on {AXES[axis]}, where an error of {self.eta[axis]:.3g} {UNITS[axis]} is compared with "
-                f"k_v = {self.kv[axis]:.3g} {UNITS[axis]}."
-            ]
-        else:
-            axis = int(failed[np.argmax(self.eta[failed] / np.maximum(self.kv[failed], np.finfo(float).tiny))])
-            sentences = [
-                f"The theorem's assumption k_v >= eta_Delta did not hold on {len(failed)} of 6 axes "
-                f"({', '.join(AXES[j] for j in failed)}); worst on {AXES[axis]}, where an error of "
-                f"{self.eta[axis]:.3g} {UNITS[axis]} at t = {self.instants[axis]:.4g} s is compared with "
-                f"k_v = {self.kv[axis]:.3g} {UNITS[axis]}."
-            ]
-        if self.weights is None:
-            sentences.append("No fuzzy systems act: gamma is Delta-tau itself.")
-        else:
-            sentences.append(
-                "eta_Delta is that of the best weights for this run, found afterwards; weights that the law learned "
-                "are others."
-            )
-            limited = [j for j in failed if self.weights[j].limited]
-            if limited:
-                sentences.append(
-                    f"Weights were limited to {number(self.weights[limited[0]].limit)} {UNITS[limited[0]]} on "
-                    f"{AXES[limited[0]]}; larger ones could have a smaller error there."
-                )
-        sentences.append("This holds at the samples of one trajectory, and is no statement about others.")
-        rows = [
-            (
-                AXES[j],
-                UNITS[j],
-                float(self.kv[j]),
-                float(self.largest[j]),
-                float(self.eta[j]),
-                float(self.margin[j]),
-                "yes" if self.held[j] else "no",
-                float(self.instants[j]),
-                None if self.weights is None else float(np.linalg.norm(self.weights[j].weights)),
-            )
-            for j in range(6)
-        ]
-        table = Table(
-            "Assumption of the theorem, axis by axis",
-            (
-                Column("axis"),
-                Column("unit"),
-                Column("k_v"),
-                Column("largest |Delta-tau|"),
-                Column("eta_Delta"),
-                Column("margin"),
-                Column("held"),
-                Column("largest at", "s"),
-                Column("norm of w*"),
-            ),
-            rows,
-            note="Margin: k_v - eta_Delta.",
-            page=PAGE,
-        )
-        stride = slice(None, None, -(-len(self.time) // _SHOWN))
-        curves = Curves(
-            "Error that the best weights leave, as a part of k_v",
-            "time [s]",
-            "gamma_j / k_v,j [1]",
-            [
-                Line(AXES[j], self.time[stride], self.gamma[stride, j] / self.kv[j])
-                for j in range(6)
-                if self.kv[j] > 0.0
-            ],
-            note="The assumption holds where all are within -1 and 1.",
-            page=PAGE,
-        )
-        return Section(
-            name="assumption",
-            title="Assumption of the stability theorem",
-            sentences=sentences,
-            items=(table, curves) if curves.lines else (table,),
-            verdict="good" if bool(self.held.all()) else "warning",
-            data={
-                "kv": self.kv,
-                "eta": self.eta,
-                "lower_bound": self.lower_bound,
-                "margin": self.margin,
-                "held": self.held,
-                "held_on_all_axes": bool(self.held.all()),
-                "largest_uncertainty": self.largest,
-                "time_of_largest_error": self.instants,
-                "weight_limit": None if self.weights is None else [best.limit for best in self.weights],
-                "limited": None if self.weights is None else [best.limited for best in self.weights],
-                "best_weights": self.ideal,
-            },
-        )
 
 
 def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) -> Assumption:

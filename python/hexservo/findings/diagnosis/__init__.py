@@ -50,7 +50,7 @@ def diagnose(result: Result) -> Diagnosis:
     warnings = warnings_of(result, before)
     if not before.failed:
         criteria = criteria_met(result, record, before)
-        return Diagnosis(result, False, criteria, warnings=warnings, _record=record, _judgement=before)
+        return Diagnosis(result, False, criteria, warnings=warnings, record=record, judgement=before)
     case = make_cases([result.scenario])[0]
     criteria = misses(result, record, before)
     if result.controller != result.scenario.controller.law:
@@ -63,8 +63,8 @@ def diagnose(result: Result) -> Diagnosis:
             warnings=warnings,
             absent=absent,
             obstacle=case.obstacle,
-            _record=record,
-            _judgement=before,
+            record=record,
+            judgement=before,
         )
     one = study([case], [before])[0]
     trials = rank(one)
@@ -89,9 +89,9 @@ def diagnose(result: Result) -> Diagnosis:
         warnings=warnings,
         absent=tuple(cause.title for cause in CAUSES if cause.key not in present),
         obstacle=case.obstacle,
-        _record=record,
-        _judgement=before,
-        _cured=trials[0].record if trials and trials[0].named else None,
+        record=record,
+        judgement=before,
+        cured=trials[0].record if trials and trials[0].named else None,
     )
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
+from hexservo.findings.diagnosis.findings import Finding, Remedy
 from hexservo.run.result import Result
 from hexservo.scenario.wording import number
-
-if TYPE_CHECKING:
-    from hexservo.findings.diagnosis.findings import Finding, Remedy
 
 __all__ = ["criteria_met", "ends", "how", "joined", "misses", "remedy_sentence", "spelt", "warnings_of"]
 

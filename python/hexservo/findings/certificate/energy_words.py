@@ -1,0 +1,133 @@
+"""The energy ledger as sentences, a table and curves (docs/certificate/energy.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hexservo.findings.certificate.energy import EnergyLedger
+from hexservo.findings.certificate.words import stride
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.wording import joules
+
+__all__ = ["section"]
+
+PAGE = "docs/certificate/energy.md"
+
+
+def section(found: EnergyLedger) -> Section:
+    """Return sentences, the table of works, and curves of the works so far."""
+    change = float(found.energy[-1] - found.energy[0])
+    largest = sorted(found.works, key=lambda term: -float(np.abs(found.works[term]).sum()))
+    gap = (
+        f"the change of kinetic energy and the works of {len(found.works)} terms differ by "
+        f"{joules(abs(found.residual), 2)}, {_part(abs(found.residual), found.turnover)} of the "
+        f"{joules(found.turnover)} that were turned over (tolerance {joules(found.tolerance, 2)})"
+    )
+    verdict = (
+        f"The energy ledger closes: {gap}."
+        if found.closes
+        else f"The energy ledger does not close: {'; '.join(found.faults)}."
+    )
+    sentences = [verdict]
+    if "held" in found.works:
+        injected = found.work("held")
+        sentences.append(
+            f"Sampling, delay and devices {'put' if injected > 0 else 'took'} {joules(abs(injected))} "
+            f"{'into' if injected > 0 else 'out of'} the platform, compared with the law at each instant's true "
+            "state."
+        )
+    sentences += [
+        f"{name} {'took out' if found.work(term) < 0 else 'put in'} {joules(abs(found.work(term)))}."
+        for term, name in (("switching", "The switching term"), ("damping", "Viscous damping"))
+        if term in found.works
+    ]
+    sentences.extend(found.remarks)
+    sentences.append("This is bookkeeping of one run, and no statement about others.")
+    table = Table(
+        "Work of each term",
+        (
+            Column("term"),
+            Column("work", "uJ"),
+            Column("of translation", "uJ"),
+            Column("of rotation", "uJ"),
+            Column("turned over", "uJ"),
+        ),
+        [
+            (
+                _NAMES[term],
+                found.work(term) * 1e6,
+                float(found.by_axis[term][:3].sum()) * 1e6,
+                float(found.by_axis[term][3:].sum()) * 1e6,
+                float(np.abs(found.works[term]).sum()) * 1e6,
+            )
+            for term in found.works
+        ]
+        + [
+            ("sum of the works", sum(map(found.work, found.works)) * 1e6, None, None, found.turnover * 1e6),
+            ("change of kinetic energy", change * 1e6, None, None, None),
+            ("residual", found.residual * 1e6, None, None, None),
+            ("tolerance of the residual", found.tolerance * 1e6, None, None, None),
+        ],
+        note=f"{found.crossings} steps contain a sign change of a twist component.",
+        page=PAGE,
+    )
+    shown = stride(len(found.time))
+    curves = Curves(
+        "Work of each term so far",
+        "time [s]",
+        "work [uJ]",
+        [
+            Line(_NAMES[term], found.time[shown], np.r_[0.0, np.cumsum(found.works[term])][shown] * 1e6)
+            for term in largest
+        ]
+        + [
+            Line(
+                "change of kinetic energy",
+                found.time[shown],
+                (found.energy - found.energy[0])[shown] * 1e6,
+                "dashed",
+            )
+        ],
+        page=PAGE,
+    )
+    return Section(
+        name="energy",
+        title="Energy ledger",
+        sentences=sentences,
+        items=(table, curves),
+        verdict="good" if found.closes else "bad",
+        data={
+            "works": {term: found.work(term) for term in found.works},
+            "works_by_component": {term: found.by_axis[term] for term in found.works},
+            "change_of_kinetic_energy": change,
+            "residual": found.residual,
+            "tolerance": found.tolerance,
+            "turnover": found.turnover,
+            "mismatch": found.mismatch,
+            "sign_changes": found.crossings,
+            "signs_by_rounding": found.tossed,
+            "closes": found.closes,
+            "faults": list(found.faults),
+        },
+    )
+
+
+_NAMES = {
+    "image_spring": "image spring, J-hat^T K_p xi~",
+    "pose_spring": "pose spring",
+    "reference": "reference velocity, K_i v*",
+    "damping": "viscous damping",
+    "switching": "switching term, -K_v sw(chi-dot)",
+    "fuzzy": "fuzzy systems, -tau_f",
+    "coriolis_feedforward": "Coriolis feed-forward",
+    "own": "custom controller, beyond the estimated weight",
+    "acting": "the law, beyond the estimated weight",
+    "gravity": "weight: fed forward minus actual",
+    "coriolis": "Coriolis and inertia errors",
+    "base": "motion of the base",
+    "held": "injected by sampling, delay and devices",
+}
+
+
+def _part(value: float, whole: float) -> str:
+    return f"{value / whole:.1g}" if whole > 0 else "none"

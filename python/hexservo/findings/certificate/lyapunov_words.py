@@ -1,0 +1,203 @@
+"""V and its rate as sentences, a table and curves (docs/certificate/lyapunov.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hexservo.findings.certificate.lyapunov import Lyapunov, Rise
+from hexservo.findings.certificate.uncertainty import AXES
+from hexservo.findings.certificate.words import stride
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict
+from hexservo.scenario.wording import joules, number
+
+__all__ = ["section"]
+
+PAGE = "docs/certificate/lyapunov.md"
+_ROWS = 12  # of the table of rises, at most
+
+
+def section(found: Lyapunov) -> Section:
+    """Return sentences, the table of rises, and curves of V, of its change and of its rate."""
+    gap = np.abs(found.disagreement[np.isfinite(found.differentiated)])
+    largest, rms = (float(gap.max()), float(np.sqrt(np.mean(gap**2)))) if len(gap) else (np.nan, np.nan)
+    scale = float(np.abs(found.predicted).max())
+    change, top = float(found.change[-1]), float(found.change.max())
+    rising = sum(rise.samples for rise in found.rises)
+    sentences = []
+    if not len(gap):
+        sentences.append("No sample has enough neighbours without a switch: V-dot could not be compared.")
+    elif not found.agrees:
+        sentences.append(
+            "The two rates of V do not agree: their RMS difference is more than half of the rate itself. The step "
+            f"is too coarse to say where V grows; from start to end it changed by {joules(change)}."
+        )
+    elif rising == 0:
+        sentences.append(
+            f"V-dot was not positive beyond the integrator's error at any of the {found.compared} samples compared "
+            f"(of {len(found.time)}); V changed by {joules(change)} in all."
+        )
+        if found.above_start:
+            highest = float(found.time[int(found.change.argmax())])
+            sentences.append(
+                f"Yet V was {joules(top, 3)} above its start at t = {highest:.4g} s: it grew where that "
+                "error is large, or at samples that are left out."
+            )
+    else:
+        worst = max(found.rises, key=lambda rise: rise.rate)
+        sentences.append(
+            f"V grew at {rising} of {found.compared} samples compared (of {len(found.time)}), by up to "
+            f"{joules(worst.rate, 3, 'W')} at t = {worst.first:.4g} to {worst.last:.4g} s, most of it by "
+            f"{_blame(worst)}; "
+            f"over the whole run V changed by {joules(change)}."
+        )
+    if len(gap):
+        sentences.append(
+            f"V-dot by differences and by (20) differ by {joules(largest, 2, 'W')} at most and "
+            f"{joules(rms, 2, 'W')} RMS, "
+            f"of up to {joules(scale, 4, 'W')}; where all is smooth the difference falls with the fourth power of "
+            "the step."
+        )
+    start = float(found.value[0])
+    sentences.append(
+        f"V starts at {number(start)} J, of which {number(float(found.weight[0]))} J are the distance of the "
+        f"weights from the best ones, and was at most {joules(max(top, 0.0), 3)} above its start."
+    )
+    if found.switched:
+        sentences.append(
+            f"{found.switched} of {len(found.time)} samples lie next to a step in which sgn changes and are left "
+            f"out: V-dot jumps there. In those steps V changed by {joules(found.change_in_switches, 3)} in all, "
+            f"and grew by at most {joules(found.rise_in_a_switch, 2)} in one."
+        )
+    if found.limited:
+        sentences.append(
+            f"{found.limited} samples lie next to a step that the weights' limit cut and are left out; the cut "
+            "itself never raises V, since w* keeps the limit."
+        )
+    if rising and found.switching in ("tanh", "saturation"):
+        sentences.append(
+            f"With {found.switching} K_v acts in full only outside of its layer: V may grow inside it although the "
+            "assumption holds."
+        )
+    sentences.append(
+        "This is a numerical check at the samples of one trajectory and proves no stability. V contains w*, which "
+        "is known only afterwards; and even a V that falls from every start means stability, not convergence: "
+        "friction-like switching may hold an error for good."
+    )
+    return Section(
+        name="lyapunov",
+        title="Lyapunov function along the run",
+        sentences=sentences,
+        items=_items(found),
+        verdict=_verdict(found),
+        data={
+            "start": {
+                "total": float(found.value[0]),
+                "kinetic": float(found.kinetic[0]),
+                "image": float(found.image[0]),
+                "weights": float(found.weight[0]),
+            },
+            "end": {
+                "total": float(found.value[-1]),
+                "kinetic": float(found.kinetic[-1]),
+                "image": float(found.image[-1]),
+                "weights": float(found.weight[-1]),
+            },
+            "change": change,
+            "largest_above_start": top,
+            "disagreement_max": largest,
+            "disagreement_rms": rms,
+            "rates_agree": found.agrees,
+            "largest_rate": scale,
+            "samples": len(found.time),
+            "samples_compared": found.compared,
+            "samples_left_out_switching": found.switched,
+            "samples_left_out_limit": found.limited,
+            "change_in_switches": found.change_in_switches,
+            "rise_in_a_switch": found.rise_in_a_switch,
+            "samples_rising": rising,
+            "rises": [vars(rise) for rise in found.rises],
+        },
+    )
+
+
+def _verdict(found: Lyapunov) -> Verdict:
+    if not found.agrees:
+        return "warning" if found.above_start else "open"
+    return "warning" if found.rises or found.above_start else "good"
+
+
+def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
+    shown = stride(len(found.time))
+    time = found.time[shown]
+    floor = np.finfo(float).tiny
+    rises = sorted(found.rises, key=lambda rise: -rise.rate)
+    table = Table(
+        "Where V grows, worst first",
+        (
+            Column("from", "s"),
+            Column("to", "s"),
+            Column("samples"),
+            Column("largest V-dot", "uW"),
+            Column("axis"),
+            Column("term to blame"),
+            Column("its power", "uW"),
+            Column("gamma of the axis"),
+        ),
+        [
+            (
+                rise.first,
+                rise.last,
+                rise.samples,
+                rise.rate * 1e6,
+                AXES[rise.axis],
+                rise.term,
+                rise.power * 1e6,
+                rise.gamma,
+            )
+            for rise in rises[:_ROWS]
+        ],
+        note=f"{len(rises)} stretches in all. gamma in N or N m.",
+        page=PAGE,
+    )
+    terms = (("kinetic energy", found.kinetic), ("image error", found.image), ("weight error", found.weight))
+    return (
+        *((table,) if rises else ()),
+        Curves(
+            "V and its terms",
+            "time [s]",
+            "energy [J]",
+            [Line("V", time, np.maximum(found.value[shown], floor))]
+            + [Line(name, time[part[shown] > 0], part[shown][part[shown] > 0]) for name, part in terms],
+            y_log=True,
+            page=PAGE,
+        ),
+        Curves(
+            "Change of V and of its terms since the start",
+            "time [s]",
+            "change [uJ]",
+            [Line("V", time, found.change[shown] * 1e6)]
+            + [Line(name, time, (part - part[0])[shown] * 1e6) for name, part in terms[:2]]
+            + [
+                Line(
+                    "weight error",
+                    time,
+                    (found.change - (found.kinetic - found.kinetic[0]) - (found.image - found.image[0]))[shown] * 1e6,
+                )
+            ],
+            page=PAGE,
+        ),
+        Curves(
+            "V-dot, two ways",
+            "time [s]",
+            "V-dot [uW]",
+            [
+                Line("by (20)", time, found.predicted[shown] * 1e6),
+                Line("by differences of V", time, found.differentiated[shown] * 1e6, "points"),
+            ],
+            page=PAGE,
+        ),
+    )
+
+
+def _blame(rise: Rise) -> str:
+    return f"{AXES[rise.axis]} ({rise.term}; gamma = {rise.gamma:.3g} there)"

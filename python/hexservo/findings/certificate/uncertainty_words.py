@@ -1,0 +1,108 @@
+"""The assumption of the theorem as sentences, a table and curves (docs/certificate/assumption.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hexservo.findings.certificate.uncertainty import AXES, UNITS, Assumption
+from hexservo.findings.certificate.words import stride
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.wording import number
+
+__all__ = ["section"]
+
+PAGE = "docs/certificate/assumption.md"
+
+
+def section(found: Assumption) -> Section:
+    """Return sentences, a table by axis, and gamma over time."""
+    failed = np.flatnonzero(~found.held)
+    if len(failed) == 0:
+        axis = int(np.argmin(found.margin / np.where(found.kv > 0, found.kv, 1.0)))
+        sentences = [
+            f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; it was "
+            f"closest on {AXES[axis]}, where an error of {found.eta[axis]:.3g} {UNITS[axis]} is compared with "
+            f"k_v = {found.kv[axis]:.3g} {UNITS[axis]}."
+        ]
+    else:
+        axis = int(failed[np.argmax(found.eta[failed] / np.maximum(found.kv[failed], np.finfo(float).tiny))])
+        sentences = [
+            f"The theorem's assumption k_v >= eta_Delta did not hold on {len(failed)} of 6 axes "
+            f"({', '.join(AXES[j] for j in failed)}); worst on {AXES[axis]}, where an error of "
+            f"{found.eta[axis]:.3g} {UNITS[axis]} at t = {found.instants[axis]:.4g} s is compared with "
+            f"k_v = {found.kv[axis]:.3g} {UNITS[axis]}."
+        ]
+    if found.weights is None:
+        sentences.append("No fuzzy systems act: gamma is Delta-tau itself.")
+    else:
+        sentences.append(
+            "eta_Delta is that of the best weights for this run, found afterwards; weights that the law learned "
+            "are others."
+        )
+        limited = [j for j in failed if found.weights[j].limited]
+        if limited:
+            sentences.append(
+                f"Weights were limited to {number(found.weights[limited[0]].limit)} {UNITS[limited[0]]} on "
+                f"{AXES[limited[0]]}; larger ones could have a smaller error there."
+            )
+    sentences.append("This holds at the samples of one trajectory, and is no statement about others.")
+    rows = [
+        (
+            AXES[j],
+            UNITS[j],
+            float(found.kv[j]),
+            float(found.largest[j]),
+            float(found.eta[j]),
+            float(found.margin[j]),
+            "yes" if found.held[j] else "no",
+            float(found.instants[j]),
+            None if found.weights is None else float(np.linalg.norm(found.weights[j].weights)),
+        )
+        for j in range(6)
+    ]
+    table = Table(
+        "Assumption of the theorem, axis by axis",
+        (
+            Column("axis"),
+            Column("unit"),
+            Column("k_v"),
+            Column("largest |Delta-tau|"),
+            Column("eta_Delta"),
+            Column("margin"),
+            Column("held"),
+            Column("largest at", "s"),
+            Column("norm of w*"),
+        ),
+        rows,
+        note="Margin: k_v - eta_Delta.",
+        page=PAGE,
+    )
+    shown = stride(len(found.time))
+    curves = Curves(
+        "Error that the best weights leave, as a part of k_v",
+        "time [s]",
+        "gamma_j / k_v,j [1]",
+        [Line(AXES[j], found.time[shown], found.gamma[shown, j] / found.kv[j]) for j in range(6) if found.kv[j] > 0.0],
+        note="The assumption holds where all are within -1 and 1.",
+        page=PAGE,
+    )
+    return Section(
+        name="assumption",
+        title="Assumption of the stability theorem",
+        sentences=sentences,
+        items=(table, curves) if curves.lines else (table,),
+        verdict="good" if bool(found.held.all()) else "warning",
+        data={
+            "kv": found.kv,
+            "eta": found.eta,
+            "lower_bound": found.lower_bound,
+            "margin": found.margin,
+            "held": found.held,
+            "held_on_all_axes": bool(found.held.all()),
+            "largest_uncertainty": found.largest,
+            "time_of_largest_error": found.instants,
+            "weight_limit": None if found.weights is None else [best.limit for best in found.weights],
+            "limited": None if found.weights is None else [best.limited for best in found.weights],
+            "best_weights": found.ideal,
+        },
+    )

@@ -1,0 +1,157 @@
+"""A diagnosis as sentences, a table and curves (docs/diagnosis/ranking.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hexservo.findings.diagnosis.causes import CAUSES
+from hexservo.findings.diagnosis.findings import Diagnosis
+from hexservo.findings.diagnosis.goal import Obstacle
+from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence, spelt
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.wording import number
+
+__all__ = ["section"]
+
+_PAGE = "docs/diagnosis/ranking.md"
+_TITLES = {cause.key: cause.title for cause in CAUSES}
+_FLOOR = 1e-3  # [px], of the curves
+_HELPERS = 3  # most removals that are named which help and are not the cause
+
+
+def section(found: Diagnosis) -> Section:
+    """Return sentences, a table of the causes, and the error over time with and without the first cause."""
+    if found.record is None or found.judgement is None:
+        return Section("diagnosis", "Diagnosis", ["The run was interrupted: there is no diagnosis."])
+    data = found.to_dict()
+    if not found.failed:
+        if not found.warnings:
+            words = [f"Nothing to diagnose: {joined(found.criteria)}."]
+            return Section("diagnosis", "Diagnosis", words, (), "good", data)
+        words = [f"The run passes. {found.warnings[0]}", *found.warnings[1:], f"Criteria: {joined(found.criteria)}."]
+        return Section("diagnosis", "Diagnosis", words, (), "warning", data)
+    sentences = [_verdict(found), f"What failed: {joined(found.criteria)}."]
+    if found.named:
+        sentences += found.named[0].evidence[1:]
+    sentences += _sureness(found)
+    sentences += [remedy_sentence(finding) for finding in found.causes if finding.remedy is not None]
+    return Section(
+        "diagnosis", "Diagnosis", [*sentences, *found.warnings], (_table(found), *_curves(found)), "bad", data
+    )
+
+
+def _verdict(found: Diagnosis) -> str:
+    assert found.judgement is not None
+    assert found.record is not None
+    was = ends(found.record.outcome, found.judgement.error * found.band, found.leg_travel, found.record.drift)
+    first = found.causes[0] if found.causes else None
+    if found.obstacle is not None:
+        return _of_obstacle(found, found.obstacle)
+    if first is not None and first.named and first.without is not None:
+        if found.too_short:
+            return f"The run is too short: with simulation.duration={found.too_short:g} it passes."
+        return (
+            f"The most likely cause is {first.title}: with {first.without.words} the run {how(first.without)}; the "
+            f"original run {was}."
+        )
+    if first is not None and first.without is None:
+        return (
+            f"From the recorded signals alone the most likely cause is {first.title}: a custom controller is not "
+            "run again."
+        )
+    if found.together:
+        together = joined([_TITLES[key] for key in found.together])
+        return (
+            f"Not explained by one cause: two make it fail together, {together}; the original run {was}. Without "
+            "other faults both together fail as well, and neither does alone."
+        )
+    words = f"Not explained: it {was}, and none of the {len(found.causes)} causes that were tried explains it."
+    if first is not None and first.without is not None and first.cure:
+        words += f" The most effective change was {first.without.words}: the run then {how(first.without)}."
+    return words
+
+
+def _of_obstacle(found: Diagnosis, obstacle: Obstacle) -> str:
+    robot = found.result.scenario.robot
+    if obstacle.kind == "image":
+        return (
+            f"The goal cannot be reached: no pose was found whose image is the goal; the best one leaves "
+            f"{number(obstacle.residual)} px."
+        )
+    beyond = (obstacle.leg_travel - robot.stroke) * 1e3
+    return (
+        f"The goal cannot be reached: at the nearest pose with that image a leg is {number(beyond)} mm beyond its "
+        f"stroke of {number(robot.stroke * 1e3)} mm; nothing else matters until that is changed."
+    )
+
+
+def _sureness(found: Diagnosis) -> list[str]:
+    """Return the evidence against the verdict: other changes that cure the run as well."""
+    words = []
+    passing = sum(found.controls)
+    if passing:
+        words.append(
+            f"Near the limit: with other seeds, or numbers changed randomly by 5 %, the run passes {passing} of "
+            f"{len(found.controls)} times, so the cause is less certain."
+        )
+    others = [
+        finding.without.words
+        for finding in found.causes
+        if not finding.named and finding.without is not None and finding.without.works
+    ]
+    if others and found.obstacle is None:
+        more = f", and {len(others) - _HELPERS} others" if len(others) > _HELPERS else ""
+        words.append(
+            f"The run also passes with {'; with '.join(others[:_HELPERS])}{more}: that helps, but alone it "
+            "makes no scenario without other faults fail, so it is not the cause."
+        )
+    also = [finding.title for finding in found.named[1:]]
+    if also:
+        words.append(f"Equally likely: {joined(also)}; each was removed alone.")
+    return words
+
+
+def _table(found: Diagnosis) -> Table:
+    assert found.record is not None
+    assert found.judgement is not None
+    columns = (
+        Column("cause"),
+        Column("score", format=".2f"),
+        Column("what was changed"),
+        Column("outcome"),
+        Column("remaining error", "px"),
+        Column("leg travel", "mm", ".3g"),
+        Column("fails alone"),
+    )
+    rows: list[tuple[str | float | None, ...]] = [
+        (
+            "original run",
+            None,
+            "",
+            spelt(found.record.outcome),
+            found.judgement.error * found.band,
+            1e3 * found.leg_travel,
+            "",
+        )
+    ]
+    for finding in found.causes:
+        run = finding.without
+        after: tuple[str, str, float | None, float | None] = ("", "", None, None)
+        alone = {True: "yes", False: "no", None: ""}[finding.alone]
+        if run is not None:
+            after = (run.words, spelt(run.outcome), run.error, 1e3 * run.leg_travel)
+        rows.append((finding.title, finding.score, *after, alone))
+    note = f"Not present in this scenario: {', '.join(found.absent)}." if found.absent else ""
+    return Table("Causes, each removed alone", columns, rows, note, _PAGE)
+
+
+def _curves(found: Diagnosis) -> tuple[Curves, ...]:
+    assert found.record is not None
+    lines = [Line("original run", found.record.time, np.maximum(found.record.error, _FLOOR))]
+    if found.cured is not None:
+        name = f"without: {found.causes[0].title}"
+        lines.append(Line(name, found.cured.time, np.maximum(found.cured.error, _FLOOR), "dashed"))
+    title = "Largest feature error, with and without the most likely cause"
+    at_floor = any((line.y <= _FLOOR).any() for line in lines)
+    note = f"Errors below {_FLOOR:g} px are drawn there." if at_floor else ""
+    return (Curves(title, "time [s]", "error [px]", lines, y_log=True, note=note, page=_PAGE),)
