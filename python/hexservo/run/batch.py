@@ -48,7 +48,7 @@ _MAX_THREADS = 1024
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BatchResult:
-    """What n scenarios gave, in the order of their variations. Axis 0 of every array is the scenario.
+    """Results of n scenarios, in the order of their variations. Axis 0 of every array is the scenario.
 
     Frames and orders: docs/model.md section 1. Arrays share the batch's memory.
     """

@@ -19,7 +19,7 @@ InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_im
 
 
 class ControllerOutput(NamedTuple):
-    """What a tick gives back; vectors are in the base frame B (docs/model.md, section 7)."""
+    """Output of a tick; vectors are in the base frame B (docs/model.md, section 7)."""
 
     wrench: Array
     """(6,), force and moment about E's origin [N; N m]."""
@@ -77,7 +77,7 @@ class Controller:
 
     @property
     def scenario(self) -> Scenario:
-        """What the controller was made from."""
+        """Scenario of the controller."""
         return self._scenario
 
     @property

@@ -18,7 +18,7 @@ __all__ = ["LegForces", "Observation", "OwnController", "function_name", "run_wi
 
 
 class Observation(NamedTuple):
-    """What a controller sees at a servo tick: measurements, never the plant's own values.
+    """Input of a controller at a servo tick: measurements, never the plant's true values.
 
     Frames and orders: docs/model.md section 1; the sampled loop: section 7.
     """
@@ -43,7 +43,7 @@ class Observation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LegForces:
-    """What a controller gives back that commands the legs one by one.
+    """Output of a controller that commands the legs individually.
 
     Parameters
     ----------

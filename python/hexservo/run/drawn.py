@@ -1,4 +1,4 @@
-"""Pictures of what this package and the findings hold. What draws them lies above, and `hexservo` says where it is.
+"""Figures of results and findings. The packages that draw are above this one; `hexservo` sets where they are.
 
 A result shows itself in a notebook and a comparison writes its figures. Neither may import what draws: its module is
 found when the first picture is wanted.

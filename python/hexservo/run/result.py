@@ -1,4 +1,4 @@
-"""What a run gives back: plain arrays with their scenario, and the same as a labelled dataset."""
+"""Result of a run: plain arrays with their scenario, also as a labelled dataset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What scenarios of one batch share, and the numbers in which they differ."""
+"""Common parts of the scenarios of a batch, and the numbers in which they differ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which compiled run loop is used: chosen once, when hexservo is imported."""
+"""Selection of the compiled run loop, once, when hexservo is imported."""
 
 from __future__ import annotations
 

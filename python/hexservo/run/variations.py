@@ -1,4 +1,4 @@
-"""The values that a batch varies, checked and put into arrays; messages name the key and the run."""
+"""Values that a batch varies, checked and converted to arrays; messages name the key and the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all blocks of a scenario have in common."""
+"""Base of all blocks of a scenario."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SAMPLED_MODE = "sampled"
 
 
 class Block(BaseModel):
-    """Immutable, and made by validation alone: pydantic's ways around it are closed."""
+    """Immutable and always validated: pydantic's methods that skip validation are disabled."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -1,4 +1,4 @@
-"""What the value of a key may be, and how a message says so."""
+"""Rules for the values of keys, and their messages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TERMS = dict(zip(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"), _core.TERM_CENTRES,
 
 
 def refusal(*problems: tuple[tuple[str | int, ...], str]) -> ValidationError:
-    """Make the error that places each sentence at a location below the current one."""
+    """Return the error with each sentence at a location below the current one."""
     return ValidationError.from_exception_data(
         "scenario",
         [

@@ -1,4 +1,4 @@
-"""Borders of a linear sampled loop in the camera's period and latency and in the law's gain; no robot is known here."""
+"""Stability limits of a linear sampled loop in camera period, camera latency and gain, for any plant."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _MAP_POINTS = 16  # of each axis
 
 @dataclass(frozen=True)
 class Border:
-    """Where a whole number of ticks makes the loop unstable; the first border from the scenario's own value on."""
+    """First stability limit in a whole number of ticks, from the scenario's own value upwards."""
 
     stable: int | None  # last one found stable [ticks]; None: not even the least is
     unstable: int | None  # its neighbour that is not [ticks]; None: stable up to `looked_at`
@@ -50,7 +50,7 @@ class Border:
 
 @dataclass(frozen=True)
 class Margins:
-    """What a loop with one treatment of K_v permits."""
+    """Stability limits and margins of a loop, for one treatment of K_v."""
 
     stable: bool  # no mode grows that would not grow with a perfect camera as well
     radius: float  # spectral radius over one camera period, all modes but the resting ones
@@ -179,7 +179,7 @@ def most_frames(loop: SampledLoop) -> int:
 
 
 def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, borders: bool = True) -> Margins:
-    """Find the borders of a linear loop about its own period, latency and gain.
+    """Find the stability limits of a linear loop in period, latency and gain, from its own values.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
 
 
 def radius_map(loop: SampledLoop, clock: Clock, found: Margins) -> tuple[Array, Array, Array]:
-    """Return the spectral radius over periods (m,) and latencies (k,) [s] that show the borders, (k, m).
+    """Return the spectral radius over periods (m,) and latencies (k,) [s] that include the stability limits, (k, m).
 
     NaN where more than `SampledLoop.few` frames are under way.
     """

@@ -1,4 +1,4 @@
-"""How fast must the camera be? Borders of the linear sampled loop in period, latency and gain.
+"""Required camera rate: stability limits of the linear sampled loop in period, latency and gain.
 
 docs/analysis/camera_rate.md has formulas and limits.
 """
@@ -49,7 +49,7 @@ SMALL_OFFSET = 1e-6
 
 @dataclass(frozen=True)
 class BorderRun:
-    """A run by the core beside a border, against the linear loop."""
+    """A run by the core near a stability limit, compared with the linear loop."""
 
     key: Literal["gain", "latency", "period"]
     value: float  # factor, or [s]
@@ -66,7 +66,7 @@ class BorderRun:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraRate(Part):
-    """What periods and latencies of the camera a scenario's loop endures."""
+    """Largest stable period and latency of the camera for a scenario's loop, and the runs that check them."""
 
     scenario: Scenario
     open: str | None  # why the analysis does not apply; then everything below is None or empty
@@ -111,7 +111,7 @@ class CameraRate(Part):
 
 # --- the check by simulation ------------------------------------------------------------------------------------------
 def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
-    """Run the loop just inside and just outside of its border: by gain where it has one, else by latency or period."""
+    """Run the loop just inside and outside its stability limit: in gain if it has one, else in latency or period."""
     home = at_rest_at_home(at_rest)
     loop = loop_at_rest(home).free
     clock, tick = clock_of(home), home.simulation.step
@@ -149,7 +149,7 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A loop beside a border, and its scenario with the goal at home."""
+    """A loop near a stability limit, and its scenario with the goal at home."""
 
     key: Literal["gain", "latency", "period"]
     value: float
@@ -195,7 +195,7 @@ def _run(
 
 
 def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
-    """Linearise the sampled loop at its goal, find the borders of its camera, and run it from small starts.
+    """Linearise the sampled loop at its goal, find its stability limits, and run it from small starting errors.
 
     Parameters
     ----------
@@ -259,5 +259,5 @@ def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> 
 def _stroke_border(
     at_rest: LoopAtRest, clock: Clock, key: Literal["period", "latency"], linear: Border
 ) -> StrokeBorder:
-    """Vary period or latency over what the linear loop bears."""
+    """Vary period or latency up to the stability limit of the linear loop."""
     return stroke_border(_task(at_rest), key, clock, linear.stable or getattr(clock, key))

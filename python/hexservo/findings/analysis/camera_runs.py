@@ -1,4 +1,4 @@
-"""Runs that a verdict on the camera follows: small starts at the goal, and the task within the stroke of the legs."""
+"""Runs for the verdict on the camera: from small starting errors, and of the task within the stroke of the legs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Ending: TypeAlias = Literal["settles", "goes on", "stroke", "ended", "open"]
 
 @dataclass(frozen=True)
 class StartRun:
-    """A run with the scenario's K_v from beside a goal at home."""
+    """A run with the scenario's K_v from a small starting error, with the goal at home."""
 
     offset: float  # largest feature offset at the start [px]
     duration: float  # [s]
@@ -45,7 +45,7 @@ class StartRun:
 
 @dataclass(frozen=True)
 class StrokeBorder:
-    """Up to which period or latency the task itself keeps all legs within their stroke, by trial, K_v as it is."""
+    """Largest period or latency with all legs within their stroke in runs of the task, with the scenario's K_v."""
 
     within: int | None  # last of those tried that does, below `beyond` [ticks]; None: the scenario's own does not
     beyond: int | None  # first that was seen to leave the stroke [ticks]; None: none up to `largest`
@@ -55,7 +55,7 @@ class StrokeBorder:
 
 
 def start_runs(home: Scenario) -> tuple[StartRun, ...]:
-    """Run a loop from small starts beside its goal, and say how each run ends.
+    """Run a loop from small starting errors, and return how each run ends.
 
     Parameters
     ----------

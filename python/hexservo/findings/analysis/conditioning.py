@@ -22,7 +22,7 @@ _SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the displayed least observable motio
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The image Jacobian at one pose, taken apart. Directions and errors are in B."""
+    """Singular value decomposition of the image Jacobian at one pose. Directions and errors are in B."""
 
     place: str
     view: View
@@ -63,7 +63,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Conditioning(Part):
-    """How well four features tell a pose, and where they would tell it better."""
+    """Pose observability from the image of four points, and placements with better observability."""
 
     scene: Scene
     start: Sight

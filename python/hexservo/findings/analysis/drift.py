@@ -1,4 +1,4 @@
-"""Slow drift of the laws that regulate a pose error, under depth errors that differ (docs/analysis/drift.md)."""
+"""Slow drift of the laws that regulate a pose error, under unequal depth errors (docs/analysis/drift.md)."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Pattern:
 
     @property
     def time_constant(self) -> float:
-        """1/rate [s]: of the slowest part of the way where positive, of its growth where negative."""
+        """1/rate [s]: time constant of the creep if positive, of the growth if negative."""
         return 1.0 / self.rate if self.rate != 0.0 else np.inf
 
     @property
@@ -149,7 +149,7 @@ def loop_matrix(known: Array, true: Array, inverse: Array, expected: Array) -> A
 
 
 class _Worker:
-    """What the places and patterns of one scenario share."""
+    """Computations for one scenario, shared by all places and patterns."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.rest = Rest(scenario)

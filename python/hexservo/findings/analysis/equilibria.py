@@ -1,4 +1,4 @@
-"""Where a transpose law comes to rest: the goal, and false equilibria beside it (docs/analysis/equilibria.md)."""
+"""Equilibria of a transpose law: the goal and false equilibria (docs/analysis/equilibria.md)."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Equilibrium:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Equilibria(Part):
-    """Equilibria that a search found, or why there was none."""
+    """Equilibria found by a search, or why it does not apply."""
 
     law: str
     open_because: str  # empty where the analysis applies
@@ -71,7 +71,7 @@ class Equilibria(Part):
 
     @property
     def goals(self) -> tuple[Equilibrium, ...]:
-        """Where the image is the goal image, or is displaced from it by the gravity error alone."""
+        """Equilibria with the goal image, or displaced from it by the gravity error only."""
         return tuple(e for e in self.found if e.kind != "false")
 
     @property
@@ -168,7 +168,7 @@ def _stiffness_along_z(rest: Rest, pose: Poses) -> float:
 def _with_gravity(
     scenario: Scenario, rest: Rest, starts: Poses, level: Poses, kinds: list[str], counts: list[int]
 ) -> tuple[Poses, list[str], list[int]]:
-    """Follow equilibria while the gravity error is switched on in steps, and search again with all of it.
+    """Continue equilibria while the gravity error is increased in steps, and search again with the full error.
 
     One that is lost on the way is dropped.
     """
@@ -252,7 +252,7 @@ def _growth(rest: Rest, pose: Poses, slope: Array) -> float | None:
 
 
 def _barrier(rest: Rest, result: Equilibria) -> tuple[Array, Array] | None:
-    """Return the image error along the straight way in pose from a false equilibrium that attracts to the goal."""
+    """Return the image error along the straight path in pose from an attracting false equilibrium to the goal."""
     if not result.traps or not result.goals:
         return None
     trap, goal = (Poses(e.position, e.quaternion) for e in (result.traps[0], result.goals[0]))

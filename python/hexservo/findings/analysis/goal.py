@@ -22,7 +22,7 @@ _UNSEEN = 1e5  # [px], stands for the image of a pose that has a point behind th
 
 @dataclass(frozen=True, eq=False)
 class GoalPose:
-    """A pose that shows the goal image, or is as close to it as any near it."""
+    """A pose with the goal image, or a local minimum of the image error."""
 
     view: View
     displacement: Array  # (6,) from home [m; rad]: difference of the positions, rotation vector, both in B
@@ -48,12 +48,12 @@ class Goals:
 
     @property
     def reachable(self) -> bool:
-        """Whether some pose shows the goal image, to `SHOWN`."""
+        """Whether a pose with the goal image was found, within `SHOWN`."""
         return self.best.largest_residual < SHOWN
 
     @property
     def shown_at(self) -> Poses | None:
-        """The pose that shows the goal image, to `SHOWN`; None where none was found."""
+        """The pose with the goal image, within `SHOWN`; None if none was found."""
         return self.best.view.pose if self.reachable else None
 
 
@@ -124,13 +124,13 @@ def nearest_images(scene: Scene, starts: Poses, weights: Array | None = None, ro
 
 
 def limited(step: Array) -> Array:
-    """Shorten the steps of a search, (n, 6) in units of `Scene.unit`, to where the image is nearly what it was."""
+    """Shorten the steps of a search, (n, 6) in units of `Scene.unit`, so that the image changes little."""
     longest = np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300)
     return np.asarray(step * np.minimum(1.0, _STEP / longest))
 
 
 def _nearest(scene: Scene, best: GoalPose) -> GoalPose:
-    """Minimise the way from home under the tolerance: sequential quadratic programs from `best`."""
+    """Minimise the distance from home within the tolerance: sequential quadratic programming from `best`."""
     from scipy.optimize import minimize
 
     allowed = best.largest_residual + TOLERANCE

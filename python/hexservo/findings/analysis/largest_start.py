@@ -1,4 +1,4 @@
-"""The largest starting error, camera period and latency that still settle: tried out, not derived.
+"""Largest starting error, camera period and latency that still settle, found by runs.
 
 Empirical throughout (docs/analysis/largest_start.md).
 """
@@ -34,7 +34,7 @@ Tried: TypeAlias = dict[float, bool]
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """Goals along one way from home."""
+    """Goals along one direction from home."""
 
     name: str
     unit: Array  # (6,) displacement from home at size 1 [m; rad], in B
@@ -71,7 +71,7 @@ class Direction:
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """One time of the camera, the other one held."""
+    """Period or latency of the camera, with the other one constant."""
 
     what: str  # period | latency
     prediction: str  # none | encoder
@@ -104,7 +104,7 @@ class Timing:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LargestStart(Part):
-    """What was tried, and where it stopped settling."""
+    """Sizes and times that were run, and the largest ones that settle."""
 
     law: str
     open_because: str  # empty where the analysis applies
@@ -120,7 +120,7 @@ class LargestStart(Part):
 
     @property
     def own(self) -> Direction | None:
-        """The way to the task's own goal."""
+        """The direction of the task's own goal."""
         return self.directions[0] if self.directions and self.directions[0].name == "own" else None
 
 
@@ -132,7 +132,7 @@ def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
 
 
 def analyse(scenario: Scenario) -> LargestStart:
-    """Try out how large a starting error, and how slow a camera, the scenario stands (docs/analysis/largest_start.md).
+    """Find by runs the largest starting error and the slowest camera that settle (docs/analysis/largest_start.md).
 
     Runs batches of the scenario: start at home, goals along ways from home.
 
@@ -168,7 +168,7 @@ def analyse(scenario: Scenario) -> LargestStart:
 
 @dataclass(frozen=True, eq=False)
 class _Ends:
-    """How variations of a scenario end, one row each."""
+    """Results of variations of a scenario, one row each."""
 
     settled: Mask  # in the image, with all legs within their stroke all the way
     only_stroke: Mask  # would have settled but for a leg beyond its stroke
@@ -205,7 +205,7 @@ class _Trial:
         return bool(self.ends({"target.desired_features": goal}).settled[0])
 
     def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> _Ends:
-        """Run each variation and say how it ends.
+        """Run each variation and return how it ends.
 
         What the core refuses, such as a goal that the search of `pbvs` does not find, is not run.
         """
@@ -244,7 +244,7 @@ def _whole(duration: float, step: float) -> float:
 
 @dataclass
 class _Way:
-    """A direction while it is tried."""
+    """A direction during the search."""
 
     name: str
     unit: Array
@@ -299,7 +299,7 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
 
 
 def _settles_later(scene: Scene, trial: _Trial, ways: list[_Way]) -> list[bool | None]:
-    """Run the smallest sizes that fail for longer: are they only slow."""
+    """Run the smallest sizes that fail for longer, since they may only be slow."""
     failed = [border(way.tried)[1] for way in ways]
     rows = [i for i, size in enumerate(failed) if size is not None]
     found: list[bool | None] = [None] * len(ways)
@@ -324,7 +324,7 @@ def _units(scene: Scene) -> list[tuple[str, Array]]:
 
 
 def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
-    """Return the largest size along a way that is reachable, seen and in the region, and what limits it.
+    """Return the largest size along a direction that is reachable, in view and in the region, and what limits it.
 
     Every pose on the way to it is reachable and seen as well, on a grid.
     """

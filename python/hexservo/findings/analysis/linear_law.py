@@ -32,7 +32,7 @@ class NoRestError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class RestPose:
-    """Where a scenario's loop comes to rest, with the weight known, K_v = 0, and a camera that is always new."""
+    """Pose of rest of a scenario's loop, with the weight known, K_v = 0, and a current image."""
 
     view: View
     residual: float  # largest |xi_d - xi| there [px]: 0 where the goal can be reached and the law asks for nothing else
@@ -62,7 +62,7 @@ class LinearLaw:
 
 @dataclass(frozen=True, eq=False)
 class LinearPlant:
-    """The plant about rest, to first order, with wrenches (6,) [N; N m] and leg forces as the wrenches they give."""
+    """The plant about rest, to first order, with wrenches (6,) [N; N m] and leg forces as equivalent wrenches."""
 
     acceleration: Array  # (6, 6) of a wrench: inverse of the actual inertia
     stiffness: Array  # (6, 6) d(H f)/dx with f the leg forces at rest [N/m, ...]
@@ -105,7 +105,7 @@ class _Tick:
         return pose.position + self.depth_scale[:, None] * (self.points - pose.position)
 
     def image(self, frame: Array, pose: Poses) -> tuple[Array, Array]:
-        """Features and depths that the law sees at a pose, from a frame of another pose.
+        """Features and depths for the law at a pose, from a frame of another pose.
 
         `frame` is (12,): the displacement of the exposure from rest, then the error of the sensors' pose there.
         """
@@ -126,7 +126,7 @@ class _Tick:
         return wrench, fuzzy
 
     def wrench(self, frame: Array, pose: Poses, twist: Array) -> Array:
-        """Wrench that the law gives with `weights`, (6,)."""
+        """Wrench of the law with `weights`, (6,)."""
         features, depth = self.image(frame, pose)
         weights = None if self.weights is None else self.weights[None]
         at = (pose.position[None], pose.quaternion[None], twist[None])
@@ -188,7 +188,7 @@ def _law_at(tick: _Tick, twist_step: float) -> LinearLaw:
 
 
 def rest_of(scenario: Scenario, scene: Scene) -> RestPose:
-    """Find where a scenario's loop rests: no wrench beyond the weight, nor anything to learn.
+    """Find the pose of rest of a scenario's loop: no wrench beyond the weight, and no adaptation.
 
     Newton's method on the tick of the core, from the pose that shows the desired features. With an integrating law
     (fuzzy systems whose drive is the pose error) that is where its error vanishes; otherwise where its wrench does.
@@ -215,14 +215,14 @@ def rest_of(scenario: Scenario, scene: Scene) -> RestPose:
 
 
 def _settled(tick: _Tick, pose: Poses) -> tuple[Poses, bool]:
-    """Search for rest by Newton's method from a pose; give the last pose, and whether the search converged."""
+    """Search for rest by Newton's method from a pose; return the last pose, and whether the search converged."""
     tick.at(pose)
     _, axes, decay = _by_twist(tick, _TWIST_STEP)
     forgets = np.ones(6)
     forgets[list(axes)] -= decay
 
     def away(displacement: Array) -> Array:
-        """Zero at rest: what a system learns is what it forgets; without learning, the wrench alone."""
+        """Residual, zero at rest: adaptation equals leakage; without adaptation, the wrench."""
         balance = tick.balance(displacement)
         return forgets * balance[:6] - balance[6:]
 

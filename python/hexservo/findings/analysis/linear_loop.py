@@ -1,4 +1,4 @@
-"""The sampled loop at rest as one matrix over a pattern of its clocks: spectral radius, and what is unstable.
+"""The sampled loop at rest as one matrix over a pattern of its clocks: spectral radius and unstable modes.
 
 Independent of the robot: the matrices may have any number of axes. `docs/analysis/camera_rate.md` has the formulas.
 """
@@ -99,7 +99,7 @@ class SampledLoop:
 
     @property
     def size(self) -> int:
-        """Numbers of the state at a tick, without the frames under way."""
+        """Size of the state at a tick, without the frames in transit."""
         return int(self._parts["f"].stop)
 
     @property
@@ -234,7 +234,7 @@ class SampledLoop:
 
     @cached_property
     def resting(self) -> Array:
-        """Displacements and states of the law that the loop leaves as they are, (n + m, k); k = 0 for most laws.
+        """Neutral modes: displacements and states of the law that the loop does not change, (n + m, k); mostly k = 0.
 
         They belong to the eigenvalue 1 whatever the clocks are: where the image has no stiffness, or where a state of
         the law learns from the rate alone and therefore is a spring towards the start.
@@ -304,7 +304,7 @@ class SampledLoop:
         return int(np.sum(np.abs(self.multipliers(clock)) > BORDER))
 
     def _counted(self, clock: Clock) -> int:
-        """Count the eigenvalues beyond `BORDER` by the argument principle, without a matrix of all frames under way.
+        """Count the eigenvalues beyond `BORDER` by the argument principle, without a matrix of all frames in transit.
 
         With M for a period in which the due frame is known to be zero, N for what that frame adds and X for what an
         exposure sees, the eigenvalues z fulfil det(z I - M - z^-q N X) = 0 at q frames under way.

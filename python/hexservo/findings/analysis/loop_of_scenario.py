@@ -42,7 +42,7 @@ OFFSET = 0.01
 
 
 class NotApplicableError(ValueError):
-    """The linear analysis says nothing of a scenario; the text says why."""
+    """The linear analysis does not apply to a scenario; the text gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +245,7 @@ def growth(
     offset: float = OFFSET,
     with_kv: bool = False,
 ) -> float:
-    """Run a scenario whose goal is home from beside it, and measure how fast a mode of its twist grows [1/s].
+    """Run a scenario with the goal at home from a small starting error, and measure the growth of a mode [1/s].
 
     The twist at every so many ticks, angular parts times the platform's radius, is multiplied by the
     turning of the mode, so that others average out (slow ones already in second differences, where the mode turns);

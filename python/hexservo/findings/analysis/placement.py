@@ -1,4 +1,4 @@
-"""Where the four features would have to be for the image to tell the pose better (docs/analysis/conditioning.md)."""
+"""Placements of the four features with better pose observability (docs/analysis/conditioning.md)."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ __all__ = ["Poses", "by_displacement", "without_sign"]
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Place and attitude of E in B: of one pose, or of many, as the leading axes of both arrays say.
+    """Position and attitude of E in B: one pose, or many along the leading axes of both arrays.
 
     A displacement is a shift [m] and a rotation vector [rad], (..., 6), both in B; the platform turns about E's origin.
     """

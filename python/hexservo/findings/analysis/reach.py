@@ -41,7 +41,7 @@ class StartAndGoal:
 
     @property
     def goal_within(self) -> bool | None:
-        """Whether the legs reach a pose that shows the goal image as well as any found; None without a goal pose."""
+        """Whether the legs reach a pose of least image error; None without a goal pose."""
         if self.goal is None or self.nearest is None:
             return None
         return self.goal.within or self.nearest.within

@@ -1,4 +1,4 @@
-"""A platform at rest: what law and plant of a scenario do to it at poses, asked of the core."""
+"""A platform at rest: wrench and acceleration by law and plant of a scenario at poses, computed by the core."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STEPS = np.repeat([1e-5, 1e-5], 3)  # [m; rad], of the central differences of a
 
 
 class Rest(Scene):
-    """A scene with its law and plant, at poses where nothing moves.
+    """A scene with its law and plant, for a platform at rest.
 
     Parameters
     ----------

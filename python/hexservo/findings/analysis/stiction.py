@@ -27,7 +27,7 @@ Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]
 
 @dataclass(frozen=True, eq=False)
 class StictionCase:
-    """The set for one reading of the law."""
+    """The set for one case of the law."""
 
     name: str
     rest: RestSet
@@ -38,7 +38,7 @@ class StictionCase:
 
 @dataclass(frozen=True, eq=False)
 class Creep:
-    """How a smooth switching term lets go of what K_v would hold: (K_v/width + K_d) d-dot = -A d, linearised."""
+    """Creep under a smooth switching term: (K_v/width + K_d) d-dot = -A d, linearised."""
 
     times: Array  # (6,) [s], time constants, slowest first; infinite where an error does not decay
     # [px], largest image error after the run's duration, from anywhere in the set; None where it grows too far

@@ -1,4 +1,4 @@
-"""The certificate of a run: did the theorem's assumptions hold along it, and where did its energy go."""
+"""Certificate of a run: the theorem's assumptions along it, and its energy balance."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Certificate(Findings):
     open_questions: dict[str, str] = field(default_factory=dict)  # section -> why it has no numbers
 
     def sections(self) -> tuple[Section, ...]:
-        """Words, tables and curves: "lyapunov", "assumption" and "energy"."""
+        """Return the sections "lyapunov", "assumption" and "energy"."""
         found = []
         for name, title in _TITLES.items():
             part = getattr(self, name)

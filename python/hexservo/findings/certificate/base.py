@@ -1,4 +1,4 @@
-"""How a base that moves accelerates, measured by a platform that another law holds still."""
+"""Acceleration of a moving base, measured by a platform that another law holds at rest."""
 
 from __future__ import annotations
 

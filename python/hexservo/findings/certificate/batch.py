@@ -1,4 +1,4 @@
-"""The theorem's assumption over variations of a scenario, against whether they settle (docs/certificate/batch.md)."""
+"""The theorem's assumption over variations of a scenario, compared with settling (docs/certificate/batch.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The energy ledger of a run: what every term did to the platform's kinetic energy (docs/certificate/energy.md)."""
+"""Energy balance of a run: the work of every term on the platform (docs/certificate/energy.md)."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class EnergyLedger(Part):
 
     @property
     def closes(self) -> bool:
-        """Whether the works explain the energy, to an error that deserves the word."""
+        """Whether the works add up to the change of energy within the tolerance, and the tolerance is small."""
         return not self.faults
 
     @property
@@ -145,7 +145,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
 
 @dataclass(frozen=True, eq=False)
 class _Terms:
-    """Splits what acts in the stages into the law's terms, without a second copy of the law: by gains set to zero."""
+    """Splits the acting wrench into the law's terms by gains set to zero, without a second copy of the law."""
 
     run: Replay
     without: tuple[tuple[str, _core.Probe], ...]  # term -> the law without it, and without those before it
@@ -255,7 +255,7 @@ def _quadrature(stages: Stages, plant: Plant, inertia: Array, turning: Array) ->
 
 
 def _doubled(run: Replay, plant: Plant, plain: bool) -> float:
-    """Bound what the quadrature misses of a smooth run by what it misses in steps twice as long [J].
+    """Bound the quadrature error of a smooth run by that in steps twice as long [J].
 
     That is sixteen times as much where the step is short enough for the method's order to show. In every pair of steps
     the bound of `_quadrature` holds as well.
@@ -269,7 +269,7 @@ def _doubled(run: Replay, plant: Plant, plain: bool) -> float:
 
 
 def _turning(stages: Stages, plant: Plant, plain: bool) -> Array:
-    """Power of the inertia's turning in the stages, (m, 4) [W]; none where the errors are plain numbers."""
+    """Power due to the rotation of the inertia in the stages, (m, 4) [W]; zero if the errors are single numbers."""
     if plain:
         return np.zeros(stages.twist.shape[:2])
     power = plant.turning_power(*(stages.rows(name) for name in ("position", "quaternion", "twist")))
@@ -311,6 +311,6 @@ def _compare(run: Replay, stages: Stages, inertia: Array) -> tuple[float, int, f
 
 
 def _smooth(run: Replay) -> bool:
-    """Whether the law has a switching term that is smooth, or none."""
+    """Whether the law has no switching term, or a smooth one."""
     terms = [term for term, _ in _TERMS[run.scenario.controller.law]]
     return "switching" not in terms or run.scenario.controller.switching.kind == "tanh"

@@ -25,7 +25,7 @@ _ABOVE = 0.01  # of the range of V: what it may be above its start by error alon
 
 @dataclass(frozen=True, eq=False)
 class Rise:
-    """Samples one after another at which V grows, and what makes it grow most."""
+    """Consecutive samples at which V grows, and the term that contributes most."""
 
     first: float  # [s]
     last: float  # [s]
@@ -73,7 +73,7 @@ class Lyapunov(Part):
 
     @property
     def agrees(self) -> bool:
-        """Whether the two rates are the same on the whole; otherwise the step is too coarse to say where V grows."""
+        """Whether the two rates agree in RMS; otherwise the step is too coarse to locate the growth of V."""
         known = np.isfinite(self.differentiated)
         if not known.any():
             return False
@@ -82,7 +82,7 @@ class Lyapunov(Part):
 
     @property
     def above_start(self) -> bool:
-        """Whether V was above its start anywhere, also in steps that are left out, by more than error explains."""
+        """Whether V was above its start anywhere, steps that are left out included, by more than its error."""
         return float(self.change.max()) > _ABOVE * float(np.ptp(self.change))
 
 
@@ -202,7 +202,7 @@ def _rises(
     gamma: Array,
     ideal: Array,
 ) -> tuple[Rise, ...]:
-    """Find the stretches in which V grows beyond the error of its rate, each with the term to blame at its worst."""
+    """Find the intervals in which V grows by more than the error of its rate, each with the largest term."""
     with np.errstate(invalid="ignore"):
         growing = predicted > bound  # false where there is no bound
     edges = np.flatnonzero(np.diff(np.r_[False, growing, False].astype(np.int8)))

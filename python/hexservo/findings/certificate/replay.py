@@ -1,4 +1,4 @@
-"""A repeated run, with everything that a certificate needs."""
+"""Repetition of a run with all data that a certificate needs."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def sgn_breaks(twist: Array) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """Matrices and wrenches of the actual platform (3), computed from its accelerations under given wrenches."""
+    """Matrices and wrenches of the actual platform (3), from its accelerations under given wrenches."""
 
     probe: _core.Probe
     weight: Array  # (6,) (1 - delta_G) G-bar [N; N m]; it does not depend on the pose

@@ -1,4 +1,4 @@
-"""The Runge-Kutta stages of a run, rebuilt from its samples: where and how fast the platform is, and what acts."""
+"""Runge-Kutta stages of a run, rebuilt from its samples: pose, twist and acting wrench."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _continuous(run: Replay, ticks: NDArray[np.intp], probe: _core.Probe, step: 
 
 
 def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp], moving_base: Array | None) -> Iterator[Stages]:
-    """Move the platform from every tick to the next one under what the log says acts there."""
+    """Move the platform from every tick to the next one under the logged wrench or leg forces."""
     substeps = run.scenario.simulation.substeps
     step = run.step / substeps
     body = (run.position[ticks], run.quaternion[ticks], run.twist[ticks])
@@ -158,7 +158,7 @@ def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp], moving_base: Ar
 
 
 def _leg_wrench(legs: _core.Hexapod, position: Array, quaternion: Array, forces: Array) -> Array:
-    """Wrench in B of leg forces that hold while the legs turn, (m, 6)."""
+    """Wrench in B of constant leg forces while the legs rotate, (m, 6)."""
     return np.array(
         [
             legs.wrench_map(place, attitude) @ force

@@ -1,4 +1,4 @@
-"""The overall uncertainty of a run, Delta-tau of (19), and how well fuzzy systems could have matched it."""
+"""Overall uncertainty of a run, Delta-tau of (19), and its best approximation by the fuzzy systems."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Assumption(Part):
 
 
 def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) -> Assumption:
-    """Find the best weights of every axis, and compare what they leave with K_v.
+    """Find the best weights of every axis, and compare their approximation error with K_v.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The best weights of a fuzzy system: a linear program, and of its solutions the smallest.
+"""Best weights of a fuzzy system: the solution of smallest norm of a linear program.
 
 docs/certificate/weights.md. The system's output is ``basis @ weights``, one row of the basis per sample. The best
 weights come as close to a target as one set of weights can over all samples, in the maximum norm.
@@ -40,7 +40,7 @@ _STEPS = 2000  # of the second program; one or two hundred are usual
 
 @dataclass(frozen=True, eq=False)
 class BestWeights:
-    """Weights that minimise the largest error, the smallest of them, and what proves it."""
+    """Weights of smallest norm that minimise the largest error, with a lower bound of the error."""
 
     weights: Array  # (p,), in units of the target
     error: float  # largest |target - basis @ weights| over all samples
@@ -102,7 +102,7 @@ def best_weights(basis: Array, target: Array, limit: float | None = None, *, sma
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """In units in which the largest target is 1."""
+    """The linear program, in units in which the largest target is 1."""
 
     basis: Array  # (n, p)
     target: Array  # (n,)
@@ -225,7 +225,7 @@ class _Problem:
         return np.asarray(new[np.argsort(-beyond[new], kind="stable")][:_MORE])
 
     def _spread(self, count: int) -> NDArray[np.intp]:
-        """Spread samples evenly over the way of basis and target, of which most runs go the most part at once."""
+        """Select samples evenly along the path of basis and target, most of which a run covers in a short time."""
         steps = np.abs(np.diff(self.basis, axis=0)).sum(axis=1) + np.abs(np.diff(self.target))
         way = np.r_[0.0, np.cumsum(steps)]
         return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count)).clip(0, len(way) - 1))

@@ -1,4 +1,4 @@
-"""Why a run failed: each suspected cause is removed from the scenario by itself, and the run repeated."""
+"""Diagnosis of a failed run: each suspected cause is removed from the scenario, one at a time, and the run repeated."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _OTHERWISE = 0.3  # difference in severity between a run and the same run repeat
 
 
 def diagnose(result: Result) -> Diagnosis:
-    """Name the cause of a run that failed, with evidence and remedies, or say that none explains it (docs/diagnosis/).
+    """Find the cause of a failed run, with evidence and remedies, if one explains it (docs/diagnosis/).
 
     A run fails that does not complete, that is not settled (the metric ``settling_time``, with the scenario's
     ``metrics.band`` and ``metrics.dwell``), whose legs leave their stroke, or whose legs still drift. First it is asked
@@ -99,7 +99,7 @@ def diagnose(result: Result) -> Diagnosis:
 
 
 def _remedies(case: Case, trials: list[Trial]) -> dict[str, Remedy]:
-    """Run what may help against the most likely causes, and keep for each the first that works, or the best."""
+    """Run the remedies against the most likely causes, and keep for each the first that works, or the best."""
     likely = [trial for trial in trials if trial.named or trial.score >= _LIKELY][:_REMEDIES]
     offered = [
         (trial, remedy) for trial in likely for remedy in trial.cause.remedies(case, trial.removal, trial.record)

@@ -1,4 +1,4 @@
-"""When a run counts as failed, and by how much: one number that runs before and after a change can be compared by."""
+"""Criterion of failure, and its severity as one number, to compare runs before and after a change."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DRIFT_BLOCKS = 6  # parts of the last half: a leg that drifts goes the same way
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What one run gave, as far as a diagnosis needs it."""
+    """Data of one run that a diagnosis needs."""
 
     outcome: str
     detail: str
@@ -47,7 +47,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Allowed:
-    """What a run may do and still pass."""
+    """Limits within which a run passes."""
 
     band: float  # of the metrics [px]
     dwell: float  # of the metrics [s]
@@ -58,7 +58,7 @@ class Allowed:
 
 @dataclass(frozen=True)
 class Judgement:
-    """By which criteria a run failed, each as a ratio to what is allowed, and how badly in all."""
+    """Criteria of a run, each relative to its limit, and their severity."""
 
     early: bool  # it did not complete
     settled: bool  # by the metrics
@@ -95,7 +95,7 @@ def make_record(
 
 
 def _drift(time: Array, lengths: Array, end_time: float) -> float:
-    """Return the speed of the fastest leg [m/s] that goes on: noise makes a leg wander, but not always the same way.
+    """Return the largest persistent speed of a leg [m/s]; noise makes a leg wander, but not steadily.
 
     A straight line is laid through the leg lengths (m, 6) of each of two windows, in the least squares. Of slopes with
     the same sign the smaller one counts, of others none; and only of legs whose mean lengths over the blocks of the

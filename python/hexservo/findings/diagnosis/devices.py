@@ -1,4 +1,4 @@
-"""Causes in devices and in what the controller assumes: how each is taken out of a scenario, by itself."""
+"""Causes in devices and in the controller's model, and how each is removed from a scenario."""
 
 from __future__ import annotations
 

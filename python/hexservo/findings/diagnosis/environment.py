@@ -1,4 +1,4 @@
-"""Scenarios without faults: good devices, and beside them ordinary settings of the law, each from the schema.
+"""Scenarios without faults, from the schema: good devices, and ordinary settings of the law.
 
 They do not come from the list of causes: whatever a block of devices holds is at its default there, or within what is
 ordinary, whether a cause of the list is about it or not.
@@ -208,7 +208,7 @@ def both_alone(first: Cause, second: Cause, case: Case) -> Alone:
 
 
 def _less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
-    """Leave the changes of some keys out: there the scenario is unchanged."""
+    """Return the changes without those of some keys, which keep the scenario's values."""
     kept = dict(changes)
     for key in keys:
         kept.pop(key, None)

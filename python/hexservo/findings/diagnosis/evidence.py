@@ -1,4 +1,4 @@
-"""What a run itself says about each cause, without another run: signatures, each with its strength and a sentence."""
+"""Signatures of causes in the recorded signals of a run, each with its strength and a sentence."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WANDER = 0.1  # of the stroke, by which one standard deviation of noise moves t
 
 @dataclass(frozen=True)
 class Signature:
-    """How much a run looks like one cause."""
+    """How well the recorded signals of a run fit a cause."""
 
     strength: float | None  # 0 (not at all) to 1; None: this cause leaves no trace
     sentence: str  # what was seen, with its numbers; "" where there is nothing to say

@@ -1,4 +1,4 @@
-"""The same loop in another time: every gain of a law, scaled so that its motion is that of before, slower or faster."""
+"""Time scaling of a loop: gains of a law for the same motion, slower or faster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the goal of a scenario lies, and how its target would look if it were well spread."""
+"""Goal pose of a scenario, and its image with a well-spread target."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def goal_run(scenario: Scenario) -> Run:
 
 
 def goal_of(record: Record | None) -> Goal | None:
-    """Read the goal off that run; None where it was refused or did not reach it."""
+    """Return the goal from that run; None if it was refused or did not reach the goal."""
     if record is None or record.outcome != "completed" or record.metrics["final_error"] > _REACHED:
         return None
     lengths = record.samples["leg_lengths"]

@@ -1,4 +1,4 @@
-"""Causes in the settings of a law and of the run, and in the task: how each is taken out of a scenario, by itself."""
+"""Causes in the settings of a law and of the run, and in the task, and how each is removed from a scenario."""
 
 from __future__ import annotations
 

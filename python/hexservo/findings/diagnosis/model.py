@@ -1,4 +1,4 @@
-"""What a diagnosis is made of: cases, causes, and the changes that take a cause out of a scenario."""
+"""Parts of a diagnosis: cases, causes, and the changes that remove a cause from a scenario."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Kind: TypeAlias = Literal["device", "law", "task"]
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What is diagnosed: a scenario, and what is known of its goal."""
+    """A scenario to diagnose, with its goal."""
 
     scenario: Scenario
-    goal: Goal | None  # None: no pose was found that shows the goal
-    obstacle: Obstacle | None = None  # why no law can reach it; None: nothing speaks against it
+    goal: Goal | None  # None: no pose with the goal image was found
+    obstacle: Obstacle | None = None  # why no law can reach it; None: no reason was found
 
     @property
     def sampled(self) -> bool:
@@ -32,7 +32,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Removal:
-    """Changes that take one cause out of a scenario, or help against it."""
+    """Changes that remove a cause from a scenario, or are a remedy against it."""
 
     words: str  # what is changed, as it follows "with"
     changes: Changes
@@ -49,13 +49,13 @@ class Alone:
 
 
 def same(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Offer as a remedy what the removal did."""
+    """Return the removal itself as the remedy."""
     return [removal]
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One entry of the list.
+    """A cause of failure.
 
     A device's cause is put alone into the scenario with ideal devices, a law's into the one with ideal devices and
     ordinary settings of the law; a task's is what is left there.
@@ -64,10 +64,10 @@ class Cause:
     key: str
     title: str
     kind: Kind
-    keys: frozenset[str]  # of a scenario, that make up this cause; "LAW" stands for the law's own block
+    keys: frozenset[str]  # keys of a scenario that belong to this cause; "LAW" stands for the law's own block
     removals: Callable[[Case], list[Removal]]  # empty: not present in the scenario
     remedies: Callable[[Case, Removal, Record], list[Removal]] = (
         same  # after the removal that helped most, with its run
     )
-    context: frozenset[str] = field(default_factory=frozenset)  # keys without which its own would mean something else
-    alone: Callable[[Case], list[Alone]] | None = None  # in place of what follows from kind, keys and context
+    context: frozenset[str] = field(default_factory=frozenset)  # keys on which the effect of these keys depends
+    alone: Callable[[Case], list[Alone]] | None = None  # replaces the pairs that follow from kind, keys and context

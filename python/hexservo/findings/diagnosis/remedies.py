@@ -1,4 +1,4 @@
-"""What helps against a cause: changes that one would make on the machine or in its controller; each is run."""
+"""Remedies against a cause: changes of the machine or of its controller; each is simulated."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = [
 
 
 def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Make the loop slower, or its adaptation, in place of a better device."""
+    """Slow down the loop or its adaptation, instead of a better device."""
     law = case.scenario.controller.law
     offered = [Removal(f"the loop {factor:g} times as slow", slower(case.scenario, factor)) for factor in (2.0, 4.0)]
     if law in ("hybrid", "composite") and getattr(case.scenario.controller, law).fuzzy.enabled:
@@ -33,7 +33,7 @@ def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Remova
 
 
 def late_camera_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Carry features along, or make the loop slower."""
+    """Predict features, or slow down the loop."""
     camera = case.scenario.camera
     if camera.convention == "eye_in_hand" and camera.prediction == "none":
         words = "features carried along by the joint sensors between frames"
@@ -42,7 +42,7 @@ def late_camera_remedies(case: Case, removal: Removal, record: Record) -> list[R
 
 
 def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Weigh the platform, or take a law that integrates."""
+    """Correct the mass, or use a law that integrates."""
     robot, model = case.scenario.robot, case.scenario.uncertainty
     remedies = []
     if isinstance(model.gravity, float) and isinstance(model.inertia, float) and isinstance(model.coriolis, float):
@@ -63,7 +63,7 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
 
 
 def unequal_depth_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Measure the depths alike, or take a law with a prior."""
+    """Use equal depth errors, or a law with a prior."""
     remedies = []
     if case.scenario.controller.law != "composite":
         remedies.append(Removal("the law composite, whose prior bounds the drift", {"controller.law": "composite"}))
@@ -77,7 +77,7 @@ def saturation_remedies(case: Case, removal: Removal, record: Record) -> list[Re
 
 
 def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Widen the image, or carry lost features along."""
+    """Enlarge the image, or predict lost features."""
     remedies = []
     camera = case.scenario.camera
     if camera.image_size is not None:

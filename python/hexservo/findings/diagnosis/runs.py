@@ -25,7 +25,7 @@ _KEPT = ("feature_error", "position", "quaternion", "twist", "wrench", "fuzzy_ou
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A scenario that is to be run with some of its keys changed."""
+    """A scenario to run, with changes of some keys."""
 
     scenario: Scenario
     changes: Mapping[str, Any] = field(default_factory=dict)  # by dotted key, as Scenario.updated takes them
@@ -49,7 +49,7 @@ def record_of(result: Result) -> Record:
 
 
 def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
-    """Run them all and give their records in the same order; None where the scenario is refused with its changes.
+    """Run all and return their records in order; None where the scenario is refused with its changes.
 
     A lane of a batch agrees with `simulate` to rounding.
     """
