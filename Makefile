@@ -223,7 +223,7 @@ $(ALL_TOOLS): pyproject.toml $(VENV) | system
 	touch $@
 
 $(PACKAGE): $(SOURCES) $(BUILD_TOOLS) | system
-	@echo "Building and installing hexservo into .venv (the first time: some 20 minutes of processor time)"
+	@echo "Building and installing hexservo into .venv (the first time: some 5 minutes of processor time)"
 	mkdir -p build
 	if ! python -m pip install --verbose --no-build-isolation . 2>&1 | tee build/install.log \
 	  | sed -unE 's#.*\[([0-9]+)/([0-9]+)\] Building.*#  built \1 of \2#p'; then

@@ -4,8 +4,10 @@
 
 #include <pybind11/native_enum.h>
 
+#include <span>
 #include <utility>
 #include <variant>
+#include <vector>
 
 namespace hexservo::bindings {
 
@@ -98,14 +100,32 @@ void bind_controller(py::module_& m) {
            py::arg("exposure") = 0.0, py::arg("now") = 0.0,
            "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input, whether it is saturated.")
       .def(
-          "reset", [](Controller& controller) { controller.visit([](auto& c) { c.state = initial_state(c.gains); }); },
+          "reset", [](Controller& self) { self.visit([](auto& c) { c.state = initial_state(c.gains); }); },
           "Back to the state before the first tick.")
+      .def(
+          "state",
+          [](Controller& self) {
+            const std::vector<double> numbers = self.visit([](auto& c) { return stored(c.state); });
+            return py::array_t<double>(static_cast<py::ssize_t>(numbers.size()), numbers.data());
+          },
+          "(n,) every number that is kept from tick to tick; n depends on law, camera and period.")
+      .def(
+          "restore",
+          [](Controller& self, const py::object& state) {
+            const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(state);
+            if (!array || array.ndim() != 1) {
+              PyErr_Clear();
+              throw std::invalid_argument("state: expected a vector of numbers, got something else");
+            }
+            const std::span<const double> numbers(array.data(), static_cast<std::size_t>(array.size()));
+            self.visit([&](auto& c) { restore(c.state, numbers); });
+          },
+          py::arg("state"), "Continues from what `state` gave; ValueError for a state of another controller.")
       .def_property_readonly(
-          "period", [](Controller& controller) { return controller.visit([](auto& c) { return c.gains.period; }); },
-          "[s]")
+          "period", [](Controller& self) { return self.visit([](auto& c) { return c.gains.period; }); }, "[s]")
       .def_property_readonly(
           "fuzzy_weights",
-          [](Controller& controller) { return controller.visit([](auto& c) { return weight_array(c.state.law); }); },
+          [](Controller& self) { return self.visit([](auto& c) { return weight_array(c.state.law); }); },
           "(6, 7, 7) [N; N m]");
 }
 

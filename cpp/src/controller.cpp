@@ -3,6 +3,7 @@
 #include "check.hpp"
 #include "controller_output.hpp"
 #include "hexservo/subnormals.hpp"
+#include "weight_rows.hpp"
 
 namespace hexservo {
 
@@ -21,6 +22,51 @@ SensorInput<double> in_ticks(const ControllerInput& input, double period) noexce
           input.twist,
           input.joints};
 }
+
+/// Visits every number of a state as a double; masks and counts are whole numbers.
+struct NumberWriter {
+  std::vector<double>& numbers;
+
+  void operator()(double number) { numbers.push_back(number); }
+  void operator()(bool mask) { numbers.push_back(mask ? 1.0 : 0.0); }
+  void operator()(std::size_t count) { numbers.push_back(static_cast<double>(count)); }
+  template <int R, int C>
+  void operator()(const Eigen::Matrix<double, R, C>& matrix) {
+    numbers.insert(numbers.end(), matrix.data(), matrix.data() + matrix.size());
+  }
+  void operator()(const FuzzyWeights<double>& weights) {
+    numbers.resize(numbers.size() + kWeightNumbers);
+    detail::write_weights(weights, 0, numbers.data() + numbers.size() - kWeightNumbers);
+  }
+  void operator()(const NoState<double>& /*law*/) {}
+};
+
+/// The same numbers, back to where they came from.
+struct NumberReader {
+  const double* next;
+
+  void operator()(double& number) { number = *next++; }
+  void operator()(bool& mask) { mask = whole(1.0) != 0.0; }
+  void operator()(std::size_t& count) { count = static_cast<std::size_t>(whole(0x1p53)); }
+  template <int R, int C>
+  void operator()(Eigen::Matrix<double, R, C>& matrix) {
+    matrix = Eigen::Map<const Eigen::Matrix<double, R, C>>(next);
+    next += matrix.size();
+  }
+  void operator()(FuzzyWeights<double>& weights) {
+    weights = detail::weights_from(next);
+    next += kWeightNumbers;
+  }
+  void operator()(NoState<double>& /*law*/) {}
+
+  double whole(double most) {
+    const double number = *next++;
+    if (!(number >= 0.0 && number <= most && number == std::floor(number)))
+      detail::refuse("state", detail::words("a whole number from 0 to ", most, " in the place of a mask or a count"),
+                     detail::words(number));
+    return number;
+  }
+};
 
 }  // namespace
 
@@ -58,8 +104,29 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
   return detail::output_of(tick, state.perception.now());
 }
 
+template <class Law>
+std::vector<double> stored(ControllerState<Law> state) {
+  std::vector<double> numbers;
+  NumberWriter write{numbers};
+  state.for_each_member(write);
+  return numbers;
+}
+
+template <class Law>
+void restore(ControllerState<Law>& state, std::span<const double> numbers) {
+  const std::size_t expected = stored<Law>(state).size();
+  if (numbers.size() != expected)
+    detail::refuse("state", detail::words(expected, " numbers, those of this scenario and period"),
+                   detail::words(numbers.size()));
+  ControllerState<Law> restored = state;
+  restored.for_each_member(NumberReader{numbers.data()});
+  state = std::move(restored);
+}
+
 #define HEXSERVO_HERE(Law)                                                      \
   template ControllerGains<Law> controller_gains(const Settings<Law>&, double); \
+  template std::vector<double> stored(ControllerState<Law>);                    \
+  template void restore(ControllerState<Law>&, std::span<const double>);        \
   template ControllerOutput step(const ControllerGains<Law>&, ControllerState<Law>&, const ControllerInput&) noexcept;
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import pickle
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -173,6 +175,70 @@ def test_the_recorded_run_is_the_simulated_one(law: str, monkeypatch: pytest.Mon
         )
         np.testing.assert_array_equal(out.wrench, ticks["wrench"][k])
         np.testing.assert_array_equal(out.leg_forces, ticks["leg_forces"][k])
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},  # prediction, late frames
+        {"sensors.pose": "encoders", "camera.dropout": 0.4, "camera.on_lost": "hold"},
+        {"camera.prediction": "none", "camera.dropout": 0.4, "camera.timeout": 0.08},  # brakes now and then
+    ],
+    ids=["prediction", "encoders", "timeout"],
+)
+def test_a_pickled_controller_continues_bit_for_bit(law: str, changes: dict[str, object]) -> None:
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {"controller.law": law, "simulation.duration": 0.3, **changes}
+    )
+    ticks = _core.recorded_ticks(core_parameters(scenario))
+
+    def step(controller: hs.Controller, k: int) -> hs.ControllerOutput:
+        frame = np.isfinite(ticks["exposure"][k, 0])
+        return controller.step(
+            ticks["features"][k] if frame else None,
+            ticks["depth"][k] if frame else None,
+            *(ticks[name][k] for name in ("position", "quaternion", "twist")),
+            exposure=float(ticks["exposure"][k, 0]) if frame else None,
+            leg_lengths=ticks["leg_lengths"][k],
+            leg_rates=ticks["leg_rates"][k],
+        )
+
+    original = hs.Controller(scenario)
+    count = len(ticks["now"])
+    for k in range(count // 2):
+        step(original, k)
+    continued = [pickle.loads(pickle.dumps(original)), copy.deepcopy(original)]
+    fresh = hs.Controller(scenario)
+    differs = False
+    for k in range(count // 2, count):
+        expected = step(original, k)
+        for other in continued:
+            assert_equal(step(other, k), expected)
+        differs |= not np.array_equal(step(fresh, k).wrench, expected.wrench)
+    np.testing.assert_array_equal(continued[0].fuzzy_weights, original.fuzzy_weights)
+    assert differs, "a controller without the state gave the same: nothing was tested"
+
+
+def assert_equal(one: hs.ControllerOutput, other: hs.ControllerOutput) -> None:
+    for name in one._fields:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_a_state_of_another_controller_is_refused() -> None:
+    scenario = hs.load_scenario("composite-30hz")
+    one = hs.Controller(scenario)._core
+    other = hs.Controller(scenario.updated({"controller.law": "kelly"}))._core
+    with pytest.raises(ValueError, match=r"^state: expected \d+ numbers, those of this scenario and period, got \d+$"):
+        one.restore(other.state())
+    state = one.state()
+    one.restore(state)
+    for wrong in ("text", [[1.0]], None):
+        with pytest.raises(ValueError, match=r"^state: expected a vector of numbers"):
+            one.restore(wrong)
+    with pytest.raises(ValueError, match="in the place of a mask or a count"):
+        one.restore(np.full_like(state, 0.5))
+    np.testing.assert_array_equal(one.state(), state)
 
 
 @pytest.mark.parametrize(("name", "law"), [("real-machine", "pbvs"), ("slow-camera", "composite")])

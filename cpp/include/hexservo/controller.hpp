@@ -11,6 +11,9 @@
 #include "hexservo/servo.hpp"
 #include "hexservo/settings.hpp"
 
+#include <span>
+#include <vector>
+
 namespace hexservo {
 
 /// What the controller of one robot needs, prepared and validated by `controller_gains`.
@@ -109,8 +112,20 @@ template <class Law>
 ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
                       const ControllerInput& input) noexcept;
 
+/// All numbers of a state, to store it: its size depends on law and camera alone.
+template <class Law>
+std::vector<double> stored(ControllerState<Law> state);
+
+/// Continues from a state that was stored by a controller of the same scenario and period.
+/// @param state of the same gains; unchanged where this throws
+/// @throws std::invalid_argument for another number of numbers than `stored` gives, or one that no state has
+template <class Law>
+void restore(ControllerState<Law>& state, std::span<const double> numbers);
+
 #define HEXSERVO_ELSEWHERE(Law)                                                             \
   extern template ControllerGains<Law> controller_gains(const Settings<Law>&, double);      \
+  extern template std::vector<double> stored(ControllerState<Law>);                         \
+  extern template void restore(ControllerState<Law>&, std::span<const double>);             \
   extern template ControllerOutput step(const ControllerGains<Law>&, ControllerState<Law>&, \
                                         const ControllerInput&) noexcept;
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)

@@ -125,6 +125,17 @@ class PoseHistory {
     return pose;
   }
 
+  /// Calls `f` with each member that is kept from tick to tick, always in the same order.
+  template <class F>
+  void for_each_member(F&& f) {
+    for (Entry& entry : entries_) {
+      f(entry.tick);
+      f(entry.pose.position);
+      f(entry.pose.quaternion);
+    }
+    f(count_);
+  }
+
  private:
   struct Entry {
     double tick = 0.0;
@@ -216,6 +227,26 @@ class Perception {
   }
 
   const Perceived<S, N>& now() const noexcept { return now_; }
+
+  /// Calls `f` with each member that is kept from tick to tick, always in the same order; the rest of `now` is computed
+  /// at each tick.
+  template <class F>
+  void for_each_member(F&& f) {
+    f(now_.pose.position);
+    f(now_.pose.quaternion);
+    f(now_.twist);
+    f(now_.newest);
+    f(now_.unsensed);
+    f(clock_);
+    history_.for_each_member(f);
+    f(held_.features);
+    f(held_.depth);
+    f(points_B_);
+    f(seen_at_);
+    f(lost_);
+    f(lengths_);
+    f(read_at_);
+  }
 
  private:
   void sense_joints(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {

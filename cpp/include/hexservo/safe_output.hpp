@@ -43,6 +43,17 @@ struct SafetyState {
   Pose<S> last_pose;  ///< the last one that was known and not singular; home before the first
   Pose<S> stop_pose;  ///< chi_stop
   Mask<S> braking;    ///< where the tick before had no law either
+
+  /// Calls `f` with each member, always in the same order.
+  template <class F>
+  void for_each_member(F&& f) {
+    perception.for_each_member(f);
+    f(last_pose.position);
+    f(last_pose.quaternion);
+    f(stop_pose.position);
+    f(stop_pose.quaternion);
+    f(braking);
+  }
 };
 
 /// What goes to the actuators at a tick.

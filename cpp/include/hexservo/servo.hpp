@@ -24,6 +24,13 @@ struct ServoState : SafetyState<S, N> {
   explicit ServoState(const ServoGains<S, Law, N>& gains) : SafetyState<S, N>(gains), law(gains.initial_law_state) {}
 
   typename Law::template State<S> law;
+
+  /// Calls `f` with each member, always in the same order.
+  template <class F>
+  void for_each_member(F&& f) {
+    SafetyState<S, N>::for_each_member(f);
+    f(law);
+  }
 };
 
 /// One tick: what the law gives, and what is commanded.

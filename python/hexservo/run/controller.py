@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, TypeAlias, cast
+from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,6 +70,16 @@ class Controller:
         self._scenario = scenario
         self._core = _core.Controller(*controller_arguments(scenario, period))
         self._next = 0.0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return scenario, period and all that is kept from tick to tick: copies and pickles go on from here."""
+        return {"scenario": self._scenario, "period": self.period, "next": self._next, "state": self._core.state()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Continue where `__getstate__` was called."""
+        self.__init__(state["scenario"], state["period"])  # type: ignore[misc]
+        self._core.restore(state["state"])
+        self._next = state["next"]
 
     def __repr__(self) -> str:
         """Show the scenario's name and the period."""
