@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from hexservo.campaigns.engine import campaign
     from hexservo.campaigns.plan import CampaignPlan, campaign_names
     from hexservo.campaigns.result import CampaignResult, WorstRun, load_campaign
+    from hexservo.campaigns.worst_case import WorstCase, worst_case
     from hexservo.findings.analysis import Analysis, analyse
     from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
     from hexservo.findings.diagnosis import Diagnosis, diagnose
@@ -66,6 +67,7 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "VariantError",
+    "WorstCase",
     "WorstRun",
     "__version__",
     "analyse",
@@ -83,6 +85,7 @@ __all__ = [
     "scenario_names",
     "simulate",
     "simulate_batch",
+    "worst_case",
     "write_report",
 ]
 
@@ -93,6 +96,7 @@ _MODULES = {
     "campaigns.engine": ("campaign",),
     "campaigns.plan": ("CampaignPlan", "campaign_names"),
     "campaigns.result": ("CampaignResult", "WorstRun", "load_campaign"),
+    "campaigns.worst_case": ("WorstCase", "worst_case"),
     "findings.analysis": ("Analysis", "analyse"),
     "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),
     "findings.diagnosis": ("Diagnosis", "diagnose"),

@@ -137,7 +137,7 @@ class Store:
             )
         written = plan_text(self.plan, self.record)
         if not plan.exists() or plan.read_text(encoding="utf-8") != written:
-            self._write(plan, written.encode())
+            _write(plan, written.encode())
         (self.folder / "chunks").mkdir(exist_ok=True)
         for folder in (self.folder, self.folder / "chunks"):  # what killed processes left
             for entry in folder.iterdir():
@@ -174,7 +174,7 @@ class Store:
         OutputError
             It cannot be written; the other ones stay.
         """
-        self._write(self.path_of(index), content)
+        _write(self.path_of(index), content)
 
     def set_aside(self, index: int) -> None:
         """Rename a damaged chunk to ``....damaged``."""
@@ -190,26 +190,11 @@ class Store:
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Write ``summary.json``."""
         text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        self._write(self.folder / SUMMARY, text.encode())
+        _write(self.folder / SUMMARY, text.encode())
 
     def write_worst(self, text: str) -> None:
         """Write ``worst-run.yaml``."""
-        self._write(self.folder / WORST, text.encode())
-
-    def _write(self, path: Path, content: bytes) -> None:
-        """Write a file beside its place, have it on the disk, and give it its name."""
-        draft = path.with_name(f".{path.name}-{secrets.token_hex(6)}{_PART}")
-        with _refusing(path):
-            try:
-                with draft.open("xb") as file:
-                    file.write(content)
-                    file.flush()
-                    os.fsync(file.fileno())
-                draft.replace(path)
-            except BaseException:
-                draft.unlink(missing_ok=True)
-                raise
-            synchronize(path.parent)
+        write_scenario(self.folder, WORST, text)
 
 
 def new_record(plan: CampaignPlan) -> dict[str, Any]:
@@ -255,6 +240,33 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
         raise ResultError(
             f"{named(path)}: expected a campaign that this version reads, got: {error.problems[0]}"
         ) from None
+
+
+def write_scenario(folder: Path, name: str, text: str) -> None:
+    """Write a scenario file into a campaign's folder, in place of an earlier one.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    _write(folder / name, text.encode())
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file beside its place, have it on the disk, and give it its name."""
+    draft = path.with_name(f".{path.name}-{secrets.token_hex(6)}{_PART}")
+    with _refusing(path):
+        try:
+            with draft.open("xb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            draft.replace(path)
+        except BaseException:
+            draft.unlink(missing_ok=True)
+            raise
+        synchronize(path.parent)
 
 
 @contextlib.contextmanager

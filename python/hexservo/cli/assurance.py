@@ -50,6 +50,10 @@ def campaign(
     threads: Annotated[
         int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
     ] = None,
+    worst: Annotated[
+        bool,
+        typer.Option("--worst", help="Search the worst case too, when the runs are complete; it is kept as a file."),
+    ] = False,
     settings: SettingsOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
 ) -> None:
@@ -59,6 +63,8 @@ def campaign(
     the failure probability, which holds at whatever number of runs one stops, and the worst runs.
     """
     with errors_as_messages():
+        from hexservo.run.publish import OutputError
+
         changes = changes_of(settings or [])
         watched = sys.stderr is not None and sys.stderr.isatty() and not quiet
         started = time.perf_counter()
@@ -73,10 +79,10 @@ def campaign(
                 progress=watched,
                 warn=lambda sentence: complain(sentence, head="Warning"),
             )
-        except hs.ScenarioError:
+        except (hs.ScenarioError, hs.ResultError, OutputError):
             raise
         except ValueError as error:  # of an option, as the number of threads
-            raise _as_message(error) from error
+            raise hs.ScenarioError(str(error).splitlines()) from error
         if not quiet:
             show_parts(*_report(result, out, time.perf_counter() - started))
         if result.interrupted:
@@ -84,14 +90,15 @@ def campaign(
             of = "" if planned is None else f" of {planned}"
             complain(f"{len(result)}{of} runs are kept; the same command goes on", head="Interrupted")
             raise typer.Exit(INTERRUPTED)
-
-
-def _as_message(error: ValueError) -> ValueError:
-    """Return an error with a message for the terminal; those of the output have one."""
-    from hexservo.run.publish import OutputError
-
-    ours = isinstance(error, OutputError | hs.ResultError)
-    return error if ours else hs.ScenarioError(str(error).splitlines())
+        if worst:
+            try:
+                case = hs.worst_case(result, threads=threads)
+            except OutputError:
+                raise
+            except ValueError as error:  # nothing but seeds varies
+                raise hs.ScenarioError(str(error).splitlines()) from error
+            if not quiet:
+                show_parts("", *printed([case.section()]), f"\nthe worst case found: hexservo run {case.path}")
 
 
 def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[RenderableType]:

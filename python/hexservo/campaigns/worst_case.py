@@ -1,0 +1,207 @@
+"""The worst case: the smallest margin that a search finds within the box of what varies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hexservo.campaigns.chunks import batch_margins
+from hexservo.campaigns.result import CampaignResult
+from hexservo.campaigns.store import write_scenario
+from hexservo.findings.diagnosis import diagnose
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Cell, Column, Section, Table
+from hexservo.run.batch import simulate_batch, whole
+from hexservo.run.simulation import simulate
+from hexservo.run.variations import known_key, plain_row
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number
+
+if TYPE_CHECKING:
+    from hexservo.findings.diagnosis import Diagnosis
+
+__all__ = ["WorstCase", "smallest_in_box", "worst_case"]
+
+CASE = "worst-case.yaml"
+_POPULATION = 12  # candidates of a generation, at least
+_SIGMA = 0.3  # first spread of the candidates, in parts of the box
+_STALLED = 1e-3  # a search ends when its candidates' margins differ by less
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class WorstCase(Findings):
+    """The worst case found: nothing says that there is none worse."""
+
+    scenario: Scenario  # of the run with the smallest margin: `hs.simulate` repeats it
+    path: Path  # of its file, in the campaign's folder
+    margin: float  # smallest one of its requirements; negative: it fails
+    margins: tuple[tuple[str, float], ...]  # requirement, smallest margin that was found for it alone
+    drawn_margin: float  # smallest one of the campaign's own runs
+    runs: int  # that were simulated
+    seed: int  # of the search
+    diagnosis: Diagnosis | None = field(default=None)  # of the run, where it fails
+
+    def headline(self) -> str:
+        """Return a line that names the scenario."""
+        return f'Worst case of a campaign on "{self.scenario.name}"'
+
+    def section(self) -> Section:
+        """Return the margin in sentences, and the smallest one of each requirement."""
+        verdict = "fails" if self.margin < 0 else "passes"
+        sentences = [
+            f"The worst case found {verdict}: its margin is {number(self.margin)}; the smallest one of the campaign's "
+            f"own runs is {number(self.drawn_margin)}.",
+            f"It is the worst of {self.runs} runs of a search (seed {self.seed}), which proves no bound.",
+        ]
+        if self.diagnosis is not None and self.diagnosis.causes:
+            sentences.append(f"Most likely cause: {self.diagnosis.causes[0].title}.")
+        rows: list[list[Cell]] = [["all together", self.margin]]
+        rows += [[name, margin] for name, margin in self.margins]
+        table = Table("Smallest margin found", (Column("requirement"), Column("margin")), rows, "", "docs/campaigns.md")
+        data: dict[str, Any] = {
+            "margin": self.margin,
+            "margins": dict(self.margins),
+            "runs": self.runs,
+            "seed": self.seed,
+        }
+        return Section("worst_case", "Worst case", sentences, [table], "bad" if self.margin < 0 else "good", data)
+
+
+def worst_case(
+    result: CampaignResult, *, runs: int = 4000, restarts: int = 3, seed: int = 0, threads: int | None = None
+) -> WorstCase:
+    """Search the box of a campaign's variations for its smallest margin (docs/campaigns.md, section 7).
+
+    The case is written to ``worst-case.yaml`` in the campaign's folder, in place of an earlier one.
+
+    CMA-ES (Hansen 2016) minimises the margin of all requirements together, and of each by itself, from the campaign's
+    worst runs. The box is that of the distributions: 3 standard deviations for a normal one without a clip. Seeds are
+    those of the run from which a search begins.
+
+    Parameters
+    ----------
+    result
+        A campaign with runs.
+    runs
+        To simulate for each search: one for all requirements together, and one for each if there are several.
+    restarts
+        Worst runs of the campaign from which each search begins, which share its `runs`; at least 1.
+    seed
+        Of the search: the same one finds the same case.
+    threads
+        As for `simulate_batch`.
+
+    Raises
+    ------
+    ValueError
+        The campaign has no runs, or nothing but seeds varies.
+    OutputError
+        ``worst-case.yaml`` in the campaign's folder cannot be written (a `ValueError`).
+    KeyboardInterrupt
+        Ctrl-C: nothing is written.
+    """
+    plan, starts = result.plan, [one["index"] for one in result.summary["worst"]][:restarts]
+    drawing = plan.drawing()
+    if not starts or not drawing.dimension:
+        raise ValueError("result: expected a campaign with runs, in which more than seeds varies")
+    base = plan.scenario.updated(drawing.base)
+    simulated = 0
+
+    def search(columns: Sequence[int]) -> tuple[float, Array, int]:
+        found: list[tuple[float, Array, int]] = []
+        for start in starts:
+
+            def smallest(shares: Array, start: int = start) -> Array:
+                nonlocal simulated
+                simulated += len(shares)
+                numbers = drawing.numbers_at(shares, start)
+                batch = whole(simulate_batch(base, drawing.variations(numbers), "metrics", threads))
+                return np.asarray(batch_margins(batch, numbers, plan.require)[:, columns].min(axis=1))
+
+            budget = runs // len(starts)
+            place, margin = smallest_in_box(smallest, drawing.shares(start), budget, seed + 1 + start)
+            found.append((margin, place, start))
+        return min(found, key=lambda one: one[0])
+
+    found = [search(range(len(plan.require)))]
+    alone = [column for column, one in enumerate(plan.require) if one.name != "outcome"]
+    if len(plan.require) > 1:  # a run that does not complete fails them all
+        found += [search([column]) for column in alone]
+    margin, place, start = min(found, key=lambda one: one[0])
+    law = base.controller.law
+    drawn = drawing.variations(drawing.numbers_at(place[None], start))
+    scenario = base.updated({key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()})
+    write_scenario(result.folder, CASE, scenario.to_yaml())
+    return WorstCase(
+        scenario,
+        result.folder / CASE,
+        margin,
+        tuple((str(plan.require[column]), each[0]) for column, each in zip(alone, found[1:], strict=False)),
+        float(result.summary["worst"][0]["margin"]),
+        simulated,
+        seed,
+        diagnose(simulate(scenario)) if margin < 0 else None,
+    )
+
+
+def smallest_in_box(
+    function: Callable[[Array], Array], start: Array, evaluations: int, seed: int
+) -> tuple[Array, float]:
+    """Return where a function is smallest within the unit box, and its value there: the best point that was tried.
+
+    CMA-ES from `start`, then from random points with twice as many candidates each time (IPOP, Auger and Hansen 2005),
+    as long as there are evaluations. After each search every entry of the best point is tried at 0 and 1, until none
+    of these is better.
+
+    Parameters
+    ----------
+    function
+        Takes points (n, d), each entry from 0 to 1, and returns their values (n,).
+    start
+        (d,), where the first search begins.
+    evaluations
+        Points to try, at most.
+    seed
+        Of the search, at least 1.
+    """
+    import cma
+
+    random = np.random.default_rng(seed)
+    best, smallest, left = start, math.inf, evaluations
+
+    def tried(points: Array) -> Array:
+        nonlocal best, smallest, left
+        values = function(points)
+        left -= len(points)
+        place = int(np.argmin(values))
+        if values[place] < smallest:
+            best, smallest = points[place], float(values[place])
+        return values
+
+    tried(start[None])
+    begin, population = start, min(max(_POPULATION, 4 + int(3 * math.log(len(start)))), max(evaluations // 4, 2))
+    kept = min(6 * len(start), evaluations // 4)  # for the entries' ends
+    while left >= population + kept:
+        # one coordinate more where there is one alone, which the method does not take
+        padded = np.append(begin, 0.5) if len(begin) == 1 else begin
+        options = {"bounds": [0, 1], "seed": seed, "popsize": population, "verbose": -9, "tolfun": _STALLED}
+        strategy = cma.CMAEvolutionStrategy(padded, _SIGMA, options)
+        while left >= population + kept and not strategy.stop():
+            candidates = strategy.ask()
+            strategy.tell(candidates, tried(np.array(candidates)[:, : len(start)]).tolist())
+        ends = np.concatenate([np.zeros(len(start)), np.ones(len(start))])
+        entries = np.tile(np.arange(len(start)), 2)
+        improved = True
+        while improved and left >= len(ends):  # each entry at its ends: a worst case often is a corner
+            before, around = smallest, np.repeat(best[None], len(ends), axis=0)
+            around[np.arange(len(ends)), entries] = ends
+            tried(around)
+            improved = smallest < before
+        begin, seed, population = random.random(len(start)), seed + 1, min(2 * population, max(left // 4, 2))
+    return best, smallest
