@@ -405,7 +405,7 @@ def test_a_custom_controller_has_the_energy_balance_only(paper: hs.Scenario) -> 
     sampled = {**SHORT, "simulation.mode": "sampled"}
     certificate = hs.certify(hs.simulate(paper.updated(sampled), controller=own))
     assert certificate.lyapunov is None
-    assert "user's function" in certificate.sections()[0].sentences[0]
+    assert "custom function" in certificate.sections()[0].sentences[0]
     assert certificate.energy is not None
     assert certificate.energy.closes
     thinned = hs.simulate(paper.updated({**sampled, "simulation.log_every": 2}), controller=own)

@@ -45,7 +45,7 @@ class WorkspacePose:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Workspace(Part):
-    """What the legs allow."""
+    """Reach, singularities and loads of the legs."""
 
     scene: Scene
     goals: Goals | None

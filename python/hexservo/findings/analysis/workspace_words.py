@@ -68,7 +68,7 @@ def _sentences(found: Workspace) -> list[str]:
 
 
 def _overloaded(found: Workspace) -> bool:
-    """Whether holding the platform takes nearly all that the legs allow, or more, and their stroke is no worse."""
+    """Return whether the holding forces are near the limit of the legs, or beyond, and the stroke is not exceeded."""
     force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
     beyond = _margin(found, found.nearest or found.start) < 0
     return not beyond and force > (1 - _SLIM) * found.force_limit

@@ -115,7 +115,7 @@ def certify(result: Result) -> Certificate:
 def _outside_theorem(run: Replay) -> str:
     """Return why the theorem does not apply to a run; empty if it does."""
     if run.own:
-        return "Does not apply: the controller is its user's function, and the theorem is of the law hybrid."
+        return "Does not apply: the controller is a custom function, and the theorem is about the law hybrid."
     if run.scenario.controller.law != "hybrid":
         return f"Does not apply: the theorem is of the law hybrid, and this run's is {run.scenario.controller.law}."
     if not run.continuous:

@@ -55,7 +55,7 @@ class EnergyLedger(Part):
     turnover: float  # sum of the works' absolute values over terms and samples [J]
     mismatch: float  # largest difference of a rebuilt twist from its sample, by the largest twist [1]
     negligible: float  # a tolerance below it is small, however little was turned over [J]
-    tossed: int  # steps in which rounding decided a sign, one way in the run and the other way here
+    tossed: int  # steps in which rounding decided a sign, differently in the run and in its repetition
     crossings: int  # steps in which a component of the twist changes its sign
     remarks: tuple[str, ...]
 
@@ -160,10 +160,10 @@ class _Terms:
         remarks: list[str] = []
         known = not run.own and (run.continuous or scenario.camera.convention == "eye_in_hand")
         if run.own:
-            remarks.append("The controller is its user's function: its terms are not known, only what acted.")
+            remarks.append("The controller is a custom function: its terms are not known, only the acting wrench.")
         elif not known:
             remarks.append(
-                "A sampled camera as printed shows nothing between two ticks: the law is not split into terms."
+                "A sampled camera as printed has no image between two ticks: the law is not split into terms."
             )
         zeroed: list[str] = []
         without = []

@@ -42,7 +42,7 @@ def section(found: EnergyLedger) -> Section:
         if term in found.works
     ]
     sentences.extend(found.remarks)
-    sentences.append("This is bookkeeping of one run, and no statement about others.")
+    sentences.append("This is the energy balance of this run only.")
     table = Table(
         "Work of each term",
         (

@@ -39,14 +39,14 @@ def section(found: Lyapunov) -> Section:
         if found.above_start:
             highest = float(found.time[int(found.change.argmax())])
             sentences.append(
-                f"Yet V was {joules(top, 3)} above its start at t = {highest:.4g} s: it grew where that "
+                f"However, V was {joules(top, 3)} above its start at t = {highest:.4g} s: it grew where that "
                 "error is large, or at samples that are left out."
             )
     else:
         worst = max(found.rises, key=lambda rise: rise.rate)
         sentences.append(
             f"V grew at {rising} of {found.compared} samples compared (of {len(found.time)}), by up to "
-            f"{joules(worst.rate, 3, 'W')} at t = {worst.first:.4g} to {worst.last:.4g} s, most of it by "
+            f"{joules(worst.rate, 3, 'W')} at t = {worst.first:.4g} to {worst.last:.4g} s, mostly due to "
             f"{_blame(worst)}; "
             f"over the whole run V changed by {joules(change)}."
         )
@@ -80,8 +80,8 @@ def section(found: Lyapunov) -> Section:
         )
     sentences.append(
         "This is a numerical check at the samples of one trajectory and proves no stability. V contains w*, which "
-        "is known only afterwards; and even a V that falls from every start means stability, not convergence: "
-        "friction-like switching may hold an error for good."
+        "is known only afterwards. Even a V that falls from every start means stability, not convergence: the "
+        "switching term may hold an error by dry friction."
     )
     return Section(
         name="lyapunov",
@@ -139,7 +139,7 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
             Column("samples"),
             Column("largest V-dot", "uW"),
             Column("axis"),
-            Column("term to blame"),
+            Column("largest term"),
             Column("its power", "uW"),
             Column("gamma of the axis"),
         ),
@@ -156,7 +156,7 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
             )
             for rise in rises[:_ROWS]
         ],
-        note=f"{len(rises)} stretches in all. gamma in N or N m.",
+        note=f"{len(rises)} intervals in all. gamma in N or N m.",
         page=PAGE,
     )
     terms = (("kinetic energy", found.kinetic), ("image error", found.image), ("weight error", found.weight))

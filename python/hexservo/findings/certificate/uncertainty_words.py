@@ -36,8 +36,8 @@ def section(found: Assumption) -> Section:
         sentences.append("No fuzzy systems act: gamma is Delta-tau itself.")
     else:
         sentences.append(
-            "eta_Delta is that of the best weights for this run, found afterwards; weights that the law learned "
-            "are others."
+            "eta_Delta is that of the best weights for this run, found afterwards; they differ from the weights "
+            "of the law."
         )
         limited = [j for j in failed if found.weights[j].limited]
         if limited:
@@ -45,7 +45,7 @@ def section(found: Assumption) -> Section:
                 f"Weights were limited to {number(found.weights[limited[0]].limit)} {UNITS[limited[0]]} on "
                 f"{AXES[limited[0]]}; larger ones could have a smaller error there."
             )
-    sentences.append("This holds at the samples of one trajectory, and is no statement about others.")
+    sentences.append("This holds at the samples of this trajectory only.")
     rows = [
         (
             AXES[j],

@@ -136,7 +136,7 @@ def _finding(case: Case, trial: Trial, signature: Signature, remedy: Remedy | No
     without = _as_remedy(case, trial.removal, trial.record, trial.judgement)
     evidence = [f"With {without.words} the run {how(without)}; {trial.cure:.0%} of the failure is gone."]
     if trial.alone:
-        evidence.append("By itself, in a scenario without other faults, it makes the run fail as well.")
+        evidence.append("Alone, in a scenario without other faults, it also makes the run fail.")
     if signature.sentence:
         evidence.append(signature.sentence)
     return Finding(

@@ -51,7 +51,7 @@ def _late_camera(case: Case) -> list[Removal]:
     if camera.dropout and period > step:  # many frames would make up for lost ones: the same wait for lost ones
         wait = camera.dropout / (1.0 - camera.dropout) * period / step if camera.dropout < 1.0 else math.inf
         changes["camera.dropout"] = wait / (1.0 + wait) if math.isfinite(wait) else 1.0
-        words += ", and so many more of them lost that the wait for lost ones is the same"
+        words += ", with as long a mean wait for lost frames"
     return [Removal(words, changes)]
 
 
@@ -64,7 +64,7 @@ def _lost_features(case: Case) -> list[Removal]:
         changes["camera.image_size"] = None
     if camera.dropout:
         changes["camera.dropout"] = 0.0
-    return [Removal("an image without a border, of which no frame is lost", changes)]
+    return [Removal("an image without border, and no lost frames", changes)]
 
 
 def _brake(case: Case) -> list[Removal]:
@@ -78,7 +78,7 @@ def _brake(case: Case) -> list[Removal]:
 def _image_timeout(case: Case) -> list[Removal]:
     if not case.sampled or case.scenario.camera.timeout is None:
         return []
-    return [Removal("images that are used however old they are", {"camera.timeout": None})]
+    return [Removal("images without an age limit", {"camera.timeout": None})]
 
 
 def _pixel_noise(case: Case) -> list[Removal]:
@@ -116,7 +116,7 @@ def _encoder_noise(case: Case) -> list[Removal]:
 def _encoder_resolution(case: Case) -> list[Removal]:
     if not _with_encoders(case) or case.scenario.sensors.resolution == 0.0:
         return []
-    return [Removal("encoders that do not round", {"sensors.resolution": 0.0})]
+    return [Removal("encoders with exact resolution", {"sensors.resolution": 0.0})]
 
 
 def _encoder_period(case: Case) -> list[Removal]:
@@ -141,7 +141,7 @@ def _encoders(case: Case) -> list[Removal]:
 def _saturation(case: Case) -> list[Removal]:
     if not case.sampled or not case.scenario.actuators.saturation:
         return []
-    return [Removal("legs that give any force", {"actuators.saturation": False})]
+    return [Removal("legs without a force limit", {"actuators.saturation": False})]
 
 
 def _actuator_delay(case: Case) -> list[Removal]:
@@ -165,7 +165,7 @@ def _actuator_quantisation(case: Case) -> list[Removal]:
 def _actuator_hold(case: Case) -> list[Removal]:
     if not case.sampled or case.scenario.actuators.hold == "wrench":
         return []
-    return [Removal("a wrench that is held while the legs turn", {"actuators.hold": "wrench"})]
+    return [Removal("a wrench that is held while the legs rotate", {"actuators.hold": "wrench"})]
 
 
 def _base_motion(case: Case) -> list[Removal]:
@@ -338,7 +338,7 @@ DEVICES: tuple[Cause, ...] = (
     ),
     Cause(
         "actuator_hold",
-        "leg forces that are held while the legs turn",
+        "leg forces that are held while the legs rotate",
         "device",
         _keys("actuators.hold"),
         _actuator_hold,

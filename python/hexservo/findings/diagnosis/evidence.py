@@ -27,17 +27,17 @@ _WANDER = 0.1  # of the stroke, by which one standard deviation of noise moves t
 class Signature:
     """How well the recorded signals of a run fit a cause."""
 
-    strength: float | None  # 0 (not at all) to 1; None: this cause leaves no trace
-    sentence: str  # what was seen, with its numbers; "" where there is nothing to say
+    strength: float | None  # 0 (not at all) to 1; None: this cause has no signature
+    sentence: str  # the evidence with its numbers; may be empty
 
 
 def _wrong_sign(case: Case, record: Record, judgement: Judgement) -> Signature:
     start = record.error[0]
     if start <= 0.0 or record.error.min() < 0.98 * start or record.metrics["peak_error"] < 1.5 * start:
-        return Signature(0.0, "The error shrinks at first, which it does not with the wrong sign.")
+        return Signature(0.0, "The error decreases at first; with the wrong sign it would not.")
     return Signature(
         1.0,
-        f"The error never shrinks: {number(start)} px at the start, {number(record.metrics['peak_error'])} px at "
+        f"The error never decreases: {number(start)} px at the start, {number(record.metrics['peak_error'])} px at "
         f"t = {number(record.end_time)} s.",
     )
 
@@ -49,7 +49,7 @@ def _coarse_step(case: Case, record: Record, judgement: Judgement) -> Signature:
 def _saturation(case: Case, record: Record, judgement: Judgement) -> Signature:
     limit = case.scenario.robot.force_limit
     share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
-    sentence = f"A leg gives its limit of {number(limit, 4)} N for {share:.0%} of the time."
+    sentence = f"A leg is at its force limit of {number(limit, 4)} N for {share:.0%} of the time."
     return Signature(min(1.0, share / 0.2), sentence)
 
 
@@ -68,9 +68,7 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
         strength = max(strength, min(1.0, 2.0 * camera.dropout))
         period = frame_period(case.scenario)
         gap = period / (1.0 - camera.dropout) if camera.dropout < 1.0 else np.inf
-        sentences.append(
-            f"A frame that is not lost comes every {number(gap)} s in the mean, not every {number(period)} s."
-        )
+        sentences.append(f"Frames arrive every {number(gap)} s on average, instead of every {number(period)} s.")
     return Signature(strength, " ".join(sentences))
 
 
@@ -84,8 +82,7 @@ def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
     excess = abs(error * body.gravity_wrench[2])
     sentence = (
         f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {number(abs(rise) * 1e3)} mm; "
-        f"{number(excess)} N of weight are fed forward "
-        f"{'that are not there' if error > 0.0 else 'too little'}."
+        f"the weight fed forward is {number(excess)} N too {'large' if error > 0.0 else 'small'}."
     )
     return Signature(min(1.0, 1.5 * share) if rise * error > 0.0 else 0.2, sentence)
 
@@ -95,9 +92,9 @@ def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signatur
         return Signature(0.3, "")
     return Signature(
         1.0,
-        f"The image is within {number(2.0 * case.scenario.metrics.band)} px at the end while the platform goes "
-        f"{number(record.metrics['peak_displacement'] * 1e3)} mm away and still moves at "
-        f"{number(record.drift * 1e3, 2)} mm/s by its fastest leg.",
+        f"The image is within {number(2.0 * case.scenario.metrics.band)} px at the end while the platform moves by "
+        f"{number(record.metrics['peak_displacement'] * 1e3)} mm; its fastest leg still moves at "
+        f"{number(record.drift * 1e3, 2)} mm/s.",
     )
 
 
@@ -109,7 +106,8 @@ def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
     held = math.hypot(*(scale * record.samples["fuzzy_output"][-1]))  # no square of it overflows
     friction = math.hypot(*(scale * np.broadcast_to(getattr(case.scenario.controller, law).kv, 6)))
     sentence = (
-        f"At the end the fuzzy systems hold {number(held)} N against {friction:.3g} N of K_v (moments by the radius)."
+        f"At the end the output of the fuzzy systems is {number(held)} N, and K_v is {friction:.3g} N (moments by the "
+        "radius)."
     )
     return Signature(min(1.0, held / (2.0 * friction)) if friction else 1.0, sentence)
 
@@ -135,8 +133,8 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
     swings = int((np.diff(np.sign(largest[np.abs(largest) > case.scenario.metrics.band])) != 0).sum())
     age = camera.latency + camera.latency_jitter + frame_period(case.scenario)
     sentence = (
-        f"The error crosses zero {swings} times; what the law sees is up to {number(age * 1e3)} ms old, and it "
-        f"acts every {number(case.scenario.simulation.step * 1e3)} ms."
+        f"The error crosses zero {swings} times; images in use are up to {number(age * 1e3)} ms old, with a "
+        f"servo period of {number(case.scenario.simulation.step * 1e3)} ms."
     )
     return Signature(min(1.0, swings / 3.0), sentence)
 
@@ -146,7 +144,7 @@ def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
     worst = pixels_per_metre(camera, features, depth)
     noise = case.scenario.camera.noise if case.scenario.simulation.mode == "sampled" else 0.0
     wander = noise / worst
-    sentence = f"In the worst direction 1 px is {number(1e3 / worst)} mm at the target's distance"
+    sentence = f"In the least observable direction 1 px is {number(1e3 / worst)} mm at the target's distance"
     sentence += (
         f", and the noise of {number(noise)} px is {number(wander * 1e3)} mm." if noise else "; there is no noise."
     )

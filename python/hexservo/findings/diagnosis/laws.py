@@ -128,7 +128,7 @@ def _gains_low(case: Case) -> list[Removal]:
         if (changes := slower(scenario, 1.0 / factor))
     ]
     raised = not_below_default(scenario)
-    return [*removals, Removal("stiffness and damping at least of the defaults", raised)] if raised else removals
+    return [*removals, Removal("stiffness and damping of at least the defaults", raised)] if raised else removals
 
 
 def _coarse_step(case: Case) -> list[Removal]:
@@ -169,7 +169,7 @@ def _poor_image(case: Case) -> list[Removal]:
     changes, gain = spread_target(case.scenario, case.goal)
     if gain < _RICHER:
         return []
-    words = f"four features on a square, which show the worst direction {gain:.3g} times better"
+    words = f"four features on a square, with the least observable direction {gain:.3g} times better"
     return [Removal(words, changes)]
 
 
@@ -214,7 +214,7 @@ def _false_equilibrium(case: Case) -> list[Removal]:
     scenario = case.scenario
     if scenario.controller.law not in IMAGE_ALONE or scenario.camera.convention != "eye_in_hand":
         return []
-    return [Removal("the law pbvs, which goes by the pose", {"controller.law": "pbvs"})]
+    return [Removal("the law pbvs, which regulates the pose", {"controller.law": "pbvs"})]
 
 
 def _duration(case: Case) -> list[Removal]:

@@ -36,7 +36,7 @@ def late_camera_remedies(case: Case, removal: Removal, record: Record) -> list[R
     """Predict features, or slow down the loop."""
     camera = case.scenario.camera
     if camera.convention == "eye_in_hand" and camera.prediction == "none":
-        words = "features carried along by the joint sensors between frames"
+        words = "prediction of the features from the joint sensors between frames"
         return [Removal(words, {"camera.prediction": "encoder"}), *slower_remedies(case, removal, record)]
     return slower_remedies(case, removal, record)
 
@@ -56,7 +56,7 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
             "uncertainty.coriolis": 1.0 - (1.0 - model.coriolis) / share,
         }
         if all(-1.0 < changes[f"uncertainty.{name}"] < 1.0 for name in ("inertia", "coriolis")):
-            remedies.append(Removal(f"the platform weighed, and {share * robot.mass:.4g} kg given to the law", changes))
+            remedies.append(Removal(f"the measured mass of {share * robot.mass:.4g} kg in the law", changes))
     if case.scenario.controller.law != "composite":
         remedies.append(Removal("the law composite, which integrates a wrong weight", {"controller.law": "composite"}))
     return [*remedies, removal]
@@ -73,7 +73,7 @@ def unequal_depth_remedies(case: Case, removal: Removal, record: Record) -> list
 def saturation_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Use stronger legs."""
     needed = rounded_up(1.1 * record.metrics["peak_leg_force"])
-    return [Removal(f"legs that give {needed:g} N", {"robot.force_limit": needed})]
+    return [Removal(f"legs with a force limit of {needed:g} N", {"robot.force_limit": needed})]
 
 
 def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
@@ -87,7 +87,7 @@ def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list
             Removal(f"an image of {size[0]:.0f} x {size[1]:.0f} px", {**removal.changes, "camera.image_size": size})
         )
     if camera.convention == "eye_in_hand" and camera.prediction == "none":
-        remedies.append(Removal("lost images carried along by the joint sensors", {"camera.prediction": "encoder"}))
+        remedies.append(Removal("prediction of lost features from the joint sensors", {"camera.prediction": "encoder"}))
     return [*remedies, removal]
 
 
