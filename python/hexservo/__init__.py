@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from hexservo import plots
     from hexservo.campaigns.engine import campaign
     from hexservo.campaigns.plan import CampaignPlan, campaign_names
+    from hexservo.campaigns.rare import RareFailures, estimate_rare_failures
     from hexservo.campaigns.result import CampaignResult, WorstRun, load_campaign
+    from hexservo.campaigns.sensitivity import Sensitivity, sensitivity
     from hexservo.campaigns.worst_case import WorstCase, worst_case
     from hexservo.findings.analysis import Analysis, analyse
     from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
@@ -62,10 +64,12 @@ __all__ = [
     "LegForces",
     "LimitEvent",
     "Observation",
+    "RareFailures",
     "Result",
     "ResultError",
     "Scenario",
     "ScenarioError",
+    "Sensitivity",
     "VariantError",
     "WorstCase",
     "WorstRun",
@@ -77,12 +81,14 @@ __all__ = [
     "certify_batch",
     "compare",
     "diagnose",
+    "estimate_rare_failures",
     "load_campaign",
     "load_result",
     "load_scenario",
     "metrics",
     "plots",
     "scenario_names",
+    "sensitivity",
     "simulate",
     "simulate_batch",
     "worst_case",
@@ -95,7 +101,9 @@ __version__ = VERSION
 _MODULES = {
     "campaigns.engine": ("campaign",),
     "campaigns.plan": ("CampaignPlan", "campaign_names"),
+    "campaigns.rare": ("RareFailures", "estimate_rare_failures"),
     "campaigns.result": ("CampaignResult", "WorstRun", "load_campaign"),
+    "campaigns.sensitivity": ("Sensitivity", "sensitivity"),
     "campaigns.worst_case": ("WorstCase", "worst_case"),
     "findings.analysis": ("Analysis", "analyse"),
     "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),

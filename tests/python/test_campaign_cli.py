@@ -110,10 +110,17 @@ def test_ctrl_c_ends_a_campaign_and_keeps_its_runs(tmp_path: Path) -> None:
 
 
 def test_the_example_of_the_page_runs(tmp_path: Path) -> None:
-    (example,) = examples(PAGE)
+    example, _ = examples(PAGE)
     verdict, *_, worst = output_of(example, tmp_path).splitlines()
     assert re.match(r"\d+ of 200 runs fail: the failure probability is between 0\.\d+ and 0\.\d+, ", verdict)
     assert re.match(r"-\d", worst)
+
+
+def test_the_example_of_estimates_runs(tmp_path: Path) -> None:
+    _, example = examples(PAGE)
+    estimate, most = output_of(example, tmp_path).splitlines()
+    assert re.match(r"The failure probability is estimated as 0\.\d+, ", estimate)
+    assert most.startswith("uncertainty.")
 
 
 def test_the_file_of_the_page_is_valid(tmp_path: Path) -> None:

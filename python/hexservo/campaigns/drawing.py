@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,15 +98,45 @@ class Drawing:
 
     def numbers_at(self, shares: Array, run: int) -> dict[str, NDArray[Any]]:
         """Return numbers as `numbers` does, for places in the box, (n, dimension), with the seed of a run."""
-        bits, start, found = self._bits(run, run + 1), 0, {}
+        seeds = [one for one in self._keys if one.variation.kind == SEED]
+        bits = self._bits(run, run + 1)[0, seeds[0].start] if seeds else 0
+        return self._laid_out(Variation.in_box, shares, np.full(len(shares), bits, dtype=np.uint64))
+
+    def numbers_of(self, uniform: Array, seeds: NDArray[np.uint64]) -> dict[str, NDArray[Any]]:
+        """Return numbers as `numbers` does, from uniform ones above 0 and below 1, (n, dimension), and seeds, (n,)."""
+        return self._laid_out(Variation.numbers, uniform, seeds)
+
+    def _laid_out(
+        self, number_of: Callable[[Variation, Array], Array], columns: Array, seeds: NDArray[np.uint64]
+    ) -> dict[str, NDArray[Any]]:
+        start, found = 0, {}
         for one in self._keys:
             if one.variation.kind == SEED:
-                found[one.name] = np.repeat(_values(one, bits[:, one.start : one.start + 1]), len(shares))
+                found[one.name] = seeds
                 continue
-            drawn = one.variation.in_box(shares[:, start : start + one.count])
+            drawn = number_of(one.variation, columns[:, start : start + one.count])
             found[one.name] = np.ascontiguousarray(one.base + drawn[:, one.entries])
             start += one.count
         return found
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the numbers that vary, (dimension) of them: ``target.rotation[0]``; seeds have none."""
+        found = []
+        for one in self._keys:
+            if one.variation.kind == SEED:
+                continue
+            if one.count == 1:
+                found.append(one.name)
+                continue
+            firsts = [tuple(np.argwhere(one.entries == number)[0]) for number in range(one.count)]
+            found += [one.name + "".join(f"[{index}]" for index in place) for place in firsts]
+        return found
+
+    @property
+    def has_seed(self) -> bool:
+        """Whether every run has a seed of itself."""
+        return any(one.variation.kind == SEED for one in self._keys)
 
     def variations(self, numbers: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Return what `simulate_batch` varies: `numbers`, with points (n, 4, 3) [m] for displacements of the target."""

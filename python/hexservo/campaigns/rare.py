@@ -1,0 +1,204 @@
+"""Rare failures: subset simulation, an estimate where a campaign would need too many runs (docs/campaigns.md)."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from hexservo.campaigns.chunks import batch_margins
+from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Cell, Column, Section, Table
+from hexservo.run.batch import simulate_batch, whole
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.wording import number
+
+__all__ = ["Levels", "RareFailures", "estimate_rare_failures", "subset_simulation"]
+
+_SHARE = 0.1  # of the samples of a level that begin the chains of the next one
+_MOST_LEVELS = 30
+_STEP = 0.6  # s of the first proposals, x' = sqrt(1 - s^2) x + s z; then by the share that is accepted
+_ACCEPTED = 0.44  # share of proposals to accept (Papaioannou et al. 2015)
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """What subset simulation found."""
+
+    probability: float  # estimate that the margin is negative; 0 if no level reached it
+    variation: float  # coefficient of variation of the estimate, with the correlation within the chains
+    thresholds: tuple[float, ...]  # margins of the levels, falling
+    evaluations: int
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class RareFailures(Findings):
+    """An estimate of a small failure probability. It is no bound, and replaces none."""
+
+    plan: CampaignPlan
+    levels: Levels
+    seed: int
+
+    def headline(self) -> str:
+        """Return a line that names the scenario."""
+        return f'Rare failures of "{self.plan.scenario.name}"'
+
+    def section(self) -> Section:
+        """Return the estimate in sentences, with the margins of the levels."""
+        levels = self.levels
+        if levels.probability > 0:
+            first = (
+                f"The failure probability is estimated as {levels.probability:.2g}, with a coefficient of variation of "
+                f"{number(levels.variation, 2)}."
+            )
+        else:
+            first = f"No level reached a failure: the smallest margin is {number(levels.thresholds[-1])}."
+        sentences = [
+            first,
+            f"It is an estimate by subset simulation ({levels.evaluations} runs, seed {self.seed}) and no bound: it "
+            "lacks failures in a region that no chain entered.",
+        ]
+        rows: list[list[Cell]] = [[place, margin] for place, margin in enumerate(levels.thresholds)]
+        table = Table("Levels", (Column("level"), Column("margin")), rows, "", "docs/campaigns.md")
+        data = {"probability": levels.probability, "variation": levels.variation, "evaluations": levels.evaluations}
+        return Section("rare_failures", "Rare failures", sentences, [table], "open", data)
+
+
+def estimate_rare_failures(
+    source: str | os.PathLike[str] | Mapping[str, Any] | CampaignPlan,
+    *,
+    samples: int = 1000,
+    seed: int = 0,
+    threads: int | None = None,
+) -> RareFailures:
+    """Estimate the failure probability of a campaign by subset simulation (docs/campaigns.md, section 8).
+
+    Parameters
+    ----------
+    source
+        As for `campaign`; its runs, chunks and confidence do not matter.
+    samples
+        Runs of a level, at least 100: a probability of 1e-k takes about k levels.
+    seed
+        Of the chains: the same one gives the same estimate.
+    threads
+        As for `simulate_batch`.
+
+    Raises
+    ------
+    ValueError
+        For fewer samples.
+    ScenarioError
+        As `campaign`.
+    KeyboardInterrupt
+        Ctrl-C.
+    """
+    plan = load_plan(source)
+    drawing = plan.drawing()
+    base = plan.scenario.updated(drawing.base)
+
+    def margin(normal: Array, seeds: NDArray[np.uint64]) -> Array:
+        numbers = drawing.numbers_of(np.clip(ndtr(normal), 0.5**53, 1 - 0.5**53), seeds)
+        batch = whole(simulate_batch(base, drawing.variations(numbers), "metrics", threads))
+        return np.asarray(batch_margins(batch, numbers, plan.require).min(axis=1))
+
+    return RareFailures(plan, subset_simulation(margin, drawing.dimension, samples, seed), seed)
+
+
+def subset_simulation(
+    margin: Callable[[Array, NDArray[np.uint64]], Array], dimension: int, samples: int, seed: int
+) -> Levels:
+    """Estimate the probability that a margin is negative for standard normal numbers (Au and Beck 2001).
+
+    The probability is a product of conditional ones of about a tenth: each level begins with the tenth of smallest
+    margins of the one before, and continues them as Markov chains whose proposals keep the normal distribution
+    (Papaioannou, Betz, Zwirglmaier and Straub 2015); one that leaves the level is not accepted. The coefficient of
+    variation is that of Au and Beck's equations (28) to (29), with the levels taken as independent.
+
+    Parameters
+    ----------
+    margin
+        Takes standard normal numbers (n, dimension) and seeds (n,), and returns margins (n,).
+    dimension
+        Of the numbers; may be 0 where only seeds vary.
+    samples
+        Of a level, at least 100; rounded down to a multiple of 10.
+    seed
+        Of the chains.
+
+    Raises
+    ------
+    ValueError
+        For fewer samples.
+    """
+    if samples < 100:
+        raise ValueError(f"samples: expected at least 100, got {samples}")
+    random = np.random.default_rng(seed)
+    length = round(1 / _SHARE)
+    chains = samples // length
+    count = chains * length
+    places = random.standard_normal((count, dimension))
+    seeds = random.integers(0, 2**64, count, dtype=np.uint64)
+    values = margin(places, seeds)
+    evaluations, probability, variance = count, 1.0, 0.0
+    thresholds: list[float] = []
+    step = _STEP
+    for level in range(_MOST_LEVELS):
+        order = np.argsort(values, kind="stable")
+        threshold = float((values[order[chains - 1]] + values[order[chains]]) / 2)
+        failed = values < 0
+        final = threshold <= 0 or int(failed.sum()) >= chains
+        inside = failed if final else values <= threshold
+        share = float(inside.mean())
+        thresholds.append(0.0 if final else threshold)
+        if share == 0:
+            break
+        correlated = 0.0 if level == 0 else _correlation(inside.reshape(length, chains))
+        variance += (1 - share) / (share * count) * (1 + correlated)
+        probability *= share
+        if final:
+            return Levels(probability, math.sqrt(variance), tuple(thresholds), evaluations)
+        if len(thresholds) > 1 and threshold >= thresholds[-2]:
+            break  # a margin that does not fall any more
+        begin = order[:chains]
+        parts = [(places[begin], seeds[begin], values[begin])]
+        for _ in range(length - 1):
+            here, own, before = parts[-1]
+            there = math.sqrt(1 - step**2) * here + step * random.standard_normal(here.shape)
+            fresh = random.integers(0, 2**64, chains, dtype=np.uint64)
+            proposed = np.where(random.random(chains) < 0.5, fresh, own)
+            found = margin(there, proposed)
+            evaluations += chains
+            taken = found <= threshold
+            step = min(step * math.exp(float(taken.mean()) - _ACCEPTED), 1.0)
+            parts.append(
+                (
+                    np.where(taken[:, None], there, here),
+                    np.where(taken, proposed, own),
+                    np.where(taken, found, before),
+                )
+            )
+        places, seeds, values = (np.concatenate([part[kind] for part in parts]) for kind in range(3))
+    return Levels(0.0, math.inf, (*thresholds, float(values.min())), evaluations)
+
+
+def _correlation(inside: NDArray[np.bool_]) -> float:
+    """Return the factor gamma of Au and Beck's (29): what correlation within chains, (length, chains), adds."""
+    length, chains = inside.shape
+    marks = inside.astype(float)
+    share = marks.mean()
+    whole_variance = share * (1 - share)
+    if whole_variance == 0:
+        return 0.0
+    gamma = 0.0
+    for lag in range(1, length):
+        covariance = (marks[:-lag] * marks[lag:]).sum() / ((length - lag) * chains) - share**2
+        gamma += 2 * (1 - lag / length) * covariance / whole_variance
+    return max(gamma, 0.0)

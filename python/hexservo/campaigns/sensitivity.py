@@ -1,0 +1,191 @@
+"""Sensitivity: what share of the variance of margins and metrics each varied number causes (docs/campaigns.md)."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from hexservo.campaigns.chunks import batch_margins
+from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Cell, Column, Section, Table
+from hexservo.run.batch import simulate_batch, whole
+from hexservo.scenario.arrays import Array
+
+__all__ = ["Indices", "Sensitivity", "sensitivity", "sobol_indices"]
+
+_SHOWN = 10  # inputs of a table
+_RESAMPLES = 200  # of the bootstrap
+
+
+@dataclass(frozen=True, eq=False)
+class Indices:
+    """Sobol indices of one quantity, with the ends of their bootstrap intervals at 95 %."""
+
+    first: Array  # (d,) share of the variance that an input causes by itself
+    first_interval: Array  # (d, 2)
+    total: Array  # (d,) share that is left out where the input is fixed, interactions included
+    total_interval: Array  # (d, 2)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Sensitivity(Findings):
+    """Sobol indices of the margin and of the metrics that never are NaN. They bound no probability."""
+
+    plan: CampaignPlan
+    inputs: tuple[str, ...]  # d numbers that vary: ``target.rotation[0]``; ``seed`` stands for all noise
+    indices: Mapping[str, Indices]  # "margin" or a metric of `hs.METRICS` -> indices
+    runs: int
+    seed: int
+
+    def headline(self) -> str:
+        """Return a line that names the scenario."""
+        return f'Sensitivity of "{self.plan.scenario.name}"'
+
+    def ranking(self, quantity: str = "margin") -> list[tuple[str, float]]:
+        """Return the inputs with their total indices, the most influential first.
+
+        Raises
+        ------
+        ValueError
+            There are no indices of this quantity: it does not vary, or is NaN in some runs.
+        """
+        if quantity not in self.indices:
+            raise ValueError(f"quantity: expected one of {', '.join(self.indices) or 'none'}, got {quantity!r}")
+        total = self.indices[quantity].total
+        return [(self.inputs[place], float(total[place])) for place in np.argsort(-total, kind="stable")]
+
+    def section(self) -> Section:
+        """Return the most influential inputs in a sentence for each quantity, with a table for the margin."""
+        sentences = []
+        for quantity in self.indices:
+            (one, share), *others = self.ranking(quantity)
+            second = f", then {others[0][0]} ({others[0][1]:.0%})" if others else ""
+            sentences.append(f"{quantity}: {one} has the largest total index ({share:.0%}){second}.")
+        items = []
+        if "margin" in self.indices:
+            found = self.indices["margin"]
+            rows: list[list[Cell]] = []
+            for place in np.argsort(-found.total, kind="stable")[:_SHOWN]:
+                first, total = found.first_interval[place], found.total_interval[place]
+                shares = (found.first[place], *first, found.total[place], *total)
+                rows.append([self.inputs[place], *map(float, shares)])
+            heads = ("first order", "from", "to", "total", "from", "to")
+            columns = (Column("input"), *(Column(head, format=".2f") for head in heads))
+            note = f"Sobol indices of the margin with bootstrap intervals at 95 %, {self.runs} runs, seed {self.seed}."
+            items.append(Table("Sensitivity of the margin", columns, rows, note, "docs/campaigns.md"))
+        data = {name: {"first": each.first, "total": each.total} for name, each in self.indices.items()}
+        return Section("sensitivity", "Sensitivity", sentences, items, "open", {"inputs": self.inputs, **data})
+
+
+def sensitivity(
+    source: str | os.PathLike[str] | Mapping[str, Any] | CampaignPlan,
+    *,
+    samples: int = 256,
+    seed: int = 0,
+    threads: int | None = None,
+) -> Sensitivity:
+    """Compute the Sobol indices of a campaign's margin and metrics (docs/campaigns.md, section 8).
+
+    Parameters
+    ----------
+    source
+        As for `campaign`; its runs, chunks and confidence do not matter.
+    samples
+        A power of 2, at least 4: samples (d + 2) runs are simulated for d numbers that vary, seeds counting as one.
+    seed
+        Of the quasi-random points and the bootstrap: the same one gives the same indices.
+    threads
+        As for `simulate_batch`.
+
+    Raises
+    ------
+    ValueError
+        For another number of samples.
+    ScenarioError
+        As `campaign`.
+    KeyboardInterrupt
+        Ctrl-C.
+    """
+    plan = load_plan(source)
+    drawing = plan.drawing()
+    base = plan.scenario.updated(drawing.base)
+    inputs = (*drawing.names, *(["seed"] if drawing.has_seed else []))
+    quantities: list[str] = []
+    runs = 0
+
+    def outputs(uniform: Array) -> Array:
+        nonlocal runs
+        runs += uniform.shape[1]
+        points = np.clip(uniform.T, 0.5**53, 1 - 0.5**53)
+        seeds = (points[:, -1] * 2.0**64).astype(np.uint64)
+        numbers = drawing.numbers_of(points[:, : drawing.dimension], seeds)
+        batch = whole(simulate_batch(base, drawing.variations(numbers), "metrics", threads))
+        margin = batch_margins(batch, numbers, plan.require).min(axis=1)
+        quantities[:] = ["margin", *batch.metrics]
+        return np.stack([margin, *batch.metrics.values()])
+
+    found = sobol_indices(outputs, len(inputs), samples, seed)
+    indices = {name: each for name, each in zip(quantities, found, strict=True) if each is not None}
+    return Sensitivity(plan, inputs, indices, runs, seed)
+
+
+def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: int, seed: int) -> list[Indices | None]:
+    """Return the Sobol indices of the outputs of a function of independent uniform inputs.
+
+    Estimators: Saltelli et al. 2010 for the first order, Jansen 1999 for the total one (`scipy.stats.sobol_indices`).
+
+    Parameters
+    ----------
+    function
+        Takes inputs (d, n), from 0 to 1, and returns outputs (m, n).
+    dimension
+        d.
+    samples
+        A power of 2, at least 4: the function is called for samples (d + 2) inputs in all.
+    seed
+        Of the quasi-random points and of the bootstrap.
+
+    Returns
+    -------
+    list
+        m indices; None for an output that is not finite everywhere, or does not vary.
+
+    Raises
+    ------
+    ValueError
+        For another number of samples.
+    """
+    if samples < 4 or samples & (samples - 1):
+        raise ValueError(f"samples: expected a power of 2, at least 4, got {samples}")
+    calls: list[Array] = []
+
+    def watched(inputs: Array) -> Array:
+        values = function(np.asarray(inputs, dtype=float))
+        calls.append(values)
+        return np.where(np.isfinite(values), values, 0.0)
+
+    random = np.random.default_rng(seed)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")  # of outputs that do not vary, which are left out below
+        name = "rng" if "rng" in inspect.signature(stats.sobol_indices).parameters else "random_state"  # SciPy 1.15
+        uniform = [stats.uniform()] * dimension
+        found = stats.sobol_indices(func=watched, n=samples, dists=uniform, **{name: random})
+        spread = found.bootstrap(confidence_level=0.95, n_resamples=_RESAMPLES)
+    everything = np.concatenate([values.reshape(len(values), -1) for values in calls], axis=1)
+    usable = [bool(np.isfinite(row).all() and np.ptp(row) > 0) for row in everything]
+    first, total = np.atleast_2d(found.first_order), np.atleast_2d(found.total_order)
+    ends = [
+        np.stack([np.atleast_2d(part.confidence_interval.low), np.atleast_2d(part.confidence_interval.high)], axis=-1)
+        for part in (spread.first_order, spread.total_order)
+    ]
+    return [
+        Indices(first[row], ends[0][row], total[row], ends[1][row]) if fits else None for row, fits in enumerate(usable)
+    ]

@@ -1,0 +1,150 @@
+"""Estimates: subset simulation against planted probabilities, Sobol indices against closed forms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.special import ndtri
+
+import hexservo as hs
+from hexservo.campaigns.distributions import uniform_of
+from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.rare import subset_simulation
+from hexservo.campaigns.sensitivity import sobol_indices
+from hexservo.scenario.arrays import Array
+
+Margin = Callable[[Array, NDArray[np.uint64]], Array]
+
+
+def half_space(probability: float) -> Margin:
+    """Standard normal numbers beyond a plane."""
+    distance = stats.norm.isf(probability)
+    return lambda places, seeds: np.asarray(distance - places.sum(axis=1) / math.sqrt(places.shape[1]))
+
+
+def shell(probability: float, dimension: int) -> Margin:
+    """Standard normal numbers outside of a sphere: failures in all directions."""
+    square = stats.chi2.isf(probability, dimension)
+    return lambda places, seeds: np.asarray(1 - (places**2).sum(axis=1) / square)
+
+
+@pytest.mark.parametrize(("shape", "dimension"), [("plane", 2), ("plane", 10), ("shell", 10)])
+def test_subset_simulation_of_a_planted_probability(shape: str, dimension: int) -> None:
+    planted = 1e-8
+    margin = half_space(planted) if shape == "plane" else shell(planted, dimension)
+    found = [subset_simulation(margin, dimension, 20_000, seed) for seed in range(20)]
+    shares = np.array([each.probability for each in found]) / planted
+    spread = float(shares.std() / shares.mean())
+    print(
+        f"{shape} in {dimension} dimensions, seeds 0 to 19: median {np.median(shares):.3f} of the planted probability, "
+        f"from {shares.min():.3f} to {shares.max():.3f}; coefficient of variation {spread:.3f}, estimated "
+        f"{np.median([each.variation for each in found]):.3f}"
+    )
+    assert max(each.evaluations for each in found) <= 200_000
+    assert 1 / 1.5 <= np.median(shares) <= 1.5
+    assert ((shares > 1 / 1.5) & (shares < 1.5)).all()
+    assert spread < 2 * np.median([each.variation for each in found]), "levels are not quite independent"
+
+
+def test_subset_simulation_where_seeds_decide() -> None:
+    """A margin of a seed alone, and one of a seed and a number."""
+
+    def of_seeds(places: Array, seeds: NDArray[np.uint64]) -> Array:
+        return np.asarray(stats.norm.isf(1e-3) - ndtri(uniform_of(seeds)))
+
+    def of_both(places: Array, seeds: NDArray[np.uint64]) -> Array:
+        return np.asarray(stats.norm.isf(1e-4) - (ndtri(uniform_of(seeds)) + places[:, 0]) / math.sqrt(2))
+
+    for margin, dimension, planted in ((of_seeds, 0, 1e-3), (of_both, 1, 1e-4)):
+        shares = [subset_simulation(margin, dimension, 5000, seed).probability / planted for seed in range(10)]
+        print(f"dimension {dimension}, seeds 0 to 9: {np.round(sorted(shares), 2).tolist()}")
+        assert 1 / 1.5 <= np.median(shares) <= 1.5
+
+
+def test_subset_simulation_of_what_is_not_rare_or_never_fails() -> None:
+    often = subset_simulation(half_space(0.3), 3, 1000, 1)
+    assert often.evaluations == 1000
+    assert stats.binomtest(round(often.probability * 1000), 1000, 0.3).pvalue > 1e-3
+    assert often.variation == pytest.approx(math.sqrt((1 - often.probability) / (1000 * often.probability)))
+    never = subset_simulation(lambda places, seeds: np.ones(len(places)), 3, 1000, 1)
+    assert (never.probability, never.variation) == (0.0, math.inf)
+    with pytest.raises(ValueError, match="samples: expected at least 100, got 99"):
+        subset_simulation(half_space(0.3), 3, 99, 1)
+
+
+def test_sobol_indices_of_the_ishigami_function() -> None:
+    """Ishigami and Homma 1990: sin x1 + a sin^2 x2 + b x3^4 sin x1, uniform within +-pi."""
+    a, b = 7.0, 0.1
+
+    def outputs(inputs: Array) -> Array:
+        x = (2 * inputs - 1) * math.pi
+        value = np.sin(x[0]) + a * np.sin(x[1]) ** 2 + b * x[2] ** 4 * np.sin(x[0])
+        return np.stack([value, np.ones_like(value), np.where(inputs[0] < 0.5, np.nan, value), 2 * value])
+
+    one = (1 + b * math.pi**4 / 5) ** 2 / 2
+    two, three = a**2 / 8, b**2 * math.pi**8 * (1 / 18 - 1 / 50)
+    variance = one + two + three
+    found, constant, undefined, doubled = sobol_indices(outputs, 3, 1024, 5)
+    assert constant is None
+    assert undefined is None
+    assert found is not None
+    assert doubled is not None
+    print(f"seed 5, 1024 samples: first order {np.round(found.first, 3)}, total {np.round(found.total, 3)}")
+    for values, interval, expected in (
+        (found.first, found.first_interval, [one, two, 0.0]),
+        (found.total, found.total_interval, [one + three, two, three]),
+    ):
+        assert (interval[:, 0] <= np.array(expected) / variance).all()
+        assert (interval[:, 1] >= np.array(expected) / variance).all()
+        np.testing.assert_allclose(values, np.array(expected) / variance, rtol=0, atol=0.05)
+    np.testing.assert_allclose(doubled.total, found.total, rtol=1e-9, atol=1e-12)
+    with pytest.raises(ValueError, match="samples: expected a power of 2, at least 4, got 100"):
+        sobol_indices(outputs, 3, 100, 5)
+
+
+FILE: dict[str, Any] = {
+    "scenario": hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.2, "metrics.rms_start": 0.1}),
+    "vary": {
+        "target.rotation": {"normal": [0.0, 0.01], "each": True},
+        "uncertainty.gravity": {"normal": [0.0, 0.001]},
+        "seed": "each",
+    },
+    "require": ["peak_leg_excursion <= 0.0036"],
+    "runs": 2000,
+}
+
+
+def test_estimates_of_a_campaign() -> None:
+    """The estimate of a probability that plain runs measure too, and the inputs that decide it."""
+    plan = load_plan(FILE)
+    drawing = plan.drawing()
+    batch = hs.simulate_batch(
+        plan.scenario.updated(drawing.base), drawing.variations(drawing.numbers(0, 2000)), "metrics"
+    )
+    failures = int((batch.metrics["peak_leg_excursion"] > 0.0036).sum())
+    estimate = hs.estimate_rare_failures(FILE, samples=500, seed=2)
+    low, high = stats.binomtest(failures, 2000).proportion_ci(0.999)
+    print(f"{failures} of 2000 runs fail; subset simulation, seed 2: {estimate.levels}")
+    spread = 1 + 4 * estimate.levels.variation
+    assert low / spread < estimate.levels.probability < high * spread
+    assert "no bound" in estimate.section().sentences[1]
+    found = hs.sensitivity(FILE, samples=32, seed=1)
+    assert found.inputs == (
+        "target.rotation[0]",
+        "target.rotation[1]",
+        "target.rotation[2]",
+        "uncertainty.gravity",
+        "seed",
+    )
+    assert found.runs == 32 * (5 + 2)
+    assert found.ranking()[0][0].startswith("target.rotation")
+    assert found.ranking("peak_leg_excursion")[0][0] == found.ranking()[0][0]
+    assert found.section().sentences[0].startswith(f"margin: {found.ranking()[0][0]} has the largest total index")
+    with pytest.raises(ValueError, match=r"quantity: expected one of margin, .*, got 'settling_time'"):
+        found.ranking("settling_time")
