@@ -31,12 +31,15 @@ VARIED = {"uncertainty.gravity": np.array([0.0, 0.01, 0.02]), "controller.hybrid
 
 
 @pytest.fixture(scope="module")
-def returned(paper: hs.Scenario) -> dict[str, Any]:
+def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """One of everything that a function of hexservo returns."""
     short = paper.updated({"simulation.duration": 0.4})
     sampled = short.updated({"simulation.mode": "sampled", "controller.switching.kind": "implicit"})
     run = hs.simulate(short)
     tick = hs.Controller(sampled, period=1e-3)
+    vary = {"uncertainty.gravity": {"uniform": [0.0, 0.02]}}
+    file = {"scenario": short, "vary": vary, "require": ["final_error <= 1.0"], "runs": 8}
+    drawn = hs.campaign(file, tmp_path_factory.mktemp("campaign") / "out")
     return {
         "Scenario": short,
         "Result": run,
@@ -55,6 +58,9 @@ def returned(paper: hs.Scenario) -> dict[str, Any]:
         "Observation": hs.Observation(0, 0.0, math.nan, *(np.full(n, math.nan) for n in (8, 4, 3, 4, 6))),
         "LegForces": hs.LegForces(np.ones(6)),
         "ControllerOutput": tick.step(np.zeros(8), -0.5 * np.ones(4), [0, 0, -0.1], [1, 0, 0, 0], np.zeros(6)),
+        "CampaignResult": drawn,
+        "WorstRuns": drawn.worst(1),
+        "WorstCase": hs.worst_case(drawn, runs=20, restarts=1),
         "metrics": hs.metrics(run),
         "METRICS": hs.METRICS,
         "scenario_names": hs.scenario_names(),
