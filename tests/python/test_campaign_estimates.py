@@ -120,6 +120,15 @@ FILE: dict[str, Any] = {
 }
 
 
+@pytest.mark.parametrize("outputs", [2, 3])
+def test_sobol_indices_of_a_single_input_are_one(outputs: int) -> None:
+    """All variance is that of the only input: for a linear function 256 points give 1 within 2 %."""
+    slopes = np.arange(1.0, outputs + 1.0)[:, None]
+    for found in sobol_indices(lambda inputs: slopes * inputs, 1, 256, 5):
+        assert found is not None
+        np.testing.assert_allclose([found.first, found.total], 1.0, rtol=0, atol=0.02)
+
+
 def test_estimates_of_a_campaign() -> None:
     """The estimate of a probability that plain runs measure too, and the inputs that decide it."""
     plan = load_plan(FILE)

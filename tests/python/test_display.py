@@ -61,6 +61,8 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
         "CampaignResult": drawn,
         "WorstRuns": drawn.worst(1),
         "WorstCase": hs.worst_case(drawn, runs=20, restarts=1),
+        "RareFailures": hs.estimate_rare_failures(file, samples=100),
+        "Sensitivity": hs.sensitivity(file, samples=4),
         "metrics": hs.metrics(run),
         "METRICS": hs.METRICS,
         "scenario_names": hs.scenario_names(),

@@ -181,9 +181,10 @@ def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: i
         spread = found.bootstrap(confidence_level=0.95, n_resamples=_RESAMPLES)
     everything = np.concatenate([values.reshape(len(values), -1) for values in calls], axis=1)
     usable = [bool(np.isfinite(row).all() and np.ptp(row) > 0) for row in everything]
-    first, total = np.atleast_2d(found.first_order), np.atleast_2d(found.total_order)
+    shape = (len(usable), dimension)  # SciPy drops axes of length one
+    first, total = (np.reshape(part, shape) for part in (found.first_order, found.total_order))
     ends = [
-        np.stack([np.atleast_2d(part.confidence_interval.low), np.atleast_2d(part.confidence_interval.high)], axis=-1)
+        np.stack([np.reshape(end, shape) for end in (part.confidence_interval.low, part.confidence_interval.high)], -1)
         for part in (spread.first_order, spread.total_order)
     ]
     return [
