@@ -148,7 +148,7 @@ def test_a_command_repeats_a_run_of_a_packaged_scenario(tmp_path: Path) -> None:
 
 # ---- Interruptions --------------------------------------------------------------------------------------------------
 
-KILLS = 100
+KILLS = 50
 # A process that has computed nothing, so that it may fork, starts the campaign again and again and kills it.
 KILLER = """
     import json, os, random, signal, sys, time

@@ -5,33 +5,29 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import re
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from types import FrameType
 from typing import Any, Protocol, TypeAlias
 
-from hexservo.campaigns.chunks import Tally, chunk_bytes, chunk_table, tally_of
+from hexservo.campaigns.chunks import Tally, tally_of
+from hexservo.campaigns.engines import Chunk, Engine, engine_of
 from hexservo.campaigns.intervals import anytime_interval, runs_for_bound
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult, is_complete, scenario_of_run, summary_of
 from hexservo.campaigns.store import ShorterChunkError, Store, new_record
-from hexservo.run.batch import simulate_batch, thread_count
 from hexservo.run.progress import ProgressCallback, progress_bar
+from hexservo.run.publish import OutputError
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.wording import number, wrong_type
-from hexservo.scenario.yaml import ScenarioError
 
 __all__ = ["campaign"]
 
-_IN_FLIGHT = 2  # chunks that are submitted and not yet kept
 _SUMMARISED = 5.0  # [s], between two summaries while a campaign runs
 _WATCHED = 0.1  # [s], between two looks at what is computed
-_PLACE = re.compile(r"scenario (?P<index>[0-9]+): ")
 
 Warn: TypeAlias = Callable[[str], object]
 """Called with a sentence about something that needs no decision, such as a damaged chunk."""
@@ -47,6 +43,7 @@ def campaign(
     threads: int | None = None,
     progress: bool | ProgressCallback | None = None,
     warn: Warn | None = None,
+    engine: str = "local",
 ) -> CampaignResult:
     """Run a campaign, or go on with one (docs/campaigns.md).
 
@@ -69,6 +66,10 @@ def campaign(
         True draws a bar on standard error; a function is called with (runs done, runs in all) in this thread.
     warn
         Called with a sentence for each damaged chunk, which is computed again; None: nothing is called.
+    engine
+        "local": this process. "dask": a local Dask cluster with one worker for each core; the calling script needs the
+        guard ``if __name__ == "__main__"``. ``tcp://host:port``: an existing Dask scheduler. Dask is the extra
+        ``hexservo[cluster]``.
 
     Returns
     -------
@@ -79,23 +80,29 @@ def campaign(
     ------
     TypeError
         For arguments of other types.
+    ValueError
+        For an engine that does not exist.
     ScenarioError
         The campaign is not valid, or a run draws a scenario that is not ("run 17: key: expected ..., got ...").
     OutputError
         The folder holds something else or a different campaign, is in use, or cannot be written (a `ValueError`); what
-        is whole stays.
+        is whole stays. Dask is not installed, or its scheduler does not answer or has ended.
     VariantError
-        The folder's runs were computed by a compiled variant that this process does not use.
+        The folder's runs were computed by a compiled variant that this process, or a worker, does not use.
     """
     plan = load_plan(source, changes, runs=runs, chunk_size=chunk_size)
     store = Store(out, plan, new_record(plan))
-    thread_count(threads)
     state = _State(store)
-    with store.opened(), _reporting(progress) as report, _ctrl_c_noted() as asked:
+    with (
+        engine_of(engine, store, threads) as chosen,
+        store.opened(),
+        _reporting(progress) as report,
+        _ctrl_c_noted() as asked,
+    ):
         interrupted = False
         try:
             state.take_up(warn or (lambda sentence: None), asked)
-            _compute(state, threads, report, asked)
+            _compute(state, chosen, report, asked)
         except KeyboardInterrupt:  # of a second Ctrl-C, or of a handler that is not Python's own
             interrupted = True
         return state.finish(interrupted=(interrupted or asked.is_set()) and not state.complete)
@@ -199,63 +206,34 @@ class _State:
 # ---- What is computed -----------------------------------------------------------------------------------------------
 
 
-@dataclass
-class _Watch:
-    """What the thread that computes and the one that keeps exchange."""
-
-    stop: threading.Event = field(default_factory=threading.Event)
-    done: int = 0  # runs of the chunk that is being computed
-
-
-class _StoppedError(Exception):
-    """The campaign ended while a chunk was computed."""
-
-
-def _compute(state: _State, threads: int | None, report: _Report, asked: threading.Event) -> None:
-    """Compute what is missing, one chunk at a time on all threads, while the one before is kept."""
-    watch = _Watch()
+def _compute(state: _State, engine: Engine, report: _Report, asked: threading.Event) -> None:
+    """Have computed what is missing, and keep it as it comes."""
     missing = state.missing()
-    flying: dict[Future[tuple[bytes, Tally]], int] = {}
-    with ThreadPoolExecutor(1, "campaign") as executor:
-        try:
-            while not state.complete and not asked.is_set():
-                for index in itertools.islice(missing, _IN_FLIGHT - len(flying)):
-                    flying[executor.submit(_chunk, state.store, index, threads, watch)] = index
-                for future in wait(flying, _WATCHED, FIRST_COMPLETED).done:
-                    index = flying.pop(future)
-                    content, tally = future.result()
-                    state.store.write_chunk(index, content)
-                    state.enter(index, tally)
-                    state.summarise()
-                report(state, watch.done)
-        finally:
-            watch.stop.set()
-            for future in flying:
-                future.cancel()
-
-
-def _chunk(store: Store, index: int, threads: int | None, watch: _Watch) -> tuple[bytes, Tally]:
-    """Compute a chunk: its file and its counts."""
-    plan = store.plan
-    first, last = plan.runs_of_chunk(index)
-
-    def look(done: int, count: int) -> None:
-        watch.done = done
-        if watch.stop.is_set():
-            raise _StoppedError
-
-    look(0, 0)
-    numbers = store.drawing.numbers(first, last)
+    flying: dict[Future[Chunk], int] = {}
     try:
-        batch = simulate_batch(store.base, store.drawing.variations(numbers), "metrics", threads, look)
-    except ValueError as error:
-        lines = [
-            _PLACE.sub(lambda match: f"run {first + int(match['index'])}: ", line) for line in str(error).splitlines()
-        ]
-        raise ScenarioError([f"{line}; narrow or clip what varies" for line in lines]) from None
-    watch.done = 0
-    table = chunk_table(batch, numbers, first, plan.require)
-    return chunk_bytes(table, store.identity(index)), tally_of(table, plan.require, plan.scenario.simulation.duration)
+        while not state.complete and not asked.is_set():
+            for index in itertools.islice(missing, max(engine.in_flight - len(flying), 0)):
+                flying[engine.submit(index)] = index
+            for future in wait(flying, _WATCHED, FIRST_COMPLETED).done:
+                index = flying.pop(future)
+                content, tally = _result_of(future)
+                state.store.write_chunk(index, content)
+                state.enter(index, tally)
+                state.summarise()
+            report(state, engine.done)
+    finally:
+        for future in flying:
+            future.cancel()
+
+
+def _result_of(future: Future[Chunk]) -> Chunk:
+    try:
+        return future.result()
+    except (CancelledError, OSError) as error:  # a cluster whose scheduler ended
+        raise OutputError(
+            f"engine: expected a scheduler that runs, got: {type(error).__name__}; what is whole stays; the same "
+            "command goes on"
+        ) from error
 
 
 # ---- Progress -------------------------------------------------------------------------------------------------------
@@ -265,7 +243,7 @@ class _Report(Protocol):
     """Called with what is kept, and how many runs of the current chunk are done."""
 
     def __call__(self, state: _State, done: int) -> object:
-        """_Report it."""
+        """Report it."""
 
 
 @contextlib.contextmanager

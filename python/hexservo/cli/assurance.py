@@ -50,6 +50,9 @@ def campaign(
     threads: Annotated[
         int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
     ] = None,
+    engine: Annotated[
+        str, typer.Option("--engine", help="local, dask (a local cluster), or tcp://host:port of a Dask scheduler.")
+    ] = "local",
     worst: Annotated[
         bool,
         typer.Option("--worst", help="Search the worst case too, when the runs are complete; it is kept as a file."),
@@ -76,6 +79,7 @@ def campaign(
                 runs=runs,
                 chunk_size=chunk_size,
                 threads=threads,
+                engine=engine,
                 progress=watched,
                 warn=lambda sentence: complain(sentence, head="Warning"),
             )

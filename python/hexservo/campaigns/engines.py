@@ -1,0 +1,196 @@
+"""Where the chunks of a campaign are computed: in this process, or on the workers of a Dask cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from hexservo.campaigns.chunks import Tally, chunk_bytes, chunk_table, tally_of
+from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.store import Store, new_record
+from hexservo.run.batch import simulate_batch, thread_count
+from hexservo.run.publish import OutputError
+from hexservo.run.variant import VariantError
+from hexservo.scenario.yaml import ScenarioError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["ENGINES", "Chunk", "Engine", "engine_of"]
+
+ENGINES = "local, dask, or the address of a Dask scheduler as tcp://host:port"
+Chunk: TypeAlias = tuple[bytes, Tally]
+"""A chunk's file, and its counts."""
+
+_IN_FLIGHT = 2  # chunks that are computed here or wait to be kept
+_IN_FLIGHT_OF_WORKER = 4
+_FOUND_WITHIN = 10.0  # [s], a scheduler at an address
+_PLACE = re.compile(r"scenario (?P<index>[0-9]+): ")
+
+
+class StoppedError(Exception):
+    """The campaign ended while a chunk was computed."""
+
+
+class Engine:
+    """Computes chunks in this process, one at a time on all threads, while the one before is kept."""
+
+    def __init__(self, store: Store, threads: int | None, executor: Executor) -> None:
+        self.store = store
+        self.threads = threads
+        self.executor = executor
+        self.done = 0  # runs of the chunk that is being computed
+        self.stop = threading.Event()
+
+    @property
+    def in_flight(self) -> int:
+        """Chunks to submit before one is kept."""
+        return _IN_FLIGHT
+
+    def submit(self, index: int) -> Future[Chunk]:
+        """Have a chunk computed."""
+        return self.executor.submit(self._compute, index)
+
+    def _compute(self, index: int) -> Chunk:
+        def look(done: int, count: int) -> None:
+            self.done = done
+            if self.stop.is_set():
+                raise StoppedError
+
+        look(0, 0)
+        chunk = compute_chunk(self.store, index, self.threads, look)
+        self.done = 0
+        return chunk
+
+
+class DaskEngine(Engine):
+    """Computes chunks on the workers of a Dask cluster, each on as many threads as the worker has."""
+
+    def __init__(self, store: Store, threads: int | None, client: Client) -> None:
+        super().__init__(store, threads, client.get_executor(pure=False))
+        self.client = client
+        self._plan = json.dumps(store.plan.to_mapping(), allow_nan=False)
+
+    @property
+    def in_flight(self) -> int:
+        """Chunks to submit before one is kept: some for each worker, of which there may be more or fewer later."""
+        return _IN_FLIGHT_OF_WORKER * max(len(self.client.scheduler_info(n_workers=-1)["workers"]), 1)
+
+    def submit(self, index: int) -> Future[Chunk]:
+        """Have a chunk computed."""
+        future: Future[Chunk] = self.executor.submit(
+            compute_remotely,
+            self._plan,
+            self.store.record["campaign"],
+            self.store.record["variant"],
+            index,
+            self.threads,
+        )
+        return future
+
+
+def compute_chunk(
+    store: Store, index: int, threads: int | None, look: Callable[[int, int], None] | None = None
+) -> Chunk:
+    """Compute a chunk from its index: its file and its counts.
+
+    Raises
+    ------
+    ScenarioError
+        A run draws a scenario that is not valid: the message names the run.
+    """
+    plan = store.plan
+    first, last = plan.runs_of_chunk(index)
+    numbers = store.drawing.numbers(first, last)
+    try:
+        batch = simulate_batch(store.base, store.drawing.variations(numbers), "metrics", threads, look)
+    except ValueError as error:
+        lines = [
+            _PLACE.sub(lambda match: f"run {first + int(match['index'])}: ", line) for line in str(error).splitlines()
+        ]
+        raise ScenarioError([f"{line}; narrow or clip what varies" for line in lines]) from None
+    table = chunk_table(batch, numbers, first, plan.require)
+    return chunk_bytes(table, store.identity(index)), tally_of(table, plan.require, plan.scenario.simulation.duration)
+
+
+def compute_remotely(plan: str, campaign: str, variant: str, index: int, threads: int | None) -> Chunk:
+    """Compute a chunk on a worker, which has no folder.
+
+    Raises
+    ------
+    VariantError
+        The worker uses a different compiled variant, or a different version of hexservo.
+    """
+    store = _store_of(plan, campaign, variant)
+    return compute_chunk(store, index, threads or _threads_of_worker())
+
+
+@lru_cache(maxsize=2)
+def _store_of(text: str, campaign: str, variant: str) -> Store:
+    plan = CampaignPlan(**json.loads(text))
+    plan.changed(variant=variant).required_variant()
+    record = new_record(plan)
+    if record["campaign"] != campaign:
+        raise VariantError(
+            f"worker: expected the version of hexservo that began the campaign, got {record['hexservo']}; "
+            "install the same one there"
+        )
+    return Store("", plan, record)
+
+
+def _threads_of_worker() -> int:
+    from distributed import get_worker
+
+    return int(get_worker().state.nthreads)
+
+
+@contextlib.contextmanager
+def engine_of(name: str, store: Store, threads: int | None) -> Iterator[Engine]:
+    """Start an engine, and end what it computes.
+
+    Raises
+    ------
+    ValueError
+        There is no such engine.
+    OutputError
+        Dask is not installed, or no scheduler answers at the address.
+    """
+    thread_count(threads)
+    if name == "local":
+        with ThreadPoolExecutor(1, "campaign") as executor:
+            engine = Engine(store, threads, executor)
+            try:
+                yield engine
+            finally:
+                engine.stop.set()
+                executor.shutdown(wait=True, cancel_futures=True)
+        return
+    if name != "dask" and "://" not in name:
+        raise ValueError(f"engine: expected {ENGINES}; got {name!r}")
+    with _client(name) as client:
+        yield DaskEngine(store, threads, client)
+
+
+@contextlib.contextmanager
+def _client(name: str) -> Iterator[Any]:
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise OutputError('engine: expected an installation with Dask: pip install "hexservo[cluster]"') from None
+    with contextlib.ExitStack() as held:
+        if name == "dask":
+            cluster = held.enter_context(
+                LocalCluster(n_workers=thread_count(None), threads_per_worker=1, dashboard_address=None)
+            )
+            name = cluster.scheduler_address
+        try:
+            client = held.enter_context(Client(name, timeout=_FOUND_WITHIN, set_as_default=False))
+        except (OSError, ValueError) as error:
+            raise OutputError(f"engine: expected a Dask scheduler at {name}, got: {error}; start one") from None
+        yield client
