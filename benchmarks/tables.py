@@ -43,7 +43,7 @@ def table(head: str, rows: list[list[str]]) -> list[str]:
 
 
 def where(bench: dict[str, Any]) -> str:
-    """Say what it was measured on, and when."""
+    """Return the machine and the date of the measurement."""
     machine = bench["machine"]
     return (
         f"{machine['date'][:10]}; {machine['cpu']}, {machine['processors']} processors, {machine['system']}; "
@@ -100,7 +100,7 @@ def speed_rows(bench: dict[str, Any]) -> list[list[str]]:
 
 
 def part_lines(kernels: dict[str, Any] | None) -> list[str]:
-    """Give the parts of the core, or say that they are missing."""
+    """Return the parts of the core, or that they are missing."""
     if kernels is None:
         return ["Parts: not measured, since Google Benchmark was not there."]
     medians: dict[str, dict[str, float]] = {}

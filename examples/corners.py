@@ -33,7 +33,7 @@ class Requirement:
     at_least: bool = False
 
     def share(self, value: float) -> float:
-        """Say how much of the limit a value uses: up to 1 it is met; infinite where the value is no number."""
+        """Return a value relative to its limit: up to 1 it is met; infinite where the value is not a number."""
         shown = value * self.scale
         if self.at_least:
             return self.limit / shown if shown > 0 else math.inf

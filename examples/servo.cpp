@@ -35,7 +35,7 @@ class Robot {
     depth_error_.setConstant(0.3);
   }
 
-  /// What camera and joint sensors give at a tick; a frame arrives as late as the scenario says.
+  /// What camera and joint sensors give at a tick; a frame arrives with the latency of the scenario.
   ControllerInput read_sensors(long tick) {
     ControllerInput input;
     input.now = static_cast<double>(tick) * gains_.period;

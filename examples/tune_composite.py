@@ -21,7 +21,7 @@ generations, and new worst corners join. Candidates come from a CMA evolution st
 strategy: a tutorial", 2016) on the logarithms of the gains. It makes the largest share of a limit that is used as small
 as it can, so what it finds has a reserve everywhere. The same seed gives the same file on the same build of the core.
 
-Exit codes: 0 done and everything met, 1 something is not met (said by how much), 2 bad input, 130 Ctrl-C. The file is
+Exit codes: 0 done and everything met, 1 something is not met (with the amount), 2 bad input, 130 Ctrl-C. The file is
 written whole or not at all, and only if everything is met.
 """
 

@@ -19,7 +19,7 @@ PROGRAMS = ("hexservo_kernels", "fuzzylite_system", "visp_law")
 
 
 class MissingError(Exception):
-    """A peer is not installed; the text says how to get it."""
+    """A peer is not installed; the text has how to install it."""
 
 
 def build() -> None:
@@ -28,7 +28,7 @@ def build() -> None:
     Raises
     ------
     MissingError
-        Where not all of them could be built, with the last lines of what CMake or the compiler said.
+        Where not all of them could be built, with the last lines of the output of CMake or the compiler.
     """
     if shutil.which("cmake") is None:
         raise MissingError("no cmake: make bench-peers installs it")
@@ -108,7 +108,7 @@ def running(program: str, mode: str | None, parameters: Array, inputs: Array, ho
     Raises
     ------
     MissingError
-        Where it was not built; `how_to_get` says more.
+        Where it was not built; see `how_to_get`.
     """
     kernel = Kernel(program, mode, parameters, inputs, how_to_get)
     try:

@@ -16,7 +16,7 @@ from rows import Row, WrongAnswerError, attempt, largest_difference, require, ve
 from timing import alternate, python_block
 
 MINIMUM = 0.05  # [s] of a timed block
-BUILT = "see what CMake said at the start"
+BUILT = "see the output of CMake at the start"
 FUZZYLITE = "on Debian, apt-get install libfuzzylite-dev gives the library"
 VISP = "on Debian, apt-get install libvisp-vs-dev gives the library"
 HOME_ATTITUDE = np.array([1.0, 0.0, 0.0, 0.0])

@@ -46,7 +46,7 @@ def _number(value: float) -> str:
 
 
 def sentence(row: Row) -> str:
-    """Say in one line what came out."""
+    """Return the result in one line."""
     name = f"{row.work}: {row.version or row.peer}"
     if row.comparison is None:
         return f"{name}: {row.status}: {row.detail}"

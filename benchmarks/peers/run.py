@@ -24,7 +24,7 @@ QUICK_DURATION, QUICK_ROUNDS = 2.5, 7
 
 
 def _measured(rows: Iterable[Row]) -> list[Row]:
-    """Work the rows out one by one, and say each as soon as it is there."""
+    """Compute the rows one by one, and print each when it is done."""
     done = []
     for row in rows:
         print(sentence(row), flush=True)

@@ -13,7 +13,7 @@ __all__ = ["Block", "Comparison", "alternate", "core_count", "python_block"]
 
 @dataclass(frozen=True)
 class Block:
-    """One timed block: seconds per unit of work, and processor seconds per second (None where it cannot be measured)."""
+    """One timed block: seconds per unit of work, and processor seconds per second (None: not measured)."""
 
     seconds: float
     cores: float | None = None

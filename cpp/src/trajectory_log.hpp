@@ -24,7 +24,7 @@ class TrajectoryLog {
   /// For the kernel to fill in.
   RunAnswer& answer() { return answer_; }
 
-  /// What the answer says, once it is complete.
+  /// Result of the run, once it is complete.
   /// @param step of the time grid [s]
   /// @param hexapod whose limits may have been passed
   Trajectory finish(double step, const Hexapod<double>& hexapod);

@@ -79,7 +79,7 @@ std::string refusal(Action&& action) {
   return "(accepted)";
 }
 
-/// True where a refusal names the key first and then says what was expected and what was got.
+/// True where a refusal names the key first, then the expected and the actual value.
 inline bool is_about(const std::string& message, const std::string& key) {
   return message.rfind(key, 0) == 0 && message.find(": expected ") != std::string::npos &&
          message.find(", got ") != std::string::npos;

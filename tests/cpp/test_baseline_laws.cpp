@@ -244,7 +244,7 @@ TEST_CASE("pbvs: tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat 
     Situation<Pbvs> s = random_situation<Pbvs>(random);
     s.gains = {random_positive<6>(random, 20.0), random_positive<6>(random, 1.0), Vector6<double>::Zero()};
     s.task.target.goal = {Vector3<double>(0.01, 0.0, -0.15) + random.matrix<3>(0.02), random.quaternion(0.5, 2.0)};
-    // the points are where the true pose sees them, and the sensors say that the platform is elsewhere
+    // the points are where the true pose sees them, and the sensors give a different pose
     const Pose<double> truth = s.input.pose;
     for (int i = 0; i < 4; ++i) {
       const double Z = s.input.image.depth(i);

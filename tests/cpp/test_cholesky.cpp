@@ -48,7 +48,7 @@ Matrix6<double> singular(Random& random, int row = 5) {
 Matrix6<double> indefinite(Random& random) {
   Matrix6<double> A = random.positive_definite<6>(10.0);
   A -= 0.5 * A.trace() * Matrix6<double>::Identity();
-  A(0, 0) = 1.0;  // the first pivot alone says nothing
+  A(0, 0) = 1.0;  // the first pivot alone does not fail
   return A;
 }
 

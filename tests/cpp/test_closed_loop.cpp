@@ -171,7 +171,7 @@ bool identical(const Sample<S>& a, const Sample<S>& b, int lane) {
 
 }  // namespace
 
-TEST_CASE("the loop starts at home, at rest, and sees the initial image with measured depths") {
+TEST_CASE("the loop starts at home, at rest, with the initial image and measured depths") {
   const Parameters p = loop_parameters(paper_settings());
   const Single loop(p);
   CHECK(loop.record().running());

@@ -128,7 +128,7 @@ TEST_CASE("ideal encoders give the true pose and, with true rates, the true twis
   }
 }
 
-TEST_CASE("a reading that is far from the one before still finds its pose, and says so where there is none") {
+TEST_CASE("a reading that is far from the one before still gives its pose, and is reported where there is none") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
   const Pose<double> home = home_pose(hexapod);
   for (const double far : {0.01, 0.02, 0.03}) {
@@ -208,7 +208,7 @@ TEST_CASE(
   CHECK(clear >= 200);
 }
 
-TEST_CASE("more rounds for longer periods, as the periods alone say, and never more than four in a millisecond") {
+TEST_CASE("more rounds for longer periods, from the periods alone, and never more than four in a millisecond") {
   CHECK(encoder_rounds(1e-4) == 4);
   CHECK(encoder_rounds(1e-3) == 4);
   CHECK(encoder_rounds(2e-3) == 5);

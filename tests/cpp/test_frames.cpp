@@ -174,7 +174,7 @@ TEST_CASE("noise, outliers and quantisation disturb the features as set, each fr
   CHECK(std::abs(outliers / (4.0 * n) - 0.1) <= 4.0 * std::sqrt(0.09 / (4.0 * n)));
 }
 
-TEST_CASE("prediction: a platform that moves sees the points where they are, as long as the depth is true") {
+TEST_CASE("prediction: the features of a moving platform are exact as long as the depth is true") {
   const Vector3<double> start(0.0, 0.0, -0.15);
   Image<double> image;
   image.features << 30, 18, 65, -65, -44, 37, -10, -15;

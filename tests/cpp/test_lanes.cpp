@@ -155,7 +155,7 @@ TEST_CASE_TEMPLATE("select, min, max, clip, sign and is_finite are the same func
   });
 }
 
-TEST_CASE("min, max, clip and sign do what their names say, and NaN goes through from either side") {
+TEST_CASE("min, max, clip and sign are those of std on numbers, and propagate NaN from either side") {
   for (const double x : delicate_values()) {
     CAPTURE(x);
     CHECK(is_finite(x) == std::isfinite(x));

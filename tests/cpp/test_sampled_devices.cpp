@@ -173,7 +173,7 @@ TEST_CASE("saturated leg forces stay within the limit, and the weights wait") {
   CHECK(falling->record().sample().twist(2) > 0.01);  // it sinks
 }
 
-TEST_CASE("a leg beyond its stroke ends the run where it shall, with the leg and the time that a report has") {
+TEST_CASE("a leg beyond its stroke ends the run if so configured, with the leg and the time that are reported") {
   Settings<Hybrid> settings = sampled();
   const Vector6<double> push = (Vector6<double>() << 0.1, 0.05, 0.02, 0.0, 0.0, 0.0).finished();
   Driven reporting(settings);

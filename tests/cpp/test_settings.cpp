@@ -20,13 +20,13 @@ using PaperSettings = Settings<Hybrid>;
 using Change = std::function<void(PaperSettings&)>;
 using Points = Eigen::Matrix<double, 3, 4>;
 
-/// What the library says to the paper's scenario with one change.
+/// Message of the library for the paper's scenario with one change.
 std::string verdict(const Change& change) {
   PaperSettings settings = paper_settings();
   change(settings);
   const std::string message = refusal([&] { loop_parameters(settings); });
   const std::string checked = refusal([&] { check_settings(settings); });
-  if (message != "(accepted)") CHECK(checked == message);  // both doors say the same
+  if (message != "(accepted)") CHECK(checked == message);  // both give the same message
   return checked;
 }
 

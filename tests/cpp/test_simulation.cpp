@@ -190,7 +190,7 @@ TEST_CASE("a run is a function of its scenario: twice the same, bit for bit") {
   CHECK(std::ranges::equal(a.leg_forces, b.leg_forces));
 }
 
-TEST_CASE("a run that fails says how and when, keeps what it computed, and logs the last good sample") {
+TEST_CASE("a run that fails reports how and when, keeps what it computed, and logs the last good sample") {
   const Trajectory full = simulate(erratum(5.0));
   CHECK((full.outcome == Outcome::diverged || full.outcome == Outcome::behind_camera));
   CHECK(full.end_time < 0.05);  // docs/model.md, section 9, item 1

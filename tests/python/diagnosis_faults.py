@@ -169,7 +169,7 @@ class Fault:
     """One form that a cause takes.
 
     Ranges name keys of a scenario, or changes of `_apply`. "slower", "stiffer", "friction", "adaptation" and "prior"
-    are factors of gains, "tick" a servo period, "border", "timeout", "brake" and "noise_of_goal" what they say there.
+    are factors of gains, "tick" a servo period, "border", "timeout", "brake" and "noise_of_goal" as commented there.
     """
 
     ranges: Mapping[str, Range]

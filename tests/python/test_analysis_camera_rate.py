@@ -587,7 +587,7 @@ def test_the_verdict_is_that_of_runs_from_small_starts(capsys: pytest.CaptureFix
 
 
 def test_a_loop_that_its_weights_make_stable_is_not_called_bad() -> None:
-    """At empty weights it grows at 5 1/s; the weights of the settled run make it decay, and the verdict says so."""
+    """At empty weights it grows at 5 1/s; the weights of the settled run make it decay, which is the verdict."""
     scenario = bad_at_empty_weights()
     found = camera_rate.analyse(scenario)
     assert found.free is not None

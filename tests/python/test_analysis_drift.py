@@ -200,7 +200,7 @@ def test_resolved_rate_drifts_away_as_fast_as_its_eigenvalue_says(paper: hs.Scen
     assert growth == pytest.approx(-result.own.rate, rel=0.05)
 
 
-# ---- Where it does not apply, and what it says ----------------------------------------------------------------------
+# ---- Where it does not apply, and its text --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("law", ["hybrid", "kelly", "pbvs"])

@@ -32,7 +32,7 @@ def direction(result: LargestStart, name: str) -> Direction:
 
 
 def settles(scenario: hs.Scenario, duration: float) -> bool:
-    """Say it again with a single run: within 2 px during the last 0.2 s, and within the stroke all the way."""
+    """Repeat it with a single run: within 2 px during the last 0.2 s, and within the stroke all the way."""
     result = hs.simulate(scenario.updated({"simulation.duration": duration}))
     last = result.time >= duration - 0.2 - 1e-9
     within = hs.metrics(result)["peak_leg_excursion"] <= scenario.robot.stroke

@@ -317,7 +317,7 @@ def test_smooth_switching_creeps_as_fast_as_it_is_said_to(paper: hs.Scenario, ki
     expected = np.abs(share * ends.displacements @ stays.real.T @ rest.view.jacobian.T).max(axis=1)
     np.testing.assert_allclose(final, expected, rtol=0.05, atol=0.01)
     assert (final < 0.995 * started).all()
-    # What the analysis says is that map at its worst (home is the goal here: no error and no wrench there).
+    # The number of the analysis is the maximum of that map (home is the goal here: no error and no wrench there).
     np.testing.assert_allclose(found.creep.times, np.sort(-1 / rates.real)[::-1], rtol=1e-6)
     rows = rest.view.jacobian @ stays.real
     worst = rest.farthest(np.vstack([rows, -rows]))

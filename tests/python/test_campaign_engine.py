@@ -275,7 +275,7 @@ def test_damaged_chunks_are_computed_again(whole: Path, tmp_path: Path) -> None:
     chunks = out / "chunks"
     content = (chunks / "000002.parquet").read_bytes()
     (chunks / "000002.parquet").write_bytes(content[:-100])
-    (chunks / "000004.parquet").write_bytes(content)  # other runs than its name says
+    (chunks / "000004.parquet").write_bytes(content)  # other runs than those of its name
     (chunks / "000007.parquet").write_bytes(b"")
     (chunks / "000008.parquet").unlink()
     (out / "summary.json").unlink()

@@ -1,4 +1,4 @@
-"""V, its rate two ways, Delta-tau, and the theorem's assumption: by hand, and to the order that theory says."""
+"""V, its rate two ways, Delta-tau, and the theorem's assumption: by hand, and to the order of the theory."""
 
 from __future__ import annotations
 
@@ -293,7 +293,7 @@ def test_the_limit_of_the_weights_binds_the_best_ones_too(paper: hs.Scenario) ->
 
 @pytest.mark.parametrize(("width", "step"), [(0.1, 2e-2), (1e-3, 1e-2)])
 def test_disagreeing_rates_exclude_a_good_verdict(paper: hs.Scenario, width: float, step: float) -> None:
-    """The loop is unstable at such steps, or nearly: nothing that (20) says of the samples is known of the run."""
+    """The loop is unstable at such steps, or nearly: (20) at the samples does not describe the run."""
     changes = {"controller.switching.kind": "tanh", "controller.switching.width": width, "simulation.duration": 2.0}
     lyapunov, _ = parts_of(paper.updated({**changes, "simulation.step": step}))
     assert not lyapunov.rises  # the bound, which is the disagreement, is above everything
@@ -338,7 +338,7 @@ def test_the_sections_of_the_paper(paper: hs.Scenario) -> None:
     data = certificate.to_dict()
     json.dumps(data, allow_nan=False)
     assert set(data) == {"differences", "lyapunov", "assumption", "energy"}
-    # No proof is claimed, and what stability is not is said.
+    # No proof is claimed, and the limits of stability are stated.
     words = " ".join(sections["lyapunov"].sentences)
     assert "numerical check" in words
     assert "not convergence" in words

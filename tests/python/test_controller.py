@@ -25,7 +25,7 @@ def controller(paper: hs.Scenario) -> hs.Controller:
 
 
 def good_input(paper: hs.Scenario) -> dict[str, Any]:
-    """What the sensors of a robot say that moves near home."""
+    """Sensor readings of a robot that moves near home."""
     return {
         "features": np.asarray(paper.target.initial_features, dtype=float) + 1.0,
         "depth": np.full(4, -0.65),

@@ -1,4 +1,4 @@
-"""Ctrl-C while a run is judged: nothing is said of runs that did not come to their own end, and nothing is written."""
+"""Ctrl-C while a run is judged: no statement on runs that did not come to their own end, and nothing is written."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def leaves() -> list[str]:
 
 
 def fingerprint(scenario: hs.Scenario) -> bytes:
-    """Everything that a run says, in bytes."""
+    """Return all of a run's content, as bytes."""
     result = hs.simulate(scenario)
     arrays = [result.time, result.feature_error, result.position, result.quaternion, result.wrench, result.leg_forces]
     numbers = np.array([*hs.metrics(result).values(), result.end_time])

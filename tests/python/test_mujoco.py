@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import hexservo  # noqa: F401  says what to do where the compiled module is missing
+import hexservo  # noqa: F401  raises a helpful error where the compiled module is missing
 from hexservo import _core
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The examples of README, docs/batch.md and docs/compare.md run as they stand and say what is written beside them."""
+"""The examples of README, docs/batch.md and docs/compare.md run unchanged and print what is written beside them."""
 
 from __future__ import annotations
 

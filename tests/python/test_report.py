@@ -534,7 +534,7 @@ def test_the_file_is_whole_and_never_in_place_of_another(result: hs.Result, tmp_
 
 
 def test_the_report_of_the_paper_is_small_and_quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With all that certificate, analysis and diagnosis have to say."""
+    """With all findings of certificate, analysis and diagnosis."""
     monkeypatch.setattr("hexservo.report.page.groups", sections.groups)
     scenario = hs.load_scenario("paper")
     started = time.process_time()
@@ -545,7 +545,7 @@ def test_the_report_of_the_paper_is_small_and_quick(tmp_path: Path, monkeypatch:
     findings = time.process_time() - started
     started = time.process_time()
     hs.write_report(result, tmp_path / "0.html")
-    assert time.process_time() - started <= 3.0 * findings  # most of it is what it has to say
+    assert time.process_time() - started <= 3.0 * findings  # most of it is for the findings
     assert (tmp_path / "0.html").stat().st_size <= 6_000_000
 
 

@@ -355,7 +355,7 @@ def test_what_was_got_is_shortened() -> None:
 
 
 def test_of_very_many_problems_the_first_are_said_and_their_number() -> None:
-    """Saying them takes less than parsing them: a wrong file is not slower than a right one."""
+    """Reporting them takes less time than parsing them: a wrong file is not slower than a right one."""
     text = hs.load_scenario("paper").to_yaml() + "".join(f"key{number}: 1\n" for number in range(20_000))
     started = time.process_time()
     mapping = load_yaml(text)

@@ -132,7 +132,7 @@ def unsealed_chunk(content: bytes) -> tuple[pa.Table, dict[str, Any]]:
     Raises
     ------
     ResultError
-        The bytes are not those that `chunk_bytes` gave; the text says how they differ, without a place.
+        The bytes are not those that `chunk_bytes` gave; the text has the difference, without a place.
     """
     import pyarrow.parquet as pq
 

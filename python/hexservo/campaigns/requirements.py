@@ -109,7 +109,7 @@ def requirement_of(value: Any) -> Requirement:
     Raises
     ------
     ValidationError
-        One problem, which says what is wrong.
+        With one problem.
     """
     scale = None
     if isinstance(value, Mapping):

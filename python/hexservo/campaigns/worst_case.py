@@ -36,7 +36,7 @@ _STALLED = 1e-3  # a search ends when its candidates' margins differ by less
 
 @dataclass(frozen=True, repr=False, eq=False)
 class WorstCase(Findings):
-    """The worst case found: nothing says that there is none worse."""
+    """The worst case found: there may be a worse one."""
 
     scenario: Scenario  # of the run with the smallest margin: `hs.simulate` repeats it
     path: Path  # of its file, in the campaign's folder

@@ -164,7 +164,7 @@ def whole(batch: BatchResult) -> BatchResult:
     Raises
     ------
     KeyboardInterrupt
-        Ctrl-C ended it, which `simulate_batch` only notes: what is there of it says nothing.
+        Ctrl-C ended it, which `simulate_batch` only notes: what it has is incomplete.
     """
     if (batch.outcome == "interrupted").any():
         raise KeyboardInterrupt

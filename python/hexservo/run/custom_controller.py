@@ -94,7 +94,7 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
             else:
                 run.command(_six("a wrench", command, observation))
     except KeyboardInterrupt:
-        pass  # what was computed is kept, and the trajectory says so
+        pass  # what was computed is kept, and the trajectory is marked
     return run.finish()
 
 

@@ -324,7 +324,7 @@ class _Folder(Place):
             for name in _read_marker(replaced) or ():
                 if name != MARKER:
                     (replaced / name).unlink(missing_ok=True)
-            (replaced / MARKER).unlink(missing_ok=True)  # last, so that a folder half removed still says what it is
+            (replaced / MARKER).unlink(missing_ok=True)  # last, so that a folder half removed is still recognised
             replaced.rmdir()
         except OSError as error:
             raise OutputError(

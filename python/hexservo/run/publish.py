@@ -35,7 +35,7 @@ __all__ = ["OutputError", "Place", "draft_beside", "named", "publish", "signals_
 
 
 class OutputError(ValueError):
-    """Results cannot be written where they should go; the text says why and what to do."""
+    """Results cannot be written where they should go; the text has the reason and what to do."""
 
 
 class Place(ABC):

@@ -40,7 +40,7 @@ _BLOCK = 1 << 20
 
 
 class ResultError(ValueError):
-    """A file is no saved result, is damaged or is of a format that is not known; the text says which."""
+    """A file is not a saved result, is damaged or has an unknown format; the text has the reason."""
 
 
 def sealed_bytes(dataset: Dataset) -> memoryview:

@@ -43,7 +43,7 @@ def _is_unicode(text: str) -> bool:
 
 
 def put(keys: dict[str, Any], path: str, value: Any) -> str | None:
-    """Change one value by its dotted path, or say what is wrong with the path. Unknown keys are found later."""
+    """Change one value by its dotted path, or report an error of the path. Unknown keys are found later."""
     *blocks, key = path.split(".")
     for index, name in enumerate(blocks):
         inner = keys.setdefault(name, {})

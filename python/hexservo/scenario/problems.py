@@ -14,7 +14,7 @@ from hexservo.scenario.rules import Rule, did_you_mean, shown_value
 
 __all__ = []
 
-_MOST_PROBLEMS = 20  # said of a scenario; of more only their number
+_MOST_PROBLEMS = 20  # reported of a scenario; of more only their number
 
 
 def in_words(error: ValidationError, root: type[BaseModel] = Blocks) -> Iterator[str]:

@@ -75,7 +75,7 @@ def _parsed(text: str) -> tuple[float, list[list[float]]]:
             raise _LineError(line, f"expected times that increase, got t = {time!r} after {times[index - 1]!r}")
     for index, (line, time) in enumerate(zip(lines, times, strict=True)):
         if abs(time - index * period) > _UNEVEN * period:
-            even = f"t = {index * period:.9g} (samples every {period:.9g} s, as first and last one say)"
+            even = f"t = {index * period:.9g} (samples every {period:.9g} s, as the first and the last one have)"
             raise _LineError(line, f"expected {even}, got {time!r}")
     return period, samples
 

@@ -32,7 +32,7 @@ def refused_in_words(act: Callable[[], Any]) -> Any:
         return act()
     except ValueError as error:
         if type(error) not in (ValueError, hs.ScenarioError) or "expected" not in str(error):
-            raise  # as LinAlgError, UnicodeError, and what numpy says of arrays
+            raise  # as LinAlgError, UnicodeError, and errors of numpy about arrays
         return None
 
 

@@ -136,7 +136,7 @@ def lines_of(subject: Subject, place: Path) -> int:
 
 
 def interrupted_at(subject: Subject, place: Path, line: int) -> str:
-    """Raise KeyboardInterrupt at a line of replacing, and say what was left."""
+    """Raise KeyboardInterrupt at a line of replacing, and return what was left."""
 
     def interrupt() -> None:
         raise KeyboardInterrupt
@@ -156,7 +156,7 @@ def interrupted_at(subject: Subject, place: Path, line: int) -> str:
 
 
 def killed_at(subject: Subject, place: Path, line: int, *, first: bool) -> str:
-    """Kill a process at a line of its writing, and say what it left.
+    """Kill a process at a line of its writing, and return what it left.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def killed_at(subject: Subject, place: Path, line: int, *, first: bool) -> str:
 
 
 def _settled(subject: Subject, place: Path, allowed: set[int] | None) -> str:
-    """Say what a killed process left, after the checks of what must hold; None allows any number."""
+    """Return what a killed process left, after the checks of what must hold; None allows any number."""
     is_there = os.path.lexists(place)
     before = names(place)
     if is_there:
@@ -225,7 +225,7 @@ def _in_a_process(act: Callable[[], object]) -> bool:
 
 
 def killed_at_random(subject: Subject, place: Path, random: np.random.Generator) -> str:
-    """Kill a process that writes as fast as it can, and say what it left."""
+    """Kill a process that writes as fast as it can, and return what it left."""
     number = 0
     subject.write(place, number)
     started = time.perf_counter()

@@ -84,7 +84,7 @@ def analyse(
     -------
     Analysis
         A part that cannot be computed, since a number leaves the range of double precision or a matrix is singular,
-        is a `NotComputed`: its section says why, and names the scenario's extreme values.
+        is a `NotComputed`: its section gives the reason and names the scenario's extreme values.
 
     Raises
     ------

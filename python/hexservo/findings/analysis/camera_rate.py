@@ -85,9 +85,9 @@ class CameraRate(Part):
 
     @property
     def settles(self) -> bool | None:
-        """What the runs from small starts say: all settle, or one does not; None where they cannot say.
+        """Whether the runs from small starting errors all settle; None if they are inconclusive.
 
-        A drift, which grows with any camera, hides what a run says of the camera where the linear loop is stable.
+        With a drift, which grows with any camera, runs are inconclusive where the linear loop is stable.
         """
         endings = {run.ending for run in self.starts}
         drifting = self.acting is not None and self.acting.stable and self.acting.drifts > 0
@@ -97,7 +97,7 @@ class CameraRate(Part):
 
     @property
     def stable(self) -> bool | None:
-        """The verdict: that of the runs, and of the linear loop where they cannot say; None where this is open."""
+        """The verdict: that of the runs, or of the linear loop if they are inconclusive; None if this is open."""
         if self.acting is None:
             return None
         return self.acting.stable if self.settles is None else self.settles
@@ -204,8 +204,8 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
         check the border and the verdict.
     borders
         False leaves out what is not needed for `CameraRate.stable`: borders in period, latency and gain, those of the
-        stroke, their runs, the map, and the loop at learned weights. What `section` says of borders then means
-        nothing.
+        stroke, their runs, the map, and the loop at learned weights. The stability limits in `section` then have no
+        meaning.
 
     Returns
     -------

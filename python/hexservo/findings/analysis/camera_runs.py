@@ -22,7 +22,7 @@ __all__ = ["STARTS", "StartRun", "StrokeBorder", "learned_weights", "start_runs"
 STARTS = (0.01, 1.0)
 """Largest feature offsets of the small starts [px]."""
 
-_DURATIONS = (10.0, 40.0)  # of a run from a small start: the second one where the first cannot say [s]
+_DURATIONS = (10.0, 40.0)  # of a run from a small start: the second one if the first is inconclusive [s]
 _TICKS = 50_000  # of a run, at most
 _PARTS = 10  # of a run, whose motions are compared
 _QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at rest, and more where it goes on
@@ -120,7 +120,7 @@ def learned_weights(task: Scenario) -> Array | None:
 
 
 def _uninterrupted(result: Result) -> Result:
-    if result.outcome == "interrupted":  # says nothing of stability
+    if result.outcome == "interrupted":  # no statement on stability
         raise KeyboardInterrupt
     return result
 
@@ -149,7 +149,7 @@ def stroke_border(task: Scenario, key: Literal["period", "latency"], clock: Cloc
             return
         values = np.array([value * tick for value in new])
         batch = whole(simulate_batch(task, {f"camera.{key}": values}, log="metrics"))
-        # What ends early says nothing of the stroke, but that the task was not done: no camera for it.
+        # A run that ends early gives no travel, but the task was not done: the camera is too slow.
         done = np.isin(batch.outcome, ["completed", "leg_limit"])
         travels.update(zip(new, np.where(done, batch.metrics["peak_leg_excursion"], np.inf).tolist(), strict=True))
 

@@ -109,9 +109,7 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     """
     law = scenario.controller.law
     if law == "hybrid":
-        raise NotApplicableError(
-            "the law hybrid has Coulomb damping only, and a linear loop says nothing of dry friction"
-        )
+        raise NotApplicableError("the law hybrid has Coulomb damping only, which a linear loop does not describe")
     if scenario.camera.convention == "as_printed":
         raise NotApplicableError(
             "a camera as_printed has no points, and so no pose at which the goal is seen; set "
@@ -286,10 +284,10 @@ def growth(
     if scenario.controller.law == "composite" and not with_kv:
         changes["controller.composite.kv"] = 0.0
     result = simulate(scenario.updated(changes))
-    if result.outcome == "interrupted":  # says nothing of stability
+    if result.outcome == "interrupted":  # no statement on stability
         raise KeyboardInterrupt
     if result.outcome != "completed":
-        # Forward kinematics of legs of some metres may miss its tolerance: that says nothing of stability.
+        # Forward kinematics of legs of some metres may miss its tolerance: no statement on stability.
         lost = result.outcome == "solver_failed" and np.max(np.abs(result.feature_error[-1])) < 1.0
         return np.nan if lost else np.inf
     twist = result.twist[::every] * np.repeat([1.0, scenario.robot.platform_radius], 3)

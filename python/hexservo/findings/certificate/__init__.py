@@ -29,7 +29,7 @@ class Certificate(Findings):
     """Certificate of a finished run: a numerical check of one trajectory at its samples, not a proof."""
 
     scenario: Scenario
-    lyapunov: Lyapunov | None  # None where `open_questions` says why
+    lyapunov: Lyapunov | None  # None where `open_questions` has the reason
     assumption: Assumption | None
     energy: EnergyLedger | None
     differences: dict[str, float]  # of the result from the run that was certified, by quantity; empty: bit for bit
@@ -62,7 +62,7 @@ def certify(result: Result) -> Certificate:
     The scenario runs again with every step logged, and its samples are compared with the result's.
 
     Lyapunov function and assumption are the theorem's, for the law `hybrid` in continuous mode; other runs have the
-    energy ledger alone, and their sections say why.
+    energy ledger alone, and their sections give the reason.
 
     Parameters
     ----------

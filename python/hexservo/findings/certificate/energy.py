@@ -71,7 +71,7 @@ class EnergyLedger(Part):
         if not self.mismatch <= _SAME:
             found.append(
                 f"the steps rebuilt from the samples miss the next sample by {self.mismatch:.2g} of the largest twist: "
-                "what acted is not what the log and the law say"
+                "the acting wrench was not that of the log and the law"
             )
         if not abs(self.residual) <= self.tolerance:
             found.append(f"a residual of {abs(self.residual):.3g} J is beyond the tolerance of {self.tolerance:.3g} J")

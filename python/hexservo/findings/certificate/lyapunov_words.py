@@ -29,7 +29,7 @@ def section(found: Lyapunov) -> Section:
     elif not found.agrees:
         sentences.append(
             "The two rates of V do not agree: their RMS difference is more than half of the rate itself. The step "
-            f"is too coarse to say where V grows; from start to end it changed by {joules(change)}."
+            f"is too coarse to locate the growth of V; from start to end it changed by {joules(change)}."
         )
     elif rising == 0:
         sentences.append(
