@@ -8,9 +8,10 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.diagnosis.causes import CAUSES
+from packages import PACKAGES
 from test_docs import ROOT, prose_of, tables_in
 
-WORDS = {"four": 4, "six": 6, "ten": 10, "eighteen": 18}
+WORDS = {"four": 4, "six": 6, "seven": 7, "ten": 10, "eighteen": 18}
 RULES = hs.load_scenario("paper").updated({"simulation.duration": 0.001})
 WEIGHTS = hs.simulate(RULES).fuzzy_weights  # (6, 7, 7)
 RANKING = "docs/diagnosis/ranking.md"
@@ -50,6 +51,7 @@ COUNTS = [
     ("docs/model.md", r"the (\w+) numbers of a run", len(hs.METRICS)),
     ("docs/model.md", r"(\d+) weights", WEIGHTS.size),
     ("README.md", r"lists (\w+) errors and gaps", errata()),
+    ("CHANGELOG.md", r"The Python package has (\w+) parts", len(PACKAGES)),
     ("docs/proof.md", r"There are (\w+) kinds", kinds()),
 ]
 
