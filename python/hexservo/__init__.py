@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
     from hexservo.findings.diagnosis import Diagnosis, diagnose
     from hexservo.report import write_report
+    from hexservo.report.campaign_page import write_campaign_report
     from hexservo.run.batch import BatchResult, simulate_batch
     from hexservo.run.compare import compare
     from hexservo.run.comparison import Comparison, ComparisonRow
@@ -92,6 +93,7 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "worst_case",
+    "write_campaign_report",
     "write_report",
 ]
 
@@ -109,6 +111,7 @@ _MODULES = {
     "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),
     "findings.diagnosis": ("Diagnosis", "diagnose"),
     "report": ("write_report",),
+    "report.campaign_page": ("write_campaign_report",),
     "run.batch": ("BatchResult", "simulate_batch"),
     "run.compare": ("compare",),
     "run.comparison": ("Comparison", "ComparisonRow"),

@@ -194,7 +194,7 @@ class Store:
 
     def write_worst(self, text: str) -> None:
         """Write ``worst-run.yaml``."""
-        write_scenario(self.folder, WORST, text)
+        write_text(self.folder / WORST, text)
 
 
 def new_record(plan: CampaignPlan) -> dict[str, Any]:
@@ -242,15 +242,15 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
         ) from None
 
 
-def write_scenario(folder: Path, name: str, text: str) -> None:
-    """Write a scenario file into a campaign's folder, in place of an earlier one.
+def write_text(path: Path, text: str) -> None:
+    """Write a file of a campaign's folder, in place of an earlier one.
 
     Raises
     ------
     OutputError
         It cannot be written.
     """
-    _write(folder / name, text.encode())
+    _write(path, text.encode())
 
 
 def _write(path: Path, content: bytes) -> None:

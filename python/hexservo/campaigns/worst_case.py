@@ -12,7 +12,7 @@ import numpy as np
 
 from hexservo.campaigns.chunks import batch_margins
 from hexservo.campaigns.result import CampaignResult
-from hexservo.campaigns.store import write_scenario
+from hexservo.campaigns.store import write_text
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
@@ -137,7 +137,7 @@ def worst_case(
     law = base.controller.law
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
     scenario = base.updated({key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()})
-    write_scenario(result.folder, CASE, scenario.to_yaml())
+    write_text(result.folder / CASE, scenario.to_yaml())
     return WorstCase(
         scenario,
         result.folder / CASE,

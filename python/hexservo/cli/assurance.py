@@ -57,6 +57,9 @@ def campaign(
         bool,
         typer.Option("--worst", help="Search the worst case too, when the runs are complete; it is kept as a file."),
     ] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write report.html into the folder too: the verdict with its pictures.")
+    ] = False,
     settings: SettingsOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
 ) -> None:
@@ -89,6 +92,7 @@ def campaign(
             raise hs.ScenarioError(str(error).splitlines()) from error
         if not quiet:
             show_parts(*_report(result, out, time.perf_counter() - started))
+        more = []
         if result.interrupted:
             planned = result.plan.runs
             of = "" if planned is None else f" of {planned}"
@@ -101,8 +105,13 @@ def campaign(
                 raise
             except ValueError as error:  # nothing but seeds varies
                 raise hs.ScenarioError(str(error).splitlines()) from error
+            more.append(case.section())
             if not quiet:
                 show_parts("", *printed([case.section()]), f"\nthe worst case found: hexservo run {case.path}")
+        if report:
+            path = hs.write_campaign_report(result, tuple(more))
+            if not quiet:
+                show_parts(f"report: {path}")
 
 
 def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[RenderableType]:

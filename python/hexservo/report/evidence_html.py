@@ -9,7 +9,7 @@ from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
 from hexservo.report.charts import curves, explained, heat_map
 from hexservo.report.html import Html, element, paragraphs
 
-__all__ = ["badge", "section_html", "table_html"]
+__all__ = ["badge", "item_html", "section_html", "table_html"]
 
 _SHORT = 22  # characters of a cell that is not broken into lines
 _LONG = 60  # characters from which on a cell's column is made wide
@@ -27,7 +27,7 @@ def section_html(section: Section, anchor: str) -> Html:
         "section",
         element("h3", section.title, " ", badge(section.verdict)),
         paragraphs(*section.sentences),
-        *[_item_html(item) for item in section.items],
+        *[item_html(item) for item in section.items],
         id=anchor,
     )
 
@@ -57,7 +57,8 @@ def table_html(table: Table) -> Html:
     )
 
 
-def _item_html(item: Item) -> Html:
+def item_html(item: Item) -> Html:
+    """Return a table or a chart."""
     match item:
         case Table():
             return table_html(item)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,8 +25,9 @@ from hexservo.run.summary import summary_sentences
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
+    from hexservo.scenario.scenario import Scenario
 
-__all__ = ["page"]
+__all__ = ["assembled", "explanations", "page", "plotly_script", "scenario_part"]
 
 # The browser itself prevents the page and its libraries from loading anything.
 _POLICY = (
@@ -41,9 +43,23 @@ _WORST_FIRST = ("bad", "warning", "good", "open")  # verdicts, as the summary ha
 def page(result: Result) -> str:
     """Return the complete page of a run, beginning with the line that identifies reports."""
     name = result.scenario.name
-    plotly = _plotly()
+    plotly = plotly_script()
     found = [group for group in groups(result) if group.sections or group.refusal]
-    seen = scene(result)
+    parts = [
+        ("summary", "Summary", _summary(result, found)),
+        ("figures", "Figures", _figures(result)),
+        ("space", "The machine in space", _space(scene(result))),
+        *((group.source.name, group.source.title, _group(group)) for group in found),
+        ("metrics", "Metrics", _metrics(result)),
+        ("scenario", "Scenario", scenario_part(result.scenario)),
+        ("versions", "Versions", _versions(result, plotly)),
+        ("pages", "Explanations", explanations([section for group in found for section in group.sections])),
+    ]
+    return assembled(name, result.scenario.description, parts, plotly)
+
+
+def assembled(name: str, lead: str, parts: Sequence[tuple[str, str, Html]], plotly: str) -> str:
+    """Return a page from its parts, each with its anchor and its title, and a sentence below the heading."""
     head = element(
         "head",
         Html('<meta charset="utf-8">'),
@@ -53,20 +69,10 @@ def page(result: Result) -> str:
         element("title", f"{name}: hexservo report"),
         element("style", Html(_asset("report.css"))),
     )
-    parts = [
-        ("summary", "Summary", _summary(result, found)),
-        ("figures", "Figures", _figures(result)),
-        ("space", "The machine in space", _space(seen)),
-        *((group.source.name, group.source.title, _group(group)) for group in found),
-        ("metrics", "Metrics", _metrics(result)),
-        ("scenario", "Scenario", _scenario(result)),
-        ("versions", "Versions", _versions(result, plotly)),
-        ("pages", "Explanations", _documentation(found)),
-    ]
     contents = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in parts]
     body = element(
         "body",
-        element("header", element("h1", name), *_lead(result)),
+        element("header", element("h1", name), *([element("p", lead, class_="lead")] if lead else [])),
         element("nav", element("ul", *contents), aria_label="Contents"),
         element(
             "noscript",
@@ -81,10 +87,6 @@ def page(result: Result) -> str:
 
 def _part(anchor: str, title: str, content: Html) -> Html:
     return element("section", element("h2", title), content, id=anchor, class_="part")
-
-
-def _lead(result: Result) -> list[Html]:
-    return [element("p", result.scenario.description, class_="lead")] if result.scenario.description else []
 
 
 def _summary(result: Result, found: list[Group]) -> Html:
@@ -182,8 +184,9 @@ def _metrics(result: Result) -> Html:
     return table_html(Table("Computed at every step of the run", columns, rows, page=_METRICS_PAGE))
 
 
-def _scenario(result: Result) -> Html:
-    text = result.scenario.to_yaml()
+def scenario_part(scenario: Scenario) -> Html:
+    """Return a scenario as YAML."""
+    text = scenario.to_yaml()
     cut = len(text) - _MAX_SCENARIO
     if cut > 0:
         text = text[:_MAX_SCENARIO]
@@ -201,9 +204,9 @@ def _versions(result: Result, plotly: str) -> Html:
     return table_html(Table("What ran", (Column("part"), Column("version")), rows))
 
 
-def _documentation(found: list[Group]) -> Html:
+def explanations(sections: Sequence[Section]) -> Html:
     """Return the pages that explain the report, collapsed until a link to one is followed."""
-    named = [item.page for group in found for section in group.sections for item in section.items]
+    named = [item.page for section in sections for item in section.items]
     names = [name for name in dict.fromkeys([*named, _METRICS_PAGE]) if is_page(name)]
     return Html(
         paragraphs("Pages of the documentation that this report refers to, in the version that wrote it.")
@@ -218,7 +221,7 @@ def _asset(name: str) -> str:
     return (resources.files(__package__) / name).read_text(encoding="utf-8")
 
 
-def _plotly() -> str:
+def plotly_script() -> str:
     """Return plotly.js from the package plotly, without importing it, which would take longer than the page."""
     package = find_spec("plotly")
     script = Path(package.origin or "").parent / "package_data" / "plotly.min.js" if package else Path()

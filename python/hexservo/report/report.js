@@ -113,251 +113,260 @@
 
   // ---- The machine in space -----------------------------------------------------------------------------------------
 
-  const view = document.getElementById("view");
-  const scene = JSON.parse(document.getElementById("scene").textContent);
-  const gl = document.getElementById("webgl");
-  const slider = document.getElementById("instant");
-  const button = document.getElementById("play");
-  const readout = document.getElementById("readout");
-  const numbers = (spec) => {
-    const bytes = Uint8Array.from(atob(spec.bdata), (letter) => letter.charCodeAt(0));
-    return new Float32Array(bytes.buffer);
-  };
-  const runs = {};
-  for (const name of ["time", "position", "rotation", "joints", "image", "displacement", "turn", "error"]) {
-    runs[name] = numbers(scene[name]);
-  }
-  const POINTS = ["blue", "vermilion", "green", "black"];
-  const GAP = [null, null, null];
+  /** Have the view move and follow its slider; a page without a run has none. */
+  function space(view) {
+    const scene = JSON.parse(document.getElementById("scene").textContent);
+    const gl = document.getElementById("webgl");
+    const slider = document.getElementById("instant");
+    const button = document.getElementById("play");
+    const readout = document.getElementById("readout");
+    const numbers = (spec) => {
+      const bytes = Uint8Array.from(atob(spec.bdata), (letter) => letter.charCodeAt(0));
+      return new Float32Array(bytes.buffer);
+    };
+    const runs = {};
+    for (const name of ["time", "position", "rotation", "joints", "image", "displacement", "turn", "error"]) {
+      runs[name] = numbers(scene[name]);
+    }
+    const POINTS = ["blue", "vermilion", "green", "black"];
+    const GAP = [null, null, null];
 
-  /** Puts a point of E into B at an instant. */
-  function placed(frame, p) {
-    const R = runs.rotation.subarray(9 * frame, 9 * frame + 9);
-    const o = runs.position.subarray(3 * frame, 3 * frame + 3);
-    return [0, 1, 2].map((row) => o[row] + R[3 * row] * p[0] + R[3 * row + 1] * p[1] + R[3 * row + 2] * p[2]);
-  }
-  const coordinates = (points) => ({
-    x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]),
-  });
-  const imagePoint = (frame, point) => {
-    const at = 12 * frame + 3 * point;
-    return runs.image.subarray(at, at + 3);
-  };
+    /** Puts a point of E into B at an instant. */
+    function placed(frame, p) {
+      const R = runs.rotation.subarray(9 * frame, 9 * frame + 9);
+      const o = runs.position.subarray(3 * frame, 3 * frame + 3);
+      return [0, 1, 2].map((row) => o[row] + R[3 * row] * p[0] + R[3 * row + 1] * p[1] + R[3 * row + 2] * p[2]);
+    }
+    const coordinates = (points) => ({
+      x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]),
+    });
+    const imagePoint = (frame, point) => {
+      const at = 12 * frame + 3 * point;
+      return runs.image.subarray(at, at + 3);
+    };
 
-  /** What moves: the coordinates of each trace at an instant. */
-  function moving(frame) {
-    const camera = placed(frame, [0, 0, 0]);
-    const joints = [0, 1, 2, 3, 4, 5].map((leg) => [...runs.joints.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)]);
-    const corners = scene.corners.map((corner) => placed(frame, corner));
-    const traces = [
-      scene.base.flatMap((foot, leg) => [foot, joints[leg], GAP]),
-      [camera, ...joints],
-      [...joints, joints[0]],
-      [...corners.flatMap((corner) => [camera, corner, GAP]), ...corners, corners[0]],
-      scene.goals.map((goal) => placed(frame, goal)),
-      [0, 1, 2, 3].map((point) => (isNaN(imagePoint(frame, point)[0]) ? GAP : placed(frame, imagePoint(frame, point)))),
-    ];
-    for (let point = 0; point < 4; point += 1) {
-      const path = [];
-      for (let past = 0; past <= frame; past += 1) {
-        const place = imagePoint(past, point);
-        path.push(isNaN(place[0]) ? GAP : placed(frame, place));
+    /** What moves: the coordinates of each trace at an instant. */
+    function moving(frame) {
+      const camera = placed(frame, [0, 0, 0]);
+      const joints = [0, 1, 2, 3, 4, 5].map((leg) => [...runs.joints.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)]);
+      const corners = scene.corners.map((corner) => placed(frame, corner));
+      const traces = [
+        scene.base.flatMap((foot, leg) => [foot, joints[leg], GAP]),
+        [camera, ...joints],
+        [...joints, joints[0]],
+        [...corners.flatMap((corner) => [camera, corner, GAP]), ...corners, corners[0]],
+        scene.goals.map((goal) => placed(frame, goal)),
+        [0, 1, 2, 3].map((point) => (isNaN(imagePoint(frame, point)[0]) ? GAP : placed(frame, imagePoint(frame, point)))),
+      ];
+      for (let point = 0; point < 4; point += 1) {
+        const path = [];
+        for (let past = 0; past <= frame; past += 1) {
+          const place = imagePoint(past, point);
+          path.push(isNaN(place[0]) ? GAP : placed(frame, place));
+        }
+        traces.push(path);
+        if (scene.targets) traces.push([camera, scene.targets[point]]);
       }
-      traces.push(path);
-      if (scene.targets) traces.push([camera, scene.targets[point]]);
+      return traces.map(coordinates);
     }
-    return traces.map(coordinates);
-  }
 
-  function traces(colours, frame) {
-    const four = POINTS.map((name) => colours[name]);
-    const line = (color, width, more = {}) => ({ type: "scatter3d", mode: "lines", line: { color, width, ...more }, hoverinfo: "skip" });
-    const dots = (color, size, symbol, name) => ({
-      type: "scatter3d", mode: "markers", marker: { color, size, symbol, line: { width: 0 } }, name,
-      text: [1, 2, 3, 4].map((point) => `${name} ${point}`), hoverinfo: "text",
-    });
-    const moved = [
-      line(colours.muted, 9),
-      {
-        type: "mesh3d", color: colours.blue, opacity: 0.75, hoverinfo: "skip", flatshading: true, lighting: { ambient: 0.9, diffuse: 0.3 },
-        i: [0, 0, 0, 0, 0, 0], j: [1, 2, 3, 4, 5, 6], k: [2, 3, 4, 5, 6, 1],
-      },
-      line(colours.blue, 4),
-      line(colours.muted, 2),
-      dots(four, 5, "square-open", "goal"),
-      dots(four, 4, "circle", "feature"),
-    ];
-    for (let point = 0; point < 4; point += 1) {
-      moved.push(line(four[point], 5));
-      if (scene.targets) moved.push(line(four[point], 1.5));
+    function traces(colours, frame) {
+      const four = POINTS.map((name) => colours[name]);
+      const line = (color, width, more = {}) => ({ type: "scatter3d", mode: "lines", line: { color, width, ...more }, hoverinfo: "skip" });
+      const dots = (color, size, symbol, name) => ({
+        type: "scatter3d", mode: "markers", marker: { color, size, symbol, line: { width: 0 } }, name,
+        text: [1, 2, 3, 4].map((point) => `${name} ${point}`), hoverinfo: "text",
+      });
+      const moved = [
+        line(colours.muted, 9),
+        {
+          type: "mesh3d", color: colours.blue, opacity: 0.75, hoverinfo: "skip", flatshading: true, lighting: { ambient: 0.9, diffuse: 0.3 },
+          i: [0, 0, 0, 0, 0, 0], j: [1, 2, 3, 4, 5, 6], k: [2, 3, 4, 5, 6, 1],
+        },
+        line(colours.blue, 4),
+        line(colours.muted, 2),
+        dots(four, 5, "square-open", "goal"),
+        dots(four, 4, "circle", "feature"),
+      ];
+      for (let point = 0; point < 4; point += 1) {
+        moved.push(line(four[point], 5));
+        if (scene.targets) moved.push(line(four[point], 1.5));
+      }
+      const places = moving(frame);
+      const still = [{ ...line(colours.muted, 3), ...coordinates([...scene.base, scene.base[0]]) }];
+      still.push({
+        type: "mesh3d", color: colours.soft, opacity: 0.6, hoverinfo: "skip", ...coordinates(scene.base),
+        i: [0, 0, 0, 0], j: [1, 2, 3, 4], k: [2, 3, 4, 5],
+      });
+      if (scene.targets) still.push({ ...dots(four, 6, "circle", "target"), ...coordinates(scene.targets) });
+      return [...moved.map((trace, number) => ({ ...trace, ...places[number] })), ...still].map((trace) => ({ ...trace, showlegend: false }));
     }
-    const places = moving(frame);
-    const still = [{ ...line(colours.muted, 3), ...coordinates([...scene.base, scene.base[0]]) }];
-    still.push({
-      type: "mesh3d", color: colours.soft, opacity: 0.6, hoverinfo: "skip", ...coordinates(scene.base),
-      i: [0, 0, 0, 0], j: [1, 2, 3, 4], k: [2, 3, 4, 5],
-    });
-    if (scene.targets) still.push({ ...dots(four, 6, "circle", "target"), ...coordinates(scene.targets) });
-    return [...moved.map((trace, number) => ({ ...trace, ...places[number] })), ...still].map((trace) => ({ ...trace, showlegend: false }));
-  }
 
-  function sceneLayout(colours) {
-    const axis = (name, at, reversed) => ({
-      title: { text: `${name} [m]`, font: { size: 11 } }, color: colours.muted, gridcolor: colours.grid, zerolinecolor: colours.grid,
-      showbackground: false, showspikes: false, nticks: 5, tickfont: { size: 10 },
-      range: reversed ? [scene.high[at], scene.low[at]] : [scene.low[at], scene.high[at]],
+    function sceneLayout(colours) {
+      const axis = (name, at, reversed) => ({
+        title: { text: `${name} [m]`, font: { size: 11 } }, color: colours.muted, gridcolor: colours.grid, zerolinecolor: colours.grid,
+        showbackground: false, showspikes: false, nticks: 5, tickfont: { size: 10 },
+        range: reversed ? [scene.high[at], scene.low[at]] : [scene.low[at], scene.high[at]],
+      });
+      const [x, y, z] = scene.view;
+      return {
+        width: gl.clientWidth, height: gl.clientHeight, autosize: false, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "keep",
+        font: { family: "system-ui, sans-serif", color: colours.ink },
+        hoverlabel: { bgcolor: colours.paper, bordercolor: colours.muted, font: { color: colours.ink } },
+        scene: {
+          aspectmode: "manual", dragmode: "turntable", uirevision: "keep",
+          aspectratio: ratio(),
+          xaxis: axis("x", 0, false), yaxis: axis("y", 1, true), zaxis: axis("z", 2, true),
+          camera: { eye: { x, y, z }, up: { x: 0, y: 0, z: 1 }, projection: { type: "perspective" } },
+        },
+      };
+    }
+    function ratio() {
+      const size = [0, 1, 2].map((at) => scene.high[at] - scene.low[at]);
+      const scale = Math.min(1.25 / Math.cbrt(size[0] * size[1] * size[2]), 2 / Math.max(...size));
+      return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
+    }
+
+    // What the camera sees: places on the image plane, y up.
+    const SVG = "http://www.w3.org/2000/svg";
+    const picture = document.getElementById("image");
+    const half = Math.max(...scene.corners.map((corner) => Math.abs(corner[0])));
+    const shapeOfImage = Math.max(...scene.corners.map((corner) => Math.abs(corner[1]))) / half; // height to width
+    function shape(tag, className, attributes) {
+      const made = document.createElementNS(SVG, tag);
+      made.setAttribute("class", className);
+      for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+      picture.append(made);
+      return made;
+    }
+    picture.setAttribute("viewBox", `-100 ${-100 * shapeOfImage} 200 ${200 * shapeOfImage}`);
+    const onPicture = (place) => [(100 * place[0]) / half, (-100 * place[1]) / half];
+    function walk(point, frames) {
+      let text = "";
+      for (let frame = 0; frame < frames; frame += 1) {
+        const place = onPicture(imagePoint(frame, point));
+        if (!isNaN(place[0])) text += `${text ? "L" : "M"}${place[0].toFixed(2)} ${place[1].toFixed(2)}`;
+      }
+      return text;
+    }
+    shape("path", "axis", { d: `M-100 0H100M0 ${-100 * shapeOfImage}V${100 * shapeOfImage}` });
+    const seen = POINTS.map((name, point) => {
+      const [x, y] = onPicture(scene.goals[point]);
+      shape("rect", name, { x: x - 4, y: y - 4, width: 8, height: 8 });
+      shape("path", `past ${name}`, { d: walk(point, runs.time.length) });
+      return { path: shape("path", name, {}), dot: shape("circle", `dot ${name}`, { r: 2.4 }) };
     });
-    const [x, y, z] = scene.view;
+    function showImage(frame) {
+      seen.forEach(({ path, dot }, point) => {
+        const [x, y] = onPicture(imagePoint(frame, point));
+        path.setAttribute("d", walk(point, frame + 1));
+        dot.style.display = isNaN(x) ? "none" : "";
+        if (!isNaN(x)) { dot.setAttribute("cx", x); dot.setAttribute("cy", y); }
+      });
+    }
+
+    function tell(frame) {
+      showImage(frame);
+      const vector = (values) => [...values.subarray(3 * frame, 3 * frame + 3)].map((value) => (Math.round(value * 100) / 100 || 0).toFixed(2)).join(", ");
+      const error = runs.error[frame];
+      const text = `t = ${runs.time[frame].toFixed(3)} s; largest feature error ${error.toPrecision(3)} px; ` +
+        `moved (${vector(runs.displacement)}) mm; turned (${vector(runs.turn)}) mrad`;
+      readout.textContent = text;
+      slider.setAttribute("aria-valuetext", `t = ${runs.time[frame].toFixed(3)} s`);
+    }
+
+    function show(frame) {
+      const places = moving(frame);
+      tell(frame);
+      return Plotly.restyle(
+        gl, { x: places.map((at) => at.x), y: places.map((at) => at.y), z: places.map((at) => at.z) }, places.map((_, number) => number),
+      );
+    }
+
+    function hasWebGL() {
+      try {
+        const canvas = document.createElement("canvas");
+        return Boolean(canvas.getContext("webgl") || canvas.getContext("experimental-webgl"));
+      } catch (error) {
+        return false;
+      }
+    }
+    function standIn(reason) {
+      view.classList.remove("moving");
+      const words = document.getElementById("webgl-missing");
+      words.textContent = `${reason}: this is a still picture of the end of the run.`;
+      words.hidden = false;
+      stop();
+    }
+
+    let timer = 0;
+    function stop() {
+      clearTimeout(timer);
+      timer = 0;
+      button.textContent = "Play";
+    }
+    function step() {
+      const frame = Number(slider.value);
+      if (frame >= Number(slider.max)) return stop();
+      slider.value = String(frame + 1);
+      return show(frame + 1).then(() => {
+        if (timer) timer = setTimeout(step, 30);
+      });
+    }
+    button.addEventListener("click", () => {
+      if (timer) return stop();
+      if (Number(slider.value) >= Number(slider.max)) slider.value = "0";
+      button.textContent = "Stop";
+      timer = setTimeout(step, 0);
+      return undefined;
+    });
+    let wanted = false;
+    slider.addEventListener("input", () => {
+      stop();
+      if (wanted) return;
+      wanted = true; // many events, one picture each time the browser paints
+      requestAnimationFrame(() => {
+        wanted = false;
+        show(Number(slider.value));
+      });
+    });
+
+    function drawSpace() {
+      const colours = palette();
+      return Plotly.react(gl, traces(colours, Number(slider.value)), sceneLayout(colours), config("toImage", "pan3d", "tableRotation", "resetCameraDefault3d"));
+    }
+    let movable = false;
+    if (hasWebGL()) {
+      view.classList.add("moving");
+      slider.value = slider.max;
+      const begin = new IntersectionObserver((entries) => {
+        if (!entries.some((entry) => entry.isIntersecting)) return;
+        begin.disconnect();
+        tell(Number(slider.value));
+        drawSpace().then(() => {
+          movable = true;
+          gl.dataset.ready = "yes";
+          gl.on("plotly_webglcontextlost", () => standIn("The browser gave up WebGL"));
+        }).catch(() => standIn("The view in space could not be drawn"));
+      }, { rootMargin: "600px 0px" });
+      begin.observe(gl);
+    } else {
+      standIn("This browser has no WebGL");
+    }
+
     return {
-      width: gl.clientWidth, height: gl.clientHeight, autosize: false, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "keep",
-      font: { family: "system-ui, sans-serif", color: colours.ink },
-      hoverlabel: { bgcolor: colours.paper, bordercolor: colours.muted, font: { color: colours.ink } },
-      scene: {
-        aspectmode: "manual", dragmode: "turntable", uirevision: "keep",
-        aspectratio: ratio(),
-        xaxis: axis("x", 0, false), yaxis: axis("y", 1, true), zaxis: axis("z", 2, true),
-        camera: { eye: { x, y, z }, up: { x: 0, y: 0, z: 1 }, projection: { type: "perspective" } },
-      },
+      redraw: () => { if (movable && !printing) drawSpace(); },
+      resize: () => { if (movable) Plotly.relayout(gl, { width: gl.clientWidth, height: gl.clientHeight }); },
     };
   }
-  function ratio() {
-    const size = [0, 1, 2].map((at) => scene.high[at] - scene.low[at]);
-    const scale = Math.min(1.25 / Math.cbrt(size[0] * size[1] * size[2]), 2 / Math.max(...size));
-    return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
-  }
-
-  // What the camera sees: places on the image plane, y up.
-  const SVG = "http://www.w3.org/2000/svg";
-  const picture = document.getElementById("image");
-  const half = Math.max(...scene.corners.map((corner) => Math.abs(corner[0])));
-  const shapeOfImage = Math.max(...scene.corners.map((corner) => Math.abs(corner[1]))) / half; // height to width
-  function shape(tag, className, attributes) {
-    const made = document.createElementNS(SVG, tag);
-    made.setAttribute("class", className);
-    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-    picture.append(made);
-    return made;
-  }
-  picture.setAttribute("viewBox", `-100 ${-100 * shapeOfImage} 200 ${200 * shapeOfImage}`);
-  const onPicture = (place) => [(100 * place[0]) / half, (-100 * place[1]) / half];
-  function walk(point, frames) {
-    let text = "";
-    for (let frame = 0; frame < frames; frame += 1) {
-      const place = onPicture(imagePoint(frame, point));
-      if (!isNaN(place[0])) text += `${text ? "L" : "M"}${place[0].toFixed(2)} ${place[1].toFixed(2)}`;
-    }
-    return text;
-  }
-  shape("path", "axis", { d: `M-100 0H100M0 ${-100 * shapeOfImage}V${100 * shapeOfImage}` });
-  const seen = POINTS.map((name, point) => {
-    const [x, y] = onPicture(scene.goals[point]);
-    shape("rect", name, { x: x - 4, y: y - 4, width: 8, height: 8 });
-    shape("path", `past ${name}`, { d: walk(point, runs.time.length) });
-    return { path: shape("path", name, {}), dot: shape("circle", `dot ${name}`, { r: 2.4 }) };
-  });
-  function showImage(frame) {
-    seen.forEach(({ path, dot }, point) => {
-      const [x, y] = onPicture(imagePoint(frame, point));
-      path.setAttribute("d", walk(point, frame + 1));
-      dot.style.display = isNaN(x) ? "none" : "";
-      if (!isNaN(x)) { dot.setAttribute("cx", x); dot.setAttribute("cy", y); }
-    });
-  }
-
-  function tell(frame) {
-    showImage(frame);
-    const vector = (values) => [...values.subarray(3 * frame, 3 * frame + 3)].map((value) => (Math.round(value * 100) / 100 || 0).toFixed(2)).join(", ");
-    const error = runs.error[frame];
-    const text = `t = ${runs.time[frame].toFixed(3)} s; largest feature error ${error.toPrecision(3)} px; ` +
-      `moved (${vector(runs.displacement)}) mm; turned (${vector(runs.turn)}) mrad`;
-    readout.textContent = text;
-    slider.setAttribute("aria-valuetext", `t = ${runs.time[frame].toFixed(3)} s`);
-  }
-
-  function show(frame) {
-    const places = moving(frame);
-    tell(frame);
-    return Plotly.restyle(
-      gl, { x: places.map((at) => at.x), y: places.map((at) => at.y), z: places.map((at) => at.z) }, places.map((_, number) => number),
-    );
-  }
-
-  function hasWebGL() {
-    try {
-      const canvas = document.createElement("canvas");
-      return Boolean(canvas.getContext("webgl") || canvas.getContext("experimental-webgl"));
-    } catch (error) {
-      return false;
-    }
-  }
-  function standIn(reason) {
-    view.classList.remove("moving");
-    const words = document.getElementById("webgl-missing");
-    words.textContent = `${reason}: this is a still picture of the end of the run.`;
-    words.hidden = false;
-    stop();
-  }
-
-  let timer = 0;
-  function stop() {
-    clearTimeout(timer);
-    timer = 0;
-    button.textContent = "Play";
-  }
-  function step() {
-    const frame = Number(slider.value);
-    if (frame >= Number(slider.max)) return stop();
-    slider.value = String(frame + 1);
-    return show(frame + 1).then(() => {
-      if (timer) timer = setTimeout(step, 30);
-    });
-  }
-  button.addEventListener("click", () => {
-    if (timer) return stop();
-    if (Number(slider.value) >= Number(slider.max)) slider.value = "0";
-    button.textContent = "Stop";
-    timer = setTimeout(step, 0);
-    return undefined;
-  });
-  let wanted = false;
-  slider.addEventListener("input", () => {
-    stop();
-    if (wanted) return;
-    wanted = true; // many events, one picture each time the browser paints
-    requestAnimationFrame(() => {
-      wanted = false;
-      show(Number(slider.value));
-    });
-  });
-
-  function drawSpace() {
-    const colours = palette();
-    return Plotly.react(gl, traces(colours, Number(slider.value)), sceneLayout(colours), config("toImage", "pan3d", "tableRotation", "resetCameraDefault3d"));
-  }
-  let movable = false;
-  if (hasWebGL()) {
-    view.classList.add("moving");
-    slider.value = slider.max;
-    const begin = new IntersectionObserver((entries) => {
-      if (!entries.some((entry) => entry.isIntersecting)) return;
-      begin.disconnect();
-      tell(Number(slider.value));
-      drawSpace().then(() => {
-        movable = true;
-        gl.dataset.ready = "yes";
-        gl.on("plotly_webglcontextlost", () => standIn("The browser gave up WebGL"));
-      }).catch(() => standIn("The view in space could not be drawn"));
-    }, { rootMargin: "600px 0px" });
-    begin.observe(gl);
-  } else {
-    standIn("This browser has no WebGL");
-  }
+  const view = document.getElementById("view");
+  const machine = view && space(view);
 
   // ---- Scheme, width, print -----------------------------------------------------------------------------------------
 
   function redraw() {
     charts.filter((chart) => chart.drawn).forEach(draw);
-    if (movable && !printing) drawSpace();
+    if (machine) machine.redraw();
   }
   dark.addEventListener("change", redraw);
   let resizing = 0;
@@ -366,7 +375,7 @@
     resizing = setTimeout(() => {
       if (printing) return;
       charts.filter((chart) => chart.drawn && Math.floor(chart.box.clientWidth) !== chart.width).forEach(draw);
-      if (movable) Plotly.relayout(gl, { width: gl.clientWidth, height: gl.clientHeight });
+      if (machine) machine.resize();
     }, 120);
   });
   /** Draws all charts anew: what plotly.js keeps of a chart does not fit a page's width. */

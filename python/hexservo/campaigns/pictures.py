@@ -1,0 +1,162 @@
+"""Curves of a campaign: the interval over the runs, distributions of metrics, and where the failures lie."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import rankdata
+
+from hexservo.campaigns.intervals import anytime_interval
+from hexservo.campaigns.result import CampaignResult
+from hexservo.findings.evidence import Curves, Line, Section
+from hexservo.run.metrics import METRICS
+from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.wording import number
+
+__all__ = ["campaign_sections", "influential"]
+
+_PAGE = "docs/campaigns.md"
+_POINTS = 60  # of the interval over the runs
+_QUANTILES = 400  # of a distribution
+_DOTS = 600  # runs of each kind in a plane
+
+
+def campaign_sections(result: CampaignResult) -> list[Section]:
+    """Return the verdict of a campaign and its pictures, for a report.
+
+    Raises
+    ------
+    ResultError
+        A chunk is damaged.
+    """
+    found = [result.section()]
+    if len(result) == 0:
+        return found
+    failed: Mask = np.asarray(result.margin() < 0)
+    found.append(Section("interval", "Interval", _interval_sentences(result), [_interval(result, failed)]))
+    distributions = _distributions(result)
+    if distributions:
+        found.append(Section("distributions", "Metrics and their bounds", (), distributions))
+    found.append(_failures(result, failed))
+    return found
+
+
+def influential(result: CampaignResult, count: int = 2) -> list[tuple[str, float]]:
+    """Return the varied numbers that the margin depends on most, with the size of their rank correlation.
+
+    Of each number the correlation with its value and with its distance from the median is taken, and the larger one
+    counts: an error may matter whatever its sign. Seeds are left out.
+    """
+    table = result.to_arrow()
+    ranks = rankdata(table.column("margin").to_numpy())
+    inputs = [name for name in table.column_names[1 : table.column_names.index("outcome")] if name != "seed"]
+    sizes = {}
+    for name in inputs:
+        values: Array = table.column(name).to_numpy()
+        sizes[name] = max(_correlation(ranks, part) for part in (values, np.abs(values - np.median(values))))
+    return sorted(sizes.items(), key=lambda item: -item[1])[:count]
+
+
+def _correlation(ranks: Array, values: Array) -> float:
+    """Return the size of Spearman's correlation; 0 where nothing varies."""
+    other = rankdata(values)
+    if np.ptp(other) == 0 or np.ptp(ranks) == 0:
+        return 0.0
+    return float(abs(np.corrcoef(ranks, other)[0, 1]))
+
+
+def _interval_sentences(result: CampaignResult) -> Sequence[str]:
+    low, high = result.interval
+    return [
+        f"After {len(result)} runs it is {number(low)} to {number(high)}, with a confidence of "
+        f"{result.plan.confidence:.4g}."
+    ]
+
+
+def _interval(result: CampaignResult, failed: Mask) -> Curves:
+    counts = np.cumsum(failed)
+    places = np.unique(np.geomspace(min(10, len(failed)), len(failed), _POINTS).astype(int))
+    plan = result.plan
+    ends = np.array([anytime_interval(int(counts[n - 1]), int(n), plan.confidence, plan.mixture) for n in places])
+    runs = places.astype(float)
+    lines = [Line("upper end", runs, ends[:, 1]), Line("lower end", runs, np.where(ends[:, 0] > 0, ends[:, 0], np.nan))]
+    shares = counts[places - 1] / runs
+    if shares.max() > 0:
+        lines.append(Line("share of failures", runs, np.where(shares > 0, shares, np.nan), "dashed"))
+    if plan.until is not None and plan.until.kind == "probability_below":
+        lines.append(Line("goal", runs[[0, -1]], np.full(2, plan.until.value), "dashed"))
+    return Curves(
+        "Failure probability",
+        "runs",
+        "probability",
+        [line for line in lines if np.isfinite(line.y).any()],
+        x_log=True,
+        y_log=True,
+        note="The interval holds at all numbers of runs at once. A lower end of 0 is not drawn.",
+        page=_PAGE,
+    )
+
+
+def _distributions(result: CampaignResult) -> list[Curves]:
+    """Return for each bounded metric the share of runs up to a value, with the bound."""
+    items = []
+    for requirement in result.plan.require:
+        if requirement.name == "outcome":
+            continue
+        values: Array = result.to_arrow([requirement.name]).column(0).to_numpy()
+        finite = values[np.isfinite(values)]
+        if not len(finite):
+            continue
+        shares = np.linspace(0, 1, _QUANTILES)
+        unit = METRICS[requirement.name][0]
+        label = requirement.name.replace("_", " ")
+        items.append(
+            Curves(
+                label[0].upper() + label[1:],
+                f"{label} [{unit}]",
+                "share of runs",
+                [
+                    Line("runs up to this value", np.quantile(finite, shares), shares * len(finite) / len(values)),
+                    Line(
+                        f"bound, {requirement.comparison}",
+                        np.full(2, requirement.bound),
+                        np.array([0.0, 1.0]),
+                        "dashed",
+                    ),
+                ],
+                x_log=bool(finite.min() > 0 and finite.max() > 100 * finite.min()),
+                note=_without(len(values) - len(finite), len(values)),
+                page=_PAGE,
+            )
+        )
+    return items
+
+
+def _without(missing: int, runs: int) -> str:
+    return f"{missing} of {runs} runs have no value." if missing else ""
+
+
+def _failures(result: CampaignResult, failed: Mask) -> Section:
+    """Return passing and failing runs in the plane of the two numbers that matter most."""
+    names = influential(result)
+    listed = " and ".join(f"{name} ({size:.2f})" for name, size in names)
+    sentences = [
+        f"Largest rank correlation of the margin, with a number or with its distance from the median: {listed}."
+    ]
+    if len(names) < 2:
+        return Section("failures", "Where the failures lie", sentences)
+    table = result.to_arrow([name for name, _ in names])
+    x, y = (np.asarray(table.column(place).to_numpy(), dtype=float) for place in range(2))
+    lines = []
+    for name, kind in (("passes", ~failed), ("fails", failed)):
+        places = np.flatnonzero(kind)[:_DOTS]
+        if len(places):
+            lines.append(Line(name, x[places], y[places], "points"))
+    note = f"The first {_DOTS} runs of each kind." if max(failed.sum(), (~failed).sum()) > _DOTS else ""
+    return Section(
+        "failures",
+        "Where the failures lie",
+        sentences,
+        [Curves("Runs in the plane of both", names[0][0], names[1][0], lines, note=note, page=_PAGE)],
+    )

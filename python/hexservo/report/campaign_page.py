@@ -1,0 +1,85 @@
+"""The page of a campaign, in the style of a run's report."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from hexservo.campaigns.distributions import Variation
+from hexservo.campaigns.pictures import campaign_sections
+from hexservo.campaigns.result import CampaignResult
+from hexservo.campaigns.store import write_text
+from hexservo.findings.evidence import Column, Section, Table
+from hexservo.report.evidence_html import badge, item_html, section_html, table_html
+from hexservo.report.html import Html, element, paragraphs
+from hexservo.report.page import assembled, explanations, plotly_script, scenario_part
+
+__all__ = ["REPORT", "write_campaign_report"]
+
+REPORT = "report.html"
+
+
+def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()) -> Path:
+    """Write ``report.html`` into a campaign's folder: one HTML file, in place of an earlier one (docs/campaigns.md).
+
+    Parameters
+    ----------
+    result
+        The campaign; it need not be complete.
+    more
+        Sections of other findings, such as those of `worst_case` and `sensitivity`.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    ResultError
+        A chunk is damaged.
+    OutputError
+        The file cannot be written.
+    """
+    sections = [*campaign_sections(result), *more]
+    verdict, *pictures = sections
+    plan = result.plan
+    rows = [(key, _words(variation)) for key, variation in plan.vary.items()]
+    varied = Table("What varies", (Column("key"), Column("distribution")), rows, page="docs/campaigns.md")
+    parts = [
+        ("verdict", "Verdict", section_html(verdict, "section-verdict")),
+        *((section.name, section.title, _content(section)) for section in pictures),
+        ("vary", "Variations", table_html(varied)),
+        ("scenario", "Scenario", scenario_part(plan.scenario)),
+        ("versions", "Versions", _versions(result)),
+        ("pages", "Explanations", explanations(sections)),
+    ]
+    name = f"Campaign on {plan.scenario.name}"
+    path = result.folder / REPORT
+    write_text(path, assembled(name, result.section().sentences[0], parts, plotly_script()))
+    return path
+
+
+def _content(section: Section) -> Html:
+    """Return a section without the title, which its part has; a verdict only where there is one."""
+    judged = [badge(section.verdict)] if section.verdict != "open" else []
+    return element("div", *judged, paragraphs(*section.sentences), *map(item_html, section.items))
+
+
+def _words(variation: Variation) -> str:
+    """Return a distribution as the file has it."""
+    plain = variation.to_plain()
+    return (
+        plain if isinstance(plain, str) else ", ".join(f"{key}: {str(value).lower()}" for key, value in plain.items())
+    )
+
+
+def _versions(result: CampaignResult) -> Html:
+    summary = result.summary
+    rows = [
+        ("hexservo", summary["hexservo"]),
+        ("compiled variant", summary["variant"]),
+        ("campaign", summary["campaign"]),
+        ("folder", os.fspath(result.folder)),
+    ]
+    return element("div", table_html(Table("What ran", (Column("part"), Column("value")), rows)))

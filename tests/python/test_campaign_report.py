@@ -1,0 +1,123 @@
+"""The page of a campaign: what it says and draws, from the folder alone."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.campaigns.intervals import anytime_interval
+from hexservo.campaigns.pictures import campaign_sections, influential
+from hexservo.findings.evidence import Curves
+from test_campaign_engine import FILE, RUNS
+from test_report import CHROMIUM, in_browser
+from test_terminal import invoke
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> hs.CampaignResult:
+    return hs.campaign(FILE, tmp_path_factory.mktemp("campaign") / "out")
+
+
+def curves_of(result: hs.CampaignResult) -> dict[str, Curves]:
+    items = [item for section in campaign_sections(result) for item in section.items]
+    return {item.title: item for item in items if isinstance(item, Curves)}
+
+
+def test_the_curves_are_those_of_the_runs(result: hs.CampaignResult) -> None:
+    table = result.to_dataframe()
+    found = curves_of(result)
+    assert list(found) == ["Failure probability", "Peak leg excursion", "Final error", "Runs in the plane of both"]
+    upper, lower, share = found["Failure probability"].lines
+    for n, high in zip(upper.x, upper.y, strict=True):
+        failures = int((table.margin[: int(n)] < 0).sum())
+        assert high == anytime_interval(failures, int(n))[1]
+    assert (upper.x[-1], lower.y[-1], share.y[-1]) == (RUNS, result.interval[0], result.failures / RUNS)
+    values, bound = found["Final error"].lines
+    assert set(bound.x) == {1.5}
+    for place in (0, 100, 399):
+        at_most = (table.final_error <= values.x[place] + 1e-12).mean()
+        assert at_most == pytest.approx(values.y[place], abs=1.5 / RUNS + 1 / 399)
+    passes, fails = found["Runs in the plane of both"].lines
+    assert (passes.name, fails.name) == ("passes", "fails")
+    assert len(fails.x) == min(result.failures, 600)
+
+
+def test_the_most_influential_number_is_found(tmp_path: Path) -> None:
+    """Of an error that matters whatever its sign, and one that does not matter."""
+    file = {
+        "scenario": hs.load_scenario("paper").updated({"simulation.duration": 0.3}),
+        "vary": {"robot.stroke": {"uniform": [0.016, 0.018]}, "uncertainty.gravity": {"normal": [0.0, 0.1]}},
+        "require": ["peak_leg_excursion <= 0.02"],
+        "runs": 200,
+    }
+    names = influential(hs.campaign(file, tmp_path / "out"))
+    assert [name for name, _ in names] == ["uncertainty.gravity", "robot.stroke"]
+    assert names[0][1] > 0.8 > 0.3 > names[1][1]
+
+
+def test_a_campaign_without_runs_and_without_failures(tmp_path: Path) -> None:
+    never = hs.campaign(FILE | {"require": ["outcome == completed"]}, tmp_path / "never", runs=30)
+    assert [section.name for section in campaign_sections(never)] == ["campaign", "interval", "failures"]
+    assert all(np.isfinite(line.y).any() for curves in curves_of(never).values() for line in curves.lines)
+    shutil.rmtree(tmp_path / "never" / "chunks")
+    (tmp_path / "never" / "summary.json").unlink()
+    empty = hs.load_campaign(tmp_path / "never")
+    assert len(empty) == 0
+    page = hs.write_campaign_report(empty).read_text(encoding="utf-8")
+    assert "0 of 0 runs fail" in page
+
+
+def test_the_page_says_what_the_summary_says(result: hs.CampaignResult) -> None:
+    path = hs.write_campaign_report(result)
+    content = path.read_bytes()
+    assert hs.write_campaign_report(result).read_bytes() == content
+    page = content.decode()
+    for text in (
+        result.section().sentences[0],
+        "final_error &lt;= 1.5",
+        "normal: [0.0, 0.003], each: true",
+        "Explanations",
+    ):
+        assert text in page, text
+    assert page.count('class="chart"') == 4
+    assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=.https?:", page)
+
+
+@in_browser
+def test_the_page_in_a_browser(result: hs.CampaignResult) -> None:
+    """On a laptop, light, and on a phone, dark; both printed too."""
+    from playwright.sync_api import sync_playwright
+
+    path = hs.write_campaign_report(result)
+    problems: list[str] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM)
+        for width in (1280, 390):
+            scheme: Literal["light", "dark"] = "light" if width == 1280 else "dark"
+            page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
+            page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+            page.on("pageerror", lambda error: problems.append(str(error)))
+            page.goto(path.as_uri())
+            charts = page.locator(".chart")
+            for place in range(charts.count()):
+                charts.nth(place).scroll_into_view_if_needed()
+                charts.nth(place).locator(".main-svg").first.wait_for(state="attached")
+            assert charts.count() == 4
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            page.pdf()
+        browser.close()
+    assert problems == []
+
+
+def test_the_command_writes_the_page(tmp_path: Path) -> None:
+    arguments = ["campaign", "campaign-composite-30hz", "--out", str(tmp_path / "out"), "--runs", "20", "--report"]
+    code, out, err = invoke(*arguments, "--set", "simulation.duration=0.1")
+    assert (code, err) == (0, "")
+    assert f"report: {tmp_path}/out/report.html" in out
+    assert "20 of 20 runs fail" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
