@@ -284,8 +284,9 @@ def test_damaged_chunks_are_computed_again(whole: Path, tmp_path: Path) -> None:
     assert hs.campaign(FILE, out, warn=warnings.append).complete
     assert len(warnings) == 3
     assert '000002.parquet": expected a chunk as hexservo wrote it' in warnings[0]
-    assert "expected the runs 400 to 499, got 200 to 299; it is kept as .damaged" in warnings[1]
-    assert (chunks / "000002.parquet.damaged").read_bytes() == content[:-100]
+    assert "expected the runs 400 to 499, got 200 to 299; it is now " in warnings[1]
+    assert sorted(path.name for path in (out / "damaged").iterdir()) == [f"00000{i}.parquet" for i in (2, 4, 7)]
+    assert (out / "damaged" / "000002.parquet").read_bytes() == content[:-100]
     assert digest_of(out) == digest_of(whole)
 
 
@@ -410,6 +411,18 @@ def test_the_interval_ends_a_campaign(whole: Path, tmp_path: Path, until: dict[s
     assert len(list((tmp_path / "out" / "chunks").iterdir())) == expected // 20
     assert digest_of(tmp_path / "out")[1] == digest_of(whole)[1][: 8 * expected]
     assert hs.campaign(file, tmp_path / "out", runs=runs).summary == result.summary
+
+
+def test_a_goal_that_is_reached_earlier_removes_no_runs(tmp_path: Path) -> None:
+    first = hs.campaign(FILE, tmp_path / "out", runs=400)
+    goal = hs.campaign({**FILE, "runs": None, "until": {"probability_below": 0.9}}, tmp_path / "out")
+    assert len(goal) == 100
+    assert hs.load_campaign(tmp_path / "out").summary == goal.summary
+    (tmp_path / "out" / "summary.json").unlink()
+    assert hs.load_campaign(tmp_path / "out").summary == goal.summary
+    assert len(list((tmp_path / "out" / "chunks").iterdir())) == 4
+    again = hs.campaign(FILE, tmp_path / "out", runs=400)
+    assert again.failures == first.failures
 
 
 def test_a_run_that_is_no_scenario_is_named(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The page of a campaign: what it says and draws, from the folder alone."""
+"""The page of a campaign: its sentences and pictures, from the folder alone."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_a_campaign_without_runs_and_without_failures(tmp_path: Path) -> None:
     assert "0 of 0 runs fail" in page
 
 
-def test_the_page_says_what_the_summary_says(result: hs.CampaignResult) -> None:
+def test_the_page_states_what_the_summary_states(result: hs.CampaignResult) -> None:
     path = hs.write_campaign_report(result)
     content = path.read_bytes()
     assert hs.write_campaign_report(result).read_bytes() == content

@@ -20,7 +20,7 @@ from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult, is_complete, scenario_of_run, summary_of
 from hexservo.campaigns.store import ShorterChunkError, Store, new_record
 from hexservo.run.progress import ProgressCallback, progress_bar
-from hexservo.run.publish import OutputError
+from hexservo.run.publish import OutputError, named
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.wording import number, wrong_type
 
@@ -144,6 +144,7 @@ class _State:
         self.counted = 0  # chunks in the tally
         self.waiting: dict[int, Tally] = {}  # counts of later ones
         self.complete = False
+        self.fresh: set[int] = set()  # chunks that were computed by this call
         self._summarised = time.monotonic()
 
     @property
@@ -161,8 +162,8 @@ class _State:
             except ShorterChunkError:  # the last one of fewer runs
                 continue
             except ResultError as error:
-                self.store.set_aside(index)
-                warn(f"{error}; it is kept as .damaged, and its runs are computed again")
+                aside = self.store.set_aside(index)
+                warn(f"{error}; it is now {named(aside)}, and its runs are computed again")
                 continue
             self.enter(index, tally_of(table, self.plan.require, self.plan.scenario.simulation.duration))
 
@@ -191,8 +192,8 @@ class _State:
 
     def finish(self, *, interrupted: bool) -> CampaignResult:
         """Write summary and worst run, remove chunks after the one that decided, and return what is there."""
-        if self.complete:
-            for index in self.store.indices():
+        if self.complete:  # what came too early of this call alone: earlier runs stay, for a different goal
+            for index in sorted(self.fresh):
                 if index >= self.counted:
                     self.store.remove(index)
         self.summarise(now=True)
@@ -218,6 +219,7 @@ def _compute(state: _State, engine: Engine, report: _Report, asked: threading.Ev
                 index = flying.pop(future)
                 content, tally = _result_of(future)
                 state.store.write_chunk(index, content)
+                state.fresh.add(index)
                 state.enter(index, tally)
                 state.summarise()
             report(state, engine.done)
@@ -251,7 +253,7 @@ def _reporting(progress: bool | ProgressCallback | None) -> Iterator[_Report]:
     if progress is None or progress is False:
         yield lambda state, done: None
     elif callable(progress):
-        yield lambda state, done: progress(state.kept + done, _planned(state))
+        yield lambda state, done: progress(state.kept + done, _planned(state) or state.kept + done)
     elif progress is True:
         with progress_bar("runs") as draw:
             begun: list[tuple[float, int]] = []
@@ -263,19 +265,21 @@ def _reporting(progress: bool | ProgressCallback | None) -> Iterator[_Report]:
                 rate = f"{number((runs - begun[0][1]) / elapsed)} runs/s, " if elapsed > 0 else ""
                 failures = state.tally.failures
                 high = anytime_interval(failures, state.tally.runs, state.plan.confidence, state.plan.mixture)[1]
-                planned = max(_planned(state), runs)
-                draw(runs, planned, runs / planned, f"{rate}{failures} failures, probability <= {high:.2g}")
+                needed = _planned(state)
+                planned = max(needed or 0, runs)
+                share = None if needed is None else runs / planned
+                draw(runs, planned, share, f"{rate}{failures} failures, probability <= {high:.2g}")
 
             yield report
     else:
         raise wrong_type("progress", "True, a function or None", progress)
 
 
-def _planned(state: _State) -> int:
-    """Return the runs in all; for a campaign that the interval ends, as many as it needs without another failure."""
+def _planned(state: _State) -> int | None:
+    """Return the runs in all, None if unknown; for a probability, as many as it needs without another failure."""
     plan, until = state.plan, state.plan.until
     if until is None or until.kind != "probability_below":
-        return plan.runs or state.kept
+        return plan.runs
     needed = runs_for_bound(until.value, state.tally.failures, plan.confidence, plan.mixture)
     needed = -(-needed // plan.chunk_size) * plan.chunk_size
     return needed if plan.runs is None else min(needed, plan.runs)

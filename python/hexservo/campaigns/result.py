@@ -177,7 +177,7 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
     tally = Tally([0] * len(plan.require))
     present = set(store.indices())
     index = 0
-    while index in present:
+    while index in present and not is_complete(plan, tally):
         try:
             table = store.read(index)
         except ResultError:

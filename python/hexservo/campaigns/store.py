@@ -176,11 +176,13 @@ class Store:
         """
         _write(self.path_of(index), content)
 
-    def set_aside(self, index: int) -> None:
-        """Rename a damaged chunk to ``....damaged``."""
-        path = self.path_of(index)
-        with _refusing(path):
-            path.replace(path.with_name(path.name + ".damaged"))
+    def set_aside(self, index: int) -> Path:
+        """Move a damaged chunk to the folder ``damaged``, out of the way of readers, and return its path."""
+        aside = self.folder / "damaged" / self.path_of(index).name
+        with _refusing(aside):
+            aside.parent.mkdir(exist_ok=True)
+            self.path_of(index).replace(aside)
+        return aside
 
     def remove(self, index: int) -> None:
         """Remove a chunk."""
