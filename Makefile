@@ -26,7 +26,7 @@ CXX_FILES = $$(find cpp tests/cpp examples benchmarks \( -name '*.cpp' -o -name 
 help:
 	@cat <<'END'
 	make paper    set up, run the paper's experiment, write out/paper and print the table of results
-	make test     set up, run every test and check; the last line says passed or failed
+	make test     set up, run every test and check; the last line is passed or failed
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
@@ -41,7 +41,7 @@ help:
 paper: setup
 	@hexservo run paper --out out/paper --force
 
-# A name is added to `failed` and the next check still runs. The set-up is a make of its own,
+# A name is added to `failed` and the next check still runs. The set-up is a separate make,
 # so that its failure ends in the same last line.
 SETUP = $(MAKE) --no-print-directory
 test:
@@ -113,7 +113,7 @@ bench: $(PACKAGE) benchmark-setup
 bench-peers: $(PACKAGE) peer-setup
 	@python benchmarks/peers/run.py --markdown BENCHMARKS.md
 
-# The peers are wanted and not needed: whatever cannot be installed is left out, and the benchmark says so.
+# The peers are wanted and not needed: whatever cannot be installed is left out, and the benchmark lists it.
 APT ?= yes
 peer-setup: $(BUILD_TOOLS)
 	@if [ ! -e .venv/.stamp-peers ] || [ pyproject.toml -nt .venv/.stamp-peers ]; then
@@ -183,7 +183,7 @@ system:
 	command -v apt-get >/dev/null || give_up "There is no apt-get here. Find these packages' like in your system; on Debian:"
 	as_root=()
 	if [ "$$(id -u)" != 0 ]; then
-	  # Without a terminal nobody can type a password: fail at once instead of waiting for it.
+	  # Without a terminal no password can be typed: fail at once instead of waiting for it.
 	  as_root=(sudo)
 	  if [ ! -t 0 ]; then as_root+=(-n); fi
 	  command -v sudo >/dev/null || give_up "They need root's rights, and there is no sudo here."
@@ -201,7 +201,7 @@ system:
 	  exit 1
 	fi
 
-# An environment whose interpreter has gone (an upgrade of the system) is made anew.
+# An environment whose interpreter has gone (an upgrade of the system) is made again.
 ifneq ($(shell .venv/bin/python -c 'print("works")' 2>/dev/null),works)
 $(VENV): FORCE
 endif
@@ -228,7 +228,7 @@ $(PACKAGE): $(SOURCES) $(BUILD_TOOLS) | system
 	if ! python -m pip install --verbose --no-build-isolation . 2>&1 | tee build/install.log \
 	  | sed -unE 's#.*\[([0-9]+)/([0-9]+)\] Building.*#  built \1 of \2#p'; then
 	  tail -n 60 build/install.log >&2
-	  echo "The build failed; all that it said is in build/install.log" >&2
+	  echo "The build failed; its output is in build/install.log" >&2
 	  exit 1
 	fi
 	touch $@

@@ -78,12 +78,17 @@ PAGES = [
     *sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md")),
 ]
 FOLDERS = ("python/hexservo", "tests", "examples", "benchmarks", "docs/tools")
-SOURCES = sorted(
-    file.relative_to(ROOT).as_posix()
-    for folder in FOLDERS
-    for file in (ROOT / folder).rglob("*")
-    if file.suffix in (".py", ".cpp", ".hpp", ".in") and file != Path(__file__).resolve()  # this file has the patterns
-)
+ENDINGS = (".py", ".cpp", ".hpp", ".in", ".yaml", ".js", ".txt")
+SOURCES = [
+    "CMakeLists.txt",
+    "Makefile",
+    *sorted(
+        file.relative_to(ROOT).as_posix()
+        for folder in FOLDERS
+        for file in (ROOT / folder).rglob("*")
+        if file.suffix in ENDINGS and file != Path(__file__).resolve()  # this file has the patterns
+    ),
+]
 
 
 def readable_of_page(text: str) -> str:
@@ -117,7 +122,9 @@ def readable(name: str) -> str:
     if name.endswith(".md"):
         return readable_of_page(prose_of(ROOT / name))
     text = (ROOT / name).read_text(encoding="utf-8")
-    return readable_of_source(text) if name.endswith(".py") else readable_of_cpp(text)
+    if name.endswith((".cpp", ".hpp", ".in", ".js")):
+        return readable_of_cpp(text)
+    return readable_of_source(text) if name.endswith(".py") else text
 
 
 def found_in(text: str) -> Iterator[tuple[int, str, str]]:
@@ -138,7 +145,7 @@ def test_no_forbidden_phrase(name: str) -> None:
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.parametrize("name", [name for name in SOURCES if name.startswith("python/hexservo/")])
+@pytest.mark.parametrize("name", [name for name in SOURCES if name.startswith("python/") and name.endswith(".py")])
 def test_docstrings_begin_with_a_plain_verb(name: str) -> None:
     """Return, Compute, Check; not Give, Tell, Say."""
     tree = ast.parse((ROOT / name).read_text(encoding="utf-8"))

@@ -63,10 +63,11 @@ def campaign(
     settings: SettingsOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
 ) -> None:
-    """Run many drawn variations of a scenario, and bound the probability of failure.
+    """Bound the probability that a scenario fails.
 
-    The same command goes on after an interruption, and adds runs with a larger --runs. It prints the interval of
-    the failure probability, which holds at whatever number of runs one stops, and the worst runs.
+    Runs many drawn variations of it. The same command goes on after an interruption, and adds runs with a larger
+    --runs. It prints the interval of the failure probability, which holds at whatever number of runs one stops, and
+    the worst runs.
     """
     with errors_as_messages():
         from hexservo.run.publish import OutputError

@@ -58,7 +58,7 @@
     };
   }
 
-  // Buttons are named one by one: among plotly.js's own is one that sends a chart to somebody's server.
+  // Buttons are named one by one: plotly.js has one that sends a chart to a server.
   const config = (...buttons) => ({
     displaylogo: false, responsive: false, scrollZoom: false, displayModeBar: coarse ? false : "hover", showSendToCloud: false,
     plotlyServerURL: "", modeBarButtons: [buttons],
@@ -76,7 +76,7 @@
     chart.drawn = true;
     chart.width = width;
     const data = painted(chart.spec.data, colours);
-    // Names of lines take rows of their own where a chart is narrow.
+    // Names of lines take separate rows where a chart is narrow.
     const names = data.filter((trace) => trace.showlegend !== false && trace.name).map((trace) => trace.name.length);
     const across = Math.max(1, Math.floor((width - 70) / (6.2 * Math.max(0, ...names) + 45)));
     const height = chart.height + 19 * Math.max(0, Math.ceil(names.length / across) - 1);
@@ -227,7 +227,7 @@
       return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
     }
 
-    // What the camera sees: places on the image plane, y up.
+    // The camera's image: positions on the image plane, y up.
     const SVG = "http://www.w3.org/2000/svg";
     const picture = document.getElementById("image");
     const half = Math.max(...scene.corners.map((corner) => Math.abs(corner[0])));
@@ -378,7 +378,7 @@
       if (machine) machine.resize();
     }, 120);
   });
-  /** Draws all charts anew: what plotly.js keeps of a chart does not fit a page's width. */
+  /** Redraws all charts: the drawing that plotly.js keeps does not fit a page's width. */
   function turn(paper) {
     printing = paper;
     for (const chart of charts) {
