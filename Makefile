@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper test test-all fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -27,6 +27,7 @@ help:
 	@cat <<'END'
 	make paper    set up, run the paper's experiment, write out/paper and print the table of results
 	make test     set up, run every test and check; the last line is passed or failed
+	make test-all  the same, and slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
@@ -56,7 +57,7 @@ test:
 	cpp_format() { clang-format --dry-run -Werror $(CXX_FILES); }
 	if $(SETUP) test-setup; then
 	  check ctest cmake --workflow --preset dev
-	  check pytest python -m pytest
+	  check pytest python -m pytest --numprocesses auto --dist loadfile
 	  check stubtest python -m mypy.stubtest --mypy-config-file pyproject.toml hexservo._core
 	  check mypy mypy
 	  check ruff ruff check
@@ -71,6 +72,14 @@ test:
 	  exit 1
 	fi
 	echo "make test: passed"
+
+# One after another; the first that fails ends it.
+test-all: test
+	@python -m pytest -m slow
+	$(SETUP) asan
+	$(SETUP) tsan
+	$(SETUP) fuzz
+	echo "make test-all: passed"
 
 asan: $(BUILD_TOOLS)
 	@cmake --workflow --preset asan

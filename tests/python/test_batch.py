@@ -456,6 +456,7 @@ def test_ctrl_c_stops_at_once_and_keeps_what_is_finished(smooth: hs.Scenario, in
     assert batch.detail(int(np.argmin(finished))) == "interrupted before its end"
 
 
+@pytest.mark.slow
 def test_memory_of_a_million_scenarios() -> None:
     """200 000 scenarios of five steps with three varied keys; a million may take 1 GB with the interpreter."""
     program = """

@@ -76,6 +76,7 @@ def test_the_cause_of_a_shipped_scenario_comes_first_with_a_remedy_that_works(ke
     assert hs.metrics(cured)["final_error"] <= 2.0
 
 
+@pytest.mark.slow
 def test_the_cause_of_kept_apart_failures_comes_first_and_no_other_one_is_named_without_it() -> None:
     """Random failures whose fault is known, by seeds that no rule was tuned on; then the same with it withheld.
 

@@ -157,7 +157,8 @@ def _spoilt(random: Generator, usual: Any, count: int) -> Any:
     if kind == 0:
         values[random.random(count) < 0.3] = random.choice(_HOSTILE)
     elif kind == 1:
-        values *= 10.0 ** random.uniform(-320, 300)
+        with np.errstate(over="ignore"):  # infinities are hostile too
+            values *= 10.0 ** random.uniform(-320, 300)
     else:
         values = random.normal(size=count) * 10.0 ** random.uniform(-3, 5)
     return values
