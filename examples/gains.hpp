@@ -20,8 +20,9 @@ using Law = hexservo::Hybrid;
 inline constexpr double period = 0.001;
 
 /// Robot, camera, sensors, goal and gains; vectors of six: forces x y z, then moments x y z.
-inline hexservo::Settings<Law> settings() {
-  hexservo::Settings<Law> s;
+inline hexservo::Settings settings() {
+  hexservo::Settings s = hexservo::Settings::of<Law>();
+  hexservo::GainsOf<Law>& gains = s.gains<Law>();
   s.robot.platform_radius = 0.1;  // [m]
   s.robot.base_radius = 0.2;  // [m]
   s.robot.platform_angles << -0.8726646259971648, 0.8726646259971648, 1.2217304763960306, 2.9670597283903604, 3.3161255787892263, 5.061454830783555;  // [rad]
@@ -36,22 +37,22 @@ inline hexservo::Settings<Law> settings() {
   s.robot.force_limit = 1.0;  // [N]
   s.camera.focal_length = 0.008;  // [m]
   s.camera.pixel_scale = 72727.0;  // [px/m]
-  s.convention = hexservo::CameraConvention::eye_in_hand;
-  s.jacobian = hexservo::JacobianConvention::consistent;
+  s.camera.convention = hexservo::CameraConvention::eye_in_hand;
   s.target.initial_features << 30.0, 18.0, 65.0, -65.0, -44.0, 37.0, -10.0, -15.0;  // [px]
-  s.target.depth << 0.5, 0.5, 0.5, 0.5;  // [m]
   s.target.desired_features << 10.0, 10.0, 45.0, -73.0, -64.0, 29.0, -30.0, -23.0;  // [px]
+  s.target.depth << 0.5, 0.5, 0.5, 0.5;  // [m]
   s.uncertainty.depth << 0.3, 0.3, 0.3, 0.3;  // [1]
-  s.switching.kind = hexservo::SwitchingKind::sign;
-  s.switching.width = 0.001;  // [m/s; rad/s]
-  s.gains.kp << 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06;  // [N m/px^2]
-  s.gains.kv << 0.002, 0.002, 0.002, 0.0001, 0.0001, 0.0001;  // [N; N m]
-  s.gains.fuzzy.enabled = true;
-  s.gains.fuzzy.adaptation << 10.0, 10.0, 10.0, 10.0, 10.0, 10.0;  // [m/N; rad/(N m)]
-  s.gains.fuzzy.error_scale << 5.0, 5.0, 5.0, 10.0, 10.0, 10.0;  // [1/N; 1/(N m)]
-  s.gains.fuzzy.rate_scale << 0.5, 0.5, 0.5, 0.5, 0.5, 0.5;  // [s/N; s/(N m)]
-  s.gains.fuzzy.initial_scale << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [N; N m]
-  s.gains.fuzzy.table <<  // [1]
+  s.controller.jacobian = hexservo::JacobianConvention::consistent;
+  s.controller.switching.kind = hexservo::SwitchingKind::sign;
+  s.controller.switching.width = 0.001;  // [m/s; rad/s]
+  gains.kp << 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06, 1e-06;  // [N m/px^2]
+  gains.kv << 0.002, 0.002, 0.002, 0.0001, 0.0001, 0.0001;  // [N; N m]
+  gains.fuzzy.enabled = true;
+  gains.fuzzy.adaptation << 10.0, 10.0, 10.0, 10.0, 10.0, 10.0;  // [m/N; rad/(N m)]
+  gains.fuzzy.error_scale << 5.0, 5.0, 5.0, 10.0, 10.0, 10.0;  // [1/N; 1/(N m)]
+  gains.fuzzy.rate_scale << 0.5, 0.5, 0.5, 0.5, 0.5, 0.5;  // [s/N; s/(N m)]
+  gains.fuzzy.initial_scale << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [N; N m]
+  gains.fuzzy.table <<  // [1]
       -1.0, -1.0, -1.0, -1.0, -0.6666666666666666, -0.3333333333333333, 0.0,
       -1.0, -1.0, -1.0, -0.6666666666666666, -0.3333333333333333, 0.0, 0.3333333333333333,
       -1.0, -1.0, -0.6666666666666666, -0.3333333333333333, 0.0, 0.3333333333333333, 0.6666666666666666,
@@ -59,17 +60,19 @@ inline hexservo::Settings<Law> settings() {
       -0.6666666666666666, -0.3333333333333333, 0.0, 0.3333333333333333, 0.6666666666666666, 1.0, 1.0,
       -0.3333333333333333, 0.0, 0.3333333333333333, 0.6666666666666666, 1.0, 1.0, 1.0,
       0.0, 0.3333333333333333, 0.6666666666666666, 1.0, 1.0, 1.0, 1.0;
-  s.gains.fuzzy.bell_width = 0.16666666666666666;  // [1]
-  s.gains.fuzzy.bell_slope = 2.0;  // [1]
-  s.gains.fuzzy.leakage << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [1/s]
-  s.gains.fuzzy.weight_limit << std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity();  // [N; N m]
-  s.gains.fuzzy.dead_zone << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [m/s; rad/s]
+  gains.fuzzy.bell_width = 0.16666666666666666;  // [1]
+  gains.fuzzy.bell_slope = 2.0;  // [1]
+  gains.fuzzy.leakage << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [1/s]
+  gains.fuzzy.weight_limit << std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity();  // [N; N m]
+  gains.fuzzy.dead_zone << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [m/s; rad/s]
+  s.simulation.mode = hexservo::LoopMode::continuous;
+  s.simulation.step = 0.001;  // [s]
   return s;
 }
 
 /// What `hexservo::step` needs.
 inline hexservo::ControllerGains<Law> controller_gains() {
-  return hexservo::controller_gains(settings(), period);
+  return hexservo::controller_gains<Law>(settings(), period);
 }
 
 }  // namespace hexservo_paper

@@ -105,11 +105,11 @@ def _law(row: Row, rounds: int) -> None:
     count = len(features)
     parameters, rows = _visp_inputs(scenario, features, depth)
     random = np.random.default_rng(3)
-    position = np.asarray(settings.robot.home_position) + random.uniform(-5e-3, 5e-3, (count, 3))
+    position = settings["robot.home_position"] + random.uniform(-5e-3, 5e-3, (count, 3))
     quaternion = HOME_ATTITUDE + random.uniform(-0.05, 0.05, (count, 4))
     twist = random.uniform(-0.05, 0.05, (count, 6))
     seen = features.reshape(count, 8)
-    goals = np.concatenate([settings.target.desired_features, settings.target.initial_features])
+    goals = np.concatenate([settings["target.desired_features"], settings["target.initial_features"]])
     with (
         running("visp_law", "velocity", parameters, rows, VISP) as peer,
         running(
@@ -122,7 +122,7 @@ def _law(row: Row, rounds: int) -> None:
             [
                 GAIN
                 * np.linalg.pinv(_core.image_jacobian(settings.camera, xi, z, HOME_ATTITUDE))
-                @ (settings.target.desired_features - xi)
+                @ (settings["target.desired_features"] - xi)
                 for xi, z in zip(seen, depth, strict=True)
             ]
         )

@@ -52,8 +52,7 @@ py::dict samples(const py::object& self) {
   return out;
 }
 
-template <class Law>
-BatchResult run(const Settings<Law>& settings, const std::vector<std::pair<std::string, Values>>& variations,
+BatchResult run(const Settings& settings, const std::vector<std::pair<std::string, Values>>& variations,
                 std::size_t count, BatchLog log, int threads, const KernelHandle& kernel, const py::object& progress) {
   std::vector<Variation> rows;
   for (const auto& [key, numbers] : variations)
@@ -86,25 +85,6 @@ BatchResult run(const Settings<Law>& settings, const std::vector<std::pair<std::
     };
   const py::gil_scoped_release no_gil;
   return simulate_batch(settings, rows, count, options, kernel.table());
-}
-
-template <class Law>
-void bind_batch_of(py::module_& m) {
-  m.def(
-      "numeric_keys",
-      [](const Settings<Law>&) {
-        py::dict keys;
-        for (const NumericKey& key : numeric_keys<Law>()) keys[py::str(key.key)] = py::cast(key.widths);
-        return keys;
-      },
-      py::arg("settings"),
-      "Keys that may vary for the settings' law, each with the numbers per scenario that it takes.");
-
-  m.def("simulate_batch", &run<Law>, py::arg("settings"), py::arg("variations"), py::arg("count"), py::arg("log"),
-        py::arg("threads"), py::arg("kernel"), py::arg("progress") = py::none(),
-        "Runs `count` scenarios: variations are (key, (n or 1, width) array), of 64-bit whole "
-        "numbers without a sign for seed and of doubles for all others. progress(done, count, steps, total_steps) "
-        "is called every 50 ms. ValueError for a bad scenario; Ctrl-C ends it and keeps what is finished.");
 }
 
 }  // namespace
@@ -154,7 +134,11 @@ void bind_batch(py::module_& m) {
           },
           "(n, 6, 7, 7) at the end [N; N m], or None");
 
-  Laws::for_each([&m]<class Law>(std::type_identity<Law>) { bind_batch_of<Law>(m); });
+  m.def("simulate_batch", &run, py::arg("settings"), py::arg("variations"), py::arg("count"), py::arg("log"),
+        py::arg("threads"), py::arg("kernel"), py::arg("progress") = py::none(),
+        "Runs `count` scenarios: variations are (key, (n or 1, width) array), of 64-bit whole "
+        "numbers without a sign for seed and of doubles for all others. progress(done, count, steps, total_steps) "
+        "is called every 50 ms. ValueError for a bad scenario; Ctrl-C ends it and keeps what is finished.");
 
   m.def("describe", &describe, py::arg("cause"), py::arg("time"), py::arg("leg") = -1,
         "One sentence on how a run ended; `leg`, 0 to 5, is the one that ended it.");

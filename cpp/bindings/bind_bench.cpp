@@ -30,16 +30,14 @@ void bind_bench(py::module_& m) {
       .def_readonly("memory", &TickTimes::memory, "what the system granted")
       .def_readonly("interrupted", &TickTimes::interrupted, "ended by Ctrl-C");
 
-  Laws::for_each([&m]<class Law>(std::type_identity<Law>) {
-    m.def(
-        "time_ticks",
-        [](const Settings<Law>& settings, long long periods, double rate, bool realtime) {
-          return time_ticks(settings, {periods, rate, realtime, interrupt_requested});
-        },
-        py::arg("settings"), py::arg("periods"), py::arg("rate") = 0.0, py::arg("realtime") = false,
-        py::call_guard<py::gil_scoped_release>(),
-        "Times `periods` ticks that replay a recorded run; rate [Hz], 0: one after another. Ctrl-C ends it.");
-  });
+  m.def(
+      "time_ticks",
+      [](const Settings& settings, long long periods, double rate, bool realtime) {
+        return time_ticks(settings, {periods, rate, realtime, interrupt_requested});
+      },
+      py::arg("settings"), py::arg("periods"), py::arg("rate") = 0.0, py::arg("realtime") = false,
+      py::call_guard<py::gil_scoped_release>(),
+      "Times `periods` ticks that replay a recorded run; rate [Hz], 0: one after another. Ctrl-C ends it.");
 }
 
 }  // namespace hexservo::bindings

@@ -42,16 +42,20 @@ struct LawController {
   ControllerGains<Law> gains;
   ControllerState<Law> state;
 
-  LawController(const Settings<Law>& settings, double period)
-      : gains(controller_gains(settings, period)), state(initial_state(gains)) {}
+  LawController(const Settings& settings, double period)
+      : gains(controller_gains<Law>(settings, period)), state(initial_state(gains)) {}
 };
 
 /// The controller of any law.
 struct Controller {
-  Laws::Map<std::variant, LawController> of_law;
+  using OfLaw = Laws::Map<std::variant, LawController>;
 
-  template <class Law>
-  Controller(const Settings<Law>& settings, double period) : of_law(LawController<Law>(settings, period)) {}
+  OfLaw of_law;
+
+  Controller(const Settings& settings, double period)
+      : of_law(with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) -> OfLaw {
+          return LawController<Law>(settings, period);
+        })) {}
 
   template <class F>
   auto visit(F&& function) {
@@ -89,12 +93,9 @@ void bind_controller(py::module_& m) {
       .value("stale_image", InputStatus::stale_image)
       .value("lost_feature", InputStatus::lost_feature)
       .finalize();
-  constexpr auto text = "ValueError('key: expected ..., got ...') for a bad scenario or period [s].";
-  py::class_<Controller> controller(m, "Controller", "The servo tick of a law, with its state.");
-  Laws::for_each([&]<class Law>(std::type_identity<Law>) {
-    controller.def(py::init<const Settings<Law>&, double>(), py::arg("settings"), py::arg("period"), text);
-  });
-  controller
+  py::class_<Controller>(m, "Controller", "The servo tick of a law, with its state.")
+      .def(py::init<const Settings&, double>(), py::arg("settings"), py::arg("period"),
+           "ValueError('key: expected ..., got ...') for a bad scenario or period [s].")
       .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
            py::arg("twist"), py::arg("leg_lengths") = py::none(), py::arg("leg_rates") = py::none(),
            py::arg("exposure") = 0.0, py::arg("now") = 0.0,

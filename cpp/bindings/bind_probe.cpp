@@ -298,9 +298,7 @@ void bind_probe(py::module_& m) {
                     "(n, 6, 7, 7) [N; N m]; None where no fuzzy systems act");
 
   py::class_<Probe> probe(m, "Probe", "The parts of a scenario's loop at given states, one per row.");
-  Laws::for_each([&probe]<class Law>(std::type_identity<Law>) {
-    probe.def(py::init<const Settings<Law>&>(), py::arg("settings"));
-  });
+  probe.def(py::init<const Settings&>(), py::arg("settings"));
   const auto features = py::arg("features"), depth = py::arg("depth"), position = py::arg("position"),
              quaternion = py::arg("quaternion"), twist = py::arg("twist");
   probe

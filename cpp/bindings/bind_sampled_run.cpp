@@ -10,8 +10,7 @@ namespace hexservo::bindings {
 namespace {
 
 /// One column per number of a tick, by name.
-template <class Law>
-py::dict recorded_ticks(const Settings<Law>& settings) {
+py::dict recorded_ticks(const Settings& settings) {
   const std::vector<RecordedTick> ticks = record_ticks(settings);
   const auto rows = static_cast<py::ssize_t>(ticks.size());
   py::dict columns;
@@ -46,10 +45,8 @@ py::dict recorded_ticks(const Settings<Law>& settings) {
 }  // namespace
 
 void bind_sampled_run(py::module_& m) {
-  Laws::for_each([&m]<class Law>(std::type_identity<Law>) {
-    m.def("recorded_ticks", &recorded_ticks<Law>, py::arg("settings"),
-          "What the controller of a run in sampled mode was given and answered, tick by tick, by name.");
-  });
+  m.def("recorded_ticks", &recorded_ticks, py::arg("settings"),
+        "What the controller of a run in sampled mode was given and answered, tick by tick, by name.");
 
   using Seen = SampledObservation;
   py::class_<Seen>(m, "SampledObservation", "What a controller sees at a tick.")
@@ -67,8 +64,7 @@ void bind_sampled_run(py::module_& m) {
       .def_property_readonly("twist", [](const Seen& s) { return s.sensed.twist; }, "(6,) in B [m/s; rad/s]");
 
   py::class_<SampledRun> run(m, "SampledRun", "A run in sampled mode, commanded tick by tick.");
-  Laws::for_each(
-      [&run]<class Law>(std::type_identity<Law>) { run.def(py::init<const Settings<Law>&>(), py::arg("settings")); });
+  run.def(py::init<const Settings&>(), py::arg("settings"));
   run.def_property_readonly("running", &SampledRun::running, "Whether there is a tick to command.")
       .def("observe", &SampledRun::observe)
       .def("command", &SampledRun::command, py::arg("wrench"), "A wrench (6,) in B [N; N m], and on to the next tick.")

@@ -1,276 +1,160 @@
 #include "bindings.hpp"
 
+#include "hexservo/scenario_keys.hpp"
 #include "hexservo/simulation.hpp"
 
-#include <pybind11/native_enum.h>
+#include <optional>
+#include <string_view>
 
 namespace hexservo::bindings {
 
 namespace {
 
-using Points = Eigen::Matrix<double, kPoints, 3>;
-
-std::optional<Points> points_of(const Target& target) {
-  if (!target.points_B) return std::nullopt;
-  return Points(target.points_B->transpose());
+/// Names of enumerators, of the types in this file.
+template <class E>
+std::string_view name_of(E value) {
+  return kNamesOf<E>[static_cast<std::size_t>(value)];
 }
 
-void set_points(Target& target, const std::optional<Points>& points) {
-  target.points_B.reset();
-  if (points) target.points_B = points->transpose();
+py::str text(std::string_view view) { return {view.data(), view.size()}; }
+
+/// Shape of an array as NumPy has it; () is one number.
+py::tuple shape_of(const ScenarioKey& key) {
+  if (key.type == KeyType::samples) return py::make_tuple(py::none(), 3);
+  if (key.rows * key.columns == 1) return py::tuple();
+  return key.columns == 1 ? py::tuple(py::make_tuple(key.rows)) : py::tuple(py::make_tuple(key.rows, key.columns));
 }
 
-using Samples = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
+std::optional<double> finite(double value) { return std::isfinite(value) ? std::optional(value) : std::nullopt; }
 
-std::optional<Samples> samples_of(const BaseMotionSettings& motion) {
-  if (!motion.samples) return std::nullopt;
-  return Samples(
-      Eigen::Map<const Samples>(motion.samples->data(), static_cast<Eigen::Index>(motion.samples->size() / 3), 3));
+py::object value_of(const Settings& settings, const std::string& name) {
+  const ScenarioKey& key = scenario_key(settings.law(), name);
+  if (key.type == KeyType::seed) return py::int_(settings.seed);
+  if (key.type == KeyType::choice) return text(choice_of(settings, key));
+  const std::vector<double> numbers = numbers_of(settings, key);
+  if (numbers.empty()) return py::none();
+  if (key.type == KeyType::flag) return py::bool_(numbers[0] != 0.0);
+  if (key.type == KeyType::whole) return py::int_(static_cast<long long>(numbers[0]));
+  if (key.type == KeyType::number) return py::float_(numbers[0]);
+  const auto rows = static_cast<py::ssize_t>(key.type == KeyType::samples ? numbers.size() / 3 : 0);
+  std::vector<py::ssize_t> shape = {rows, 3};
+  if (rows == 0) shape = {key.rows};
+  if (rows == 0 && key.columns > 1) shape.push_back(key.columns);
+  return py::array_t<double>(shape, numbers.data());
 }
 
-void set_samples(BaseMotionSettings& motion, const std::optional<Samples>& samples) {
-  motion.samples.reset();
-  if (samples)
-    motion.samples = std::make_shared<const std::vector<double>>(samples->data(), samples->data() + samples->size());
+void set_value(Settings& settings, const std::string& name, const py::object& value) {
+  const ScenarioKey& key = scenario_key(settings.law(), name);
+  if (key.type == KeyType::seed) {
+    settings.seed = value.cast<std::uint64_t>();
+  } else if (py::isinstance<py::str>(value)) {
+    set_choice(settings, key, value.cast<std::string>());
+  } else if (value.is_none()) {
+    set_numbers(settings, key, {});
+  } else {
+    const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(value);
+    if (!array) throw std::invalid_argument(name + ": expected numbers, got something else");
+    set_numbers(settings, key, {array.data(), static_cast<std::size_t>(array.size())});
+  }
 }
 
-/// Sensors, actuators and base of the sampled loop.
-void bind_devices(py::module_& m) {
-  py::native_enum<PoseSource>(m, "PoseSource", "enum.Enum")
-      .value("truth", PoseSource::truth)
-      .value("encoders", PoseSource::encoders)
-      .finalize();
-  py::native_enum<RateSource>(m, "RateSource", "enum.Enum")
-      .value("differences", RateSource::differences)
-      .value("true_rates", RateSource::true_rates)
-      .finalize();
-  py::native_enum<ActuatorHold>(m, "ActuatorHold", "enum.Enum")
-      .value("wrench", ActuatorHold::wrench)
-      .value("leg_forces", ActuatorHold::leg_forces)
-      .finalize();
-  py::native_enum<BaseMotionKind>(m, "BaseMotionKind", "enum.Enum")
-      .value("none", BaseMotionKind::none)
-      .value("sinusoid", BaseMotionKind::sinusoid)
-      .value("recorded", BaseMotionKind::recorded)
-      .value("noise", BaseMotionKind::noise)
-      .finalize();
-  py::native_enum<LimitPolicy>(m, "LimitPolicy", "enum.Enum")
-      .value("report", LimitPolicy::report)
-      .value("stop", LimitPolicy::stop)
-      .finalize();
-
-  using E = EncoderParameters<double>;
-  py::class_<E>(m, "EncoderParameters", "Leg length encoders.")
-      .def(py::init<>())
-      .def_readwrite("resolution", &E::resolution, "[m]; 0: none")
-      .def_readwrite("noise", &E::noise, "standard deviation [m]")
-      .def_readwrite("rates", &E::rates, "what the twist is made of");
-  py::class_<SensorSettings>(m, "SensorSettings", "How the controller knows pose and twist in sampled mode.")
-      .def(py::init<>())
-      .def_readwrite("pose", &SensorSettings::pose)
-      .def_readwrite("period", &SensorSettings::period, "between two readings [s]; 0: every servo period")
-      .def_readwrite("encoders", &SensorSettings::encoders);
-
-  using A = ActuatorParameters<double>;
-  py::class_<A>(m, "ActuatorParameters", "The actuators of the legs.")
-      .def(py::init<>())
-      .def_readwrite("hold", &A::hold, "what stays the same between two ticks")
-      .def_readwrite("saturation", &A::saturation, "whether leg forces are limited to the robot's force_limit")
-      .def_readwrite("bandwidth", &A::bandwidth, "of a first-order lag [Hz]; infinite: none")
-      .def_readwrite("quantisation", &A::quantisation, "[N]; 0: none");
-  py::class_<ActuatorSettings>(m, "ActuatorSettings", "The actuators in sampled mode.")
-      .def(py::init<>())
-      .def_readwrite("delay", &ActuatorSettings::delay, "a whole number of servo periods [s]")
-      .def_readwrite("actuators", &ActuatorSettings::actuators);
-
-  using B = BaseMotionParameters<double>;
-  py::class_<B>(m, "BaseMotionParameters", "Acceleration of the base, but for what is recorded.")
-      .def(py::init<>())
-      .def_readwrite("kind", &B::kind)
-      .def_readwrite("amplitude", &B::amplitude, "(3,) of the sinusoid, in B [m/s^2]")
-      .def_readwrite("frequency", &B::frequency, "of the sinusoid [Hz]")
-      .def_readwrite("phase", &B::phase, "of the sinusoid at t = 0 [rad]")
-      .def_readwrite("level", &B::level, "(3,) one-sided spectral density of the noise, in B [(m/s^2)^2/Hz]")
-      .def_readwrite("low_frequency", &B::low_frequency, "where the noise begins [Hz]")
-      .def_readwrite("high_frequency", &B::high_frequency, "where the noise ends [Hz]");
-  py::class_<BaseMotionSettings>(m, "BaseMotionSettings", "How the base moves in sampled mode.")
-      .def(py::init<>())
-      .def_readwrite("motion", &BaseMotionSettings::motion)
-      .def_property("samples", &samples_of, &set_samples, "(n, 3) recorded, in B [m/s^2]; or None")
-      .def_readwrite("sample_period", &BaseMotionSettings::sample_period, "of what is recorded, from t = 0 [s]");
+void bind_keys(py::module_& m) {
+  using K = ScenarioKey;
+  py::class_<K>(m, "ScenarioKey", "One key of a scenario file.")
+      .def_readonly("name", &K::name, "dotted")
+      .def_property_readonly(
+          "unit", [](const K& k) { return text(k.unit); }, "linear; angular; empty: none")
+      .def_property_readonly(
+          "type", [](const K& k) { return text(name_of(k.type)); },
+          "number, array, whole, flag, choice, samples or seed")
+      .def_property_readonly("shape", &shape_of, "() is one number")
+      .def_readonly("optional", &K::optional, "may be None")
+      .def_readonly("wrapped", &K::wrapped, "held in a std::optional")
+      .def_property_readonly("widths", &K::widths, "numbers that it takes, row by row")
+      .def_property_readonly("varies", &K::varies, "scenarios of a batch may differ in it")
+      .def_property_readonly(
+          "least", [](const K& k) { return finite(k.field.bound.least); }, "of each number, or None")
+      .def_property_readonly(
+          "most", [](const K& k) { return finite(k.field.bound.most); }, "of each number, or None")
+      .def_property_readonly(
+          "above", [](const K& k) { return k.field.bound.above; }, "least itself is too small")
+      .def_property_readonly(
+          "below", [](const K& k) { return k.field.bound.below; }, "most itself is too large")
+      .def_property_readonly(
+          "form", [](const K& k) { return text(name_of(k.field.form)); }, "one_or_all, all or symmetric")
+      .def_property_readonly(
+          "choices",
+          [](const K& k) {
+            py::tuple names(k.choices.size());
+            for (std::size_t i = 0; i < k.choices.size(); ++i) names[i] = text(k.choices[i]);
+            return names;
+          },
+          "of a choice")
+      .def_property_readonly(
+          "choice_type", [](const K& k) { return text(k.choice_type); }, "of a choice, in C++")
+      .def_property_readonly(
+          "reach", [](const K& k) { return text(name_of(k.field.reach)); },
+          "what must agree where it varies in a batch: lane, pack, legs or batch")
+      .def_property_readonly(
+          "concern", [](const K& k) { return text(name_of(k.field.concern)); }, "controller, plant or run")
+      .def_property_readonly("sampled", [](const K& k) { return k.field.sampled; }, "acts in sampled mode alone");
+  m.def(
+      "scenario_keys", [](const std::string& law) { return scenario_keys(law_named(law)); }, py::arg("law"),
+      "All keys of a law in the order of a scenario file; ValueError for an unknown law.");
 }
 
-template <class Law>
-void bind_settings_of(py::module_& m, const char* name, const char* text) {
-  using S = Settings<Law>;
-  py::class_<S>(m, name, text)
-      .def(py::init<>())
-      .def_readwrite("robot", &S::robot)
-      .def_readwrite("camera", &S::camera)
-      .def_readwrite("convention", &S::convention)
-      .def_readwrite("sampling", &S::sampling)
-      .def_readwrite("sensors", &S::sensors)
-      .def_readwrite("actuators", &S::actuators)
-      .def_readwrite("base_motion", &S::base_motion)
-      .def_readwrite("on_limit", &S::on_limit)
-      .def_readwrite("jacobian", &S::jacobian)
-      .def_readwrite("target", &S::target)
-      .def_readwrite("uncertainty", &S::uncertainty)
-      .def_readwrite("switching", &S::switching)
-      .def_readwrite("safe", &S::safe)
-      .def_readwrite("gains", &S::gains)
-      .def_readwrite("simulation", &S::simulation)
-      .def_readwrite("metrics", &S::metrics)
-      .def_readwrite("seed", &S::seed)
-      .def(
-          "validate", [](const S& s) { check_settings(s); },
-          "ValueError('key: expected ..., got ...') for the first thing that is wrong.");
+void bind_traits(py::module_& m) {
+  using T = LawTraits;
+  py::class_<T>(m, "LawTraits", "What there is to say of a law without its equation.")
+      .def_property_readonly("name", [](const T& t) { return text(t.name); })
+      .def_property_readonly(
+          "type", [](const T& t) { return text(t.type); }, "its name in C++")
+      .def_property_readonly(
+          "output", [](const T& t) { return text(name_of(t.output)); }, "wrench or twist")
+      .def_readonly("memory", &T::memory, "fuzzy systems, whose weights change from tick to tick")
+      .def_readonly("viscous", &T::viscous, "damping in proportion to the twist")
+      .def_readonly("switching", &T::switching, "the friction-like term")
+      .def_readonly("points", &T::points, "gains may ask for the assumed points")
+      .def_readonly("depth", &T::depth, "the measured depths enter")
+      .def_readonly("prior", &T::prior, "the pose of the joint sensors, weighed by the gain prior");
+  py::dict traits;
+  for (const LawTraits& law : kLawTraits) traits[text(law.name)] = py::cast(law);
+  m.attr("LAW_TRAITS") = traits;
 }
 
 }  // namespace
 
 void bind_settings(py::module_& m) {
-  py::native_enum<SwitchingKind>(m, "SwitchingKind", "enum.Enum")
-      .value("sign", SwitchingKind::sign)
-      .value("tanh", SwitchingKind::tanh)
-      .value("saturation", SwitchingKind::saturation)
-      .value("implicit", SwitchingKind::implicit)
-      .value("implicit_coupled", SwitchingKind::implicit_coupled)
-      .finalize();
-  py::native_enum<LoopMode>(m, "LoopMode", "enum.Enum")
-      .value("continuous", LoopMode::continuous)
-      .value("sampled", LoopMode::sampled)
-      .finalize();
-  py::native_enum<Prediction>(m, "Prediction", "enum.Enum")
-      .value("none", Prediction::none)
-      .value("encoder", Prediction::encoder)
-      .finalize();
-  py::native_enum<LostFeature>(m, "LostFeature", "enum.Enum")
-      .value("hold", LostFeature::hold)
-      .value("predict", LostFeature::predict)
-      .value("stop", LostFeature::stop)
-      .finalize();
+  bind_keys(m);
+  bind_traits(m);
+  py::class_<Settings>(m, "Settings", "A scenario as numbers, by the dotted keys of its file.")
+      .def(py::init([](const std::string& law) { return Settings::of(law_named(law)); }), py::arg("law"),
+           "The defaults of a law; ValueError for an unknown one.")
+      .def_property_readonly("law", [](const Settings& s) { return text(law_traits(s.law()).name); })
+      .def_property_readonly(
+          "robot", [](const Settings& s) { return s.robot; }, "a copy")
+      .def_property_readonly(
+          "camera", [](const Settings& s) { return Camera<double>(s.camera); }, "a copy")
+      .def_property_readonly(
+          "dynamics_error", [](const Settings& s) { return DynamicsError<double>(s.uncertainty); }, "a copy")
+      .def("__getitem__", &value_of, py::arg("key"), "Value of a key: a copy.")
+      .def("__setitem__", &set_value, py::arg("key"), py::arg("value"),
+           "Set a key; None where it is optional. Bounds are not checked.")
+      .def(
+          "validate", [](const Settings& s) { check_settings(s); },
+          "ValueError('key: expected ..., got ...') for the first thing that is wrong.");
 
-  using Faults = FrameSettings<double>;
-  py::class_<Faults>(m, "FrameSettings", "Faults of the camera in sampled mode, and what stands in for missing images.")
-      .def(py::init<>())
-      .def_readwrite("prediction", &Faults::prediction)
-      .def_readwrite("on_lost", &Faults::on_lost)
-      .def_readwrite("noise", &Faults::noise, "standard deviation [px]")
-      .def_readwrite("quantisation", &Faults::quantisation, "[px]; 0: none")
-      .def_readwrite("dropout", &Faults::dropout, "probability [1]")
-      .def_readwrite("outlier_probability", &Faults::outlier_probability, "[1]")
-      .def_readwrite("outlier_size", &Faults::outlier_size, "standard deviation [px]")
-      .def_readwrite("image_size", &Faults::image_size, "(2,) width and height [px]; infinite: no border");
-
-  py::class_<CameraSampling>(m, "CameraSampling", "The camera in sampled mode.")
-      .def(py::init<>())
-      .def_readwrite("period", &CameraSampling::period, "between two exposures [s]")
-      .def_readwrite("latency", &CameraSampling::latency, "from exposure to first use [s]")
-      .def_readwrite("latency_jitter", &CameraSampling::latency_jitter, "most that it is longer [s]")
-      .def_readwrite("timeout", &CameraSampling::timeout, "oldest image that is used [s]; infinite: any")
-      .def_readwrite("faults", &CameraSampling::faults);
-
-  py::class_<Switching<double>>(m, "Switching", "Stand-in for sgn in (15) of the paper.")
-      .def(py::init<>())
-      .def_readwrite("kind", &Switching<double>::kind)
-      .def_readwrite("width", &Switching<double>::width, "of tanh and saturation [m/s; rad/s]");
-
-  py::class_<SafeSettings>(m, "SafeSettings", "The brake that acts where the law may not.")
-      .def(py::init<>())
-      .def_readwrite("damping", &SafeSettings::damping, "(6,) diagonal of K_s [N s/m; N m s/rad]; or None: derived")
-      .def_readwrite("hold", &SafeSettings::hold, "(6,) diagonal of K_h [N/m; N m/rad]; or None: derived");
-
-  py::class_<HybridGains<double>>(m, "HybridGains", "Gains of the law hybrid, (14), (15) of the paper.")
-      .def(py::init<>())
-      .def_readwrite("kp", &HybridGains<double>::kp, "(8,) diagonal of K_p [N m/px^2]")
-      .def_readwrite("kv", &HybridGains<double>::kv, "(6,) diagonal of K_v [N; N m]")
-      .def_readwrite("fuzzy", &HybridGains<double>::fuzzy);
-
-  using Composed = CompositeGains<double>;
-  py::class_<Composed>(m, "CompositeGains", "Gains of the law composite.")
-      .def(py::init<>())
-      .def_readwrite("kp", &Composed::kp, "(8,) diagonal of K_p [N m/px^2]")
-      .def_readwrite("kv", &Composed::kv, "(6,) diagonal of K_v [N; N m]")
-      .def_readwrite("kt", &Composed::kt, "(6,) diagonal of K_t [N/m; N m/rad]")
-      .def_readwrite("kd", &Composed::kd, "(6,) diagonal of K_d [N s/m; N m s/rad]")
-      .def_readwrite("drive", &Composed::drive, "(6,) diagonal of Lambda [1/s]")
-      .def_readwrite("prior", &Composed::prior, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]")
-      .def_readwrite("fuzzy", &Composed::fuzzy, "error_scale [1/m; 1/rad], rate_scale [s/m; s/rad]");
-
-  using KellyLaw = KellyGains<double>;
-  py::class_<KellyLaw>(m, "KellyGains", "Gains of the law kelly.")
-      .def(py::init<>())
-      .def_readwrite("kp", &KellyLaw::kp, "(8,) diagonal of K_p [N m/px^2]")
-      .def_readwrite("kd", &KellyLaw::kd, "(6,) diagonal of K_d [N s/m; N m s/rad]");
-
-  py::native_enum<JacobianPoint>(m, "JacobianPoint", "enum.Enum")
-      .value("current", JacobianPoint::current)
-      .value("desired", JacobianPoint::desired)
-      .value("mean", JacobianPoint::mean)
-      .finalize();
-
-  using Rate = ResolvedRateGains<double>;
-  py::class_<Rate>(m, "ResolvedRateGains", "Gains of the law resolved_rate.")
-      .def(py::init<>())
-      .def_readwrite("gain", &Rate::gain, "lambda, or lambda_0 [1/s]")
-      .def_readwrite("adaptive", &Rate::adaptive)
-      .def_readwrite("gain_far", &Rate::gain_far, "lambda_inf [1/s]")
-      .def_readwrite("gain_slope", &Rate::gain_slope, "s_0 [1/(s px)]")
-      .def_readwrite("jacobian_at", &Rate::jacobian_at)
-      .def_readwrite("ki", &Rate::ki, "(6,) diagonal of K_i [N s/m; N m s/rad]")
-      .def_readwrite("damping", &Rate::damping, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]");
-
-  using PoseBased = PbvsGains<double>;
-  py::class_<PoseBased>(m, "PbvsGains", "Gains of the law pbvs.")
-      .def(py::init<>())
-      .def_readwrite("kp", &PoseBased::kp, "(6,) diagonal of K_p [N/m; N m/rad]")
-      .def_readwrite("kd", &PoseBased::kd, "(6,) diagonal of K_d [N s/m; N m s/rad]")
-      .def_readwrite("prior", &PoseBased::prior, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]");
-
-  using Torque = ComputedTorqueGains<double>;
-  py::class_<Torque>(m, "ComputedTorqueGains", "Gains of the law computed_torque.")
-      .def(py::init<>())
-      .def_readwrite("kp", &Torque::kp, "(6,) diagonal of K_p [1/s^2]")
-      .def_readwrite("kd", &Torque::kd, "(6,) diagonal of K_d [1/s]")
-      .def_readwrite("prior", &Torque::prior, "(6,) diagonal of M [px^2/m^2; px^2/rad^2]");
-
-  py::class_<Target>(m, "Target", "Four points to look at, and where they shall appear.")
-      .def(py::init<>())
-      .def_readwrite("initial_features", &Target::initial_features, "(8,) seen from home [px]")
-      .def_readwrite("depth", &Target::depth, "(4,) |Z| seen from home [m]")
-      .def_property("points", &points_of, &set_points, "(4, 3) in B [m], instead of the two above; or None")
-      .def_readwrite("desired_features", &Target::desired_features, "(8,) [px]");
-
-  py::class_<Uncertainty>(m, "Uncertainty", "Relative errors between estimates and plant.")
-      .def(py::init<>())
-      .def_readwrite("dynamics", &Uncertainty::dynamics)
-      .def_readwrite("depth", &Uncertainty::depth, "(4,) delta_Z [1]");
-
-  py::class_<SimulationSettings>(m, "SimulationSettings", "Time grid and logging.")
-      .def(py::init<>())
-      .def_readwrite("mode", &SimulationSettings::mode)
-      .def_readwrite("step", &SimulationSettings::step, "of the integration, or in sampled mode the servo period [s]")
-      .def_readwrite("substeps", &SimulationSettings::substeps, "Runge-Kutta steps in a servo period")
-      .def_readwrite("duration", &SimulationSettings::duration, "[s], a whole number of steps")
-      .def_readwrite("log_every", &SimulationSettings::log_every, "steps between logged samples");
-
-  m.def("step_count", &step_count, py::arg("simulation"), "Steps of a run; ValueError where they make no grid.");
-
-  using Measured = MetricsSettings<double>;
-  py::class_<Measured>(m, "MetricsSettings", "What is measured, when and against what.")
-      .def(py::init<>())
-      .def_readwrite("band", &Measured::band, "settled: every feature error is within this [px]")
-      .def_readwrite("dwell", &Measured::dwell, "settled: and has been for this long at the end [s]")
-      .def_readwrite("rms_start", &Measured::rms_start, "from here to the end the RMS error is taken [s]");
-
-  bind_devices(m);
-  bind_settings_of<Hybrid>(m, "HybridSettings", "A scenario for the law hybrid, as numbers.");
-  bind_settings_of<Composite>(m, "CompositeSettings", "A scenario for the law composite, as numbers.");
-  bind_settings_of<Kelly>(m, "KellySettings", "A scenario for the law kelly, as numbers.");
-  bind_settings_of<ResolvedRate>(m, "ResolvedRateSettings", "A scenario for the law resolved_rate, as numbers.");
-  bind_settings_of<Pbvs>(m, "PbvsSettings", "A scenario for the law pbvs, as numbers.");
-  bind_settings_of<ComputedTorque>(m, "ComputedTorqueSettings", "A scenario for the law computed_torque, as numbers.");
+  m.def(
+      "step_count",
+      [](double step, double duration, long long log_every) {
+        SimulationSettings simulation;
+        simulation.step = step;
+        simulation.duration = duration;
+        simulation.log_every = log_every;
+        return step_count(simulation);
+      },
+      py::arg("step"), py::arg("duration"), py::arg("log_every") = 1,
+      "Steps of a run of `duration` [s]; ValueError where they make no grid.");
 }
 
 }  // namespace hexservo::bindings

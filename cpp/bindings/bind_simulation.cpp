@@ -30,11 +30,10 @@ bool interrupt_requested() {
   return true;
 }
 
-template <class Law>
 void bind_simulate(py::module_& m) {
   m.def(
       "simulate",
-      [](const Settings<Law>& settings, const KernelHandle& kernel, bool log_weights) {
+      [](const Settings& settings, const KernelHandle& kernel, bool log_weights) {
         return simulate(settings, interrupt_requested, kernel.table(), log_weights);
       },
       py::arg("settings"), py::arg("kernel"), py::arg("log_weights") = false, py::call_guard<py::gil_scoped_release>(),
@@ -118,7 +117,7 @@ void bind_simulation(py::module_& m) {
       .def_readonly("events", &Trajectory::events)
       .def_readonly("metrics", &Trajectory::metrics);
 
-  Laws::for_each([&m]<class Law>(std::type_identity<Law>) { bind_simulate<Law>(m); });
+  bind_simulate(m);
 
   m.def(
       "drive_legs",

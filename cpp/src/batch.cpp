@@ -1,7 +1,7 @@
 #include "hexservo/batch.hpp"
 
 #include "check.hpp"
-#include "key_setters.hpp"
+#include "hexservo/scenario_keys.hpp"
 #include "run_request.hpp"
 #include "workers.hpp"
 
@@ -23,21 +23,20 @@ constexpr std::size_t kClearedTogether = 1024;            // scenarios that a th
 constexpr double kMaxPreparedBytes = 64.0 * 1024 * 1024;  // of parameters that are kept from the check to the run
 
 /// The scenarios of a batch: the base with one row of each variation.
-template <class Law>
 class Scenarios {
  public:
-  Scenarios(const Settings<Law>& base, std::span<const Variation> variations, std::size_t count)
+  Scenarios(const Settings& base, std::span<const Variation> variations, std::size_t count)
       : base_(base), count_(count) {
     if (count == 0) refuse("variations", "at least one scenario", "none");
     for (const Variation& variation : variations) add(variation);
   }
 
   std::size_t count() const { return count_; }
-  const Settings<Law>& base() const { return base_; }
+  const Settings& base() const { return base_; }
 
   /// Puts scenario `i` into settings that started as the base.
-  void set(Settings<Law>& settings, std::size_t i) const {
-    for (const Item& item : items_) item.key->set(settings, item.row(i));
+  void set(Settings& settings, std::size_t i) const {
+    for (const Item& item : items_) set_numbers(settings, *item.key, item.row(i));
     if (!seeds_.empty()) settings.seed = seeds_[seeds_.size() == 1 ? 0 : i];
   }
 
@@ -45,21 +44,21 @@ class Scenarios {
   std::vector<double> shared(std::size_t i) const {
     std::vector<double> numbers;
     for (const Item& item : items_)
-      if (item.key->reach == detail::Reach::pack) numbers.insert(numbers.end(), item.row(i).begin(), item.row(i).end());
+      if (item.key->field.reach == Reach::pack) numbers.insert(numbers.end(), item.row(i).begin(), item.row(i).end());
     return numbers;
   }
   bool all_alike() const {
-    return std::ranges::none_of(
-        items_, [](const Item& item) { return item.key->reach == detail::Reach::pack && !item.for_all; });
+    return std::ranges::none_of(items_,
+                                [](const Item& item) { return item.key->field.reach == Reach::pack && !item.for_all; });
   }
   /// The legs of every scenario are those of the base.
   bool same_legs() const {
-    return std::ranges::none_of(items_, [](const Item& item) { return item.key->reach == detail::Reach::legs; });
+    return std::ranges::none_of(items_, [](const Item& item) { return item.key->field.reach == Reach::legs; });
   }
 
  private:
   struct Item {
-    const detail::KeySetter<Law>* key;
+    const ScenarioKey* key;
     std::span<const double> values;
     std::size_t width;
     bool for_all;
@@ -68,17 +67,17 @@ class Scenarios {
   };
 
   void add(const Variation& variation) {
-    if (variation.key == detail::kSeedKey) return add_seeds(variation);
-    const auto keys = detail::key_setters<Law>();
-    const auto key = std::ranges::find(keys, variation.key, &detail::KeySetter<Law>::key);
-    if (key == keys.end()) refuse(variation.key, "a key that holds numbers", "one that does not");
+    const std::vector<ScenarioKey>& keys = scenario_keys(base_.law());
+    const auto key = std::ranges::find(keys, variation.key, &ScenarioKey::name);
+    if (key != keys.end() && key->type == KeyType::seed) return add_seeds(variation);
+    if (key == keys.end() || !key->varies()) refuse(variation.key, "a key that holds numbers", "one that does not");
     if (std::ranges::any_of(items_, [&](const Item& item) { return item.key == &*key; }))
       refuse(variation.key, "a key once", "it twice");
-    if (!key->takes(variation.width))
-      refuse(variation.key,
-             key->widths[1] == 0 ? words(key->widths[0], " per scenario")
-                                 : words(key->widths[0], " or ", key->widths[1], " per scenario"),
-             words(variation.width));
+    if (!key->takes(variation.width)) {
+      std::string expected;
+      for (const std::size_t width : key->widths()) expected += words(expected.empty() ? "" : " or ", width);
+      refuse(variation.key, expected + " per scenario", words(variation.width));
+    }
     const std::size_t rows = variation.values.size() / variation.width;
     if (rows * variation.width != variation.values.size() || (rows != 1 && rows != count_))
       refuse(variation.key, words("1 or ", count_, " rows of ", variation.width),
@@ -95,7 +94,7 @@ class Scenarios {
     seeds_ = variation.seeds;
   }
 
-  const Settings<Law>& base_;
+  const Settings& base_;
   std::size_t count_;
   std::vector<Item> items_;
   std::span<const std::uint64_t> seeds_;  // one for all, one for each, or empty: that of the base
@@ -113,15 +112,14 @@ struct Group {
   std::vector<std::size_t> members;
 };
 
-template <class Law>
-std::vector<Group> grouped(const Scenarios<Law>& scenarios) {
+std::vector<Group> grouped(const Scenarios& scenarios) {
   std::map<std::vector<double>, std::size_t> places;
   std::vector<Group> groups;
   for (std::size_t i = 0; i < scenarios.count(); ++i) {
     std::size_t place = 0;
     if (!scenarios.all_alike()) place = places.try_emplace(scenarios.shared(i), groups.size()).first->second;
     if (place == groups.size()) {
-      Settings<Law> settings = scenarios.base();
+      Settings settings = scenarios.base();
       scenarios.set(settings, i);
       groups.push_back({{settings.simulation, step_count(settings.simulation)}, {}});
     }
@@ -186,13 +184,11 @@ BatchResult allocate(std::size_t count, std::size_t rows, BatchLog log) {
 }
 
 /// One batch under way.
-template <class Law>
 class Batch {
  public:
-  Batch(const Scenarios<Law>& scenarios, const BatchOptions& options, const Kernel& kernel)
+  Batch(const Scenarios& scenarios, const BatchOptions& options, const Kernel& kernel)
       : scenarios_(scenarios), options_(options), kernel_(kernel) {
-    LoopParameters<double, Law> parameters;
-    numbers_ = static_cast<std::size_t>(detail::flat_size(parameters));
+    numbers_ = detail::flat_size(scenarios.base().law());
     const double bytes = static_cast<double>(scenarios.count()) * static_cast<double>(numbers_) * 8.0;
     if (scenarios.same_legs()) legs_ = make_hexapod(scenarios.base().robot);
     if (bytes <= kMaxPreparedBytes) prepared_ = Buffer(scenarios.count() * numbers_);
@@ -205,7 +201,7 @@ class Batch {
     std::string problem;
     const std::size_t blocks = (scenarios_.count() + kCheckedTogether - 1) / kCheckedTogether;
     const auto check_block = [&](std::size_t block) {
-      Settings<Law> settings = scenarios_.base();
+      Settings settings = scenarios_.base();
       const std::size_t end = std::min((block + 1) * kCheckedTogether, scenarios_.count());
       for (std::size_t i = block * kCheckedTogether; i < end; ++i) {
         try {
@@ -275,10 +271,9 @@ class Batch {
     }
   };
 
-  void prepare(Settings<Law>& settings, std::size_t i, double* to) const {
+  void prepare(Settings& settings, std::size_t i, double* to) const {
     scenarios_.set(settings, i);
-    const LoopParameters<double, Law> parameters = loop_parameters(settings, legs_ ? &*legs_ : nullptr);
-    if (to != nullptr) detail::flatten(parameters, to);
+    detail::prepare(settings, legs_ ? &*legs_ : nullptr, to);
   }
 
   void run_pack(const Pack& pack, BatchResult& result) {
@@ -286,7 +281,7 @@ class Batch {
     std::vector<double> own;
     if (prepared_.empty()) {
       own.resize(n * numbers_);
-      Settings<Law> settings = scenarios_.base();
+      Settings settings = scenarios_.base();
       for (std::size_t k = 0; k < n; ++k) prepare(settings, pack.members[k], own.data() + k * numbers_);
     }
     std::vector<const double*> parameters(n);
@@ -301,7 +296,7 @@ class Batch {
         answers[k].columns[q] = result.samples[q].data() + i * stride(result, q);
     }
     Witness witness{this, static_cast<long long>(n)};
-    RunRequest request = detail::run_request<Law>(pack.grid->simulation, scenarios_.base().base_motion, numbers_);
+    RunRequest request = detail::run_request(scenarios_.base(), pack.grid->simulation);
     request.count = static_cast<int>(n);
     request.parameters = parameters.data();
     request.log_every = options_.log == BatchLog::trajectory ? pack.grid->simulation.log_every : 0;
@@ -380,7 +375,7 @@ class Batch {
     return options_.stop_requested && options_.stop_requested();
   }
 
-  const Scenarios<Law>& scenarios_;
+  const Scenarios& scenarios_;
   const BatchOptions& options_;
   const Kernel& kernel_;
   std::optional<Hexapod<double>> legs_;  // of all scenarios, where they share them
@@ -394,33 +389,14 @@ class Batch {
 
 }  // namespace
 
-template <class Law>
-std::vector<NumericKey> numeric_keys() {
-  std::vector<NumericKey> keys;
-  for (const auto& setter : detail::key_setters<Law>()) {
-    keys.push_back({std::string(setter.key), {setter.widths[0]}});
-    if (setter.widths[1] != 0) keys.back().widths.push_back(setter.widths[1]);
-  }
-  keys.push_back({detail::kSeedKey, {1}});
-  return keys;
-}
-
-template <class Law>
-BatchResult simulate_batch(const Settings<Law>& base, std::span<const Variation> variations, std::size_t count,
+BatchResult simulate_batch(const Settings& base, std::span<const Variation> variations, std::size_t count,
                            const BatchOptions& options, const Kernel& kernel) {
   if (options.threads < 1) refuse("threads", "a whole number >= 1", words(options.threads));
-  const Scenarios<Law> scenarios(base, variations, count);
+  const Scenarios scenarios(base, variations, count);
   require_memory(count, options.log == BatchLog::metrics ? 0 : 1, options.log);  // before anything takes long
-  Batch<Law> batch(scenarios, options, kernel);
+  Batch batch(scenarios, options, kernel);
   batch.check();
   return batch.run();
 }
-
-#define HEXSERVO_HERE(Law)                                                                           \
-  template std::vector<NumericKey> numeric_keys<Law>();                                              \
-  template BatchResult simulate_batch(const Settings<Law>&, std::span<const Variation>, std::size_t, \
-                                      const BatchOptions&, const Kernel&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
-#undef HEXSERVO_HERE
 
 }  // namespace hexservo

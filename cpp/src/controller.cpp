@@ -71,22 +71,22 @@ struct NumberReader {
 }  // namespace
 
 template <class Law>
-ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period) {
+ControllerGains<Law> controller_gains(const Settings& settings, double period) {
   if (!(period > 0.0 && period <= kMaxServoPeriod))
     detail::refuse("period", detail::words("a time above 0 and up to ", kMaxServoPeriod, " s"), detail::words(period));
-  Settings<Law> ticking = settings;  // on the tick's own grid, and without what belongs to the plant
+  Settings ticking = settings;  // on the tick's own grid, and without what belongs to the plant
   ticking.uncertainty = {};
   ticking.uncertainty.depth = settings.uncertainty.depth;  // the controller's own: what it takes the target for
   ticking.simulation = {LoopMode::sampled, period, 1, period, 1};
   ticking.base_motion = {};
-  ticking.sensors.encoders.noise = 0.0;  // of the real encoders, not of those that a scenario simulates
-  ticking.sensors.encoders.resolution = 0.0;
+  ticking.sensors.noise = 0.0;  // of the real encoders, not of those that a scenario simulates
+  ticking.sensors.resolution = 0.0;
   if (settings.simulation.mode == LoopMode::continuous) {
-    ticking.sampling = {period};
+    ticking.camera = {settings.camera, {}, settings.camera.convention};
     ticking.sensors = {};
     ticking.actuators = {};
   }
-  return servo_gains(loop_parameters(ticking));
+  return servo_gains(loop_parameters<Law>(ticking));
 }
 
 template <int alignment>
@@ -124,7 +124,7 @@ void restore(ControllerState<Law>& state, std::span<const double> numbers) {
 }
 
 #define HEXSERVO_HERE(Law)                                                      \
-  template ControllerGains<Law> controller_gains(const Settings<Law>&, double); \
+  template ControllerGains<Law> controller_gains<Law>(const Settings&, double); \
   template std::vector<double> stored(ControllerState<Law>);                    \
   template void restore(ControllerState<Law>&, std::span<const double>);        \
   template ControllerOutput step(const ControllerGains<Law>&, ControllerState<Law>&, const ControllerInput&) noexcept;

@@ -2,20 +2,19 @@
 /// Parameter structs as rows of doubles, and back, by the `visit` that names their members.
 #pragma once
 
+#include "hexservo/parameters.hpp"
+
 #include <Eigen/Core>
 
 #include <type_traits>
 
 namespace hexservo::detail {
 
-template <class T>
-concept Visited = requires(T& value) { T::visit([](auto&, auto&) {}, value, value); };
-
 /// Calls `f` with every number, flag, mode and matrix inside a struct, in the order of `visit`.
 template <class T, class F>
 void for_each_leaf(T& value, F&& f) {
-  if constexpr (Visited<std::remove_const_t<T>>)
-    std::remove_const_t<T>::visit([&f](auto& member, auto&) { for_each_leaf(member, f); }, value, value);
+  if constexpr (Visited<T>)
+    std::remove_const_t<T>::visit([&f](const Field&, auto& member) { for_each_leaf(member, f); }, value);
   else
     f(value);
 }

@@ -1,6 +1,6 @@
 #include "hexservo/fuzzy.hpp"
 
-#include "check.hpp"
+#include "walk.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -32,27 +32,16 @@ void require_resolved(const FuzzyGains<double>& gains, const std::string& key, d
 }
 
 void validate(const FuzzyGains<double>& gains, const std::string& key) {
-  detail::require_positive(key + "adaptation", gains.adaptation);
+  detail::require_bounds(std::string_view(key).substr(0, key.size() - 1), gains);
   for (int j = 0; j < kAxes; ++j)  // 1/Psi and what it multiplies stay finite
     if (gains.adaptation(j) < kLeastAdaptation)
       detail::refuse(detail::words(key, "adaptation[", j, "]"), detail::words("a number >= ", kLeastAdaptation),
                      detail::words(gains.adaptation(j)));
-  detail::require_finite(key + "error_scale", gains.error_scale);
-  detail::require_finite(key + "rate_scale", gains.rate_scale);
-  detail::require_finite(key + "initial_scale", gains.initial_scale);
-  detail::require_finite(key + "table", gains.table);
   if (!(gains.initial_scale.cwiseAbs().maxCoeff() * gains.table.cwiseAbs().maxCoeff() <=
         std::numeric_limits<double>::max()))
     detail::refuse(key + "initial_scale", "a number whose products with the entries of the table are finite",
                    detail::words(gains.initial_scale.cwiseAbs().maxCoeff(), " with an entry of ",
                                  gains.table.cwiseAbs().maxCoeff()));
-  detail::require_not_negative(key + "leakage", gains.leakage);
-  for (int j = 0; j < kAxes; ++j)
-    if (!(gains.weight_limit(j) > 0.0))
-      detail::refuse(detail::words(key, "weight_limit[", j, "]"), "a number > 0", detail::words(gains.weight_limit(j)));
-  detail::require_not_negative(key + "dead_zone", gains.dead_zone);
-  detail::require_positive(key + "bell_width", gains.bell_width);
-  detail::require_positive(key + "bell_slope", gains.bell_slope);
   // Six denominators of at most 1 + (2/w)^(2s) are multiplied; far from 1e308 the sum of seven products is safe as
   // well.
   const double largest = std::max(0.0, 2.0 * gains.bell_slope * std::log10(2.0 / gains.bell_width));

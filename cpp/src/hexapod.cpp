@@ -1,6 +1,6 @@
 #include "hexservo/hexapod.hpp"
 
-#include "check.hpp"
+#include "walk.hpp"
 
 #include <Eigen/SVD>
 
@@ -66,13 +66,7 @@ RobotParameters robot_preset(std::string_view name) {
 }
 
 Hexapod<double> make_hexapod(const RobotParameters& robot) {
-  detail::require_positive("robot.platform_radius", robot.platform_radius);
-  detail::require_positive("robot.base_radius", robot.base_radius);
-  detail::require_finite("robot.platform_angles", robot.platform_angles);
-  detail::require_finite("robot.base_angles", robot.base_angles);
-  detail::require_finite("robot.home_position", robot.home_position);
-  detail::require_positive("robot.stroke", robot.stroke);
-  detail::require_positive("robot.force_limit", robot.force_limit);
+  detail::require_bounds("robot", robot);
 
   Hexapod<double> hexapod;
   hexapod.platform_joints_E = joints(robot.platform_radius, robot.platform_angles);

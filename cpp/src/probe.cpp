@@ -294,8 +294,10 @@ struct Probe::PartsOf final : Probe::Parts {
 
 // ---- The face -------------------------------------------------------------------------------------------------------
 
-template <class Law>
-Probe::Probe(const Settings<Law>& settings) : parts_(std::make_unique<PartsOf<Law>>(loop_parameters(settings))) {}
+Probe::Probe(const Settings& settings)
+    : parts_(with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) -> std::unique_ptr<const Parts> {
+        return std::make_unique<PartsOf<Law>>(loop_parameters<Law>(settings));
+      })) {}
 
 Probe::Probe(Probe&&) noexcept = default;
 Probe& Probe::operator=(Probe&&) noexcept = default;
@@ -443,9 +445,5 @@ void Probe::after(const Body& start, const BodyStage& stages, double step, Colum
     put_body(body_after(body_at(start, i), step, each), i, position, quaternion, twist);
   }
 }
-
-#define HEXSERVO_HERE(Law) template Probe::Probe(const Settings<Law>&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
-#undef HEXSERVO_HERE
 
 }  // namespace hexservo

@@ -1,6 +1,6 @@
 #include "hexservo/rigid_body.hpp"
 
-#include "check.hpp"
+#include "walk.hpp"
 
 #include <Eigen/Eigenvalues>
 
@@ -18,9 +18,6 @@ namespace {
 void validate_inertia_error(const Matrix6<double>& delta, const Matrix3<double>& inertia, double smallest_moment) {
   const std::string key = "uncertainty.inertia";
   if ((delta - delta.transpose()).cwiseAbs().maxCoeff() > 0.0) refuse(key, "a symmetric 6x6 array", "one that is not");
-  if (delta.diagonal().maxCoeff() >= 1.0)
-    refuse(key, "entries below 1 on the diagonal (the actual inertia is (1 - error) times the estimate)",
-           words(delta.diagonal().maxCoeff()));
   const Matrix3<double> angular = delta.bottomRightCorner<3, 3>();
   const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(Matrix3<double>::Ones() - angular,
                                                               Eigen::EigenvaluesOnly);
@@ -50,9 +47,7 @@ void validate(const RigidBody<double>& body, const DynamicsError<double>& error)
     refuse("robot.inertia",
            "principal moments none of which exceeds the sum of the other two (no body has such an inertia)", got);
 
-  detail::require_finite("uncertainty.inertia", error.inertia);
-  detail::require_finite("uncertainty.coriolis", error.coriolis);
-  detail::require_finite("uncertainty.gravity", error.gravity);
+  detail::require_bounds("uncertainty", error);
   validate_inertia_error(error.inertia, I, principal(0));
 }
 

@@ -27,7 +27,7 @@ void write(const Vector<S, N>& values, int lane, double* to) {
 template <class S, class Place>
 void write_sample(const Sample<S>& sample, int lane, Place&& place) {
   std::size_t quantity = 0;
-  Sample<S>::visit([&](const auto& values, const auto&) { write(values, lane, place(quantity++)); }, sample, sample);
+  Sample<S>::visit([&](const char*, const auto& values) { write(values, lane, place(quantity++)); }, sample);
 }
 
 /// The parameters of all lanes; those without a scenario repeat the last one.
@@ -119,7 +119,7 @@ void answer(const LoopRecord<S>& record, const LawState& law_state, const S& ste
   });
   const Metrics<S> metrics = record.metrics().metrics();
   next = a.metrics;
-  Metrics<S>::visit([&](const S& value, const S&) { *next++ = of_lane(value, lane); }, metrics, metrics);
+  Metrics<S>::visit([&](const char*, const S& value) { *next++ = of_lane(value, lane); }, metrics);
   write(record.metrics().stroke().first_time, lane, a.stroke_first_time);
   write(record.metrics().stroke().peak, lane, a.stroke_peak);
   write(record.metrics().force().first_time, lane, a.force_first_time);

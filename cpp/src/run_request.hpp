@@ -2,41 +2,33 @@
 /// How baseline code asks a kernel for runs.
 #pragma once
 
-#include "flatten.hpp"
 #include "hexservo/settings.hpp"
 #include "kernel.hpp"
 
 #include <stdexcept>
 #include <string>
-#include <vector>
 
 namespace hexservo::detail {
 
-template <class Law>
-std::vector<double> flattened(const LoopParameters<double, Law>& parameters) {
-  std::vector<double> numbers(static_cast<std::size_t>(flat_size(parameters)));
-  flatten(parameters, numbers.data());
-  return numbers;
-}
+/// What of a prepared scenario its caller needs, beside its numbers.
+struct Prepared {
+  Hexapod<double> hexapod;
+  bool fuzzy;  ///< whether fuzzy systems act
+};
+
+/// How many numbers a scenario of a law takes on its way to a kernel.
+std::size_t flat_size(LawId law);
+
+/// Validates a scenario, and writes its `flat_size` numbers.
+/// @param legs as `loop_parameters` takes them
+/// @param to null: the numbers are not asked for
+/// @throws std::invalid_argument as `loop_parameters`
+Prepared prepare(const Settings& settings, const Hexapod<double>* legs, double* to);
 
 /// A request without its scenarios, log and questions.
-/// @param numbers of each flattened scenario
-/// @param base_motion what was recorded of it, which must outlive the request
-template <class Law>
-RunRequest run_request(const SimulationSettings& simulation, const BaseMotionSettings& base_motion,
-                       std::size_t numbers) {
-  RunRequest request{};
-  request.law = law_id<Law>;
-  request.sampled = simulation.mode == LoopMode::sampled;
-  request.numbers = static_cast<long long>(numbers);
-  request.steps = step_count(simulation);
-  if (base_motion.samples) {
-    request.recorded = base_motion.samples->data();
-    request.recorded_count = static_cast<long long>(base_motion.samples->size() / 3);
-    request.recorded_period = base_motion.sample_period;
-  }
-  return request;
-}
+/// @param settings their law and recorded base motion, which must outlive the request
+/// @param simulation the mode and steps that they share
+RunRequest run_request(const Settings& settings, const SimulationSettings& simulation);
 
 /// @throws std::logic_error where caller and kernel do not belong together
 inline void require_done(RunStatus status) {

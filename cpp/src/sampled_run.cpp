@@ -8,20 +8,9 @@ namespace hexservo {
 
 using detail::refuse;
 
-namespace {
-
-template <class Law>
-LoopParameters<double, Law> sampled_parameters(const Settings<Law>& settings) {
-  if (settings.simulation.mode != LoopMode::sampled)
-    refuse("simulation.mode", "sampled for a controller of one's own", "continuous");
-  return loop_parameters(settings);
-}
-
-}  // namespace
-
 struct SampledRun::Books {
   template <class Law>
-  Books(const LoopParameters<double, Law>& parameters, std::shared_ptr<const Settings<Law>> settings)
+  Books(const LoopParameters<double, Law>& parameters, std::shared_ptr<const Settings> settings)
       : kept(settings),
         hexapod(parameters.hexapod),
         step(parameters.step),
@@ -36,7 +25,7 @@ struct SampledRun::Books {
   /// Until all ticks are commanded, the last one included.
   bool running() const noexcept { return !complete && plant.record().running(); }
 
-  std::shared_ptr<const void> kept;  ///< settings: a recorded base motion is shared, not copied
+  std::shared_ptr<const Settings> kept;  ///< a recorded base motion is shared, not copied
   Hexapod<double> hexapod;
   double step;
   CommandedPlant<double> plant;
@@ -47,10 +36,13 @@ struct SampledRun::Books {
   bool complete = false;
 };
 
-template <class Law>
-SampledRun::SampledRun(const Settings<Law>& settings) {
-  auto kept = std::make_shared<const Settings<Law>>(settings);
-  books_ = std::make_unique<Books>(sampled_parameters(*kept), std::move(kept));
+SampledRun::SampledRun(const Settings& settings) {
+  if (settings.simulation.mode != LoopMode::sampled)
+    refuse("simulation.mode", "sampled for a controller of one's own", "continuous");
+  auto kept = std::make_shared<const Settings>(settings);
+  books_ = with_law(kept->law(), [&]<class Law>(std::type_identity<Law>) {
+    return std::make_unique<Books>(loop_parameters<Law>(*kept), kept);
+  });
 }
 
 SampledRun::SampledRun(SampledRun&&) noexcept = default;
@@ -107,9 +99,5 @@ Trajectory SampledRun::finish() {
   b.rows->end(0);
   return b.log.finish(b.step, b.hexapod);
 }
-
-#define HEXSERVO_HERE(Law) template SampledRun::SampledRun(const Settings<Law>&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
-#undef HEXSERVO_HERE
 
 }  // namespace hexservo

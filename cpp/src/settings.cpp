@@ -1,6 +1,6 @@
 #include "hexservo/settings.hpp"
 
-#include "check.hpp"
+#include "walk.hpp"
 
 #include <Eigen/SVD>
 
@@ -42,12 +42,11 @@ void require_full_rank(const std::string& key, double f, const Image<double>& im
 void place_target(const Target& target, CameraConvention convention, double f, const Vector3<double>& home,
                   Image<double>& image, Eigen::Matrix<double, 3, kPoints>& points_B) {
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
-  if (target.points_B) {
+  if (target.points) {
     if (convention == CameraConvention::as_printed)
       refuse("target.points", "initial_features and depth, since a camera as_printed integrates them and has no points",
              "points");
-    points_B = *target.points_B;
-    detail::require_finite("target.points", Eigen::Matrix<double, kPoints, 3>(points_B.transpose()));
+    points_B = target.points->transpose();
     for (int i = 0; i < kPoints; ++i) {
       const double Z = points_B(2, i) - home(2);
       if (!(Z < 0.0))
@@ -57,8 +56,6 @@ void place_target(const Target& target, CameraConvention convention, double f, c
     }
     image = take_image(f, home, R_BE, points_B);
   } else {
-    detail::require_finite("target.initial_features", target.initial_features);
-    for (int i = 0; i < kPoints; ++i) detail::require_positive(words("target.depth[", i, "]"), target.depth(i));
     image = {target.initial_features, -target.depth};
     for (int i = 0; i < kPoints; ++i)
       points_B.col(i) = home + R_BE * back_project<double>(f, image.features.segment<2>(2 * i), image.depth(i));
@@ -82,80 +79,55 @@ long long ticks(const char* key, double time, double period, long long at_least)
   return static_cast<long long>(whole);
 }
 
-void require_probability(const char* key, double value) {
-  if (!(value >= 0.0 && value <= 1.0)) refuse(key, "a probability from 0 to 1", words(value));
-}
-
-/// Timing and faults of the camera, checked.
-FrameSettings<double> frame_settings(const CameraSampling& sampling, double period) {
-  FrameSettings<double> frames = sampling.faults;
-  frames.period = ticks("camera.period", sampling.period, period, 1);
-  frames.latency = ticks("camera.latency", sampling.latency, period, 0);
-  frames.jitter = ticks("camera.latency_jitter", sampling.latency_jitter, period, 0);
+/// Timing and faults of the camera.
+FrameSettings<double> frame_settings(const CameraSettings& camera, double period) {
+  FrameSettings<double> frames;
+  static_cast<FrameFaults<double>&>(frames) = camera;
+  frames.period = camera.period == 0.0 ? 1 : ticks("camera.period", camera.period, period, 1);
+  frames.latency = ticks("camera.latency", camera.latency, period, 0);
+  frames.jitter = ticks("camera.latency_jitter", camera.latency_jitter, period, 0);
   // In ticks, since the sum of three rounded times may be more than a timeout that equals it; infinite: never too old.
   const auto oldest = static_cast<double>(frames.period + frames.latency + frames.jitter);
-  if (!(std::round(sampling.timeout / period) >= oldest))
+  if (!(std::round(camera.timeout / period) >= oldest))
     refuse("camera.timeout", words("at least period, latency and latency_jitter together, ", oldest * period, " s"),
-           words(sampling.timeout));
-  frames.timeout = std::isfinite(sampling.timeout)
-                       ? static_cast<double>(ticks("camera.timeout", sampling.timeout, period, 1))
-                       : sampling.timeout;
-  detail::require_not_negative("camera.noise", frames.noise);
-  detail::require_not_negative("camera.quantisation", frames.quantisation);
-  detail::require_not_negative("camera.outlier_size", frames.outlier_size);
-  require_probability("camera.dropout", frames.dropout);
-  require_probability("camera.outlier_probability", frames.outlier_probability);
-  for (int i = 0; i < 2; ++i)  // infinite: every feature is seen
-    if (!(frames.image_size(i) > 0.0))
-      refuse(words("camera.image_size[", i, "]"), "a number > 0", words(frames.image_size(i)));
+           words(camera.timeout));
+  frames.timeout = std::isfinite(camera.timeout)
+                       ? static_cast<double>(ticks("camera.timeout", camera.timeout, period, 1))
+                       : camera.timeout;
   return frames;
 }
 
-/// Leg length encoders, checked.
 EncoderParameters<double> encoder_parameters(const SensorSettings& sensors, double period) {
-  EncoderParameters<double> encoders = sensors.encoders;
-  encoders.period = sensors.period == 0.0 ? 1 : ticks("sensors.period", sensors.period, period, 1);
-  detail::require_not_negative("sensors.resolution", encoders.resolution);
-  detail::require_not_negative("sensors.noise", encoders.noise);
-  return encoders;
+  return {sensors, sensors.period == 0.0 ? 1 : ticks("sensors.period", sensors.period, period, 1)};
 }
 
 ActuatorParameters<double> actuator_parameters(const ActuatorSettings& settings, double period) {
-  ActuatorParameters<double> actuators = settings.actuators;
-  actuators.delay = ticks("actuators.delay", settings.delay, period, 0);
+  ActuatorParameters<double> actuators{settings, ticks("actuators.delay", settings.delay, period, 0)};
   if (actuators.delay > kMaxActuatorDelay)
     refuse("actuators.delay",
            words("at most ", kMaxActuatorDelay, " servo periods (", kMaxActuatorDelay * period, " s)"),
            words(settings.delay));
-  if (!(actuators.bandwidth > 0.0)) refuse("actuators.bandwidth", "a number > 0", words(actuators.bandwidth));
-  detail::require_not_negative("actuators.quantisation", actuators.quantisation);
   return actuators;
 }
 
-/// Motion of the base, checked; only what its kind needs.
+/// Motion of the base; only what its kind needs has to fit.
 /// @param step of the integration [s]
-BaseMotionParameters<double> base_motion_parameters(const BaseMotionSettings& settings, double step) {
-  const BaseMotionParameters<double>& motion = settings.motion;
+BaseMotionParameters<double> base_motion_parameters(const BaseMotionSettings& motion, double step) {
   const double fastest = 0.5 / step;  // a sine wave of two steps: the integration would not see more
   switch (motion.kind) {
     case BaseMotionKind::sinusoid:
-      detail::require_finite("base_motion.amplitude", motion.amplitude);
-      detail::require_finite("base_motion.phase", motion.phase);
-      if (!(motion.frequency >= 0.0 && motion.frequency <= fastest))
+      if (!(motion.frequency <= fastest))
         refuse("base_motion.frequency", words("a number from 0 to ", fastest, " Hz (two steps of the integration)"),
                words(motion.frequency));
       break;
     case BaseMotionKind::recorded:
-      if (!settings.samples || settings.samples->size() < 6 || settings.samples->size() % 3 != 0)
+      if (!motion.samples || motion.samples->size() < 6 || motion.samples->size() % 3 != 0)
         refuse("base_motion.samples", "two or more samples of three numbers",
-               words(settings.samples ? settings.samples->size() : 0, " numbers"));
-      for (std::size_t i = 0; i < settings.samples->size(); ++i)
-        detail::require_finite(words("base_motion.samples[", i / 3, "][", i % 3, "]"), (*settings.samples)[i]);
-      detail::require_positive("base_motion.sample_period", settings.sample_period);
+               words(motion.samples ? motion.samples->size() : 0, " numbers"));
+      detail::require_positive("base_motion.sample_period", motion.sample_period);
       break;
     case BaseMotionKind::noise:
-      detail::require_not_negative("base_motion.level", motion.level);
-      if (!(motion.low_frequency >= 0.0 && motion.low_frequency < motion.high_frequency))
+      if (!(motion.low_frequency < motion.high_frequency))
         refuse("base_motion.low_frequency", words("a number from 0 to below high_frequency, ", motion.high_frequency),
                words(motion.low_frequency));
       if (!(motion.high_frequency <= fastest))
@@ -203,34 +175,75 @@ long long step_count(const SimulationSettings& simulation) {
 }
 
 SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, double delay) {
-  if (settings.damping) detail::require_not_negative("controller.safe.damping", *settings.damping);
-  if (settings.hold) detail::require_not_negative("controller.safe.hold", *settings.hold);
+  detail::require_bounds("controller.safe", settings);
   const double w = std::min(kFastestBrake, kBrakePhase / delay);
   Vector6<double> inertia;
   inertia << Vector3<double>::Constant(body.mass), body.inertia_E.diagonal();
   return {settings.damping.value_or(2.0 * w * inertia), settings.hold.value_or(w * w * inertia)};
 }
 
-template <class Law>
-LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const Hexapod<double>* legs) {
-  LoopParameters<double, Law> p;
+namespace {
+
+/// Checks every number that acts by the bounds of its field.
+void require_acting_bounds(const Settings& settings) {
+  const bool sampled = settings.simulation.mode == LoopMode::sampled;
+  const bool points = settings.target.points.has_value();
+  detail::walk(detail::Path{}, settings, [&](const detail::Path& path, const Field& field, const auto& member) {
+    if ((sampled || !field.sampled) && (field.with_points || !points)) detail::require_within(path, field, member);
+  });
+}
+
+/// The controller's goal: where the believed points give the desired features.
+Pose<double> believed_goal(const SceneParameters<double>& p, std::string_view law) {
+  if (p.convention == CameraConvention::as_printed)
+    refuse("camera.convention",
+           words("eye_in_hand for the law ", law,
+                 " with these gains, since a camera as_printed has no points and so no pose of the goal"),
+           "as_printed");
+  const double f = p.camera.focal_pixels();
+  const Pose<double> home = home_pose(p.hexapod);
+  return goal_pose(f, believed_points(f, home, p.initial_image, p.depth_error), p.desired_features, home);
+}
+
+/// Devices of the sampled loop.
+void prepare_devices(const Settings& settings, SceneParameters<double>& p) {
+  p.frames = frame_settings(settings.camera, p.step);
+  if (p.convention == CameraConvention::as_printed &&
+      (p.frames.prediction != Prediction::none || p.frames.on_lost == LostFeature::predict))
+    refuse("camera.convention", "eye_in_hand where features are predicted, since a camera as_printed has no points",
+           "as_printed");
+  p.pose_source = settings.sensors.pose;
+  p.encoders = encoder_parameters(settings.sensors, p.step);
+  p.actuators = actuator_parameters(settings.actuators, p.step);
+  // Until a motion acts on the platform again; a lag that is infinitely fast adds nothing.
+  const double delay = p.step * static_cast<double>((p.pose_source == PoseSource::encoders ? p.encoders.period : 1) +
+                                                    p.actuators.delay) +
+                       1.0 / (2.0 * kPi * p.actuators.bandwidth);
+  p.safe = safe_gains(settings.controller.safe, p.body, delay);
+  p.base_motion = base_motion_parameters(settings.base_motion, p.step / static_cast<double>(p.substeps));
+  if (const auto& samples = settings.base_motion.samples)
+    p.recorded = {samples->data(), static_cast<long long>(samples->size() / 3), settings.base_motion.sample_period};
+  p.on_limit = settings.robot.on_limit;
+  p.seed = seed_halves(settings.seed);
+}
+
+/// All that no law enters.
+SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod<double>* legs) {
+  SceneParameters<double> p;
+  require_acting_bounds(settings);
   step_count(settings.simulation);
   p.hexapod = legs != nullptr ? *legs : make_hexapod(settings.robot);
   p.body = {settings.robot.mass, settings.robot.inertia, RigidBody<double>{}.gravity};
-  p.dynamics_error = settings.uncertainty.dynamics;
+  p.dynamics_error = settings.uncertainty;
   validate(p.body, p.dynamics_error);
-
-  detail::require_positive("camera.focal_length", settings.camera.focal_length);
-  detail::require_positive("camera.pixel_scale", settings.camera.pixel_scale);
   p.camera = settings.camera;
-  p.convention = settings.convention;
-  p.jacobian = settings.jacobian;
+  p.convention = settings.camera.convention;
+  p.jacobian = settings.controller.jacobian;
 
-  const double f = settings.camera.focal_pixels();
-  place_target(settings.target, settings.convention, f, settings.robot.home_position, p.initial_image, p.points_B);
+  const double f = p.camera.focal_pixels();
+  place_target(settings.target, p.convention, f, settings.robot.home_position, p.initial_image, p.points_B);
   p.desired_features = settings.target.desired_features;
-  detail::require_finite("target.desired_features", p.desired_features);
-  const std::string source = settings.target.points_B ? "target.points" : "target.initial_features";
+  const std::string source = settings.target.points ? "target.points" : "target.initial_features";
   for (const auto& [key, image] :
        {std::pair{source, p.initial_image},
         std::pair{std::string("target.desired_features"), Image<double>{p.desired_features, p.initial_image.depth}}}) {
@@ -240,65 +253,35 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
     if (!(error <= kMaxFeatureError))
       refuse(key, words("features within ", kMaxFeatureError, " px of the goal"), words(error, " px"));
   }
-
   p.depth_error = settings.uncertainty.depth;
-  detail::require_finite("uncertainty.depth", p.depth_error);
-  if (p.depth_error.minCoeff() <= -1.0)
-    refuse("uncertainty.depth", "errors > -1 (the measured depth is (1 + error) times the true one)",
-           words(p.depth_error.minCoeff()));
-
-  p.switching = settings.switching;
-  detail::require_positive("controller.switching.width", p.switching.width);
-  p.gains = settings.gains;
-  validate(p.gains);
+  p.switching = settings.controller.switching;
   p.goal = home_pose(p.hexapod);
-  if constexpr (requires { p.gains.needs_goal(); })
-    if (p.gains.needs_goal()) {
-      if (p.convention == CameraConvention::as_printed)
-        refuse("camera.convention",
-               words("eye_in_hand for the law ", Law::name,
-                     " with these gains, since a camera as_printed has no points and so no pose of the goal"),
-               "as_printed");
-      const Pose<double> home = p.goal;
-      p.goal = goal_pose(f, believed_points(f, home, p.initial_image, p.depth_error), p.desired_features, home);
-    }
   p.step = settings.simulation.step;
   p.mode = settings.simulation.mode;
-  if (settings.simulation.substeps < 1)
-    refuse("simulation.substeps", "a whole number >= 1", words(settings.simulation.substeps));
   p.substeps = settings.simulation.substeps;
-  if (p.mode == LoopMode::sampled) {
-    p.frames = frame_settings(settings.sampling, p.step);
-    if (p.convention == CameraConvention::as_printed &&
-        (p.frames.prediction != Prediction::none || p.frames.on_lost == LostFeature::predict))
-      refuse("camera.convention", "eye_in_hand where features are predicted, since a camera as_printed has no points",
-             "as_printed");
-    p.pose_source = settings.sensors.pose;
-    p.encoders = encoder_parameters(settings.sensors, p.step);
-    p.actuators = actuator_parameters(settings.actuators, p.step);
-    // Until a motion acts on the platform again; a lag that is infinitely fast adds nothing.
-    const double delay = p.step * static_cast<double>((p.pose_source == PoseSource::encoders ? p.encoders.period : 1) +
-                                                      p.actuators.delay) +
-                         1.0 / (2.0 * kPi * p.actuators.bandwidth);
-    p.safe = safe_gains(settings.safe, p.body, delay);
-    p.base_motion = base_motion_parameters(settings.base_motion, p.step / static_cast<double>(p.substeps));
-    if (settings.base_motion.samples)
-      p.recorded = {settings.base_motion.samples->data(),
-                    static_cast<long long>(settings.base_motion.samples->size() / 3),
-                    settings.base_motion.sample_period};
-    p.on_limit = settings.on_limit;
-    p.seed = seed_halves(settings.seed);
-  } else if (is_implicit(p.switching.kind)) {
+  if (p.mode == LoopMode::sampled)
+    prepare_devices(settings, p);
+  else if (is_implicit(p.switching.kind))
     refuse("controller.switching.kind", "sign, tanh or saturation in continuous mode (implicit needs a servo period)",
            "implicit");
-  }
-  if constexpr (kHasFuzzySystems<Law>)
-    require_resolved(p.gains.fuzzy, words("controller.", Law::name, ".fuzzy."), p.step);
-  detail::require_positive("metrics.band", settings.metrics.band);
-  detail::require_positive("metrics.dwell", settings.metrics.dwell);
-  detail::require_not_negative("metrics.rms_start", settings.metrics.rms_start);
   p.metrics = settings.metrics;
+  return p;
+}
 
+}  // namespace
+
+template <class Law>
+LoopParameters<double, Law> loop_parameters(const Settings& settings, const Hexapod<double>* legs) {
+  static_assert(Law::traits.memory == kHasFuzzySystems<Law>);
+  const std::string block = words("controller.", Law::traits.name);
+  LoopParameters<double, Law> p{scene_parameters(settings, legs), settings.gains<Law>()};
+  if constexpr (requires { validate(p.gains, block + "."); }) validate(p.gains, block + ".");
+  if constexpr (Law::traits.points)
+    if (p.gains.needs_goal()) p.goal = believed_goal(p, Law::traits.name);
+  if constexpr (kHasFuzzySystems<Law>) {
+    validate(p.gains.fuzzy, block + ".fuzzy.");
+    require_resolved(p.gains.fuzzy, block + ".fuzzy.", p.step);
+  }
   const StopCause cause = cause_at_start(p);
   if (cause == StopCause::solver_failed)
     refuse("sensors.noise", "encoders whose first readings belong to a pose", words(p.encoders.noise, " m"));
@@ -308,7 +291,7 @@ LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const
 }
 
 #define HEXSERVO_HERE(Law) \
-  template LoopParameters<double, Law> loop_parameters(const Settings<Law>&, const Hexapod<double>*);
+  template LoopParameters<double, Law> loop_parameters<Law>(const Settings&, const Hexapod<double>*);
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
 

@@ -60,21 +60,19 @@ std::string describe(StopCause cause, double time, int leg) {
   return "ran to the end";
 }
 
-template <class Law>
-void check_settings(const Settings<Law>& settings) {
-  loop_parameters(settings);
+void check_settings(const Settings& settings) {
+  with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) { loop_parameters<Law>(settings); });
   detail::sample_count(settings.simulation);
 }
 
-template <class Law>
-Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested, const Kernel& kernel,
+Trajectory simulate(const Settings& settings, const std::function<bool()>& stop_requested, const Kernel& kernel,
                     bool log_weights) {
-  const LoopParameters<double, Law> parameters = loop_parameters(settings);
-  detail::TrajectoryLog log(settings.simulation, log_weights && fuzzy_systems_act<Law>(settings.gains));
-  const std::vector<double> numbers = detail::flattened(parameters);
+  std::vector<double> numbers(detail::flat_size(settings.law()));
+  const detail::Prepared prepared = detail::prepare(settings, nullptr, numbers.data());
+  detail::TrajectoryLog log(settings.simulation, log_weights && prepared.fuzzy);
   const double* scenario = numbers.data();
   Question question{stop_requested, nullptr};
-  RunRequest request = detail::run_request<Law>(settings.simulation, settings.base_motion, numbers.size());
+  RunRequest request = detail::run_request(settings, settings.simulation);
   request.count = 1;
   request.parameters = &scenario;
   request.log_every = settings.simulation.log_every;
@@ -86,14 +84,8 @@ Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& 
   request.answers = &log.answer();
   detail::require_done(kernel.run_single(request));
   if (question.error) std::rethrow_exception(question.error);
-  return log.finish(parameters.step, parameters.hexapod);
+  return log.finish(settings.simulation.step, prepared.hexapod);
 }
-
-#define HEXSERVO_HERE(Law)                            \
-  template void check_settings(const Settings<Law>&); \
-  template Trajectory simulate(const Settings<Law>&, const std::function<bool()>&, const Kernel&, bool);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
-#undef HEXSERVO_HERE
 
 BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<double>& body,
                              const DynamicsError<double>& error, const BodyState<double>& start,

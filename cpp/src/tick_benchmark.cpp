@@ -101,8 +101,8 @@ struct Recording {
 };
 
 template <class Law>
-Recording record(const Settings<Law>& settings) {
-  const LoopParameters<double, Law> parameters = loop_parameters(settings);
+Recording record(const Settings& settings) {
+  const LoopParameters<double, Law> parameters = loop_parameters<Law>(settings);
   const long long steps = step_count(settings.simulation);
   if (steps > kMaxRecorded)
     refuse("simulation.duration", words("a run of at most ", kMaxRecorded, " steps to replay"), words(steps, " steps"));
@@ -211,17 +211,10 @@ void run_paced(Replay<Law>& replay, const TickBenchmarkOptions& options, TickTim
   }
 }
 
-}  // namespace
-
 template <class Law>
-TickTimes time_ticks(const Settings<Law>& settings, const TickBenchmarkOptions& options) {
-  if (options.periods < 1 || options.periods > kMaxTimedPeriods)
-    refuse("ticks", words("a whole number from 1 to ", kMaxTimedPeriods), words(options.periods));
-  if (!(options.rate >= 0.0 && options.rate <= kMaxTickRate))
-    refuse("rate", words("0 or a rate of up to ", kMaxTickRate, " Hz"), words(options.rate));
-
-  const ControllerGains<Law> gains = controller_gains(settings, settings.simulation.step);
-  const Recording recording = record(settings);
+TickTimes time_ticks_of(const Settings& settings, const TickBenchmarkOptions& options) {
+  const ControllerGains<Law> gains = controller_gains<Law>(settings);
+  const Recording recording = record<Law>(settings);
   TickTimes times;
   // Written once here, so that no tick meets a page that is not there yet.
   times.latency.assign(static_cast<std::size_t>(options.periods), 1);
@@ -238,8 +231,15 @@ TickTimes time_ticks(const Settings<Law>& settings, const TickBenchmarkOptions& 
   return times;
 }
 
-#define HEXSERVO_HERE(Law) template TickTimes time_ticks(const Settings<Law>&, const TickBenchmarkOptions&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
-#undef HEXSERVO_HERE
+}  // namespace
+
+TickTimes time_ticks(const Settings& settings, const TickBenchmarkOptions& options) {
+  if (options.periods < 1 || options.periods > kMaxTimedPeriods)
+    refuse("ticks", words("a whole number from 1 to ", kMaxTimedPeriods), words(options.periods));
+  if (!(options.rate >= 0.0 && options.rate <= kMaxTickRate))
+    refuse("rate", words("0 or a rate of up to ", kMaxTickRate, " Hz"), words(options.rate));
+  return with_law(settings.law(),
+                  [&]<class Law>(std::type_identity<Law>) { return time_ticks_of<Law>(settings, options); });
+}
 
 }  // namespace hexservo

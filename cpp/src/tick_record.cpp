@@ -6,11 +6,11 @@
 
 namespace hexservo {
 
+namespace {
+
 template <class Law>
-std::vector<RecordedTick> record_ticks(const Settings<Law>& settings) {
-  if (settings.simulation.mode != LoopMode::sampled)
-    detail::refuse("simulation.mode", "sampled, whose controller has ticks", "continuous");
-  const LoopParameters<double, Law> parameters = loop_parameters(settings);
+std::vector<RecordedTick> record_ticks_of(const Settings& settings) {
+  const LoopParameters<double, Law> parameters = loop_parameters<Law>(settings);
   const long long steps = step_count(settings.simulation);
   const FlushSubnormals flush;  // as runs and ticks do
   std::vector<RecordedTick> ticks;
@@ -28,8 +28,12 @@ std::vector<RecordedTick> record_ticks(const Settings<Law>& settings) {
   }
 }
 
-#define HEXSERVO_HERE(Law) template std::vector<RecordedTick> record_ticks(const Settings<Law>&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
-#undef HEXSERVO_HERE
+}  // namespace
+
+std::vector<RecordedTick> record_ticks(const Settings& settings) {
+  if (settings.simulation.mode != LoopMode::sampled)
+    detail::refuse("simulation.mode", "sampled, whose controller has ticks", "continuous");
+  return with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) { return record_ticks_of<Law>(settings); });
+}
 
 }  // namespace hexservo

@@ -88,7 +88,7 @@ Trajectory TrajectoryLog::finish(double step, const Hexapod<double>& hexapod) {
   }
   log.fuzzy_weights = weights_from(weights_.data());
   const double* metric = answer_.metrics;
-  Metrics<double>::visit([&metric](double& value, const double&) { value = *metric++; }, log.metrics, log.metrics);
+  Metrics<double>::visit([&metric](const char*, double& value) { value = *metric++; }, log.metrics);
   add_events(log.events, LimitEvent::Kind::stroke, answer_.stroke_first_time, answer_.stroke_peak, hexapod.stroke);
   add_events(log.events, LimitEvent::Kind::force, answer_.force_first_time, answer_.force_peak, hexapod.force_limit);
   std::stable_sort(log.events.begin(), log.events.end(),

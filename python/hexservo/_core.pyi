@@ -2,7 +2,7 @@
 
 import enum
 from collections.abc import Callable, Sequence
-from typing import NoReturn, TypeAlias
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ class _PybindType(type): ...
 
 ROBOT_PRESETS: tuple[str, ...]
 TERM_CENTRES: tuple[float, ...]
+LINEAR_RULE_TABLE: tuple[tuple[float, ...], ...]
 
 class BatchLog(enum.Enum):
     __pybind11_native_enum__: object
@@ -45,11 +46,6 @@ class CameraConvention(enum.Enum):
     eye_in_hand = 0
     as_printed = 1
 
-class JacobianConvention(enum.Enum):
-    __pybind11_native_enum__: object
-    consistent = 0
-    printed = 1
-
 class KinematicsStatus(enum.Enum):
     __pybind11_native_enum__: object
     converged = 0
@@ -71,141 +67,6 @@ class Outcome(enum.Enum):
     singular = 5
     solver_failed = 6
     interrupted = 7
-
-class JacobianPoint(enum.Enum):
-    __pybind11_native_enum__: object
-    current = 0
-    desired = 1
-    mean = 2
-
-class SwitchingKind(enum.Enum):
-    __pybind11_native_enum__: object
-    sign = 0
-    tanh = 1
-    saturation = 2
-    implicit = 3
-    implicit_coupled = 4
-
-class LoopMode(enum.Enum):
-    __pybind11_native_enum__: object
-    continuous = 0
-    sampled = 1
-
-class Prediction(enum.Enum):
-    __pybind11_native_enum__: object
-    none = 0
-    encoder = 1
-
-class LostFeature(enum.Enum):
-    __pybind11_native_enum__: object
-    hold = 0
-    predict = 1
-    stop = 2
-
-class FrameSettings(metaclass=_PybindType):
-    """Faults of the camera in sampled mode, and what stands in for missing images."""
-
-    def __init__(self) -> None: ...
-    prediction: Prediction
-    on_lost: LostFeature
-    noise: float
-    quantisation: float
-    dropout: float
-    outlier_probability: float
-    outlier_size: float
-    image_size: _Array
-
-class CameraSampling(metaclass=_PybindType):
-    """The camera in sampled mode."""
-
-    def __init__(self) -> None: ...
-    period: float
-    latency: float
-    latency_jitter: float
-    timeout: float
-    faults: FrameSettings
-
-class PoseSource(enum.Enum):
-    __pybind11_native_enum__: object
-    truth = 0
-    encoders = 1
-
-class RateSource(enum.Enum):
-    __pybind11_native_enum__: object
-    differences = 0
-    true_rates = 1
-
-class ActuatorHold(enum.Enum):
-    __pybind11_native_enum__: object
-    wrench = 0
-    leg_forces = 1
-
-class BaseMotionKind(enum.Enum):
-    __pybind11_native_enum__: object
-    none = 0
-    sinusoid = 1
-    recorded = 2
-    noise = 3
-
-class LimitPolicy(enum.Enum):
-    __pybind11_native_enum__: object
-    report = 0
-    stop = 1
-
-class EncoderParameters(metaclass=_PybindType):
-    """Leg length encoders."""
-
-    def __init__(self) -> None: ...
-    resolution: float
-    noise: float
-    rates: RateSource
-
-class SensorSettings(metaclass=_PybindType):
-    """How the controller knows pose and twist in sampled mode."""
-
-    def __init__(self) -> None: ...
-    pose: PoseSource
-    period: float
-    encoders: EncoderParameters
-
-class ActuatorParameters(metaclass=_PybindType):
-    """The actuators of the legs."""
-
-    def __init__(self) -> None: ...
-    hold: ActuatorHold
-    saturation: bool
-    bandwidth: float
-    quantisation: float
-
-class ActuatorSettings(metaclass=_PybindType):
-    """The actuators in sampled mode."""
-
-    def __init__(self) -> None: ...
-    delay: float
-    actuators: ActuatorParameters
-
-class BaseMotionParameters(metaclass=_PybindType):
-    """Acceleration of the base, but for what is recorded."""
-
-    def __init__(self) -> None: ...
-    kind: BaseMotionKind
-    amplitude: _Array
-    frequency: float
-    phase: float
-    level: _Array
-    low_frequency: float
-    high_frequency: float
-
-class BaseMotionSettings(metaclass=_PybindType):
-    """How the base moves in sampled mode."""
-
-    def __init__(self) -> None: ...
-    motion: BaseMotionParameters
-    @property
-    def samples(self) -> _Array | None: ...
-    @samples.setter
-    def samples(self, arg1: ArrayLike | None) -> None: ...
-    sample_period: float
 
 class RigidBody(metaclass=_PybindType):
     """Mass properties of the platform."""
@@ -281,178 +142,87 @@ class Camera(metaclass=_PybindType):
     @property
     def focal_pixels(self) -> float: ...
 
-class FuzzyGains(metaclass=_PybindType):
-    """Design of the six fuzzy systems, (13) and (22)."""
+class ScenarioKey(metaclass=_PybindType):
+    """One key of a scenario file."""
 
-    def __init__(self) -> None: ...
-    enabled: bool
-    adaptation: _Array
-    error_scale: _Array
-    rate_scale: _Array
-    initial_scale: _Array
-    table: _Array
-    bell_width: float
-    bell_slope: float
-    leakage: _Array
-    weight_limit: _Array
-    dead_zone: _Array
+    def __init__(self, *args: NoReturn, **kwargs: NoReturn) -> None: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def type(self) -> str: ...
+    @property
+    def shape(self) -> tuple[int | None, ...]: ...
+    @property
+    def optional(self) -> bool: ...
+    @property
+    def wrapped(self) -> bool: ...
+    @property
+    def widths(self) -> list[int]: ...
+    @property
+    def varies(self) -> bool: ...
+    @property
+    def least(self) -> float | None: ...
+    @property
+    def most(self) -> float | None: ...
+    @property
+    def above(self) -> bool: ...
+    @property
+    def below(self) -> bool: ...
+    @property
+    def form(self) -> str: ...
+    @property
+    def choices(self) -> tuple[str, ...]: ...
+    @property
+    def choice_type(self) -> str: ...
+    @property
+    def reach(self) -> str: ...
+    @property
+    def concern(self) -> str: ...
+    @property
+    def sampled(self) -> bool: ...
 
-class HybridGains(metaclass=_PybindType):
-    """Gains of the law hybrid, (14) and (15)."""
+class LawTraits(metaclass=_PybindType):
+    """What there is to say of a law without its equation."""
 
-    def __init__(self) -> None: ...
-    kp: _Array
-    kv: _Array
-    fuzzy: FuzzyGains
+    def __init__(self, *args: NoReturn, **kwargs: NoReturn) -> None: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def type(self) -> str: ...
+    @property
+    def output(self) -> str: ...
+    @property
+    def memory(self) -> bool: ...
+    @property
+    def viscous(self) -> bool: ...
+    @property
+    def switching(self) -> bool: ...
+    @property
+    def points(self) -> bool: ...
+    @property
+    def depth(self) -> bool: ...
+    @property
+    def prior(self) -> bool: ...
 
-class CompositeGains(metaclass=_PybindType):
-    """Gains of the law composite."""
+LAW_TRAITS: dict[str, LawTraits]
 
-    def __init__(self) -> None: ...
-    kp: _Array
-    kv: _Array
-    kt: _Array
-    kd: _Array
-    drive: _Array
-    prior: _Array
-    fuzzy: FuzzyGains
+class Settings(metaclass=_PybindType):
+    """A scenario as numbers, by the dotted keys of its file."""
 
-class KellyGains(metaclass=_PybindType):
-    """Gains of the law kelly."""
-
-    def __init__(self) -> None: ...
-    kp: _Array
-    kd: _Array
-
-class ResolvedRateGains(metaclass=_PybindType):
-    """Gains of the law resolved_rate."""
-
-    def __init__(self) -> None: ...
-    gain: float
-    adaptive: bool
-    gain_far: float
-    gain_slope: float
-    jacobian_at: JacobianPoint
-    ki: _Array
-    damping: _Array
-
-class PbvsGains(metaclass=_PybindType):
-    """Gains of the law pbvs."""
-
-    def __init__(self) -> None: ...
-    kp: _Array
-    kd: _Array
-    prior: _Array
-
-class ComputedTorqueGains(metaclass=_PybindType):
-    """Gains of the law computed_torque."""
-
-    def __init__(self) -> None: ...
-    kp: _Array
-    kd: _Array
-    prior: _Array
-
-class Switching(metaclass=_PybindType):
-    """Stand-in for sgn in (15)."""
-
-    def __init__(self) -> None: ...
-    kind: SwitchingKind
-    width: float
-
-class SafeSettings(metaclass=_PybindType):
-    """The brake that acts where the law may not."""
-
-    def __init__(self) -> None: ...
-    damping: _Array | None
-    hold: _Array | None
-
-class Target(metaclass=_PybindType):
-    """Four points to look at, and where they shall appear."""
-
-    def __init__(self) -> None: ...
-    initial_features: _Array
-    depth: _Array
-    points: _Array | None
-    desired_features: _Array
-
-class Uncertainty(metaclass=_PybindType):
-    """Relative errors between estimates and plant."""
-
-    def __init__(self) -> None: ...
-    dynamics: DynamicsError
-    depth: _Array
-
-class SimulationSettings(metaclass=_PybindType):
-    """Time grid and logging."""
-
-    def __init__(self) -> None: ...
-    mode: LoopMode
-    step: float
-    substeps: int
-    duration: float
-    log_every: int
-
-class MetricsSettings(metaclass=_PybindType):
-    """What is measured, when and against what."""
-
-    def __init__(self) -> None: ...
-    band: float
-    dwell: float
-    rms_start: float
-
-class _LawSettings(metaclass=_PybindType):  # what the settings of all laws have, which one C++ template binds
-    def __init__(self) -> None: ...
-    robot: RobotParameters
-    camera: Camera
-    convention: CameraConvention
-    sampling: CameraSampling
-    sensors: SensorSettings
-    actuators: ActuatorSettings
-    base_motion: BaseMotionSettings
-    on_limit: LimitPolicy
-    jacobian: JacobianConvention
-    target: Target
-    uncertainty: Uncertainty
-    switching: Switching
-    safe: SafeSettings
-    simulation: SimulationSettings
-    metrics: MetricsSettings
-    seed: int
+    def __init__(self, law: str) -> None: ...
+    def __getitem__(self, key: str) -> Any: ...
+    def __setitem__(self, key: str, value: object) -> None: ...
+    @property
+    def law(self) -> str: ...
+    @property
+    def robot(self) -> RobotParameters: ...
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def dynamics_error(self) -> DynamicsError: ...
     def validate(self) -> None: ...
-
-class HybridSettings(_LawSettings):
-    """A scenario for the law hybrid, as numbers."""
-
-    gains: HybridGains
-
-class CompositeSettings(_LawSettings):
-    """A scenario for the law composite, as numbers."""
-
-    gains: CompositeGains
-
-class KellySettings(_LawSettings):
-    """A scenario for the law kelly, as numbers."""
-
-    gains: KellyGains
-
-class ResolvedRateSettings(_LawSettings):
-    """A scenario for the law resolved_rate, as numbers."""
-
-    gains: ResolvedRateGains
-
-class PbvsSettings(_LawSettings):
-    """A scenario for the law pbvs, as numbers."""
-
-    gains: PbvsGains
-
-class ComputedTorqueSettings(_LawSettings):
-    """A scenario for the law computed_torque, as numbers."""
-
-    gains: ComputedTorqueGains
-
-_Settings: TypeAlias = (
-    HybridSettings | CompositeSettings | KellySettings | ResolvedRateSettings | PbvsSettings | ComputedTorqueSettings
-)
 
 class LimitEvent(metaclass=_PybindType):
     """A leg beyond one of its limits."""
@@ -534,7 +304,7 @@ class SampledObservation(metaclass=_PybindType):
 class SampledRun(metaclass=_PybindType):
     """A run in sampled mode, commanded tick by tick."""
 
-    def __init__(self, settings: _Settings) -> None: ...
+    def __init__(self, settings: Settings) -> None: ...
     @property
     def running(self) -> bool: ...
     def observe(self) -> SampledObservation: ...
@@ -593,7 +363,7 @@ class StageProbe(metaclass=_PybindType):
 class Probe(metaclass=_PybindType):
     """The parts of a scenario's loop at given states, one per row."""
 
-    def __init__(self, settings: _Settings) -> None: ...
+    def __init__(self, settings: Settings) -> None: ...
     @property
     def has_fuzzy_systems(self) -> bool: ...
     @property
@@ -725,12 +495,12 @@ class Kernel(metaclass=_PybindType):
     def flags(self) -> str: ...
     def fma_peak(self, seconds: float = 0.1) -> float: ...
 
-def recorded_ticks(settings: _Settings) -> dict[str, _Array]: ...
+def recorded_ticks(settings: Settings) -> dict[str, _Array]: ...
 
 class Controller(metaclass=_PybindType):
     """The servo tick of a law, with its state."""
 
-    def __init__(self, settings: _Settings, period: float) -> None: ...
+    def __init__(self, settings: Settings, period: float) -> None: ...
     def step(
         self,
         features: object,
@@ -779,7 +549,8 @@ class TickTimes(metaclass=_PybindType):
     def interrupted(self) -> bool: ...
 
 def build_info() -> dict[str, str]: ...
-def step_count(simulation: SimulationSettings) -> int: ...
+def step_count(step: float, duration: float, log_every: int = 1) -> int: ...
+def scenario_keys(law: str) -> list[ScenarioKey]: ...
 def robot_preset(name: str) -> RobotParameters: ...
 def take_image(
     camera: Camera, position: ArrayLike, quaternion: ArrayLike, points: ArrayLike
@@ -791,11 +562,10 @@ def image_jacobian(
     quaternion: ArrayLike,
     convention: CameraConvention = CameraConvention.eye_in_hand,
 ) -> _Array: ...
-def simulate(settings: _Settings, kernel: Kernel, log_weights: bool = False) -> Trajectory: ...
+def simulate(settings: Settings, kernel: Kernel, log_weights: bool = False) -> Trajectory: ...
 def processor_features() -> dict[str, bool]: ...
-def numeric_keys(settings: _Settings) -> dict[str, list[int]]: ...
 def simulate_batch(
-    settings: _Settings,
+    settings: Settings,
     variations: Sequence[tuple[str, _Array]],
     count: int,
     log: BatchLog,
@@ -803,7 +573,7 @@ def simulate_batch(
     kernel: Kernel,
     progress: Callable[[int, int, int, int], object] | None = None,
 ) -> BatchResult: ...
-def time_ticks(settings: _Settings, periods: int, rate: float = 0.0, realtime: bool = False) -> TickTimes: ...
+def time_ticks(settings: Settings, periods: int, rate: float = 0.0, realtime: bool = False) -> TickTimes: ...
 def describe(cause: StopCause, time: float, leg: int = -1) -> str: ...
 def drive_legs(
     hexapod: Hexapod,

@@ -8,21 +8,29 @@ namespace hexservo::test {
 
 /// Scenario `paper`; everything that is not set here is the core's own default.
 template <class Law = Hybrid>
-Settings<Law> paper_settings() {
-  Settings<Law> settings;
+Settings paper_settings() {
+  Settings settings = Settings::of<Law>();
   settings.target.initial_features << 30, 18, 65, -65, -44, 37, -10, -15;
   settings.target.desired_features << 10, 10, 45, -73, -64, 29, -30, -23;
-  settings.uncertainty.dynamics.inertia.setConstant(0.075);
-  settings.uncertainty.dynamics.coriolis.setConstant(0.125);
+  settings.uncertainty.inertia.setConstant(0.075);
+  settings.uncertainty.coriolis.setConstant(0.125);
   settings.uncertainty.depth.setConstant(0.3);
   return settings;
 }
 
 /// The same without any error between estimates and plant.
-inline Settings<Hybrid> nominal_settings() {
-  Settings<Hybrid> settings = paper_settings();
+inline Settings nominal_settings() {
+  Settings settings = paper_settings();
   settings.uncertainty = {};
   return settings;
+}
+
+/// Checks gains as `loop_parameters` does, in that scenario.
+template <class Law>
+void validate_gains(const GainsOf<Law>& gains) {
+  Settings settings = paper_settings<Law>();
+  settings.gains<Law>() = gains;
+  loop_parameters<Law>(settings);
 }
 
 }  // namespace hexservo::test

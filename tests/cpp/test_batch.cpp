@@ -1,8 +1,9 @@
 // Batches: lanes against single runs, independence of neighbours, threads, number and order, ends, refusals; and the
 // border to the kernels.
 #include "hexservo/batch.hpp"
+#include "hexservo/scenario_keys.hpp"
 
-#include "../../cpp/src/key_setters.hpp"
+#include "../../cpp/src/flatten.hpp"
 #include "../../cpp/src/run_request.hpp"
 #include "compare.hpp"
 #include "scenarios.hpp"
@@ -19,11 +20,11 @@ using namespace hexservo::test;
 namespace {
 
 template <class Law = Hybrid>
-Settings<Law> smooth_run(double duration) {
-  Settings<Law> settings;
+Settings smooth_run(double duration) {
+  Settings settings = Settings::of<Law>();
   settings.target = paper_settings().target;
   settings.uncertainty = paper_settings().uncertainty;
-  settings.switching = {SwitchingKind::tanh, 1e-2};
+  settings.controller.switching = {SwitchingKind::tanh, 1e-2};
   settings.simulation.duration = duration;
   settings.metrics.rms_start = 0.01;
   return settings;
@@ -38,13 +39,18 @@ struct Rows {
   operator Variation() const { return {key, values, width}; }  // NOLINT: implicit, for lists of variations
 };
 
-template <class Law>
-BatchResult run(const Settings<Law>& settings, const std::vector<Variation>& variations, std::size_t count,
+BatchResult run(const Settings& settings, const std::vector<Variation>& variations, std::size_t count,
                 BatchLog log = BatchLog::last_sample, int threads = 2) {
   BatchOptions options;
   options.log = log;
   options.threads = threads;
   return simulate_batch(settings, std::span<const Variation>(variations), count, options);
+}
+
+std::vector<double> flattened(const LoopParameters<double, Hybrid>& parameters) {
+  std::vector<double> row(static_cast<std::size_t>(detail::flat_size(parameters)));
+  detail::flatten(parameters, row.data());
+  return row;
 }
 
 double metric_of(const BatchResult& result, std::size_t metric, std::size_t i) {
@@ -55,7 +61,7 @@ StopCause cause(const BatchResult& result, std::size_t i) { return static_cast<S
 
 std::vector<double> numbers_of(const Metrics<double>& metrics) {
   std::vector<double> numbers;
-  Metrics<double>::visit([&](const double& value, const double&) { numbers.push_back(value); }, metrics, metrics);
+  Metrics<double>::visit([&](const char*, const double& value) { numbers.push_back(value); }, metrics);
   return numbers;
 }
 
@@ -122,14 +128,14 @@ void check_same(const BatchResult& batch, std::size_t i, const Trajectory& singl
 }  // namespace
 
 TEST_CASE("flattening keeps every number, flag and mode") {
-  Settings<Hybrid> settings = paper_settings();
-  settings.gains.fuzzy.enabled = false;
-  settings.switching.kind = SwitchingKind::saturation;
-  settings.jacobian = JacobianConvention::printed;
+  Settings settings = paper_settings();
+  settings.gains<Hybrid>().fuzzy.enabled = false;
+  settings.controller.switching.kind = SwitchingKind::saturation;
+  settings.controller.jacobian = JacobianConvention::printed;
   settings.metrics = {3.0, 0.1, 0.25};
   settings.simulation.step = 2e-3;
-  const LoopParameters<double, Hybrid> p = loop_parameters(settings);
-  const std::vector<double> numbers = detail::flattened(p);
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
+  const std::vector<double> numbers = flattened(p);
   LoopParameters<double, Hybrid> q;
   detail::unflatten(q, numbers.data());
   CHECK(q.gains.fuzzy.enabled == false);
@@ -139,13 +145,13 @@ TEST_CASE("flattening keeps every number, flag and mode") {
   CHECK(q.step == 2e-3);
   CHECK(q.hexapod.base_joints_B == p.hexapod.base_joints_B);
   CHECK(q.gains.fuzzy.table == p.gains.fuzzy.table);
-  CHECK(same_bits(detail::flattened(q), numbers));
+  CHECK(same_bits(flattened(q), numbers));
   // every place of the row is read and written, none twice
   const auto is_mode = [&](std::size_t i) {
-    std::vector<double> one = detail::flattened(p);
+    std::vector<double> one = flattened(p);
     one[i] += 0.5;
     detail::unflatten(q, one.data());
-    return detail::flattened(q)[i] != one[i];
+    return flattened(q)[i] != one[i];
   };
   std::size_t modes = 0;
   for (std::size_t i = 0; i < numbers.size(); ++i) modes += is_mode(i) ? 1U : 0U;
@@ -156,7 +162,7 @@ TEST_CASE("flattening keeps every number, flag and mode") {
 }
 
 TEST_CASE("every lane is the single run, to rounding, on the smooth loop; short packs too") {
-  const Settings<Hybrid> base = smooth_run(0.5);
+  const Settings base = smooth_run(0.5);
   const Rows depth{"uncertainty.depth", 1, {0.3, -0.3, 0.0, 0.1, -0.55}};
   const Rows gains{"controller.hybrid.kv", 6, {}};
   std::vector<double> kv;
@@ -165,16 +171,16 @@ TEST_CASE("every lane is the single run, to rounding, on the smooth loop; short 
   const BatchResult batch = run(base, {depth, Variation{"controller.hybrid.kv", kv, 6}}, 5);
   for (std::size_t i = 0; i < 5; ++i) {
     CAPTURE(i);
-    Settings<Hybrid> settings = base;
+    Settings settings = base;
     settings.uncertainty.depth.setConstant(depth.values[i]);
-    settings.gains.kv = Eigen::Map<const Vector6<double>>(kv.data() + 6 * i);
+    settings.gains<Hybrid>().kv = Eigen::Map<const Vector6<double>>(kv.data() + 6 * i);
     const Trajectory single = simulate(settings);
     check_same(batch, i, single);
   }
 }
 
 TEST_CASE("every lane is the single run with the law `composite`, to rounding") {
-  const Settings<Composite> base = smooth_run<Composite>(0.5);
+  const Settings base = smooth_run<Composite>(0.5);
   const Rows depth{"uncertainty.depth", 1, {0.3, -0.3, 0.0, 0.1, -0.55}};
   const Rows kt{"controller.composite.kt", 6, [] {
                   std::vector<double> values;
@@ -187,29 +193,29 @@ TEST_CASE("every lane is the single run with the law `composite`, to rounding") 
   const BatchResult batch = run(base, {depth, kt, drive, prior}, 5);
   for (std::size_t i = 0; i < 5; ++i) {
     CAPTURE(i);
-    Settings<Composite> settings = base;
+    Settings settings = base;
     settings.uncertainty.depth.setConstant(depth.values[i]);
-    settings.gains.kt = Eigen::Map<const Vector6<double>>(kt.values.data() + 6 * i);
-    settings.gains.drive.setConstant(drive.values[i]);
-    settings.gains.prior.setConstant(prior.values[i]);
+    settings.gains<Composite>().kt = Eigen::Map<const Vector6<double>>(kt.values.data() + 6 * i);
+    settings.gains<Composite>().drive.setConstant(drive.values[i]);
+    settings.gains<Composite>().prior.setConstant(prior.values[i]);
     check_same(batch, i, simulate(settings));
   }
 }
 
 TEST_CASE_TEMPLATE("options of the weights in a batch: the single run, and nothing to a neighbour without them", Law,
                    Hybrid, Composite) {
-  const Settings<Law> base = smooth_run<Law>(0.3);
-  const std::string fuzzy = std::string("controller.") + Law::name + ".fuzzy.";
+  const Settings base = smooth_run<Law>(0.3);
+  const std::string fuzzy = "controller." + std::string(Law::traits.name) + ".fuzzy.";
   const Rows leakage{fuzzy + "leakage", 1, {0.0, 2.0, 0.0, 0.0, 5.0}};
   const Rows limit{fuzzy + "weight_limit", 1, {kInfinity, kInfinity, 1e-5, kInfinity, 2e-3}};
   const Rows zone{fuzzy + "dead_zone", 1, {0.0, 0.0, 0.0, 1e-3, 2e-3}};
   const BatchResult batch = run(base, {leakage, limit, zone}, 5);
   for (std::size_t i = 0; i < 5; ++i) {
     CAPTURE(i);
-    Settings<Law> settings = base;
-    settings.gains.fuzzy.leakage.setConstant(leakage.values[i]);
-    settings.gains.fuzzy.weight_limit.setConstant(limit.values[i]);
-    settings.gains.fuzzy.dead_zone.setConstant(zone.values[i]);
+    Settings settings = base;
+    settings.gains<Law>().fuzzy.leakage.setConstant(leakage.values[i]);
+    settings.gains<Law>().fuzzy.weight_limit.setConstant(limit.values[i]);
+    settings.gains<Law>().fuzzy.dead_zone.setConstant(zone.values[i]);
     check_same(batch, i, simulate(settings));
     if (i > 0) CHECK_FALSE(same_bits(kept(batch, i), kept(batch, 0)));
   }
@@ -219,41 +225,40 @@ TEST_CASE_TEMPLATE("options of the weights in a batch: the single run, and nothi
 
 TEST_CASE_TEMPLATE("each key that may vary changes the settings, and none is there twice", Law, Hybrid, Composite) {
   std::vector<std::string> names;
-  for (const auto& setter : detail::key_setters<Law>()) {
-    CAPTURE(setter.key);
-    names.push_back(setter.key);
-    const bool gain = setter.key.starts_with(std::string("controller.") + Law::name + ".");
-    Settings<Law> settings = smooth_run<Law>(0.5);
-    const Settings<Law> before = settings;
-    std::vector<double> numbers(setter.widths[0]);
+  std::size_t gain_numbers = 1;  // gains are: enabled, and all that may vary
+  const auto gains_of = [](const Settings& s) {
+    std::vector<double> row(static_cast<std::size_t>(detail::flat_size(s.gains<Law>())));
+    detail::flatten(s.gains<Law>(), row.data());
+    return row;
+  };
+  for (const ScenarioKey& key : scenario_keys(law_id<Law>)) {
+    if (!key.varies() || key.type == KeyType::seed) continue;
+    CAPTURE(key.name);
+    names.push_back(key.name);
+    const bool gain = key.name.starts_with("controller." + std::string(Law::traits.name) + ".");
+    Settings settings = smooth_run<Law>(0.5);
+    const Settings before = settings;
+    std::vector<double> numbers(key.widths().front());
     for (std::size_t i = 0; i < numbers.size(); ++i) numbers[i] = (gain ? 2.5 : 2.0) + static_cast<double>(i);
-    setter.set(settings, numbers);
-    const auto gains = [](const Settings<Law>& s) {
-      std::vector<double> row(static_cast<std::size_t>(detail::flat_size(s.gains)));
-      detail::flatten(s.gains, row.data());
-      return row;
-    };
-    CHECK(same_bits(gains(settings), gains(before)) != gain);
-    const std::vector<double> after = gains(settings), start = gains(before);
+    if (key.name == "metrics.band") numbers[0] = 3.0;
+    set_numbers(settings, key, numbers);
+    CHECK_FALSE(same_bits(numbers_of(settings, key), numbers_of(before, key)));
+    CHECK(same_bits(gains_of(settings), gains_of(before)) != gain);
+    const std::vector<double> after = gains_of(settings), start = gains_of(before);
     std::size_t changed = 0;
     for (std::size_t i = 0; i < after.size(); ++i) changed += same_bits(after[i], start[i]) ? 0U : 1U;
-    // a number stands for a whole array
-    const std::size_t all = setter.widths[1] != 0 ? setter.widths[1] : setter.widths[0];
-    if (gain) CHECK(changed == all);
+    if (!gain) continue;
+    CHECK(changed == key.widths().back());  // a number stands for a whole array
+    gain_numbers += key.widths().back();
   }
   std::ranges::sort(names);
   CHECK(std::ranges::adjacent_find(names) == names.end());
-  // gains are: enabled, and all that may vary
-  std::size_t numbers = 1;
-  for (const auto& setter : detail::key_setters<Law>())
-    if (setter.key.starts_with(std::string("controller.") + Law::name + "."))
-      numbers += setter.widths[1] != 0 ? setter.widths[1] : setter.widths[0];
-  CHECK(static_cast<long long>(numbers) == detail::flat_size(Settings<Law>{}.gains));
+  CHECK(gain_numbers == gains_of(Settings::of<Law>()).size());
 }
 
 TEST_CASE("a run depends on its own scenario only, bit for bit: not on threads, number, order or neighbours") {
-  const Settings<Hybrid> base = [] {
-    Settings<Hybrid> settings = paper_settings();
+  const Settings base = [] {
+    Settings settings = paper_settings();
     settings.simulation.duration = 0.1;
     return settings;
   }();
@@ -288,10 +293,10 @@ TEST_CASE("a run depends on its own scenario only, bit for bit: not on threads, 
 }
 
 TEST_CASE("a lane that diverges is frozen with cause, time and last good sample") {
-  const Settings<Hybrid> base = smooth_run(0.2);
+  const Settings base = smooth_run(0.2);
   const BatchResult batch = run(base, {Rows{"controller.hybrid.kp", 1, {1e-6, 1.0, 1e-6}}}, 3);
-  Settings<Hybrid> settings = base;
-  settings.gains.kp.setConstant(1.0);
+  Settings settings = base;
+  settings.gains<Hybrid>().kp.setConstant(1.0);
   const Trajectory single = simulate(settings);
   REQUIRE(single.outcome == Outcome::diverged);
   CHECK(outcome(batch, 1) == Outcome::diverged);
@@ -310,17 +315,17 @@ TEST_CASE("a lane that diverges is frozen with cause, time and last good sample"
 }
 
 TEST_CASE("scenarios that differ in time grid or bell slope are kept out of each other's packs") {
-  const Settings<Hybrid> base = smooth_run(0.1);
+  const Settings base = smooth_run(0.1);
   const Rows step{"simulation.step", 1, {1e-3, 5e-4, 1e-3, 2e-3, 5e-4, 1e-3, 1e-3}};
   const Rows duration{"simulation.duration", 1, {0.1, 0.1, 0.2, 0.1, 0.1, 0.1, 0.1}};
   const Rows slope{"controller.hybrid.fuzzy.bell_slope", 1, {2.0, 2.0, 2.0, 2.0, 2.5, 1.0, 2.0}};
   const BatchResult batch = run(base, {step, duration, slope}, 7);
   for (std::size_t i = 0; i < 7; ++i) {
     CAPTURE(i);
-    Settings<Hybrid> settings = base;
+    Settings settings = base;
     settings.simulation.step = step.values[i];
     settings.simulation.duration = duration.values[i];
-    settings.gains.fuzzy.bell_slope = slope.values[i];
+    settings.gains<Hybrid>().fuzzy.bell_slope = slope.values[i];
     const Trajectory single = simulate(settings);
     CHECK(batch.end_time[i] == single.end_time);
     CHECK(batch.metrics[7 + i] == doctest::Approx(single.metrics.final_error).epsilon(1e-11));
@@ -329,15 +334,15 @@ TEST_CASE("scenarios that differ in time grid or bell slope are kept out of each
 }
 
 TEST_CASE("trajectories lie on one grid with the end, and are NaN from where a run stopped") {
-  Settings<Hybrid> base = smooth_run(0.1);
+  Settings base = smooth_run(0.1);
   base.simulation.log_every = 30;  // 100 steps: rows at 0, 30, 60, 90 and at the end
   const BatchResult batch = run(base, {Rows{"controller.hybrid.kp", 1, {1e-6, 1.0, 2e-6}}}, 3, BatchLog::trajectory);
   REQUIRE(batch.rows == 5);
   const std::vector<double> times = {0.0, 0.03, 0.06, 0.09, 0.1};
   for (std::size_t r = 0; r < 5; ++r) CHECK(batch.time[r] == doctest::Approx(times[r]));
   for (const std::size_t i : {0U, 2U}) {
-    Settings<Hybrid> settings = base;
-    settings.gains.kp.setConstant(i == 0 ? 1e-6 : 2e-6);
+    Settings settings = base;
+    settings.gains<Hybrid>().kp.setConstant(i == 0 ? 1e-6 : 2e-6);
     const Trajectory single = simulate(settings);
     REQUIRE(single.time.size() == 5);
     const auto columns = columns_of(single);
@@ -358,9 +363,9 @@ TEST_CASE("trajectories lie on one grid with the end, and are NaN from where a r
 }
 
 TEST_CASE("seeds are whole numbers of 64 bits: neighbours beyond 2^53 give different runs") {
-  Settings<Composite> base = smooth_run<Composite>(0.05);
+  Settings base = smooth_run<Composite>(0.05);
   base.simulation.mode = LoopMode::sampled;
-  base.sampling.faults.noise = 0.5;
+  base.camera.noise = 0.5;
   constexpr std::uint64_t kLarge = (std::uint64_t{1} << 63) + 1;
   const std::vector<std::uint64_t> seeds = {kLarge, kLarge + 1, std::numeric_limits<std::uint64_t>::max(), 1};
   const BatchResult batch = run(base, {Variation{"seed", {}, 1, seeds}}, seeds.size());
@@ -382,7 +387,7 @@ TEST_CASE("seeds are whole numbers of 64 bits: neighbours beyond 2^53 give diffe
 }
 
 TEST_CASE("the first bad scenario is reported before anything runs, whatever the threads") {
-  Settings<Hybrid> base = paper_settings();
+  Settings base = paper_settings();
   std::vector<double> depth(1000, 0.1);
   for (const std::size_t i : {317U, 318U, 500U, 999U}) depth[i] = -2.0;
   const Variation variation{"uncertainty.depth", depth, 1};
@@ -390,13 +395,13 @@ TEST_CASE("the first bad scenario is reported before anything runs, whatever the
     for (int repeat = 0; repeat < 5; ++repeat)
       CHECK(refusal([&] {
               run(base, {variation}, 1000, BatchLog::metrics, threads);
-            }).starts_with("scenario 317: uncertainty.depth: expected errors > -1"));
+            }).starts_with("scenario 317: uncertainty.depth[0]: expected a number > -1 and < 1"));
   CHECK(refusal([&] { run(base, {Rows{"simulation.step", 1, {1e-3, 0.3, 1e-3}}}, 3); }).starts_with("scenario 1: sim"));
   CHECK(refusal([&] { run(base, {Rows{"simulation.log_every", 1, {2.0, 1.5}}}, 2); }).starts_with("scenario 1: sim"));
 }
 
 TEST_CASE("keys, widths, counts and results of the wrong size are refused with a message") {
-  const Settings<Hybrid> base = paper_settings();
+  const Settings base = paper_settings();
   CHECK(refusal([&] { run(base, {Rows{"robot.colour", 1, {1.0}}}, 1); }) ==
         "robot.colour: expected a key that holds numbers, got one that does not");
   CHECK(refusal([&] { run(base, {Rows{"controller.hybrid.kp", 7, std::vector<double>(7)}}, 1); }) ==
@@ -412,7 +417,7 @@ TEST_CASE("keys, widths, counts and results of the wrong size are refused with a
 }
 
 TEST_CASE("a stop keeps what is finished and leaves nothing of the rest") {
-  const Settings<Hybrid> base = smooth_run(1.0);
+  const Settings base = smooth_run(1.0);
   const std::size_t count = 4000;  // seconds of work
   const std::vector<double> depth(count, 0.1);
   std::vector<BatchProgress> told;
@@ -424,7 +429,7 @@ TEST_CASE("a stop keeps what is finished and leaves nothing of the rest") {
     options.stop_requested = [&] { return told.back().done >= 4; };
     told.clear();
     const Variation variation{"uncertainty.depth", depth, 1};
-    const BatchResult batch = simulate_batch<Hybrid>(base, {&variation, 1}, count, options);
+    const BatchResult batch = simulate_batch(base, {&variation, 1}, count, options);
     std::size_t finished = 0;
     for (std::size_t i = 0; i < count; ++i) {
       const bool done = outcome(batch, i) == Outcome::completed;
@@ -451,20 +456,20 @@ TEST_CASE("what the caller's own functions throw comes out, after all threads ha
   const Variation variation{"uncertainty.depth", depth, 1};
   BatchOptions options;
   options.progress = [](const BatchProgress&) { throw std::runtime_error("enough"); };
-  CHECK_THROWS_WITH(simulate_batch<Hybrid>(smooth_run(1.0), {&variation, 1}, 2000, options), "enough");
+  CHECK_THROWS_WITH(simulate_batch(smooth_run(1.0), {&variation, 1}, 2000, options), "enough");
 }
 
 TEST_CASE("a kernel refuses what it cannot run") {
   const Kernel& kernel = built_in_kernel();
   CHECK(kernel.abi == kKernelAbi);
   CHECK(kernel.lanes >= 2);
-  const Settings<Hybrid> base = smooth_run(0.1);
-  Settings<Hybrid> other = base;
-  other.gains.fuzzy.bell_slope = 3.0;
-  const std::vector<double> a = detail::flattened(loop_parameters(base)), b = detail::flattened(loop_parameters(other));
+  const Settings base = smooth_run(0.1);
+  Settings other = base;
+  other.gains<Hybrid>().fuzzy.bell_slope = 3.0;
+  const std::vector<double> a = flattened(loop_parameters<Hybrid>(base)), b = flattened(loop_parameters<Hybrid>(other));
   const std::array<const double*, 2> scenarios = {a.data(), b.data()};
   std::array<RunAnswer, 2> answers{};
-  RunRequest request = detail::run_request<Hybrid>(base.simulation, base.base_motion, a.size());
+  RunRequest request = detail::run_request(base, base.simulation);
   request.parameters = scenarios.data();
   request.answers = answers.data();
   request.count = 2;

@@ -100,12 +100,12 @@ Vector6<double> expected_by_prior(const Situation& s) {
 }
 
 /// Scenario `paper` with this law, and the gravity error that belongs to its mass error.
-Settings<Composite> gravity_settings() {
-  const Settings<Hybrid> paper = paper_settings();
-  Settings<Composite> settings;
+Settings gravity_settings() {
+  const Settings paper = paper_settings();
+  Settings settings = Settings::of<Composite>();
   settings.target = paper.target;
   settings.uncertainty = paper.uncertainty;
-  settings.uncertainty.dynamics.gravity.setConstant(0.075);
+  settings.uncertainty.gravity.setConstant(0.075);
   return settings;
 }
 
@@ -427,7 +427,7 @@ TEST_CASE("gains of `composite` that make no sense are refused, with the key and
   const auto verdict = [](const std::function<void(CompositeGains<double>&)>& change) {
     CompositeGains<double> gains;
     change(gains);
-    return refusal([&] { validate(gains); });
+    return refusal([&] { validate_gains<Composite>(gains); });
   };
   using Gains = CompositeGains<double>;
   CHECK(verdict([](Gains&) {}) == "(accepted)");
@@ -454,7 +454,7 @@ TEST_CASE("gains of `composite` that make no sense are refused, with the key and
 // ---- The servo tick -------------------------------------------------------------------------------------------------
 
 TEST_CASE("a tick of `composite` is the law at its input, and allocates nothing, valid or not") {
-  const ControllerGains<Composite> gains = controller_gains(gravity_settings(), 1e-3);
+  const ControllerGains<Composite> gains = controller_gains<Composite>(gravity_settings(), 1e-3);
   ControllerState<Composite> state = initial_state(gains);
   CHECK(gains.task.reference.position == Vector3<double>(0.0, 0.0, -0.15));
   CHECK(gains.task.reference.quaternion == Vector4<double>(1.0, 0.0, 0.0, 0.0));
@@ -490,7 +490,7 @@ TEST_CASE("a tick of `composite` is the law at its input, and allocates nothing,
 }
 
 TEST_CASE("NaN in any entry gives the safe output of `composite`, and changes nothing") {
-  const ControllerGains<Composite> gains = controller_gains(gravity_settings(), 1e-3);
+  const ControllerGains<Composite> gains = controller_gains<Composite>(gravity_settings(), 1e-3);
   ControllerState<Composite> state = initial_state(gains);
   Random random(8815);
   CAPTURE(random.seed());
@@ -539,7 +539,7 @@ struct WithoutExpectation : Composite {
 template <class Law>
 double stroke_reached(const LoopParameters<double, Composite>& parameters, double duration) {
   LoopParameters<double, Law> p;
-  LoopParameters<double, Law>::visit([](auto& to, const auto& from) { to = from; }, p, parameters);
+  LoopParameters<double, Law>::visit([](const Field&, auto& to, const auto& from) { to = from; }, p, parameters);
   ClosedLoop<double, Law> loop(p);
   while (loop.record().running() && loop.time() < duration) {
     loop.advance();
@@ -554,15 +554,15 @@ double stroke_reached(const LoopParameters<double, Composite>& parameters, doubl
 
 TEST_CASE(
     "what the prior is for: without its expectation, depth errors of 5 % (+,-,-,+) drift to the end of the stroke") {
-  Settings<Composite> settings = gravity_settings();
+  Settings settings = gravity_settings();
   settings.uncertainty.depth << 0.05, -0.05, -0.05, 0.05;
-  const LoopParameters<double, Composite> p = loop_parameters(settings);
+  const LoopParameters<double, Composite> p = loop_parameters<Composite>(settings);
   CHECK(stroke_reached<WithoutExpectation>(p, 10.0) == doctest::Approx(5.9).epsilon(0.01));  // as printed, 5.9 s
   CHECK(stroke_reached<Composite>(p, 10.0) == kInfinity);
 }
 
 TEST_CASE("the drift's cause: eigenvalues of (J-hat^T J-hat)^-1 J-hat^T J below zero, which the prior lifts above it") {
-  const LoopParameters<double, Composite> p = loop_parameters(gravity_settings());
+  const LoopParameters<double, Composite> p = loop_parameters<Composite>(gravity_settings());
   const Matrix6<double> M = p.gains.prior.asDiagonal();
   const double f = p.camera.focal_pixels();
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
@@ -596,11 +596,11 @@ TEST_CASE("four scenarios in the lanes of a pack run in the loop of `composite` 
   LoopParameters<S, Composite> pack;
   std::array<LoopParameters<double, Composite>, 4> single;
   for (int lane = 0; lane < 4; ++lane) {
-    Settings<Composite> settings = gravity_settings();
-    settings.switching.kind = SwitchingKind::tanh;
+    Settings settings = gravity_settings();
+    settings.controller.switching.kind = SwitchingKind::tanh;
     settings.uncertainty.depth.setConstant(0.3 - 0.2 * lane);
-    settings.gains.prior *= 1.0 + lane;
-    single[static_cast<std::size_t>(lane)] = loop_parameters(settings);
+    settings.gains<Composite>().prior *= 1.0 + lane;
+    single[static_cast<std::size_t>(lane)] = loop_parameters<Composite>(settings);
     set_lane(pack, lane, single[static_cast<std::size_t>(lane)]);
   }
   ClosedLoop<S, Composite> lanes(pack);
@@ -616,38 +616,38 @@ TEST_CASE("four scenarios in the lanes of a pack run in the loop of `composite` 
 }
 
 TEST_CASE("options of the weights in the loop: bounded by their limit, decaying by leakage, unchanged in a dead zone") {
-  const auto largest_weight = [](const Settings<Composite>& settings, int axis) {
-    const LoopParameters<double, Composite> p = loop_parameters(settings);
+  const auto largest_weight = [](const Settings& settings, int axis) {
+    const LoopParameters<double, Composite> p = loop_parameters<Composite>(settings);
     ClosedLoop<double, Composite> loop(p);
     while (loop.record().running() && loop.time() < 2.0) loop.advance();
     REQUIRE(loop.record().running());
     return weight_matrix(loop.law_state(), axis).cwiseAbs().maxCoeff();
   };
-  const Settings<Composite> settings = gravity_settings();  // the vertical system carries the missing weight
+  const Settings settings = gravity_settings();  // the vertical system carries the missing weight
   const double free = largest_weight(settings, 2);
   CHECK(free > 0.02);
-  Settings<Composite> limited = settings;
-  limited.gains.fuzzy.weight_limit(2) = 0.01;
+  Settings limited = settings;
+  limited.gains<Composite>().fuzzy.weight_limit(2) = 0.01;
   CHECK(largest_weight(limited, 2) == 0.01);
-  Settings<Composite> leaking = settings;
-  leaking.gains.fuzzy.leakage(2) = 20.0;
+  Settings leaking = settings;
+  leaking.gains<Composite>().fuzzy.leakage(2) = 20.0;
   CHECK(largest_weight(leaking, 2) < 0.7 * free);
-  Settings<Composite> deaf = settings;
-  deaf.gains.fuzzy.dead_zone.setConstant(10.0);
+  Settings deaf = settings;
+  deaf.gains<Composite>().fuzzy.dead_zone.setConstant(10.0);
   CHECK(largest_weight(deaf, 2) == 0.0);
-  Settings<Composite> too_fast = settings;
-  too_fast.gains.fuzzy.leakage(0) = 1001.0;
-  CHECK(is_about(refusal([&] { loop_parameters(too_fast); }), "controller.composite.fuzzy.leakage"));
-  CHECK(is_about(refusal([&] { controller_gains(leaking, 0.1); }), "controller.composite.fuzzy.leakage"));
+  Settings too_fast = settings;
+  too_fast.gains<Composite>().fuzzy.leakage(0) = 1001.0;
+  CHECK(is_about(refusal([&] { loop_parameters<Composite>(too_fast); }), "controller.composite.fuzzy.leakage"));
+  CHECK(is_about(refusal([&] { controller_gains<Composite>(leaking, 0.1); }), "controller.composite.fuzzy.leakage"));
 }
 
 TEST_CASE("with leakage the loop keeps its fourth order") {
-  Settings<Composite> settings = gravity_settings();
-  settings.switching = {SwitchingKind::tanh, 0.05};  // wide: smooth at these steps
-  settings.gains.fuzzy.leakage << 1.0, 2.0, 5.0, 1.0, 2.0, 5.0;
+  Settings settings = gravity_settings();
+  settings.controller.switching = {SwitchingKind::tanh, 0.05};  // wide: smooth at these steps
+  settings.gains<Composite>().fuzzy.leakage << 1.0, 2.0, 5.0, 1.0, 2.0, 5.0;
   const auto end = [&](double step) {
     settings.simulation.step = step;
-    const LoopParameters<double, Composite> p = loop_parameters(settings);
+    const LoopParameters<double, Composite> p = loop_parameters<Composite>(settings);
     ClosedLoop<double, Composite> loop(p);
     const long long steps = std::llround(0.2 / step);
     for (long long i = 0; i < steps; ++i) loop.advance();

@@ -35,11 +35,11 @@ constexpr std::size_t kTicks = 1'024'000;
 #endif
 
 /// The paper's gains, with weights that start away from zero.
-Settings<Hybrid> settings_for(SwitchingKind kind, bool fuzzy = true) {
-  Settings<Hybrid> settings = paper_settings();
-  settings.switching = {kind, 1e-3};
-  settings.gains.fuzzy.enabled = fuzzy;
-  settings.gains.fuzzy.initial_scale << 0.01, -0.01, 0.02, -1e-3, 1e-3, 2e-3;  // also weights of -0
+Settings settings_for(SwitchingKind kind, bool fuzzy = true) {
+  Settings settings = paper_settings();
+  settings.controller.switching = {kind, 1e-3};
+  settings.gains<Hybrid>().fuzzy.enabled = fuzzy;
+  settings.gains<Hybrid>().fuzzy.initial_scale << 0.01, -0.01, 0.02, -1e-3, 1e-3, 2e-3;  // also weights of -0
   return settings;
 }
 
@@ -158,8 +158,8 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
     for (const bool fuzzy : {true, false}) {
       CAPTURE(static_cast<int>(kind));
       CAPTURE(fuzzy);
-      const Settings<Hybrid> settings = settings_for(kind, fuzzy);
-      const Gains gains = controller_gains(settings, kPeriod);
+      const Settings settings = settings_for(kind, fuzzy);
+      const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
       const double f = settings.camera.focal_pixels();
       State state = initial_state(gains);
       Random random(71);
@@ -178,8 +178,9 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
         task.jacobian_sign = -1.0;
         task.desired_features = settings.target.desired_features;
         task.gravity_wrench = gravity_wrench(RigidBody<double>{});
-        task.switching = settings.switching;
-        const auto law = evaluate_hybrid<double>(task, settings.gains, weights, {input.frame.image, R_BE, input.twist});
+        task.switching = settings.controller.switching;
+        const auto law =
+            evaluate_hybrid<double>(task, settings.gains<Hybrid>(), weights, {input.frame.image, R_BE, input.twist});
         const ControllerOutput out = step(gains, state, input);
         REQUIRE_FALSE(out.invalid_input());
         REQUIRE(relative_distance(out.wrench, law.wrench) <= 100.0 * kEpsilon);
@@ -195,7 +196,7 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
           if (fuzzy)
             for (int r = 0; r < kTerms; ++r)
               for (int c = 0; c < kTerms; ++c)
-                expected(r, c) += kPeriod * (input.twist(axis) / settings.gains.fuzzy.adaptation(axis)) *
+                expected(r, c) += kPeriod * (input.twist(axis) / settings.gains<Hybrid>().fuzzy.adaptation(axis)) *
                                   law.rate.basis.error[static_cast<std::size_t>(r)](axis) *
                                   law.rate.basis.rate[static_cast<std::size_t>(c)](axis);
           REQUIRE(distance(after, expected) <= 4.0 * kEpsilon * expected.cwiseAbs().maxCoeff());
@@ -207,7 +208,7 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
 }
 
 TEST_CASE("the length of the quaternion has no meaning") {
-  const Gains gains = controller_gains(settings_for(SwitchingKind::tanh), kPeriod);
+  const Gains gains = controller_gains<Hybrid>(settings_for(SwitchingKind::tanh), kPeriod);
   Random random(72);
   CAPTURE(random.seed());
   for (int i = 0; i < 100; ++i) {
@@ -234,7 +235,7 @@ TEST_CASE("the length of the quaternion has no meaning") {
 TEST_CASE("NaN or infinity in any entry gives the safe output, by the last valid pose or home, and changes nothing") {
   for (const bool fuzzy : {true, false}) {
     CAPTURE(fuzzy);
-    const Gains gains = controller_gains(settings_for(SwitchingKind::sign, fuzzy), kPeriod);
+    const Gains gains = controller_gains<Hybrid>(settings_for(SwitchingKind::sign, fuzzy), kPeriod);
     Random random(73);
     CAPTURE(random.seed());
     const State fresh = initial_state(gains);
@@ -264,8 +265,8 @@ TEST_CASE("NaN or infinity in any entry gives the safe output, by the last valid
 
 TEST_CASE("every law: NaN or infinity in any entry gives the safe output, and good input a finite one") {
   Laws::for_each([]<class Law>(std::type_identity<Law>) {
-    CAPTURE(Law::name);
-    const ControllerGains<Law> gains = controller_gains(paper_settings<Law>(), kPeriod);
+    CAPTURE(Law::traits.name);
+    const ControllerGains<Law> gains = controller_gains<Law>(paper_settings<Law>(), kPeriod);
     Random random(80);
     CAPTURE(random.seed());
     ControllerState<Law> state = initial_state(gains);
@@ -293,7 +294,7 @@ TEST_CASE("every law: NaN or infinity in any entry gives the safe output, and go
 }
 
 TEST_CASE("overflow, values beyond the limits of divergence and points behind the camera give the safe output") {
-  const Gains gains = controller_gains(settings_for(SwitchingKind::saturation), kPeriod);
+  const Gains gains = controller_gains<Hybrid>(settings_for(SwitchingKind::saturation), kPeriod);
   Random random(74);
   CAPTURE(random.seed());
   State state = initial_state(gains);
@@ -342,8 +343,8 @@ TEST_CASE("overflow, values beyond the limits of divergence and points behind th
 }
 
 TEST_CASE("a singular pose and forces that overflow give the safe output") {
-  Settings<Hybrid> settings = settings_for(SwitchingKind::sign);
-  Gains gains = controller_gains(settings, kPeriod);
+  Settings settings = settings_for(SwitchingKind::sign);
+  Gains gains = controller_gains<Hybrid>(settings, kPeriod);
   Random random(75);
   CAPTURE(random.seed());
   const ControllerInput last = random_input(random, gains);
@@ -381,7 +382,7 @@ TEST_CASE("a singular pose and forces that overflow give the safe output") {
 TEST_CASE("after bad ticks the next good one gives, bit for bit, what it would have given without them") {
   for (const SwitchingKind kind : {SwitchingKind::sign, SwitchingKind::tanh, SwitchingKind::saturation}) {
     CAPTURE(static_cast<int>(kind));
-    const Gains gains = controller_gains(settings_for(kind), kPeriod);
+    const Gains gains = controller_gains<Hybrid>(settings_for(kind), kPeriod);
     Random random(76);
     CAPTURE(random.seed());
     State clean = initial_state(gains), disturbed = clean;
@@ -422,9 +423,9 @@ TEST_CASE("a million ticks allocate nothing, valid or not, in every switching mo
   for (const Mode& mode :
        {Mode{sign, true, 2.0}, Mode{tanh, true, 2.0}, Mode{saturation, true, 2.0}, Mode{sign, false, 2.0},
         Mode{tanh, false, 2.0}, Mode{saturation, false, 2.0}, Mode{sign, true, 1.5}}) {  // the last one with pow
-    Settings<Hybrid> settings = settings_for(mode.switching, mode.fuzzy);
-    settings.gains.fuzzy.bell_slope = mode.slope;
-    const Gains gains = controller_gains(settings, kPeriod);
+    Settings settings = settings_for(mode.switching, mode.fuzzy);
+    settings.gains<Hybrid>().fuzzy.bell_slope = mode.slope;
+    const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
     Random random(77);
     std::array<ControllerInput, 64> inputs;
     for (ControllerInput& input : inputs) input = random_input(random, gains);
@@ -447,8 +448,8 @@ TEST_CASE("a million ticks allocate nothing, valid or not, in every switching mo
 
 TEST_CASE("no law allocates in a tick, valid or not") {
   Laws::for_each([]<class Law>(std::type_identity<Law>) {
-    CAPTURE(Law::name);
-    const ControllerGains<Law> gains = controller_gains(paper_settings<Law>(), kPeriod);
+    CAPTURE(Law::traits.name);
+    const ControllerGains<Law> gains = controller_gains<Law>(paper_settings<Law>(), kPeriod);
     Random random(81);
     std::array<ControllerInput, 64> inputs;
     for (ControllerInput& input : inputs) input = seen_input(random, gains);
@@ -466,13 +467,13 @@ TEST_CASE("no law allocates in a tick, valid or not") {
 
 TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at first order in the period") {
   constexpr double kDuration = 0.1;
-  Settings<Hybrid> settings = paper_settings();
-  settings.switching = {SwitchingKind::tanh, 1.0};  // smooth over a step, as in the loop's own test of order
-  settings.gains.fuzzy.error_scale *= 0.1;          // no input of a fuzzy system at its limit
-  settings.gains.fuzzy.rate_scale *= 0.1;
+  Settings settings = paper_settings();
+  settings.controller.switching = {SwitchingKind::tanh, 1.0};  // smooth over a step, as in the loop's own test of order
+  settings.gains<Hybrid>().fuzzy.error_scale *= 0.1;           // no input of a fuzzy system at its limit
+  settings.gains<Hybrid>().fuzzy.rate_scale *= 0.1;
   settings.simulation.step = 1e-4;
   settings.simulation.duration = kDuration;
-  const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
   ClosedLoop<double, Hybrid> continuous(p);
   for (int i = 0; i < 1000; ++i) continuous.advance();
   REQUIRE(continuous.record().running());
@@ -483,7 +484,7 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
   for (const int ticks : {200, 400, 800, 1600}) {
     CAPTURE(ticks);
     const double period = kDuration / ticks;
-    const Gains gains = controller_gains(settings, period);
+    const Gains gains = controller_gains<Hybrid>(settings, period);
     State state = initial_state(gains);
     const Plant<double> plant(p.body, p.dynamics_error);
     BodyState<double> body =
@@ -520,11 +521,11 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
 }
 
 TEST_CASE("gains carry the estimates alone: errors between estimates and plant do not enter") {
-  Settings<Hybrid> settings = settings_for(SwitchingKind::sign);
-  const Gains gains = controller_gains(settings, kPeriod);
+  Settings settings = settings_for(SwitchingKind::sign);
+  const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
   settings.uncertainty = {};
-  settings.uncertainty.dynamics.gravity.setConstant(0.2);
-  const Gains others = controller_gains(settings, kPeriod);
+  settings.uncertainty.gravity.setConstant(0.2);
+  const Gains others = controller_gains<Hybrid>(settings, kPeriod);
   Random random(78);
   CAPTURE(random.seed());
   State first = initial_state(gains), second = initial_state(others);
@@ -537,7 +538,7 @@ TEST_CASE("gains carry the estimates alone: errors between estimates and plant d
 TEST_CASE("the exported gains of the example are those of the scenario, bit for bit") {
   const Gains exported = hexservo_paper::controller_gains();
   CHECK(exported.period == 1e-3);
-  const Gains gains = controller_gains(paper_settings(), 1e-3);
+  const Gains gains = controller_gains<Hybrid>(paper_settings(), 1e-3);
   CHECK(exported.hexapod.stroke == gains.hexapod.stroke);
   CHECK(exported.hexapod.force_limit == gains.hexapod.force_limit);
   Random random(79);
@@ -553,8 +554,8 @@ TEST_CASE("the exported gains of the example are those of the scenario, bit for 
 
 TEST_CASE("misuse is refused where the gains are made") {
   for (const double period : {0.0, -1e-3, kNaN, kInfinity})
-    CHECK(is_about(refusal([&] { controller_gains(paper_settings(), period); }), "period"));
-  Settings<Hybrid> settings = paper_settings();
-  settings.gains.kp(3) = -1.0;
-  CHECK(is_about(refusal([&] { controller_gains(settings, kPeriod); }), "controller.hybrid.kp"));
+    CHECK(is_about(refusal([&] { controller_gains<Hybrid>(paper_settings(), period); }), "period"));
+  Settings settings = paper_settings();
+  settings.gains<Hybrid>().kp(3) = -1.0;
+  CHECK(is_about(refusal([&] { controller_gains<Hybrid>(settings, kPeriod); }), "controller.hybrid.kp"));
 }

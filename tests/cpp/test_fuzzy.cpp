@@ -342,7 +342,7 @@ TEST_CASE("NaN in either input never comes out as a number, and stays in its own
 
 TEST_CASE("bells are either refused as too steep, or give a partition of unity everywhere, also between the centres") {
   int refused = 0, accepted = 0;
-  for (const double slope : {0.5, 1.0, 2.0, 2.5, 8.0, 30.0})
+  for (const double slope : {0.5, 1.0, 2.0, 2.5, 8.0, 16.0})
     for (double width = 10.0; width > 1e-12; width /= 3.0) {
       CAPTURE(slope);
       CAPTURE(width);

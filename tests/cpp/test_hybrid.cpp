@@ -6,6 +6,7 @@
 #include "compare.hpp"
 #include "laws.hpp"
 #include "random.hpp"
+#include "scenarios.hpp"
 
 #include <algorithm>
 #include <functional>
@@ -272,7 +273,7 @@ TEST_CASE("gains that make no sense are refused, with the key and the place") {
   const auto verdict = [](const std::function<void(HybridGains<double>&)>& change) {
     HybridGains<double> gains;
     change(gains);
-    return refusal([&] { validate(gains); });
+    return refusal([&] { validate_gains<Hybrid>(gains); });
   };
   CHECK(verdict([](HybridGains<double>&) {}) == "(accepted)");
   CHECK(verdict([](HybridGains<double>& g) { g.kv.setZero(); }) == "(accepted)");

@@ -284,12 +284,12 @@ struct Parameters {
   Vector3<S> vector = Vector3<S>::Zero();
   bool flag = true;
   double step = 1e-3;
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.number, b.number);
-    f(a.vector, b.vector);
-    f(a.flag, b.flag);
-    f(a.step, b.step);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"number"}, self.number...);
+    v(Field{"vector"}, self.vector...);
+    v(Field{"flag"}, self.flag...);
+    v(Field{"step"}, self.step...);
   }
 };
 

@@ -339,7 +339,7 @@ TEST_CASE("samples that are known to be finite give the same metrics and limits,
     finite.add_finite(static_cast<double>(i) * 1e-3, samples[i]);
   }
   const Metrics<double> a = any.metrics(), b = finite.metrics();
-  Metrics<double>::visit([](double x, double y) { CHECK(x == y); }, a, b);
+  Metrics<double>::visit([](const char*, double x, double y) { CHECK(x == y); }, a, b);
   CHECK(any.stroke().peak == finite.stroke().peak);
   CHECK(any.stroke().first_time == finite.stroke().first_time);
   CHECK(any.force().peak == finite.force().peak);

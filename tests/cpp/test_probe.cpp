@@ -64,8 +64,8 @@ struct Stages {
 
 /// Follows a loop for some steps, each of which the probe takes as well; the first that differs fails.
 template <class Law>
-void follow(const Settings<Law>& settings, int steps) {
-  const LoopParameters<double, Law> p = loop_parameters(settings);
+void follow_law(const Settings& settings, int steps) {
+  const LoopParameters<double, Law> p = loop_parameters<Law>(settings);
   ClosedLoop<double, Law> loop(p);
   const Probe probe(settings);
   constexpr bool fuzzy = requires { p.gains.fuzzy; };
@@ -95,15 +95,19 @@ void follow(const Settings<Law>& settings, int steps) {
   }
 }
 
+void follow(const Settings& settings, int steps) {
+  with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) { follow_law<Law>(settings, steps); });
+}
+
 }  // namespace
 
 TEST_CASE("stages: steps from the states of a loop are the loop's own, bit for bit, for all laws") {
-  Settings<Hybrid> hybrid = paper_settings();
+  Settings hybrid = paper_settings();
   follow(hybrid, 200);
-  hybrid.switching = {SwitchingKind::tanh, 1e-3};
-  hybrid.gains.fuzzy.leakage.setConstant(3.0);
-  hybrid.gains.fuzzy.weight_limit.setConstant(1e-5);
-  hybrid.gains.fuzzy.dead_zone.setConstant(1e-3);
+  hybrid.controller.switching = {SwitchingKind::tanh, 1e-3};
+  hybrid.gains<Hybrid>().fuzzy.leakage.setConstant(3.0);
+  hybrid.gains<Hybrid>().fuzzy.weight_limit.setConstant(1e-5);
+  hybrid.gains<Hybrid>().fuzzy.dead_zone.setConstant(1e-3);
   follow(hybrid, 200);
   follow(paper_settings<Composite>(), 200);
   follow(paper_settings<Kelly>(), 100);
@@ -113,7 +117,7 @@ TEST_CASE("stages: steps from the states of a loop are the loop's own, bit for b
 }
 
 TEST_CASE("after and moved: four stages that are put together by hand are those of a step, bit for bit") {
-  const Settings<Hybrid> settings = paper_settings();
+  const Settings settings = paper_settings();
   const Probe probe(settings);
   Random random(71);
   CAPTURE(random.seed());
@@ -157,7 +161,7 @@ TEST_CASE("after and moved: four stages that are put together by hand are those 
 }
 
 TEST_CASE("a step that takes a point behind the camera leaves no numbers") {
-  const Settings<Hybrid> settings = nominal_settings();
+  const Settings settings = nominal_settings();
   const Probe probe(settings);
   const Vector3<double> home = settings.robot.home_position;
   const Vector4<double> upright(1.0, 0.0, 0.0, 0.0);
@@ -178,7 +182,7 @@ TEST_CASE("a step that takes a point behind the camera leaves no numbers") {
 }
 
 TEST_CASE("what follows from a stage behind the camera is NaN, and what comes before it is not") {
-  const Settings<Hybrid> settings = nominal_settings();
+  const Settings settings = nominal_settings();
   const Probe probe(settings);
   const Vector3<double> home = settings.robot.home_position;
   const Vector4<double> upright(1.0, 0.0, 0.0, 0.0);
@@ -217,7 +221,7 @@ TEST_CASE("what follows from a stage behind the camera is NaN, and what comes be
 
 TEST_CASE("quaternions whose squares are no numbers to divide by are refused") {
   const Probe probe(paper_settings());
-  const Vector3<double> home = Settings<Hybrid>{}.robot.home_position;
+  const Vector3<double> home = Settings::of<Hybrid>().robot.home_position;
   Vector<double, 8> features, scaled;
   Vector<double, 4> depth;
   const Vector4<double> direction(1.4, 1.2, -0.3, 0.2);
@@ -276,7 +280,7 @@ TEST_CASE("rows that do not fit are refused by name, and so are numbers without 
                                {.wrench = column(wrench)});
                  }),
                  "weights"));
-  Settings<Hybrid> sampled = paper_settings();
+  Settings sampled = paper_settings();
   sampled.simulation.mode = LoopMode::sampled;
   Stages s;
   CHECK(is_about(refusal([&] {
@@ -284,8 +288,8 @@ TEST_CASE("rows that do not fit are refused by name, and so are numbers without 
                                          s.out());
                  }),
                  "simulation.mode"));
-  Settings<Hybrid> printed = paper_settings();
-  printed.convention = CameraConvention::as_printed;
+  Settings printed = paper_settings();
+  printed.camera.convention = CameraConvention::as_printed;
   CHECK(is_about(
       refusal([&] { Probe(printed).image(rows(position), rows(quaternion), column(features), column(depth)); }),
       "camera.convention"));

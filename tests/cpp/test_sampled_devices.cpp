@@ -19,16 +19,16 @@ constexpr double kTick = 1e-3;  // [s]
 constexpr double kTwoPi = 6.283185307179586;
 
 /// The paper's scenario without errors, sampled; ready to be changed.
-Settings<Hybrid> sampled() {
-  Settings<Hybrid> settings = nominal_settings();
+Settings sampled() {
+  Settings settings = nominal_settings();
   settings.simulation.mode = LoopMode::sampled;
-  settings.switching.kind = SwitchingKind::implicit;
+  settings.controller.switching.kind = SwitchingKind::implicit;
   return settings;
 }
 
 /// A plant that a test drives, tick by tick.
 struct Driven {
-  explicit Driven(const Settings<Hybrid>& settings) : parameters(loop_parameters(settings)), plant(parameters) {}
+  explicit Driven(const Settings& settings) : parameters(loop_parameters<Hybrid>(settings)), plant(parameters) {}
 
   /// @return whether it goes on
   bool tick(const Vector6<double>& wrench) {
@@ -59,10 +59,10 @@ TEST_CASE("a free platform accelerates by -a under a sinusoid of the base, whate
     for (const long long substeps : {1, 4}) {
       CAPTURE(mass_error);
       CAPTURE(substeps);
-      Settings<Hybrid> settings = sampled();
-      settings.uncertainty.dynamics.inertia.setConstant(mass_error);
+      Settings settings = sampled();
+      settings.uncertainty.inertia.setConstant(mass_error);
       settings.simulation.substeps = substeps;
-      auto& motion = settings.base_motion.motion;
+      auto& motion = settings.base_motion;
       motion.kind = BaseMotionKind::sinusoid;
       motion.amplitude << 0.5, -0.2, 0.3;
       motion.frequency = 3.0;
@@ -85,8 +85,8 @@ TEST_CASE("a free platform accelerates by -a under a sinusoid of the base, whate
 }
 
 TEST_CASE("a recorded base is the same for every step of the integration, and ends with its samples") {
-  Settings<Hybrid> settings = sampled();
-  settings.base_motion.motion.kind = BaseMotionKind::recorded;
+  Settings settings = sampled();
+  settings.base_motion.kind = BaseMotionKind::recorded;
   settings.base_motion.samples =
       std::make_shared<const std::vector<double>>(std::vector<double>{0.0, 0.1, -0.2, 0.3, 0.1, 0.2, 0.0, 0.0, 0.0});
   settings.base_motion.sample_period = 0.05;
@@ -98,8 +98,8 @@ TEST_CASE("a recorded base is the same for every step of the integration, and en
 }
 
 TEST_CASE("leg forces that hold are those of a platform under constant leg forces") {
-  Settings<Hybrid> settings = sampled();
-  settings.actuators.actuators.hold = ActuatorHold::leg_forces;
+  Settings settings = sampled();
+  settings.actuators.hold = ActuatorHold::leg_forces;
   Driven driven(settings), wrench_held(sampled());
   const Vector6<double> forces = (Vector6<double>() << -0.13, -0.15, -0.12, -0.14, -0.135, -0.125).finished();
   for (int tick = 0; tick < 100; ++tick) {
@@ -125,7 +125,7 @@ TEST_CASE("a delay of some ticks shifts what acts; before that the platform is h
   CAPTURE(random.seed());
   for (const int delay : {1, 3}) {
     CAPTURE(delay);
-    Settings<Hybrid> settings = sampled();
+    Settings settings = sampled();
     settings.actuators.delay = delay * kTick;
     Driven driven(settings);
     std::vector<Vector6<double>> asked;
@@ -146,21 +146,21 @@ TEST_CASE("a delay of some ticks shifts what acts; before that the platform is h
 }
 
 TEST_CASE("saturated leg forces stay within the limit, and the weights wait") {
-  Settings<Hybrid> settings = sampled();
-  settings.actuators.actuators.saturation = true;
+  Settings settings = sampled();
+  settings.actuators.saturation = true;
   settings.robot.force_limit = 0.14;  // 0.1337 N hold the platform
-  const LoopParameters<double, Hybrid> tight = loop_parameters(settings);
+  const LoopParameters<double, Hybrid> tight = loop_parameters<Hybrid>(settings);
   const auto limited = run(tight, 1.0);
   REQUIRE(limited->record().running());
   CHECK(limited->record().metrics().metrics().peak_leg_force <= 0.14);
-  settings.actuators.actuators.saturation = false;
-  const LoopParameters<double, Hybrid> open = loop_parameters(settings);
+  settings.actuators.saturation = false;
+  const LoopParameters<double, Hybrid> open = loop_parameters<Hybrid>(settings);
   const auto unlimited = run(open, 1.0);
   CHECK(unlimited->record().metrics().metrics().peak_leg_force > 0.15);
 
-  settings.actuators.actuators.saturation = true;
+  settings.actuators.saturation = true;
   settings.robot.force_limit = 0.13;  // never enough: nothing may be learned
-  const LoopParameters<double, Hybrid> weak = loop_parameters(settings);
+  const LoopParameters<double, Hybrid> weak = loop_parameters<Hybrid>(settings);
   const auto falling = run(weak, 0.05);
   double learned = 0.0, forbidden = 0.0;
   for (int r = 0; r < kTerms * kTerms; ++r)
@@ -174,10 +174,10 @@ TEST_CASE("saturated leg forces stay within the limit, and the weights wait") {
 }
 
 TEST_CASE("a leg beyond its stroke ends the run if so configured, with the leg and the time that are reported") {
-  Settings<Hybrid> settings = sampled();
+  Settings settings = sampled();
   const Vector6<double> push = (Vector6<double>() << 0.1, 0.05, 0.02, 0.0, 0.0, 0.0).finished();
   Driven reporting(settings);
-  settings.on_limit = LimitPolicy::stop;
+  settings.robot.on_limit = LimitPolicy::stop;
   Driven stopping(settings);
   int ticks = 0;
   while (ticks < 1000 && stopping.tick(stopping.weight() + push)) {
@@ -203,27 +203,27 @@ TEST_CASE("a leg beyond its stroke ends the run if so configured, with the leg a
 }
 
 TEST_CASE("ideal encoders with true rates change nothing; differences delay, and noise disturbs") {
-  Settings<Hybrid> settings = sampled();
+  Settings settings = sampled();
   settings.uncertainty = paper_settings().uncertainty;
-  const LoopParameters<double, Hybrid> truth = loop_parameters(settings);
+  const LoopParameters<double, Hybrid> truth = loop_parameters<Hybrid>(settings);
   settings.sensors.pose = PoseSource::encoders;
-  settings.sensors.encoders.rates = RateSource::true_rates;
-  const LoopParameters<double, Hybrid> ideal = loop_parameters(settings);
+  settings.sensors.rate = RateSource::true_rates;
+  const LoopParameters<double, Hybrid> ideal = loop_parameters<Hybrid>(settings);
   const auto a = run(truth, 0.3), b = run(ideal, 0.3);
   REQUIRE(b->record().running());
   // what the two poses differ by, 1e-15 m and rad, through 300 ticks of a loop that damps
   CHECK(distance(a->record().sample().position, b->record().sample().position) <= 1e-11);
   CHECK(distance(a->record().sample().feature_error, b->record().sample().feature_error) <= 1e-7);
-  settings.sensors.encoders.rates = RateSource::differences;
-  const LoopParameters<double, Hybrid> late = loop_parameters(settings);
+  settings.sensors.rate = RateSource::differences;
+  const LoopParameters<double, Hybrid> late = loop_parameters<Hybrid>(settings);
   CHECK(distance(run(late, 0.05)->record().sample().position, run(truth, 0.05)->record().sample().position) > 1e-9);
 }
 
 TEST_CASE("encoders whose readings belong to no pose end the run") {
-  Settings<Hybrid> settings = sampled();
+  Settings settings = sampled();
   settings.sensors.pose = PoseSource::encoders;
-  settings.sensors.encoders.noise = 0.05;
-  const auto verdict = [&] { return refusal([&] { loop_parameters(settings); }); };
+  settings.sensors.noise = 0.05;
+  const auto verdict = [&] { return refusal([&] { loop_parameters<Hybrid>(settings); }); };
   bool refused = false;
   while (verdict() != "(accepted)" &&
          settings.seed < 100) {  // where the first reading is one of them, it does not start
@@ -242,11 +242,11 @@ TEST_CASE("encoders whose readings belong to no pose end the run") {
 }
 
 TEST_CASE("a source of noise changes the numbers of no other") {
-  Settings<Hybrid> settings = sampled();
-  settings.sampling.faults.noise = 0.5;
+  Settings settings = sampled();
+  settings.camera.noise = 0.5;
   Driven quiet(settings);
   settings.sensors.pose = PoseSource::encoders;
-  settings.sensors.encoders.noise = 1e-6;
+  settings.sensors.noise = 1e-6;
   Driven noisy(settings);
   settings.seed = 1;
   Driven other(settings);
@@ -269,20 +269,20 @@ TEST_CASE("a pack with devices runs as single loops do, each lane with its own n
   std::vector<LoopParameters<double, Hybrid>> singles;
   LoopParameters<S, Hybrid> pack;
   for (int lane = 0; lane < kWidth; ++lane) {
-    Settings<Hybrid> settings = sampled();
-    settings.switching.kind = SwitchingKind::tanh;  // smooth: what rounding changes does not grow
-    settings.switching.width = 1e-2;
+    Settings settings = sampled();
+    settings.controller.switching.kind = SwitchingKind::tanh;  // smooth: what rounding changes does not grow
+    settings.controller.switching.width = 1e-2;
     settings.seed = static_cast<std::uint64_t>(lane);
     settings.sensors.pose = PoseSource::encoders;
-    settings.sensors.encoders.noise = 1e-7 * lane;
-    settings.actuators.actuators.hold = ActuatorHold::leg_forces;
-    settings.actuators.actuators.saturation = true;
-    settings.actuators.actuators.bandwidth = lane == 1 ? 200.0 : kInfinity;
+    settings.sensors.noise = 1e-7 * lane;
+    settings.actuators.hold = ActuatorHold::leg_forces;
+    settings.actuators.saturation = true;
+    settings.actuators.bandwidth = lane == 1 ? 200.0 : kInfinity;
     settings.actuators.delay = kTick;
-    settings.base_motion.motion.kind = BaseMotionKind::noise;
-    settings.base_motion.motion.level.setConstant(1e-4 * lane);
+    settings.base_motion.kind = BaseMotionKind::noise;
+    settings.base_motion.level.setConstant(1e-4 * lane);
     settings.robot.force_limit = 0.2 + 0.1 * lane;
-    singles.push_back(loop_parameters(settings));
+    singles.push_back(loop_parameters<Hybrid>(settings));
     set_lane(pack, lane, singles.back());
   }
   SampledLoop<S, Hybrid> together(pack);
@@ -298,37 +298,34 @@ TEST_CASE("a pack with devices runs as single loops do, each lane with its own n
 }
 
 TEST_CASE("settings of devices are refused with their key, the nearest valid times, and only where they act") {
-  const auto verdict = [](const std::function<void(Settings<Hybrid>&)>& change) {
-    Settings<Hybrid> settings = sampled();
+  const auto verdict = [](const std::function<void(Settings&)>& change) {
+    Settings settings = sampled();
     change(settings);
-    return refusal([&] { loop_parameters(settings); });
+    return refusal([&] { loop_parameters<Hybrid>(settings); });
   };
   CHECK(is_about(verdict([](auto& s) { s.sensors.period = 2.5e-3; }), "sensors.period"));
   CHECK(verdict([](auto& s) { s.sensors.period = 2.5e-3; }).find("nearest: 0.002 or 0.003") != std::string::npos);
-  CHECK(is_about(verdict([](auto& s) { s.sensors.encoders.resolution = -1.0; }), "sensors.resolution"));
-  CHECK(is_about(verdict([](auto& s) { s.sensors.encoders.noise = kNaN; }), "sensors.noise"));
+  CHECK(is_about(verdict([](auto& s) { s.sensors.resolution = -1.0; }), "sensors.resolution"));
+  CHECK(is_about(verdict([](auto& s) { s.sensors.noise = kNaN; }), "sensors.noise"));
   CHECK(is_about(verdict([](auto& s) { s.actuators.delay = 1.5e-3; }), "actuators.delay"));
   CHECK(is_about(verdict([](auto& s) { s.actuators.delay = 9e-3; }), "actuators.delay"));
-  CHECK(is_about(verdict([](auto& s) { s.actuators.actuators.bandwidth = 0.0; }), "actuators.bandwidth"));
-  CHECK(is_about(verdict([](auto& s) { s.actuators.actuators.quantisation = -0.1; }), "actuators.quantisation"));
+  CHECK(is_about(verdict([](auto& s) { s.actuators.bandwidth = 0.0; }), "actuators.bandwidth"));
+  CHECK(is_about(verdict([](auto& s) { s.actuators.quantisation = -0.1; }), "actuators.quantisation"));
   const auto with_kind = [&](BaseMotionKind kind, const std::function<void(BaseMotionSettings&)>& change) {
     return verdict([&](auto& s) {
-      s.base_motion.motion.kind = kind;
+      s.base_motion.kind = kind;
       change(s.base_motion);
     });
   };
   using B = BaseMotionSettings;
-  CHECK(
-      is_about(with_kind(BaseMotionKind::sinusoid, [](B& b) { b.motion.frequency = 600.0; }), "base_motion.frequency"));
-  CHECK(is_about(with_kind(BaseMotionKind::sinusoid, [](B& b) { b.motion.amplitude(1) = kNaN; }),
-                 "base_motion.amplitude[1]"));
+  CHECK(is_about(with_kind(BaseMotionKind::sinusoid, [](B& b) { b.frequency = 600.0; }), "base_motion.frequency"));
+  CHECK(is_about(with_kind(BaseMotionKind::sinusoid, [](B& b) { b.amplitude(1) = kNaN; }), "base_motion.amplitude[1]"));
   CHECK(is_about(with_kind(BaseMotionKind::recorded, [](B&) {}), "base_motion.samples"));
-  CHECK(is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.motion.low_frequency = 10.0; }),
-                 "base_motion.low_frequency"));
-  CHECK(is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.motion.high_frequency = 501.0; }),
-                 "base_motion.high_frequency"));
-  CHECK(is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.motion.level(2) = -1.0; }), "base_motion.level[2]"));
-  Settings<Hybrid> continuous = nominal_settings();
+  CHECK(is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.low_frequency = 10.0; }), "base_motion.low_frequency"));
+  CHECK(
+      is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.high_frequency = 501.0; }), "base_motion.high_frequency"));
+  CHECK(is_about(with_kind(BaseMotionKind::noise, [](B& b) { b.level(2) = -1.0; }), "base_motion.level[2]"));
+  Settings continuous = nominal_settings();
   continuous.sensors.period = 2.5e-3;
-  CHECK(refusal([&] { loop_parameters(continuous); }) == "(accepted)");
+  CHECK(refusal([&] { loop_parameters<Hybrid>(continuous); }) == "(accepted)");
 }

@@ -13,12 +13,12 @@ namespace {
 
 /// Corners of docs/model.md, section 8.
 template <class Law>
-Settings<Law> corner(double gravity, double depth) {
-  Settings<Law> settings = paper_settings<Law>();
-  settings.uncertainty.dynamics.gravity.setConstant(gravity);
+Settings corner(double gravity, double depth) {
+  Settings settings = paper_settings<Law>();
+  settings.uncertainty.gravity.setConstant(gravity);
   settings.uncertainty.depth.setConstant(depth);
   settings.simulation.mode = LoopMode::sampled;
-  settings.switching.kind = SwitchingKind::implicit;
+  settings.controller.switching.kind = SwitchingKind::implicit;
   return settings;
 }
 
@@ -27,8 +27,8 @@ struct Row {
 };
 
 template <class Law>
-Row run(const Settings<Law>& settings) {
-  const LoopParameters<double, Law> p = loop_parameters(settings);
+Row run_of(const Settings& settings) {
+  const LoopParameters<double, Law> p = loop_parameters<Law>(settings);
   SampledLoop<double, Law> loop(p);
   const long long steps = step_count(settings.simulation);
   while (loop.steps() < steps && loop.record().running()) loop.advance();
@@ -37,12 +37,15 @@ Row run(const Settings<Law>& settings) {
   return {m.settling_time, m.final_error, m.rms_error};
 }
 
-template <class Law>
-Settings<Law> with_camera(Settings<Law> settings, double period, double latency, Prediction prediction, double noise) {
-  settings.sampling.period = period;
-  settings.sampling.latency = latency;
-  settings.sampling.faults.prediction = prediction;
-  settings.sampling.faults.noise = noise;
+Row run(const Settings& settings) {
+  return with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) { return run_of<Law>(settings); });
+}
+
+Settings with_camera(Settings settings, double period, double latency, Prediction prediction, double noise) {
+  settings.camera.period = period;
+  settings.camera.latency = latency;
+  settings.camera.prediction = prediction;
+  settings.camera.noise = noise;
   return settings;
 }
 
@@ -53,8 +56,7 @@ double median(std::vector<double> values) {
 }
 
 /// Medians over 20 seeds.
-template <class Law>
-Row run_noisy(Settings<Law> settings) {
+Row run_noisy(Settings settings) {
   std::vector<double> settle, error, rms;
   for (std::uint64_t seed = 0; seed < 20; ++seed) {
     settings.seed = seed;
@@ -103,7 +105,7 @@ TEST_CASE("known results of the sampled loop, hybrid: what does not converge in 
       auto settings = corner<Hybrid>(gravity, 0.3);
       settings.uncertainty.depth(1) = second_depth;
       CHECK(run(with_camera(settings, 10 * kMs, 10 * kMs, Prediction::none, 0.0)).settle == kInfinity);
-      settings.gains.fuzzy.enabled = false;  // a wrench that is held is negative damping
+      settings.gains<Hybrid>().fuzzy.enabled = false;  // a wrench that is held is negative damping
       CHECK(run(settings).settle == kInfinity);
     }
 }
@@ -137,28 +139,28 @@ TEST_CASE("known results of the sampled loop, composite") {
 
 TEST_CASE("the implicit switching function brings the platform to rest; sign chatters") {
   auto settings = corner<Hybrid>(0.0, 0.3);
-  const auto end = [](const Settings<Hybrid>& s) {
-    const LoopParameters<double, Hybrid> p = loop_parameters(s);
+  const auto end = [](const Settings& s) {
+    const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(s);
     SampledLoop<double, Hybrid> loop(p);
     for (long long i = 0; i < step_count(s.simulation); ++i) loop.advance();
     REQUIRE(loop.record().running());
     return loop.record().sample().twist.cwiseAbs().maxCoeff();
   };
   CHECK(end(settings) <= 1e-12);
-  settings.switching.kind = SwitchingKind::implicit_coupled;
+  settings.controller.switching.kind = SwitchingKind::implicit_coupled;
   CHECK(end(settings) <= 1e-12);
-  settings.switching.kind = SwitchingKind::sign;
+  settings.controller.switching.kind = SwitchingKind::sign;
   CHECK(end(settings) >= 1e-6);
 }
 
 TEST_CASE("the sampled loop tends to the continuous one at first order in the period") {
   auto settings = corner<Hybrid>(0.0, 0.3);
-  settings.switching = {SwitchingKind::tanh, 1e-2};
+  settings.controller.switching = {SwitchingKind::tanh, 1e-2};
   settings.simulation.duration = 0.2;
   const auto end = [&settings](LoopMode mode, double step) {
     settings.simulation.mode = mode;
-    settings.simulation.step = settings.sampling.period = step;
-    const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+    settings.simulation.step = settings.camera.period = step;
+    const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
     const auto last_of = [&](auto&& loop) {
       for (long long i = 0; i < step_count(settings.simulation); ++i) loop.advance();
       REQUIRE(loop.record().running());
@@ -182,12 +184,12 @@ TEST_CASE("the sampled loop tends to the continuous one at first order in the pe
 
 TEST_CASE("substeps integrate the plant more finely and leave the law's ticks alone") {
   auto settings = corner<Hybrid>(0.0, 0.3);
-  settings.switching = {SwitchingKind::tanh, 1e-2};
+  settings.controller.switching = {SwitchingKind::tanh, 1e-2};
   settings.simulation.duration = 0.2;
-  settings.simulation.step = settings.sampling.period = 4e-3;
+  settings.simulation.step = settings.camera.period = 4e-3;
   const auto end = [&settings](long long substeps) {
     settings.simulation.substeps = substeps;
-    const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+    const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
     SampledLoop<double, Hybrid> loop(p);
     while (loop.time() < 0.2 - 1e-9) loop.advance();
     CHECK(loop.steps() == 50);
@@ -204,8 +206,8 @@ TEST_CASE("substeps integrate the plant more finely and leave the law's ticks al
 TEST_CASE("before the first frame the wrench is G: the platform of the nominal model does not move") {
   auto settings = corner<Hybrid>(0.0, 0.3);
   settings.uncertainty = {};
-  settings.sampling.latency = 0.05;
-  const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+  settings.camera.latency = 0.05;
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
   SampledLoop<double, Hybrid> loop(p);
   for (int tick = 0; tick < 50; ++tick) {
     CHECK(loop.record().sample().wrench == gravity_wrench(p.body));
@@ -224,10 +226,10 @@ TEST_CASE("an image that is lost in motion: the brake stops the platform, and G 
         CAPTURE(brake);
         CAPTURE(encoders);
         auto settings = corner<Composite>(gravity, 0.3);
-        if (!brake) settings.safe = {Vector6<double>::Zero(), Vector6<double>::Zero()};
+        if (!brake) settings.controller.safe = {Vector6<double>::Zero(), Vector6<double>::Zero()};
         if (encoders) settings.sensors.pose = PoseSource::encoders;
-        settings.sampling.timeout = 5 * kMs;
-        const LoopParameters<double, Composite> p = loop_parameters(settings);
+        settings.camera.timeout = 5 * kMs;
+        const LoopParameters<double, Composite> p = loop_parameters<Composite>(settings);
         const auto gains = servo_gains(p);
         auto state = ServoState<double, Composite>(gains);
         SampledPlant<double> plant(p);
@@ -269,18 +271,18 @@ TEST_CASE("an image that is lost in motion: the brake stops the platform, and G 
 
 TEST_CASE("gains of the brake: as given, and derived from the estimated inertia and what is late") {
   auto settings = corner<Hybrid>(0.0, 0.3);
-  const auto gains = [&] { return loop_parameters(settings).safe; };
+  const auto gains = [&] { return loop_parameters<Hybrid>(settings).safe; };
   // 100 rad/s: m w^2 = 600 N/m
   CHECK(gains().hold(2) == doctest::Approx(600.0));
   CHECK(gains().damping(2) == doctest::Approx(12.0));
   CHECK(gains().hold(5) == doctest::Approx(3.0));
   settings.actuators.delay = 4 * kMs;  // 5 ms with the tick: 40 rad/s
   CHECK(gains().hold(0) == doctest::Approx(0.06 * 1600.0));
-  settings.safe.hold = Vector6<double>::Constant(7.0);
+  settings.controller.safe.hold = Vector6<double>::Constant(7.0);
   CHECK(gains().hold(3) == 7.0);
   CHECK(gains().damping(0) == doctest::Approx(2.0 * 0.06 * 40.0));
-  settings.safe.damping = Vector6<double>::Constant(-1.0);
-  CHECK(is_about(refusal([&] { loop_parameters(settings); }), "controller.safe.damping"));
+  settings.controller.safe.damping = Vector6<double>::Constant(-1.0);
+  CHECK(is_about(refusal([&] { loop_parameters<Hybrid>(settings); }), "controller.safe.damping"));
 }
 
 TEST_CASE("lanes run as their single runs do, each with its own seed and camera") {
@@ -289,19 +291,19 @@ TEST_CASE("lanes run as their single runs do, each with its own seed and camera"
   std::vector<LoopParameters<double, Composite>> single;
   for (int lane = 0; lane < 4; ++lane) {
     auto settings = corner<Composite>(0.075, 0.3);
-    settings.switching.kind = lane < 4 ? SwitchingKind::implicit_coupled : SwitchingKind::sign;
+    settings.controller.switching.kind = lane < 4 ? SwitchingKind::implicit_coupled : SwitchingKind::sign;
     settings.seed = 40 + static_cast<std::uint64_t>(lane);
-    settings.sampling.period = 5 * kMs;
-    settings.sampling.latency = 8 * kMs;
-    settings.sampling.latency_jitter = 3 * kMs;
-    settings.sampling.faults.noise = 0.1 * lane;
-    settings.sampling.faults.dropout = 0.1 * lane;
-    settings.sampling.faults.outlier_probability = 0.05 * lane;
-    settings.sampling.faults.outlier_size = 1.0;
-    settings.sampling.faults.quantisation = 0.01 * lane;
-    settings.sampling.faults.image_size = {150.0, 130.0};  // two points start outside
-    settings.sampling.faults.on_lost = LostFeature::predict;
-    single.push_back(loop_parameters(settings));
+    settings.camera.period = 5 * kMs;
+    settings.camera.latency = 8 * kMs;
+    settings.camera.latency_jitter = 3 * kMs;
+    settings.camera.noise = 0.1 * lane;
+    settings.camera.dropout = 0.1 * lane;
+    settings.camera.outlier_probability = 0.05 * lane;
+    settings.camera.outlier_size = 1.0;
+    settings.camera.quantisation = 0.01 * lane;
+    settings.camera.image_size = {150.0, 130.0};  // two points start outside
+    settings.camera.on_lost = LostFeature::predict;
+    single.push_back(loop_parameters<Composite>(settings));
     set_lane(pack, lane, single.back());
   }
   SampledLoop<S, Composite> lanes(pack);
@@ -320,21 +322,21 @@ TEST_CASE("times that are not on the grid of the ticks are refused, with the nea
   const auto refused = [](auto&& change) {
     auto settings = corner<Hybrid>(0.0, 0.3);
     change(settings);
-    return refusal([&] { loop_parameters(settings); });
+    return refusal([&] { loop_parameters<Hybrid>(settings); });
   };
-  const std::string latency = refused([](auto& s) { s.sampling.latency = 2.4e-3; });
+  const std::string latency = refused([](auto& s) { s.camera.latency = 2.4e-3; });
   CHECK(is_about(latency, "camera.latency"));
   CHECK(latency.find("nearest: 0.002 or 0.003") != std::string::npos);
-  CHECK(is_about(refused([](auto& s) { s.sampling.period = 0.4e-3; }), "camera.period"));
-  CHECK(refused([](auto& s) { s.sampling.period = 0.4e-3; }).find("nearest: 0.001") != std::string::npos);
-  CHECK(is_about(refused([](auto& s) { s.sampling.latency_jitter = -1e-3; }), "camera.latency_jitter"));
-  CHECK(is_about(refused([](auto& s) { s.sampling.faults.noise = kNaN; }), "camera.noise"));
-  CHECK(is_about(refused([](auto& s) { s.sampling.faults.dropout = 1.1; }), "camera.dropout"));
-  CHECK(is_about(refused([](auto& s) { s.sampling.faults.image_size(1) = 0.0; }), "camera.image_size[1]"));
+  CHECK(is_about(refused([](auto& s) { s.camera.period = 0.4e-3; }), "camera.period"));
+  CHECK(refused([](auto& s) { s.camera.period = 0.4e-3; }).find("nearest: 0.001") != std::string::npos);
+  CHECK(is_about(refused([](auto& s) { s.camera.latency_jitter = -1e-3; }), "camera.latency_jitter"));
+  CHECK(is_about(refused([](auto& s) { s.camera.noise = kNaN; }), "camera.noise"));
+  CHECK(is_about(refused([](auto& s) { s.camera.dropout = 1.1; }), "camera.dropout"));
+  CHECK(is_about(refused([](auto& s) { s.camera.image_size(1) = 0.0; }), "camera.image_size[1]"));
   CHECK(is_about(refused([](auto& s) { s.simulation.substeps = 0; }), "simulation.substeps"));
   CHECK(is_about(refused([](auto& s) {
-                   s.convention = CameraConvention::as_printed;
-                   s.sampling.faults.prediction = Prediction::encoder;
+                   s.camera.convention = CameraConvention::as_printed;
+                   s.camera.prediction = Prediction::encoder;
                  }),
                  "camera.convention"));
   CHECK(is_about(refused([](auto& s) { s.simulation.mode = LoopMode::continuous; }), "controller.switching.kind"));

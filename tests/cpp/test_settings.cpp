@@ -16,22 +16,22 @@ using namespace hexservo::test;
 
 namespace {
 
-using PaperSettings = Settings<Hybrid>;
+using PaperSettings = Settings;
 using Change = std::function<void(PaperSettings&)>;
-using Points = Eigen::Matrix<double, 3, 4>;
+using Points = Eigen::Matrix<double, 4, 3>;  // a point in each row
 
 /// Message of the library for the paper's scenario with one change.
 std::string verdict(const Change& change) {
   PaperSettings settings = paper_settings();
   change(settings);
-  const std::string message = refusal([&] { loop_parameters(settings); });
+  const std::string message = refusal([&] { loop_parameters<Hybrid>(settings); });
   const std::string checked = refusal([&] { check_settings(settings); });
   if (message != "(accepted)") CHECK(checked == message);  // both give the same message
   return checked;
 }
 
 /// The paper's points, given by their place.
-Points paper_points() { return loop_parameters(paper_settings()).points_B; }
+Points paper_points() { return loop_parameters<Hybrid>(paper_settings()).points_B.transpose(); }
 
 }  // namespace
 
@@ -41,15 +41,15 @@ TEST_CASE("the paper's scenario is accepted, in every convention and with every 
     for (const auto jacobian : {JacobianConvention::consistent, JacobianConvention::printed})
       for (const auto kind : {SwitchingKind::sign, SwitchingKind::tanh, SwitchingKind::saturation})
         CHECK(verdict([&](PaperSettings& s) {
-                s.convention = camera;
-                s.jacobian = jacobian;
-                s.switching.kind = kind;
+                s.camera.convention = camera;
+                s.controller.jacobian = jacobian;
+                s.controller.switching.kind = kind;
               }) == "(accepted)");
 }
 
 TEST_CASE("loop parameters are those of the settings") {
   const PaperSettings settings = paper_settings();
-  const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
   CHECK(p.initial_image.features == settings.target.initial_features);
   CHECK(p.initial_image.depth == Vector<double, 4>::Constant(-0.5));
   const double f = settings.camera.focal_pixels();
@@ -59,7 +59,7 @@ TEST_CASE("loop parameters are those of the settings") {
   CHECK(distance(seen.depth, p.initial_image.depth) <= kEpsilon);
   CHECK(p.desired_features == settings.target.desired_features);
   CHECK(p.depth_error == settings.uncertainty.depth);
-  CHECK(p.dynamics_error.inertia == settings.uncertainty.dynamics.inertia);
+  CHECK(p.dynamics_error.inertia == settings.uncertainty.inertia);
   CHECK(p.body.mass == 0.06);
   CHECK(p.body.gravity == 9.8);
   CHECK(p.gains.kp == Vector<double, 8>::Constant(1e-6));
@@ -74,35 +74,35 @@ TEST_CASE("points and features define the same target") {
   by_points.robot.home_position = Vector3<double>(0.003, -0.002, -0.151);
   PaperSettings by_features = by_points;
   for (int i = 0; i < 4; ++i) by_features.target.depth(i) = random.uniform(0.3, 0.8);
-  by_points.target.points_B = loop_parameters(by_features).points_B;
+  by_points.target.points = loop_parameters<Hybrid>(by_features).points_B.transpose();
   by_points.target.initial_features.setConstant(kNaN);  // not used beside points
   by_points.target.depth.setConstant(kNaN);
-  const LoopParameters<double, Hybrid> p = loop_parameters(by_points);
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(by_points);
   CHECK(distance(p.initial_image.features, by_features.target.initial_features) <= 1e-12);
   CHECK(distance(p.initial_image.depth, -by_features.target.depth) <= 4.0 * kEpsilon);
 }
 
 TEST_CASE("defaults are those of docs/model.md, section 5") {
   const PaperSettings s;
-  CHECK(s.gains.kp == Vector<double, 8>::Constant(1e-6));
-  CHECK(s.gains.kv == (Vector6<double>() << 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 1e-4).finished());
-  CHECK(s.gains.fuzzy.enabled);
-  CHECK(s.gains.fuzzy.adaptation == Vector6<double>::Constant(10.0));
-  CHECK(s.gains.fuzzy.error_scale == (Vector6<double>() << 5, 5, 5, 10, 10, 10).finished());
-  CHECK(s.gains.fuzzy.rate_scale == Vector6<double>::Constant(0.5));
-  CHECK(s.gains.fuzzy.initial_scale == Vector6<double>::Zero());
-  CHECK(s.gains.fuzzy.table == linear_rule_table());
-  CHECK(s.gains.fuzzy.bell_width == 1.0 / 6.0);
-  CHECK(s.gains.fuzzy.bell_slope == 2.0);
-  CHECK(s.switching.kind == SwitchingKind::sign);
-  CHECK(s.switching.width == 1e-3);
+  CHECK(s.gains<Hybrid>().kp == Vector<double, 8>::Constant(1e-6));
+  CHECK(s.gains<Hybrid>().kv == (Vector6<double>() << 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 1e-4).finished());
+  CHECK(s.gains<Hybrid>().fuzzy.enabled);
+  CHECK(s.gains<Hybrid>().fuzzy.adaptation == Vector6<double>::Constant(10.0));
+  CHECK(s.gains<Hybrid>().fuzzy.error_scale == (Vector6<double>() << 5, 5, 5, 10, 10, 10).finished());
+  CHECK(s.gains<Hybrid>().fuzzy.rate_scale == Vector6<double>::Constant(0.5));
+  CHECK(s.gains<Hybrid>().fuzzy.initial_scale == Vector6<double>::Zero());
+  CHECK(s.gains<Hybrid>().fuzzy.table == linear_rule_table());
+  CHECK(s.gains<Hybrid>().fuzzy.bell_width == 1.0 / 6.0);
+  CHECK(s.gains<Hybrid>().fuzzy.bell_slope == 2.0);
+  CHECK(s.controller.switching.kind == SwitchingKind::sign);
+  CHECK(s.controller.switching.width == 1e-3);
   CHECK(s.simulation.step == 1e-3);
   CHECK(s.simulation.duration == 5.0);
   CHECK(s.simulation.log_every == 1);
   CHECK(s.target.depth == Vector<double, 4>::Constant(0.5));
   CHECK(s.metrics == MetricsSettings<double>{2.0, 0.2, 1.0});
-  CHECK(s.convention == CameraConvention::eye_in_hand);
-  CHECK(s.jacobian == JacobianConvention::consistent);
+  CHECK(s.camera.convention == CameraConvention::eye_in_hand);
+  CHECK(s.controller.jacobian == JacobianConvention::consistent);
   CHECK(s.uncertainty.depth.isZero(0.0));
 }
 
@@ -119,9 +119,11 @@ TEST_CASE("a number that is not finite is refused wherever it stands") {
       {"robot.force_limit", [](PaperSettings& s) -> double& { return s.robot.force_limit; }},
       {"camera.focal_length", [](PaperSettings& s) -> double& { return s.camera.focal_length; }},
       {"camera.pixel_scale", [](PaperSettings& s) -> double& { return s.camera.pixel_scale; }},
-      {"controller.switching.width", [](PaperSettings& s) -> double& { return s.switching.width; }},
-      {"controller.hybrid.fuzzy.bell_width", [](PaperSettings& s) -> double& { return s.gains.fuzzy.bell_width; }},
-      {"controller.hybrid.fuzzy.bell_slope", [](PaperSettings& s) -> double& { return s.gains.fuzzy.bell_slope; }},
+      {"controller.switching.width", [](PaperSettings& s) -> double& { return s.controller.switching.width; }},
+      {"controller.hybrid.fuzzy.bell_width",
+       [](PaperSettings& s) -> double& { return s.gains<Hybrid>().fuzzy.bell_width; }},
+      {"controller.hybrid.fuzzy.bell_slope",
+       [](PaperSettings& s) -> double& { return s.gains<Hybrid>().fuzzy.bell_slope; }},
       {"simulation.step", [](PaperSettings& s) -> double& { return s.simulation.step; }},
       {"simulation.duration", [](PaperSettings& s) -> double& { return s.simulation.duration; }},
       {"metrics.band", [](PaperSettings& s) -> double& { return s.metrics.band; }},
@@ -140,22 +142,22 @@ TEST_CASE("a number that is not finite is refused wherever it stands") {
   add("target.initial_features", 8, [](PaperSettings& s, int i) -> double& { return s.target.initial_features(i); });
   add("target.desired_features", 8, [](PaperSettings& s, int i) -> double& { return s.target.desired_features(i); });
   add("target.depth", 4, [](PaperSettings& s, int i) -> double& { return s.target.depth(i); });
-  add("uncertainty.inertia", 36, [](PaperSettings& s, int i) -> double& { return s.uncertainty.dynamics.inertia(i); });
-  add("uncertainty.coriolis", 36,
-      [](PaperSettings& s, int i) -> double& { return s.uncertainty.dynamics.coriolis(i); });
-  add("uncertainty.gravity", 6, [](PaperSettings& s, int i) -> double& { return s.uncertainty.dynamics.gravity(i); });
+  add("uncertainty.inertia", 36, [](PaperSettings& s, int i) -> double& { return s.uncertainty.inertia(i); });
+  add("uncertainty.coriolis", 36, [](PaperSettings& s, int i) -> double& { return s.uncertainty.coriolis(i); });
+  add("uncertainty.gravity", 6, [](PaperSettings& s, int i) -> double& { return s.uncertainty.gravity(i); });
   add("uncertainty.depth", 4, [](PaperSettings& s, int i) -> double& { return s.uncertainty.depth(i); });
-  add("controller.hybrid.kp", 8, [](PaperSettings& s, int i) -> double& { return s.gains.kp(i); });
-  add("controller.hybrid.kv", 6, [](PaperSettings& s, int i) -> double& { return s.gains.kv(i); });
+  add("controller.hybrid.kp", 8, [](PaperSettings& s, int i) -> double& { return s.gains<Hybrid>().kp(i); });
+  add("controller.hybrid.kv", 6, [](PaperSettings& s, int i) -> double& { return s.gains<Hybrid>().kv(i); });
   add("controller.hybrid.fuzzy.adaptation", 6,
-      [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.adaptation(i); });
+      [](PaperSettings& s, int i) -> double& { return s.gains<Hybrid>().fuzzy.adaptation(i); });
   add("controller.hybrid.fuzzy.error_scale", 6,
-      [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.error_scale(i); });
+      [](PaperSettings& s, int i) -> double& { return s.gains<Hybrid>().fuzzy.error_scale(i); });
   add("controller.hybrid.fuzzy.rate_scale", 6,
-      [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.rate_scale(i); });
+      [](PaperSettings& s, int i) -> double& { return s.gains<Hybrid>().fuzzy.rate_scale(i); });
   add("controller.hybrid.fuzzy.initial_scale", 6,
-      [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.initial_scale(i); });
-  add("controller.hybrid.fuzzy.table", 49, [](PaperSettings& s, int i) -> double& { return s.gains.fuzzy.table(i); });
+      [](PaperSettings& s, int i) -> double& { return s.gains<Hybrid>().fuzzy.initial_scale(i); });
+  add("controller.hybrid.fuzzy.table", 49,
+      [](PaperSettings& s, int i) -> double& { return s.gains<Hybrid>().fuzzy.table(i); });
   for (const Place& place : places)
     for (const double bad : {kNaN, kInfinity, -kInfinity}) {
       CAPTURE(place.key);
@@ -171,8 +173,8 @@ TEST_CASE("a point that is not finite is refused with its place") {
   for (const double bad : {kNaN, kInfinity, -kInfinity})
     for (int i = 0; i < 12; ++i) {
       const std::string message = verdict([&](PaperSettings& s) {
-        s.target.points_B = good;
-        (*s.target.points_B)(i) = bad;
+        s.target.points = good;
+        (*s.target.points)(i / 3, i % 3) = bad;
       });
       CAPTURE(message);
       CHECK(is_about(message, "target.points[" + std::to_string(i / 3) + "][" + std::to_string(i % 3) + "]"));
@@ -187,12 +189,12 @@ TEST_CASE("numbers that must be positive, or within a range, are refused beyond 
   std::vector<Case> cases = {
       {"uncertainty.depth", [](PaperSettings& s) { s.uncertainty.depth(2) = -1.0; }},
       {"uncertainty.depth", [](PaperSettings& s) { s.uncertainty.depth(0) = -1.7; }},
-      {"uncertainty.inertia", [](PaperSettings& s) { s.uncertainty.dynamics.inertia.setConstant(1.0); }},
-      {"uncertainty.inertia", [](PaperSettings& s) { s.uncertainty.dynamics.inertia(4, 3) += 0.1; }},
+      {"uncertainty.inertia", [](PaperSettings& s) { s.uncertainty.inertia.setConstant(1.0); }},
+      {"uncertainty.inertia", [](PaperSettings& s) { s.uncertainty.inertia(4, 3) += 0.1; }},
       {"robot.inertia", [](PaperSettings& s) { s.robot.inertia.diagonal() = Vector3<double>(1e-4, 1e-4, 3e-4); }},
       {"robot.inertia", [](PaperSettings& s) { s.robot.inertia(0, 1) = 1e-5; }},
       {"robot.platform_angles", [](PaperSettings& s) { s.robot.platform_angles = s.robot.base_angles; }},
-      {"controller.hybrid.kv", [](PaperSettings& s) { s.gains.kv(5) = -1e-9; }},
+      {"controller.hybrid.kv", [](PaperSettings& s) { s.gains<Hybrid>().kv(5) = -1e-9; }},
       {"simulation.log_every", [](PaperSettings& s) { s.simulation.log_every = 0; }},
       {"simulation.log_every", [](PaperSettings& s) { s.simulation.log_every = -3; }},
   };
@@ -206,10 +208,10 @@ TEST_CASE("numbers that must be positive, or within a range, are refused beyond 
     add("camera.focal_length", [](PaperSettings& s) -> double& { return s.camera.focal_length; });
     add("camera.pixel_scale", [](PaperSettings& s) -> double& { return s.camera.pixel_scale; });
     add("target.depth[3]", [](PaperSettings& s) -> double& { return s.target.depth(3); });
-    add("controller.switching.width", [](PaperSettings& s) -> double& { return s.switching.width; });
-    add("controller.hybrid.kp[6]", [](PaperSettings& s) -> double& { return s.gains.kp(6); });
+    add("controller.switching.width", [](PaperSettings& s) -> double& { return s.controller.switching.width; });
+    add("controller.hybrid.kp[6]", [](PaperSettings& s) -> double& { return s.gains<Hybrid>().kp(6); });
     add("controller.hybrid.fuzzy.adaptation[1]",
-        [](PaperSettings& s) -> double& { return s.gains.fuzzy.adaptation(1); });
+        [](PaperSettings& s) -> double& { return s.gains<Hybrid>().fuzzy.adaptation(1); });
     add("simulation.step", [](PaperSettings& s) -> double& { return s.simulation.step; });
     add("simulation.duration", [](PaperSettings& s) -> double& { return s.simulation.duration; });
     add("metrics.band", [](PaperSettings& s) -> double& { return s.metrics.band; });
@@ -228,10 +230,10 @@ TEST_CASE("an image may be as old as period, latency and jitter together, howeve
   const auto with_timeout = [](double timeout) {
     return verdict([timeout](PaperSettings& s) {
       s.simulation.mode = LoopMode::sampled;
-      s.sampling.period = 0.1;
-      s.sampling.latency = 0.1;
-      s.sampling.latency_jitter = 0.1;
-      s.sampling.timeout = timeout;
+      s.camera.period = 0.1;
+      s.camera.latency = 0.1;
+      s.camera.latency_jitter = 0.1;
+      s.camera.timeout = timeout;
     });
   };
   REQUIRE(0.1 + 0.1 + 0.1 > 0.3);
@@ -246,7 +248,7 @@ TEST_CASE("an image may be as old as period, latency and jitter together, howeve
 
 TEST_CASE("targets that no camera can use are refused") {
   const Points good = paper_points();
-  CHECK(verdict([&](PaperSettings& s) { s.target.points_B = good; }) == "(accepted)");
+  CHECK(verdict([&](PaperSettings& s) { s.target.points = good; }) == "(accepted)");
   struct Case {
     std::string what, key;
     Change change;
@@ -254,13 +256,13 @@ TEST_CASE("targets that no camera can use are refused") {
   const std::vector<Case> cases = {
       {"point behind the camera", "target.points[1]",
        [&](PaperSettings& s) {
-         s.target.points_B = good;
-         (*s.target.points_B)(2, 1) = 0.1;
+         s.target.points = good;
+         (*s.target.points)(1, 2) = 0.1;
        }},
       {"point in the camera's own plane", "target.points[3]",
        [&](PaperSettings& s) {
-         s.target.points_B = good;
-         (*s.target.points_B)(2, 3) = s.robot.home_position(2);
+         s.target.points = good;
+         (*s.target.points)(3, 2) = s.robot.home_position(2);
        }},
       {"initial features that coincide", "target.initial_features",
        [](PaperSettings& s) { s.target.initial_features.segment<2>(4) = s.target.initial_features.segment<2>(0); }},
@@ -268,9 +270,9 @@ TEST_CASE("targets that no camera can use are refused") {
        [](PaperSettings& s) { s.target.desired_features.segment<2>(6) = s.target.desired_features.segment<2>(2); }},
       {"points behind one another", "target.points",
        [&](PaperSettings& s) {
-         s.target.points_B = good;
-         const Vector3<double> home = s.robot.home_position, ray = good.col(0) - home;
-         s.target.points_B->col(2) = home + 1.5 * ray;
+         s.target.points = good;
+         const Vector3<double> home = s.robot.home_position, ray = good.row(0).transpose() - home;
+         s.target.points->row(2) = (home + 1.5 * ray).transpose();
        }},
       {"initial features on one line", "target.initial_features",
        [](PaperSettings& s) { s.target.initial_features << 10, 20, 20, 40, 30, 60, -5, -10; }},
@@ -281,8 +283,8 @@ TEST_CASE("targets that no camera can use are refused") {
       {"a goal out of reach", "target.initial_features", [](PaperSettings& s) { s.target.desired_features(0) = 2e4; }},
       {"points for a camera that has none", "target.points",
        [&](PaperSettings& s) {
-         s.target.points_B = good;
-         s.convention = CameraConvention::as_printed;
+         s.target.points = good;
+         s.camera.convention = CameraConvention::as_printed;
        }},
   };
   for (const Case& c : cases) {
@@ -340,20 +342,20 @@ TEST_CASE("a log that would not fit into memory is refused before it is allocate
 }
 
 TEST_CASE("gains whose wrench overflows at the start are refused: a finite wrench is expected") {
-  const std::string huge = verdict([](PaperSettings& s) { s.gains.kp.setConstant(1e307); });
+  const std::string huge = verdict([](PaperSettings& s) { s.gains<Hybrid>().kp.setConstant(1e307); });
   CAPTURE(huge);
   CHECK(is_about(huge, "controller"));
   CHECK(huge.find("finite wrench") != std::string::npos);
   const std::string weights = verdict([](PaperSettings& s) {
-    s.gains.fuzzy.initial_scale.setConstant(1e308);
-    s.gains.fuzzy.table.setConstant(1e10);
+    s.gains<Hybrid>().fuzzy.initial_scale.setConstant(1e308);
+    s.gains<Hybrid>().fuzzy.table.setConstant(1e10);
   });
   CAPTURE(weights);
   CHECK(is_about(weights, "controller.hybrid.fuzzy.initial_scale"));
   const std::string unused = verdict([](PaperSettings& s) {
-    s.gains.fuzzy.enabled = false;  // they would be logged all the same
-    s.gains.fuzzy.initial_scale.setConstant(1e308);
-    s.gains.fuzzy.table.setConstant(1e10);
+    s.gains<Hybrid>().fuzzy.enabled = false;  // they would be logged all the same
+    s.gains<Hybrid>().fuzzy.initial_scale.setConstant(1e308);
+    s.gains<Hybrid>().fuzzy.table.setConstant(1e10);
   });
   CHECK(unused == weights);
 }

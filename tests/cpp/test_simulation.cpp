@@ -21,17 +21,17 @@ Vector<double, N> row(const Column& column, std::size_t i) {
   return Eigen::Map<const Vector<double, N>>(column.data() + i * N);
 }
 
-Settings<Hybrid> short_run(double duration) {
-  Settings<Hybrid> settings = paper_settings();
+Settings short_run(double duration) {
+  Settings settings = paper_settings();
   settings.simulation.duration = duration;
   settings.metrics.rms_start = 0.1;
   return settings;
 }
 
 /// The controller's sign is wrong for the camera: positive feedback (docs/errata.md, 1).
-Settings<Hybrid> erratum(double duration) {
-  Settings<Hybrid> settings = short_run(duration);
-  settings.jacobian = JacobianConvention::printed;
+Settings erratum(double duration) {
+  Settings settings = short_run(duration);
+  settings.controller.jacobian = JacobianConvention::printed;
   return settings;
 }
 
@@ -51,7 +51,7 @@ bool same_metrics(const Metrics<double>& a, const Metrics<double>& b) {
 }  // namespace
 
 TEST_CASE("a run logs its whole grid, from home at rest to the end") {
-  const Settings<Hybrid> settings = short_run(0.2);
+  const Settings settings = short_run(0.2);
   const Trajectory run = simulate(settings);
   CHECK(run.outcome == Outcome::completed);
   CHECK(run.steps == 200);
@@ -76,9 +76,9 @@ TEST_CASE("a run logs its whole grid, from home at rest to the end") {
 }
 
 TEST_CASE("logged quantities belong to one another: image, legs and wrench follow from pose and points") {
-  const Settings<Hybrid> settings = short_run(0.3);
+  const Settings settings = short_run(0.3);
   const Trajectory run = simulate(settings);
-  const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
   for (std::size_t i = 0; i < run.time.size(); i += 7) {
     CAPTURE(i);
     const Vector3<double> position = row<3>(run.position, i);
@@ -94,15 +94,15 @@ TEST_CASE("logged quantities belong to one another: image, legs and wrench follo
 }
 
 TEST_CASE("a run whose metrics overflow has diverged, however finite its samples are") {
-  Settings<Hybrid> settings = short_run(0.05);
+  Settings settings = short_run(0.05);
   settings.robot.mass = 1e158;  // so heavy that a force of 1e156 N hardly moves it
-  settings.gains.kv.head<3>().setConstant(1e156);
+  settings.gains<Hybrid>().kv.head<3>().setConstant(1e156);
   const Trajectory run = simulate(settings);
   CHECK(run.metrics.effort == std::numeric_limits<double>::infinity());
   for (const double force : run.leg_forces) CHECK(std::isfinite(force));
   CHECK(run.outcome == Outcome::diverged);
   settings.robot.mass *= 1e-8;
-  settings.gains.kv.head<3>() *= 1e-8;
+  settings.gains<Hybrid>().kv.head<3>() *= 1e-8;
   const Trajectory smaller = simulate(settings);
   CHECK(smaller.outcome == Outcome::completed);
   CHECK(smaller.metrics.effort > 1e290);
@@ -111,9 +111,9 @@ TEST_CASE("a run whose metrics overflow has diverged, however finite its samples
 TEST_CASE("streamed metrics are the metrics of the record") {
   for (const double duration : {0.05, 0.6}) {
     CAPTURE(duration);
-    const Settings<Hybrid> settings = short_run(duration);
+    const Settings settings = short_run(duration);
     const Trajectory run = simulate(settings);
-    const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+    const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
     double settling = 0.0, squares = 0.0, count = 0.0, peak = 0.0, displacement = 0.0, force = 0.0, moment = 0.0;
     double leg_force = 0.0, excursion = 0.0, rotation = 0.0;
     const Vector6<double> G = gravity_wrench(p.body);
@@ -159,7 +159,7 @@ TEST_CASE("streamed metrics are the metrics of the record") {
 }
 
 TEST_CASE("log_every thins the log and changes nothing else; the last sample is always logged") {
-  Settings<Hybrid> settings = short_run(0.3);
+  Settings settings = short_run(0.3);
   const Trajectory full = simulate(settings);
   for (const long long every : {2LL, 7LL, 300LL, 1000LL}) {
     CAPTURE(every);
@@ -209,7 +209,7 @@ TEST_CASE("a run that fails reports how and when, keeps what it computed, and lo
 
   for (const long long every : {5LL, 1000LL}) {
     CAPTURE(every);
-    Settings<Hybrid> settings = erratum(5.0);
+    Settings settings = erratum(5.0);
     settings.simulation.log_every = every;
     const Trajectory thin = simulate(settings);
     CHECK(thin.time.back() == full.end_time);
@@ -220,21 +220,21 @@ TEST_CASE("a run that fails reports how and when, keeps what it computed, and lo
 }
 
 TEST_CASE("erratum 1: (8) as printed diverges over a real projection, and not over the camera as printed") {
-  Settings<Hybrid> settings = erratum(1.0);
+  Settings settings = erratum(1.0);
   CHECK(simulate(settings).outcome != Outcome::completed);
-  settings.convention = CameraConvention::as_printed;
+  settings.camera.convention = CameraConvention::as_printed;
   const Trajectory printed = simulate(settings);
   CHECK(printed.outcome == Outcome::completed);
   CHECK(printed.metrics.final_error < 2.0);
-  settings.convention = CameraConvention::eye_in_hand;
-  settings.jacobian = JacobianConvention::consistent;
+  settings.camera.convention = CameraConvention::eye_in_hand;
+  settings.controller.jacobian = JacobianConvention::consistent;
   const Trajectory physical = simulate(settings);
   CHECK(physical.outcome == Outcome::completed);
   CHECK(physical.metrics.final_error < 2.0);
 }
 
 TEST_CASE("a stop request ends a run as interrupted, with what there is") {
-  Settings<Hybrid> settings = short_run(20.0);
+  Settings settings = short_run(20.0);
   int questions = 0;
   const Trajectory run = simulate(settings, [&questions] { return ++questions == 3; });
   CHECK(run.outcome == Outcome::interrupted);
@@ -262,13 +262,13 @@ TEST_CASE("a stop request ends a run as interrupted, with what there is") {
 }
 
 TEST_CASE("legs beyond a limit are reported with time and peak, and the run goes on") {
-  Settings<Hybrid> settings = short_run(0.5);
+  Settings settings = short_run(0.5);
   CHECK(simulate(settings).events.empty());
   settings.robot.stroke = 1e-3;
   settings.robot.force_limit = 0.1;  // holding the platform takes 0.1337 N
   const Trajectory run = simulate(settings);
   CHECK(run.outcome == Outcome::completed);
-  const LoopParameters<double, Hybrid> p = loop_parameters(settings);
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
   int stroke_events = 0, force_events = 0;
   double previous = 0.0;
   for (const LimitEvent& event : run.events) {

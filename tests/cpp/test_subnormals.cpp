@@ -45,11 +45,11 @@ double halved(double value, int times) {
 }
 
 template <class Law>
-Settings<Law> settings_of() {
-  Settings<Law> settings = paper_settings<Law>();
+Settings settings_of() {
+  Settings settings = paper_settings<Law>();
   if constexpr (kHasFuzzySystems<Law>) {
-    settings.gains.fuzzy.leakage.setConstant(0.5);
-    settings.gains.fuzzy.initial_scale.setConstant(1e-3);
+    settings.gains<Law>().fuzzy.leakage.setConstant(0.5);
+    settings.gains<Law>().fuzzy.initial_scale.setConstant(1e-3);
   }
   return settings;
 }
@@ -110,7 +110,7 @@ TEST_CASE("the mode lasts as long as its object, and nothing else of the caller'
 
 TEST_CASE("a tick leaves the mode of its caller alone") {
   volatile double smallest = kSmallestNormal;
-  const ControllerGains<Hybrid> gains = controller_gains(paper_settings(), kPeriod);
+  const ControllerGains<Hybrid> gains = controller_gains<Hybrid>(paper_settings(), kPeriod);
   ControllerState<Hybrid> state = initial_state(gains);
   step(gains, state, input_at_home(gains, 1e-3));
   CHECK(smallest * 0.5 > 0.0);
@@ -121,8 +121,8 @@ TEST_CASE("a tick leaves the mode of its caller alone") {
 
 TEST_CASE("a tick with subnormal twist or weights takes as long as any other" * doctest::skip(!kFlushesSubnormals)) {
   Laws::for_each([]<class Law>(std::type_identity<Law>) {
-    CAPTURE(Law::name);
-    const ControllerGains<Law> gains = controller_gains(settings_of<Law>(), kPeriod);
+    CAPTURE(Law::traits.name);
+    const ControllerGains<Law> gains = controller_gains<Law>(settings_of<Law>(), kPeriod);
     const ControllerInput usual = input_at_home(gains, 1e-3);
     const ControllerState<Law> start = initial_state(gains);
     ControllerState<Law> tiny_weights = start;
@@ -150,8 +150,8 @@ TEST_CASE("a tick with subnormal twist or weights takes as long as any other" * 
 
 TEST_CASE("a subnormal twist is a twist of zero; one that is normal is not") {
   Laws::for_each([]<class Law>(std::type_identity<Law>) {
-    CAPTURE(Law::name);
-    const ControllerGains<Law> gains = controller_gains(settings_of<Law>(), kPeriod);
+    CAPTURE(Law::traits.name);
+    const ControllerGains<Law> gains = controller_gains<Law>(settings_of<Law>(), kPeriod);
     ControllerState<Law> of_zero = initial_state(gains), of_subnormal = of_zero;
     const ControllerOutput zero = step(gains, of_zero, input_at_home(gains, 0.0));
     const ControllerOutput subnormal = step(gains, of_subnormal, input_at_home(gains, halved(kSmallestNormal, 1)));
@@ -160,8 +160,8 @@ TEST_CASE("a subnormal twist is a twist of zero; one that is normal is not") {
     CHECK(subnormal.status == InputStatus::valid);
   });
   // Increments of weights are proportional to a twist this small: those above 1e-300 keep all of their digits.
-  Settings<Hybrid> settings = paper_settings();
-  const ControllerGains<Hybrid> gains = controller_gains(settings, kPeriod);
+  Settings settings = paper_settings();
+  const ControllerGains<Hybrid> gains = controller_gains<Hybrid>(settings, kPeriod);
   ControllerState<Hybrid> small = initial_state(gains), large = small;
   constexpr double kRatio = 0x1p-60;
   step(gains, large, input_at_home(gains, 0x1p-900));
@@ -179,12 +179,12 @@ TEST_CASE("a subnormal twist is a twist of zero; one that is normal is not") {
 }
 
 TEST_CASE("weights that leak end at zero, in ticks, runs and packs" * doctest::skip(!kFlushesSubnormals)) {
-  Settings<Hybrid> settings = paper_settings();
-  settings.gains.fuzzy.leakage.setConstant(5.0);
-  settings.gains.fuzzy.initial_scale.setConstant(1e-307);  // 0.2 s to the smallest normal number
-  settings.gains.fuzzy.adaptation.setConstant(1e307);      // nothing is learned that is normal
+  Settings settings = paper_settings();
+  settings.gains<Hybrid>().fuzzy.leakage.setConstant(5.0);
+  settings.gains<Hybrid>().fuzzy.initial_scale.setConstant(1e-307);  // 0.2 s to the smallest normal number
+  settings.gains<Hybrid>().fuzzy.adaptation.setConstant(1e307);      // nothing is learned that is normal
 
-  const ControllerGains<Hybrid> gains = controller_gains(settings, kPeriod);
+  const ControllerGains<Hybrid> gains = controller_gains<Hybrid>(settings, kPeriod);
   ControllerState<Hybrid> state = initial_state(gains);
   REQUIRE(weight_matrix(state.law, 0)(0, 0) != 0.0);
   for (int tick = 0; tick < 1000; ++tick) step(gains, state, input_at_home(gains, 1e-3));
@@ -193,7 +193,7 @@ TEST_CASE("weights that leak end at zero, in ticks, runs and packs" * doctest::s
   settings.simulation.duration = 0.6;
   for (const LoopMode mode : {LoopMode::continuous, LoopMode::sampled}) {
     settings.simulation.mode = mode;
-    settings.switching = {SwitchingKind::tanh, 1e-2};
+    settings.controller.switching = {SwitchingKind::tanh, 1e-2};
     const Trajectory run = simulate(settings);
     for (int axis = 0; axis < kAxes; ++axis)
       CHECK_FALSE(weight_matrix(run.fuzzy_weights, axis).unaryExpr(&is_subnormal).any());

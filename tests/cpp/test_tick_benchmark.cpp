@@ -29,8 +29,8 @@ struct Watch {
   }
 };
 
-Settings<Hybrid> settings() {
-  Settings<Hybrid> s = test::paper_settings();
+Settings settings() {
+  Settings s = test::paper_settings();
   s.simulation.duration = 0.5;
   return s;
 }

@@ -20,7 +20,6 @@ from hexservo import _core
 from hexservo.run.batch import Log
 from hexservo.scenario.keys import numeric_keys
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.parameters import core_parameters
 
 CONSTANTS = {"simulation.duration": 0.1, "controller.switching": {"kind": "tanh", "width": 0.01}}
 
@@ -94,7 +93,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
     for part in key.split("."):
         value = getattr(value, part)
     if key.endswith(".fuzzy.table"):
-        value = _core.FuzzyGains().table
+        value = _core.LINEAR_RULE_TABLE
     if key.endswith(".fuzzy.weight_limit"):
         value = 1e-5  # null would be no limit
     if key == "target.points":
@@ -176,12 +175,12 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_core_knows_the_keys_of_the_schema(paper: hs.Scenario, law: str) -> None:
+def test_the_core_knows_the_keys_of_the_schema(law: str) -> None:
     known = numeric_keys(law)
-    core = _core.numeric_keys(core_parameters(paper.updated({"controller.law": law})))
-    assert set(known) == set(core)
-    for key, widths in core.items():
-        assert sorted(widths) == sorted(int(np.prod(shape)) for shape in known[key].shapes)
+    core = [key for key in _core.scenario_keys(law) if key.varies]
+    assert list(known) == [key.name for key in core]
+    for key in core:
+        assert sorted(key.widths) == sorted(int(np.prod(shape)) for shape in known[key.name].shapes)
 
 
 def test_one_row_holds_for_all_and_shapes_say_what_is_meant(smooth: hs.Scenario) -> None:

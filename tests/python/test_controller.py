@@ -104,7 +104,7 @@ def test_weights_adapt_by_one_euler_step(paper: hs.Scenario) -> None:
     controller = hs.Controller(scenario, period=2e-3)
     before = controller.fuzzy_weights
     assert before.shape == (6, 7, 7)
-    np.testing.assert_array_equal(before, np.broadcast_to(0.01 * _core.FuzzyGains().table, (6, 7, 7)))
+    np.testing.assert_array_equal(before, np.broadcast_to(0.01 * np.array(_core.LINEAR_RULE_TABLE), (6, 7, 7)))
     given = good_input(paper)
     controller.step(**given)
     change = controller.fuzzy_weights - before
@@ -239,7 +239,7 @@ def test_a_loop_in_python_settles(paper: hs.Scenario) -> None:
         out = controller.step(seen.ravel(), 1.3 * z, position, quaternion, twist)
         assert not out.invalid_input
         position, quaternion, twist = _core.drive_legs(
-            robot, body, settings.uncertainty.dynamics, position, quaternion, twist, out.leg_forces, 1e-3, 1
+            robot, body, settings.dynamics_error, position, quaternion, twist, out.leg_forces, 1e-3, 1
         )
     assert errors[0] == pytest.approx(20.0)
     assert max(errors[800:]) < 2.0

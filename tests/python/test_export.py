@@ -16,6 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
+from hexservo import _core
 from hexservo.cli import commands as cli
 from hexservo.run import publish
 from hexservo.run.export import gains_header, write_header
@@ -29,8 +30,9 @@ EIGEN = next((path for path in map(Path, ("/usr/include/eigen3", "/usr/local/inc
 SHARED = [
     *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
     *(f"robot.{name}" for name in ("home_position", "mass", "inertia", "stroke", "force_limit")),
-    *("camera.focal_length", "camera.pixel_scale", "convention", "jacobian", "target.desired_features"),
-    *("switching.kind", "switching.width", "uncertainty.depth"),
+    *("camera.focal_length", "camera.pixel_scale", "camera.convention", "target.desired_features"),
+    *("controller.jacobian", "controller.switching.kind", "controller.switching.width", "uncertainty.depth"),
+    *("simulation.mode", "simulation.step"),
 ]
 FUZZY = [
     *("gains.kp", "gains.kv"),
@@ -157,7 +159,7 @@ def test_the_head_says_what_it_is_and_no_date(paper: hs.Scenario) -> None:
 @pytest.mark.parametrize("law", MEMBERS)
 def test_every_assignment_says_its_unit(paper: hs.Scenario, law: str) -> None:
     header = gains_header(paper.updated({"controller.law": law}))
-    assigned = [line for line in header.splitlines() if line.startswith("  s.")]
+    assigned = [line for line in header.splitlines() if line.startswith(("  s.", "  gains."))]
     assert len(assigned) == len(MEMBERS[law]) + 2  # and what is seen from home
     for line in assigned:
         plain = "hexservo::" in line or line.endswith((" = true;", " = false;"))
@@ -194,8 +196,8 @@ def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: P
         scenario = scenario.updated({**changes, "camera.convention": "eye_in_hand"})
         seen = ["target.points"]
     write_header(gains_header(scenario, 1 / 1700), tmp_path / "gains.hpp")
-    place = {"target.points": "target.points_B->transpose()"}
-    shows = "".join(f'  show("{member}", s.{place.get(member, member)});\n' for member in MEMBERS[law] + seen)
+    place = {"target.points": "*s.target.points"} | {name: name for name in OWN[law]}
+    shows = "".join(f'  show("{name}", {place.get(name, f"s.{name}")});\n' for name in MEMBERS[law] + seen)
     (tmp_path / "main.cpp").write_text(
         f"""#include "gains.hpp"
 #include <cstdio>
@@ -212,6 +214,7 @@ void show(const char* name, const T& value) {{
 }}
 int main() {{
   const auto s = hexservo_2nd_one::settings();
+  [[maybe_unused]] const auto& gains = s.gains<hexservo_2nd_one::Law>();
   show("period", hexservo_2nd_one::period);
 {shows}}}
 """,
@@ -227,11 +230,12 @@ int main() {{
     settings = core_parameters(scenario)
     assert read.pop("period") == [1 / 1700]
     assert set(read) == {*MEMBERS[law], *seen}
+    settings["simulation.step"] = 1 / 1700
+    choices = {key.name: key.choices for key in _core.scenario_keys(law)}
     for member, numbers in read.items():
-        value: Any = settings
-        for name in member.split("."):
-            value = getattr(value, name)
-        value = value.value if hasattr(value, "value") else value
+        key = member.replace("gains.", f"controller.{law}.", 1)
+        value = settings[key]
+        value = choices[key].index(value) if isinstance(value, str) else value
         assert numbers == np.ravel(value).tolist(), member
 
 

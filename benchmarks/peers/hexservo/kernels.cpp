@@ -61,10 +61,10 @@ int jacobian() {
 
 int tick() {
   const std::vector<double> features = peers::read_numbers(16);
-  Settings<Hybrid> settings;
+  Settings settings;
   settings.target.desired_features = vector_at<8>(features.data());
   settings.target.initial_features = vector_at<8>(features.data() + 8);
-  const ControllerGains<Hybrid> gains = controller_gains(settings, 1e-3);
+  const ControllerGains<Hybrid> gains = controller_gains<Hybrid>(settings, 1e-3);
   ControllerState<Hybrid> state = initial_state(gains);
   const auto restart = [&] { state = initial_state(gains); };
   return peers::serve("hexservo", 25, 6, restart, [&](const double* row, double* out) {

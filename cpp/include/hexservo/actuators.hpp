@@ -27,22 +27,32 @@ enum class ActuatorHold {
 
 inline constexpr int kMaxActuatorDelay = 8;  ///< largest delay [ticks]
 
-/// The actuators of all legs. The defaults do nothing.
+/// What the actuators of all legs make of a command. The defaults do nothing.
 template <class S>
-struct ActuatorParameters {
+struct ActuatorResponse {
   ActuatorHold hold = ActuatorHold::wrench;              ///< what stays the same between two ticks
   bool saturation = false;                               ///< whether leg forces are limited to +-force_limit
   S bandwidth{std::numeric_limits<double>::infinity()};  ///< of the first-order lag, > 0 [Hz], infinity (none)
   S quantisation{0.0};                                   ///< leg forces are multiples of it [N], 0 (none)
-  long long delay = 0;                                   ///< [ticks], 0 to `kMaxActuatorDelay`, 0
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.hold, b.hold);
-    f(a.saturation, b.saturation);
-    f(a.bandwidth, b.bandwidth);
-    f(a.quantisation, b.quantisation);
-    f(a.delay, b.delay);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"hold"}.of_pack().of_plant().in_sampled_mode(), self.hold...);
+    v(Field{"saturation"}.of_pack().in_sampled_mode(), self.saturation...);
+    v(Field{"bandwidth", "Hz", kPositiveOrNone}.in_sampled_mode(), self.bandwidth...);
+    v(Field{"quantisation", "N", kNotNegative}.of_plant().in_sampled_mode(), self.quantisation...);
+  }
+};
+
+/// The same with their delay.
+template <class S>
+struct ActuatorParameters : ActuatorResponse<S> {
+  long long delay = 0;  ///< [ticks], 0 to `kMaxActuatorDelay`, 0
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    ActuatorResponse<S>::visit(v, self...);
+    v(Field{"delay"}, self.delay...);
   }
 };
 

@@ -41,15 +41,15 @@ struct BaseMotionParameters {
   S low_frequency{1.0};                        ///< where the noise begins [Hz], 1
   S high_frequency{10.0};                      ///< where the noise ends [Hz], 10
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.kind, b.kind);
-    f(a.amplitude, b.amplitude);
-    f(a.frequency, b.frequency);
-    f(a.phase, b.phase);
-    f(a.level, b.level);
-    f(a.low_frequency, b.low_frequency);
-    f(a.high_frequency, b.high_frequency);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"kind"}.of_pack().of_plant().in_sampled_mode(), self.kind...);
+    v(Field{"amplitude", "m/s^2"}.entrywise().of_plant().in_sampled_mode(), self.amplitude...);
+    v(Field{"frequency", "Hz", kNotNegative}.of_plant().in_sampled_mode(), self.frequency...);
+    v(Field{"phase", "rad", kAngle}.of_plant().in_sampled_mode(), self.phase...);
+    v(Field{"level", "(m/s^2)^2/Hz", kNotNegative}.of_plant().in_sampled_mode(), self.level...);
+    v(Field{"low_frequency", "Hz", kNotNegative}.of_plant().in_sampled_mode(), self.low_frequency...);
+    v(Field{"high_frequency", "Hz", kPositive}.of_plant().in_sampled_mode(), self.high_frequency...);
   }
 };
 

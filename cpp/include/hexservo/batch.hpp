@@ -18,16 +18,6 @@ struct Variation {
   std::span<const std::uint64_t> seeds = {};
 };
 
-/// A key that may vary.
-struct NumericKey {
-  std::string key;
-  std::vector<std::size_t> widths;  ///< numbers that it takes: one, or of one of these forms
-};
-
-/// The keys that may vary, with their widths.
-template <class Law>
-std::vector<NumericKey> numeric_keys();
-
 /// What is kept of each run; outcome, times and metrics always are.
 enum class BatchLog {
   metrics,      ///< nothing more
@@ -75,15 +65,7 @@ inline constexpr double kMaxBatchBytes = kMaxLogBytes;
 /// @throws std::invalid_argument("scenario 17: key: expected ..., got ...") for the first bad one, without "scenario"
 /// for keys, widths and counts; where the result would not fit into `kMaxBatchBytes`; for trajectories on different
 /// time grids
-template <class Law>
-BatchResult simulate_batch(const Settings<Law>& base, std::span<const Variation> variations, std::size_t count,
+BatchResult simulate_batch(const Settings& base, std::span<const Variation> variations, std::size_t count,
                            const BatchOptions& options, const Kernel& kernel = built_in_kernel());
-
-#define HEXSERVO_ELSEWHERE(Law)                                                                             \
-  extern template std::vector<NumericKey> numeric_keys<Law>();                                              \
-  extern template BatchResult simulate_batch(const Settings<Law>&, std::span<const Variation>, std::size_t, \
-                                             const BatchOptions&, const Kernel&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
-#undef HEXSERVO_ELSEWHERE
 
 }  // namespace hexservo

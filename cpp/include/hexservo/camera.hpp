@@ -34,10 +34,10 @@ struct Camera {
 
   S focal_pixels() const { return pixel_scale * focal_length; }  ///< f = alpha lambda [px], 581.816
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.focal_length, b.focal_length);
-    f(a.pixel_scale, b.pixel_scale);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"focal_length", "m", kPositive}, self.focal_length...);
+    v(Field{"pixel_scale", "px/m", kPositive}, self.pixel_scale...);
   }
 };
 
@@ -47,10 +47,10 @@ struct Image {
   Vector<S, 2 * N> features;  ///< xi [px]
   Vector<S, N> depth;         ///< Z_i [m], negative in front of the camera
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.features, b.features);
-    f(a.depth, b.depth);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"features", "px"}, self.features...);
+    v(Field{"depth", "m"}, self.depth...);
   }
 };
 

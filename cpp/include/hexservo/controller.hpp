@@ -83,11 +83,11 @@ inline constexpr double kMaxServoPeriod = 1.0;  ///< longest time between two ti
 /// @param period T_c, time between two ticks [s]; the camera's times have to be whole numbers of it
 /// @throws std::invalid_argument as `loop_parameters`, or for a period that is not within 0 and `kMaxServoPeriod`
 template <class Law>
-ControllerGains<Law> controller_gains(const Settings<Law>& settings, double period);
+ControllerGains<Law> controller_gains(const Settings& settings, double period);
 /// The same with the scenario's own period.
 template <class Law>
-ControllerGains<Law> controller_gains(const Settings<Law>& settings) {
-  return controller_gains(settings, settings.simulation.step);
+ControllerGains<Law> controller_gains(const Settings& settings) {
+  return controller_gains<Law>(settings, settings.simulation.step);
 }
 
 /// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
@@ -123,7 +123,7 @@ template <class Law>
 void restore(ControllerState<Law>& state, std::span<const double> numbers);
 
 #define HEXSERVO_ELSEWHERE(Law)                                                             \
-  extern template ControllerGains<Law> controller_gains(const Settings<Law>&, double);      \
+  extern template ControllerGains<Law> controller_gains<Law>(const Settings&, double);      \
   extern template std::vector<double> stored(ControllerState<Law>);                         \
   extern template void restore(ControllerState<Law>&, std::span<const double>);             \
   extern template ControllerOutput step(const ControllerGains<Law>&, ControllerState<Law>&, \

@@ -23,20 +23,30 @@ enum class RateSource {
   true_rates    ///< H^T chi-dot of the true motion at the reading: an ideal rate sensor beside the encoders
 };
 
-/// The encoders of all legs.
+/// What the encoders of all legs tell.
 template <class S>
-struct EncoderParameters {
-  S resolution{0.0};                           ///< a reading is a multiple of it [m], 0 (none)
-  S noise{0.0};                                ///< standard deviation before the rounding [m], 0
-  RateSource rates = RateSource::differences;  ///< what the twist is made of
-  long long period = 1;                        ///< ticks between readings, 1
+struct EncoderReadings {
+  RateSource rate = RateSource::differences;  ///< what the twist is made of
+  S resolution{0.0};                          ///< a reading is a multiple of it [m], 0 (none)
+  S noise{0.0};                               ///< standard deviation before the rounding [m], 0
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.resolution, b.resolution);
-    f(a.noise, b.noise);
-    f(a.rates, b.rates);
-    f(a.period, b.period);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"rate"}.of_pack().in_sampled_mode(), self.rate...);
+    v(Field{"resolution", "m", kNotNegative}.of_plant().in_sampled_mode(), self.resolution...);
+    v(Field{"noise", "m", kNotNegative}.of_plant().in_sampled_mode(), self.noise...);
+  }
+};
+
+/// The same with their timing.
+template <class S>
+struct EncoderParameters : EncoderReadings<S> {
+  long long period = 1;  ///< ticks between readings, 1
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    EncoderReadings<S>::visit(v, self...);
+    v(Field{"period"}, self.period...);
   }
 };
 
@@ -62,7 +72,7 @@ class Encoders {
     reading.lengths = legs.lengths;
     if (noisy_) reading.lengths += p_.noise * stream_.template normal<6>(static_cast<std::uint64_t>(tick / p_.period));
     for (int i = 0; i < 6; ++i) reading.lengths(i) = quantise(reading.lengths(i), p_.resolution);
-    if (p_.rates == RateSource::true_rates) reading.rates = legs.rates(twist);
+    if (p_.rate == RateSource::true_rates) reading.rates = legs.rates(twist);
     return reading;
   }
 

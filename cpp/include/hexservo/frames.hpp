@@ -29,36 +29,46 @@ enum class LostFeature {
   stop      ///< none: the controller brakes, and a simulated run ends with `Outcome::feature_lost`
 };
 
-/// Timing and faults of the camera in `sampled` mode.
+/// Faults of the camera in `sampled` mode, and what stands in for images.
 template <class S>
-struct FrameSettings {
-  long long period = 1;   ///< P, ticks between two exposures
-  long long latency = 0;  ///< ticks from exposure to first use
-  long long jitter = 0;   ///< most that the latency of a frame is longer, each of 0 ... jitter being as likely [ticks]
-  Prediction prediction = Prediction::none;
-  LostFeature on_lost = LostFeature::hold;
-  S timeout = S(std::numeric_limits<double>::infinity());  ///< oldest image of a point that is used [ticks]
+struct FrameFaults {
   S noise{0.0};                ///< standard deviation of each coordinate, independent of the others [px], 0
   S quantisation{0.0};         ///< coordinates are multiples of it [px], 0: none
   S dropout{0.0};              ///< probability that a frame never arrives [1], 0
   S outlier_probability{0.0};  ///< that a point of a frame is an outlier [1], 0
   S outlier_size{0.0};         ///< standard deviation of what is added to the noisy coordinates of an outlier [px], 0
   Vector2<S> image_size = Vector2<S>::Constant(S(std::numeric_limits<double>::infinity()));  ///< width, height [px]
+  LostFeature on_lost = LostFeature::hold;
+  Prediction prediction = Prediction::none;
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.period, b.period);
-    f(a.latency, b.latency);
-    f(a.jitter, b.jitter);
-    f(a.prediction, b.prediction);
-    f(a.on_lost, b.on_lost);
-    f(a.timeout, b.timeout);
-    f(a.noise, b.noise);
-    f(a.quantisation, b.quantisation);
-    f(a.dropout, b.dropout);
-    f(a.outlier_probability, b.outlier_probability);
-    f(a.outlier_size, b.outlier_size);
-    f(a.image_size, b.image_size);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"noise", "px", kNotNegative}.of_plant().in_sampled_mode(), self.noise...);
+    v(Field{"quantisation", "px", kNotNegative}.of_plant().in_sampled_mode(), self.quantisation...);
+    v(Field{"dropout", "1", kProbability}.of_plant().in_sampled_mode(), self.dropout...);
+    v(Field{"outlier_probability", "1", kProbability}.of_plant().in_sampled_mode(), self.outlier_probability...);
+    v(Field{"outlier_size", "px", kNotNegative}.of_plant().in_sampled_mode(), self.outlier_size...);
+    v(Field{"image_size", "px", kPositiveOrNone}.entrywise().of_plant().in_sampled_mode(), self.image_size...);
+    v(Field{"on_lost"}.of_pack().in_sampled_mode(), self.on_lost...);
+    v(Field{"prediction"}.of_pack().in_sampled_mode(), self.prediction...);
+  }
+};
+
+/// The same with its timing.
+template <class S>
+struct FrameSettings : FrameFaults<S> {
+  long long period = 1;   ///< P, ticks between two exposures
+  long long latency = 0;  ///< ticks from exposure to first use
+  long long jitter = 0;   ///< most that the latency of a frame is longer, each of 0 ... jitter being as likely [ticks]
+  S timeout = S(std::numeric_limits<double>::infinity());  ///< oldest image of a point that is used [ticks]
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    FrameFaults<S>::visit(v, self...);
+    v(Field{"period"}, self.period...);
+    v(Field{"latency"}, self.latency...);
+    v(Field{"jitter"}, self.jitter...);
+    v(Field{"timeout"}, self.timeout...);
   }
 };
 

@@ -38,6 +38,9 @@ Vector6<S> no_limit() {
   return Vector6<S>::Constant(S(std::numeric_limits<double>::infinity()));
 }
 
+/// Slopes beyond make steps of the bells.
+inline constexpr Bound kBellSlopes = {.least = 0.0, .most = 16.0, .above = true};
+
 /// Design of the six fuzzy systems.
 template <class S>
 struct FuzzyGains {
@@ -53,19 +56,19 @@ struct FuzzyGains {
   Vector6<S> weight_limit = no_limit<S>();                    ///< largest |omega_j| [N; N m], infinite: none
   Vector6<S> dead_zone = Vector6<S>::Zero();                  ///< drivers within +- this have no effect [m/s; rad/s], 0
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.enabled, b.enabled);
-    f(a.adaptation, b.adaptation);
-    f(a.error_scale, b.error_scale);
-    f(a.rate_scale, b.rate_scale);
-    f(a.initial_scale, b.initial_scale);
-    f(a.table, b.table);
-    f(a.bell_width, b.bell_width);
-    f(a.bell_slope, b.bell_slope);
-    f(a.leakage, b.leakage);
-    f(a.weight_limit, b.weight_limit);
-    f(a.dead_zone, b.dead_zone);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"enabled"}.of_pack(), self.enabled...);
+    v(Field{"adaptation", "m/N; rad/(N m)", kPositive}, self.adaptation...);
+    v(Field{"error_scale", "1/N; 1/(N m)", kNotNegative}, self.error_scale...);
+    v(Field{"rate_scale", "s/N; s/(N m)", kNotNegative}, self.rate_scale...);
+    v(Field{"initial_scale", "N; N m"}, self.initial_scale...);
+    v(Field{"table", "1"}.entrywise(), self.table...);
+    v(Field{"bell_width", "1", kPositive}, self.bell_width...);
+    v(Field{"bell_slope", "1", kBellSlopes}.of_pack(), self.bell_slope...);
+    v(Field{"leakage", "1/s", kNotNegative}, self.leakage...);
+    v(Field{"weight_limit", "N; N m", kPositiveOrNone}, self.weight_limit...);
+    v(Field{"dead_zone", "m/s; rad/s", kNotNegative}, self.dead_zone...);
   }
 };
 

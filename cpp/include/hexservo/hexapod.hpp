@@ -24,6 +24,12 @@ inline Vector6<double> degrees(double a, double b, double c, double d, double e,
   return (Vector6<double>() << a, b, c, d, e, f).finished() * EIGEN_PI / 180.0;
 }
 
+/// What a leg beyond its stroke means, in `sampled` mode.
+enum class LimitPolicy {
+  report,  ///< an event, with time and peak
+  stop     ///< the end of the run, with `Outcome::leg_limit`
+};
+
 /// A robot as a user describes it: symmetric leg geometry, mass properties and limits. The defaults are the preset
 /// `micro`.
 struct RobotParameters {
@@ -36,6 +42,21 @@ struct RobotParameters {
   Matrix3<double> inertia = RigidBody<double>{}.inertia_E;  ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
   double stroke = 0.017;                                    ///< leg travel about the home length, each way [m], 0.017
   double force_limit = 1.0;                                 ///< of each leg, each way [N], 1
+  LimitPolicy on_limit = LimitPolicy::report;
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"platform_radius", "m", kPositive}.of_legs(), self.platform_radius...);
+    v(Field{"base_radius", "m", kPositive}.of_legs(), self.base_radius...);
+    v(Field{"platform_angles", "rad", kAngle}.entrywise().of_legs(), self.platform_angles...);
+    v(Field{"base_angles", "rad", kAngle}.entrywise().of_legs(), self.base_angles...);
+    v(Field{"home_position", "m"}.entrywise().of_legs(), self.home_position...);
+    v(Field{"mass", "kg", kPositive}, self.mass...);
+    v(Field{"inertia", "kg m^2"}.symmetric(), self.inertia...);
+    v(Field{"stroke", "m", kPositive}.of_legs(), self.stroke...);
+    v(Field{"force_limit", "N", kPositive}.of_legs(), self.force_limit...);
+    v(Field{"on_limit"}.of_pack().of_plant().in_sampled_mode(), self.on_limit...);
+  }
 };
 
 /// Names that `robot_preset` accepts.
@@ -56,15 +77,15 @@ struct Hexapod {
   S stroke;                       ///< allowed |l - home length| [m]
   S force_limit;                  ///< allowed |leg force| [N]
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.platform_joints_E, b.platform_joints_E);
-    f(a.base_joints_B, b.base_joints_B);
-    f(a.platform_radius, b.platform_radius);
-    f(a.home_position, b.home_position);
-    f(a.home_lengths, b.home_lengths);
-    f(a.stroke, b.stroke);
-    f(a.force_limit, b.force_limit);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"platform_joints_E", "m"}, self.platform_joints_E...);
+    v(Field{"base_joints_B", "m"}, self.base_joints_B...);
+    v(Field{"platform_radius", "m"}, self.platform_radius...);
+    v(Field{"home_position", "m"}, self.home_position...);
+    v(Field{"home_lengths", "m"}, self.home_lengths...);
+    v(Field{"stroke", "m"}, self.stroke...);
+    v(Field{"force_limit", "N"}, self.force_limit...);
   }
 };
 

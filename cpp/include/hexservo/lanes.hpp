@@ -363,7 +363,7 @@ void set_lane(Eigen::Matrix<Lanes<W>, R, C>& target, int lane, const Eigen::Matr
 template <class Pack, class Single>
   requires(!std::is_same_v<Pack, Single>)
 void set_lane(Pack& target, int lane, const Single& source) {
-  Pack::visit([lane](auto& to, const auto& from) { set_lane(to, lane, from); }, target, source);
+  Pack::visit([lane](const auto&, auto& to, const auto& from) { set_lane(to, lane, from); }, target, source);
 }
 
 }  // namespace hexservo

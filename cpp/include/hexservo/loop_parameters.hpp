@@ -18,15 +18,9 @@ enum class LoopMode {
   sampled      ///< camera and servo have periods and latencies, and the wrench is held between two ticks
 };
 
-/// What a leg beyond its stroke means, in `sampled` mode.
-enum class LimitPolicy {
-  report,  ///< an event, with time and peak
-  stop     ///< the end of the run, with `Outcome::leg_limit`
-};
-
-/// Numbers of one scenario, or of one per lane.
-template <class S, class Law, int N = kPoints>
-struct LoopParameters {
+/// Numbers of one scenario, or of one per lane, but for what belongs to its law.
+template <class S, int N = kPoints>
+struct SceneParameters {
   Hexapod<S> hexapod;
   RigidBody<S> body;
   DynamicsError<S> dynamics_error;
@@ -39,7 +33,6 @@ struct LoopParameters {
   Vector<S, N> depth_error;           ///< delta_Z,i [1]
   Pose<S> goal;                       ///< where the assumed points give xi_d; home for laws that do not use it
   Switching<S> switching;
-  typename Law::template Gains<S> gains;
   LoopMode mode = LoopMode::continuous;
   double step = 1e-3;       ///< h of the Runge-Kutta method; in `sampled` mode the servo period T_c [s]
   long long substeps = 1;   ///< Runge-Kutta steps in a servo period
@@ -54,33 +47,44 @@ struct LoopParameters {
   MetricsSettings<S> metrics;
   RecordedAcceleration recorded;  ///< of the base; not visited: it is shared, and no number
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.hexapod, b.hexapod);
-    f(a.body, b.body);
-    f(a.dynamics_error, b.dynamics_error);
-    f(a.camera, b.camera);
-    f(a.convention, b.convention);
-    f(a.jacobian, b.jacobian);
-    f(a.points_B, b.points_B);
-    f(a.initial_image, b.initial_image);
-    f(a.desired_features, b.desired_features);
-    f(a.depth_error, b.depth_error);
-    f(a.goal, b.goal);
-    f(a.switching, b.switching);
-    f(a.gains, b.gains);
-    f(a.mode, b.mode);
-    f(a.step, b.step);
-    f(a.substeps, b.substeps);
-    f(a.frames, b.frames);
-    f(a.pose_source, b.pose_source);
-    f(a.encoders, b.encoders);
-    f(a.actuators, b.actuators);
-    f(a.safe, b.safe);
-    f(a.base_motion, b.base_motion);
-    f(a.on_limit, b.on_limit);
-    f(a.seed, b.seed);
-    f(a.metrics, b.metrics);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"hexapod"}, self.hexapod...);
+    v(Field{"body"}, self.body...);
+    v(Field{"dynamics_error"}, self.dynamics_error...);
+    v(Field{"camera"}, self.camera...);
+    v(Field{"convention"}, self.convention...);
+    v(Field{"jacobian"}, self.jacobian...);
+    v(Field{"points_B"}, self.points_B...);
+    v(Field{"initial_image"}, self.initial_image...);
+    v(Field{"desired_features"}, self.desired_features...);
+    v(Field{"depth_error"}, self.depth_error...);
+    v(Field{"goal"}, self.goal...);
+    v(Field{"switching"}, self.switching...);
+    v(Field{"mode"}, self.mode...);
+    v(Field{"step"}, self.step...);
+    v(Field{"substeps"}, self.substeps...);
+    v(Field{"frames"}, self.frames...);
+    v(Field{"pose_source"}, self.pose_source...);
+    v(Field{"encoders"}, self.encoders...);
+    v(Field{"actuators"}, self.actuators...);
+    v(Field{"safe"}, self.safe...);
+    v(Field{"base_motion"}, self.base_motion...);
+    v(Field{"on_limit"}, self.on_limit...);
+    v(Field{"seed"}, self.seed...);
+    v(Field{"metrics"}, self.metrics...);
+  }
+};
+
+/// All numbers of one scenario, or of one per lane.
+template <class S, class Law, int N = kPoints>
+struct LoopParameters : SceneParameters<S, N> {
+  typename Law::template Gains<S> gains;
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    SceneParameters<S, N>::visit(v, self...);
+    v(Field{"gains"}, self.gains...);
   }
 };
 

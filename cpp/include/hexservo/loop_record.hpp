@@ -22,7 +22,7 @@ class LoopRecord {
         stroke_(p.hexapod.stroke),
         desired_features_(p.desired_features),
         stops_at_limit_(p.mode == LoopMode::sampled && p.on_limit == LimitPolicy::stop) {
-    Sample<S, N>::visit([](auto& value, const auto&) { value.setZero(); }, sample_, sample_);
+    Sample<S, N>::visit([](const char*, auto& value) { value.setZero(); }, sample_);
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);
     sample_.feature_error = desired_features_ - start.view.image.features;
@@ -100,7 +100,8 @@ class LoopRecord {
     const Mask<S> good = running();
     Sample<S, N> next;
     fill(next);
-    Sample<S, N>::visit([&good](auto& value, const auto& from) { value = select(good, from, value); }, sample_, next);
+    Sample<S, N>::visit([&good](const char*, auto& value, const auto& from) { value = select(good, from, value); },
+                        sample_, next);
     sample_time_ = select(good, S(time), sample_time_);
     metrics_->add(time, sample_, good);
   }

@@ -16,11 +16,11 @@ struct MetricsSettings {
 
   bool operator==(const MetricsSettings&) const = default;
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.band, b.band);
-    f(a.dwell, b.dwell);
-    f(a.rms_start, b.rms_start);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"band", "px", kPositive}.of_run(), self.band...);
+    v(Field{"dwell", "s", kPositive}.of_run(), self.dwell...);
+    v(Field{"rms_start", "s", kNotNegative}.of_pack().of_run(), self.rms_start...);
   }
 };
 
@@ -37,17 +37,17 @@ struct Sample {
   Vector6<S> leg_lengths;          ///< [m]
   Vector6<S> leg_forces;           ///< f_c [N]
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.feature_error, b.feature_error);
-    f(a.depth, b.depth);
-    f(a.position, b.position);
-    f(a.quaternion, b.quaternion);
-    f(a.twist, b.twist);
-    f(a.wrench, b.wrench);
-    f(a.fuzzy_output, b.fuzzy_output);
-    f(a.leg_lengths, b.leg_lengths);
-    f(a.leg_forces, b.leg_forces);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v("feature_error", self.feature_error...);
+    v("depth", self.depth...);
+    v("position", self.position...);
+    v("quaternion", self.quaternion...);
+    v("twist", self.twist...);
+    v("wrench", self.wrench...);
+    v("fuzzy_output", self.fuzzy_output...);
+    v("leg_lengths", self.leg_lengths...);
+    v("leg_forces", self.leg_forces...);
   }
 };
 
@@ -73,26 +73,26 @@ struct Metrics {
   S effort{0.0};                 ///< integral of |w|^2, w = tau - G with moments divided by the platform radius [N^2 s]
   S chatter{0.0};  ///< total variation of w, summed over its components, per second [N/s]; NaN for a single sample
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.settling_time, b.settling_time);
-    f(a.final_error, b.final_error);
-    f(a.rms_error, b.rms_error);
-    f(a.peak_error, b.peak_error);
-    f(a.peak_displacement, b.peak_displacement);
-    f(a.peak_rotation, b.peak_rotation);
-    f(a.final_linear_speed, b.final_linear_speed);
-    f(a.final_angular_speed, b.final_angular_speed);
-    f(a.peak_control_force, b.peak_control_force);
-    f(a.peak_control_moment, b.peak_control_moment);
-    f(a.peak_leg_force, b.peak_leg_force);
-    f(a.peak_leg_excursion, b.peak_leg_excursion);
-    f(a.overshoot, b.overshoot);
-    f(a.relative_overshoot, b.relative_overshoot);
-    f(a.peak_feature_distance, b.peak_feature_distance);
-    f(a.peak_line_deviation, b.peak_line_deviation);
-    f(a.effort, b.effort);
-    f(a.chatter, b.chatter);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v("settling_time", self.settling_time...);
+    v("final_error", self.final_error...);
+    v("rms_error", self.rms_error...);
+    v("peak_error", self.peak_error...);
+    v("peak_displacement", self.peak_displacement...);
+    v("peak_rotation", self.peak_rotation...);
+    v("final_linear_speed", self.final_linear_speed...);
+    v("final_angular_speed", self.final_angular_speed...);
+    v("peak_control_force", self.peak_control_force...);
+    v("peak_control_moment", self.peak_control_moment...);
+    v("peak_leg_force", self.peak_leg_force...);
+    v("peak_leg_excursion", self.peak_leg_excursion...);
+    v("overshoot", self.overshoot...);
+    v("relative_overshoot", self.relative_overshoot...);
+    v("peak_feature_distance", self.peak_feature_distance...);
+    v("peak_line_deviation", self.peak_line_deviation...);
+    v("effort", self.effort...);
+    v("chatter", self.chatter...);
   }
 };
 

@@ -282,7 +282,7 @@ class Perception {
     now_.pose.quaternion = select(known, found.pose.quaternion, now_.pose.quaternion);
 
     Vector6<S> rates = input.joints.rates;
-    if (sensing.encoders.rates == RateSource::differences) {
+    if (sensing.encoders.rate == RateSource::differences) {
       const S elapsed = (S(input.now) - read_at_) * S(sensing.period);
       rates = select(first, Vector6<S>(Vector6<S>::Zero()), Vector6<S>((lengths - lengths_) * (S(1.0) / elapsed)));
     }

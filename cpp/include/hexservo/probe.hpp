@@ -61,8 +61,7 @@ struct ProbedStages {
 class Probe {
  public:
   /// @throws std::invalid_argument as `loop_parameters`
-  template <class Law>
-  explicit Probe(const Settings<Law>& settings);
+  explicit Probe(const Settings& settings);
   Probe(Probe&&) noexcept;
   Probe& operator=(Probe&&) noexcept;
   ~Probe();
@@ -137,9 +136,5 @@ class Probe {
   struct PartsOf;
   std::unique_ptr<const Parts> parts_;
 };
-
-#define HEXSERVO_ELSEWHERE(Law) extern template Probe::Probe(const Settings<Law>&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
-#undef HEXSERVO_ELSEWHERE
 
 }  // namespace hexservo

@@ -59,10 +59,10 @@ struct SeedHalves {
   S high{0.0};  ///< bits 32 to 63 [1], 0
   S low{0.0};   ///< bits 0 to 31 [1], 0
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.high, b.high);
-    f(a.low, b.low);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"high", "1"}, self.high...);
+    v(Field{"low", "1"}, self.low...);
   }
 };
 

@@ -20,11 +20,11 @@ struct RigidBody {
   Matrix3<S> inertia_E = Vector3<S>(1.5e-4, 1.5e-4, 3.0e-4).asDiagonal();  ///< inertia about E's origin, in E [kg m^2]
   S gravity{9.8};                                                          ///< acceleration along +z of B [m/s^2], 9.8
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.mass, b.mass);
-    f(a.inertia_E, b.inertia_E);
-    f(a.gravity, b.gravity);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"mass", "kg"}, self.mass...);
+    v(Field{"inertia_E", "kg m^2"}, self.inertia_E...);
+    v(Field{"gravity", "m/s^2"}, self.gravity...);
   }
 };
 
@@ -36,11 +36,11 @@ struct DynamicsError {
   Matrix6<S> coriolis = Matrix6<S>::Zero();  ///< delta_C [1], 0
   Vector6<S> gravity = Vector6<S>::Zero();   ///< delta_G [1], 0
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.inertia, b.inertia);
-    f(a.coriolis, b.coriolis);
-    f(a.gravity, b.gravity);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"inertia", "1", kRelativeError}.of_plant(), self.inertia...);
+    v(Field{"coriolis", "1", kRelativeError}.of_plant(), self.coriolis...);
+    v(Field{"gravity", "1", kRelativeError}.of_plant(), self.gravity...);
   }
 };
 
@@ -50,10 +50,10 @@ struct Pose {
   Vector3<S> position = Vector3<S>::Zero();                            ///< p_BE [m]
   Vector4<S> quaternion = Vector4<S>(S(1.0), S(0.0), S(0.0), S(0.0));  ///< (w, x, y, z); need not be of unit length
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.position, b.position);
-    f(a.quaternion, b.quaternion);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"position", "m"}, self.position...);
+    v(Field{"quaternion", "1"}, self.quaternion...);
   }
 };
 

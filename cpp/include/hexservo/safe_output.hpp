@@ -18,10 +18,10 @@ struct SafeGains {
   Vector6<S> damping = Vector6<S>::Zero();  ///< diagonal of K_s [N s/m; N m s/rad]
   Vector6<S> hold = Vector6<S>::Zero();     ///< diagonal of K_h [N/m; N m/rad]
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.damping, b.damping);
-    f(a.hold, b.hold);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"damping", "N s/m; N m s/rad"}, self.damping...);
+    v(Field{"hold", "N/m; N m/rad"}, self.hold...);
   }
 };
 

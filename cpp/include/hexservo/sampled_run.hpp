@@ -23,8 +23,7 @@ struct SampledObservation {
 class SampledRun {
  public:
   /// @throws std::invalid_argument as `simulate`, and for a scenario that is not in sampled mode
-  template <class Law>
-  explicit SampledRun(const Settings<Law>& settings);
+  explicit SampledRun(const Settings& settings);
   SampledRun(SampledRun&&) noexcept;
   SampledRun& operator=(SampledRun&&) noexcept;
   ~SampledRun();
@@ -48,9 +47,5 @@ class SampledRun {
   struct Books;
   std::unique_ptr<Books> books_;
 };
-
-#define HEXSERVO_ELSEWHERE(Law) extern template SampledRun::SampledRun(const Settings<Law>&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
-#undef HEXSERVO_ELSEWHERE
 
 }  // namespace hexservo

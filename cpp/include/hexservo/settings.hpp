@@ -16,50 +16,115 @@ namespace hexservo {
 /// Four points to look at, given by what the camera sees from home or by where they are, and where they shall appear.
 struct Target {
   Vector<double, 2 * kPoints> initial_features = Vector<double, 2 * kPoints>::Zero();  ///< seen from home [px]
-  Vector<double, kPoints> depth = Vector<double, kPoints>::Constant(0.5);  ///< |Z_i| seen from home [m], 0.5
-  std::optional<Eigen::Matrix<double, 3, kPoints>> points_B;  ///< instead of the two above: the points in B [m]
   Vector<double, 2 * kPoints> desired_features = Vector<double, 2 * kPoints>::Zero();  ///< xi_d [px]
+  Vector<double, kPoints> depth = Vector<double, kPoints>::Constant(0.5);  ///< |Z_i| seen from home [m], 0.5
+  /// In place of the initial features and their depth: a point in each row, in B [m].
+  std::optional<Eigen::Matrix<double, kPoints, 3>> points;
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"initial_features", "px"}.entrywise().without_points(), self.initial_features...);
+    v(Field{"desired_features", "px"}.entrywise(), self.desired_features...);
+    v(Field{"depth", "m", kPositive}.without_points(), self.depth...);
+    v(Field{"points", "m"}.entrywise(), self.points...);
+  }
 };
 
 /// Relative errors between estimates and plant, docs/model.md, sections 3 and 4.
-struct Uncertainty {
-  DynamicsError<double> dynamics;                                   ///< delta_D, delta_C, delta_G [1], 0
+struct Uncertainty : DynamicsError<double> {
   Vector<double, kPoints> depth = Vector<double, kPoints>::Zero();  ///< delta_Z,i [1], 0
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    DynamicsError<double>::visit(v, self...);
+    v(Field{"depth", "1", kRelativeError}, self.depth...);  // the controller's own: what it takes the target for
+  }
 };
 
-/// The camera in `sampled` mode; every time is a whole number of servo periods.
-struct CameraSampling {
-  double period = 1e-3;                                      ///< between two exposures [s], 1e-3
+/// The camera, with its timing in `sampled` mode, where every time is a whole number of servo periods.
+struct CameraSettings : Camera<double>, FrameFaults<double> {
+  CameraConvention convention = CameraConvention::eye_in_hand;
+  double period = 0.0;                                       ///< between two exposures [s]; 0: the servo period
   double latency = 0.0;                                      ///< from exposure to first use [s], 0
   double latency_jitter = 0.0;                               ///< most that the latency of a frame is longer [s], 0
   double timeout = std::numeric_limits<double>::infinity();  ///< oldest image that is used, by its exposure [s]
-  FrameSettings<double> faults{};  ///< everything but its times, which follow from those above
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    Camera<double>::visit(v, self...);
+    v(Field{"convention"}.of_pack(), self.convention...);
+    v(Field{"period", "s", kPositiveOrZero}.of_pack().in_sampled_mode(), self.period...);
+    v(Field{"latency", "s", kNotNegative}.of_pack().in_sampled_mode(), self.latency...);
+    v(Field{"latency_jitter", "s", kNotNegative}.of_pack().in_sampled_mode(), self.latency_jitter...);
+    v(Field{"timeout", "s", kPositiveOrNone}.in_sampled_mode(), self.timeout...);
+    FrameFaults<double>::visit(v, self...);
+  }
 };
 
 /// How the controller knows pose and twist in `sampled` mode.
-struct SensorSettings {
+struct SensorSettings : EncoderReadings<double> {
   PoseSource pose = PoseSource::truth;
-  double period = 0.0;                 ///< between two readings of the encoders [s]; 0: every servo period
-  EncoderParameters<double> encoders;  ///< everything but their period, which follows from the one above
+  double period = 0.0;  ///< between two readings of the encoders [s]; 0: every servo period
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"pose"}.of_pack().in_sampled_mode(), self.pose...);
+    EncoderReadings<double>::visit(v, self...);
+    v(Field{"period", "s", kPositiveOrZero}.of_pack().in_sampled_mode(), self.period...);
+  }
 };
 
 /// The actuators in `sampled` mode.
-struct ActuatorSettings {
-  double delay = 0.0;                    ///< a whole number of servo periods [s], 0
-  ActuatorParameters<double> actuators;  ///< everything but their delay, which follows from the one above
+struct ActuatorSettings : ActuatorResponse<double> {
+  double delay = 0.0;  ///< a whole number of servo periods [s], 0
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    ActuatorResponse<double>::visit(v, self...);
+    v(Field{"delay", "s", kNotNegative}.of_pack().in_sampled_mode(), self.delay...);
+  }
+};
+
+/// How the base moves in `sampled` mode.
+struct BaseMotionSettings : BaseMotionParameters<double> {
+  std::shared_ptr<const std::vector<double>> samples;  ///< recorded a_x, a_y, a_z, one after the other [m/s^2], or none
+  double sample_period = 0.0;                          ///< of what is recorded, from t = 0 [s]
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    BaseMotionParameters<double>::visit(v, self...);
+    v(Field{"samples", "m/s^2"}.of_batch().of_plant().in_sampled_mode(), self.samples...);
+    v(Field{"sample_period", "s", kPositiveOrZero}.of_batch().of_plant().in_sampled_mode(), self.sample_period...);
+  }
 };
 
 /// What the controller does in `sampled` mode where its law may not act: it brakes, and holds where it stopped.
 struct SafeSettings {
   std::optional<Vector6<double>> damping;  ///< diagonal of K_s [N s/m; N m s/rad]; none: `safe_gains` derives it
   std::optional<Vector6<double>> hold;     ///< diagonal of K_h [N/m; N m/rad]; none: likewise
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"damping", "N s/m; N m s/rad", kNotNegative}.in_sampled_mode(), self.damping...);
+    v(Field{"hold", "N/m; N m/rad", kNotNegative}.in_sampled_mode(), self.hold...);
+  }
 };
 
-/// How the base moves in `sampled` mode.
-struct BaseMotionSettings {
-  BaseMotionParameters<double> motion;
-  std::shared_ptr<const std::vector<double>> samples;  ///< recorded a_x, a_y, a_z, one after the other [m/s^2], or none
-  double sample_period = 0.0;                          ///< of what is recorded, from t = 0 [s]
+/// The control law, and what all laws have in common.
+struct ControllerSettings {
+  JacobianConvention jacobian = JacobianConvention::consistent;
+  Switching<double> switching;
+  SafeSettings safe;
+  LawGains gains;  ///< of the law that acts: they tell which one it is
+
+  /// The gains are a block with the name of their law.
+  template <class V, class Self>
+  static void visit(V&& v, Self& self) {
+    v(Field{"jacobian"}.of_pack(), self.jacobian);
+    v(Field{"switching"}, self.switching);
+    v(Field{"safe"}, self.safe);
+    std::visit([&](auto& gains) { v(Field{kLawTraits[self.gains.index()].name}, gains); }, self.gains);
+  }
 };
 
 /// Time grid and logging of a run.
@@ -69,28 +134,70 @@ struct SimulationSettings {
   long long substeps = 1;   ///< Runge-Kutta steps in a servo period, in `sampled` mode, 1
   double duration = 5.0;    ///< [s], 5; a whole number of steps
   long long log_every = 1;  ///< steps between logged samples, 1
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"mode"}.of_pack(), self.mode...);
+    v(Field{"step", "s", kPositive}.of_pack(), self.step...);
+    v(Field{"substeps", "1", {.least = 1.0, .most = 1e6}}.of_pack().of_run().in_sampled_mode(), self.substeps...);
+    v(Field{"duration", "s", kPositive}.of_pack().of_run(), self.duration...);
+    v(Field{"log_every", "1", {.least = 1.0, .most = 1e9}}.of_pack().of_run(), self.log_every...);
+  }
 };
 
-/// A scenario for one law.
-template <class Law>
+/// A scenario, block by block as its file has it. All keys of one law: scenario_keys.hpp.
 struct Settings {
+  std::uint64_t seed = 0;  ///< of everything random
   RobotParameters robot;
-  Camera<double> camera;
-  CameraConvention convention = CameraConvention::eye_in_hand;
-  CameraSampling sampling;
+  CameraSettings camera;
   SensorSettings sensors;
   ActuatorSettings actuators;
   BaseMotionSettings base_motion;
-  LimitPolicy on_limit = LimitPolicy::report;
-  JacobianConvention jacobian = JacobianConvention::consistent;
   Target target;
   Uncertainty uncertainty;
-  Switching<double> switching;
-  SafeSettings safe;
-  typename Law::template Gains<double> gains;
+  ControllerSettings controller;
   SimulationSettings simulation;
   MetricsSettings<double> metrics;
-  std::uint64_t seed = 0;  ///< of everything random
+
+  /// The defaults of a law.
+  template <class Law>
+  static Settings of() {
+    Settings settings;
+    settings.controller.gains.emplace<GainsOf<Law>>();
+    return settings;
+  }
+  static Settings of(LawId law) {
+    return with_law(law, []<class Law>(std::type_identity<Law>) { return of<Law>(); });
+  }
+
+  /// The law that acts.
+  LawId law() const noexcept { return static_cast<LawId>(controller.gains.index()); }
+
+  /// Gains of the law that acts.
+  /// @throws std::bad_variant_access where it is another one
+  template <class Law>
+  GainsOf<Law>& gains() {
+    return std::get<GainsOf<Law>>(controller.gains);
+  }
+  template <class Law>
+  const GainsOf<Law>& gains() const {
+    return std::get<GainsOf<Law>>(controller.gains);
+  }
+
+  template <class V, class Self>
+  static void visit(V&& v, Self& self) {
+    v(Field{"seed", "1"}.of_run().in_sampled_mode(), self.seed);
+    v(Field{"robot"}, self.robot);
+    v(Field{"camera"}, self.camera);
+    v(Field{"sensors"}, self.sensors);
+    v(Field{"actuators"}, self.actuators);
+    v(Field{"base_motion"}, self.base_motion);
+    v(Field{"target"}, self.target);
+    v(Field{"uncertainty"}, self.uncertainty);
+    v(Field{"controller"}, self.controller);
+    v(Field{"simulation"}, self.simulation);
+    v(Field{"metrics"}, self.metrics);
+  }
 };
 
 /// Number of steps of a run.
@@ -107,17 +214,18 @@ long long step_count(const SimulationSettings& simulation);
 /// @throws std::invalid_argument for a gain that is negative or not finite
 SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, double delay);
 
-/// Validates a scenario and prepares it for the loop: joints, target points, initial image.
+/// Validates a scenario and prepares it for the loop of its law: joints, target points, initial image.
+/// @tparam Law the one that acts
 /// @param legs what `make_hexapod` made of `settings.robot`, where the caller has it: most of the work is there
 /// @throws std::invalid_argument("key: expected ..., got ...") for the first thing that is wrong
 template <class Law>
-LoopParameters<double, Law> loop_parameters(const Settings<Law>& settings, const Hexapod<double>* legs = nullptr);
+LoopParameters<double, Law> loop_parameters(const Settings& settings, const Hexapod<double>* legs = nullptr);
 
-// One translation unit compiles the loops of each law (cpp/src/laws).
+// One translation unit compiles the loops of each law.
 #define HEXSERVO_ELSEWHERE(Law)                   \
   extern template class ClosedLoop<double, Law>;  \
   extern template class SampledLoop<double, Law>; \
-  extern template LoopParameters<double, Law> loop_parameters(const Settings<Law>&, const Hexapod<double>*);
+  extern template LoopParameters<double, Law> loop_parameters<Law>(const Settings&, const Hexapod<double>*);
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
 #undef HEXSERVO_ELSEWHERE
 

@@ -61,23 +61,15 @@ inline constexpr double kMaxLogBytes = 2.0 * 1024 * 1024 * 1024;
 
 /// Checks everything that `simulate` checks, without running.
 /// @throws std::invalid_argument as `simulate`
-template <class Law>
-void check_settings(const Settings<Law>& settings);
+void check_settings(const Settings& settings);
 
 /// Runs a scenario from home, at rest. The last good sample is always logged.
 /// @param stop_requested asked every few milliseconds; true ends the run with `Outcome::interrupted`
 /// @param kernel the instruction set to run with
 /// @param log_weights whether to log the weights of the fuzzy systems too; where none act there is no `weight_history`
 /// @throws std::invalid_argument as `loop_parameters`, or where the log would not fit into `kMaxLogBytes`
-template <class Law>
-Trajectory simulate(const Settings<Law>& settings, const std::function<bool()>& stop_requested = {},
+Trajectory simulate(const Settings& settings, const std::function<bool()>& stop_requested = {},
                     const Kernel& kernel = built_in_kernel(), bool log_weights = false);
-
-#define HEXSERVO_ELSEWHERE(Law)                              \
-  extern template void check_settings(const Settings<Law>&); \
-  extern template Trajectory simulate(const Settings<Law>&, const std::function<bool()>&, const Kernel&, bool);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
-#undef HEXSERVO_ELSEWHERE
 
 /// One sentence on how a run that was not interrupted ended.
 /// @param time of the step at which it stopped [s]

@@ -46,11 +46,6 @@ inline constexpr double kMaxTickRate = 1e6;                 ///< [Hz]
 /// no system call but the clock's between the first tick and the last.
 /// @throws std::invalid_argument as `controller_gains`, for a number of periods or a rate out of range, or for a run
 /// that does not go to its end
-template <class Law>
-TickTimes time_ticks(const Settings<Law>& settings, const TickBenchmarkOptions& options);
-
-#define HEXSERVO_ELSEWHERE(Law) extern template TickTimes time_ticks(const Settings<Law>&, const TickBenchmarkOptions&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
-#undef HEXSERVO_ELSEWHERE
+TickTimes time_ticks(const Settings& settings, const TickBenchmarkOptions& options);
 
 }  // namespace hexservo

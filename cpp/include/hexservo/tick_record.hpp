@@ -17,11 +17,6 @@ struct RecordedTick {
 
 /// Runs a scenario in `sampled` mode, and keeps every tick; not the one at which a run stops early.
 /// @throws std::invalid_argument as `simulate`, and for a scenario in `continuous` mode
-template <class Law>
-std::vector<RecordedTick> record_ticks(const Settings<Law>& settings);
-
-#define HEXSERVO_ELSEWHERE(Law) extern template std::vector<RecordedTick> record_ticks(const Settings<Law>&);
-HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
-#undef HEXSERVO_ELSEWHERE
+std::vector<RecordedTick> record_ticks(const Settings& settings);
 
 }  // namespace hexservo

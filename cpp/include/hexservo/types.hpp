@@ -17,6 +17,7 @@
 #pragma once
 
 #include "hexservo/lanes.hpp"
+#include "hexservo/parameters.hpp"
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>

@@ -128,10 +128,10 @@ def rule_table(scenario: Scenario, *, ax: Axes | None = None) -> Figure | Axes:
     ValueError
         For a law without fuzzy systems.
     """
-    gains = core_parameters(scenario).gains
-    if not isinstance(gains, _core.HybridGains | _core.CompositeGains):
-        raise ValueError(f"controller.law: expected one with fuzzy systems, got {scenario.controller.law}")
-    table = np.asarray(gains.fuzzy.table)
+    law = scenario.controller.law
+    if not _core.LAW_TRAITS[law].memory:
+        raise ValueError(f"controller.law: expected one with fuzzy systems, got {law}")
+    table = core_parameters(scenario)[f"controller.{law}.fuzzy.table"]
     terms = list(TERMS)
     limit = max(1.0, float(np.abs(table).max()))
     figure = Figure(figsize=(COLUMN, 2.75))
@@ -151,7 +151,7 @@ def rule_table(scenario: Scenario, *, ax: Axes | None = None) -> Figure | Axes:
     axes.xaxis.set_label_position("top")
     axes.spines[:].set_visible(False)
     axes.set_xlabel("rate of u [1]")
-    meaning = "image wrench" if scenario.controller.law == "hybrid" else "pose error"
+    meaning = "pose error" if _core.LAW_TRAITS[law].prior else "image wrench"
     axes.set_ylabel(f"u, the scaled {meaning} [1]")
     place: dict[str, Any] = {"ax": axes} if ax is not None else {"cax": axes_at(figure, 2.82, 0.12, 0.1, 2.2)}
     bar = axes.figure.colorbar(image, ticks=MaxNLocator(4), **place)

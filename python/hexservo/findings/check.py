@@ -34,7 +34,7 @@ def unlikely(scenario: Scenario) -> list[str]:
 
 def _of_legs(scene: Scene) -> Iterator[str]:
     robot = scene.scenario.robot
-    weight = (1.0 - np.array(scene.settings.uncertainty.dynamics.gravity)) * scene.body.gravity_wrench
+    weight = (1.0 - np.array(scene.settings["uncertainty.gravity"])) * scene.body.gravity_wrench
     forces = scene.hexapod.leg_forces(scene.home.position, scene.home.quaternion, weight)
     leg = int(np.abs(forces).argmax())
     if abs(forces[leg]) > robot.force_limit:

@@ -77,10 +77,11 @@ def _is_of_the_paper(result: Result) -> bool:
 
 
 def _rule_table(result: Result) -> Html | None:
-    gains = core_parameters(result.scenario).gains
-    if not isinstance(gains, _core.HybridGains | _core.CompositeGains):
+    law = _core.LAW_TRAITS[result.scenario.controller.law]
+    if not law.memory:
         return None
-    values = np.asarray(gains.fuzzy.table)
+    settings = core_parameters(result.scenario)
+    values = settings[f"controller.{law.name}.fuzzy.table"]
     limit = max(1.0, float(np.abs(values).max()))
     terms = list(TERMS)
     spec = {
@@ -107,9 +108,9 @@ def _rule_table(result: Result) -> Html | None:
     for axis in ("xaxis", "yaxis"):
         spec["layout"][axis]["dtick"] = 1  # type: ignore[index]
     spec["layout"] |= {"maxWidth": 430, "aspect": 1}  # type: ignore[operator]
-    meaning = "image wrench" if result.scenario.controller.law == "hybrid" else "pose error"
+    meaning = "pose error" if law.prior else "image wrench"
     note = f"Rows: terms of u, the scaled {meaning}. Columns: terms of its rate. The table is that of all six systems."
-    if not gains.fuzzy.enabled:
+    if not settings[f"controller.{law.name}.fuzzy.enabled"]:
         note += " They are switched off in this run."
     return chart(spec, "Output term of each rule", note=note, height=360)
 

@@ -93,7 +93,7 @@ def scene(result: Result) -> SpaceView:
     half = np.minimum(half, _WIDEST * distance)
     image = _on_plane(features * pixel, distance)
     image[np.abs(image[..., :2]).max(axis=-1) > _WIDEST * distance] = np.nan
-    has_points = settings.convention == _core.CameraConvention.eye_in_hand
+    has_points = settings["camera.convention"] == "eye_in_hand"
     return SpaceView(
         time=result.time[chosen],
         position=position,

@@ -181,10 +181,10 @@ def benchmark(plan: Plan, say: Say = lambda text: None) -> Benchmark:
     return Benchmark(machine, variants, plan, tuple(ticks), speeds, ratios)
 
 
-def _parameters(scenario: Scenario) -> _core.HybridSettings:
+def _parameters(scenario: Scenario) -> _core.Settings:
     """Return the core's settings of a scenario of the law whose runs are measured."""
     parameters = core_parameters(scenario)
-    if not isinstance(parameters, _core.HybridSettings):
+    if parameters.law != "hybrid":
         raise ValueError(f"controller.law: expected hybrid, got {scenario.controller.law}")
     return parameters
 
@@ -246,7 +246,7 @@ def _distribution(nanoseconds: NDArray[np.uint32]) -> Distribution:
 _DEPTH = "uncertainty.depth"  # what varies in a batch
 
 
-def _single(parameters: _core.HybridSettings, kernel: _core.Kernel) -> _core.Trajectory:
+def _single(parameters: _core.Settings, kernel: _core.Kernel) -> _core.Trajectory:
     run = _core.simulate(parameters, kernel)
     if run.outcome is _core.Outcome.interrupted:
         raise KeyboardInterrupt
@@ -254,9 +254,7 @@ def _single(parameters: _core.HybridSettings, kernel: _core.Kernel) -> _core.Tra
     return run
 
 
-def _batch(
-    parameters: _core.HybridSettings, depth_errors: Array, threads: int, kernel: _core.Kernel
-) -> _core.BatchResult:
+def _batch(parameters: _core.Settings, depth_errors: Array, threads: int, kernel: _core.Kernel) -> _core.BatchResult:
     rows = [(_DEPTH, depth_errors.reshape(-1, 1))]
     batch = _core.simulate_batch(parameters, rows, len(depth_errors), _core.BatchLog.metrics, threads, kernel)
     if (batch.outcome == _core.Outcome.interrupted.value).any():
@@ -310,7 +308,7 @@ def _time_runs(
     """Alternate: in every round each variant runs alone, in a batch on one thread and on all, and at its peak."""
     scenario = scenario.updated({"simulation.duration": plan.duration, "simulation.log_every": 50})
     parameters = _parameters(scenario)
-    steps = _core.step_count(parameters.simulation)
+    steps = _core.step_count(parameters["simulation.step"], parameters["simulation.duration"])
     processors = thread_count(None)
     thread_counts = tuple(dict.fromkeys((1, processors)))
     count = plan.scenarios * processors  # the same batch for every number of threads

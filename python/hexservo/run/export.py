@@ -12,88 +12,16 @@ import numpy as np
 from hexservo import _core
 from hexservo.run.controller import controller_arguments
 from hexservo.run.files import write_file
-from hexservo.scenario.parameters import Settings
+from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
 __all__ = ["gains_header", "write_header"]
 
+_SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
+
 _TITLE = "// hexservo gains, format 1"
 """First line of every exported header, which distinguishes it from other files."""
-
-# Member of hexservo::Settings and its unit; one block each. What is left out here belongs to the plant or to a run.
-_ROBOT = {
-    "robot.platform_radius": "m",
-    "robot.base_radius": "m",
-    "robot.platform_angles": "rad",
-    "robot.base_angles": "rad",
-    "robot.home_position": "m",
-    "robot.mass": "kg",
-    "robot.inertia": "kg m^2",
-    "robot.stroke": "m",
-    "robot.force_limit": "N",
-}
-_CAMERA = {"camera.focal_length": "m", "camera.pixel_scale": "px/m", "convention": "", "jacobian": ""}
-_SEEN_FROM_HOME = {"target.initial_features": "px", "target.depth": "m"}
-_GOAL = {"target.desired_features": "px", "uncertainty.depth": "1"}  # the controller's own depths
-_SWITCHING = {"switching.kind": "", "switching.width": "m/s; rad/s"}
-_SENSORS = {
-    "simulation.mode": "",
-    "simulation.step": "s",
-    "sampling.period": "s",
-    "sampling.latency": "s",
-    "sampling.latency_jitter": "s",
-    "sampling.timeout": "s",
-    "sampling.faults.prediction": "",
-    "sampling.faults.on_lost": "",
-    "sensors.pose": "",
-    "sensors.period": "s",
-    "sensors.encoders.rates": "",
-}
-# Of the actuators what the controller has to know: a limit at which it waits, and how late they are.
-_ACTUATORS = {"actuators.actuators.saturation": "", "actuators.actuators.bandwidth": "Hz", "actuators.delay": "s"}
-_SAFE = {"safe.damping": "N s/m; N m s/rad", "safe.hold": "N/m; N m/rad"}
-_FUZZY = {
-    "gains.fuzzy.enabled": "",
-    "gains.fuzzy.adaptation": "m/N; rad/(N m)",
-    "gains.fuzzy.error_scale": "1/N; 1/(N m)",
-    "gains.fuzzy.rate_scale": "s/N; s/(N m)",
-    "gains.fuzzy.initial_scale": "N; N m",
-    "gains.fuzzy.table": "1",
-    "gains.fuzzy.bell_width": "1",
-    "gains.fuzzy.bell_slope": "1",
-    "gains.fuzzy.leakage": "1/s",
-    "gains.fuzzy.weight_limit": "N; N m",
-    "gains.fuzzy.dead_zone": "m/s; rad/s",
-}
-_HYBRID = {"gains.kp": "N m/px^2", "gains.kv": "N; N m", **_FUZZY}
-_COMPOSITE = {
-    "gains.kp": "N m/px^2",
-    "gains.kv": "N; N m",
-    "gains.kt": "N/m; N m/rad",
-    "gains.kd": "N s/m; N m s/rad",
-    "gains.drive": "1/s",
-    "gains.prior": "px^2/m^2; px^2/rad^2",
-    **_FUZZY,
-    "gains.fuzzy.error_scale": "1/m; 1/rad",
-    "gains.fuzzy.rate_scale": "s/m; s/rad",
-}
-_GAINS = {
-    "hybrid": _HYBRID,
-    "composite": _COMPOSITE,
-    "kelly": {"gains.kp": "N m/px^2", "gains.kd": "N s/m; N m s/rad"},
-    "resolved_rate": {
-        "gains.gain": "1/s",
-        "gains.adaptive": "",
-        "gains.gain_far": "1/s",
-        "gains.gain_slope": "1/(s px)",
-        "gains.jacobian_at": "",
-        "gains.ki": "N s/m; N m s/rad",
-        "gains.damping": "px^2/m^2; px^2/rad^2",
-    },
-    "pbvs": {"gains.kp": "N/m; N m/rad", "gains.kd": "N s/m; N m s/rad", "gains.prior": "px^2/m^2; px^2/rad^2"},
-    "computed_torque": {"gains.kp": "1/s^2", "gains.kd": "1/s", "gains.prior": "px^2/m^2; px^2/rad^2"},
-}
 
 
 def gains_header(scenario: Scenario, period: float | None = None) -> str:
@@ -120,15 +48,8 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     """
     settings, period = controller_arguments(scenario, period)
     period = _core.Controller(settings, period).period  # the core's own check
-    settings.simulation.step = period
-    gains = _GAINS[scenario.controller.law]
-    law = f"hexservo::{type(settings).__name__.removesuffix('Settings')}"
-    blocks = [_ROBOT, _CAMERA, _SEEN_FROM_HOME, _GOAL]
-    if settings.simulation.mode == _core.LoopMode.sampled:
-        blocks += [_SENSORS, _ACTUATORS]
-    blocks += [_SAFE, _SWITCHING, gains]
-    if settings.target.points is not None:
-        blocks.remove(_SEEN_FROM_HOME)
+    settings["simulation.step"] = period
+    law = _core.LAW_TRAITS[settings.law]
     namespace = _namespace(scenario.name)
     lines = [
         _TITLE,
@@ -147,29 +68,29 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
         "",
         f"namespace {namespace} {{",
         "",
-        f"using Law = {law};",
+        f"using Law = hexservo::{law.type};",
         "",
         "/// T_c, time between two ticks [s].",
         f"inline constexpr double period = {period!r};",
         "",
         "/// Robot, camera, sensors, goal and gains; vectors of six: forces x y z, then moments x y z.",
-        "inline hexservo::Settings<Law> settings() {",
-        "  hexservo::Settings<Law> s;",
+        "inline hexservo::Settings settings() {",
+        "  hexservo::Settings s = hexservo::Settings::of<Law>();",
+        "  hexservo::GainsOf<Law>& gains = s.gains<Law>();",
     ]
-    for block in blocks:
-        for member, unit in block.items():
-            lines += _assignment(member, _value(settings, member), unit)
-        if block is _CAMERA and settings.target.points is not None:
-            columns = np.asarray(settings.target.points).T
-            lines.append("  s.target.points_B.emplace();  // one column per point")
-            lines += _matrix("(*s.target.points_B)", columns, "m")
+    has_points = settings["target.points"] is not None
+    for key in _core.scenario_keys(settings.law):
+        acts = not key.sampled or settings["simulation.mode"] == SAMPLED_MODE or key.name.startswith("controller.safe.")
+        if key.concern == "controller" and acts and not (has_points and key.name in _SEEN_FROM_HOME):
+            member = key.name.replace(f"controller.{law.name}.", "gains.", 1)
+            lines += _assignment(member if member.startswith("gains.") else f"s.{member}", key, settings[key.name])
     lines += [
         "  return s;",
         "}",
         "",
         "/// What `hexservo::step` needs.",
         "inline hexservo::ControllerGains<Law> controller_gains() {",
-        "  return hexservo::controller_gains(settings(), period);",
+        "  return hexservo::controller_gains<Law>(settings(), period);",
         "}",
         "",
         f"}}  // namespace {namespace}",
@@ -177,27 +98,21 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _value(settings: Settings, member: str) -> Any:
-    value: Any = settings
-    for name in member.split("."):
-        value = getattr(value, name)
-    return value
-
-
-def _assignment(member: str, value: Any, unit: str) -> Iterator[str]:
-    if value is None:  # derived by the core
+def _assignment(member: str, key: _core.ScenarioKey, value: Any) -> Iterator[str]:
+    """Set a member from the value of its key."""
+    if value is None:  # the core's default, or derived by it
         return
     if isinstance(value, np.ndarray):
-        name = f"s.{member}.emplace()" if member in _SAFE else f"s.{member}"
-        yield from _matrix(name, np.atleast_2d(value), unit)
+        name = f"{member}.emplace()" if key.wrapped else member
+        yield from _matrix(name, np.atleast_2d(value), key.unit)
         return
-    if isinstance(value, bool):
+    if key.type == "choice":
+        text = f"{key.choice_type}::{value}"
+    elif isinstance(value, bool):
         text = "true" if value else "false"
-    elif isinstance(value, float):
+    else:
         text = _number(value)
-    else:  # an enumeration of the core, which has the same names on both sides
-        text = f"hexservo::{type(value).__name__}::{value.name}"
-    yield f"  s.{member} = {text};" + (f"  // [{unit}]" if unit else "")
+    yield f"  {member} = {text};" + (f"  // [{key.unit}]" if key.unit else "")
 
 
 def _matrix(name: str, rows: Any, unit: str) -> Iterator[str]:

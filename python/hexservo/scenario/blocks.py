@@ -22,6 +22,7 @@ from hexservo.scenario.block import (
     NumberNotNegative,
     PositiveNumber,
 )
+from hexservo.scenario.core_defaults import core_default, from_core
 from hexservo.scenario.laws import Controller
 from hexservo.scenario.recording import read_recording
 from hexservo.scenario.rules import (
@@ -51,7 +52,7 @@ from hexservo.scenario.yaml import ScenarioError
 __all__ = ["Actuators", "BaseMotion", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
 
 _DEFAULT_PRESET = "micro"
-DEFAULT_DEPTH = float(_core.Target().depth[0])  # [m], docs/model.md section 4
+DEFAULT_DEPTH = float(core_default("target.depth"))  # [m], docs/model.md section 4
 
 
 class Robot(Block):
@@ -96,8 +97,8 @@ class Camera(Block):
     (``simulation.step``); docs/model.md section 7.
     """
 
-    focal_length: PositiveNumber = Field(default_factory=lambda: _core.Camera().focal_length)  # [m]
-    pixel_scale: PositiveNumber = Field(default_factory=lambda: _core.Camera().pixel_scale)  # [px/m]
+    focal_length: PositiveNumber = from_core("camera.focal_length")  # [m]
+    pixel_scale: PositiveNumber = from_core("camera.pixel_scale")  # [px/m]
     convention: Annotated[Literal["eye_in_hand", "as_printed"], Choice()] = "eye_in_hand"
     # [s], between exposures; null: the servo period, which a scenario in sampled mode fills in
     period: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
@@ -153,13 +154,13 @@ class BaseMotion(Block):
 
     kind: Annotated[Literal["none", "sinusoid", "recorded", "noise"], Choice()] = "none"
     amplitude: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m/s^2], of the sinusoid, in B
-    frequency: NumberNotNegative = Field(default_factory=lambda: _core.BaseMotionParameters().frequency)  # [Hz]
+    frequency: NumberNotNegative = from_core("base_motion.frequency")  # [Hz]
     phase: Annotated[float, Angle()] = 0.0  # [rad], of the sinusoid at t = 0
     # [(m/s^2)^2/Hz], one-sided spectral density of the noise, one for all axes or (3,)
     level: Annotated[float | Vector, ArrayRule((3,), NOT_NEGATIVE, or_number=True)] = 0.0
     # [Hz], where the noise begins and ends
-    low_frequency: NumberNotNegative = Field(default_factory=lambda: _core.BaseMotionParameters().low_frequency)
-    high_frequency: PositiveNumber = Field(default_factory=lambda: _core.BaseMotionParameters().high_frequency)
+    low_frequency: NumberNotNegative = from_core("base_motion.low_frequency")
+    high_frequency: PositiveNumber = from_core("base_motion.high_frequency")
     file: Annotated[str | None, File()] = None  # CSV to read, relative to the scenario's file
     samples: Annotated[Matrix | None, Samples()] = None  # (n, 3) [m/s^2], recorded, in B
     sample_period: Annotated[float | None, SamplePeriod()] = None  # [s], of the samples, from t = 0
@@ -240,21 +241,17 @@ class Simulation(Block):
     # continuous: the law acts in every stage of the integration; sampled: at the servo's ticks, on the camera's frames
     mode: Annotated[Literal["continuous", "sampled"], Choice()] = "continuous"
     # [s], of the Runge-Kutta integration; in sampled mode the servo period
-    step: PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().step)
+    step: PositiveNumber = from_core("simulation.step")
     # in sampled mode: Runge-Kutta steps in a servo period
-    substeps: Annotated[int, Integer(1, 10**6), SAMPLED] = Field(
-        default_factory=lambda: _core.SimulationSettings().substeps
-    )
-    duration: PositiveNumber = Field(default_factory=lambda: _core.SimulationSettings().duration)  # [s]
+    substeps: Annotated[int, Integer(1, 10**6), SAMPLED] = from_core("simulation.substeps")
+    duration: PositiveNumber = from_core("simulation.duration")  # [s]
     # steps per logged sample
-    log_every: Annotated[int, Integer(1, 10**9)] = Field(default_factory=lambda: _core.SimulationSettings().log_every)
+    log_every: Annotated[int, Integer(1, 10**9)] = from_core("simulation.log_every")
 
     @model_validator(mode="after")
     def _step_divides_duration(self) -> Simulation:
-        settings = _core.SimulationSettings()
-        settings.step, settings.duration, settings.log_every = self.step, self.duration, self.log_every
         try:
-            _core.step_count(settings)
+            _core.step_count(self.step, self.duration, self.log_every)
         except ValueError as error:  # "simulation.step: expected ..., got ..."
             path, _, sentence = str(error).partition(": ")
             raise refusal(((path.removeprefix("simulation."),), sentence)) from None
@@ -265,11 +262,11 @@ class Metrics(Block):
     """What the metrics of a run are measured against; docs/model.md section 8."""
 
     # [px], of settling, overshoot and straight ways: every feature error is within it
-    band: PositiveNumber = Field(default_factory=lambda: _core.MetricsSettings().band)
+    band: PositiveNumber = from_core("metrics.band")
     # [s]: a run is settled where it has been within the band for so long at its end
-    dwell: PositiveNumber = Field(default_factory=lambda: _core.MetricsSettings().dwell)
+    dwell: PositiveNumber = from_core("metrics.dwell")
     # [s]: from here to the end the RMS error is taken; a run that is not longer has none
-    rms_start: NumberNotNegative = Field(default_factory=lambda: _core.MetricsSettings().rms_start)
+    rms_start: NumberNotNegative = from_core("metrics.rms_start")
 
 
 class Blocks(Block):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Annotated, Any, Literal, TypeAlias, cast, get_args
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import Field, model_validator
 
-from hexservo import _core
 from hexservo.scenario.block import NOT_NEGATIVE, POSITIVE, SAMPLED, Block, PositiveNumber
-from hexservo.scenario.rules import ArrayRule, Choice, Flag, Matrix, Number, TableRule, Vector, collapsed, map_lists
+from hexservo.scenario.core_defaults import core_default, from_core
+from hexservo.scenario.rules import ArrayRule, Choice, Flag, Matrix, Number, TableRule, Vector, map_lists
 
 __all__ = [
     "LAWS",
@@ -28,16 +28,16 @@ SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "im
 Law: TypeAlias = Literal["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"]
 JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
 LAWS: tuple[str, ...] = get_args(Law)
+SixNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)]
+EightNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)]
 
 
 class Switching(Block):
     """The switching term of the law, sgn or a smooth stand-in; docs/model.md section 6."""
 
-    kind: Annotated[SwitchingKind, Choice()] = Field(
-        default_factory=lambda: cast("SwitchingKind", _core.Switching().kind.name)
-    )
+    kind: Annotated[SwitchingKind, Choice()] = from_core("controller.switching.kind")
     # [m/s and rad/s], of tanh and saturation
-    width: PositiveNumber = Field(default_factory=lambda: _core.Switching().width)
+    width: PositiveNumber = from_core("controller.switching.width")
 
 
 class Safe(Block):
@@ -60,39 +60,29 @@ class Fuzzy(Block):
     inputs are a pose error and its rate: a [1/m, 1/rad], b [s/m, s/rad], with different defaults.
     """
 
-    enabled: Annotated[bool, Flag()] = Field(default_factory=lambda: _core.FuzzyGains().enabled)
+    enabled: Annotated[bool, Flag()] = from_core("controller.hybrid.fuzzy.enabled")
     # Psi of (22): the larger, the slower the weights
-    adaptation: Annotated[float | Vector, ArrayRule((6,), POSITIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.FuzzyGains().adaptation)
+    adaptation: Annotated[float | Vector, ArrayRule((6,), POSITIVE, or_number=True)] = from_core(
+        "controller.hybrid.fuzzy.adaptation"
     )
     # a, scales g to the first input [1/N, 1/(N m)]
-    error_scale: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.FuzzyGains().error_scale)
-    )
+    error_scale: SixNotNegative = from_core("controller.hybrid.fuzzy.error_scale")
     # b, scales dg/dt to the second input [s/N, s/(N m)]
-    rate_scale: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.FuzzyGains().rate_scale)
-    )
+    rate_scale: SixNotNegative = from_core("controller.hybrid.fuzzy.rate_scale")
     # s0 [N, N m]: the weights start at s0 times the table; above 0 they oppose g, below 0 they help it
-    initial_scale: Annotated[float | Vector, ArrayRule((6,), or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.FuzzyGains().initial_scale)
+    initial_scale: Annotated[float | Vector, ArrayRule((6,), or_number=True)] = from_core(
+        "controller.hybrid.fuzzy.initial_scale"
     )
     # rows by the first input, columns by the second, NB to PB; terms stand for -1, -2/3, ..., 1
     table: Annotated[Literal["linear"] | Matrix, TableRule()] = "linear"
-    bell_width: PositiveNumber = Field(default_factory=lambda: _core.FuzzyGains().bell_width)  # null: exactly 1/6
-    bell_slope: Annotated[float, Number(above=0, at_most=16)] = Field(
-        default_factory=lambda: _core.FuzzyGains().bell_slope
-    )
+    bell_width: PositiveNumber = from_core("controller.hybrid.fuzzy.bell_width")  # null: exactly 1/6
+    bell_slope: Annotated[float, Number(above=0, at_most=16)] = from_core("controller.hybrid.fuzzy.bell_slope")
     # sigma, how fast the weights are forgotten [1/s]; at most one over the step
-    leakage: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.FuzzyGains().leakage)
-    )
+    leakage: SixNotNegative = from_core("controller.hybrid.fuzzy.leakage")
     # no weight, and so no output, is larger [N, N m]; null: no limit
     weight_limit: Annotated[float | Vector | None, ArrayRule((6,), POSITIVE, or_number=True, or_null=True)] = None
     # the driver of the adaptation has no effect within this [m/s, rad/s]
-    dead_zone: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.FuzzyGains().dead_zone)
-    )
+    dead_zone: SixNotNegative = from_core("controller.hybrid.fuzzy.dead_zone")
 
     @model_validator(mode="before")
     @classmethod
@@ -106,22 +96,17 @@ class Hybrid(Block):
     """Gains of the paper's law (14), (15); docs/model.md section 5."""
 
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
-    kp: Annotated[float | Vector, ArrayRule((8,), POSITIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.HybridGains().kp)
-    )
+    kp: Annotated[float | Vector, ArrayRule((8,), POSITIVE, or_number=True)] = from_core("controller.hybrid.kp")
     # K_v, diagonal, [N] x3, [N m] x3; 0 takes the switching term, the law's only damping, away
-    kv: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.HybridGains().kv)
-    )
+    kv: SixNotNegative = from_core("controller.hybrid.kv")
     fuzzy: Fuzzy = Field(default_factory=Fuzzy)
 
 
 @cache
 def _composite_fuzzy() -> dict[str, Any]:
     """Return the defaults of the fuzzy systems that are not those of `Fuzzy`, as plain data (not to be changed)."""
-    gains = _core.CompositeGains().fuzzy
     keys = ("adaptation", "error_scale", "rate_scale")
-    return {key: map_lists(collapsed(getattr(gains, key)), list) for key in keys}
+    return {key: map_lists(core_default(f"controller.composite.fuzzy.{key}"), list) for key in keys}
 
 
 class Composite(Block):
@@ -131,29 +116,17 @@ class Composite(Block):
     """
 
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
-    kp: Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.CompositeGains().kp)
-    )
+    kp: EightNotNegative = from_core("controller.composite.kp")
     # K_v, diagonal, [N] x3, [N m] x3
-    kv: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.CompositeGains().kv)
-    )
+    kv: SixNotNegative = from_core("controller.composite.kv")
     # K_t, diagonal, stiffness against the pose error [N/m] x3, [N m/rad] x3
-    kt: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.CompositeGains().kt)
-    )
+    kt: SixNotNegative = from_core("controller.composite.kt")
     # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
-    kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.CompositeGains().kd)
-    )
+    kd: SixNotNegative = from_core("controller.composite.kd")
     # Lambda, diagonal: how fast the pose error drives the adaptation [1/s]
-    drive: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.CompositeGains().drive)
-    )
+    drive: SixNotNegative = from_core("controller.composite.drive")
     # M, diagonal: weight of the start pose against the image [px^2/m^2] x3, [px^2/rad^2] x3
-    prior: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.CompositeGains().prior)
-    )
+    prior: SixNotNegative = from_core("controller.composite.prior")
     fuzzy: Fuzzy = Field(default_factory=lambda: Fuzzy(**_composite_fuzzy()))
 
     @model_validator(mode="before")
@@ -168,70 +141,48 @@ class Kelly(Block):
     """Gains of the transpose Jacobian law with viscous damping; docs/model.md section 5."""
 
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
-    kp: Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.KellyGains().kp)
-    )
+    kp: EightNotNegative = from_core("controller.kelly.kp")
     # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
-    kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.KellyGains().kd)
-    )
+    kd: SixNotNegative = from_core("controller.kelly.kd")
 
 
 class ResolvedRate(Block):
     """Gains of the classical pseudo-inverse law over a velocity loop; docs/model.md section 5."""
 
     # lambda [1/s]; where it adapts, its value at the goal
-    gain: Annotated[float, NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain)
-    adaptive: Annotated[bool, Flag()] = Field(default_factory=lambda: _core.ResolvedRateGains().adaptive)
+    gain: Annotated[float, NOT_NEGATIVE] = from_core("controller.resolved_rate.gain")
+    adaptive: Annotated[bool, Flag()] = from_core("controller.resolved_rate.adaptive")
     # of the adaptive gain: its value far from the goal [1/s], at most `gain`, and its slope at the goal [1/(s px)]
-    gain_far: Annotated[float, NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain_far)
-    gain_slope: Annotated[float, NOT_NEGATIVE] = Field(default_factory=lambda: _core.ResolvedRateGains().gain_slope)
+    gain_far: Annotated[float, NOT_NEGATIVE] = from_core("controller.resolved_rate.gain_far")
+    gain_slope: Annotated[float, NOT_NEGATIVE] = from_core("controller.resolved_rate.gain_slope")
     # current: measured features and depths; desired: those of the goal; mean: half the sum of the two Jacobians
-    jacobian_at: Annotated[JacobianPoint, Choice()] = Field(
-        default_factory=lambda: cast("JacobianPoint", _core.ResolvedRateGains().jacobian_at.name)
-    )
+    jacobian_at: Annotated[JacobianPoint, Choice()] = from_core("controller.resolved_rate.jacobian_at")
     # K_i, diagonal, of the velocity loop [N s/m] x3, [N m s/rad] x3
-    ki: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.ResolvedRateGains().ki)
-    )
+    ki: SixNotNegative = from_core("controller.resolved_rate.ki")
     # M, diagonal, damps the pseudo-inverse [px^2/m^2] x3, [px^2/rad^2] x3
-    damping: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.ResolvedRateGains().damping)
-    )
+    damping: SixNotNegative = from_core("controller.resolved_rate.damping")
 
 
 class Pbvs(Block):
     """Gains of the position-based law, which estimates its pose from the features; docs/model.md section 5."""
 
     # K_p, diagonal, stiffness against the pose error [N/m] x3, [N m/rad] x3
-    kp: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.PbvsGains().kp)
-    )
+    kp: SixNotNegative = from_core("controller.pbvs.kp")
     # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
-    kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.PbvsGains().kd)
-    )
+    kd: SixNotNegative = from_core("controller.pbvs.kd")
     # M, diagonal: weight of the joint sensors against the image [px^2/m^2] x3, [px^2/rad^2] x3; 0: the image alone
-    prior: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.PbvsGains().prior)
-    )
+    prior: SixNotNegative = from_core("controller.pbvs.prior")
 
 
 class ComputedTorque(Block):
     """Gains of the law that turns the estimated dynamics around; docs/model.md section 5."""
 
     # K_p, diagonal [1/s^2]
-    kp: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.ComputedTorqueGains().kp)
-    )
+    kp: SixNotNegative = from_core("controller.computed_torque.kp")
     # K_d, diagonal [1/s]
-    kd: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.ComputedTorqueGains().kd)
-    )
+    kd: SixNotNegative = from_core("controller.computed_torque.kd")
     # M, diagonal: weight of the start pose against the image [px^2/m^2] x3, [px^2/rad^2] x3; 0: the image alone
-    prior: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = Field(
-        default_factory=lambda: collapsed(_core.ComputedTorqueGains().prior)
-    )
+    prior: SixNotNegative = from_core("controller.computed_torque.prior")
 
 
 class Controller(Block):

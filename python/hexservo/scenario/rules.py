@@ -177,7 +177,7 @@ class TableRule(Rule):
         if not isinstance(value, list):
             self.refuse(value)
         rows = cast("Matrix", _tuples(value, (7, 7), self._entry, self.expected))
-        return "linear" if rows == tupled(_core.FuzzyGains().table) else rows
+        return "linear" if rows == _core.LINEAR_RULE_TABLE else rows
 
     def _entry(self, value: Any) -> float:
         if isinstance(value, str):

@@ -15,9 +15,9 @@ from typing import Any, cast
 
 from pydantic import ValidationError, model_validator
 
-from hexservo import _core
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import DEFAULT_DEPTH, Blocks, preset_values
+from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.plain import plain, put
@@ -57,7 +57,7 @@ class Scenario(Blocks):
         camera, simulation = data.get("camera", {}), data.get("simulation", {})
         if not isinstance(camera, dict) or not isinstance(simulation, dict):
             return data  # refused at its own place
-        step = simulation.get("step", _core.SimulationSettings().step)
+        step = simulation.get("step", core_default("simulation.step"))
         if not is_number(step):
             return data
         period = camera.get("period")

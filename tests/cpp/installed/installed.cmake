@@ -43,7 +43,7 @@ if(PROCESSOR MATCHES "^(x86_64|AMD64|amd64)$" AND NOT CXX_FLAGS MATCHES "-m(arch
   file(WRITE "${work}/other_flags/main.cpp"
        "#include <hexservo/controller.hpp>\n"
        "int main() {\n"
-       "  const auto gains = hexservo::controller_gains(hexservo::Settings<hexservo::Hybrid>{}, 1e-3);\n"
+       "  const auto gains = hexservo::controller_gains<hexservo::Hybrid>({}, 1e-3);\n"
        "  return hexservo::initial_state(gains).last_pose.position(0) > 0.0;\n"
        "}\n")
   run("${CMAKE_COMMAND}" -S "${work}/other_flags" -B "${work}/other_flags/build" -G "${GENERATOR}" ${shared}

@@ -30,6 +30,9 @@ FuzzyGains<S> composite_fuzzy_gains() {
   return gains;
 }
 
+/// Units of the inputs of its fuzzy systems.
+inline constexpr std::array<UnitOf, 2> kPoseErrorUnits{{{"error_scale", "1/m; 1/rad"}, {"rate_scale", "s/m; s/rad"}}};
+
 /// Gains of the law `composite`.
 template <class S, int N = kPoints>
 struct CompositeGains {
@@ -43,24 +46,27 @@ struct CompositeGains {
   Vector6<S> prior = linear_angular<S>(1e4, 1600.0);  ///< diagonal of M [px^2/m^2; px^2/rad^2], 1e4 x3, 1600 x3
   FuzzyGains<S> fuzzy = composite_fuzzy_gains<S>();   ///< a [1/m; 1/rad], b [s/m; s/rad]: 20 x3, 10 x3; 1
 
-  /// Of the scenario's block, as `visit` has them.
-  static constexpr const char* keys[] = {"kp", "kv", "kt", "kd", "drive", "prior", "fuzzy"};
-
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.kp, b.kp);
-    f(a.kv, b.kv);
-    f(a.kt, b.kt);
-    f(a.kd, b.kd);
-    f(a.drive, b.drive);
-    f(a.prior, b.prior);
-    f(a.fuzzy, b.fuzzy);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"kp", "N m/px^2", kNotNegative}, self.kp...);
+    v(Field{"kv", "N; N m", kNotNegative}, self.kv...);
+    v(Field{"kt", "N/m; N m/rad", kNotNegative}, self.kt...);
+    v(Field{"kd", "N s/m; N m s/rad", kNotNegative}, self.kd...);
+    v(Field{"drive", "1/s", kNotNegative}, self.drive...);
+    v(Field{"prior", "px^2/m^2; px^2/rad^2", kNotNegative}, self.prior...);
+    v(Field{"fuzzy"}.with_units(kPoseErrorUnits), self.fuzzy...);
   }
 };
 
 /// The law as a policy of the loop.
 struct Composite : FuzzyLaw<CompositeGains> {
-  static constexpr const char* name = "composite";
+  static constexpr LawTraits traits = {.name = "composite",
+                                       .type = "Composite",
+                                       .memory = true,
+                                       .viscous = true,
+                                       .switching = true,
+                                       .depth = true,
+                                       .prior = true};
 
   /// tau = J^T K_p xi-tilde + K_t e - K_d chi-dot - K_v sw(chi-dot) + G - tau_f.
   /// @param out what the law gives; filled in place, since the basis is 84 numbers
@@ -86,9 +92,5 @@ struct Composite : FuzzyLaw<CompositeGains> {
     out.wrench = others - task.switching_wrench(constants.kv, input, others) + task.gravity_wrench;
   }
 };
-
-/// Checks gains as a user gives them.
-/// @throws std::invalid_argument naming the scenario key
-void validate(const CompositeGains<double>& gains);
 
 }  // namespace hexservo

@@ -15,19 +15,18 @@ struct ComputedTorqueGains {
   Vector6<S> kd = Vector6<S>::Constant(S(40.0));      ///< diagonal of K_d [1/s], 40
   Vector6<S> prior = linear_angular<S>(1e4, 1600.0);  ///< diagonal of M [px^2/m^2; px^2/rad^2], 1e4 x3, 1600 x3
 
-  static constexpr const char* keys[] = {"kp", "kd", "prior"};  ///< of the scenario's block, as `visit` has them
-
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.kp, b.kp);
-    f(a.kd, b.kd);
-    f(a.prior, b.prior);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"kp", "1/s^2", kNotNegative}, self.kp...);
+    v(Field{"kd", "1/s", kNotNegative}, self.kd...);
+    v(Field{"prior", "px^2/m^2; px^2/rad^2", kNotNegative}, self.prior...);
   }
 };
 
 /// The law as a policy of the loop.
 struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
-  static constexpr const char* name = "computed_torque";
+  static constexpr LawTraits traits = {
+      .name = "computed_torque", .type = "ComputedTorque", .viscous = true, .depth = true, .prior = true};
 
   /// tau = D (K_p e - K_d chi-dot) + C chi-dot + G with the estimates of (1), and e as in `composite`.
   template <class S, int N>
@@ -46,9 +45,5 @@ struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
                                      omega.cross(rotate<S>(inertia_B, omega));  // [omega]x I' omega
   }
 };
-
-/// Checks gains as a user gives them.
-/// @throws std::invalid_argument naming the scenario key
-void validate(const ComputedTorqueGains<double>& gains);
 
 }  // namespace hexservo

@@ -21,19 +21,18 @@ struct HybridGains {
   Vector6<S> kv = linear_angular<S>(2e-3, 1e-4);              ///< diagonal of K_v [N; N m], 2e-3 x3, 1e-4 x3
   FuzzyGains<S> fuzzy;
 
-  static constexpr const char* keys[] = {"kp", "kv", "fuzzy"};  ///< of the scenario's block, as `visit` has them
-
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.kp, b.kp);
-    f(a.kv, b.kv);
-    f(a.fuzzy, b.fuzzy);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"kp", "N m/px^2", kPositive}, self.kp...);
+    v(Field{"kv", "N; N m", kNotNegative}, self.kv...);
+    v(Field{"fuzzy"}, self.fuzzy...);
   }
 };
 
 /// The law as a policy of the loop.
 struct Hybrid : FuzzyLaw<HybridGains> {
-  static constexpr const char* name = "hybrid";
+  static constexpr LawTraits traits = {
+      .name = "hybrid", .type = "Hybrid", .memory = true, .switching = true, .depth = true};
 
   /// (14), (15) with (13) and (22): tau = g - K_v sgn(chi-dot) + G - tau_f.
   /// @param out what the law gives; filled in place, since the basis is 84 numbers
@@ -62,9 +61,5 @@ struct Hybrid : FuzzyLaw<HybridGains> {
     fuzzy_output.store(out.fuzzy_output.data());
   }
 };
-
-/// Checks gains as a user gives them.
-/// @throws std::invalid_argument naming the scenario key
-void validate(const HybridGains<double>& gains);
 
 }  // namespace hexservo

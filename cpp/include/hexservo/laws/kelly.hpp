@@ -14,18 +14,16 @@ struct KellyGains {
   Vector6<S> kd{S(1.2),   S(1.2),   S(1.2),
                 S(0.024), S(0.024), S(0.048)};  ///< diagonal of K_d [N s/m; N m s/rad], 1.2 x3, 0.024 x2, 0.048
 
-  static constexpr const char* keys[] = {"kp", "kd"};  ///< of the scenario's block, as `visit` has them
-
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.kp, b.kp);
-    f(a.kd, b.kd);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"kp", "N m/px^2", kNotNegative}, self.kp...);
+    v(Field{"kd", "N s/m; N m s/rad", kNotNegative}, self.kd...);
   }
 };
 
 /// The law as a policy of the loop.
 struct Kelly : StatelessLaw<KellyGains> {
-  static constexpr const char* name = "kelly";
+  static constexpr LawTraits traits = {.name = "kelly", .type = "Kelly", .viscous = true, .depth = true};
 
   /// tau = J^T K_p xi-tilde - K_d chi-dot + G.
   template <class S, int N>
@@ -37,9 +35,5 @@ struct Kelly : StatelessLaw<KellyGains> {
         J.pull(gains.kp.cwiseProduct(feature_error)) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
   }
 };
-
-/// Checks gains as a user gives them.
-/// @throws std::invalid_argument naming the scenario key
-void validate(const KellyGains<double>& gains);
 
 }  // namespace hexservo

@@ -51,10 +51,10 @@ struct Switching {
   }
   Vector6<S> operator()(const Vector6<S>& twist) const { return (*this)(SideBySide<S, 6>(twist)).vector(); }
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.kind, b.kind);
-    f(a.width, b.width);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"kind"}.of_pack(), self.kind...);
+    v(Field{"width", "m/s; rad/s", kPositive}, self.width...);
   }
 };
 
@@ -103,6 +103,25 @@ Vector3<S> coupled_moment(const Matrix3<S>& I_B, const S& period, const Vector3<
     }
   return m;
 }
+
+/// What a law commands.
+enum class LawOutput {
+  wrench,  ///< forces and moments
+  twist    ///< a motion, which a loop around the law makes the platform follow
+};
+
+/// What there is to know of a law without its equation; each law has its own as `traits`.
+struct LawTraits {
+  std::string_view name;  ///< of `controller.law`, and of the block of its gains
+  std::string_view type;  ///< in C++
+  LawOutput output = LawOutput::wrench;
+  bool memory = false;     ///< fuzzy systems, whose weights change from tick to tick
+  bool viscous = false;    ///< damping in proportion to the twist
+  bool switching = false;  ///< the friction-like term -K_v sw(chi-dot)
+  bool points = false;     ///< gains may ask for the believed points and their goal: `needs_goal` of the gains
+  bool depth = false;      ///< the measured depths enter
+  bool prior = false;      ///< the joint sensors' pose, weighed against the image by the gain `prior`
+};
 
 /// Whether a law has fuzzy systems.
 template <class Law>

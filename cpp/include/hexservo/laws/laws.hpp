@@ -9,3 +9,29 @@
 #include "hexservo/laws/list.hpp"
 #include "hexservo/laws/pbvs.hpp"
 #include "hexservo/laws/resolved_rate.hpp"
+
+#include <array>
+#include <variant>
+
+namespace hexservo {
+
+/// Traits of all laws, in the order of `LawId`.
+#define HEXSERVO_TRAITS(Law) Law::traits,
+inline constexpr std::array kLawTraits = {HEXSERVO_FOR_EACH_LAW(HEXSERVO_TRAITS)};
+#undef HEXSERVO_TRAITS
+
+/// Those of one.
+constexpr const LawTraits& law_traits(LawId law) { return kLawTraits[static_cast<std::size_t>(law)]; }
+
+/// The law of a name.
+/// @throws std::invalid_argument for a name that no law has
+LawId law_named(std::string_view name);
+
+/// Gains of a law as a user gives them.
+template <class Law>
+using GainsOf = typename Law::template Gains<double>;
+
+/// Gains of one of the laws, which their type tells.
+using LawGains = Laws::Map<std::variant, GainsOf>;
+
+}  // namespace hexservo

@@ -1,9 +1,9 @@
 /// @file
 /// The one list of control laws. What exists once per law (numbers, explicit instantiations, bindings) follows from it.
 ///
-/// A new law is a header with its equation beside this one, its file in cpp/src/laws, cpp/src/kernel_<law>.cpp and a
-/// line here. Laws with fuzzy systems have their sampled loop in kernel_<law>_sampled.cpp, compiled side by side. The
-/// gains are bound in bind_settings.cpp and have a block in scenario/laws.py.
+/// A new law is a header with its equation beside this one, its file in cpp/src/laws and a line here, where CMake reads
+/// it too: a law `NewLaw` is in new_law.hpp. The gains are bound in bind_settings.cpp and have a block in
+/// scenario/laws.py.
 #pragma once
 
 #include <type_traits>
@@ -32,6 +32,19 @@ inline constexpr LawId law_id{};
   inline constexpr LawId law_id<Law> = LawId::Law;
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_NUMBER)
 #undef HEXSERVO_NUMBER
+
+/// Calls `function` with the std::type_identity of a law, and gives what it gives.
+template <class F>
+decltype(auto) with_law(LawId law, F&& function) {
+  switch (law) {
+#define HEXSERVO_CASE(Law) \
+  case LawId::Law:         \
+    return function(std::type_identity<Law>{});
+    HEXSERVO_FOR_EACH_LAW(HEXSERVO_CASE)
+#undef HEXSERVO_CASE
+  }
+  __builtin_unreachable();
+}
 
 /// Laws as a type.
 template <class... Law>

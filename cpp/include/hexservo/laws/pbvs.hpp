@@ -18,22 +18,20 @@ struct PbvsGains {
 
   Vector6<S> prior = linear_angular<S>(1e4, 1600.0);  ///< diagonal of M [px^2/m^2; px^2/rad^2], 1e4 x3, 1600 x3
 
-  static constexpr const char* keys[] = {"kp", "kd", "prior"};  ///< of the scenario's block, as `visit` has them
-
   /// The task has to hold the pose of the goal.
   static constexpr bool needs_goal() { return true; }
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.kp, b.kp);
-    f(a.kd, b.kd);
-    f(a.prior, b.prior);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"kp", "N/m; N m/rad", kNotNegative}, self.kp...);
+    v(Field{"kd", "N s/m; N m s/rad", kNotNegative}, self.kd...);
+    v(Field{"prior", "px^2/m^2; px^2/rad^2", kNotNegative}, self.prior...);
   }
 };
 
 /// The law as a policy of the loop.
 struct Pbvs : StatelessLaw<PbvsGains> {
-  static constexpr const char* name = "pbvs";
+  static constexpr LawTraits traits = {.name = "pbvs", .type = "Pbvs", .viscous = true, .points = true, .prior = true};
 
   /// tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat from the features by `estimate_pose`, started at
   /// the pose of the joint sensors and, with M > 0, weighed against it. NaN where there is no estimate.
@@ -47,9 +45,5 @@ struct Pbvs : StatelessLaw<PbvsGains> {
     out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
   }
 };
-
-/// Checks gains as a user gives them.
-/// @throws std::invalid_argument naming the scenario key
-void validate(const PbvsGains<double>& gains);
 
 }  // namespace hexservo

@@ -28,23 +28,25 @@ struct ResolvedRateGains {
                 S(7.5e-3), S(7.5e-3), S(0.015)};  ///< diagonal of K_i [N s/m; N m s/rad], 3 x3, 7.5e-3 x2, 0.015
   Vector6<S> damping = Vector6<S>::Zero();        ///< diagonal of M [px^2/m^2; px^2/rad^2], 0: the plain pseudo-inverse
 
-  /// Of the scenario's block, as `visit` has them.
-  static constexpr const char* keys[] = {"gain", "adaptive", "gain_far", "gain_slope", "jacobian_at", "ki", "damping"};
-
   /// The task has to hold the pose of the goal.
   bool needs_goal() const { return jacobian_at != JacobianPoint::current; }
 
-  template <class F, class A, class B>
-  static void visit(F&& f, A& a, B& b) {
-    f(a.gain, b.gain);
-    f(a.adaptive, b.adaptive);
-    f(a.gain_far, b.gain_far);
-    f(a.gain_slope, b.gain_slope);
-    f(a.jacobian_at, b.jacobian_at);
-    f(a.ki, b.ki);
-    f(a.damping, b.damping);
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"gain", "1/s", kNotNegative}, self.gain...);
+    v(Field{"adaptive"}.of_pack(), self.adaptive...);
+    v(Field{"gain_far", "1/s", kNotNegative}, self.gain_far...);
+    v(Field{"gain_slope", "1/(s px)", kNotNegative}, self.gain_slope...);
+    v(Field{"jacobian_at"}.of_pack(), self.jacobian_at...);
+    v(Field{"ki", "N s/m; N m s/rad", kNotNegative}, self.ki...);
+    v(Field{"damping", "px^2/m^2; px^2/rad^2", kNotNegative}, self.damping...);
   }
 };
+
+/// Checks how gains go together.
+/// @param key what the scenario's keys start with, "controller.resolved_rate."
+/// @throws std::invalid_argument naming the scenario key
+void validate(const ResolvedRateGains<double>& gains, const std::string& key);
 
 /// lambda(x) = (lambda_0 - lambda_inf) exp(-s_0 x/(lambda_0 - lambda_inf)) + lambda_inf [1/s], or lambda.
 /// @param x largest |xi-tilde_i| [px]
@@ -61,7 +63,12 @@ S velocity_gain(const ResolvedRateGains<S, N>& gains, const S& x) {
 
 /// The law as a policy of the loop.
 struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
-  static constexpr const char* name = "resolved_rate";
+  static constexpr LawTraits traits = {.name = "resolved_rate",
+                                       .type = "ResolvedRate",
+                                       .output = LawOutput::twist,
+                                       .viscous = true,
+                                       .points = true,
+                                       .depth = true};
 
   /// v* = lambda (J^T J + M)^-1 J^T xi-tilde, tau = K_i (v* - chi-dot) + G. NaN where J^T J + M is not positive
   /// definite.
@@ -97,9 +104,5 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
     return S(0.5) * (now.matrix() + goal.matrix());
   }
 };
-
-/// Checks gains as a user gives them.
-/// @throws std::invalid_argument naming the scenario key
-void validate(const ResolvedRateGains<double>& gains);
 
 }  // namespace hexservo

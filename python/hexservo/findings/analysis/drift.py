@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -304,7 +303,7 @@ class _Worker:
 
     def drift(self) -> Drift:
         """Compute all results."""
-        own = np.array(self.rest.settings.uncertainty.depth, dtype=float)
+        own = np.array(self.rest.settings["uncertainty.depth"], dtype=float)
         size = float(np.abs(own).max())
         sizes = sorted({*SIZES, *([size] if size > 0.0 else [])})
         grid = np.linspace(0.0, LARGEST, GRID + 1)[1:]
@@ -332,12 +331,14 @@ class _Worker:
         )
 
 
-def _only_pose_error(like: Any, prior: Array) -> _core.CompositeSettings:
+def _only_pose_error(like: _core.Settings, prior: Array) -> _core.Settings:
     """Return the law composite with K_t = 1 and the weight only: its wrench is the pose error plus the weight."""
-    settings = _core.CompositeSettings()
-    for key in ("robot", "camera", "convention", "jacobian", "target", "uncertainty"):
-        setattr(settings, key, getattr(like, key))
-    gains = settings.gains
-    gains.kp, gains.kv, gains.kd, gains.kt, gains.prior = np.zeros(8), np.zeros(6), np.zeros(6), np.ones(6), prior
-    gains.fuzzy.enabled = False
+    law = "composite"
+    settings = _core.Settings(law)
+    for key in _core.scenario_keys(law):
+        if key.name.startswith(("robot.", "camera.", "target.", "uncertainty.", "controller.jacobian")):
+            settings[key.name] = like[key.name]
+    gains = {"kp": 0.0, "kv": 0.0, "kd": 0.0, "kt": 1.0, "prior": prior, "fuzzy.enabled": False}
+    for name, value in gains.items():
+        settings[f"controller.{law}.{name}"] = value
     return settings

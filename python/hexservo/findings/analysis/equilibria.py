@@ -162,7 +162,7 @@ def _stiffness_along_z(rest: Rest, pose: Poses) -> float:
     acceleration[0, 2] = rest.stiffness(pose)[0, 2, 2]
     still = np.zeros((1, 6))
     force, _, _ = rest.probe.estimated_wrenches(pose.quaternion, still, acceleration)
-    return float(force[0, 2] * (1.0 - rest.settings.uncertainty.dynamics.inertia[2, 2]))
+    return float(force[0, 2] * (1.0 - rest.settings["uncertainty.inertia"][2, 2]))
 
 
 def _with_gravity(

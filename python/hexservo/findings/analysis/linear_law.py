@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -78,22 +77,21 @@ class _Tick:
         self.scenario = scenario
         self.points = scene.points
         self.camera = scene.camera
-        self.depth_scale = 1.0 + settings.uncertainty.depth
+        self.depth_scale: Array = 1.0 + settings["uncertainty.depth"]
         self.predicts = scenario.camera.prediction == "encoder"
         self.weight = scene.body.gravity_wrench
         # The points that the controller assumes, with their errors of depth: the tick adds none to them.
-        settings.target.points = self._believed(scene.home)
-        settings.uncertainty.depth = np.zeros(4)
-        if scenario.controller.law in ("hybrid", "composite"):
+        settings["target.points"] = self._believed(scene.home)
+        settings["uncertainty.depth"] = 0.0
+        if _core.LAW_TRAITS[settings.law].switching:
             if smooth:
-                settings.switching.kind = _core.SwitchingKind.tanh
+                settings["controller.switching.kind"] = "tanh"
             else:
-                gains: Any = settings.gains
-                gains.kv = np.zeros(6)
-        mode = settings.simulation.mode
-        settings.simulation.mode = _core.LoopMode.continuous  # a frame and a pose at every tick: `image` delays them
+                settings[f"controller.{settings.law}.kv"] = 0.0
+        mode = settings["simulation.mode"]
+        settings["simulation.mode"] = "continuous"  # a frame and a pose at every tick: `image` delays them
         self.core = _core.Controller(settings, scenario.simulation.step)
-        settings.simulation.mode = mode
+        settings["simulation.mode"] = mode
         self.weights = weights
         self.probe = _core.Probe(settings)
 
@@ -274,7 +272,7 @@ def linear_plant(scenario: Scenario, pose: Poses) -> LinearPlant:
     settings = core_parameters(scenario)
     scene = scene_of(scenario)
     hexapod, body = scene.hexapod, scene.body
-    error = settings.uncertainty.dynamics
+    error = settings.dynamics_error
     error.gravity = np.zeros(6)
     resting = hexapod.leg_forces(pose.position, pose.quaternion, body.gravity_wrench)
     still = np.zeros(6)

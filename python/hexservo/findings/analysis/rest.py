@@ -13,6 +13,7 @@ from hexservo.findings.analysis.goal import limited
 from hexservo.findings.analysis.poses import Poses, by_displacement
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Rest", "RestLaw", "not_analysed", "without_friction"]
@@ -40,19 +41,19 @@ class Rest(Scene):
         super().__init__(scenario)
         if not self.has_points:
             raise ValueError('camera.convention: expected "eye_in_hand", got "as_printed"')
-        dynamics = self.settings.uncertainty.dynamics
-        dynamics.gravity = gravity * dynamics.gravity
+        share = gravity * self.settings["uncertainty.gravity"]
+        self.settings["uncertainty.gravity"] = share
         self.probe = _core.Probe(self.settings)  # that of the scene has all of the gravity error
-        self.gains: Any = self.settings.gains  # of the scenario's law
+        self.gains: Any = gains_of(self.settings)  # of the scenario's law
         self.weight: Array = np.array(self.body.gravity_wrench)  # G-bar, (6,) [N; N m]
-        self.gravity_error: Array = np.asarray(dynamics.gravity * self.weight)  # delta_G G-bar, (6,) [N; N m]
+        self.gravity_error: Array = np.asarray(share * self.weight)  # delta_G G-bar, (6,) [N; N m]
 
     def aimed_at(self, desired: Array) -> Rest:
         """Return a copy with another goal image, (8,) [px]."""
         other = copy(self)
-        self.settings.target.desired_features = desired
+        self.settings["target.desired_features"] = desired
         other.probe = _core.Probe(self.settings)  # takes what it needs
-        self.settings.target.desired_features = self.desired
+        self.settings["target.desired_features"] = self.desired
         other.desired = desired
         return other
 

@@ -53,10 +53,10 @@ class Scene:
         self.camera = self.settings.camera
         self.hexapod = _core.Hexapod(self.settings.robot)
         self.home = Poses(np.array(self.hexapod.home_position), np.array([1.0, 0.0, 0.0, 0.0]))
-        self.desired: Array = np.array(self.settings.target.desired_features)  # (8,) [px]
-        self.platform_radius = float(self.settings.robot.platform_radius)  # [m]
-        self.stroke = float(self.settings.robot.stroke)  # [m]
-        self.band = float(self.settings.metrics.band)  # [px], of settling
+        self.desired: Array = self.settings["target.desired_features"]  # (8,) [px]
+        self.platform_radius: float = self.settings["robot.platform_radius"]  # [m]
+        self.stroke: float = self.settings["robot.stroke"]  # [m]
+        self.band: float = self.settings["metrics.band"]  # [px], of settling
         from_home = np.abs(self._image_of_home()[1])
         self.depth = float(from_home.mean())  # [m], of home
         self._nearest = _NEAR * float(from_home.min())
@@ -65,7 +65,7 @@ class Scene:
     @property
     def has_points(self) -> bool:
         """Whether there are points in space; a camera as printed integrates features and depths instead."""
-        return self.settings.convention == _core.CameraConvention.eye_in_hand
+        return bool(self.settings["camera.convention"] == "eye_in_hand")
 
     @cached_property
     def points(self) -> Array:
@@ -74,16 +74,16 @@ class Scene:
         Where the scenario gives features and depths, the core's projection of points beside the optical axis gives the
         pixels per metre at each depth.
         """
-        target = self.settings.target
-        if target.points is not None:
-            return np.array(target.points)
-        return self.points_seen_as(np.array(target.initial_features), -np.array(target.depth))
+        points: Array | None = self.settings["target.points"]
+        if points is not None:
+            return points
+        return self.points_seen_as(self.settings["target.initial_features"], -self.settings["target.depth"])
 
     @cached_property
     def body(self) -> _core.RigidBody:
         """The platform's estimated mass properties."""
         body = _core.RigidBody()
-        body.mass, body.inertia = self.settings.robot.mass, self.settings.robot.inertia
+        body.mass, body.inertia = self.settings["robot.mass"], self.settings["robot.inertia"]
         return body
 
     def points_seen_as(self, features: Array, depth: Array) -> Array:
@@ -98,8 +98,7 @@ class Scene:
         if self.has_points:
             features, depth = self.probe.image(self.home.rows.position, self.home.rows.quaternion)
             return features[0], depth[0]
-        target = self.settings.target
-        return np.array(target.initial_features), -np.array(target.depth)
+        return self.settings["target.initial_features"], -self.settings["target.depth"]
 
     def image(self, poses: Poses) -> tuple[Array, Array]:
         """Return the true features (..., 8) [px] and Z (..., 4) [m]; NaN where a point is not well in front.

@@ -78,7 +78,7 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
 
     home = scene.view(scene.home)
     settings = scene.settings
-    inertia = np.concatenate([np.full(3, settings.robot.mass), np.diag(settings.robot.inertia)])
+    inertia = np.concatenate([np.full(3, settings["robot.mass"]), np.diag(settings["robot.inertia"])])
     speed = np.abs(batch.samples["twist"])
     laws = [law.aimed_at(goal) for goal in goals]
     poses = Poses(batch.samples["position"], batch.samples["quaternion"])

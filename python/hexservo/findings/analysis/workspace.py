@@ -72,7 +72,7 @@ class Workspace(Part):
     @property
     def force_limit(self) -> float:
         """Largest leg force [N]."""
-        return float(self.scene.settings.robot.force_limit)
+        return float(self.scene.settings["robot.force_limit"])
 
 
 def analyse(scenario: Scenario) -> Workspace:
@@ -150,7 +150,7 @@ def _reaches(scene: Scene, directions: Array) -> list[Reach]:
 
 def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
     weight = np.array(scene.body.gravity_wrench)
-    actual = (1.0 - np.array(scene.settings.uncertainty.dynamics.gravity)) * weight
+    actual = (1.0 - scene.settings["uncertainty.gravity"]) * weight
     legs, at = scene.hexapod, (pose.position, pose.quaternion)
 
     def forces(wrench: Array) -> Array:

@@ -136,7 +136,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
         tolerance=tolerance + _ROUNDING * (turnover + float(energy.max())),
         turnover=turnover,
         mismatch=mismatch,
-        negligible=NEGLIGIBLE * float(np.linalg.norm(terms.gravity[:3])) * run.settings.robot.stroke,
+        negligible=NEGLIGIBLE * float(np.linalg.norm(terms.gravity[:3])) * run.settings["robot.stroke"],
         tossed=tossed,
         crossings=int(np.count_nonzero((run.twist[1:] * run.twist[:-1] < 0).any(axis=1))),
         remarks=(*terms.remarks, run.remark),

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, probe_without, sgn_breaks
 from hexservo.findings.certificate.uncertainty import Assumption, DeltaTau
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.parameters import gains_of
 
 __all__ = ["Lyapunov", "Rise", "differentiate", "lyapunov_of"]
 
@@ -89,10 +89,10 @@ class Lyapunov(Part):
 def lyapunov_of(run: Replay, plant: Plant, uncertainty: DeltaTau, assumption: Assumption) -> Lyapunov:
     """Follow V along a run of the law `hybrid` in continuous mode, with the best weights of `assumption`."""
     settings = run.settings
-    assert isinstance(settings, _core.HybridSettings)
+    gains = gains_of(settings)
     kinetic = 0.5 * np.einsum("ni,nij,nj->n", run.twist, run.probe.inertia(run.quaternion), run.twist)
-    image = 0.5 * (run.feature_error**2) @ settings.gains.kp
-    sign = settings.switching.kind == _core.SwitchingKind.sign
+    image = 0.5 * (run.feature_error**2) @ gains.kp
+    sign = settings["controller.switching.kind"] == "sign"
     believed = run.probe.measured_depth(run.depth)
     state = (run.features, believed, run.position, run.quaternion, run.twist)
     switching = run.probe.law(*state).wrench - probe_without(run.scenario, "kv").law(*state).wrench  # -K_v sw(chi-dot)
@@ -105,7 +105,7 @@ def lyapunov_of(run: Replay, plant: Plant, uncertainty: DeltaTau, assumption: As
     if run.weights is not None:
         assert uncertainty.basis is not None
         assert uncertainty.adaptation is not None
-        fuzzy = settings.gains.fuzzy
+        fuzzy = gains.fuzzy
         weights = run.weights.reshape(len(run.time), 6, -1)
         ideal = assumption.ideal
         missing = ideal - weights  # w~
@@ -141,7 +141,7 @@ def lyapunov_of(run: Replay, plant: Plant, uncertainty: DeltaTau, assumption: As
         limited=_beside(cut),
         change_in_switches=float(np.diff(change)[breaks].sum()),
         rise_in_a_switch=float(np.diff(change)[breaks].max(initial=0.0)),
-        switching=settings.switching.kind.name,
+        switching=settings["controller.switching.kind"],
     )
 
 

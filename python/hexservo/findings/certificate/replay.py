@@ -165,8 +165,7 @@ def probe_without(scenario: Scenario, *gains: str) -> _core.Probe:
     """Return the parts of a scenario's loop with some gains of its law zero, to find the effect of these gains."""
     settings = core_parameters(scenario)
     for name in gains:
-        value = getattr(settings.gains, name)
-        setattr(settings.gains, name, np.zeros_like(value) if isinstance(value, np.ndarray) else type(value)(0))
+        settings[f"controller.{settings.law}.{name}"] = 0.0
     return _core.Probe(settings)
 
 

@@ -63,8 +63,8 @@ def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:
 def doubled_stages_of(run: Replay) -> Iterator[Stages]:
     """Return the stages of steps twice as long, from every other sample of a run in continuous mode."""
     settings = core_parameters(run.scenario)
-    settings.simulation.step = 2 * run.step
-    settings.simulation.duration = 2 * run.step * len(run.time)  # any whole number of steps
+    settings["simulation.step"] = 2 * run.step
+    settings["simulation.duration"] = 2 * run.step * len(run.time)  # any whole number of steps
     probe = _core.Probe(settings)
     starts = np.arange(0, len(run.time) - 2, 2)
     for first in range(0, len(starts), _CHUNK):

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.findings.certificate.weights import BestWeights, best_weights
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.parameters import gains_of
 
 __all__ = ["AXES", "UNITS", "Assumption", "DeltaTau", "assumption_of", "uncertainty_of"]
 
@@ -33,7 +33,7 @@ class DeltaTau:
 def uncertainty_of(run: Replay, plant: Plant) -> DeltaTau:
     """Compute Delta-tau of a run of the law `hybrid` (docs/certificate/assumption.md)."""
     probe, settings = run.probe, run.settings
-    assert isinstance(settings, _core.HybridSettings)
+    gains = gains_of(settings)
     inertia = plant.inertia(run.quaternion)
     acceleration = probe.acceleration(run.position, run.quaternion, run.twist, run.wrench)
     inertial, coriolis, gravity = probe.estimated_wrenches(run.quaternion, run.twist, acceleration)
@@ -45,7 +45,7 @@ def uncertainty_of(run: Replay, plant: Plant) -> DeltaTau:
         "inertia": inertial - product(inertia, acceleration),
         "Coriolis": coriolis - plant.coriolis(run.quaternion, run.twist, inertia),
         "gravity": np.broadcast_to(gravity - plant.weight, run.twist.shape),
-        "image Jacobian": np.einsum("nij,ni->nj", jacobian_error, settings.gains.kp * run.feature_error),
+        "image Jacobian": np.einsum("nij,ni->nj", jacobian_error, gains.kp * run.feature_error),
     }
     # delta-tau by (3): what the estimated dynamics need for this motion and tau does not give. No delta enters.
     total = inertial + coriolis + gravity - run.wrench + parts["image Jacobian"]
@@ -103,15 +103,14 @@ def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) 
     ArithmeticError
         Where the solver of the linear programs gives up.
     """
-    settings = run.settings
-    assert isinstance(settings, _core.HybridSettings)
-    kv = np.array(settings.gains.kv)
+    gains = gains_of(run.settings)
+    kv = gains.kv
     total = uncertainty.total
     largest = np.abs(total).max(axis=0)
     if uncertainty.basis is None:
         weights, gamma, lower = None, total, largest
     else:
-        limits = settings.gains.fuzzy.weight_limit
+        limits = gains.fuzzy.weight_limit
         weights = tuple(
             best_weights(
                 uncertainty.basis[:, j],
