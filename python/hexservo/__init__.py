@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from hexservo.campaigns.rare import RareFailures, estimate_rare_failures
     from hexservo.campaigns.result import CampaignResult, WorstRun, load_campaign
     from hexservo.campaigns.sensitivity import Sensitivity, sensitivity
+    from hexservo.campaigns.tuning import TuneResult, tune
     from hexservo.campaigns.worst_case import WorstCase, worst_case
     from hexservo.findings.analysis import Analysis, analyse
     from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
@@ -71,6 +72,7 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "Sensitivity",
+    "TuneResult",
     "VariantError",
     "WorstCase",
     "WorstRun",
@@ -92,6 +94,7 @@ __all__ = [
     "sensitivity",
     "simulate",
     "simulate_batch",
+    "tune",
     "worst_case",
     "write_campaign_report",
     "write_report",
@@ -106,6 +109,7 @@ _MODULES = {
     "campaigns.rare": ("RareFailures", "estimate_rare_failures"),
     "campaigns.result": ("CampaignResult", "WorstRun", "load_campaign"),
     "campaigns.sensitivity": ("Sensitivity", "sensitivity"),
+    "campaigns.tuning": ("TuneResult", "tune"),
     "campaigns.worst_case": ("WorstCase", "worst_case"),
     "findings.analysis": ("Analysis", "analyse"),
     "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),

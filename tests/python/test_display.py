@@ -39,7 +39,9 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
     tick = hs.Controller(sampled, period=1e-3)
     vary = {"uncertainty.gravity": {"uniform": [0.0, 0.02]}}
     file = {"scenario": short, "vary": vary, "require": ["final_error <= 1.0"], "runs": 8}
-    drawn = hs.campaign(file, tmp_path_factory.mktemp("campaign") / "out")
+    folder = tmp_path_factory.mktemp("campaign")
+    drawn = hs.campaign(file, folder / "out")
+    gains = {"variables": {"controller.hybrid.kp": {"log": [1e-7, 1e-5]}}, "minimise": "effort", "over": 2}
     return {
         "Scenario": short,
         "Result": run,
@@ -63,6 +65,7 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
         "WorstCase": hs.worst_case(drawn, runs=20, restarts=1),
         "RareFailures": hs.estimate_rare_failures(file, samples=100),
         "Sensitivity": hs.sensitivity(file, samples=4),
+        "TuneResult": hs.tune(file | {"tune": gains}, folder / "tuned", generations=1, rounds=1),
         "metrics": hs.metrics(run),
         "METRICS": hs.METRICS,
         "scenario_names": hs.scenario_names(),

@@ -22,7 +22,7 @@ from test_cli import environment
 
 SHORT = ["--set", "simulation.duration=0.2"]
 COMMANDS = ["run", "compare", "report", "certify", "analyse", "diagnose", "scenarios", "show", "check", "export"]
-COMMANDS += ["campaign", "bench", "version"]
+COMMANDS += ["campaign", "tune", "bench", "version"]
 EXPONENT = re.compile(r"\de\+0[0-5]\b")  # a number below a million with an exponent
 MINUS_ZERO = re.compile(r"(?<![\w.])-0(?:\.0*)?(?![\w.])")
 TOO_LONG = re.compile(r"\b\d{4,}(?:\.\d+)? (?:u|n|m)(?:rad|m|s|N)\b")  # 277000 urad, 2100 mm

@@ -5,192 +5,65 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, TypeVar, cast
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from hexservo.campaigns.distributions import SEED, Variation, variation_of
+from hexservo.campaigns.distributions import SEED, Variation
 from hexservo.campaigns.drawing import PLACED, Drawing
+from hexservo.campaigns.file_keys import (
+    PROBABILITY,
+    OptionalInteger,
+    Problem,
+    RecordRule,
+    RequireRule,
+    ScenarioRule,
+    TunePlan,
+    TuneRule,
+    Until,
+    UntilRule,
+    Variable,
+    VariantRule,
+    VaryRule,
+)
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture
-from hexservo.campaigns.requirements import Requirement, requirement_of
+from hexservo.campaigns.requirements import Requirement
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
 from hexservo.run.variations import checked_variations, known_key
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.plain import plain
 from hexservo.scenario.problems import in_words
-from hexservo.scenario.rules import Flag, Integer, Number, Rule, refusal, shown_value
-from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
+from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
+from hexservo.scenario.scenario import Scenario, scenario_names
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
-__all__ = ["CampaignPlan", "Until", "campaign_names", "load_plan"]
+__all__ = ["CampaignPlan", "campaign_names", "load_plan"]
 
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
-T = TypeVar("T")
-_PROBABILITY = Number(above=0.0, below=1.0)
-
-
-@dataclass(frozen=True)
-class Until:
-    """When a campaign has runs enough."""
-
-    kind: str  # probability_below, width_below
-    value: float  # of the failure probability, or of its interval's width
-
-    def decided(self, low: float, high: float) -> bool:
-        """Return whether the interval decides: it lies on one side of the probability, or is narrow enough."""
-        if self.kind == "probability_below":
-            return high <= self.value or low > self.value
-        return high - low <= self.value
-
-    def to_plain(self) -> dict[str, float]:
-        """Return what a campaign file writes for it."""
-        return {self.kind: self.value}
-
-
-Problem: TypeAlias = tuple[tuple[str | int, ...], str]
-"""A place in a file, and what is wrong there."""
-
-
-def _tried(read: Callable[[Any], T], value: Any, place: str | int, problems: list[Problem]) -> T | None:
-    """Return what is read from a value, or None after its problems were added at its place."""
-    try:
-        return read(value)
-    except ValidationError as error:
-        problems += [((place, *each["loc"]), each["msg"]) for each in error.errors(include_url=False)]
-        return None
-
-
-# ---- The keys of a file ---------------------------------------------------------------------------------------------
-
-
-class _ScenarioRule(Rule):
-    @property
-    def expected(self) -> str:
-        return "a packaged scenario, the path of a file, or the scenario itself"
-
-    def accept(self, value: Any) -> Scenario:
-        if isinstance(value, Scenario):
-            return value
-        if not isinstance(value, str | dict):
-            self.refuse(value)
-        try:
-            return load_scenario(value) if isinstance(value, str) else Scenario.from_mapping(value)
-        except ScenarioError as error:
-            raise refusal(*(((), line) for line in str(error).splitlines())) from None
-
-
-class _VaryRule(Rule):
-    @property
-    def expected(self) -> str:
-        return "a block of dotted keys with their variations"
-
-    def accept(self, value: Any) -> dict[str, Variation]:
-        if not isinstance(value, dict) or not value:
-            self.refuse(value)
-        problems: list[Problem] = []
-        found = {
-            key: Variation(SEED) if (key, given) == ("seed", SEED) else _tried(variation_of, given, key, problems)
-            for key, given in value.items()
-        }
-        if problems:
-            raise refusal(*problems)
-        return cast("dict[str, Variation]", found)
-
-
-class _RequireRule(Rule):
-    @property
-    def expected(self) -> str:
-        return "a list of at least one requirement"
-
-    def accept(self, value: Any) -> tuple[Requirement, ...]:
-        if not isinstance(value, list) or not value:
-            self.refuse(value)
-        problems: list[Problem] = []
-        found = [_tried(requirement_of, given, index, problems) for index, given in enumerate(value)]
-        texts = [str(requirement) for requirement in found if requirement]
-        problems += [
-            ((), f'"{text}": duplicate requirement') for text in sorted({t for t in texts if texts.count(t) > 1})
-        ]
-        if problems:
-            raise refusal(*problems)
-        return cast("tuple[Requirement, ...]", tuple(found))
-
-
-class _UntilRule(Rule):
-    @property
-    def expected(self) -> str:
-        return "{probability_below: p} or {width_below: w}, a number > 0 and < 1"
-
-    def accept(self, value: Any) -> Until | None:
-        if value is None:
-            return None
-        if (
-            not isinstance(value, dict)
-            or len(value) != 1
-            or next(iter(value)) not in ("probability_below", "width_below")
-        ):
-            self.refuse(value)
-        ((kind, number),) = value.items()
-        try:
-            return Until(kind, _PROBABILITY.accept(number))
-        except ValidationError as error:
-            raise refusal(*(((kind,), each["msg"]) for each in error.errors(include_url=False))) from None
-
-
-class _OptionalInteger(Integer):
-    @property
-    def expected(self) -> str:
-        return f"{super().expected} or null"
-
-    def accept(self, value: Any) -> int | None:  # type: ignore[override]
-        return None if value is None else super().accept(value)
-
-
-class _VariantRule(Rule):
-    @property
-    def expected(self) -> str:
-        return "avx512, avx2, baseline or null"
-
-    def accept(self, value: Any) -> str | None:
-        if value not in ("avx512", "avx2", "baseline", None):
-            self.refuse(value)
-        return cast("str | None", value)
-
-
-class _RecordRule(Rule):
-    """What a campaign's folder adds to its file: of use there, and of none elsewhere."""
-
-    @property
-    def expected(self) -> str:
-        return "the block that hexservo wrote"
-
-    def accept(self, value: Any) -> None:
-        if value is not None and not isinstance(value, dict):
-            self.refuse(value)
 
 
 class CampaignPlan(Block):
     """A campaign file, checked. Immutable."""
 
-    scenario: Annotated[Scenario, _ScenarioRule()]  # what `vary` varies
-    vary: Annotated[dict[str, Variation], _VaryRule()]  # by dotted key
-    require: Annotated[tuple[Requirement, ...], _RequireRule()]
-    runs: Annotated[int | None, _OptionalInteger(1, MAX_RUNS)] = None  # with `until`: the most of them
-    until: Annotated[Until | None, _UntilRule()] = None
+    scenario: Annotated[Scenario, ScenarioRule()]  # what `vary` varies
+    vary: Annotated[dict[str, Variation], VaryRule()]  # by dotted key
+    require: Annotated[tuple[Requirement, ...], RequireRule()]
+    runs: Annotated[int | None, OptionalInteger(1, MAX_RUNS)] = None  # with `until`: the most of them
+    until: Annotated[Until | None, UntilRule()] = None
     chunk_size: Annotated[int, Integer(1, 10**6)] = CHUNK_SIZE  # runs that are computed and kept together
-    confidence: Annotated[float, _PROBABILITY] = 0.95  # of each interval
+    confidence: Annotated[float, PROBABILITY] = 0.95  # of each interval
     rare: Annotated[bool, Flag()] = False  # the mixture of the interval is Beta(0.1, 1e4), for rare failures
     stream: Annotated[int, Integer(0, 2**63 - 1)] = 0  # another number, other variations
-    variant: Annotated[str | None, _VariantRule()] = None  # compiled variant; null: that of the process which begins
-    record: Annotated[None, _RecordRule()] = Field(default=None, exclude=True)
+    variant: Annotated[str | None, VariantRule()] = None  # compiled variant; null: that of the process which begins
+    tune: Annotated[TunePlan | None, TuneRule()] = None  # gains to search (docs/tune.md); a campaign ignores it
+    record: Annotated[None, RecordRule()] = Field(default=None, exclude=True)
 
     def __init__(self, /, **keys: Any) -> None:
         """Check the keys of a campaign file.
@@ -213,7 +86,7 @@ class CampaignPlan(Block):
     def _fits_together(self) -> CampaignPlan:
         if self.runs is None and self.until is None:
             raise refusal((("runs",), "expected a number of runs, or until, got neither"))
-        problems = [
+        problems: list[Problem] = [
             (("vary", key), sentence)
             for key, variation in self.vary.items()
             if (sentence := _unfit(self.scenario, key, variation))
@@ -223,6 +96,12 @@ class CampaignPlan(Block):
             problems += [
                 (("vary", key), f"expected nothing that places the points beside {PLACED[0]} and {PLACED[1]}")
                 for key in both
+            ]
+        if self.tune is not None:
+            problems += [
+                (("tune", "variables", key), sentence)
+                for key, variable in self.tune.variables.items()
+                if (sentence := _unfit_variable(self.scenario, key, variable, self.vary))
             ]
         if problems:
             raise refusal(*problems)
@@ -262,6 +141,7 @@ class CampaignPlan(Block):
             "rare": self.rare,
             "stream": self.stream,
             "variant": self.variant,
+            "tune": None if self.tune is None else self.tune.to_plain(),
         }
 
     def to_yaml(self) -> str:
@@ -341,6 +221,22 @@ def _unfit(scenario: Scenario, key: str, variation: Variation) -> str:
     return ""
 
 
+def _unfit_variable(scenario: Scenario, key: str, variable: Variable, vary: Mapping[str, Variation]) -> str:
+    """Return why a variable does not fit a key of the scenario; empty if it does."""
+    if key in vary:
+        return "expected a key that vary does not have, got one that it has"
+    if problem := _unfit(scenario, key, variable.variation):
+        return problem
+    shapes = known_key(key, scenario.controller.law).shapes
+    if variable.groups == (0,):
+        return "" if () in shapes else "expected groups: the key takes an array alone"
+    entries = max(shapes, key=len)
+    if len(entries) != 1 or sum(variable.groups) != entries[0]:
+        size = f"{entries[0]} entries" if len(entries) == 1 else "no list"
+        return f"groups: expected sizes that add up to those of the key ({size}), got {list(variable.groups)}"
+    return ""
+
+
 def _unfit_place(scenario: Scenario, variation: Variation) -> str:
     """Return why a variation cannot displace the target of a scenario; empty if it can."""
     if scenario.camera.convention != "eye_in_hand":
@@ -406,7 +302,7 @@ def load_plan(
 
 def _changed(scenario: Any, changes: Mapping[str, Any]) -> Scenario:
     try:
-        return _ScenarioRule().accept(plain(scenario) if isinstance(scenario, Mapping) else scenario).updated(changes)
+        return ScenarioRule().accept(plain(scenario) if isinstance(scenario, Mapping) else scenario).updated(changes)
     except ValidationError as error:
         raise ScenarioError([f"scenario: {each['msg']}" for each in error.errors(include_url=False)]) from None
 

@@ -1,4 +1,4 @@
-"""The command ``hexservo campaign``."""
+"""Commands of assurance: ``hexservo campaign | tune``."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from hexservo.cli.terminal import (
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = ["campaign"]
+__all__ = ["campaign", "tune"]
 
 _LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
+NOT_FEASIBLE = 1
 _WORDS_OF_A_FILE = 3  # of a command that names one
 
 
@@ -113,6 +114,44 @@ def campaign(
             path = hs.write_campaign_report(result, tuple(more))
             if not quiet:
                 show_parts(f"report: {path}")
+
+
+def tune(
+    file: Annotated[str, typer.Argument(metavar="CAMPAIGN", help="Path of a campaign file with the block tune.")],
+    out: Annotated[
+        str, typer.Option("--out", "-o", metavar="FOLDER", help="New folder for tuned.yaml and the held-out campaign.")
+    ],
+    generations: Annotated[int, typer.Option("--generations", min=1, metavar="N", help="Of each round.")] = 40,
+    rounds: Annotated[
+        int, typer.Option("--rounds", min=1, metavar="N", help="At most; worst cases join the variations between them.")
+    ] = 3,
+    seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of the search.")] = 0,
+    threads: Annotated[
+        int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
+    ] = None,
+    settings: SettingsOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+) -> None:
+    """Search gains by their worst run.
+
+    The gains are judged by a campaign on variations that the search never used. Exit code 1: no gains were found
+    with which the requirements hold; the message names the one that cannot hold with the others.
+    """
+    with errors_as_messages():
+        from hexservo.campaigns.plan import load_plan
+        from hexservo.run.publish import OutputError
+
+        plan = load_plan(file, changes_of(settings or []))
+        try:
+            found = hs.tune(plan, out, generations=generations, rounds=rounds, seed=seed, threads=threads)
+        except (hs.ScenarioError, OutputError):
+            raise
+        except ValueError as error:
+            raise hs.ScenarioError(str(error).splitlines(), file) from error
+        if not quiet:
+            show_parts(*printed([found.section()]), "", f"the gains: hexservo run {found.path}")
+        if not found.feasible:
+            raise typer.Exit(NOT_FEASIBLE)
 
 
 def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[RenderableType]:

@@ -1,7 +1,8 @@
 """The command line: ``hexservo run | compare | report | scenarios | show | check | export | bench | version`` and more.
 
-Exit codes: 0 done; 2 bad input, or results that cannot be written; 3 a run that ended early, by divergence or another
-numerical outcome; 4 a run that did not settle, with --require-settled; 130 interrupted; 141 broken pipe.
+Exit codes: 0 done; 1 a tuning without feasible gains; 2 bad input, or results that cannot be written; 3 a run that
+ended early, by divergence or another numerical outcome; 4 a run that did not settle, with --require-settled;
+130 interrupted; 141 broken pipe.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ _WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table has no meanings of 
 
 app = typer.Typer(
     help="Image-based visual servoing of parallel robots: run scenarios, inspect results.",
-    epilog="Exit codes: 0 done, 2 bad input, 3 a run that ended early (such as divergence), 4 a run that did not "
-    "settle (with --require-settled), 130 interrupted.",
+    epilog="Exit codes: 0 done, 1 no feasible gains (tune), 2 bad input, 3 a run that ended early (such as "
+    "divergence), 4 a run that did not settle (with --require-settled), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -197,7 +198,14 @@ def compare(
             raise typer.Exit(NOT_SETTLED)
 
 
-for command in (evidence.report, evidence.certify, evidence.analyse, evidence.diagnose, assurance.campaign):
+for command in (
+    evidence.report,
+    evidence.certify,
+    evidence.analyse,
+    evidence.diagnose,
+    assurance.campaign,
+    assurance.tune,
+):
     app.command()(command)
 
 

@@ -1,0 +1,177 @@
+"""Tuning: the search over variations, what it promises of its gains, and its page."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.tuning import ranking
+from hexservo.run.publish import OutputError
+from hexservo.scenario.yaml import load_yaml
+from test_readme import ROOT, examples, output_of
+from test_terminal import invoke
+
+PAGE = ROOT / "docs" / "tune.md"
+BASE = hs.load_scenario("paper-composite").updated(
+    {"simulation.duration": 0.6, "metrics.rms_start": 0.3, "controller.switching.kind": "tanh"}
+)
+FILE: dict[str, Any] = {
+    "scenario": BASE,
+    "vary": {
+        "uncertainty.gravity": {"uniform": [-0.05, 0.05]},
+        "uncertainty.depth": {"uniform": [-0.3, 0.3], "each": True},
+    },
+    "require": ["outcome == completed", "peak_leg_force <= 0.6", "peak_leg_excursion <= 0.012"],
+    "runs": 100,
+    "tune": {
+        "variables": {
+            "controller.composite.kt": {"log": [0.01, 100], "groups": [3, 3]},
+            "controller.composite.drive": {"uniform": [1, 40]},
+        },
+        "minimise": "rms_error",
+        "over": 6,
+    },
+}
+
+
+def test_feasible_candidates_come_first() -> None:
+    margins = np.array([[0.5, -0.1], [0.2, 0.3], [0.0, 0.9], [-2.0, 1.0], [0.1, 0.1]])
+    values = np.array([0.0, 0.4, 0.3, 0.0, math.nan])
+    assert ranking(margins, values).tolist() == [2, 1, 4, 0, 3]
+
+
+def test_tuned_gains_are_better_where_it_was_promised(tmp_path: Path) -> None:
+    result = hs.tune(FILE, tmp_path / "out", generations=12, rounds=2, seed=4)
+    print(f"seed 4: {result.section().sentences}")
+    assert result.feasible
+    assert result.margin >= 0
+    assert result.worst < 0.8 * result.before[1]
+    assert 6 <= result.variations <= 7
+    kt = result.gains["controller.composite.kt"]
+    assert kt[0] == kt[1] == kt[2] != kt[3] == kt[4] == kt[5]
+    assert all(0.01 <= value <= 100 for value in kt)
+    assert result.scenario == BASE.updated(result.gains) == hs.load_scenario(result.path)
+
+    plan = load_plan(FILE)
+    batch = hs.simulate_batch(result.scenario, plan.drawing().numbers(0, 6), "metrics")
+    assert result.worst >= batch.metrics["rms_error"].max() > 0.5 * result.worst
+
+    held_out = result.held_out
+    assert held_out is not None
+    assert held_out.plan.stream == 1
+    assert held_out.plan.scenario == result.scenario
+    drawn = held_out.to_dataframe()["uncertainty.gravity"]
+    assert not set(drawn) & set(plan.drawing().numbers(0, 100)["uncertainty.gravity"]), "other variations"
+    assert "the largest rms error is" in result.section().sentences[1]
+    again = hs.tune(FILE, tmp_path / "again", generations=12, rounds=2, seed=4)
+    assert (again.gains, again.worst) == (result.gains, result.worst)
+
+
+def test_noise_differs_from_generation_to_generation_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[int, Any]] = []
+    simulate_batch = hs.simulate_batch
+
+    def watched(scenario: hs.Scenario, variations: Any, *more: Any) -> hs.BatchResult:
+        seen.append((len(variations["seed"]), variations["seed"].copy()))
+        return simulate_batch(scenario, variations, *more)
+
+    monkeypatch.setattr("hexservo.campaigns.tuning.simulate_batch", watched)
+    short = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.05, "metrics.rms_start": 0.01})
+    file = FILE | {
+        "scenario": short,
+        "vary": FILE["vary"] | {"seed": "each"},
+        "require": ["outcome == completed"],
+        "runs": 5,
+    }
+    hs.tune(file, tmp_path / "out", generations=3, rounds=1)
+    generations = [seeds.reshape(-1, 6) for size, seeds in seen if size % 6 == 0][:3]
+    assert all((rows == rows[0]).all() for rows in generations)
+    assert len({rows[0].tobytes() for rows in generations}) == 3
+
+
+def test_what_cannot_hold_is_named_with_its_relaxation(tmp_path: Path) -> None:
+    file = FILE | {"require": ["peak_leg_force <= 0.6", "peak_error <= 10"]}  # the start is 20 px from the goal
+    result = hs.tune(file, tmp_path / "out", generations=3, rounds=1)
+    assert not result.feasible
+    assert result.held_out is None
+    assert result.section().verdict == "bad"
+    found = re.search(r"The requirement peak_error <= 10.0 .* with peak_error <= (\d+\.?\d*) it does", result.advice)
+    assert found is not None, result.advice
+    assert 19.9 < float(found[1]) < 40
+
+
+REFUSED = [
+    ({"variables": {}}, "tune.variables: expected a block of gains with ranges, got an empty block"),
+    (
+        {"variables": {"controller.hybrid.kp": {"log": [1, 2]}}},
+        "variables.controller.hybrid.kp: expected a key of",
+    ),
+    ({"variables": {"controller.composite.kt": {"normal": [1, 2]}}}, r"kt: expected \{uniform: \[low, high\]\} or"),
+    (
+        {"variables": {"controller.composite.kt": {"log": [1, 2], "groups": [3, 4]}}},
+        r"groups: expected sizes .* \(6 ent",
+    ),
+    ({"variables": {"controller.composite.kt": {"log": [1, 2], "groups": [0]}}}, "kt.groups: expected a list of sizes"),
+    ({"variables": {"controller.composite.kt": {"uniform": [-1, 2]}}}, "kt: expected a number >= 0, but it reaches -1"),
+    ({"variables": {"uncertainty.gravity": {"uniform": [0, 0.1]}}}, "gravity: expected a key that vary does not have"),
+    ({"minimise": "settling"}, 'tune.minimise: unknown metric "settling"; did you mean "settling_time"'),
+    ({"over": 0}, "tune.over: expected an integer from 1 to"),
+    ({"more": 0}, "tune: expected a block with variables, minimise and, optionally, over"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), REFUSED)
+def test_refusals_of_the_block(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(hs.ScenarioError, match=message):
+        CampaignPlan(**{**FILE, "tune": {**FILE["tune"], **change}})
+
+
+def test_what_is_refused_before_a_search(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="source: expected a campaign file with the block tune, got one without"):
+        hs.tune("campaign-paper", tmp_path / "out")
+    with pytest.raises(ValueError, match="source: expected a campaign file with runs, got one without"):
+        hs.tune(FILE | {"runs": None, "until": {"width_below": 0.1}}, tmp_path / "out")
+    (tmp_path / "letter.txt").write_text("Dear")
+    with pytest.raises(OutputError, match="expected a new or empty folder, got one with files"):
+        hs.tune(FILE, tmp_path)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_campaign_ignores_the_block() -> None:
+    plan, without = load_plan(FILE), load_plan({key: value for key, value in FILE.items() if key != "tune"})
+    assert plan.digest() == without.digest()
+    again = CampaignPlan(**load_yaml(plan.to_yaml()))  # type: ignore[arg-type]
+    assert again.tune == plan.tune
+
+
+def test_the_page_and_the_command(tmp_path: Path) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    (yaml,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "mine.yaml").write_text(yaml.replace("runs: 1000", "runs: 20"), encoding="utf-8")
+    arguments = [
+        "tune",
+        str(tmp_path / "mine.yaml"),
+        "--out",
+        str(tmp_path / "out"),
+        "--generations",
+        "2",
+        "--rounds",
+        "1",
+    ]
+    code, out, err = invoke(*arguments, "--set", "simulation.duration=0.5")
+    assert (code, err) == (0, "")
+    assert f"the gains: hexservo run {tmp_path}/out/tuned.yaml" in out
+    code, out, err = invoke("tune", "campaign-paper", "--out", str(tmp_path / "other"))
+    assert (code, out) == (2, "")
+    assert err == "Error: campaign-paper: source: expected a campaign file with the block tune, got one without\n"
+    (example,) = examples(PAGE)
+    better, interval = output_of(example, tmp_path).splitlines()
+    assert better == "True True"
+    assert re.fullmatch(r"\(0\.0, 0\.0\d+\)", interval)
