@@ -105,7 +105,7 @@ void bind_keys(py::module_& m) {
 
 void bind_traits(py::module_& m) {
   using T = LawTraits;
-  py::class_<T>(m, "LawTraits", "What there is to say of a law without its equation.")
+  py::class_<T>(m, "LawTraits", "Properties of a law besides its equation.")
       .def_property_readonly("name", [](const T& t) { return text(t.name); })
       .def_property_readonly(
           "type", [](const T& t) { return text(t.type); }, "its name in C++")

@@ -254,7 +254,7 @@ class Batch {
     std::span<const std::size_t> members;
   };
 
-  /// What a kernel tells of its pack while it runs.
+  /// Reports of a kernel on its pack while it runs.
   struct Witness {
     Batch* batch;
     long long scenarios;

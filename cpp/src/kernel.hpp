@@ -1,7 +1,7 @@
 /// @file
 /// The border between baseline code and a kernel, the run loop compiled for one instruction set.
 ///
-/// A kernel may live in a module of its own that was compiled with other flags (docs/batch.md). The same templates
+/// A kernel may live in a separate module that was compiled with other flags (docs/batch.md). The same templates
 /// compiled with different flags share weak symbols and differ in alignment, so nothing but the plain data below
 /// crosses the border, and no kernel is ever linked with another.
 #pragma once

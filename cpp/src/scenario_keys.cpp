@@ -22,7 +22,7 @@ inline constexpr bool is_optional = false;
 template <class T>
 inline constexpr bool is_optional<std::optional<T>> = true;
 
-/// What a member's type says of its key.
+/// What follows for a key from the type of its member.
 template <class Member>
 void describe(ScenarioKey& key) {
   if constexpr (is_optional<Member>) {

@@ -27,7 +27,7 @@ void require_apart(const std::string& key, const Features& features) {
         refuse(key, "four different features", words("features ", k + 1, " and ", i + 1, " at the same place"));
 }
 
-/// Four features on one line, for example, leave a direction that no image shows.
+/// Four features on one line, for example, leave a direction that is not observable.
 void require_full_rank(const std::string& key, double f, const Image<double>& image) {
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
   Eigen::Matrix<double, 2 * kPoints, 6> J = ImageJacobian<double>(f, -1.0, image, R_BE).matrix();
@@ -193,7 +193,7 @@ void require_acting_bounds(const Settings& settings) {
   });
 }
 
-/// The controller's goal: where the believed points give the desired features.
+/// The controller's goal: where the assumed points give the desired features.
 Pose<double> believed_goal(const SceneParameters<double>& p, std::string_view law) {
   if (p.convention == CameraConvention::as_printed)
     refuse("camera.convention",

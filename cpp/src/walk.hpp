@@ -12,7 +12,7 @@
 
 namespace hexservo::detail {
 
-/// Where a walk is: no text is made before somebody asks for it.
+/// Where a walk is: its text is made on demand.
 struct Path {
   const Path* around = nullptr;
   std::string_view block{};            ///< name that its keys begin with, without a dot
@@ -43,7 +43,7 @@ void walk(const Path& path, T& block, F&& f) {
       block);
 }
 
-/// Says what a bound wants.
+/// Describes what a bound requires.
 inline std::string expected(const Bound& bound, bool whole) {
   const bool low = std::isfinite(bound.least), high = std::isfinite(bound.most);
   if (bound.least == 0.0 && bound.above && !high && std::isnan(bound.none)) return "a finite number > 0";

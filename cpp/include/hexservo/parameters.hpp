@@ -51,7 +51,7 @@ inline constexpr Bound kRelativeError = {.least = -1.0, .most = 1.0, .above = tr
 inline constexpr Bound kAngle = {.least = -6.283185307179586, .most = 6.283185307179586};
 inline constexpr Bound kProbability = {.least = 0.0, .most = 1.0};
 
-/// What a key of a batch changes beside numbers of its own lane.
+/// What a key of a batch changes besides the numbers of one lane.
 enum class Reach {
   lane,  ///< nothing
   pack,  ///< what must agree in all lanes of a pack
@@ -59,7 +59,7 @@ enum class Reach {
   batch  ///< what all its scenarios share: such a key does not vary
 };
 
-/// Whom a parameter tells something.
+/// Where a parameter has an effect.
 enum class Concern {
   controller,  ///< a robot's program needs it
   plant,       ///< the machine and its faults, as a simulation has them
@@ -73,7 +73,7 @@ enum class Form {
   symmetric    ///< of a symmetric matrix its diagonal, or each
 };
 
-/// A unit that a block has in place of its own.
+/// A unit that replaces the one of a block.
 struct UnitOf {
   std::string_view name, unit;
 };

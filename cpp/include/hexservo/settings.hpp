@@ -13,7 +13,7 @@
 
 namespace hexservo {
 
-/// Four points to look at, given by what the camera sees from home or by where they are, and where they shall appear.
+/// Four points to look at, given by their image from home or by their positions, and their desired image.
 struct Target {
   Vector<double, 2 * kPoints> initial_features = Vector<double, 2 * kPoints>::Zero();  ///< seen from home [px]
   Vector<double, 2 * kPoints> desired_features = Vector<double, 2 * kPoints>::Zero();  ///< xi_d [px]
@@ -61,7 +61,7 @@ struct CameraSettings : Camera<double>, FrameFaults<double> {
   }
 };
 
-/// How the controller knows pose and twist in `sampled` mode.
+/// Source of the controller's pose and twist in `sampled` mode.
 struct SensorSettings : EncoderReadings<double> {
   PoseSource pose = PoseSource::truth;
   double period = 0.0;  ///< between two readings of the encoders [s]; 0: every servo period

@@ -3,7 +3,7 @@
 ///
 /// The adaptation of the paper's law is driven by velocity alone: it stops wherever the platform sticks. Here it is
 /// driven by the pose error as well, so that the fuzzy systems integrate until the error is gone. Image and joint
-/// sensors both tell of that error, and in the directions that the image hardly shows the joint sensors' pose decides.
+/// sensors both measure that error; in poorly observable directions of the image the joint sensors' pose decides.
 ///
 /// | symbol      | here           |                                                                              |
 /// | ----------- | -------------- | ---------------------------------------------------------------------------- |

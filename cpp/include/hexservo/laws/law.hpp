@@ -118,7 +118,7 @@ struct LawTraits {
   bool memory = false;     ///< fuzzy systems, whose weights change from tick to tick
   bool viscous = false;    ///< damping in proportion to the twist
   bool switching = false;  ///< the friction-like term -K_v sw(chi-dot)
-  bool points = false;     ///< gains may ask for the believed points and their goal: `needs_goal` of the gains
+  bool points = false;     ///< gains may use the assumed points and their goal: `needs_goal` of the gains
   bool depth = false;      ///< the measured depths enter
   bool prior = false;      ///< the joint sensors' pose, weighed against the image by the gain `prior`
 };
@@ -134,7 +134,7 @@ bool fuzzy_systems_act(const typename Law::template Gains<double>& gains) noexce
   return false;
 }
 
-/// What a law knows of robot, camera and goal: estimates, never the plant's own values.
+/// A law's model of robot, camera and goal: estimates, never the plant's own values.
 template <class S, int N = kPoints>
 struct ControlTask {
   S focal_pixels;                     ///< f [px]

@@ -31,7 +31,7 @@ LawId law_named(std::string_view name);
 template <class Law>
 using GainsOf = typename Law::template Gains<double>;
 
-/// Gains of one of the laws, which their type tells.
+/// Gains of one of the laws; their type is that of the law.
 using LawGains = Laws::Map<std::variant, GainsOf>;
 
 }  // namespace hexservo

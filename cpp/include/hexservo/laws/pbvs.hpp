@@ -1,5 +1,5 @@
 /// @file
-/// Position-based visual servoing: a pose from the four features and believed points, then a Cartesian law
+/// Position-based visual servoing: a pose from the four features and assumed points, then a Cartesian law
 /// (docs/model.md, section 5).
 #pragma once
 

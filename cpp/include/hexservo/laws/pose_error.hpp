@@ -1,5 +1,5 @@
 /// @file
-/// The pose error that an image tells, alone or together with what is known beforehand (docs/model.md, section 5).
+/// The pose error estimated from an image, alone or together with a prior (docs/model.md, section 5).
 #pragma once
 
 #include "hexservo/camera.hpp"

@@ -12,7 +12,7 @@ namespace hexservo {
 /// Where the image Jacobian of `resolved_rate` is taken.
 enum class JacobianPoint {
   current,  ///< at the measured features and depths
-  desired,  ///< at the desired features, with the believed points' depths seen from the goal
+  desired,  ///< at the desired features, with the assumed points' depths seen from the goal
   mean      ///< half the sum of the two
 };
 
