@@ -94,6 +94,7 @@ def test_a_killed_worker_changes_nothing(whole: Path, tmp_path: Path) -> None:
     assert digest_of(tmp_path / "out") == digest_of(whole)
 
 
+@pytest.mark.slow
 def test_a_killed_scheduler_loses_nothing(whole: Path, tmp_path: Path) -> None:
     lost, kept, complete = output_of_script(LOST_SCHEDULER, tmp_path)
     assert lost.startswith("engine: expected a scheduler that runs, got: ")
