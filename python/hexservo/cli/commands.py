@@ -8,7 +8,6 @@ ended early, by divergence or another numerical outcome; 4 a run that did not se
 from __future__ import annotations
 
 import io
-import json
 import math
 import sys
 import time
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli import assurance, evidence, terminal
+from hexservo.cli import assurance, evidence, keys, terminal
 from hexservo.cli.terminal import (
     ENDED_EARLY,
     INTERRUPTED,
@@ -205,6 +204,7 @@ for command in (
     evidence.diagnose,
     assurance.campaign,
     assurance.tune,
+    keys.schema,
 ):
     app.command()(command)
 
@@ -231,30 +231,6 @@ def show(scenario: ScenarioArgument, settings: SettingsOption = None) -> None:
     """
     with errors_as_messages():
         write(load(scenario, settings or []).to_yaml(), encoding="utf-8")  # what a scenario is read with
-
-
-@app.command()
-def schema(
-    as_json: Annotated[bool, typer.Option("--json", help="All of it as JSON, for other programs.")] = False,
-) -> None:
-    """List the keys of a scenario with unit, bounds and default, as the core takes them."""
-    with errors_as_messages():
-        from hexservo.scenario.schema import schema as entries
-
-        if as_json:
-            write(json.dumps(entries(), indent=2) + "\n", encoding="utf-8")
-            return
-        from rich.table import Table
-
-        table = Table.grid(padding=(0, 2))
-        for entry in entries():
-            values = " | ".join(entry["choices"]) if "choices" in entry else entry["unit"]
-            table.add_row(entry["key"], entry["type"], values, _shortened(json.dumps(entry["default"])))
-        show_parts(table)
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 @app.command()

@@ -1,0 +1,38 @@
+"""The command ``hexservo schema``."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from hexservo.cli.terminal import errors_as_messages, show_parts, write
+
+__all__ = ["schema"]
+
+
+def schema(
+    as_json: Annotated[bool, typer.Option("--json", help="All of it as JSON, for other programs.")] = False,
+) -> None:
+    """List all keys of a scenario.
+
+    Each has its type, its unit or choices, and its default, from the core; --json adds the bounds.
+    """
+    with errors_as_messages():
+        from hexservo.scenario.schema import schema as entries
+
+        if as_json:
+            write(json.dumps(entries(), indent=2) + "\n", encoding="utf-8")
+            return
+        from rich.table import Table
+
+        table = Table.grid(padding=(0, 2))
+        for entry in entries():
+            values = " | ".join(entry["choices"]) if "choices" in entry else entry["unit"]
+            table.add_row(entry["key"], entry["type"], values, _shortened(json.dumps(entry["default"])))
+        show_parts(table)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:37]}..."
