@@ -29,9 +29,11 @@ from hexservo.cli.terminal import (
     complain,
     ending,
     errors_as_messages,
+    expanded,
     load,
     show_parts,
     spell_time,
+    split,
     whisper,
     write,
 )
@@ -163,7 +165,7 @@ def compare(
         from hexservo.run.files import check_folder
         from hexservo.run.publish import OutputError
 
-        names, chosen_laws = _expanded(scenarios), None if laws is None else _split(laws)
+        names, chosen_laws = expanded(scenarios), None if laws is None else split(laws)
         watched = sys.stderr is not None and sys.stderr.isatty()
         try:
             chosen = [load(name, settings or []) for name in names]
@@ -337,30 +339,6 @@ def version() -> None:
         from hexservo.run.machine import versions
 
         write("".join(f"{name + ':':<11}{value}\n" for name, value in versions().items()))
-
-
-# ---- Input ----------------------------------------------------------------------------------------------------------
-
-
-def _split(names: str) -> list[str]:
-    return [name.strip() for name in names.split(",") if name.strip()]
-
-
-def _expanded(names: str) -> list[str]:
-    """Return the names of a list, with patterns replaced by the matching packaged scenarios."""
-    from fnmatch import fnmatchcase
-
-    chosen: list[str] = []
-    for name in _split(names):
-        fitting = [known for known in hs.scenario_names() if fnmatchcase(known, name)]
-        if not fitting and any(character in name for character in "*?"):
-            raise hs.ScenarioError(
-                f'--scenarios: expected a pattern that matches one of {", ".join(hs.scenario_names())}; got "{name}"'
-            )
-        chosen += [known for known in fitting or [name] if known not in chosen]
-    if not chosen:
-        raise hs.ScenarioError(f'--scenarios: expected names with commas between, got "{names}"')
-    return chosen
 
 
 # ---- Output ---------------------------------------------------------------------------------------------------------

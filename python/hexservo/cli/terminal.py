@@ -30,9 +30,11 @@ __all__ = [
     "complain",
     "ending",
     "errors_as_messages",
+    "expanded",
     "load",
     "show_parts",
     "spell_time",
+    "split",
     "whisper",
     "width",
     "write",
@@ -112,6 +114,28 @@ def _changes_of(settings: list[str]) -> tuple[dict[str, object], list[str]]:
         except hs.ScenarioError as error:
             problems += [f"{key}: {problem}" for problem in error.problems]
     return changes, problems
+
+
+def split(names: str) -> list[str]:
+    """Return the names of a list with commas."""
+    return [name.strip() for name in names.split(",") if name.strip()]
+
+
+def expanded(names: str) -> list[str]:
+    """Return the names of a list, with patterns replaced by the matching packaged scenarios."""
+    from fnmatch import fnmatchcase
+
+    chosen: list[str] = []
+    for name in split(names):
+        fitting = [known for known in hs.scenario_names() if fnmatchcase(known, name)]
+        if not fitting and any(character in name for character in "*?"):
+            raise hs.ScenarioError(
+                f'--scenarios: expected a pattern that matches one of {", ".join(hs.scenario_names())}; got "{name}"'
+            )
+        chosen += [known for known in fitting or [name] if known not in chosen]
+    if not chosen:
+        raise hs.ScenarioError(f'--scenarios: expected names with commas between, got "{names}"')
+    return chosen
 
 
 def _read_standard_input() -> hs.Scenario:
