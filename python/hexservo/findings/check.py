@@ -12,7 +12,7 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quie
 from hexservo.findings.analysis.reach import LegMargin, reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.keys import default_of, keys_below, value_at
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import LAWS, laws_with
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
@@ -137,7 +137,7 @@ class _Condition:
 
 
 def _switches(scenario: Scenario) -> bool:
-    return scenario.controller.law in ("hybrid", "composite")
+    return scenario.controller.law in laws_with("memory")
 
 
 def _has_slope(scenario: Scenario) -> bool:
@@ -169,7 +169,7 @@ def _of_motion(keys: str, kind: str) -> _Condition:
 
 _CONDITIONS = (
     *map(_of_law, LAWS),
-    *map(_of_fuzzy, ("hybrid", "composite")),
+    *map(_of_fuzzy, laws_with("memory")),
     _Condition(
         ("controller.resolved_rate.gain_far", "controller.resolved_rate.gain_slope"),
         lambda scenario: scenario.controller.law != "resolved_rate" or scenario.controller.resolved_rate.adaptive,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Annotated, Any, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
+from hexservo import _core
 from hexservo.scenario.block import NOT_NEGATIVE, POSITIVE, SAMPLED, Block, PositiveNumber
 from hexservo.scenario.core_defaults import core_default, from_core
 from hexservo.scenario.rules import ArrayRule, Choice, Flag, Matrix, Number, TableRule, Vector, map_lists
@@ -22,14 +23,19 @@ __all__ = [
     "Pbvs",
     "ResolvedRate",
     "Switching",
+    "laws_with",
 ]
 
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
-Law: TypeAlias = Literal["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"]
 JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
-LAWS: tuple[str, ...] = get_args(Law)
+LAWS: tuple[str, ...] = tuple(_core.LAW_TRAITS)
 SixNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)]
 EightNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)]
+
+
+def laws_with(trait: str) -> tuple[str, ...]:
+    """Return the laws that have a trait of `_core.LawTraits`, such as ``memory``."""
+    return tuple(law for law, traits in _core.LAW_TRAITS.items() if getattr(traits, trait))
 
 
 class Switching(Block):
@@ -188,7 +194,7 @@ class ComputedTorque(Block):
 class Controller(Block):
     """The control law. Each law has a separate block, and only the selected one has an effect."""
 
-    law: Annotated[Law, Choice()] = "hybrid"
+    law: Annotated[str, Choice(LAWS)] = LAWS[0]
     # consistent: the sign of the plant; printed: (8) as it stands
     jacobian: Annotated[Literal["consistent", "printed"], Choice()] = "consistent"
     switching: Switching = Field(default_factory=Switching)

@@ -17,6 +17,7 @@ from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
 from hexservo.findings.part import Part
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.laws import laws_with
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
@@ -373,7 +374,7 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
     if scenario.simulation.mode != "sampled":
         assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms, "
         changes["simulation.mode"] = "sampled"
-        if scenario.controller.law in ("hybrid", "composite") and scenario.controller.switching.kind == "sign":
+        if scenario.controller.law in laws_with("switching") and scenario.controller.switching.kind == "sign":
             assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms with implicit switching, "
             changes["controller.switching.kind"] = "implicit"
     sampled = trial.scenario.updated(changes) if changes else trial.scenario

@@ -14,7 +14,7 @@ from hexservo.findings.analysis.stiction_runs import Runs, run
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed, extremes
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.laws import Fuzzy
+from hexservo.scenario.laws import Fuzzy, laws_with
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
@@ -124,7 +124,7 @@ def _unusable(scene: Scene, goals: Goals) -> str | None:
 def _kind(scenario: Scenario) -> tuple[Kind, str]:
     """Return which case of the analysis applies to a law, and the reason."""
     law = scenario.controller.law
-    if law not in ("hybrid", "composite"):
+    if law not in laws_with("switching"):
         return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
     if scenario.camera.convention == "as_printed":
         return "open", "Open: a camera as printed has no points in space, so the set has no poses."

@@ -18,6 +18,7 @@ from hexservo.findings.diagnosis.remedies import (
     unequal_depth_remedies,
 )
 from hexservo.scenario.blocks import BaseMotion
+from hexservo.scenario.laws import laws_with
 from hexservo.scenario.parameters import frame_period
 
 __all__ = ["DEVICES"]
@@ -37,7 +38,7 @@ def _sign(case: Case) -> list[Removal]:
     scenario = case.scenario
     if scenario.controller.jacobian != "printed" or scenario.camera.convention != "eye_in_hand":
         return []
-    if scenario.controller.law == "pbvs":  # the sign does not enter
+    if scenario.controller.law not in laws_with("depth"):  # no image Jacobian, and so no sign of it
         return []
     return [Removal("the sign of the image Jacobian that the camera has", {"controller.jacobian": "consistent"})]
 

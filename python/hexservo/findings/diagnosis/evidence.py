@@ -100,7 +100,7 @@ def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signatur
 
 def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
     law = case.scenario.controller.law
-    if law not in ("hybrid", "composite"):
+    if not _core.LAW_TRAITS[law].memory:
         return Signature(0.0, "")
     scale = np.repeat([1.0, 1.0 / case.scenario.robot.platform_radius], 3)
     held = math.hypot(*(scale * record.samples["fuzzy_output"][-1]))  # no square of it overflows

@@ -20,12 +20,12 @@ from hexservo.findings.diagnosis.goal import spread_target
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import leg_limits_remedies
 from hexservo.scenario.blocks import Metrics
-from hexservo.scenario.laws import Fuzzy
+from hexservo.scenario.laws import Fuzzy, laws_with
 from hexservo.scenario.parameters import frame_period
 
 __all__ = ["LAWS", "TASKS"]
 
-_WITH_FRICTION = ("hybrid", "composite")
+_WITH_FRICTION = laws_with("switching")
 _RICHER = 2.0  # a target counts as badly spread where a square would show the worst direction so many times better
 _MAX_DELAY = 8  # ticks of the actuators, docs/model.md section 7
 _FACTORS = (4.0, 16.0, 64.0)  # by which a loop is made slower or faster

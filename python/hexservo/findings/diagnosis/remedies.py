@@ -9,6 +9,7 @@ import numpy as np
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.model import Case, Removal
+from hexservo.scenario.laws import laws_with
 
 __all__ = [
     "gravity_remedies",
@@ -25,7 +26,7 @@ def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Remova
     """Slow down the loop or its adaptation, instead of a better device."""
     law = case.scenario.controller.law
     offered = [Removal(f"the loop {factor:g} times as slow", slower(case.scenario, factor)) for factor in (2.0, 4.0)]
-    if law in ("hybrid", "composite") and getattr(case.scenario.controller, law).fuzzy.enabled:
+    if law in laws_with("memory") and getattr(case.scenario.controller, law).fuzzy.enabled:
         slowness = np.asarray(getattr(case.scenario.controller, law).fuzzy.adaptation, dtype=float)
         key = f"controller.{law}.fuzzy.adaptation"
         offered.append(Removal("adaptation 10 times as slow", {key: (10.0 * slowness).tolist()}))
