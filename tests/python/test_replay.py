@@ -262,9 +262,9 @@ def test_what_was_lost_on_the_way_to_a_robot() -> None:
     )
     assert hs.metrics(hs.simulate(late))["settling_time"] == pytest.approx(0.480, rel=0.03)
     header = gains_header(late.updated({"camera.timeout": 0.2}))
-    assert "s.sampling.timeout = 0.2;" in header
+    assert "s.camera.timeout = 0.2;" in header
     assert "hexservo::Prediction::encoder" in header
-    assert "s.actuators.actuators.saturation = false;" in header
+    assert "s.actuators.saturation = false;" in header
 
 
 def test_a_timeout_costs_no_stroke() -> None:
