@@ -50,7 +50,7 @@ void put(Instant<Lanes<W>>& to, int lane, const Instant<double>& from) {
 inline constexpr std::size_t kInstants = 256;  ///< they fit into a second-level cache, as a robot's own data do
 
 inline const LoopParameters<double, Hybrid>& parameters() {
-  static const LoopParameters<double, Hybrid> p = loop_parameters(test::paper_settings());
+  static const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(test::paper_settings());
   return p;
 }
 

@@ -8,7 +8,7 @@ namespace hexservo::kernels {
 namespace {
 
 void servo_tick(benchmark::State& state) {
-  const ControllerGains<Hybrid> gains = controller_gains(test::paper_settings(), 1e-3);
+  const ControllerGains<Hybrid> gains = controller_gains<Hybrid>(test::paper_settings(), 1e-3);
   std::vector<ControllerInput> inputs;
   for (ClosedLoop<double, Hybrid> loop(parameters()); inputs.size() < 1000; loop.advance())
     inputs.push_back(input_of(loop.time(), loop.observe()));

@@ -41,7 +41,7 @@ TEST_CASE("with everything off the wrench passes bit for bit") {
   CAPTURE(random.seed());
   const Place at = place();
   for (const bool saturation : {false, true}) {  // a limit that nothing reaches is no limit
-    Actuators<double> actuators({.saturation = saturation}, 1e3, kTick, kResting);
+    Actuators<double> actuators({{.saturation = saturation}, 0}, 1e3, kTick, kResting);
     for (int trial = 0; trial < 100; ++trial) {
       const Vector6<double> wrench = random.six(1.0, 0.1);
       const Actuation<double> out = step(actuators, at, wrench);
@@ -56,7 +56,7 @@ TEST_CASE("holding leg forces, they and their wrench belong together") {
   Random random(7502);
   CAPTURE(random.seed());
   const Place at = place();
-  Actuators<double> actuators({.hold = ActuatorHold::leg_forces}, 1.0, kTick, kResting);
+  Actuators<double> actuators({{.hold = ActuatorHold::leg_forces}, 0}, 1.0, kTick, kResting);
   const Vector6<double> wrench = random.six(1.0, 0.1);
   const Actuation<double> out = step(actuators, at, wrench);
   CHECK(distance(out.leg_forces, at.solver.leg_forces(wrench)) == 0.0);
@@ -74,8 +74,8 @@ TEST_CASE("saturation is never exceeded, cuts leg by leg, and is reported exactl
     for (const double quantisation : {0.0, 0.5}) {  // a rounded 0.99 would be 1
       CAPTURE(bandwidth);
       CAPTURE(quantisation);
-      Actuators<double> actuators({.saturation = true, .bandwidth = bandwidth, .quantisation = quantisation}, kLimit,
-                                  kTick, kResting);
+      Actuators<double> actuators({{.saturation = true, .bandwidth = bandwidth, .quantisation = quantisation}, 0},
+                                  kLimit, kTick, kResting);
       for (int trial = 0; trial < 300; ++trial) {
         const Vector6<double> wrench = random.six(2.0, 0.2), command = at.solver.leg_forces(wrench);
         const Actuation<double> out = step(actuators, at, wrench);
@@ -96,7 +96,7 @@ TEST_CASE("quantised leg forces are multiples, at most half a step off") {
   CAPTURE(random.seed());
   const Place at = place();
   constexpr double kStep = 0.01;
-  Actuators<double> actuators({.quantisation = kStep}, 1.0, kTick, kResting);
+  Actuators<double> actuators({{.quantisation = kStep}, 0}, 1.0, kTick, kResting);
   for (int trial = 0; trial < 100; ++trial) {
     const Vector6<double> wrench = random.six(1.0, 0.1);
     const Actuation<double> out = step(actuators, at, wrench);
@@ -112,7 +112,7 @@ TEST_CASE("a delay shifts the leg forces by its ticks; before the first command 
   const Place at = place();
   for (long long delay = 0; delay <= kMaxActuatorDelay; ++delay) {
     CAPTURE(delay);
-    Actuators<double> actuators({.saturation = true, .delay = delay}, 0.5, kTick, kResting);
+    Actuators<double> actuators({{.saturation = true}, delay}, 0.5, kTick, kResting);
     std::vector<Vector6<double>> commands;
     for (long long tick = 0; tick < 40; ++tick) {
       const Vector6<double> wrench = random.six(1.0, 0.1), command = at.solver.leg_forces(wrench);
@@ -133,7 +133,7 @@ TEST_CASE(
   const Vector6<double> target = at.solver.leg_forces(wrench);
   for (const double bandwidth : {0.1, 10.0, 100.0, 1000.0, 1e5}) {
     CAPTURE(bandwidth);
-    Actuators<double> actuators({.bandwidth = bandwidth}, 1.0, kTick, kResting);
+    Actuators<double> actuators({{.bandwidth = bandwidth}, 0}, 1.0, kTick, kResting);
     const double omega = 6.283185307179586 * bandwidth;
     Vector6<double> impulse = Vector6<double>::Zero();
     for (int tick = 1; tick <= 100; ++tick) {
@@ -161,7 +161,7 @@ TEST_CASE("a pack of actuators acts as single ones do") {
   std::vector<Actuators<double>> singles;
   for (int lane = 0; lane < kWidth; ++lane) {
     const ActuatorParameters<double> single{
-        .saturation = true, .bandwidth = lane == 1 ? 50.0 : kInfinity, .quantisation = lane == 2 ? 0.02 : 0.0};
+        {.saturation = true, .bandwidth = lane == 1 ? 50.0 : kInfinity, .quantisation = lane == 2 ? 0.02 : 0.0}, 0};
     set_lane(parameters, lane, single);
     limit.set(lane, lane == 3 ? 0.3 : 1.0);
     set_lane(resting, lane, kResting);

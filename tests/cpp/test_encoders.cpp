@@ -118,7 +118,7 @@ bool clear_of_singular_poses(const Hexapod<double>& hexapod, const Pose<double>&
 
 TEST_CASE("ideal encoders give the true pose and, with true rates, the true twist") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
-  JointSensors<double> sensors = encoders({.rates = RateSource::true_rates}, hexapod);
+  JointSensors<double> sensors = encoders({{.rate = RateSource::true_rates}, 1}, hexapod);
   for (long long tick = 0; tick < 1000; ++tick) {
     const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
     sensors.observe(tick, truth.pose, truth.twist);
@@ -170,7 +170,7 @@ TEST_CASE("any motion between two readings is followed that keeps clear of singu
         if (!clear_of_singular_poses(hexapod, before, move, turn)) continue;
         ++clear;
         const Pose<double> now = displaced(before, move, turn);
-        JointSensors<double> sensors({.period = period}, hexapod, seed_halves(1));
+        JointSensors<double> sensors({{}, period}, hexapod, seed_halves(1));
         sensors.observe(0, before, Vector6<double>::Zero());
         sensors.observe(period, now, Vector6<double>::Zero());
         REQUIRE_FALSE(sensors.failed());
@@ -199,7 +199,7 @@ TEST_CASE(
     if (!clear_of_singular_poses(hexapod, before, move, turn)) continue;
     ++clear;
     const Pose<double> now = displaced(before, move, turn);
-    JointSensors<double> sensors({.rates = RateSource::true_rates}, hexapod, seed_halves(1));
+    JointSensors<double> sensors({{.rate = RateSource::true_rates}, 1}, hexapod, seed_halves(1));
     sensors.observe(0, before, twist);
     sensors.observe(1, now, twist);
     REQUIRE_FALSE(sensors.failed());
@@ -250,7 +250,7 @@ TEST_CASE(
 TEST_CASE("resolution: readings are multiples, at most half a step off, and so are pose and rates within bounds") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
   constexpr double kResolution = 1e-5;
-  JointSensors<double> sensors = encoders({.resolution = kResolution}, hexapod), ideal = encoders({}, hexapod);
+  JointSensors<double> sensors = encoders({{.resolution = kResolution}, 1}, hexapod), ideal = encoders({}, hexapod);
   double worst = 0.0;
   for (long long tick = 0; tick < 1000; ++tick) {
     const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
@@ -278,7 +278,8 @@ TEST_CASE("noise has its standard deviation, in every leg, and is a function of 
   constexpr double kNoise = 2e-5;
   constexpr int kReadings = 4000;
   const Pose<double> home = home_pose(hexapod);
-  JointSensors<double> sensors = encoders({.noise = kNoise}, hexapod), other = encoders({.noise = kNoise}, hexapod, 2);
+  JointSensors<double> sensors = encoders({{.noise = kNoise}, 1}, hexapod),
+                       other = encoders({{.noise = kNoise}, 1}, hexapod, 2);
   Vector6<double> sum = Vector6<double>::Zero(), square = sum;
   for (long long tick = 0; tick < kReadings; ++tick) {
     sensors.observe(tick, home, Vector6<double>::Zero());
@@ -295,7 +296,7 @@ TEST_CASE("noise has its standard deviation, in every leg, and is a function of 
   CHECK((sum / kReadings).cwiseAbs().maxCoeff() <= 5.0 * std::sqrt(1.0 / kReadings));
   CHECK(distance(square / kReadings, Vector6<double>::Ones()) <= 5.0 * std::sqrt(2.0 / kReadings));
   const Vector6<double> first = encoders({}, hexapod).lengths();
-  JointSensors<double> again = encoders({.noise = kNoise}, hexapod);
+  JointSensors<double> again = encoders({{.noise = kNoise}, 1}, hexapod);
   again.observe(kReadings - 1, home, Vector6<double>::Zero());
   CHECK(distance(again.lengths(), sensors.lengths()) == 0.0);
   CHECK(first.norm() == 0.0);
@@ -304,7 +305,7 @@ TEST_CASE("noise has its standard deviation, in every leg, and is a function of 
 TEST_CASE("between readings everything holds, and differences are taken over the period") {
   const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
   constexpr long long kPeriod = 5;
-  JointSensors<double> sensors = encoders({.period = kPeriod}, hexapod);
+  JointSensors<double> sensors = encoders({{}, kPeriod}, hexapod);
   Motion read;
   Vector6<double> lengths = Vector6<double>::Zero(), twist = lengths;
   for (long long tick = 0; tick < 40; ++tick) {
@@ -332,7 +333,7 @@ TEST_CASE("a pack of encoders reads as single ones do, and a lane without a pose
   SeedHalves<S> seeds;
   std::vector<JointSensors<double>> singles;
   for (int lane = 0; lane < kWidth; ++lane) {
-    const EncoderParameters<double> single{.resolution = lane == 1 ? 1e-6 : 0.0, .noise = 1e-6 * lane, .period = 2};
+    const EncoderParameters<double> single{{.resolution = lane == 1 ? 1e-6 : 0.0, .noise = 1e-6 * lane}, 2};
     set_lane(hexapods, lane, hexapod);
     set_lane(parameters, lane, single);
     set_lane(seeds, lane, seed_halves(static_cast<std::uint64_t>(lane)));
