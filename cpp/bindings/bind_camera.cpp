@@ -11,10 +11,6 @@ void bind_camera(py::module_& m) {
       .value("eye_in_hand", CameraConvention::eye_in_hand)
       .value("as_printed", CameraConvention::as_printed)
       .finalize();
-  py::native_enum<JacobianConvention>(m, "JacobianConvention", "enum.Enum")
-      .value("consistent", JacobianConvention::consistent)
-      .value("printed", JacobianConvention::printed)
-      .finalize();
 
   py::class_<Camera<double>>(m, "Camera", "Pinhole camera, (4) of the paper.")
       .def(py::init<>())

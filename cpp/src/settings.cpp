@@ -32,6 +32,8 @@ void require_full_rank(const std::string& key, double f, const Image<double>& im
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
   Eigen::Matrix<double, 2 * kPoints, 6> J = ImageJacobian<double>(f, -1.0, image, R_BE).matrix();
   J.leftCols<3>() *= image.depth.cwiseAbs().mean();
+  if (!J.allFinite())  // of such a matrix the decomposition computes nothing, and returns what the memory held
+    refuse(key, "features and depths with a finite image Jacobian", "one that overflows");
   const auto sigma = Eigen::JacobiSVD<Eigen::Matrix<double, 2 * kPoints, 6>>(J).singularValues();
   if (!(sigma(5) > kRankDeficient * sigma(0)))
     refuse(key, "features that determine the pose (not all on one line)",

@@ -767,3 +767,11 @@ def test_any_valid_sampled_scenario_survives_yaml(
     assert again == scenario
     assert again.seed == seed
     assert again.camera.period == (1e-3 if period is None else period)
+
+
+def test_depths_whose_image_jacobian_overflows_are_refused() -> None:
+    """Every time: the decomposition of such a matrix returns what the memory held."""
+    expected = r"target.initial_features: expected features and depths with a finite image Jacobian"
+    for _ in range(10):
+        with pytest.raises(hs.ScenarioError, match=expected):
+            hs.load_scenario("paper").updated({"target.depth": [5e5, 1e-150, 3e-8, 1e300]})
