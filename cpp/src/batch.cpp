@@ -72,7 +72,7 @@ class Scenarios {
     if (key != keys.end() && key->type == KeyType::seed) return add_seeds(variation);
     if (key == keys.end() || !key->varies()) refuse(variation.key, "a key that holds numbers", "one that does not");
     if (std::ranges::any_of(items_, [&](const Item& item) { return item.key == &*key; }))
-      refuse(variation.key, "a key once", "it twice");
+      refuse(variation.key, "each key once", "a duplicate key");
     if (!key->takes(variation.width)) {
       std::string expected;
       for (const std::size_t width : key->widths()) expected += words(expected.empty() ? "" : " or ", width);
@@ -87,7 +87,7 @@ class Scenarios {
 
   void add_seeds(const Variation& variation) {
     const std::size_t rows = variation.seeds.size();
-    if (!seeds_.empty()) refuse(variation.key, "a key once", "it twice");
+    if (!seeds_.empty()) refuse(variation.key, "each key once", "a duplicate key");
     if (rows == 0 || !variation.values.empty())
       refuse(variation.key, "whole numbers of 64 bits", "numbers of another type");
     if (rows != 1 && rows != count_) refuse(variation.key, words("1 or ", count_, " seeds"), words(rows));

@@ -38,7 +38,7 @@ struct SampledRun::Books {
 
 SampledRun::SampledRun(const Settings& settings) {
   if (settings.simulation.mode != LoopMode::sampled)
-    refuse("simulation.mode", "sampled for a controller of one's own", "continuous");
+    refuse("simulation.mode", "sampled for a custom controller", "continuous");
   auto kept = std::make_shared<const Settings>(settings);
   books_ = with_law(kept->law(), [&]<class Law>(std::type_identity<Law>) {
     return std::make_unique<Books>(loop_parameters<Law>(*kept), kept);

@@ -409,7 +409,7 @@ TEST_CASE("keys, widths, counts and results of the wrong size are refused with a
   CHECK(refusal([&] { run(base, {Rows{"robot.mass", 1, {0.1, 0.1, 0.1}}}, 2); }) ==
         "robot.mass: expected 1 or 2 rows of 1, got 3 numbers");
   const Rows mass{"robot.mass", 1, {0.1}};
-  CHECK(refusal([&] { run(base, {mass, mass}, 1); }) == "robot.mass: expected a key once, got it twice");
+  CHECK(refusal([&] { run(base, {mass, mass}, 1); }) == "robot.mass: expected each key once, got a duplicate key");
   CHECK(refusal([&] { run(base, {mass}, 0); }) == "variations: expected at least one scenario, got none");
   CHECK(refusal([&] { run(base, {mass}, 1, BatchLog::metrics, 0); }) == "threads: expected a whole number >= 1, got 0");
   CHECK(refusal([&] { run(base, {mass}, 2'000'000); }).starts_with("log: expected a result of at most 2 GiB"));

@@ -67,9 +67,6 @@ CHATTY = {"Give", "Gives", "Tell", "Tells", "Say", "Says", "Ask", "Judge", "Know
 # Exceptions: file from the root, phrase, the reason.
 EXCEPTIONS = {
     ("python/hexservo/run/bench.py", "say"),  # name of a parameter
-    ("tests/cpp/test_batch.cpp", "got it twice"),  # a message of the core
-    ("cpp/src/sampled_run.cpp", "of one's own"),  # the message itself
-    ("tests/python/test_own_controller.py", "of one's own"),  # a message of the core
 }
 
 PAGES = [

@@ -141,7 +141,7 @@ def test_ctrl_c_keeps_what_was_computed(sampled: hs.Scenario) -> None:
 
 
 def test_it_is_for_sampled_mode(sampled: hs.Scenario, paper: hs.Scenario) -> None:
-    with pytest.raises(ValueError, match=r"simulation\.mode: expected sampled for a controller of one's own"):
+    with pytest.raises(ValueError, match=r"simulation\.mode: expected sampled for a custom controller"):
         hs.simulate(paper, controller=hold)
     with pytest.raises(TypeError, match="controller: expected a function of an Observation, got int"):
         hs.simulate(sampled, controller=3)  # type: ignore[arg-type]
