@@ -198,7 +198,9 @@ class Perception {
     now_.pose = home_pose(sensing.hexapod);
     now_.twist.setZero();
     now_.newest = S(-kInfinity);
-    now_.unsensed = Mask<S>(false);
+    // Not used before the first tick; but a state may be copied before it, and a mask without a value may not.
+    now_.R_BE.setIdentity();
+    now_.unsensed = now_.joints = now_.complete = now_.fresh = now_.lost = now_.usable = Mask<S>(false);
     held_ = now_.image;
     seen_at_.setConstant(S(-kInfinity));
     lost_.setZero();
