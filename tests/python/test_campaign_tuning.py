@@ -82,7 +82,7 @@ def test_noise_differs_from_generation_to_generation_only(tmp_path: Path, monkey
         seen.append((len(variations["seed"]), variations["seed"].copy()))
         return simulate_batch(scenario, variations, *more)
 
-    monkeypatch.setattr("hexservo.campaigns.tuning.simulate_batch", watched)
+    monkeypatch.setattr("hexservo.campaigns.judging.simulate_batch", watched)
     short = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.05, "metrics.rms_start": 0.01})
     file = FILE | {
         "scenario": short,

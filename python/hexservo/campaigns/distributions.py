@@ -13,7 +13,7 @@ from scipy.special import exp10, ndtri
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.rules import Flag, Number, did_you_mean, is_number, refusal, shown_value
 
-__all__ = ["SEED", "Variation", "uniform_of"]
+__all__ = ["SEED", "Variation", "between_ends", "uniform_of"]
 
 SEED = "each"
 """What the key ``seed`` has in place of a distribution: 64 random bits in each run."""
@@ -113,6 +113,11 @@ class Variation:
 def uniform_of(bits: NDArray[np.uint64]) -> Array:
     """Return numbers above 0 and below 1, the middles of 2^52 equal cells, from the upper 52 of 64 random bits."""
     return np.asarray(((bits >> np.uint64(12)).astype(float) + 0.5) * 0.5**52)  # all of them are exact
+
+
+def between_ends(uniform: Array) -> Array:
+    """Return uniform numbers from 0 to 1 with both ends, which no distribution has a number for, moved inside."""
+    return np.asarray(np.clip(uniform, _SMALLEST, 1.0 - _SMALLEST))
 
 
 def variation_of(value: Any) -> Variation:

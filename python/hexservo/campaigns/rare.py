@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from hexservo.campaigns.chunks import batch_margins
+from hexservo.campaigns.distributions import between_ends
+from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
-from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import number
 
@@ -101,15 +101,12 @@ def estimate_rare_failures(
         Ctrl-C.
     """
     plan = load_plan(source)
-    drawing = plan.drawing()
-    base = plan.scenario.updated(drawing.base)
+    judge = Judge(plan, threads)
 
     def margin(normal: Array, seeds: NDArray[np.uint64]) -> Array:
-        numbers = drawing.numbers_of(np.clip(ndtr(normal), 0.5**53, 1 - 0.5**53), seeds)
-        batch = whole(simulate_batch(base, drawing.variations(numbers), "metrics", threads))
-        return np.asarray(batch_margins(batch, numbers, plan.require).min(axis=1))
+        return judge.smallest_margins(judge.drawing.numbers_of(between_ends(ndtr(normal)), seeds))
 
-    return RareFailures(plan, subset_simulation(margin, drawing.dimension, samples, seed), seed)
+    return RareFailures(plan, subset_simulation(margin, judge.drawing.dimension, samples, seed), seed)
 
 
 def subset_simulation(

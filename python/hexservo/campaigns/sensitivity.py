@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from hexservo.campaigns.chunks import batch_margins
+from hexservo.campaigns.distributions import between_ends
+from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
-from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array
 
 __all__ = ["Indices", "Sensitivity", "sensitivity", "sobol_indices"]
@@ -115,26 +115,22 @@ def sensitivity(
         Ctrl-C.
     """
     plan = load_plan(source)
-    drawing = plan.drawing()
-    base = plan.scenario.updated(drawing.base)
+    judge = Judge(plan, threads)
+    drawing = judge.drawing
     inputs = (*drawing.names, *(["seed"] if drawing.has_seed else []))
     quantities: list[str] = []
-    runs = 0
 
     def outputs(uniform: Array) -> Array:
-        nonlocal runs
-        runs += uniform.shape[1]
-        points = np.clip(uniform.T, 0.5**53, 1 - 0.5**53)
+        points = between_ends(uniform.T)
         seeds = (points[:, -1] * 2.0**64).astype(np.uint64)
         numbers = drawing.numbers_of(points[:, : drawing.dimension], seeds)
-        batch = whole(simulate_batch(base, drawing.variations(numbers), "metrics", threads))
-        margin = batch_margins(batch, numbers, plan.require).min(axis=1)
+        margins, batch = judge.judged(numbers)
         quantities[:] = ["margin", *batch.metrics]
-        return np.stack([margin, *batch.metrics.values()])
+        return np.stack([margins.min(axis=1), *batch.metrics.values()])
 
     found = sobol_indices(outputs, len(inputs), samples, seed)
     indices = {name: each for name, each in zip(quantities, found, strict=True) if each is not None}
-    return Sensitivity(plan, inputs, indices, runs, seed)
+    return Sensitivity(plan, inputs, indices, judge.runs, seed)
 
 
 def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: int, seed: int) -> list[Indices | None]:

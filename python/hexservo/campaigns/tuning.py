@@ -12,16 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo.campaigns.chunks import batch_margins
 from hexservo.campaigns.engine import campaign
 from hexservo.campaigns.file_keys import TunePlan
+from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.store import write_text
 from hexservo.campaigns.worst_case import smallest_in_box
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
-from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.metrics import METRICS
 from hexservo.run.publish import OutputError, named
 from hexservo.run.variations import known_key, plain_row
@@ -177,7 +176,7 @@ def tune(
         held_out=held_out,
         advice="" if feasible else search.advice(),
         variations=search.count,
-        runs=search.runs,
+        runs=search.judge.runs,
         seed=seed,
         minimise=plan.tune.minimise,
         path=path,
@@ -188,12 +187,11 @@ class _Search:
     """Candidates are places in the unit box of the variables; variations are rows of numbers."""
 
     def __init__(self, plan: CampaignPlan, asked: TunePlan, seed: int, threads: int | None) -> None:
-        self.plan, self.asked, self.threads, self.seed = plan, asked, threads, seed
-        self.drawing = plan.drawing()
-        self.base = plan.scenario.updated(self.drawing.base)
+        self.plan, self.asked, self.seed = plan, asked, seed
+        self.judge = Judge(plan, threads)
+        self.drawing = self.judge.drawing
         self.numbers = self.drawing.numbers(0, asked.over)
         self.random = np.random.default_rng(seed)
-        self.runs = 0
         self.nearest = np.full(len(plan.require), -math.inf)  # largest margin of a requirement where all others hold
         self._renew()
 
@@ -249,14 +247,10 @@ class _Search:
         """Run every candidate on every variation, in one batch."""
         size = len(next(iter(numbers.values())))
         drawn = {key: np.tile(values, (count, *[1] * (values.ndim - 1))) for key, values in numbers.items()}
-        varied = self.drawing.variations(drawn) | {
-            key: np.repeat(values, size, axis=0) for key, values in gains.items()
-        }
-        batch = whole(simulate_batch(self.base, varied, "metrics", self.threads))
-        self.runs += len(batch)
-        margins = batch_margins(batch, drawn, self.plan.require).reshape(count, size, -1).min(axis=1)
+        repeated = {key: np.repeat(values, size, axis=0) for key, values in gains.items()}
+        margins, batch = self.judge.judged(drawn, repeated)
         values = batch.metrics[self.asked.minimise].reshape(count, size).max(axis=1)  # NaN stays NaN
-        return margins, values
+        return margins.reshape(count, size, -1).min(axis=1), values
 
     def round(self, start: Array, generations: int) -> Array:
         """Return the best candidate of a search from a place."""
@@ -287,12 +281,8 @@ class _Search:
         seeds = np.array([self.random.integers(0, 2**64, dtype=np.uint64)])
 
         def margin(shares: Array) -> Array:
-            numbers = self._at(shares, seeds)
             every = {key: np.repeat(values, len(shares), axis=0) for key, values in gains.items()}
-            varied = self.drawing.variations(numbers) | every
-            batch = whole(simulate_batch(self.base, varied, "metrics", self.threads))
-            self.runs += len(batch)
-            return np.asarray(batch_margins(batch, numbers, self.plan.require).min(axis=1))
+            return self.judge.smallest_margins(self._at(shares, seeds), every)
 
         if not self.drawing.dimension:
             return self._at(np.empty((1, 0)), seeds), math.inf

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hexservo.campaigns.chunks import batch_margins
+from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.store import write_text
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
-from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.simulation import simulate
 from hexservo.run.variations import known_key, plain_row
 from hexservo.scenario.arrays import Array
@@ -107,22 +106,18 @@ def worst_case(
         Ctrl-C: nothing is written.
     """
     plan, starts = result.plan, [one["index"] for one in result.summary["worst"]][:restarts]
-    drawing = plan.drawing()
+    judge = Judge(plan, threads)
+    drawing = judge.drawing
     if not starts or not drawing.dimension:
         raise ValueError("result: expected a campaign with runs, in which more than seeds varies")
-    base = plan.scenario.updated(drawing.base)
-    simulated = 0
 
     def search(columns: Sequence[int]) -> tuple[float, Array, int]:
         found: list[tuple[float, Array, int]] = []
         for start in starts:
 
             def smallest(shares: Array, start: int = start) -> Array:
-                nonlocal simulated
-                simulated += len(shares)
-                numbers = drawing.numbers_at(shares, start)
-                batch = whole(simulate_batch(base, drawing.variations(numbers), "metrics", threads))
-                return np.asarray(batch_margins(batch, numbers, plan.require)[:, columns].min(axis=1))
+                margins, _ = judge.judged(drawing.numbers_at(shares, start))
+                return np.asarray(margins[:, columns].min(axis=1))
 
             budget = runs // len(starts)
             place, margin = smallest_in_box(smallest, drawing.shares(start), budget, seed + 1 + start)
@@ -134,9 +129,9 @@ def worst_case(
     if len(plan.require) > 1:  # a run that does not complete fails them all
         found += [search([column]) for column in alone]
     margin, place, start = min(found, key=lambda one: one[0])
-    law = base.controller.law
+    law = judge.base.controller.law
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
-    scenario = base.updated({key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()})
+    scenario = judge.base.updated({key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()})
     write_text(result.folder / CASE, scenario.to_yaml())
     return WorstCase(
         scenario,
@@ -144,7 +139,7 @@ def worst_case(
         margin,
         tuple((str(plan.require[column]), each[0]) for column, each in zip(alone, found[1:], strict=False)),
         float(result.summary["worst"][0]["margin"]),
-        simulated,
+        judge.runs,
         seed,
         diagnose(simulate(scenario)) if margin < 0 else None,
     )

@@ -1,0 +1,55 @@
+"""Runs of drawn variations outside of a campaign's chunks, each with its margins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from hexservo.campaigns.chunks import batch_margins
+from hexservo.campaigns.plan import CampaignPlan
+from hexservo.run.batch import BatchResult, simulate_batch, whole
+from hexservo.scenario.arrays import Array
+
+__all__ = ["Judge"]
+
+
+class Judge:
+    """Runs what a campaign may draw, and judges each run against its requirements; counts the runs."""
+
+    def __init__(self, plan: CampaignPlan, threads: int | None) -> None:
+        self.plan = plan
+        self.threads = threads
+        self.drawing = plan.drawing()
+        self.base = plan.scenario.updated(self.drawing.base)  # what a batch varies
+        self.runs = 0  # that were simulated
+
+    def judged(
+        self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, NDArray[Any]] | None = None
+    ) -> tuple[Array, BatchResult]:
+        """Return the margins of runs for every requirement, (n, r), and the runs.
+
+        Parameters
+        ----------
+        numbers
+            As those of `Drawing.numbers`, n runs.
+        gains
+            Further keys of the scenario to vary, each (n, ...) or (1, ...).
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C ended the batch.
+        """
+        varied = self.drawing.variations(numbers) | dict(gains or {})
+        batch = whole(simulate_batch(self.base, varied, "metrics", self.threads))
+        self.runs += len(batch)
+        return batch_margins(batch, numbers, self.plan.require), batch
+
+    def smallest_margins(
+        self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, NDArray[Any]] | None = None
+    ) -> Array:
+        """Return the smallest margin of each run, (n,); arguments and errors as for `judged`."""
+        smallest: Array = self.judged(numbers, gains)[0].min(axis=1)
+        return smallest
