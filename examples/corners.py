@@ -1,12 +1,25 @@
 """What is asked of the law `composite` at 30 Hz, and whether a scenario does it: all corners of the model errors.
 
-`tune_composite.py` searches for gains with the parts of this module, and `check` measures them again.
+    python examples/corners.py composite-30hz               # a packaged scenario or a file: a table of all corners
+    python examples/corners.py composite-30hz --prior 0.15  # its prior, scaled to this smallest eigenvalue
+
+What is asked (`REQUIREMENTS`) is asked of all 64 corners: both signs of the inertia's and Coriolis' error, both of the
+gravity's, all sixteen sign patterns of the depth errors of the four points, each at its bound. Gains are searched by
+`hexservo tune examples/tune-composite-30hz.yaml`; the table is computed without anything of the search.
+
+Drift, in closed form: of a pose error e the law estimates (J^T J + M)^-1 (J^T J_true + M) e, with the J that it has
+(docs/model.md, section 5). Where that matrix has an eigenvalue that is not positive, the loop drifts, which bounds the
+prior M from below.
+
+Exit codes: 0 everything is met, 1 something is not met (with the amount), 2 bad input, 130 Ctrl-C.
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -59,32 +72,21 @@ DRIFT_DEPTH = 0.35
 SEEDS = tuple(range(20))
 DURATION, LONG_DURATION = 5.0, 300.0  # s
 
-# ---- Runs of many gains, corners and seeds --------------------------------------------------------------------------
+# ---- Runs of many corners and seeds ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Runs:
-    """Metrics by name, each (candidates, corners, seeds); NaN and infinity as the core gives them."""
+    """Metrics by name, each (corners, seeds); NaN and infinity as the core gives them."""
 
     metrics: Mapping[str, Array]
     completed: NDArray[np.bool_]
     batch: hs.BatchResult
 
-    def worst(self, name: str, otherwise: float = math.nan) -> Array:
-        """Give the largest value of each candidate; `otherwise` where some run has no value or did not complete."""
-        return np.asarray(self._filled(name, otherwise).max(axis=(1, 2)))
-
-    def worst_median(self, name: str, otherwise: float = math.nan) -> Array:
-        """Give the largest median over the seeds of each candidate."""
-        return np.asarray(self.median(name, otherwise).max(axis=1))
-
     def median(self, name: str, otherwise: float = math.nan) -> Array:
-        """Give the median over the seeds, (candidates, corners)."""
-        return np.asarray(np.median(self._filled(name, otherwise), axis=2))
-
-    def _filled(self, name: str, otherwise: float) -> Array:
+        """Give the median over the seeds, (corners,); `otherwise` for runs without a value, or not completed."""
         values = self.metrics[name]
-        return np.where(self.completed & ~np.isnan(values), values, otherwise)
+        return np.asarray(np.median(np.where(self.completed & ~np.isnan(values), values, otherwise), axis=1))
 
 
 def run(
@@ -92,11 +94,10 @@ def run(
     corners: Array,
     seeds: Sequence[int],
     threads: int | None,
-    gains: Mapping[str, Array] | None = None,
     trajectories: bool = False,
     bar: bool = False,
 ) -> Runs:
-    """Run every candidate at every corner with every seed, in one batch.
+    """Run a scenario at every corner with every seed, in one batch.
 
     Parameters
     ----------
@@ -106,18 +107,13 @@ def run(
         (n, 6), rows of `CORNERS`.
     seeds
         Of the noise.
-    gains
-        Keys below `controller.composite`, each (k, ...); None: those of the scenario, k = 1.
 
     Raises
     ------
     KeyboardInterrupt
         Where Ctrl-C ended the batch.
     """
-    k = 1 if gains is None else len(next(iter(gains.values())))
-    candidate, corner, seed = (
-        index.ravel() for index in np.meshgrid(range(k), range(len(corners)), range(len(seeds)), indexing="ij")
-    )
+    corner, seed = (index.ravel() for index in np.meshgrid(range(len(corners)), range(len(seeds)), indexing="ij"))
     signs = corners[corner]
     variations = {
         "seed": np.array(seeds, dtype=float)[seed],
@@ -126,14 +122,12 @@ def run(
         "uncertainty.gravity": GRAVITY * signs[:, 1],
         "uncertainty.depth": DEPTH * signs[:, 2:],
     }
-    for key, values in (gains or {}).items():
-        variations[f"controller.composite.{key}"] = values[candidate]
     batch = hs.simulate_batch(
         scenario, variations, log="trajectory" if trajectories else "metrics", threads=threads, progress=bar
     )
     if (batch.outcome == "interrupted").any():
         raise KeyboardInterrupt
-    shape = (k, len(corners), len(seeds))
+    shape = (len(corners), len(seeds))
     metrics = {name: values.reshape(shape) for name, values in batch.metrics.items()}
     return Runs(metrics, (batch.outcome == "completed").reshape(shape), batch)
 
@@ -295,9 +289,9 @@ def check(scenario: hs.Scenario, threads: int | None = None, bar: bool = False) 
     noisy = run(scenario, CORNERS, SEEDS, threads, bar=bar)
     long = run(scenario.updated({"simulation.duration": LONG_DURATION}), CORNERS, SEEDS[:1], threads, bar=bar)
     corners = {
-        "settling": quiet.median("settling_time")[0],
-        "noisy_settling": noisy.median("settling_time", math.inf)[0],
-        "rms": noisy.median("rms_error")[0],
+        "settling": quiet.median("settling_time"),
+        "noisy_settling": noisy.median("settling_time", math.inf),
+        "rms": noisy.median("rms_error"),
         "force": _worst_seed("peak_leg_force", quiet, noisy, long),
         "stroke": _worst_seed("peak_leg_excursion", quiet, noisy),
         "long_stroke": _worst_seed("peak_leg_excursion", long),
@@ -311,7 +305,7 @@ def check(scenario: hs.Scenario, threads: int | None = None, bar: bool = False) 
 
 def _worst_seed(name: str, *runs: Runs) -> Array:
     """Give the largest value of each corner over seeds and runs; NaN where one of them did not complete."""
-    largest = [np.where(r.completed, r.metrics[name], math.nan)[0].max(axis=1) for r in runs]
+    largest = [np.where(r.completed, r.metrics[name], math.nan).max(axis=1) for r in runs]
     return np.asarray(np.max(largest, axis=0))
 
 
@@ -347,3 +341,36 @@ def table(report: Report) -> str:
         value = report.worst[name] * rule.scale
         lines.append(f"{rule.what:45}  {value:8.4f}  {rule.limit:8g}  {rule.unit:4}  {verdict}")
     return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check a scenario, or size its prior."""
+    parser = argparse.ArgumentParser(description="What the law composite does at all corners of the model errors")
+    parser.add_argument("scenario", help="a packaged scenario, or a file")
+    parser.add_argument("--prior", type=float, metavar="EIGENVALUE", help="size the prior, and check nothing")
+    parser.add_argument("--threads", type=int, help="of the batches (as many as there are cores)")
+    given = parser.parse_args(arguments)
+    if given.prior is not None and not 0 < given.prior < 1:
+        parser.error(f"--prior: expected a number above 0 and below 1, got {given.prior:g}")
+    if given.threads is not None and given.threads < 1:
+        parser.error(f"--threads: expected a whole number of at least 1, got {given.threads}")
+    try:
+        scenario = hs.load_scenario(given.scenario)
+        if given.prior is not None:
+            drift = Drift(scenario, poses_of_the_motion(scenario), DRIFT_DEPTH)
+            prior = np.broadcast_to(np.asarray(scenario.controller.composite.prior, dtype=float), (6,))
+            print("prior: [" + ", ".join(f"{value:.4g}" for value in drift.sized(prior, given.prior)) + "]")
+            return 0
+        report = check(scenario, given.threads, sys.stderr.isatty())
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except (ValueError, OSError) as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 2
+    print(table(report))
+    return 1 if report.unmet else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

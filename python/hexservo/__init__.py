@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from hexservo.campaigns.rare import RareFailures, estimate_rare_failures
     from hexservo.campaigns.result import CampaignResult, WorstRun, load_campaign
     from hexservo.campaigns.sensitivity import Sensitivity, sensitivity
-    from hexservo.campaigns.tuning import TuneResult, tune
+    from hexservo.campaigns.tune_result import TuneResult
+    from hexservo.campaigns.tuning import tune
     from hexservo.campaigns.worst_case import WorstCase, worst_case
     from hexservo.findings.analysis import Analysis, analyse
     from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
@@ -109,7 +110,8 @@ _MODULES = {
     "campaigns.rare": ("RareFailures", "estimate_rare_failures"),
     "campaigns.result": ("CampaignResult", "WorstRun", "load_campaign"),
     "campaigns.sensitivity": ("Sensitivity", "sensitivity"),
-    "campaigns.tuning": ("TuneResult", "tune"),
+    "campaigns.tune_result": ("TuneResult",),
+    "campaigns.tuning": ("tune",),
     "campaigns.worst_case": ("WorstCase", "worst_case"),
     "findings.analysis": ("Analysis", "analyse"),
     "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),

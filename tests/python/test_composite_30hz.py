@@ -1,22 +1,20 @@
-"""The scenario composite-30hz does what was asked of it, in all corners; the script that found its gains works."""
+"""The scenario composite-30hz does what was asked of it, in all corners; the commands that check and search work."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import corners
 import hexservo as hs
-import tune_composite
-from corners import Array
-from evolution import evolve
+from hexservo.campaigns.plan import load_plan
+from hexservo.scenario.keys import value_at
+from test_readme import ROOT
 
-# In SI units and pixels, and not taken over from the script that searched for them.
+# In SI units and pixels, and not taken over from the script that checks them.
 LIMITS = {
     "settling": 0.20,
     "noisy_settling": 0.20,
@@ -124,90 +122,54 @@ def test_another_task_is_not_checked(changes: dict[str, object], key: str, scena
         corners.check(scenario.updated(changes))
 
 
-# ---- The search -----------------------------------------------------------------------------------------------------
+# ---- The commands ---------------------------------------------------------------------------------------------------
 
 
-def test_the_strategy_finds_a_minimum() -> None:
-    """A turned ellipsoid with axes of 1 : 1000, its minimum inside the cube or, in one direction, on its side."""
-    random = np.random.default_rng(5)
-    turn = np.linalg.qr(random.standard_normal((6, 6)))[0]
-    goal = np.array([0.2, 0.4, 0.5, 0.6, 0.8, 0.5])
-    scales = np.logspace(0, 3, 6)
-
-    def cost(points: Array) -> Array:
-        return np.asarray((((points - goal) @ turn * scales) ** 2).sum(axis=1))
-
-    costs: list[float] = []
-
-    def after(generation: int, lowest: float, best: Array) -> bool:
-        costs.append(lowest)
-        return False
-
-    best = evolve(cost, np.full(6, 0.5), 0.2, 250, random, after)
-    np.testing.assert_allclose(best, goal, atol=1e-4)
-    assert costs == sorted(costs, reverse=True)
-    assert len(costs) == 250
+def test_the_file_of_the_search_is_for_the_same_loop(scenario: hs.Scenario) -> None:
+    plan = load_plan(ROOT / "examples" / "tune-composite-30hz.yaml")
+    assert plan.tune is not None
+    gains = {key: value_at(scenario, key) for key in plan.tune.variables}
+    gains |= {"controller.composite.kp": scenario.controller.composite.kp, "name": scenario.name}
+    errors = ("inertia", "coriolis", "gravity", "depth")
+    errors_of_both = {f"uncertainty.{key}": value_at(scenario, f"uncertainty.{key}") for key in errors}
+    same = plan.scenario.updated({**gains, **errors_of_both, "description": scenario.description})
+    assert same == scenario
+    limits = [requirement.bound for requirement in plan.require[1:]]
+    assert limits == [LIMITS[name] for name in ("settling", "rms", "force", "stroke")]
+    assert plan.tune.corners
+    bounds = np.array([plan.vary[f"uncertainty.{key}"].box for key in errors])
+    magnitudes = np.array([corners.INERTIA, corners.CORIOLIS, corners.GRAVITY, corners.DEPTH])
+    np.testing.assert_allclose(bounds, np.stack([-magnitudes, magnitudes], axis=1), rtol=1e-12)
 
 
-def test_a_search_is_repeatable_and_keeps_its_promises(scenario: hs.Scenario) -> None:
-    once, again = (tune_composite.search(scenario, 0.15, 7, 1, None) for _ in range(2))
-    assert once.keys() == again.keys() == {*tune_composite.FOUND}
-    for key, values in once.items():
-        np.testing.assert_array_equal(values, again[key])
-    drift = corners.Drift(scenario, corners.poses_of_the_motion(scenario), 0.35)
-    assert drift.smallest(once["prior"]) == pytest.approx(0.15, rel=0.01)  # rounded to three digits
-
-
-def packaged_gains(scenario: hs.Scenario) -> dict[str, Array]:
-    law = scenario.controller.composite.model_dump()
-    flat = {**law, **{f"fuzzy.{key}": value for key, value in law["fuzzy"].items()}}
-    return {key: np.array(flat[key], dtype=float) for key in tune_composite.FOUND}
-
-
-def test_the_packaged_file_is_what_the_script_writes(scenario: hs.Scenario) -> None:
-    text = (resources.files("hexservo") / "scenarios" / "composite-30hz.yaml").read_text("utf-8")
-    assert tune_composite.scenario_text(packaged_gains(scenario)) == text
-    assert tune_composite.loaded(text) == scenario
-
-
-def test_the_file_is_written_whole_or_not_at_all(
-    scenario: hs.Scenario,
-    report: corners.Report,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_the_command(
+    scenario: hs.Scenario, report: corners.Report, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "deep" / "found.yaml"
-    arguments = ["--output", str(file)]
-    monkeypatch.setattr(tune_composite, "search", lambda *_: packaged_gains(scenario))
+    assert corners.main(["composite-30hz", "--prior", "0.15"]) == 0
+    printed = capsys.readouterr().out
+    sized = np.array([float(text) for text in printed.removeprefix("prior: [").rstrip("]\n").split(", ")])
+    drift = corners.Drift(scenario, corners.poses_of_the_motion(scenario), corners.DRIFT_DEPTH)
+    assert drift.smallest(sized) == pytest.approx(0.15, rel=0.01)
+    np.testing.assert_allclose(scenario.controller.composite.prior, sized, rtol=0.005)  # rounded to three digits
 
+    monkeypatch.setattr(corners, "check", lambda *_: report)
+    assert corners.main(["composite-30hz"]) == 0
     bad = replace(report, worst={**report.worst, "rms": 0.13})
-    monkeypatch.setattr(tune_composite, "check", lambda *_: bad)
-    assert tune_composite.main(arguments) == 1
-    assert "rms not met" in capsys.readouterr().err
-    assert not file.parent.exists()
+    monkeypatch.setattr(corners, "check", lambda *_: bad)
+    assert corners.main(["composite-30hz"]) == 1
+    assert "NOT MET" in capsys.readouterr().out
+    assert corners.main(["no-such-scenario"]) == 2
+    assert "no-such-scenario" in capsys.readouterr().err
 
     def interrupted(*_: object) -> corners.Report:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tune_composite, "check", interrupted)
-    assert tune_composite.main(arguments) == 130
-    assert "nothing was written" in capsys.readouterr().err
-    assert not file.parent.exists()
-
-    monkeypatch.setattr(tune_composite, "check", lambda *_: report)
-    assert tune_composite.main(arguments) == 0
-    assert hs.load_scenario(file) == scenario
-    assert list(file.parent.iterdir()) == [file]
-
-    with pytest.raises(SystemExit) as refused:
-        tune_composite.main(arguments)
-    assert refused.value.code == 2
-    assert "--force replaces it" in capsys.readouterr().err
+    monkeypatch.setattr(corners, "check", interrupted)
+    assert corners.main(["composite-30hz"]) == 130
 
 
-def test_ctrl_c_ends_a_search(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A batch keeps Ctrl-C to itself and reports interrupted runs; the script must not take them for results."""
+def test_ctrl_c_ends_a_check(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A batch keeps Ctrl-C to itself and reports interrupted runs; the check must not take them for results."""
     whole = hs.simulate_batch
 
     def broken(*arguments: object, **options: object) -> hs.BatchResult:
@@ -221,12 +183,9 @@ def test_ctrl_c_ends_a_search(scenario: hs.Scenario, monkeypatch: pytest.MonkeyP
         corners.run(scenario, corners.CORNERS[:2], (0,), None)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [["--seed", "-1"], ["--generations", "0"], ["--eigenvalue", "0.01"], ["--eigenvalue", "nan"], ["--threads", "0"]],
-)
+@pytest.mark.parametrize("arguments", [["--prior", "1"], ["--prior", "nan"], ["--threads", "0"]])
 def test_bad_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as refused:
-        tune_composite.main(arguments)
+        corners.main(["composite-30hz", *arguments])
     assert refused.value.code == 2
     assert f"{arguments[0]}: expected" in capsys.readouterr().err

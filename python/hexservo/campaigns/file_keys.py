@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar, cast
 
@@ -10,16 +10,14 @@ from pydantic import ValidationError
 
 from hexservo.campaigns.distributions import SEED, Variation, variation_of
 from hexservo.campaigns.requirements import Requirement, requirement_of
-from hexservo.run.metrics import METRICS
-from hexservo.scenario.rules import Integer, Number, Rule, did_you_mean, refusal, shown_value
+from hexservo.scenario.rules import Integer, Number, Rule, refusal
 from hexservo.scenario.scenario import Scenario, load_scenario
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["Problem", "TunePlan", "Until", "Variable"]
+__all__ = ["Problem", "Until"]
 
 PROBABILITY = Number(above=0.0, below=1.0)
 T = TypeVar("T")
-_OVER = 32  # variations of a search for gains
 
 
 @dataclass(frozen=True)
@@ -44,40 +42,13 @@ Problem: TypeAlias = tuple[tuple[str | int, ...], str]
 """A place in a file, and what is wrong there."""
 
 
-def _tried(read: Callable[[Any], T], value: Any, place: str | int, problems: list[Problem]) -> T | None:
+def tried(read: Callable[[Any], T], value: Any, place: str | int, problems: list[Problem]) -> T | None:
     """Return what is read from a value, or None after its problems were added at its place."""
     try:
         return read(value)
     except ValidationError as error:
         problems += [((place, *each["loc"]), each["msg"]) for each in error.errors(include_url=False)]
         return None
-
-
-@dataclass(frozen=True)
-class Variable:
-    """A gain that a search chooses."""
-
-    variation: Variation  # its range: `uniform` or `log`
-    groups: tuple[int, ...]  # how many entries share a number, group by group; (0,): the key takes one number
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return what a campaign file writes for it."""
-        groups = {} if self.groups == (0,) else {"groups": list(self.groups)}
-        return {**self.variation.to_plain(), **groups}
-
-
-@dataclass(frozen=True)
-class TunePlan:
-    """What a search for gains varies, and what it makes small."""
-
-    variables: Mapping[str, Variable]
-    minimise: str  # of hs.METRICS: its largest value over the variations
-    over: int  # variations, drawn as the first runs of the campaign are
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return what a campaign file writes for it."""
-        variables = {key: variable.to_plain() for key, variable in self.variables.items()}
-        return {"variables": variables, "minimise": self.minimise, "over": self.over}
 
 
 # ---- The keys of a file ---------------------------------------------------------------------------------------------
@@ -113,7 +84,7 @@ class VaryRule(Rule):
             self.refuse(value)
         problems: list[Problem] = []
         found = {
-            key: Variation(SEED) if (key, given) == ("seed", SEED) else _tried(variation_of, given, key, problems)
+            key: Variation(SEED) if (key, given) == ("seed", SEED) else tried(variation_of, given, key, problems)
             for key, given in value.items()
         }
         if problems:
@@ -132,7 +103,7 @@ class RequireRule(Rule):
         if not isinstance(value, list) or not value:
             self.refuse(value)
         problems: list[Problem] = []
-        found = [_tried(requirement_of, given, index, problems) for index, given in enumerate(value)]
+        found = [tried(requirement_of, given, index, problems) for index, given in enumerate(value)]
         texts = [str(requirement) for requirement in found if requirement]
         problems += [
             ((), f'"{text}": duplicate requirement') for text in sorted({t for t in texts if texts.count(t) > 1})
@@ -187,50 +158,6 @@ class VariantRule(Rule):
         if value not in ("avx512", "avx2", "baseline", None):
             self.refuse(value)
         return cast("str | None", value)
-
-
-class TuneRule(Rule):
-    """What a search for gains varies, or null."""
-
-    @property
-    def expected(self) -> str:
-        return "a block with variables, minimise and, optionally, over"
-
-    def accept(self, value: Any) -> TunePlan | None:
-        if value is None:
-            return None
-        if not isinstance(value, dict) or not {"variables", "minimise"} <= set(value) <= {
-            "variables",
-            "minimise",
-            "over",
-        }:
-            self.refuse(value)
-        problems: list[Problem] = []
-        variables = value["variables"]
-        if not isinstance(variables, dict) or not variables:
-            raise refusal((("variables",), f"expected a block of gains with ranges, got {shown_value(variables)}"))
-        read = {key: _tried(_variable_of, given, key, problems) for key, given in variables.items()}
-        problems = [(("variables", *place), text) for place, text in problems]
-        name = value["minimise"]
-        if name not in METRICS:
-            nearest = did_you_mean(name, METRICS) or ";"
-            problems.append((("minimise",), f"unknown metric {shown_value(name)}{nearest} known: {', '.join(METRICS)}"))
-        over = _tried(Integer(1, 10_000).accept, value.get("over", _OVER), "over", problems)
-        if problems:
-            raise refusal(*problems)
-        return TunePlan(cast("dict[str, Variable]", read), name, cast("int", over))
-
-
-def _variable_of(value: Any) -> Variable:
-    groups = value.get("groups") if isinstance(value, dict) else None
-    variation = variation_of({key: item for key, item in value.items() if key != "groups"} if groups else value)
-    if variation.kind not in ("uniform", "log") or variation.to_plain().keys() != {variation.kind}:
-        raise refusal(((), f"expected {{uniform: [low, high]}} or {{log: [low, high]}}, got {shown_value(value)}"))
-    if groups is None:
-        return Variable(variation, (0,))
-    if not isinstance(groups, list) or not all(isinstance(size, int) and size > 0 for size in groups):
-        raise refusal((("groups",), f"expected a list of sizes >= 1, got {shown_value(groups)}"))
-    return Variable(variation, tuple(groups))
 
 
 class RecordRule(Rule):

@@ -22,16 +22,14 @@ from hexservo.campaigns.file_keys import (
     RecordRule,
     RequireRule,
     ScenarioRule,
-    TunePlan,
-    TuneRule,
     Until,
     UntilRule,
-    Variable,
     VariantRule,
     VaryRule,
 )
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture
 from hexservo.campaigns.requirements import Requirement
+from hexservo.campaigns.tune_keys import TunePlan, TuneRule, Variable
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
 from hexservo.run.variations import checked_variations, known_key
 from hexservo.scenario.block import Block
@@ -47,6 +45,7 @@ __all__ = ["CampaignPlan", "campaign_names", "load_plan"]
 
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
+_MOST_CORNERS = 10  # numbers that vary; each doubles the corners
 
 
 class CampaignPlan(Block):
@@ -106,6 +105,9 @@ class CampaignPlan(Block):
         if problems:
             raise refusal(*problems)
         drawing = self.drawing()
+        if self.tune is not None and self.tune.corners and not 1 <= drawing.dimension <= _MOST_CORNERS:
+            got = f"{drawing.dimension} numbers that vary, which have 2^{drawing.dimension} corners"
+            raise refusal((("tune", "over"), f"corners: expected 1 to {_MOST_CORNERS} numbers that vary, got {got}"))
         try:
             checked_variations(self.scenario.updated(drawing.base), drawing.variations(drawing.numbers(0, 1)))
         except ValueError as error:

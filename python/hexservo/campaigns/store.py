@@ -109,23 +109,10 @@ class Store:
         OutputError
             The folder holds something else, or a different campaign; a process writes there now; it cannot be written.
         """
-        with _refusing(self.folder):
-            self.folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
-                    raise OutputError(
-                        f"{named(self.folder)}: expected a folder in which no other process writes; wait for it"
-                    ) from None
-                # a file system without locks: the user is the only guard
+        with locked(self.folder):
             with _refusing(self.folder):
                 self._begin()
             yield
-        finally:
-            os.close(descriptor)
 
     def _begin(self) -> None:
         plan = self.folder / PLAN
@@ -137,12 +124,10 @@ class Store:
             )
         written = plan_text(self.plan, self.record)
         if not plan.exists() or plan.read_text(encoding="utf-8") != written:
-            _write(plan, written.encode())
+            write_bytes(plan, written.encode())
         (self.folder / "chunks").mkdir(exist_ok=True)
-        for folder in (self.folder, self.folder / "chunks"):  # what killed processes left
-            for entry in folder.iterdir():
-                if entry.name.startswith(".") and entry.name.endswith(_PART):
-                    entry.unlink()
+        for folder in (self.folder, self.folder / "chunks"):
+            remove_drafts(folder)
 
     def _take_up(self, path: Path) -> None:
         """Check that the folder's campaign is this one, and keep its record."""
@@ -174,7 +159,7 @@ class Store:
         OutputError
             It cannot be written; the other ones stay.
         """
-        _write(self.path_of(index), content)
+        write_bytes(self.path_of(index), content)
 
     def set_aside(self, index: int) -> Path:
         """Move a damaged chunk to the folder ``damaged``, out of the way of readers, and return its path."""
@@ -192,11 +177,51 @@ class Store:
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Write ``summary.json``."""
         text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        _write(self.folder / SUMMARY, text.encode())
+        write_bytes(self.folder / SUMMARY, text.encode())
 
     def write_worst(self, text: str) -> None:
         """Write ``worst-run.yaml``."""
         write_text(self.folder / WORST, text)
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Make a folder if it is not there, and be its only writer.
+
+    Raises
+    ------
+    OutputError
+        A process writes there now, or it cannot be made.
+    """
+    with _refusing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+                raise OutputError(
+                    f"{named(folder)}: expected a folder in which no other process writes; wait for it"
+                ) from None
+            # a file system without locks: the user is the only guard
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def remove_drafts(folder: Path) -> None:
+    """Remove what killed processes left in a folder.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    with _refusing(folder):
+        for entry in folder.iterdir():
+            if entry.name.startswith(".") and entry.name.endswith(_PART):
+                entry.unlink()
 
 
 def new_record(plan: CampaignPlan) -> dict[str, Any]:
@@ -252,11 +277,17 @@ def write_text(path: Path, text: str) -> None:
     OutputError
         It cannot be written.
     """
-    _write(path, text.encode())
+    write_bytes(path, text.encode())
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Write a file beside its place, have it on the disk, and give it its name."""
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file beside its place, have it on the disk, and give it its name.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
     draft = path.with_name(f".{path.name}-{secrets.token_hex(6)}{_PART}")
     with _refusing(path):
         try:

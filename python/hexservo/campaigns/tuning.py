@@ -2,98 +2,40 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo.campaigns.candidates import Candidates, Judged
 from hexservo.campaigns.engine import campaign
-from hexservo.campaigns.file_keys import TunePlan
-from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult
+from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.store import write_text
-from hexservo.campaigns.worst_case import smallest_in_box
-from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Cell, Column, Section, Table
-from hexservo.run.metrics import METRICS
-from hexservo.run.publish import OutputError, named
-from hexservo.run.variations import known_key, plain_row
+from hexservo.campaigns.strategies import best_candidate, front_of, relax
+from hexservo.campaigns.tune_result import FrontPoint, Generation, Relaxation, TuneResult
+from hexservo.findings.evidence import as_data
+from hexservo.run.progress import ProgressCallback, reporting
+from hexservo.run.publish import OutputError
+from hexservo.run.variations import columns_of, known_key
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.keys import value_at
-from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number
 
-__all__ = ["TuneResult", "tune"]
+__all__ = ["tune"]
 
-_SIGMA = 0.25  # first spread of the candidates, in parts of the ranges
-_FINALISTS = 6  # candidates that are compared at the end of a round, with the same noise
-_WORST_RUNS = 400  # of the search for the worst case of a round's winner
-_WORSE = 1e-3  # a worst case joins if its margin is smaller by more than this
 _HELD_OUT = "held-out"
 _TUNED = "tuned.yaml"
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class TuneResult(Findings):
-    """The gains that a search found, and what a campaign on variations that it never used gives for them."""
-
-    scenario: Scenario  # with the gains
-    feasible: bool  # whether all requirements hold in all variations of the search
-    margin: float  # smallest one over these
-    worst: float  # largest value of the minimised metric over these, in its unit; NaN where a run has none
-    before: tuple[float, float]  # margin and metric of the original gains, over the same variations and noise
-    gains: Mapping[str, Any]  # by dotted key
-    held_out: CampaignResult | None  # a campaign with other draws; None for gains that are not feasible
-    advice: str  # for gains that are not feasible: the requirement that cannot hold with the others; else empty
-    variations: int  # of the search at its end, worst cases included
-    runs: int  # that the search simulated
-    seed: int
-    minimise: str
-    path: Path  # of the scenario file
-
-    def headline(self) -> str:
-        """Return a line that names the scenario."""
-        return f'Tuning of "{self.scenario.name}"'
-
-    def section(self) -> Section:
-        """Return the result in sentences, with the gains."""
-        unit = METRICS[self.minimise][0]
-        name = self.minimise.replace("_", " ")
-        sentences = []
-        if self.feasible:
-            sentences.append(
-                f"The requirements hold in all {self.variations} variations of the search; the largest {name} is "
-                f"{number(self.worst)} {unit}, with the original gains {_shown(self.before[1], unit)}."
-            )
-        else:
-            sentences.append(f"No gains were found with which the requirements hold. {self.advice}")
-        if self.held_out is not None:
-            largest = float(self.held_out.to_arrow([self.minimise]).column(0).to_numpy().max())
-            sentences.append(
-                f"That is biased, since the search chose by it. In variations that it never used the largest {name} is "
-                f"{_shown(largest, unit)}, and {self.held_out.section().sentences[0]}"
-            )
-        sentences.append(f"The search simulated {self.runs} runs (seed {self.seed}).")
-        rows: list[list[Cell]] = [[key, _text(value)] for key, value in self.gains.items()]
-        table = Table("Gains", (Column("key"), Column("value")), rows, "", "docs/tune.md")
-        held = self.held_out
-        verdict = "bad" if not self.feasible else "warning" if held is not None and held.failures else "good"
-        data = {"margin": self.margin, "worst": self.worst, "before": list(self.before), "gains": dict(self.gains)}
-        return Section("tuning", "Tuning", sentences, [table], verdict, data)  # type: ignore[arg-type]
-
-
-def _shown(value: float, unit: str) -> str:
-    return f"{number(value)} {unit}" if math.isfinite(value) else "it has no value in some run"
-
-
-def _text(value: Any) -> str:
-    return "[" + ", ".join(map(_text, value)) + "]" if isinstance(value, list) else f"{value:.4g}"
+_FRONT = "front.csv"
+_SUMMARY = "tuning.json"
+_FRONT_RUNS = 200  # of each point of a front, on variations that the search never used
 
 
 def tune(
@@ -101,23 +43,29 @@ def tune(
     out: str | os.PathLike[str],
     *,
     generations: int = 40,
-    rounds: int = 3,
+    rounds: int = 6,
     seed: int = 0,
     threads: int | None = None,
+    progress: bool | ProgressCallback | None = None,
+    warn: Callable[[str], object] | None = None,
 ) -> TuneResult:
-    """Search the gains of a campaign file with a block ``tune``, and check them on other variations (docs/tune.md).
+    """Search the gains of a campaign file with a block ``tune``, or go on with it, and check them (docs/tune.md).
 
     CMA-ES (Hansen 2016) compares candidates over the same variations with the same noise, which is other noise in each
     generation. Candidates that keep all requirements come first, by the largest value of the minimised metric; then
-    those that do not, by their smallest margin. After each round the worst case of the winner joins the variations,
-    until none is worse. The winner is then judged by a campaign with another ``stream``.
+    those that do not, by their smallest margin. After each round worse cases of the winner are searched and join the
+    variations, until none is found. The winner is then judged by a campaign with another ``stream``.
+
+    Every batch is kept in the folder when it is simulated. After an interruption the same call goes on, and ends with
+    the same gains bit for bit.
 
     Parameters
     ----------
     source
         As for `campaign`; ``runs`` is the number of runs of the held-out campaign.
     out
-        A new or empty folder: ``tuned.yaml``, the scenario with the gains, and the campaign ``held-out``.
+        Folder: new, empty, or of the same search. It gets ``tuned.yaml``, the scenario with the gains, the campaign
+        ``held-out``, ``tuning.json``, for two metrics ``front.csv``, and ``steps``, what was simulated.
     generations
         Of a round, at least 1.
     rounds
@@ -126,205 +74,223 @@ def tune(
         Of the search: the same one finds the same gains.
     threads
         As for `simulate_batch`.
+    progress
+        True draws a bar on standard error; a function is called with (generations done, at most) in this thread.
+    warn
+        Called with a sentence for each damaged step, which is simulated again; None: nothing is called.
 
     Raises
     ------
     ScenarioError
         The file is not valid.
     ValueError
-        It has no block ``tune``, or no number of runs.
+        It has no block ``tune``, or no number of runs; ``generations`` or ``rounds`` is below 1.
     OutputError
-        The folder holds something, or cannot be written.
+        The folder holds something else or a different search, or cannot be written; pymoo, of the extra ``tune``, is
+        not installed for two metrics.
+    VariantError
+        As `campaign`.
     KeyboardInterrupt
-        Ctrl-C in the search: nothing is written.
+        Ctrl-C: what was simulated stays, and the same call goes on.
     """
     plan = load_plan(source)
     if plan.tune is None or plan.runs is None:
         missing = "the block tune" if plan.tune is None else "runs"
         raise ValueError(f"source: expected a campaign file with {missing}, got one without")
-    folder = Path(out)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise OutputError(f"{named(folder)}: expected a new or empty folder, got one with files; name another")
-    search = _Search(plan, plan.tune, seed, threads)
-    best, tried = search.place_of(plan.scenario), 0
-    while True:
-        tried += 1
-        best = search.round(best, generations)
-        worst, margin = search.worst_case(best)
-        if tried >= rounds or margin >= search.judged(best[None])[0][0].min() - _WORSE:
-            break
-        search.join(worst)
-    both = search.judged(np.stack([best, search.place_of(plan.scenario)]))
-    margins, values = both[0].min(axis=1), both[1]
-    feasible = bool(margins[0] >= 0)
-    gains = search.gains(best)
-    scenario = plan.scenario.updated(gains)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / _TUNED
-    write_text(path, scenario.to_yaml())
-    held_out = None
-    if feasible:
-        other = plan.changed(scenario=scenario, stream=plan.stream + 1, until=None)
-        held_out = campaign(other, folder / _HELD_OUT, threads=threads)
-    return TuneResult(
-        scenario=scenario,
-        feasible=feasible,
-        margin=float(margins[0]),
-        worst=float(values[0]),
-        before=(float(margins[1]), float(values[1])),
-        gains=gains,
-        held_out=held_out,
-        advice="" if feasible else search.advice(),
-        variations=search.count,
-        runs=search.judge.runs,
-        seed=seed,
-        minimise=plan.tune.minimise,
-        path=path,
-    )
+    for name, value in (("generations", generations), ("rounds", rounds)):
+        if value < 1:
+            raise ValueError(f"{name}: expected at least 1, got {value}")
+    if len(plan.tune.minimise) > 1 and find_spec("pymoo") is None:
+        raise OutputError('minimise: expected an installation with pymoo for two metrics: pip install "hexservo[tune]"')
+    steps = SearchSteps(out, plan, seed, generations, warn or (lambda sentence: None))
+    with steps.opened(), reporting(progress, "generations") as report:
+        candidates = Candidates(plan, plan.tune, steps, seed, threads)
+        search = _Search(candidates, generations, rounds, report)
+        search.run()
+        return _finished(search, plan, steps.folder, threads)
 
 
 class _Search:
-    """Candidates are places in the unit box of the variables; variations are rows of numbers."""
+    """The course of a search: rounds, worse cases that join, and what it ends with."""
 
-    def __init__(self, plan: CampaignPlan, asked: TunePlan, seed: int, threads: int | None) -> None:
-        self.plan, self.asked, self.seed = plan, asked, seed
-        self.judge = Judge(plan, threads)
-        self.drawing = self.judge.drawing
-        self.numbers = self.drawing.numbers(0, asked.over)
-        self.random = np.random.default_rng(seed)
-        self.nearest = np.full(len(plan.require), -math.inf)  # largest margin of a requirement where all others hold
-        self._renew()
+    def __init__(
+        self, candidates: Candidates, generations: int, rounds: int, report: Callable[[int, int], object]
+    ) -> None:
+        self.candidates = candidates
+        self.generations = generations
+        self.rounds = rounds
+        self.report = report
+        self.metrics = len(candidates.asked.minimise)
+        self.start = candidates.place_of(candidates.plan.scenario)
+        self.best = self.start
+        self.front: Array = np.empty((0, candidates.dimension))
+        self.history: list[Generation] = []
+        self.round = 0
+        self.worst_margin = math.nan  # of the last search for a worse case
+        self.settled = False  # whether the last search found none
 
-    @property
-    def count(self) -> int:
-        return len(next(iter(self.numbers.values())))
+    def run(self) -> None:
+        """Search until no worse case is found, or the rounds end; then what cannot hold, if nothing is feasible."""
+        while True:
+            self.round += 1
+            self._search()
+            worse, self.worst_margin = self._worse_cases()
+            self.settled = not worse
+            if self.settled or self.round == self.rounds:
+                break
+            for numbers in worse:
+                self.candidates.join(numbers)
+        self.candidates.renew()
+        judged = self.candidates.judged(self.best[None])
+        if not judged.feasible[0]:
+            for column, one in enumerate(self.candidates.plan.require):
+                if one.name != "outcome":
+                    relax(self.candidates, self.best, max(self.generations // 2, 1), column)
 
-    def _renew(self) -> None:
-        """Draw other noise, the same for all candidates."""
-        if "seed" in self.numbers:
-            self.numbers["seed"] = self.random.integers(0, 2**64, self.count, dtype=np.uint64)
+    def _search(self) -> None:
+        if self.metrics < 2:
+            self.best = best_candidate(self.candidates, self.best, self.generations, self._note)
+            return
+        known = self.front if len(self.front) else self.best[None]
+        if self.round == 1:  # the ends of the front, each by itself
+            known = np.stack(
+                [
+                    best_candidate(
+                        self.candidates, self.best, max(self.generations // 2, 1), self._note, metric, metric
+                    )
+                    for metric in range(self.metrics)
+                ]
+            )
+        self.front = front_of(self.candidates, known[:: -(-len(known) // 24)], self.generations, self._note)
+        self.best = knee(self.candidates, self.front) if len(self.front) else known[0]
 
-    # ---- Gains ------------------------------------------------------------------------------------------------------
+    def _worse_cases(self) -> tuple[list[dict[str, NDArray[Any]]], float]:
+        """Search worse cases of the winner; of a front, those of its ends too."""
+        places = [self.best, *(self.front[[0, -1]] if len(self.front) else [])]
+        found = [self.candidates.worse_cases(place) for place in places]
+        return [numbers for worse, _ in found for numbers in worse], min(margin for _, margin in found)
 
-    def gains_of(self, places: Array) -> dict[str, Array]:
-        """Return the gains of candidates, (n, ...) by key."""
-        found, start = {}, 0
-        for key, variable in self.asked.variables.items():
-            parts = variable.variation.in_box(places[:, start : start + len(variable.groups)])
-            start += len(variable.groups)
-            found[key] = parts[:, 0] if variable.groups == (0,) else np.repeat(parts, variable.groups, axis=1)
-        return found
-
-    def gains(self, place: Array) -> dict[str, Any]:
-        """Return the gains of one candidate, for `Scenario.updated`."""
-        law = self.plan.scenario.controller.law
-        return {key: plain_row(known_key(key, law), values[0]) for key, values in self.gains_of(place[None]).items()}
-
-    def place_of(self, scenario: Scenario) -> Array:
-        """Return the place of a scenario's gains, moved into the ranges; of a group the mean."""
-        parts = []
-        for key, variable in self.asked.variables.items():
-            values = np.asarray(value_at(scenario, key), dtype=float)
-            split = [values]
-            if variable.groups != (0,):
-                split = np.split(np.broadcast_to(values, sum(variable.groups)), np.cumsum(variable.groups)[:-1])
-            means = [float(part.mean()) for part in split]
-            parts.append(variable.variation.share_of(np.array(means)))
-        return np.concatenate(parts)
-
-    # ---- Runs -------------------------------------------------------------------------------------------------------
-
-    def judged(self, places: Array) -> tuple[Array, Array]:
-        """Return the smallest margins of candidates, (n, r), and their largest metrics, (n,), over the variations."""
-        margins, values = self._run(self.gains_of(places), self.numbers, len(places))
-        for column in range(margins.shape[1]):
-            others = np.delete(margins, column, axis=1)
-            kept = margins[(others >= 0).all(axis=1), column]
-            self.nearest[column] = max(self.nearest[column], *kept, -math.inf)
-        return margins, values
-
-    def _run(self, gains: Mapping[str, Array], numbers: Mapping[str, NDArray[Any]], count: int) -> tuple[Array, Array]:
-        """Run every candidate on every variation, in one batch."""
-        size = len(next(iter(numbers.values())))
-        drawn = {key: np.tile(values, (count, *[1] * (values.ndim - 1))) for key, values in numbers.items()}
-        repeated = {key: np.repeat(values, size, axis=0) for key, values in gains.items()}
-        margins, batch = self.judge.judged(drawn, repeated)
-        values = batch.metrics[self.asked.minimise].reshape(count, size).max(axis=1)  # NaN stays NaN
-        return margins.reshape(count, size, -1).min(axis=1), values
-
-    def round(self, start: Array, generations: int) -> Array:
-        """Return the best candidate of a search from a place."""
-        import cma
-
-        single = len(start) == 1  # which the method does not take
-        options = {"bounds": [0, 1], "seed": self.seed + 1, "verbose": -9, "maxiter": generations, "tolfun": 0}
-        strategy = cma.CMAEvolutionStrategy(np.append(start, 0.5) if single else start, _SIGMA, options)
-        finalists = [start]
-        while not strategy.stop():
-            self._renew()
-            candidates = strategy.ask()
-            places = np.array(candidates)[:, : len(start)]
-            order = ranking(*self.judged(places))
-            ranks = np.empty(len(order))
-            ranks[order] = np.arange(len(order))
-            strategy.tell(candidates, ranks.tolist())
-            finalists.append(places[order[0]])
-        mean = np.clip(np.asarray(strategy.result.xfavorite)[: len(start)], 0.0, 1.0)
-        last = np.stack([start, mean, *finalists[-_FINALISTS:]])
-        self._renew()
-        best: Array = last[ranking(*self.judged(last))[0]]
-        return best
-
-    def worst_case(self, place: Array) -> tuple[dict[str, NDArray[Any]], float]:
-        """Return the variation with the smallest margin that is found for a candidate."""
-        gains = self.gains_of(place[None])
-        seeds = np.array([self.random.integers(0, 2**64, dtype=np.uint64)])
-
-        def margin(shares: Array) -> Array:
-            every = {key: np.repeat(values, len(shares), axis=0) for key, values in gains.items()}
-            return self.judge.smallest_margins(self._at(shares, seeds), every)
-
-        if not self.drawing.dimension:
-            return self._at(np.empty((1, 0)), seeds), math.inf
-        start = np.full(self.drawing.dimension, 0.5)
-        found, smallest = smallest_in_box(margin, start, _WORST_RUNS, self.seed + 1)
-        return self._at(found[None], seeds), smallest
-
-    def _at(self, shares: Array, seeds: NDArray[np.uint64]) -> dict[str, NDArray[Any]]:
-        numbers = self.drawing.numbers_at(shares, 0)
-        return numbers | ({"seed": np.repeat(seeds, len(shares))} if "seed" in numbers else {})
-
-    def join(self, numbers: Mapping[str, NDArray[Any]]) -> None:
-        """Add a variation to those of the search."""
-        self.numbers = {key: np.concatenate([values, numbers[key]]) for key, values in self.numbers.items()}
-
-    def advice(self) -> str:
-        """Return which requirement cannot hold with the others, and the smallest relaxation with which it would."""
-        relaxed: Sequence[tuple[float, int]] = sorted(
-            (-margin, column) for column, margin in enumerate(self.nearest) if -math.inf < margin < 0
+    def _note(self, judged: Judged, order: NDArray[np.intp]) -> None:
+        """Note a generation."""
+        first = order[0]
+        feasible = bool(judged.feasible[first])
+        values = judged.values[judged.feasible]
+        lowest = tuple(float(value) for value in values.min(axis=0)) if len(values) else (math.nan,) * self.metrics
+        self.history.append(
+            Generation(
+                self.round,
+                self.candidates.runs,
+                float(judged.smallest[first]),
+                feasible,
+                lowest,
+                self.candidates.count,
+            )
         )
-        if not relaxed:
-            return "No candidate keeps all requirements but one."
-        share, column = relaxed[0]
-        one = self.plan.require[column]
-        if one.name == "outcome":
-            return f"The requirement {one} does not hold together with the others."
+        of_round = self.generations * (1 if self.metrics < 2 else 2)
+        self.report(len(self.history), self.rounds * of_round)
+
+
+def knee(candidates: Candidates, front: Array) -> Array:
+    """Return the candidate of a front that is nearest to its ideal point, each metric in parts of its range."""
+    values = candidates.judged(front).values
+    span = np.ptp(values, axis=0)
+    distance = np.linalg.norm((values - values.min(axis=0)) / np.where(span > 0, span, 1.0), axis=1)
+    found: Array = front[int(np.argmin(np.nan_to_num(distance, nan=np.inf)))]
+    return found
+
+
+# ---- What a search ends with ----------------------------------------------------------------------------------------
+
+
+def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | None) -> TuneResult:
+    """Check the gains on other variations, and write the folder."""
+    candidates = search.candidates
+    candidates.renew()
+    both = candidates.judged(np.stack([search.best, search.start]))
+    feasible = bool(both.feasible[0])
+    scenario = plan.scenario.updated(candidates.gains(search.best))
+    write_text(folder / _TUNED, scenario.to_yaml())
+    held_out: CampaignResult | None = None
+    front: tuple[FrontPoint, ...] = ()
+    if feasible:
+        other = plan.changed(scenario=scenario, stream=plan.stream + 1, until=None)
+        front = _front_points(candidates, search.front, plan)
+        held_out = campaign(other, folder / _HELD_OUT, threads=threads)
+        if held_out.interrupted:
+            raise KeyboardInterrupt
+    if front:
+        write_text(folder / _FRONT, _front_csv(front, candidates))
+    assert plan.tune is not None
+    result = TuneResult(
+        scenario=scenario,
+        feasible=feasible,
+        margin=float(both.smallest[0]),
+        worst=tuple(map(float, both.values[0])),
+        before=(float(both.smallest[1]), *map(float, both.values[1])),
+        gains=candidates.gains(search.best),
+        held_out=held_out,
+        relaxations=() if feasible else _relaxations(candidates),
+        front=front,
+        settled=search.settled,
+        worst_margin=search.worst_margin,
+        history=tuple(search.history),
+        variations=candidates.count,
+        joined=candidates.joined,
+        runs=candidates.runs,
+        seed=candidates.seed,
+        minimise=plan.tune.minimise,
+        path=folder / _TUNED,
+    )
+    text = json.dumps(as_data(result.section().data), indent=2, allow_nan=False) + "\n"
+    write_text(folder / _SUMMARY, text)
+    return result
+
+
+def _relaxations(candidates: Candidates) -> tuple[Relaxation, ...]:
+    """Return the requirements that do not hold with the others, the smallest change first."""
+    found = []
+    for one, margin in zip(candidates.plan.require, candidates.nearest, strict=True):
+        if one.name == "outcome" or not -math.inf < margin < 0:
+            continue
         scale = abs(one.bound) if one.scale is None else one.scale
-        bound = one.bound + (share if one.comparison in ("<=", "<") else -share) * scale
-        return (
-            f"The requirement {one} does not hold together with the others; with {one.name} {one.comparison} "
-            f"{number(bound, 4)} it does, the smallest change that was found."
+        bound = one.bound - (margin if one.comparison in ("<=", "<") else -margin) * scale
+        found.append(Relaxation(one, float(bound), float(-margin)))
+    return tuple(sorted(found, key=lambda each: each.share))
+
+
+def _front_points(candidates: Candidates, front: Array, plan: CampaignPlan) -> tuple[FrontPoint, ...]:
+    """Check a front on runs that the search never used."""
+    if not len(front):
+        return ()
+    inside = candidates.judged(front)
+    assert plan.runs is not None
+    runs = min(plan.runs, _FRONT_RUNS)
+    failures, values = candidates.on_runs(front, plan.changed(stream=plan.stream + 1), runs)
+    return tuple(
+        FrontPoint(
+            candidates.gains(front[row]),
+            tuple(map(float, inside.values[row])),
+            tuple(map(float, values[row])),
+            int(failures[row]),
+            runs,
         )
+        for row in range(len(front))
+    )
 
 
-def ranking(margins: Array, values: Array) -> NDArray[np.intp]:
-    """Return candidates, the best first: feasible ones by their values, then the others by their smallest margins.
-
-    Parameters
-    ----------
-    margins, values
-        (n, r), (n,); a value of NaN comes after all others.
-    """
-    smallest = margins.min(axis=1)
-    feasible = smallest >= 0
-    return np.lexsort((np.where(feasible, np.nan_to_num(values, nan=np.inf), -smallest), ~feasible))
+def _front_csv(front: tuple[FrontPoint, ...], candidates: Candidates) -> str:
+    """Return a front as a table: metrics in the search and held out, failures, gains in their units."""
+    law = candidates.plan.scenario.controller.law
+    names = candidates.asked.minimise
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for place, point in enumerate(front):
+        gains = {
+            name: float(column[0])
+            for key, value in point.gains.items()
+            for name, column in columns_of(key, np.asarray(value, dtype=known_key(key, law).dtype)[None]).items()
+        }
+        if place == 0:
+            writer.writerow([*names, *(f"{name}_held_out" for name in names), "failures", "runs", *gains])
+        writer.writerow([*point.values, *point.held_out, point.failures, point.runs, *gains.values()])
+    return text.getvalue()

@@ -119,12 +119,15 @@ def campaign(
 def tune(
     file: Annotated[str, typer.Argument(metavar="CAMPAIGN", help="Path of a campaign file with the block tune.")],
     out: Annotated[
-        str, typer.Option("--out", "-o", metavar="FOLDER", help="New folder for tuned.yaml and the held-out campaign.")
+        str,
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", help="Keep the search there: a new folder, or that of the same search."
+        ),
     ],
     generations: Annotated[int, typer.Option("--generations", min=1, metavar="N", help="Of each round.")] = 40,
     rounds: Annotated[
         int, typer.Option("--rounds", min=1, metavar="N", help="At most; worst cases join the variations between them.")
-    ] = 3,
+    ] = 6,
     seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of the search.")] = 0,
     threads: Annotated[
         int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
@@ -134,7 +137,8 @@ def tune(
 ) -> None:
     """Search gains by their worst run.
 
-    The gains are judged by a campaign on variations that the search never used. Exit code 1: no gains were found
+    The gains are judged by a campaign on variations that the search never used. The same command goes on after an
+    interruption. Exit code 1: no gains were found
     with which the requirements hold; the message names the one that cannot hold with the others.
     """
     with errors_as_messages():
@@ -142,8 +146,21 @@ def tune(
         from hexservo.run.publish import OutputError
 
         plan = load_plan(file, changes_of(settings or []))
+        watched = sys.stderr is not None and sys.stderr.isatty() and not quiet
         try:
-            found = hs.tune(plan, out, generations=generations, rounds=rounds, seed=seed, threads=threads)
+            found = hs.tune(
+                plan,
+                out,
+                generations=generations,
+                rounds=rounds,
+                seed=seed,
+                threads=threads,
+                progress=watched,
+                warn=lambda sentence: complain(sentence, head="Warning"),
+            )
+        except KeyboardInterrupt:
+            complain("what was simulated is kept; the same command goes on", head="Interrupted")
+            raise typer.Exit(INTERRUPTED) from None
         except (hs.ScenarioError, OutputError):
             raise
         except ValueError as error:

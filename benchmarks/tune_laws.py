@@ -1,0 +1,150 @@
+"""Tunes every law on two scenarios, and compares the gains with those of the scenario on runs that no search used.
+
+Run it as ``python benchmarks/tune_laws.py``; ``--help`` has the options. Each law is searched by `hexservo.tune` over
+drawn machines and starts (`VARY`, `REQUIRE`), with runs of `SEARCHED` seconds; campaigns of the scenario's own duration
+judge both gains. All is kept in a folder, and the same command goes on after an interruption. The tables are Markdown.
+For each scenario a file with the tuned gains of all laws is written, for ``hexservo compare``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+import hexservo as hs
+from hexservo.campaigns.plan import CampaignPlan
+from hexservo.run.machine import describe_machine
+from hexservo.scenario.laws import LAWS
+
+ERRORS: dict[str, Any] = {
+    "uncertainty.inertia": {"uniform": [-0.075, 0.075], "each": True, "symmetric": True},
+    "uncertainty.coriolis": {"uniform": [-0.125, 0.125], "each": True},
+    "uncertainty.gravity": {"normal": [0.0, 0.03], "clip": [-0.1, 0.1]},
+    "uncertainty.depth": {"uniform": [-0.3, 0.3], "each": True},
+    "camera.noise": {"uniform": [0.1, 0.3]},  # [px]
+    "target.translation": {"uniform": [-5.0e-3, 5.0e-3], "each": True},  # [m]
+    "target.rotation": {"uniform": [-0.01, 0.01], "each": True},  # [rad]
+    "seed": "each",
+}
+VARY: dict[str, dict[str, Any]] = {
+    "real-machine": ERRORS
+    | {"camera.dropout": {"uniform": [0.0, 0.05]}, "base_motion.level": {"log": [1.0e-6, 1.0e-4]}},
+    "slow-camera": ERRORS | {"camera.latency": {"choice": [0.05, 0.066, 0.08]}},  # [s]
+}
+REQUIRE = ["outcome == completed", "settling_time <= 1.0", "rms_error <= 0.5", "peak_leg_excursion <= 0.017"]
+SEARCHED = 2.0  # [s], duration of the runs of a search
+HALVES = [3, 3]  # forces share a gain, and moments do
+VARIABLES: dict[str, dict[str, Any]] = {
+    "hybrid": {
+        "kp": {"log": [1e-8, 1e-4]},
+        "kv": {"log": [1e-6, 1.0], "groups": HALVES},
+        "fuzzy.adaptation": {"log": [1e-2, 1e4], "groups": HALVES},
+        "fuzzy.error_scale": {"log": [0.1, 1000], "groups": HALVES},
+        "fuzzy.rate_scale": {"log": [0.01, 100], "groups": HALVES},
+    },
+    "composite": {
+        "kt": {"log": [0.005, 300], "groups": HALVES},
+        "kd": {"log": [5e-4, 30], "groups": HALVES},
+        "drive": {"log": [1, 40]},
+        "prior": {"log": [100, 1e6], "groups": HALVES},
+        "kv": {"log": [1e-6, 1e-2], "groups": HALVES},
+        "fuzzy.adaptation": {"log": [1e-3, 100], "groups": HALVES},
+        "fuzzy.error_scale": {"log": [1, 200], "groups": HALVES},
+        "fuzzy.rate_scale": {"log": [0.01, 50], "groups": HALVES},
+    },
+    "kelly": {"kp": {"log": [1e-8, 1e-3]}, "kd": {"log": [1e-4, 100], "groups": HALVES}},
+    "resolved_rate": {
+        "gain": {"log": [0.3, 60]},
+        "ki": {"log": [5e-4, 100], "groups": HALVES},
+        "damping": {"log": [1, 1e7], "groups": HALVES},
+    },
+    "pbvs": {
+        "kp": {"log": [0.005, 500], "groups": HALVES},
+        "kd": {"log": [5e-4, 30], "groups": HALVES},
+        "prior": {"log": [100, 1e6], "groups": HALVES},
+    },
+    "computed_torque": {
+        "kp": {"log": [10, 2e4], "groups": HALVES},
+        "kd": {"log": [3, 500], "groups": HALVES},
+        "prior": {"log": [100, 1e6], "groups": HALVES},
+    },
+}
+
+
+def plan_of(scenario: str, law: str, over: int) -> CampaignPlan:
+    """Return the file of a search: one law on one scenario."""
+    return CampaignPlan(
+        scenario=hs.load_scenario(scenario).updated({"controller.law": law, "simulation.duration": SEARCHED}),
+        vary=VARY[scenario],
+        require=REQUIRE,
+        runs=200,
+        tune={
+            "variables": {f"controller.{law}.{key}": each for key, each in VARIABLES[law].items()},
+            "minimise": "settling_time",
+            "over": over,
+        },
+    )
+
+
+def cells(result: hs.CampaignResult) -> list[str]:
+    """Return failures with their interval, and the largest settling time and RMS error, of a campaign."""
+    low, high = result.interval
+    shown = [f"{result.failures} of {len(result)}, {low:.2g} ... {high:.2g}"]
+    for name in ("settling_time", "rms_error"):
+        values = result.to_arrow([name]).column(0).to_numpy()
+        missing = int((~(values < math.inf)).sum())
+        shown.append(f"none in {missing}" if missing else f"{values.max():.3g}")
+    return shown
+
+
+def main() -> None:
+    """Tune, judge both gains, and print a table for each scenario."""
+    parser = argparse.ArgumentParser(description="Tuned gains for every law")
+    parser.add_argument("--out", type=Path, default=Path("out/tuned"), help="folder (%(default)s)")
+    parser.add_argument("--scenarios", default=",".join(VARY), help="(%(default)s)")
+    parser.add_argument("--laws", default=",".join(LAWS), help="(%(default)s)")
+    parser.add_argument("--generations", type=int, default=25, help="of each round (%(default)s)")
+    parser.add_argument("--rounds", type=int, default=3, help="at most (%(default)s)")
+    parser.add_argument("--over", type=int, default=12, help="drawn variations of a search (%(default)s)")
+    parser.add_argument("--runs", type=int, default=2000, help="of each campaign (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="of the searches (%(default)s)")
+    parser.add_argument("--threads", type=int, help="(one for each core)")
+    given = parser.parse_args()
+    machine = describe_machine()
+    print(f"{machine['date']}, {machine['cpu']}, {machine['core']['variant']}, seed {given.seed}")
+    for scenario in given.scenarios.split(","):
+        tuned = hs.load_scenario(scenario)
+        rows = []
+        for law in given.laws.split(","):
+            plan, folder = plan_of(scenario, law, given.over), given.out / f"{scenario}-{law}"
+            found = hs.tune(
+                plan,
+                folder / "search",
+                generations=given.generations,
+                rounds=given.rounds,
+                seed=given.seed,
+                threads=given.threads,
+            )
+            whole = {"simulation.duration": hs.load_scenario(scenario).simulation.duration}
+            hand, judged = (
+                hs.campaign(
+                    plan.changed(scenario=each.updated(whole), runs=given.runs, stream=plan.stream + 2),
+                    folder / name,
+                    threads=given.threads,
+                )
+                for name, each in (("hand", plan.scenario), ("tuned", found.scenario))
+            )
+            tuned = tuned.updated(dict(found.gains))
+            rows.append([law, *cells(hand), *cells(judged)])
+            print(f"{scenario}, {law}: {' '.join(found.section().sentences)}", flush=True)
+        path = given.out / f"{scenario}-tuned.yaml"
+        path.write_text(tuned.updated({"name": f"{scenario}-tuned"}).to_yaml(), encoding="utf-8")
+        heads = ["law", "hand: failures", "settles [s]", "RMS [px]", "tuned: failures", "settles [s]", "RMS [px]"]
+        print("\n".join(f"| {' | '.join(row)} |" for row in [heads, ["---"] * len(heads), *rows]))
+        print(f"hexservo compare --scenarios {path}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

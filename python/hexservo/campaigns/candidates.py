@@ -1,0 +1,219 @@
+"""Candidates of a search for gains: their gains, and their worst runs over the variations of the search."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.campaigns.judging import Judge
+from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.search_steps import SearchSteps
+from hexservo.campaigns.tune_keys import TunePlan
+from hexservo.campaigns.worst_case import smallest_in_box
+from hexservo.run.variations import known_key, plain_row
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.keys import value_at
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Candidates", "Judged", "ranking"]
+
+_WORST_RUNS = 400  # of a search for the worst case of a candidate
+_WORSE = 1e-3  # a case joins if its margin is smaller by more than this,
+_LARGER = 1.01  # or a minimised metric larger by more than this factor
+_NONE = 1e9  # stands for a metric without a value, in the search for its largest one
+
+
+class Judged:
+    """The worst of every candidate over the variations: margins (n, r), minimised metrics (n, m)."""
+
+    def __init__(self, margins: Array, values: Array) -> None:
+        self.margins = margins
+        self.values = values
+        self.smallest: Array = margins.min(axis=1)
+
+    @property
+    def feasible(self) -> NDArray[np.bool_]:
+        """Which candidates keep all requirements in all variations, and have a value of each metric, (n,)."""
+        return np.asarray((self.smallest >= 0) & np.isfinite(self.values).all(axis=1))
+
+    def order(self, metric: int = 0) -> NDArray[np.intp]:
+        """Return the candidates, the best first, by one of the minimised metrics; without any by their margins."""
+        none = self.values.shape[1] == 0
+        return ranking(self.margins, -self.smallest if none else self.values[:, metric])
+
+
+def ranking(margins: Array, values: Array) -> NDArray[np.intp]:
+    """Return candidates, the best first: feasible ones by their values, then the others by their smallest margins.
+
+    Of equal margins, as of candidates that all have a run which does not settle, the larger sum of negative ones is
+    better.
+
+    Parameters
+    ----------
+    margins, values
+        (n, r), (n,); a value of NaN comes after all others.
+    """
+    smallest = margins.min(axis=1)
+    feasible = smallest >= 0
+    violation = -np.minimum(margins, 0.0).sum(axis=1)
+    return np.lexsort((violation, np.where(feasible, np.nan_to_num(values, nan=np.inf), -smallest), ~feasible))
+
+
+class Candidates:
+    """Judges candidates, which are places in the unit box of the variables, over variations, which are rows of numbers.
+
+    Everything it simulates is a step of the search, and kept.
+    """
+
+    def __init__(self, plan: CampaignPlan, asked: TunePlan, steps: SearchSteps, seed: int, threads: int | None) -> None:
+        self.plan, self.asked, self.steps, self.seed = plan, asked, steps, seed
+        self.judge = Judge(plan, threads)
+        self.drawing = self.judge.drawing
+        self.random = np.random.default_rng(seed)
+        self.runs = 0  # of all steps, those that were kept included
+        self.numbers = self._variations()
+        self.joined = 0  # worst cases among the variations
+        self.nearest = np.full(len(plan.require), -math.inf)  # largest margin of a requirement where all others hold
+        self.renew()
+
+    def _variations(self) -> dict[str, NDArray[Any]]:
+        parts = []
+        if self.asked.corners:
+            ends = np.array(list(itertools.product((0.0, 1.0), repeat=self.drawing.dimension)))
+            parts.append(self.drawing.numbers_at(ends, 0))
+        if self.asked.over:
+            parts.append(self.drawing.numbers(0, self.asked.over))
+        return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+
+    @property
+    def count(self) -> int:
+        """Number of variations."""
+        return len(next(iter(self.numbers.values())))
+
+    @property
+    def dimension(self) -> int:
+        """Number of numbers that a candidate has."""
+        return sum(len(variable.groups) for variable in self.asked.variables.values())
+
+    def renew(self) -> None:
+        """Draw other noise, the same for all candidates."""
+        if "seed" in self.numbers:
+            self.numbers["seed"] = self.random.integers(0, 2**64, self.count, dtype=np.uint64)
+
+    def join(self, numbers: Mapping[str, NDArray[Any]]) -> None:
+        """Add a variation to those of the search."""
+        self.numbers = {key: np.concatenate([values, numbers[key]]) for key, values in self.numbers.items()}
+        self.joined += 1
+
+    # ---- Gains ------------------------------------------------------------------------------------------------------
+
+    def gains_of(self, places: Array) -> dict[str, Array]:
+        """Return the gains of candidates, (n, ...) by key."""
+        found, start = {}, 0
+        for key, variable in self.asked.variables.items():
+            parts = variable.variation.in_box(places[:, start : start + len(variable.groups)])
+            start += len(variable.groups)
+            found[key] = parts[:, 0] if variable.groups == (0,) else np.repeat(parts, variable.groups, axis=1)
+        return found
+
+    def gains(self, place: Array) -> dict[str, Any]:
+        """Return the gains of one candidate, for `Scenario.updated`."""
+        law = self.plan.scenario.controller.law
+        return {key: plain_row(known_key(key, law), values[0]) for key, values in self.gains_of(place[None]).items()}
+
+    def place_of(self, scenario: Scenario) -> Array:
+        """Return the place of a scenario's gains, moved into the ranges; of a group the mean."""
+        parts = []
+        for key, variable in self.asked.variables.items():
+            values = np.asarray(value_at(scenario, key), dtype=float)
+            split = [values]
+            if variable.groups != (0,):
+                split = np.split(np.broadcast_to(values, sum(variable.groups)), np.cumsum(variable.groups)[:-1])
+            means = [float(part.mean()) for part in split]
+            parts.append(variable.variation.share_of(np.array(means)))
+        return np.concatenate(parts)
+
+    # ---- Runs -------------------------------------------------------------------------------------------------------
+
+    def judged(self, places: Array) -> Judged:
+        """Return the worst of candidates, (n, dimension), over the variations."""
+        found = self._judged(self.gains_of(places), self.numbers, len(places))
+        for column in range(found.margins.shape[1]):
+            others = np.delete(found.margins, column, axis=1)
+            kept = found.margins[(others >= 0).all(axis=1), column]
+            self.nearest[column] = max(self.nearest[column], *kept, -math.inf)
+        return found
+
+    def _judged(self, gains: Mapping[str, Array], numbers: Mapping[str, NDArray[Any]], count: int) -> Judged:
+        """Run every candidate on every variation, in one batch."""
+        size = len(next(iter(numbers.values())))
+        drawn = {key: np.tile(values, (count, *[1] * (values.ndim - 1))) for key, values in numbers.items()}
+        repeated = {key: np.repeat(values, size, axis=0) for key, values in gains.items()}
+        return self._step(drawn, repeated, (count, size))
+
+    def _step(self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, Array], shape: tuple[int, int]) -> Judged:
+        """Run a batch of (candidates, variations), or take it from what is kept."""
+
+        def compute() -> dict[str, Array]:
+            margins, batch = self.judge.judged(numbers, gains)
+            metrics = [batch.metrics[name].reshape(shape).max(axis=1) for name in self.asked.minimise]  # NaN stays NaN
+            values = np.stack(metrics, axis=1) if metrics else np.empty((shape[0], 0))
+            return {"margins": margins.reshape(*shape, -1).min(axis=1), "values": values}
+
+        found = self.steps.take({**numbers, **gains, "shape": np.array(shape)}, compute)
+        self.runs += shape[0] * shape[1]
+        return Judged(found["margins"], found["values"])
+
+    def worse_cases(self, place: Array) -> tuple[list[dict[str, NDArray[Any]]], float]:
+        """Return variations that are worse for a candidate than those of the search, and the smallest margin found.
+
+        The smallest margin in the box is searched, and, where it is not negative, the largest value of each metric.
+        """
+        before = self.judged(place[None])
+        if not self.drawing.dimension:
+            return [], float(before.smallest[0])
+        gains = self.gains_of(place[None])
+        seeds = np.array([self.random.integers(0, 2**64, dtype=np.uint64)])
+
+        def runs(shares: Array) -> Judged:
+            repeated = {key: np.repeat(values, len(shares), axis=0) for key, values in gains.items()}
+            return self._step(self._at(shares, seeds), repeated, (len(shares), 1))
+
+        start = np.full(self.drawing.dimension, 0.5)
+        found, margin = smallest_in_box(lambda shares: runs(shares).smallest, start, _WORST_RUNS, self.seed + 1)
+        kept = float(before.smallest[0])
+        worse = margin < kept - _WORSE and (margin < 0 or not self.asked.minimise)
+        if worse or margin < 0:
+            return ([self._at(found[None], seeds)] if worse else []), margin
+        joining = []
+        for metric in range(len(self.asked.minimise)):
+            place_of_largest, smallest = smallest_in_box(
+                lambda shares, metric=metric: -np.nan_to_num(runs(shares).values[:, metric], nan=_NONE),  # type: ignore[misc]
+                start,
+                _WORST_RUNS,
+                self.seed + 2 + metric,
+            )
+            if -smallest > _LARGER * before.values[0, metric]:
+                joining.append(self._at(place_of_largest[None], seeds))
+        return joining, margin
+
+    def _at(self, shares: Array, seeds: NDArray[np.uint64]) -> dict[str, NDArray[Any]]:
+        numbers = self.drawing.numbers_at(shares, 0)
+        return numbers | ({"seed": np.repeat(seeds, len(shares))} if "seed" in numbers else {})
+
+    def on_runs(self, places: Array, plan: CampaignPlan, runs: int) -> tuple[Array, Array]:
+        """Return failures of candidates, (n,), and their largest metrics, (n, m), in the first runs of another plan."""
+        numbers = plan.drawing().numbers(0, runs)
+        gains = self.gains_of(places)
+        failures, values = [], []
+        for row in range(len(places)):  # a candidate at a time: a step is small
+            repeated = {key: np.repeat(each[row : row + 1], runs, axis=0) for key, each in gains.items()}
+            found = self._step(numbers, repeated, (runs, 1))
+            failures.append(int((found.smallest < 0).sum()))
+            values.append(found.values.max(axis=0))
+        return np.array(failures), np.array(values)

@@ -1,0 +1,170 @@
+"""The folder of a search for gains: what is simulated is kept step by step, and a search goes on by repeating it."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.store import locked, remove_drafts, write_bytes, write_text
+from hexservo.run.publish import OutputError, named
+from hexservo.scenario.version import VERSION
+from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
+
+__all__ = ["SearchSteps"]
+
+FORMAT = 1
+"""Of a search's folder: raised with every change of the order in which a search simulates."""
+
+PLAN = "tune.yaml"
+_SEAL = 32  # bytes of SHA-256 before the arrays
+
+
+class SearchSteps:
+    """The steps of a search, each a batch with its results, kept in the order in which they are asked for.
+
+    A search is a function of its file and its seed. Asked for the same steps again, it takes those that are kept, whole
+    and of the same inputs, and simulates the others: so it goes on where it was interrupted, bit for bit.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        plan: CampaignPlan,
+        seed: int,
+        generations: int,
+        warn: Callable[[str], object],
+    ) -> None:
+        self.folder = Path(folder)
+        self.plan = plan
+        self.warn = warn
+        self.count = 0  # steps that were asked for
+        assert plan.tune is not None
+        self.record = {
+            "format": FORMAT,
+            "hexservo": VERSION,
+            "variant": plan.required_variant(),
+            "seed": seed,
+            "generations": generations,
+        }
+        requirements = [requirement.to_plain() for requirement in plan.require]
+        text = json.dumps([plan.digest(), requirements, plan.tune.to_plain(), self.record])
+        self.record["search"] = hashlib.sha256(text.encode()).hexdigest()
+
+    @contextlib.contextmanager
+    def opened(self) -> Iterator[None]:
+        """Make the folder, or take it up again, as the only writer.
+
+        Raises
+        ------
+        OutputError
+            The folder holds something else, or a different search; a process writes there now; it cannot be written.
+        """
+        path = self.folder / PLAN
+        with locked(self.folder):
+            if path.exists():
+                self._take_up(path)
+            elif not all(entry.name.startswith(".") for entry in self.folder.iterdir()):
+                raise OutputError(
+                    f"{named(self.folder)}: expected a new folder or that of a search, got one with other files"
+                )
+            write_text(path, dump_yaml({**self.plan.to_mapping(), "record": self.record}))
+            with contextlib.suppress(FileExistsError):
+                (self.folder / "steps").mkdir()
+            for folder in (self.folder, self.folder / "steps"):
+                remove_drafts(folder)
+            yield
+
+    def _take_up(self, path: Path) -> None:
+        """Check that the folder's search is this one."""
+        try:
+            document = read_yaml(path)
+            record: dict[str, Any] = document["record"]  # type: ignore[index,call-overload,assignment]
+            there = CampaignPlan(**document)  # type: ignore[arg-type]
+        except (ScenarioError, KeyError, TypeError) as error:
+            raise OutputError(
+                f"{named(path)}: expected the file of a search, got a different one: {error}; name a new folder"
+            ) from None
+        if record.get("search") == self.record["search"]:
+            return
+        ours, theirs = self.plan.to_mapping(), there.to_mapping()
+        free = ("runs", "until", "chunk_size", "confidence", "rare")
+        differing = [f"{key} {record.get(key)}" for key in self.record if record.get(key) != self.record[key]][:-1]
+        differing += [key for key in ours if key not in free and ours[key] != theirs[key]]
+        raise OutputError(
+            f"{named(self.folder)}: expected a folder of this search, got one that differs in "
+            f"{', '.join(differing)}; name a new folder"
+        )
+
+    def take(
+        self, inputs: Mapping[str, NDArray[Any]], compute: Callable[[], Mapping[str, NDArray[Any]]]
+    ) -> dict[str, NDArray[Any]]:
+        """Return the results of the next step: those that are kept, or else computed and kept.
+
+        Parameters
+        ----------
+        inputs
+            All that the results depend on.
+        compute
+            Gives the results.
+
+        Raises
+        ------
+        OutputError
+            They cannot be written.
+        """
+        path = self.folder / "steps" / f"{self.count:06d}.step"
+        self.count += 1
+        place = hashlib.sha256(f"{self.record['search']} {self.count}".encode())
+        _enter(place, inputs)
+        if path.exists():
+            try:
+                return _unsealed(path, place)
+            except (OSError, ValueError):
+                self.warn(
+                    f"{named(path)}: expected the results of this step, got different bytes; they are computed again"
+                )
+        results = dict(compute())
+        file = io.BytesIO()
+        np.savez(file, **results)  # type: ignore[arg-type]
+        content = file.getvalue()
+        write_bytes(path, _seal(place, content) + content)
+        return results
+
+
+def _enter(digest: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Have arrays count in a digest, with names, types and shapes."""
+    for name, values in sorted(arrays.items()):
+        digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
+        digest.update(np.ascontiguousarray(values).tobytes())
+
+
+def _seal(place: Any, content: bytes) -> bytes:
+    digest = place.copy()
+    digest.update(content)
+    return bytes(digest.digest())
+
+
+def _unsealed(path: Path, place: Any) -> dict[str, NDArray[Any]]:
+    """Return the results of a step.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged, or of different inputs.
+    """
+    file = path.read_bytes()
+    seal, content = file[:_SEAL], file[_SEAL:]
+    if seal != _seal(place, content):
+        raise ValueError("the seal differs")
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}

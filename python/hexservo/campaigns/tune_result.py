@@ -1,0 +1,244 @@
+"""What a search for gains gave, in sentences, tables and curves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hexservo.campaigns.requirements import Requirement
+from hexservo.campaigns.result import CampaignResult
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+from hexservo.run.metrics import METRICS
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number
+
+__all__ = ["FrontPoint", "Generation", "Relaxation", "TuneResult"]
+
+_PAGE = "docs/tune.md"
+
+
+@dataclass(frozen=True)
+class Generation:
+    """The best candidate of a generation."""
+
+    round: int
+    runs: int  # that the search had simulated by then
+    margin: float  # smallest one over the variations
+    feasible: bool  # whether it keeps all requirements
+    lowest: tuple[float, ...]  # of each minimised metric, the least among feasible candidates; NaN without any
+    variations: int
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """A requirement that was not found to hold with the others, and the nearest bound with which it does."""
+
+    requirement: Requirement
+    bound: float  # in the metric's unit
+    share: float  # the change, in parts of the requirement's scale
+
+    @property
+    def text(self) -> str:
+        """The relaxed requirement."""
+        return f"{self.requirement.name} {self.requirement.comparison} {number(self.bound, 4)}"
+
+
+@dataclass(frozen=True)
+class FrontPoint:
+    """Gains of which none of the others is better in both metrics."""
+
+    gains: Mapping[str, Any]  # by dotted key
+    values: tuple[float, ...]  # largest ones over the variations of the search, in the metrics' units
+    held_out: tuple[float, ...]  # the same over variations that it never used; NaN where a run has none
+    failures: int  # of these
+    runs: int  # that these are
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class TuneResult(Findings):
+    """The gains that a search found, and what a campaign on variations that it never used gives for them."""
+
+    scenario: Scenario  # with the gains; of a front those nearest to the least of both metrics
+    feasible: bool  # whether all requirements hold in all variations of the search
+    margin: float  # smallest one over these
+    worst: tuple[float, ...]  # largest value of each minimised metric over these, in its unit; NaN where a run has none
+    before: tuple[float, ...]  # margin and metrics of the original gains, over the same variations and noise
+    gains: Mapping[str, Any]  # by dotted key
+    held_out: CampaignResult | None  # a campaign with other draws; None for gains that are not feasible
+    relaxations: tuple[Relaxation, ...]  # for gains that are not feasible, the smallest change first
+    front: tuple[FrontPoint, ...]  # for two metrics, ordered by the first one
+    settled: bool  # whether the last search for a worse case found none
+    worst_margin: float  # smallest one that this search found
+    history: tuple[Generation, ...]
+    variations: int  # of the search at its end, worst cases included
+    joined: int  # worst cases among them
+    runs: int  # that the search simulated
+    seed: int
+    minimise: tuple[str, ...]
+    path: Path  # of the scenario file
+
+    @property
+    def advice(self) -> str:
+        """The requirement that cannot hold with the others, with its smallest relaxation; empty if all hold."""
+        if self.feasible:
+            return ""
+        if not self.relaxations:
+            return (
+                "No requirement was found whose relaxation alone helps: at least two do not hold with the others. The "
+                f"smallest margin of the best gains is {number(self.margin)}."
+            )
+        first = self.relaxations[0]
+        return (
+            f"The requirement {first.requirement} does not hold together with the others; with {first.text} it does, "
+            "the smallest change that was found."
+        )
+
+    def headline(self) -> str:
+        """Return a line that names the scenario."""
+        return f'Tuning of "{self.scenario.name}"'
+
+    def section(self) -> Section:
+        """Return the result in sentences, with the gains."""
+        rows: list[list[Cell]] = [[key, _text(value)] for key, value in self.gains.items()]
+        items: list[Item] = [Table("Gains", (Column("key"), Column("value")), rows, "", _PAGE)]
+        if self.relaxations:
+            changed: list[list[Cell]] = [[str(one.requirement), one.text, one.share] for one in self.relaxations]
+            columns = (Column("requirement"), Column("would hold"), Column("change, in parts of its scale"))
+            items.append(Table("Relaxations", columns, changed, "Each alone, the others as they are.", _PAGE))
+        held = self.held_out
+        verdict: Verdict = "bad" if not self.feasible else "warning" if held is not None and held.failures else "good"
+        return Section("tuning", "Tuning", self._sentences(), items, verdict, self._data())
+
+    def sections(self) -> list[Section]:
+        """Return the result, the course of the search and, for two metrics, the front."""
+        found = [self.section()]
+        if self.history:
+            found.append(Section("tuning_history", "Course of the search", (), self._course()))
+        if self.front:
+            found.append(Section("tuning_front", "Front", self._front_sentences(), self._front()))
+        return found
+
+    def _sentences(self) -> list[str]:
+        sentences = []
+        names = [name.replace("_", " ") for name in self.minimise]
+        units = [METRICS[name][0] for name in self.minimise]
+        if self.feasible:
+            largest = "; ".join(
+                f"the largest {name} is {_shown(value, unit)}, with the original gains {_shown(before, unit)}"
+                for name, unit, value, before in zip(names, units, self.worst, self.before[1:], strict=True)
+            )
+            largest = largest or (
+                f"the smallest margin is {number(self.margin)}, with the original gains {number(self.before[0])}"
+            )
+            sentences.append(f"The requirements hold in all {self.variations} variations of the search; {largest}.")
+        else:
+            sentences.append(f"No gains were found with which the requirements hold. {self.advice}")
+        if self.held_out is not None:
+            table = self.held_out.to_arrow([*self.minimise, "margin"])
+            parts = [
+                f"the largest {name} is {_shown(float(table.column(place).to_numpy().max()), unit)}"
+                for place, (name, unit) in enumerate(zip(names, units, strict=True))
+            ] or [f"the smallest margin is {number(float(table.column('margin').to_numpy().min()))}"]
+            sentences.append(
+                f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
+                f"and {self.held_out.section().sentences[0]}"
+            )
+        if self.settled:
+            worse = f"The last search for a worse case found none; {self.joined} worst cases are among the variations."
+        else:
+            worse = (
+                f"The last search for a worse case found one, with the margin {number(self.worst_margin)}, which did "
+                "not join: the rounds had ended."
+            )
+        sentences.append(worse)
+        sentences.append(f"The search simulated {self.runs} runs (seed {self.seed}).")
+        return sentences
+
+    def _data(self) -> dict[str, Any]:
+        return {
+            "feasible": self.feasible,
+            "margin": self.margin,
+            "minimise": list(self.minimise),
+            "worst": list(self.worst),
+            "before": list(self.before),
+            "gains": dict(self.gains),
+            "held_out": None if self.held_out is None else self.held_out.summary,
+            "relaxations": {str(one.requirement): one.bound for one in self.relaxations},
+            "front": [[*point.values, *point.held_out, point.failures] for point in self.front],
+            "settled": self.settled,
+            "worst_margin": self.worst_margin,
+            "variations": self.variations,
+            "joined": self.joined,
+            "runs": self.runs,
+            "seed": self.seed,
+            "history": [
+                [each.round, each.runs, each.margin, each.feasible, *each.lowest, each.variations]
+                for each in self.history
+            ],
+        }
+
+    def _course(self) -> list[Curves]:
+        """Return the best candidate of each generation over the runs."""
+        runs = np.array([each.runs for each in self.history], dtype=float)
+        rounds = np.array([each.round for each in self.history])
+        note = "Each generation has other noise, and each round more variations: a later value may be worse."
+        margins = np.array([each.margin for each in self.history])
+        feasible = np.array([each.feasible for each in self.history])
+        items = [
+            Curves(
+                "Margin of the best candidate",
+                "runs",
+                "smallest margin",
+                [
+                    Line(name, runs[kind], np.maximum(margins[kind], -2.0), "points")
+                    for name, kind in (("requirements hold", feasible), ("requirements do not hold", ~feasible))
+                    if kind.any()
+                ],
+                note=note,
+                page=_PAGE,
+            )
+        ]
+        for place, name in enumerate(self.minimise):
+            lowest = np.array([each.lowest[place] for each in self.history])
+            lines = [
+                Line(f"round {one}", runs[rounds == one], lowest[rounds == one])
+                for one in np.unique(rounds)
+                if np.isfinite(lowest[rounds == one]).any()
+            ]
+            if lines:
+                label = name.replace("_", " ")
+                title = f"Least {label} of feasible candidates"
+                items.append(Curves(title, "runs", f"{label} [{METRICS[name][0]}]", lines, note=note, page=_PAGE))
+        return items
+
+    def _front_sentences(self) -> list[str]:
+        kept = sum(point.failures == 0 for point in self.front)
+        return [
+            f"{len(self.front)} gains of which none is better than another in both metrics. Each was judged by "
+            f"{self.front[0].runs} runs that the search never used; {kept} of them fail in none."
+        ]
+
+    def _front(self) -> list[Curves]:
+        names = [f"{name.replace('_', ' ')} [{METRICS[name][0]}]" for name in self.minimise]
+        inside = np.array([point.values for point in self.front])
+        outside = np.array([point.held_out for point in self.front])
+        lines = [
+            Line("variations of the search", inside[:, 0], inside[:, 1], "points"),
+            Line("other variations", outside[:, 0], outside[:, 1], "points"),
+        ]
+        shown = [line for line in lines if np.isfinite(line.y).any() and np.isfinite(line.x).any()]
+        return [Curves("Largest values of both metrics", names[0], names[1], shown, page=_PAGE)]
+
+
+def _shown(value: float, unit: str) -> str:
+    return f"{number(value)} {unit}" if math.isfinite(value) else "it has no value in some run"
+
+
+def _text(value: Any) -> str:
+    return "[" + ", ".join(map(_text, value)) + "]" if isinstance(value, list) else f"{value:.4g}"

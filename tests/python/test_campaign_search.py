@@ -1,0 +1,261 @@
+"""Searches for gains: they go on after any end, keep to their folder, and find planted fronts and relaxations."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.campaigns.candidates import Judged
+from hexservo.campaigns.strategies import best_candidate, front_of, not_dominated, relax
+from hexservo.run.publish import OutputError
+from hexservo.scenario.arrays import Array
+from test_campaign_tuning import FILE
+
+SHORT: dict[str, Any] = FILE | {
+    "scenario": FILE["scenario"].updated({"simulation.duration": 0.3, "metrics.rms_start": 0.2}),
+    "tune": FILE["tune"] | {"over": 4},
+    "runs": 20,
+}
+OPTIONS: dict[str, Any] = {"generations": 4, "rounds": 2, "seed": 3}
+PROCESS = """
+import json, sys
+import hexservo as hs
+print("begun", flush=True)
+hs.tune(json.loads(sys.argv[1]), sys.argv[2], generations=4, rounds=2, seed=3, threads=1)
+"""
+
+
+def results_of(folder: Path) -> tuple[bytes, ...]:
+    chunks = sorted((folder / "held-out" / "chunks").iterdir())
+    return tuple(path.read_bytes() for path in (folder / "tuned.yaml", folder / "tuning.json", *chunks))
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("search") / "out"
+    hs.tune(SHORT, folder, **OPTIONS)
+    return folder
+
+
+def test_a_killed_search_goes_on_to_the_same_gains(uninterrupted: Path, tmp_path: Path) -> None:
+    """kill -9 at random moments, until a process ends by itself."""
+    choice = random.Random(20261122)
+    file = json.dumps(SHORT | {"scenario": SHORT["scenario"].to_mapping()})
+    out, killed, ended = tmp_path / "out", 0, False
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    while not ended:
+        command = [sys.executable, "-c", PROCESS, file, str(out)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "begun\n"
+            time.sleep(choice.uniform(0.02, 0.6) * (1 + killed / 4))  # longer and longer, so that it ends
+            process.send_signal(signal.SIGKILL)
+            ended = process.wait() == 0
+        killed += not ended
+    print(f"{killed} kills")
+    assert killed >= 2
+    assert results_of(out) == results_of(uninterrupted)
+
+
+def test_ctrl_c_keeps_what_was_simulated(uninterrupted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(done: int, count: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        hs.tune(SHORT, tmp_path / "out", **OPTIONS, progress=interrupt)
+    kept = sorted((tmp_path / "out" / "steps").iterdir())
+    assert len(kept) == 3
+    simulated = 0
+    simulate_batch = hs.simulate_batch
+
+    def watched(*arguments: Any) -> hs.BatchResult:
+        nonlocal simulated
+        simulated += 1
+        return simulate_batch(*arguments)
+
+    monkeypatch.setattr("hexservo.campaigns.judging.simulate_batch", watched)
+    hs.tune(SHORT, tmp_path / "out", **OPTIONS)
+    assert simulated == len(list((uninterrupted / "steps").iterdir())) - 3
+    assert results_of(tmp_path / "out") == results_of(uninterrupted)
+
+
+def test_damage_is_found_and_computed_again(uninterrupted: Path, tmp_path: Path) -> None:
+    before = results_of(uninterrupted)
+    step = sorted((uninterrupted / "steps").iterdir())[2]
+    content = step.read_bytes()
+    other = sorted((uninterrupted / "steps").iterdir())[3].read_bytes()
+    flipped = bytearray(content)
+    flipped[content.index(b"margins.npy") + 140] ^= 1
+    for damaged in (content[: len(content) // 2], bytes(flipped), other, b""):
+        step.write_bytes(damaged)
+        said: list[str] = []
+        hs.tune(SHORT, uninterrupted, **OPTIONS, warn=said.append)
+        assert len(said) == 1
+        assert (
+            '000002.step": expected the results of this step, got different bytes; they are computed again' in said[0]
+        )
+        assert results_of(uninterrupted) == before
+        assert step.read_bytes() == content
+
+
+def test_a_folder_of_another_search_is_refused(uninterrupted: Path) -> None:
+    for options, name in (({"seed": 4}, "seed 3"), ({"generations": 5}, "generations 4")):
+        with pytest.raises(
+            OutputError, match=f"expected a folder of this search, got one that differs in {name}; name"
+        ):
+            hs.tune(SHORT, uninterrupted, **(OPTIONS | options))
+    file = SHORT | {"tune": SHORT["tune"] | {"over": 5}}
+    with pytest.raises(OutputError, match="got one that differs in tune; name"):
+        hs.tune(file, uninterrupted, **OPTIONS)
+    more = hs.tune(SHORT | {"runs": 30}, uninterrupted, **OPTIONS)  # more held-out runs are no other search
+    assert more.held_out is not None
+    assert len(more.held_out) == 30
+
+
+# ---- Planted problems -----------------------------------------------------------------------------------------------
+
+
+class Planted:
+    """Candidates whose margins and metrics are functions of their places."""
+
+    def __init__(self, margins: Any, values: Any, dimension: int, seed: int) -> None:
+        self.functions = margins, values
+        self.dimension, self.seed = dimension, seed
+        self.nearest = np.full(len(margins), -math.inf)
+
+    def renew(self) -> None:
+        pass
+
+    def judged(self, places: Array) -> Judged:
+        columns = [np.stack([each(places) for each in group], axis=1) for group in self.functions]
+        for column in range(len(self.nearest)):
+            kept = (np.delete(columns[0], column, axis=1) >= 0).all(axis=1)
+            self.nearest[column] = max([self.nearest[column], *columns[0][kept, column]])
+        return Judged(*columns)
+
+
+def nothing(judged: Judged, order: Any) -> None:
+    pass
+
+
+def test_a_planted_optimum_on_a_constraint_is_found() -> None:
+    """The least of x0 + x1 within a disc around (1/2, 1/2) of radius 0.3 is 1 - 0.3 sqrt(2)."""
+    for seed in range(10):
+        planted: Any = Planted(
+            [lambda p: 0.3 - np.hypot(p[:, 0] - 0.5, p[:, 1] - 0.5), lambda p: np.ones(len(p))],
+            [lambda p: p[:, 0] + p[:, 1]],
+            2,
+            seed,
+        )
+        best = best_candidate(planted, np.array([0.9, 0.9]), 40, nothing)
+        found = planted.judged(best[None])
+        assert found.smallest[0] >= 0
+        assert found.values[0, 0] == pytest.approx(1 - 0.3 * math.sqrt(2), abs=0.01), f"seed {seed}"
+
+
+def test_the_smallest_relaxation_is_found() -> None:
+    """x0 >= 0.8 and x0 <= 0.5 - x1 exclude each other: either holds if the other gives way by 0.3.
+
+    What is found is never less, and in the corner between two bounds a search may stop short: by 0.05 at most here.
+    """
+    for seed in range(20):
+        planted: Any = Planted(
+            [lambda p: p[:, 0] - 0.8, lambda p: 0.5 - p[:, 1] - p[:, 0]], [lambda p: p[:, 0]], 2, seed
+        )
+        for column in range(2):
+            relax(planted, np.array([0.5, 0.5]), 40, column)
+        assert planted.nearest == pytest.approx([-0.3, -0.3], abs=0.05), f"seed {seed}"
+        assert (planted.nearest <= -0.3 + 1e-12).all()
+
+
+def test_a_planted_front_is_found() -> None:
+    """ZDT1 (Zitzler, Deb and Thiele 2000) in 4 numbers, whose front is f2 = 1 - sqrt(f1) at x1 = x2 = x3 = 0; of it
+    f1 >= 0.04 is feasible."""
+
+    def rest(p: Array) -> Array:
+        return np.asarray(1 + 9 * p[:, 1:].mean(axis=1))
+
+    for seed in range(3):
+        planted: Any = Planted(
+            [lambda p: p[:, 0] - 0.04],
+            [lambda p: p[:, 0], lambda p: rest(p) * (1 - np.sqrt(p[:, 0] / rest(p)))],
+            4,
+            seed,
+        )
+        front = front_of(planted, np.array([[0.5, 0.5, 0.5, 0.5]]), 120, nothing)
+        values = planted.judged(front).values
+        away = values[:, 1] - (1 - np.sqrt(values[:, 0]))
+        print(f"seed {seed}: {len(front)} points, at most {away.max():.3g} above the front")
+        assert len(front) >= 30
+        assert (away >= -1e-12).all()
+        assert away.max() < 0.05
+        assert values[0, 0] == pytest.approx(0.04, abs=0.02)
+        assert values[-1, 0] > 0.9
+        assert (np.diff(values[:, 0]) > 0).all()
+        assert (np.diff(values[:, 1]) < 0).all()
+
+
+def test_what_is_not_dominated() -> None:
+    values = np.array([[2.0, 1.0], [1.0, 2.0], [2.0, 2.0], [1.0, 2.0], [3.0, 0.5], [2.5, 1.0]])
+    assert not_dominated(values).tolist() == [0, 1, 4]
+    assert not_dominated(np.empty((0, 2))).tolist() == []
+
+
+# ---- On a loop ------------------------------------------------------------------------------------------------------
+
+
+def test_a_front_of_two_metrics(tmp_path: Path) -> None:
+    tune = SHORT["tune"] | {"minimise": ["settling_time", "peak_leg_force"], "over": "corners"}
+    vary = {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}, "uncertainty.depth": {"uniform": [-0.3, 0.3]}}
+    scenario = FILE["scenario"].updated({"simulation.duration": 0.5})
+    result = hs.tune(
+        SHORT | {"scenario": scenario, "tune": tune, "vary": vary}, tmp_path / "out", generations=8, rounds=1, seed=2
+    )
+    assert result.feasible
+    assert result.variations == 4  # corners of two numbers
+    values = np.array([point.values for point in result.front])
+    print(f"seed 2: {len(values)} points, {values[0]} to {values[-1]}")
+    assert len(values) >= 10
+    assert (np.diff(values[:, 0]) > 0).all()
+    assert (np.diff(values[:, 1]) < 0).all()
+    point = result.front[0]
+    batch = hs.simulate_batch(
+        scenario.updated(dict(point.gains)),
+        {"uncertainty.gravity": np.array([-0.05, -0.05, 0.05, 0.05]), "uncertainty.depth": np.array([-0.3, 0.3] * 2)},
+        "metrics",
+    )
+    largest = [batch.metrics[name].max() for name in ("settling_time", "peak_leg_force")]
+    np.testing.assert_allclose(point.values, largest, rtol=1e-12)
+    lines = (tmp_path / "out" / "front.csv").read_text().splitlines()
+    assert lines[0].startswith("settling_time,peak_leg_force,settling_time_held_out,peak_leg_force_held_out,failures")
+    assert len(lines) == 1 + len(values)
+    assert [section.name for section in result.sections()] == ["tuning", "tuning_history", "tuning_front"]
+
+
+def test_without_a_metric_the_smallest_margin_grows(tmp_path: Path) -> None:
+    tune = {key: value for key, value in SHORT["tune"].items() if key != "minimise"}
+    result = hs.tune(SHORT | {"tune": tune}, tmp_path / "out", generations=8, rounds=1, seed=5)
+    assert result.worst == ()
+    assert result.margin > result.before[0] + 0.02
+    assert "the smallest margin is" in result.section().sentences[0]
+
+
+def test_two_metrics_need_pymoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hexservo.campaigns.tuning.find_spec", lambda name: None)
+    tune = SHORT["tune"] | {"minimise": ["settling_time", "rms_error"]}
+    with pytest.raises(OutputError, match=r"expected an installation with pymoo for two metrics: pip install"):
+        hs.tune(SHORT | {"tune": tune}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
