@@ -13,8 +13,10 @@ import pytest
 import hexservo as hs
 from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.pictures import campaign_sections, influential
-from hexservo.findings.evidence import Curves
+from hexservo.draw.evidence import item_figure
+from hexservo.findings.evidence import Bars, Curves, Section
 from test_campaign_engine import FILE, RUNS
+from test_campaign_search import SHORT
 from test_report import CHROMIUM, in_browser
 from test_terminal import invoke
 
@@ -22,6 +24,14 @@ from test_terminal import invoke
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> hs.CampaignResult:
     return hs.campaign(FILE, tmp_path_factory.mktemp("campaign") / "out")
+
+
+@pytest.fixture(scope="module")
+def more(tmp_path_factory: pytest.TempPathFactory) -> tuple[Section, ...]:
+    """Sections of a search for a front, and of sensitivity."""
+    tune = SHORT["tune"] | {"minimise": ["rms_error", "peak_leg_force"], "over": 2}
+    found = hs.tune(SHORT | {"tune": tune}, tmp_path_factory.mktemp("tune") / "out", generations=2, rounds=1)
+    return (*found.sections(), hs.sensitivity(SHORT, samples=4).section())
 
 
 def curves_of(result: hs.CampaignResult) -> dict[str, Curves]:
@@ -89,12 +99,48 @@ def test_the_page_states_what_the_summary_states(result: hs.CampaignResult) -> N
     assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=.https?:", page)
 
 
+def test_every_picture_is_a_file_too(result: hs.CampaignResult, more: tuple[Section, ...]) -> None:
+    hs.write_campaign_report(result, more, pictures=True)
+    folder = result.folder / "pictures"
+    contents = {path.name: path.read_bytes() for path in folder.iterdir()}
+    names = {
+        "interval-failure-probability",
+        "distributions-peak-leg-excursion",
+        "distributions-final-error",
+        "failures-runs-in-the-plane-of-both",
+        "tuning_history-margin-of-the-best-candidate",
+        "tuning_history-least-rms-error-of-feasible-candidates",
+        "tuning_history-least-peak-leg-force-of-feasible-candidates",
+        "tuning_front-largest-values-of-both-metrics",
+        "sensitivity-sobol-indices-of-the-margin",
+    }
+    assert contents.keys() == {f"{name}.{kind}" for name in names for kind in ("svg", "png")}
+    for name, content in contents.items():
+        assert content.startswith(b"\x89PNG" if name.endswith("png") else b"<?xml"), name
+    hs.write_campaign_report(result, more, pictures=True)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == contents
+
+
+def test_the_bars_are_the_indices(more: tuple[Section, ...]) -> None:
+    section = more[-1]
+    (bars,) = (item for item in section.items if isinstance(item, Bars))
+    first, total = bars.shares
+    places = [section.data["inputs"].index(name) for name in bars.names]
+    np.testing.assert_array_equal(first.values, section.data["margin"]["first"][places])
+    np.testing.assert_array_equal(total.values, section.data["margin"]["total"][places])
+    assert (np.diff(total.values) <= 0).all(), "the largest on top"
+    axes = item_figure(bars).axes[0]
+    assert [text.get_text() for text in axes.get_yticklabels()] == list(bars.names)
+    drawn = [patch.get_width() for container in axes.containers for patch in getattr(container, "patches", [])]
+    np.testing.assert_allclose(drawn, [*first.values, *total.values])
+
+
 @in_browser
-def test_the_page_in_a_browser(result: hs.CampaignResult) -> None:
+def test_the_page_in_a_browser(result: hs.CampaignResult, more: tuple[Section, ...]) -> None:
     """On a laptop, light, and on a phone, dark; both printed too."""
     from playwright.sync_api import sync_playwright
 
-    path = hs.write_campaign_report(result)
+    path = hs.write_campaign_report(result, more)
     problems: list[str] = []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM)
@@ -108,7 +154,7 @@ def test_the_page_in_a_browser(result: hs.CampaignResult) -> None:
             for place in range(charts.count()):
                 charts.nth(place).scroll_into_view_if_needed()
                 charts.nth(place).locator(".main-svg").first.wait_for(state="attached")
-            assert charts.count() == 4
+            assert charts.count() == 9
             assert page.evaluate("document.documentElement.scrollWidth") <= width
             page.pdf()
         browser.close()
@@ -116,8 +162,9 @@ def test_the_page_in_a_browser(result: hs.CampaignResult) -> None:
 
 
 def test_the_command_writes_the_page(tmp_path: Path) -> None:
-    arguments = ["campaign", "campaign-composite-30hz", "--out", str(tmp_path / "out"), "--runs", "20", "--report"]
+    arguments = ["campaign", "campaign-composite-30hz", "--out", str(tmp_path / "out"), "--runs", "20", "--pictures"]
     code, out, err = invoke(*arguments, "--set", "simulation.duration=0.1")
     assert (code, err) == (0, "")
     assert f"report: {tmp_path}/out/report.html" in out
     assert "20 of 20 runs fail" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert (tmp_path / "out" / "pictures" / "interval-failure-probability.svg").is_file()

@@ -17,8 +17,13 @@ from test_docs import ROOT, cpp_tests, links_in, prose_of, python_tests, tables_
 SOURCES = ("findings/analysis", "findings/certificate", "findings/diagnosis", "report")  # packages of hexservo
 FOLDERS = ("analysis", "certificate", "diagnosis")  # of docs/: nothing but pages of quantities, and an index
 HEADINGS = ["What it is", "Formula", "Source", "Limits", "How it is tested"]
-GUIDES = ("docs/model.md", "docs/campaigns.md")  # may be named too; they have their own headings and tests
-ITEMS = ("Table", "Curves", "HeatMap")
+# May be named too; they have their own headings and tests.
+GUIDES = ("docs/model.md", "docs/campaigns.md", "docs/tune.md")
+    "docs/model.md",
+    "docs/campaigns.md",
+    "docs/tune.md",
+)  # may be named too; they have their own headings and tests
+ITEMS = ("Table", "Curves", "HeatMap", "Bars")
 
 
 # ---- What the sources name ------------------------------------------------------------------------------------------

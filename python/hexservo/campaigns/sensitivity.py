@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from hexservo.campaigns.distributions import between_ends
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Cell, Column, Section, Table
+from hexservo.findings.evidence import Bars, Cell, Column, Item, Section, Share, Table
 from hexservo.scenario.arrays import Array
 
 __all__ = ["Indices", "Sensitivity", "sensitivity", "sobol_indices"]
@@ -63,13 +64,14 @@ class Sensitivity(Findings):
         return [(self.inputs[place], float(total[place])) for place in np.argsort(-total, kind="stable")]
 
     def section(self) -> Section:
-        """Return the most influential inputs in a sentence for each quantity, with a table for the margin."""
+        """Return the most influential inputs of the margin and of each required metric, with a table for the margin."""
         sentences = []
-        for quantity in self.indices:
+        required = [one.name for one in self.plan.require]
+        for quantity in (name for name in self.indices if name == "margin" or name in required):
             (one, share), *others = self.ranking(quantity)
             second = f", then {others[0][0]} ({others[0][1]:.0%})" if others else ""
             sentences.append(f"{quantity}: {one} has the largest total index ({share:.0%}){second}.")
-        items = []
+        items: list[Item] = []
         if "margin" in self.indices:
             found = self.indices["margin"]
             rows: list[list[Cell]] = []
@@ -80,9 +82,26 @@ class Sensitivity(Findings):
             heads = ("first order", "from", "to", "total", "from", "to")
             columns = (Column("input"), *(Column(head, format=".2f") for head in heads))
             note = f"Sobol indices of the margin with bootstrap intervals at 95 %, {self.runs} runs, seed {self.seed}."
-            items.append(Table("Sensitivity of the margin", columns, rows, note, "docs/campaigns.md"))
+            items += [
+                self._bars("margin", np.argsort(-found.total, kind="stable")[:_SHOWN]),
+                Table("Sensitivity of the margin", columns, rows, note, "docs/campaigns.md"),
+            ]
         data = {name: {"first": each.first, "total": each.total} for name, each in self.indices.items()}
         return Section("sensitivity", "Sensitivity", sentences, items, "open", {"inputs": self.inputs, **data})
+
+    def _bars(self, quantity: str, places: NDArray[np.intp]) -> Bars:
+        found = self.indices[quantity]
+        return Bars(
+            f"Sobol indices of the {quantity}",
+            "share of the variance",
+            [self.inputs[place] for place in places],
+            [
+                Share("first order", found.first[places], found.first_interval[places]),
+                Share("total", found.total[places], found.total_interval[places]),
+            ],
+            f"Bootstrap intervals at 95 %; {self.runs} runs. Total: with all interactions.",
+            "docs/campaigns.md",
+        )
 
 
 def sensitivity(

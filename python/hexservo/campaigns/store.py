@@ -281,7 +281,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file beside its place, have it on the disk, and give it its name.
+    """Write a file beside its place, have it on the disk, and give it its name; its folder is made.
 
     Raises
     ------
@@ -290,6 +290,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     """
     draft = path.with_name(f".{path.name}-{secrets.token_hex(6)}{_PART}")
     with _refusing(path):
+        path.parent.mkdir(exist_ok=True)
         try:
             with draft.open("xb") as file:
                 file.write(content)

@@ -89,10 +89,12 @@ class TuneResult(Findings):
         if self.feasible:
             return ""
         if not self.relaxations:
-            return (
-                "No requirement was found whose relaxation alone helps: at least two do not hold with the others. The "
-                f"smallest margin of the best gains is {number(self.margin)}."
-            )
+            least = f"the smallest margin of the best gains is {number(self.margin)}"
+            if self.margin > -1.0:  # below it is a run that does not end, or a metric without a value
+                least = (
+                    f"with every bound relaxed by {number(-self.margin)} of its scale, the best gains keep all of them"
+                )
+            return f"No requirement was found whose relaxation alone helps; {least}."
         first = self.relaxations[0]
         return (
             f"The requirement {first.requirement} does not hold together with the others; with {first.text} it does, "
@@ -153,8 +155,8 @@ class TuneResult(Findings):
             worse = f"The last search for a worse case found none; {self.joined} worst cases are among the variations."
         else:
             worse = (
-                f"The last search for a worse case found one, with the margin {number(self.worst_margin)}, which did "
-                "not join: the rounds had ended."
+                "The last search for a worse case found one, which did not join, since the rounds had ended; the "
+                f"smallest margin that it found is {number(self.worst_margin)}."
             )
         sentences.append(worse)
         sentences.append(f"The search simulated {self.runs} runs (seed {self.seed}).")
@@ -189,7 +191,6 @@ class TuneResult(Findings):
         rounds = np.array([each.round for each in self.history])
         note = "Each generation has other noise, and each round more variations: a later value may be worse."
         margins = np.array([each.margin for each in self.history])
-        feasible = np.array([each.feasible for each in self.history])
         items = [
             Curves(
                 "Margin of the best candidate",
@@ -197,7 +198,7 @@ class TuneResult(Findings):
                 "smallest margin",
                 [
                     Line(name, runs[kind], np.maximum(margins[kind], -2.0), "points")
-                    for name, kind in (("requirements hold", feasible), ("requirements do not hold", ~feasible))
+                    for name, kind in (("requirements hold", margins >= 0), ("requirements do not hold", margins < 0))
                     if kind.any()
                 ],
                 note=note,

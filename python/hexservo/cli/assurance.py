@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -24,10 +24,15 @@ from hexservo.cli.terminal import (
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from hexservo.findings.evidence import Section
+
 __all__ = ["campaign", "tune"]
 
 _LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
 NOT_FEASIBLE = 1
+PicturesOption = Annotated[
+    bool, typer.Option("--pictures", help="The same, and every picture as SVG and PNG in a folder beside it.")
+]
 _WORDS_OF_A_FILE = 3  # of a command that names one
 
 
@@ -58,9 +63,14 @@ def campaign(
         bool,
         typer.Option("--worst", help="Search the worst case too, when the runs are complete; it is kept as a file."),
     ] = False,
+    sensitivity: Annotated[
+        bool,
+        typer.Option("--sensitivity", help="Compute Sobol indices too: what share of the variance each number causes."),
+    ] = False,
     report: Annotated[
         bool, typer.Option("--report", help="Write report.html into the folder too: the verdict with its pictures.")
     ] = False,
+    pictures: PicturesOption = False,
     settings: SettingsOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
 ) -> None:
@@ -110,10 +120,12 @@ def campaign(
             more.append(case.section())
             if not quiet:
                 show_parts("", *printed([case.section()]), f"\nthe worst case found: hexservo run {case.path}")
-        if report:
-            path = hs.write_campaign_report(result, tuple(more))
+        if sensitivity:
+            found = hs.sensitivity(result.plan, threads=threads)
+            more.append(found.section())
             if not quiet:
-                show_parts(f"report: {path}")
+                show_parts("", *printed([found.section()]))
+        _write_report(result, more, report=report, pictures=pictures, quiet=quiet)
 
 
 def tune(
@@ -132,6 +144,11 @@ def tune(
     threads: Annotated[
         int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
     ] = None,
+    report: Annotated[
+        bool,
+        typer.Option("--report", help="Write held-out/report.html too: the held-out campaign, and the search."),
+    ] = False,
+    pictures: PicturesOption = False,
     settings: SettingsOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
 ) -> None:
@@ -167,8 +184,19 @@ def tune(
             raise hs.ScenarioError(str(error).splitlines(), file) from error
         if not quiet:
             show_parts(*printed([found.section()]), "", f"the gains: hexservo run {found.path}")
+        if found.held_out is not None:
+            _write_report(found.held_out, found.sections(), report=report, pictures=pictures, quiet=quiet)
         if not found.feasible:
             raise typer.Exit(NOT_FEASIBLE)
+
+
+def _write_report(
+    result: hs.CampaignResult, more: Sequence[Section], *, report: bool, pictures: bool, quiet: bool
+) -> None:
+    if report or pictures:
+        path = hs.write_campaign_report(result, tuple(more), pictures=pictures)
+        if not quiet:
+            show_parts(f"report: {path}")
 
 
 def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[RenderableType]:

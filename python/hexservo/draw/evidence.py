@@ -1,4 +1,4 @@
-"""Curves and maps of findings as matplotlib figures, for notebooks; the report has them as interactive charts."""
+"""Curves, maps and bars of findings as matplotlib figures, for notebooks; the report has them as interactive charts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hexservo.draw.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, styled
-from hexservo.findings.evidence import Curves, HeatMap, Line
+from hexservo.findings.evidence import Bars, Curves, HeatMap, Line
 from hexservo.run.samples import extreme_samples
 from hexservo.scenario.arrays import Array
 
@@ -19,8 +19,10 @@ _STYLES = {"line": "-", "dashed": "--", "points": ""}
 
 
 @styled
-def item_figure(item: Curves | HeatMap) -> Figure:
-    """Draw lines over one axis, or a quantity over a rectangle with its contours."""
+def item_figure(item: Curves | HeatMap | Bars) -> Figure:
+    """Draw lines over one axis, a quantity over a rectangle with its contours, or bars with their intervals."""
+    if isinstance(item, Bars):
+        return _bars(item)
     figure = Figure(figsize=(5.6, 3.0), layout="constrained")
     axes = figure.subplots()
     if isinstance(item, HeatMap):
@@ -49,6 +51,28 @@ def item_figure(item: Curves | HeatMap) -> Figure:
     axes.set_ylabel(_folded(item.y_label, 40))
     if any(line.name for line in item.lines):
         figure.legend(loc="outside upper left", ncols=3)
+    return figure
+
+
+def _bars(item: Bars) -> Figure:
+    figure = Figure(figsize=(5.6, 0.9 + 0.3 * len(item.names)), layout="constrained")
+    axes = figure.subplots()
+    height = 0.8 / len(item.shares)
+    for number, share in enumerate(item.shares):
+        axes.barh(
+            np.arange(len(item.names)) + (number - (len(item.shares) - 1) / 2) * height,
+            share.values,
+            height,
+            color=_INKS[number % len(_INKS)],
+            xerr=np.abs(share.intervals.T - share.values),
+            error_kw={"elinewidth": 0.8, "capsize": 1.5},
+            label=share.name,
+        )
+    axes.set_yticks(np.arange(len(item.names)), item.names)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel(_folded(item.x_label, 70))
+    figure.legend(loc="outside upper left", ncols=3)
     return figure
 
 

@@ -14,7 +14,20 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array
 
-__all__ = ["Cell", "Column", "Curves", "HeatMap", "Item", "Line", "Section", "Table", "Verdict", "as_data"]
+__all__ = [
+    "Bars",
+    "Cell",
+    "Column",
+    "Curves",
+    "HeatMap",
+    "Item",
+    "Line",
+    "Section",
+    "Share",
+    "Table",
+    "Verdict",
+    "as_data",
+]
 
 Cell: TypeAlias = str | float | int | bool | None
 """Cell of a table: a number is in the unit of its column; None if there is no value."""
@@ -96,7 +109,28 @@ class HeatMap:
     page: str = ""
 
 
-Item: TypeAlias = Table | Curves | HeatMap
+@dataclass(frozen=True, eq=False)
+class Share:
+    """One number of each bar, with an interval."""
+
+    name: str
+    values: Array  # (n,)
+    intervals: Array  # (n, 2), lower and upper ends
+
+
+@dataclass(frozen=True, eq=False)
+class Bars:
+    """Numbers of named things, as horizontal bars with their intervals, the first thing at the top."""
+
+    title: str
+    x_label: str  # with its unit in brackets
+    names: Sequence[str]  # n of them
+    shares: Sequence[Share]
+    note: str = ""
+    page: str = ""
+
+
+Item: TypeAlias = Table | Curves | HeatMap | Bars
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from hexservo.campaigns.distributions import Variation
 from hexservo.campaigns.pictures import campaign_sections
 from hexservo.campaigns.result import CampaignResult
-from hexservo.campaigns.store import write_text
+from hexservo.campaigns.store import write_bytes, write_text
+from hexservo.draw.evidence import item_figure
+from hexservo.draw.style import image_bytes
 from hexservo.findings.evidence import Column, Section, Table
 from hexservo.report.evidence_html import badge, item_html, section_html, table_html
 from hexservo.report.html import Html, element, paragraphs
@@ -16,10 +20,10 @@ from hexservo.report.page import assembled, explanations, plotly_script, scenari
 
 __all__ = ["REPORT", "write_campaign_report"]
 
-REPORT = "report.html"
+REPORT, PICTURES = "report.html", "pictures"
 
 
-def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()) -> Path:
+def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = (), *, pictures: bool = False) -> Path:
     """Write ``report.html`` into a campaign's folder: one HTML file, in place of an earlier one (docs/campaigns.md).
 
     Parameters
@@ -27,7 +31,9 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
     result
         The campaign; it need not be complete.
     more
-        Sections of other findings, such as those of `worst_case` and `sensitivity`.
+        Sections of other findings, such as those of `worst_case`, `sensitivity` and `tune`.
+    pictures
+        Write every picture as SVG and PNG too, into the folder ``pictures`` beside it.
 
     Returns
     -------
@@ -42,13 +48,13 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
         The file cannot be written.
     """
     sections = [*campaign_sections(result), *more]
-    verdict, *pictures = sections
+    verdict, *others = sections
     plan = result.plan
     rows = [(key, _words(variation)) for key, variation in plan.vary.items()]
     varied = Table("What varies", (Column("key"), Column("distribution")), rows, page="docs/campaigns.md")
     parts = [
         ("verdict", "Verdict", section_html(verdict, "section-verdict")),
-        *((section.name, section.title, _content(section)) for section in pictures),
+        *((section.name, section.title, _content(section)) for section in others),
         ("vary", "Variations", table_html(varied)),
         ("scenario", "Scenario", scenario_part(plan.scenario)),
         ("versions", "Versions", _versions(result)),
@@ -57,7 +63,21 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
     name = f"Campaign on {plan.scenario.name}"
     path = result.folder / REPORT
     write_text(path, assembled(name, result.section().sentences[0], parts, plotly_script()))
+    if pictures:
+        _write_pictures(result.folder / PICTURES, sections)
     return path
+
+
+def _write_pictures(folder: Path, sections: Sequence[Section]) -> None:
+    """Write the pictures of sections into a folder; the same picture gives the same bytes."""
+    for section in sections:
+        for item in section.items:
+            if isinstance(item, Table):
+                continue
+            name = f"{section.name}-{re.sub('[^a-z0-9]+', '-', item.title.lower()).strip('-')}"
+            figure = item_figure(item)
+            for kind in ("svg", "png"):
+                write_bytes(folder / f"{name}.{kind}", image_bytes(figure, kind))
 
 
 def _content(section: Section) -> Html:

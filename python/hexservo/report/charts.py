@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexservo.findings.evidence import Curves, HeatMap, Line
+from hexservo.findings.evidence import Bars, Curves, HeatMap, Line
 from hexservo.report.documentation import anchor_of, is_page
 from hexservo.report.html import Html, element, json_script, paragraphs
 from hexservo.run.samples import extreme_samples
@@ -24,6 +24,7 @@ __all__ = [
     "TOLERANCE",
     "Spec",
     "axes",
+    "bars",
     "chart",
     "curves",
     "encoded",
@@ -53,6 +54,7 @@ _DASHES = ("solid", "dash", "dashdot", "dot")
 _SCALE = [[0, "#0a1a33"], [0.5, "#1d5a85"], [1, "#4f9c72"]]
 _MAP_COLOURS = ("#ffb000", "#ff86c2", "#8be3ff")
 _LEVEL, _UPRIGHT = 48, 34  # characters of an axis' title in a line, across a phone and up a chart
+_NAME = 16  # characters of a bar's name in a line
 _MAX_CELLS = 160  # of a heat map along each side
 
 
@@ -168,6 +170,43 @@ def heat_map(item: HeatMap) -> Html:
         page=item.page,
         height=360,
         alt=f"{item.title}: map of {item.z_label} over {item.x_label} and {item.y_label}",
+    )
+
+
+def bars(item: Bars) -> Html:
+    """Draw horizontal bars with their intervals."""
+    places = np.arange(len(item.names), dtype=float)
+    data = [
+        {
+            "type": "bar",
+            "orientation": "h",
+            "x": encoded(share.values),
+            "y": encoded(places),
+            "name": label(share.name),
+            "marker": {"color": LINE_COLOURS[number % len(LINE_COLOURS)]},
+            "error_x": {
+                "type": "data",
+                "symmetric": False,
+                "array": (share.intervals[:, 1] - share.values).tolist(),
+                "arrayminus": (share.values - share.intervals[:, 0]).tolist(),
+                "thickness": 1,
+                "width": 2,
+                "color": "@ink",
+            },
+            "hovertemplate": "%{x:.3g}",
+        }
+        for number, share in enumerate(item.shares)
+    ]
+    layout = axes(item.x_label, "")
+    names = [label(name).replace(".", ".<br>", 1) if len(name) > _NAME else label(name) for name in item.names]
+    layout["yaxis"] = {"tickmode": "array", "tickvals": places.tolist(), "ticktext": names, "autorange": "reversed"}
+    return chart(
+        {"data": data, "layout": layout},
+        item.title,
+        note=item.note,
+        page=item.page,
+        height=90 + (12 * len(item.shares) + 20) * len(item.names),
+        alt=f"{item.title}: {item.x_label} of {', '.join(item.names)}",
     )
 
 

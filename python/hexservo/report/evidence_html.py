@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hexservo.findings.evidence import Cell, Column, Curves, HeatMap, Item, Section, Table
+from hexservo.findings.evidence import Bars, Cell, Column, Curves, HeatMap, Item, Section, Table
 from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
-from hexservo.report.charts import curves, explained, heat_map
+from hexservo.report.charts import bars, curves, explained, heat_map
 from hexservo.report.html import Html, element, paragraphs
 
 __all__ = ["badge", "item_html", "section_html", "table_html"]
@@ -66,6 +66,8 @@ def item_html(item: Item) -> Html:
             return curves(item)
         case HeatMap():
             return heat_map(item)
+        case Bars():
+            return bars(item)
 
 
 def _cells(row: Sequence[Cell], columns: Sequence[Column], numeric: Sequence[bool]) -> list[Html]:
