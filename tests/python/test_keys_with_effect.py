@@ -102,6 +102,7 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "controller.hybrid.fuzzy.table": {key: (0.5 * np.ones((7, 7))).tolist()},
         "controller.composite.fuzzy.table": {key: (0.5 * np.ones((7, 7))).tolist()},
         "controller.resolved_rate.jacobian_at": {key: "mean"},
+        **{f"controller.{law}.auto.bandwidth": {key: 5.0} for law in LAWS},
         "simulation.step": {key: 5e-4},
         "simulation.duration": {key: 0.06},
         "metrics.band": {key: 30.0},
@@ -129,6 +130,8 @@ def base_for(short: hs.Scenario, key: str) -> hs.Scenario:
         changes[f"controller.{laws[0]}.fuzzy.initial_scale"] = 1e-4
     if key.startswith("controller.resolved_rate.gain_"):
         changes["controller.resolved_rate.adaptive"] = True
+    if key.endswith(".auto.damping"):
+        changes[f"controller.{laws[0]}.auto.bandwidth"] = 5.0
     if key == "metrics.dwell":
         changes["simulation.duration"] = 0.45  # it comes within the band at 0.35 s
     if key == "uncertainty.coriolis":

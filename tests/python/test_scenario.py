@@ -287,13 +287,13 @@ def test_refused(path: str, value: Any, words: str) -> None:
             'did you mean "controller.hybrid.fuzzy.bell_slope" or "controller.composite.fuzzy.bell_slope"?',
         ),
         ("camera.Focal_Length", 'did you mean "focal_length"?'),
-        ("controller.hybrid.zzz", "unknown key; known keys: kp, kv, fuzzy"),
+        ("controller.hybrid.zzz", "unknown key; known keys: auto, kp, kv, fuzzy"),
         (
             "controller.pid",
             "unknown key; known keys: law, jacobian, switching, safe, hybrid, composite, kelly, resolved_rate, pbvs, "
             "computed_torque",
         ),
-        ("controller.composite.kz", "unknown key; known keys: kp, kv, kt, kd, drive, prior, fuzzy"),
+        ("controller.composite.kz", "unknown key; known keys: auto, kp, kv, kt, kd, drive, prior, fuzzy"),
         ("uncertainty.depth.first", "unknown key; uncertainty.depth is a value and holds no keys"),
         ("target.points.x", "unknown key; target.points is a value and holds no keys"),
         ("", "unknown key; known keys: name"),

@@ -11,6 +11,9 @@ from hexservo.findings.analysis.linear_law import NoRestError, linear_law, linea
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
 from hexservo.findings.analysis.reach import LegMargin, reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.check_gains import of_gains
+from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import LAWS, laws_with
 from hexservo.scenario.scenario import Scenario
@@ -26,10 +29,21 @@ def unlikely(scenario: Scenario) -> list[str]:
 
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke and image, and in sampled mode the servo period with the loop of the gains, linearised at home with
-    the switching term as in `linear_law`. Does not simulate.
+    the switching term as in `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Does not
+    simulate.
     """
     scene = scene_of(scenario)
-    return [*_of_legs(scene), *_of_goal(scene), *_of_image(scenario), *_of_period(scene)]
+    try:
+        fastest = fastest_rate(scene)
+    except (NoRestError, NotApplicableError):  # no law can be evaluated at home
+        fastest = None
+    return [
+        *_of_legs(scene),
+        *_of_goal(scene),
+        *_of_image(scenario),
+        *_of_period(scenario, fastest),
+        *of_gains(scene, fastest),
+    ]
 
 
 def _of_legs(scene: Scene) -> Iterator[str]:
@@ -88,13 +102,8 @@ def _of_image(scenario: Scenario) -> Iterator[str]:
             yield f"{what} is outside the image of {half[0] * 2:.0f} x {half[1] * 2:.0f} px ({points})"
 
 
-def _of_period(scene: Scene) -> Iterator[str]:
-    scenario = scene.scenario
-    if scenario.simulation.mode != "sampled":
-        return
-    try:
-        rate = fastest_rate(scene)
-    except (NoRestError, NotApplicableError):  # no law can be evaluated at home
+def _of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
+    if scenario.simulation.mode != SAMPLED_MODE or rate is None:
         return
     period, shortest = scenario.simulation.step, float(f"{1.0 / rate:.2g}") if rate > 0 else np.inf
     if _TICKS * period > shortest * (1.0 + 1e-9):
@@ -159,6 +168,23 @@ def _of_fuzzy(law: str) -> _Condition:
     return _Condition((block,), enabled, f"only with {block}.enabled: true")
 
 
+def _of_auto(law: str) -> tuple[_Condition, _Condition]:
+    block = f"controller.{law}.auto"
+
+    def fits(scenario: Scenario) -> bool:
+        if scenario.controller.law != law or auto_of(scenario).bandwidth is None:
+            return True
+        return len(chosen_keys(scenario)) < len(fitted_keys(law))
+
+    def has_bandwidth(scenario: Scenario) -> bool:
+        return scenario.controller.law != law or auto_of(scenario).bandwidth is not None
+
+    return (
+        _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} is not given"),
+        _Condition((f"{block}.damping",), has_bandwidth, f"only with {block}.bandwidth"),
+    )
+
+
 def _of_motion(keys: str, kind: str) -> _Condition:
     return _Condition(
         tuple(f"base_motion.{key}" for key in keys.split()),
@@ -170,6 +196,7 @@ def _of_motion(keys: str, kind: str) -> _Condition:
 _CONDITIONS = (
     *map(_of_law, LAWS),
     *map(_of_fuzzy, laws_with("memory")),
+    *(condition for law in LAWS for condition in _of_auto(law)),
     _Condition(
         ("controller.resolved_rate.gain_far", "controller.resolved_rate.gain_slope"),
         lambda scenario: scenario.controller.law != "resolved_rate" or scenario.controller.resolved_rate.adaptive,

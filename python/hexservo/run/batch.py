@@ -21,7 +21,7 @@ from hexservo.run.metrics import METRICS
 from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.result import QUANTITIES, TERMS, WRENCH
 from hexservo.run.variant import chosen_kernel
-from hexservo.run.variations import checked_variations, columns_of, known_key, plain_row
+from hexservo.run.variations import checked_variations, columns_of, fitted_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
@@ -235,7 +235,7 @@ def simulate_batch(
     count = max(len(values) for values in arrays.values())
     if controller is not None:
         return _run_custom(scenario, arrays, count, log, threads, progress, controller)
-    varied = dict(arrays)
+    varied = fitted_variations(scenario, arrays)
     if "simulation.step" in arrays and scenario.camera.period == scenario.simulation.step:
         varied.setdefault("camera.period", arrays["simulation.step"])  # a frame at every tick, as `updated` has it
     rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fitted import auto_of, fitted_keys
 from hexservo.scenario.keys import acting_keys
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.scenario import Scenario
@@ -18,7 +19,10 @@ _ALWAYS = "uncertainty.gravity"  # varies in every batch, be it by nothing
 
 
 def numbers_of(scenario: Scenario) -> dict[str, Any]:
-    """Return the values that a batch may vary, by dotted key, in the widest shape of each; grids are shared."""
+    """Return the values that a batch may vary, by dotted key, in the widest shape of each; grids are shared.
+
+    Gains are among them, so what they were fitted to is not.
+    """
     keys = acting_keys(scenario.controller.law, scenario.simulation.mode)
     mapping = scenario.to_mapping()
     numbers = {}
@@ -26,7 +30,7 @@ def numbers_of(scenario: Scenario) -> dict[str, Any]:
         value: Any = mapping
         for name in key.split("."):
             value = value[name]
-        if key.startswith("simulation.") or value is None or isinstance(value, str):
+        if key.startswith(("simulation.", _auto(scenario))) or value is None or isinstance(value, str):
             continue
         array = np.asarray(value, dtype=rule.dtype)
         shape = max(rule.shapes, key=len)
@@ -44,6 +48,8 @@ def shared_by(scenario: Scenario) -> dict[str, Any]:
     for law in LAWS:
         if law != scenario.controller.law:
             controller.pop(law, None)
+    law = scenario.controller.law
+    controller[law] = {key: value for key, value in controller[law].items() if key != "auto"}
     for key in numbers_of(scenario):
         *blocks, last = key.split(".")
         inner = shared
@@ -55,7 +61,18 @@ def shared_by(scenario: Scenario) -> dict[str, Any]:
 
 
 def variations_of(scenarios: Sequence[Scenario]) -> dict[str, Array]:
-    """Return the numbers in which scenarios differ, for `simulate_batch`, which asks for one at least."""
+    """Return the numbers in which scenarios differ, for `simulate_batch`, which asks for one at least.
+
+    Gains that `auto` fits are given for each, so that none is fitted again.
+    """
     numbers = [numbers_of(scenario) for scenario in scenarios]
     variations = {key: np.stack([own[key] for own in numbers]) for key in numbers[0]}
-    return {key: values for key, values in variations.items() if key == _ALWAYS or (values != values[0]).any()}
+    always = {_ALWAYS}
+    if any(auto_of(scenario).bandwidth is not None for scenario in scenarios):
+        law = scenarios[0].controller.law
+        always |= {f"controller.{law}.{key}" for key in fitted_keys(law)}
+    return {key: values for key, values in variations.items() if key in always or (values != values[0]).any()}
+
+
+def _auto(scenario: Scenario) -> str:
+    return f"controller.{scenario.controller.law}.auto."

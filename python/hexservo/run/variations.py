@@ -10,6 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fitted import (
+    acts_on_gains,
+    auto_of,
+    chosen_keys,
+    fitted_gains,
+    fitted_keys,
+    machine_of,
+    machine_with,
+)
 from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, numeric_keys, sampled_keys, without_effect
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.scenario import Scenario
@@ -42,6 +51,48 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
     except ScenarioError as error:
         raise ScenarioError([f"scenario 0: {problem}" for problem in error.problems]) from None
     return arrays
+
+
+def fitted_variations(scenario: Scenario, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return variations for the core: the gains that fit each run (docs/gains.md) in place of the keys of `auto`.
+
+    Each run gets the gains that `Scenario.updated` would fill in. Where machine, camera or target vary, they are
+    computed run by run, about 1 ms each.
+
+    Raises
+    ------
+    ValueError
+        Where only a damping varies, and no bandwidth is given; for a run that the core refuses.
+    """
+    law = scenario.controller.law
+    head = f"controller.{law}."
+    keys = {name: f"{head}auto.{name}" for name in ("bandwidth", "damping")}
+    others = {key: values for key, values in arrays.items() if key not in keys.values()}
+    auto = auto_of(scenario)
+    bandwidth, damping = (arrays.get(key, getattr(auto, name)) for name, key in keys.items())
+    if bandwidth is None:
+        if not others:
+            raise ValueError(f"{keys['damping']}: expected {keys['bandwidth']} beside it, got null")
+        return others
+    given = {key for key in fitted_keys(law) if head + key in others} | set(chosen_keys(scenario))
+    left = [key for key in fitted_keys(law) if key not in given]
+    machines = [key for key in others if acts_on_gains(key)]
+    if not left or (len(others) == len(arrays) and not machines):
+        return others
+    if machines:
+        count = max(len(values) for values in arrays.values())
+        bandwidths, dampings = (np.broadcast_to(values, count) for values in (bandwidth, damping))
+        rows = []
+        for index in range(count):
+            row = {key: plain_row(known_key(key, law), others[key][index % len(others[key])]) for key in machines}
+            try:
+                rows.append(fitted_gains(law, machine_with(scenario, row), bandwidths[index], dampings[index]))
+            except ValueError as error:
+                raise ValueError(f"scenario {index}: {error}") from None
+        found = {key: np.stack([row[key] for row in rows]) for key in left}
+    else:
+        found = fitted_gains(law, machine_of(scenario), np.atleast_1d(bandwidth), damping)
+    return {**others, **{head + key: found[key] for key in left}}
 
 
 def known_key(key: object, law: str) -> NumericKey:

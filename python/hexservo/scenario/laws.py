@@ -10,10 +10,21 @@ from pydantic import Field, model_validator
 from hexservo import _core
 from hexservo.scenario.block import NOT_NEGATIVE, POSITIVE, SAMPLED, Block, PositiveNumber
 from hexservo.scenario.core_defaults import core_default, from_core
-from hexservo.scenario.rules import ArrayRule, Choice, Flag, Matrix, Number, TableRule, Vector, map_lists
+from hexservo.scenario.rules import (
+    ArrayRule,
+    Choice,
+    Flag,
+    Matrix,
+    Number,
+    OptionalNumber,
+    TableRule,
+    Vector,
+    map_lists,
+)
 
 __all__ = [
     "LAWS",
+    "Auto",
     "Composite",
     "ComputedTorque",
     "Controller",
@@ -98,9 +109,23 @@ class Fuzzy(Block):
         return data
 
 
+class Auto(Block):
+    """Gains that fit: those that are not given follow from machine, camera and goal (docs/gains.md)."""
+
+    # f [Hz] of the loop without friction and adaptation; null: gains that are not given have their defaults
+    bandwidth: Annotated[float | None, OptionalNumber(at_least=1e-6, at_most=1e6)] = None
+    damping: Annotated[float, Number(at_least=0.01, at_most=100)] = 1.0  # zeta of that loop
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        return {} if data is None else data
+
+
 class Hybrid(Block):
     """Gains of the paper's law (14), (15); docs/model.md section 5."""
 
+    auto: Auto = Field(default_factory=Auto)
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
     kp: Annotated[float | Vector, ArrayRule((8,), POSITIVE, or_number=True)] = from_core("controller.hybrid.kp")
     # K_v, diagonal, [N] x3, [N m] x3; 0 takes the switching term, the law's only damping, away
@@ -121,6 +146,7 @@ class Composite(Block):
     Its fuzzy systems see that error and its rate, so their scales have other units and other defaults.
     """
 
+    auto: Auto = Field(default_factory=Auto)
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
     kp: EightNotNegative = from_core("controller.composite.kp")
     # K_v, diagonal, [N] x3, [N m] x3
@@ -146,6 +172,7 @@ class Composite(Block):
 class Kelly(Block):
     """Gains of the transpose Jacobian law with viscous damping; docs/model.md section 5."""
 
+    auto: Auto = Field(default_factory=Auto)
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
     kp: EightNotNegative = from_core("controller.kelly.kp")
     # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
@@ -155,6 +182,7 @@ class Kelly(Block):
 class ResolvedRate(Block):
     """Gains of the classical pseudo-inverse law over a velocity loop; docs/model.md section 5."""
 
+    auto: Auto = Field(default_factory=Auto)
     # lambda [1/s]; where it adapts, its value at the goal
     gain: Annotated[float, NOT_NEGATIVE] = from_core("controller.resolved_rate.gain")
     adaptive: Annotated[bool, Flag()] = from_core("controller.resolved_rate.adaptive")
@@ -172,6 +200,7 @@ class ResolvedRate(Block):
 class Pbvs(Block):
     """Gains of the position-based law, which estimates its pose from the features; docs/model.md section 5."""
 
+    auto: Auto = Field(default_factory=Auto)
     # K_p, diagonal, stiffness against the pose error [N/m] x3, [N m/rad] x3
     kp: SixNotNegative = from_core("controller.pbvs.kp")
     # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
@@ -183,6 +212,7 @@ class Pbvs(Block):
 class ComputedTorque(Block):
     """Gains of the law that turns the estimated dynamics around; docs/model.md section 5."""
 
+    auto: Auto = Field(default_factory=Auto)
     # K_p, diagonal [1/s^2]
     kp: SixNotNegative = from_core("controller.computed_torque.kp")
     # K_d, diagonal [1/s]

@@ -18,6 +18,7 @@ from pydantic import ValidationError, model_validator
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import DEFAULT_DEPTH, Blocks, preset_values
 from hexservo.scenario.core_defaults import core_default
+from hexservo.scenario.fitted import with_fitted_gains, without_fitted_gains
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.plain import plain, put
@@ -51,9 +52,13 @@ class Scenario(Blocks):
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, data: Any) -> Any:
-        """Fill in the camera's period: the servo period in sampled mode, null in continuous mode, where it is none."""
+        """Fill in the gains that fit, and the camera's period.
+
+        That is the servo period in sampled mode, and null in continuous mode, where it is none.
+        """
         if not isinstance(data, dict):
             return data
+        data = with_fitted_gains(data)
         camera, simulation = data.get("camera", {}), data.get("simulation", {})
         if not isinstance(camera, dict) or not isinstance(simulation, dict):
             return data  # refused at its own place
@@ -143,6 +148,7 @@ class Scenario(Blocks):
             del keys["target"]["depth"]
         if self.camera.period == self.simulation.step:
             del keys["camera"]["period"]
+        without_fitted_gains(self, keys)
         return keys
 
 

@@ -1,0 +1,117 @@
+"""Gains that are legal and probably unintended: too fast or too slow for the run, and what `auto` cannot fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from hexservo.findings.analysis.scene import Scene
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number, quantity
+
+__all__ = ["image_delay", "of_gains", "start_forces"]
+
+_OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
+_OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
+_ROUNDING = 1.0 + 1e-9
+
+
+def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
+    """Yield a sentence for each problem of a scenario's gains.
+
+    Parameters
+    ----------
+    scene
+        Of the scenario.
+    fastest
+        Largest magnitude of the poles of law and plant [1/s]; None where the law cannot be evaluated at home.
+    """
+    scenario = scene.scenario
+    auto = auto_of(scenario)
+    law = scenario.controller.law
+    if auto.bandwidth is not None and len(chosen_keys(scenario)) < len(fitted_keys(law)):
+        key = f"controller.{law}.auto.bandwidth: {number(auto.bandwidth)} Hz"
+        yield from _of_times(scenario, key, auto.bandwidth)
+        yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
+        yield from _of_forces(scene, key, auto.bandwidth)
+    elif fastest is not None:
+        yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
+
+
+def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
+    step = scenario.simulation.step
+    most = _OF_SERVO_RATE / step
+    if bandwidth > most * _ROUNDING:
+        what = "servo period" if scenario.simulation.mode == SAMPLED_MODE else "step"
+        yield f"{key} is above {number(most)} Hz, a quarter of the rate of a {what} of {quantity(step, 's')}"
+    yield from _too_slow(scenario, key, bandwidth)
+
+
+def _too_slow(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
+    least = _OF_RUN / scenario.simulation.duration
+    if bandwidth < least / _ROUNDING:
+        run = quantity(scenario.simulation.duration, "s")
+        yield f"{key.format(number(bandwidth))} is below {number(least)} Hz, a tenth of a period in the run of {run}"
+
+
+def image_delay(scenario: Scenario) -> float:
+    """Return how late the image acts, on average [s]: latency, half a frame's period, half a tick, and the actuators.
+
+    Frames that the joint sensors carry along count as no delay.
+    """
+    if scenario.simulation.mode != SAMPLED_MODE:
+        return 0.0
+    camera, actuators = scenario.camera, scenario.actuators
+    delay = 0.5 * scenario.simulation.step + actuators.delay
+    if actuators.bandwidth is not None:
+        delay += 1.0 / (2.0 * math.pi * actuators.bandwidth)
+    if camera.prediction == "none":
+        delay += (
+            camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)
+        )
+    return delay
+
+
+def _of_delay(scenario: Scenario, key: str, bandwidth: float, damping: float) -> Iterator[str]:
+    delay = image_delay(scenario)
+    most = damping / (2.0 * math.pi * delay) if delay > 0.0 else math.inf
+    if bandwidth > most * _ROUNDING:
+        yield (
+            f"{key} is above {number(most)} Hz, where an image that is {quantity(delay, 's')} late takes half of the "
+            "damping away"
+        )
+
+
+def _of_forces(scene: Scene, key: str, bandwidth: float) -> Iterator[str]:
+    weight, law = start_forces(scene)
+    limit = scene.scenario.robot.force_limit
+    if np.abs(weight).max() > limit:
+        yield f"{key} fits no better than any other: the legs' {quantity(limit, 'N')} do not carry the weight"
+        return
+    share = (limit - np.sign(law) * weight) / np.maximum(np.abs(law), 1e-300)
+    leg = int(share.argmin())
+    if share[leg] < 1.0:
+        needed = abs(weight[leg] + law[leg])
+        yield (
+            f"{key} needs {quantity(needed, 'N')} of leg {leg + 1} at the start, which has {quantity(limit, 'N')}: "
+            f"enough for {number(bandwidth * math.sqrt(share[leg]))} Hz"
+        )
+
+
+def start_forces(scene: Scene) -> tuple[Array, Array]:
+    """Return the leg forces at home, (6,) each [N]: what carries the estimated weight, and the rest."""
+    view, pose = scene.view(scene.home), scene.home
+    depth = scene.probe.measured_depth(view.depth[None])
+    rows = pose.rows
+    given = scene.probe.law(view.features[None], depth, rows.position, rows.quaternion, np.zeros((1, 6)), None).wrench
+    weight, whole = (
+        np.asarray(scene.hexapod.leg_forces(pose.position, pose.quaternion, wrench))
+        for wrench in (scene.body.gravity_wrench, given[0])
+    )
+    return weight, np.nan_to_num(whole - weight)

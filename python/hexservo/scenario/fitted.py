@@ -1,0 +1,343 @@
+"""Gains that fit a machine: from a bandwidth and a damping to the gains of a law (docs/gains.md).
+
+What the machine is comes from the core: its estimated inertia, its goal, and the image Jacobian there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import ValidationError
+
+from hexservo import _core
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.blocks import Blocks
+from hexservo.scenario.core_defaults import core_default
+from hexservo.scenario.laws import LAWS, Auto
+from hexservo.scenario.parameters import Settings, core_parameters
+from hexservo.scenario.plain import plain, put
+
+__all__ = [
+    "Machine",
+    "acts_on_gains",
+    "auto_of",
+    "chosen_keys",
+    "fitted_gains",
+    "fitted_keys",
+    "machine_of",
+    "machine_with",
+    "with_fitted_gains",
+    "without_fitted_gains",
+]
+
+# Dimensionless numbers of the formulas, docs/gains.md.
+_PRIOR = 1.5e-3  # all laws with a prior: its weight over the image of one point
+_UPTAKE = 0.5  # composite: rate at which the fuzzy systems take up a constant force, over omega
+_CENTRE = 0.63  # composite: |phi-bar|^2 where both inputs are zero, with the default bells
+_FULL_SCALE = 3.0  # composite: one over the pose error at which an input is at its limit, in distances and in rad
+_STICTION = 3e-4  # composite: pose error at which K_t overcomes K_v, in distances and in rad
+_IMAGE = 0.05  # composite: share of the stiffness that `kelly` has
+_FAR, _SLOPE = 0.5, 58.6  # resolved_rate: gain far from the goal over the gain; slope over gain/s_omega
+# hybrid: what the default gains are on the machine of the paper
+_FRICTION = np.repeat([7.3e-4, 7.3e-5], 3)  # K_v over the wrench of one radian
+_ERROR_SCALE = 13.7  # a times that wrench
+_RATE_SCALE = np.repeat([131.0, 66.0], 3)  # b times that wrench and omega
+_SPRING = np.repeat([0.0184, 0.0727], 3)  # 1/Psi over the stiffness of the image
+
+_SURE = 1e6  # weight of the pose sensors where the pose is known [px^2/m^2; px^2/rad^2]
+_SAME = 1e-9  # relative difference of gains that are equal but for rounding
+# What the machine depends on; the two keys of the robot are limits.
+_BLOCKS = ("name", "robot", "camera", "target")
+_OF_MACHINE = ("robot.", "camera.focal_length", "camera.pixel_scale", "target.")
+_LIMITS = ("robot.stroke", "robot.force_limit")
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """What fitted gains depend on beside bandwidth and damping; docs/gains.md has the symbols."""
+
+    inertia: Array  # (6,) D_j, diagonal of D-bar at the goal [kg] x3, [kg m^2] x3
+    sight: Array  # (6,) s_v [px/m] x3, s_omega [px/rad] x3
+    pointing: Array  # (2,) rho_x, rho_y [px^2/(N m s^2)]
+    points: int  # n
+
+    @property
+    def distance(self) -> Array:
+        """The unit of each pose component, (6,): s_omega/s_v [m], which is near the distance of the target; 1 [rad]."""
+        return np.asarray(self.sight[5] / self.sight)
+
+
+def machine_of(scenario: Blocks) -> Machine:
+    """Return what the gains of a scenario depend on: not its uncertainties, nor its law and gains.
+
+    The image Jacobian is that of the desired features at the pose that shows them, the goal of `pbvs`; where there is
+    none (a camera `as_printed`, a goal image that no pose shows) the one with the attitude and the depths of home.
+
+    Raises
+    ------
+    ValueError
+        For what the core refuses, as `core_parameters`.
+    """
+    settings = _nominal(scenario)
+    probe = _core.Probe(settings)
+    quaternion, depth = _goal(scenario, settings, probe)
+    desired = settings["target.desired_features"]
+    jacobian = probe.image_jacobian(desired[None], depth, quaternion)[0]
+    inertia = probe.inertia(quaternion)[0]
+    sight = np.sqrt((jacobian.reshape(-1, 2, 3) ** 2).sum(axis=(0, 2)) / len(desired))
+    points = len(desired) // 2
+    together = np.tile(np.eye(2), points) / np.sqrt(points)  # (2, 2n): all features move alike, in x and in y
+    pull = together @ jacobian
+    pointing = np.einsum("ij,ji->i", pull, np.linalg.solve(inertia, pull.T))
+    return Machine(np.diag(inertia).copy(), np.repeat(sight, 3), pointing, points)
+
+
+def machine_with(scenario: Blocks, changes: Mapping[str, Any]) -> Machine:
+    """Return the machine of a scenario of which `changes`, by dotted key, differ (plain data).
+
+    Raises
+    ------
+    ValueError
+        As `machine_of`.
+    """
+    blocks = {name: plain(getattr(scenario, name)) for name in _BLOCKS}
+    for key, value in changes.items():
+        put(blocks, key, value)
+    return machine_of(Blocks.model_validate(blocks))
+
+
+def _nominal(scenario: Blocks, law: str = "kelly", **gains: Any) -> Settings:
+    """Return the core's settings without uncertainties and devices."""
+    blocks = {name: getattr(scenario, name) for name in _BLOCKS}
+    return core_parameters(Blocks.model_validate({**blocks, "controller": {"law": law, law: gains}}))
+
+
+def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Array, Array]:
+    """Return the quaternion (1, 4) of the goal and the depths Z (1, n) [m] from there; home's if there is none.
+
+    The law `pbvs` with unit stiffness gives the displacement from home to the goal as a wrench, beside the weight.
+    """
+    position, quaternion = settings["robot.home_position"][None], np.array([[1.0, 0.0, 0.0, 0.0]])
+    if settings["camera.convention"] == "as_printed":
+        return quaternion, -settings["target.depth"][None]
+    features, depth = probe.image(position, quaternion)
+    try:
+        asked = _core.Probe(_nominal(scenario, "pbvs", kp=1.0, kd=0.0, prior=_SURE))
+    except ValueError:  # no pose shows the goal image
+        return quaternion, depth
+    still = np.zeros((1, 6))
+    wrench = asked.law(features, depth, position, quaternion, still, None).wrench
+    _, _, weight = asked.estimated_wrenches(quaternion, still, still)
+    shift, turn = np.split((wrench - weight)[0], 2)
+    angle = float(np.linalg.norm(turn))
+    quaternion = np.array([[np.cos(angle / 2), *(np.sinc(angle / (2 * np.pi)) / 2 * turn)]])
+    return quaternion, probe.image(position + shift, quaternion)[1]
+
+
+# ---- Formulas -------------------------------------------------------------------------------------------------------
+
+
+def fitted_gains(law: str, machine: Machine, bandwidth: ArrayLike, damping: ArrayLike) -> dict[str, Array]:
+    """Return the gains of a law that fit a machine, by their keys in the law's block (docs/gains.md).
+
+    Parameters
+    ----------
+    law
+        One of `LAWS`.
+    machine
+        From `machine_of`.
+    bandwidth, damping
+        f [Hz] and zeta, numbers or arrays (m,): then axis 0 of every gain.
+    """
+    omega, zeta = np.broadcast_arrays(2.0 * np.pi * np.asarray(bandwidth, dtype=float), np.asarray(damping, float))
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # refused by the rules of the keys
+        return _FORMULAS[law](machine, omega[..., None], zeta[..., None])
+
+
+def _prior(machine: Machine, omega: Array) -> Array:
+    return _PRIOR * machine.sight**2 * np.ones_like(omega)
+
+
+def _image_stiffness(machine: Machine, omega: Array) -> Array:
+    """Return K_p of `kelly` and `hybrid`, (..., 2n) [N m/px^2]."""
+    return np.tile(omega**2 / machine.pointing, machine.points)
+
+
+def _hybrid(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
+    kp = machine.points * omega**2 / np.sqrt(machine.pointing.prod())  # of all points [N m/px^2]
+    of_radian = kp * machine.sight[5] * machine.sight
+    return {
+        "kp": _image_stiffness(machine, omega),
+        "kv": zeta * _FRICTION * of_radian,
+        "fuzzy.adaptation": 1.0 / (_SPRING * kp * machine.sight**2),
+        "fuzzy.error_scale": _ERROR_SCALE / of_radian,
+        "fuzzy.rate_scale": _RATE_SCALE / (of_radian * omega),
+    }
+
+
+def _composite(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
+    stiffness, uptake = omega**2 * machine.inertia, _UPTAKE * omega
+    return {
+        "kp": _IMAGE * _image_stiffness(machine, omega),
+        "kv": _STICTION * stiffness * machine.distance,
+        "kt": stiffness,
+        "kd": (2.0 * zeta * omega + uptake) * machine.inertia,
+        "drive": omega / (2.0 * zeta) * np.ones(6),
+        "prior": _prior(machine, omega),
+        "fuzzy.adaptation": _CENTRE / (2.0 * zeta * omega * uptake * machine.inertia),
+        "fuzzy.error_scale": _FULL_SCALE / machine.distance * np.ones_like(omega),
+        "fuzzy.rate_scale": _FULL_SCALE / (machine.distance * omega),
+    }
+
+
+def _kelly(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
+    return {"kp": _image_stiffness(machine, omega), "kd": 2.0 * zeta * omega * machine.inertia}
+
+
+def _resolved_rate(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
+    gain = (omega / (2.0 * zeta))[..., 0]
+    return {
+        "gain": gain,
+        "gain_far": _FAR * gain,
+        "gain_slope": _SLOPE * gain / machine.sight[5],
+        "ki": 2.0 * zeta * omega * machine.inertia,
+    }
+
+
+def _pbvs(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
+    return {
+        "kp": omega**2 * machine.inertia,
+        "kd": 2.0 * zeta * omega * machine.inertia,
+        "prior": _prior(machine, omega),
+    }
+
+
+def _computed_torque(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
+    six = np.ones(6)
+    return {"kp": omega**2 * six, "kd": 2.0 * zeta * omega * six, "prior": _prior(machine, omega)}
+
+
+_FORMULAS: dict[str, Callable[[Machine, Array, Array], dict[str, Array]]] = {
+    "hybrid": _hybrid,
+    "composite": _composite,
+    "kelly": _kelly,
+    "resolved_rate": _resolved_rate,
+    "pbvs": _pbvs,
+    "computed_torque": _computed_torque,
+}
+
+_FUZZY = ("fuzzy.adaptation", "fuzzy.error_scale", "fuzzy.rate_scale")
+_KEYS = {
+    "hybrid": ("kp", "kv", *_FUZZY),
+    "composite": ("kp", "kv", "kt", "kd", "drive", "prior", *_FUZZY),
+    "kelly": ("kp", "kd"),
+    "resolved_rate": ("gain", "gain_far", "gain_slope", "ki"),
+    "pbvs": ("kp", "kd", "prior"),
+    "computed_torque": ("kp", "kd", "prior"),
+}
+
+
+def fitted_keys(law: str) -> tuple[str, ...]:
+    """Return the keys of a law's block that `auto` fills in."""
+    return _KEYS[law]
+
+
+# ---- In a scenario --------------------------------------------------------------------------------------------------
+
+
+def auto_of(scenario: Blocks) -> Auto:
+    """Return the block `auto` of the scenario's law."""
+    return cast("Auto", getattr(scenario.controller, scenario.controller.law).auto)
+
+
+def acts_on_gains(key: str) -> bool:
+    """Return whether fitted gains depend on a dotted key, beside bandwidth and damping."""
+    return key.startswith(_OF_MACHINE) and key not in _LIMITS
+
+
+def with_fitted_gains(data: dict[str, Any]) -> dict[str, Any]:
+    """Fill in the gains that a scenario, as plain data, leaves to `auto` of its law: what is given, and not null, wins.
+
+    Data with a problem return as they are, for the rule at its place to report.
+    """
+    controller = data.get("controller")
+    if not isinstance(controller, dict):
+        return data
+    law = controller.get("law", LAWS[0])
+    block = controller.get(law) if law in LAWS else None
+    if not isinstance(block, dict) or not isinstance(block.get("auto"), dict):
+        return data
+    try:
+        auto = Auto.model_validate(block["auto"])
+        if auto.bandwidth is None:
+            return data
+        others = {key: value for key, value in data.items() if key != "controller"}
+        machine = machine_of(Blocks.model_validate(others))
+    except (ValidationError, ValueError):
+        return data
+    filled = _plain_gains(law, machine, auto)
+    return {**data, "controller": {**controller, law: _over(filled, block)}}
+
+
+def _plain_gains(law: str, machine: Machine, auto: Auto) -> dict[str, Any]:
+    assert auto.bandwidth is not None
+    return {key: value.tolist() for key, value in fitted_gains(law, machine, auto.bandwidth, auto.damping).items()}
+
+
+def _over(filled: dict[str, Any], block: dict[str, Any]) -> dict[str, Any]:
+    """Return a block with gains filled in where it has none or null."""
+    merged = dict(block)
+    for path, value in filled.items():
+        *blocks, key = path.split(".")
+        place = merged
+        for name in blocks:
+            inner = place.get(name, {})
+            if not isinstance(inner, dict):
+                return block  # refused at its own place
+            place[name] = place = dict(inner)
+        if place.get(key) is None:
+            place[key] = value
+    return merged
+
+
+def chosen_keys(scenario: Blocks) -> tuple[str, ...]:
+    """Return the keys of the law's block that do not follow: neither from `auto`, nor as defaults where it is off."""
+    law = scenario.controller.law
+    follow = _follow(scenario, law)
+    own = getattr(scenario.controller, law)
+    return tuple(key for key in fitted_keys(law) if not _same(_at(own, key), follow[key]))
+
+
+def without_fitted_gains(scenario: Blocks, keys: dict[str, Any]) -> None:
+    """Take out of a scenario's plain data (changed in place) all gains that follow: by `auto`, or as defaults."""
+    for law in LAWS:
+        follow, own = _follow(scenario, law), getattr(scenario.controller, law)
+        for path in fitted_keys(law):
+            if _same(_at(own, path), follow[path]):
+                *blocks, key = path.split(".")
+                place = keys["controller"][law]
+                for name in blocks:
+                    place = place[name]
+                del place[key]
+
+
+def _follow(scenario: Blocks, law: str) -> dict[str, Any]:
+    """Return the gains of a law's block where none is written."""
+    auto = getattr(scenario.controller, law).auto
+    if law != scenario.controller.law or auto.bandwidth is None:
+        return {key: core_default(f"controller.{law}.{key}") for key in fitted_keys(law)}
+    return dict(fitted_gains(law, machine_of(scenario), auto.bandwidth, auto.damping))
+
+
+def _at(block: Any, path: str) -> Any:
+    for name in path.split("."):
+        block = getattr(block, name)
+    return block
+
+
+def _same(one: Any, other: Any) -> bool:
+    return bool(np.allclose(one, other, rtol=_SAME, atol=0.0))
