@@ -19,10 +19,6 @@ FOLDERS = ("analysis", "certificate", "diagnosis")  # of docs/: nothing but page
 HEADINGS = ["What it is", "Formula", "Source", "Limits", "How it is tested"]
 # May be named too; they have their own headings and tests.
 GUIDES = ("docs/model.md", "docs/campaigns.md", "docs/tune.md")
-    "docs/model.md",
-    "docs/campaigns.md",
-    "docs/tune.md",
-)  # may be named too; they have their own headings and tests
 ITEMS = ("Table", "Curves", "HeatMap", "Bars")
 
 
