@@ -128,13 +128,12 @@ def main() -> None:
                 threads=given.threads,
             )
             whole = {"simulation.duration": hs.load_scenario(scenario).simulation.duration}
+            plans = [
+                plan.changed(scenario=each.updated(whole), runs=given.runs, stream=plan.stream + 2)
+                for each in (plan.scenario, found.scenario)
+            ]
             hand, judged = (
-                hs.campaign(
-                    plan.changed(scenario=each.updated(whole), runs=given.runs, stream=plan.stream + 2),
-                    folder / name,
-                    threads=given.threads,
-                )
-                for name, each in (("hand", plan.scenario), ("tuned", found.scenario))
+                hs.campaign(each, folder / f"runs-{each.digest()[:12]}", threads=given.threads) for each in plans
             )
             tuned = tuned.updated(dict(found.gains))
             rows.append([law, *cells(hand), *cells(judged)])

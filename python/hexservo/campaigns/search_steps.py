@@ -26,7 +26,7 @@ FORMAT = 1
 """Of a search's folder: raised with every change of the order in which a search simulates."""
 
 PLAN = "tune.yaml"
-_SEAL = 32  # bytes of SHA-256 before the arrays
+_DIGEST = 32  # bytes of SHA-256: of the rest of a file, then of the inputs
 
 
 class SearchSteps:
@@ -124,12 +124,15 @@ class SearchSteps:
         """
         path = self.folder / "steps" / f"{self.count:06d}.step"
         self.count += 1
-        place = hashlib.sha256(f"{self.record['search']} {self.count}".encode())
-        _enter(place, inputs)
+        digest = hashlib.sha256(f"{self.record['search']} {self.count}".encode())
+        _enter(digest, inputs)
+        place = digest.digest()
         if path.exists():
             try:
-                return _unsealed(path, place)
-            except (OSError, ValueError):
+                there, results = _unsealed(path.read_bytes())
+                if there == place:
+                    return results
+            except (OSError, ValueError):  # else a step of a search of fewer rounds
                 self.warn(
                     f"{named(path)}: expected the results of this step, got different bytes; they are computed again"
                 )
@@ -137,7 +140,7 @@ class SearchSteps:
         file = io.BytesIO()
         np.savez(file, **results)  # type: ignore[arg-type]
         content = file.getvalue()
-        write_bytes(path, _seal(place, content) + content)
+        write_bytes(path, hashlib.sha256(place + content).digest() + place + content)
         return results
 
 
@@ -148,23 +151,16 @@ def _enter(digest: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
         digest.update(np.ascontiguousarray(values).tobytes())
 
 
-def _seal(place: Any, content: bytes) -> bytes:
-    digest = place.copy()
-    digest.update(content)
-    return bytes(digest.digest())
-
-
-def _unsealed(path: Path, place: Any) -> dict[str, NDArray[Any]]:
-    """Return the results of a step.
+def _unsealed(file: bytes) -> tuple[bytes, dict[str, NDArray[Any]]]:
+    """Return the digest of a step's inputs, and its results.
 
     Raises
     ------
     ValueError
-        The file is damaged, or of different inputs.
+        The file is damaged.
     """
-    file = path.read_bytes()
-    seal, content = file[:_SEAL], file[_SEAL:]
-    if seal != _seal(place, content):
+    seal, sealed = file[:_DIGEST], file[_DIGEST:]
+    if seal != hashlib.sha256(sealed).digest():
         raise ValueError("the seal differs")
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+    with np.load(io.BytesIO(sealed[_DIGEST:]), allow_pickle=False) as arrays:
+        return sealed[:_DIGEST], {name: arrays[name] for name in arrays.files}

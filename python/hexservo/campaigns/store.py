@@ -24,7 +24,7 @@ from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Store", "read_plan"]
+__all__ = ["PLAN", "Store", "read_plan"]
 
 FORMAT = 1
 """Of a campaign's folder: raised with every change of what a chunk holds."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import math
 import os
@@ -20,12 +21,12 @@ from hexservo.campaigns.engine import campaign
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.search_steps import SearchSteps
-from hexservo.campaigns.store import write_text
+from hexservo.campaigns.store import PLAN, read_plan, write_text
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
 from hexservo.campaigns.tune_result import FrontPoint, Generation, Relaxation, TuneResult
 from hexservo.findings.evidence import as_data
 from hexservo.run.progress import ProgressCallback, reporting
-from hexservo.run.publish import OutputError
+from hexservo.run.publish import OutputError, named
 from hexservo.run.variations import columns_of, known_key
 from hexservo.scenario.arrays import Array
 
@@ -215,6 +216,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     if feasible:
         other = plan.changed(scenario=scenario, stream=plan.stream + 1, until=None)
         front = _front_points(candidates, search.front, plan)
+        _set_aside(folder / _HELD_OUT, other)
         held_out = campaign(other, folder / _HELD_OUT, threads=threads)
         if held_out.interrupted:
             raise KeyboardInterrupt
@@ -244,6 +246,17 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     text = json.dumps(as_data(result.section().data), indent=2, allow_nan=False) + "\n"
     write_text(folder / _SUMMARY, text)
     return result
+
+
+def _set_aside(folder: Path, plan: CampaignPlan) -> None:
+    """Rename the campaign of gains that fewer rounds had found."""
+    if not (folder / PLAN).exists() or read_plan(folder)[0].digest() == plan.digest():
+        return
+    places = (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(1))
+    try:
+        folder.rename(next(place for place in places if not place.exists()))
+    except OSError as error:
+        raise OutputError(f"{named(folder)}: cannot be renamed: {error.strerror}") from None
 
 
 def _relaxations(candidates: Candidates) -> tuple[Relaxation, ...]:
