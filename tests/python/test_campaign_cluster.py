@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import textwrap
@@ -10,7 +11,9 @@ from pathlib import Path
 import pytest
 
 import hexservo as hs
+from hexservo.campaigns.engines import compute_remotely
 from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.store import new_record
 from hexservo.run.publish import OutputError
 from test_campaign_engine import FILE, digest_of
 from test_cli import environment
@@ -31,7 +34,8 @@ LOST_WORKER = """
                 if done >= 200 and processes:
                     os.kill(processes.pop(), signal.SIGKILL)
                     processes.clear()
-            result = hs.campaign(sys.argv[1], sys.argv[2], engine=cluster.scheduler_address, progress=kill)
+            result = hs.campaign(sys.argv[1], sys.argv[2], engine=cluster.scheduler_address, progress=kill,
+                                 store_on_workers=sys.argv[4:] == ["shared"])
             print(len(result), result.complete, processes)
 
     if __name__ == "__main__":
@@ -80,18 +84,43 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def output_of_script(script: str, folder: Path) -> list[str]:
+def output_of_script(script: str, folder: Path, *more: str) -> list[str]:
     (folder / "campaign.yaml").write_text(load_plan(FILE).to_yaml(), encoding="utf-8")
     (folder / "script.py").write_text(textwrap.dedent(script), encoding="utf-8")
-    arguments = [sys.executable, "script.py", "campaign.yaml", "out", str(folder)]
+    arguments = [sys.executable, "script.py", "campaign.yaml", "out", str(folder), *more]
     run = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, check=False, env=environment())
     assert run.returncode == 0, run.stderr
     return run.stdout.splitlines()
 
 
-def test_a_killed_worker_changes_nothing(whole: Path, tmp_path: Path) -> None:
-    assert output_of_script(LOST_WORKER, tmp_path) == ["1000 True []"]
+@pytest.mark.parametrize("more", [(), ("shared",)])
+def test_a_killed_worker_changes_nothing(more: tuple[str, ...], whole: Path, tmp_path: Path) -> None:
+    assert output_of_script(LOST_WORKER, tmp_path, *more) == ["1000 True []"]
     assert digest_of(tmp_path / "out") == digest_of(whole)
+
+
+def test_a_worker_writes_into_the_folder_of_its_campaign_only(whole: Path, tmp_path: Path) -> None:
+    plan = load_plan(FILE)
+    record = new_record(plan)
+    arguments = (json.dumps(plan.to_mapping()), record["campaign"], record["variant"], 1, 1)
+    content, tally = compute_remotely(*arguments, None)
+    chunk = whole / "chunks" / "000001.parquet"
+    assert content == chunk.read_bytes()
+    chunk.unlink()
+    assert compute_remotely(*arguments, str(whole)) == (None, tally)
+    assert chunk.read_bytes() == content
+    other = tmp_path / "other"
+    hs.campaign(FILE | {"stream": 5}, other, runs=1)
+    for folder in (other, tmp_path / "nowhere"):
+        with pytest.raises(OutputError, match="expected a folder that every worker shares, got none of this"):
+            compute_remotely(*arguments, str(folder))
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_workers_that_write_need_a_cluster(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="store_on_workers: expected the engine dask or tcp://host:port, got local"):
+        hs.campaign(FILE, tmp_path / "out", store_on_workers=True)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -44,6 +44,7 @@ def campaign(
     progress: bool | ProgressCallback | None = None,
     warn: Warn | None = None,
     engine: str = "local",
+    store_on_workers: bool = False,
 ) -> CampaignResult:
     """Run a campaign, or go on with one (docs/campaigns.md).
 
@@ -70,6 +71,8 @@ def campaign(
         "local": this process. "dask": a local Dask cluster with one worker for each core; the calling script needs the
         guard ``if __name__ == "__main__"``. ``tcp://host:port``: an existing Dask scheduler. Dask is the extra
         ``hexservo[cluster]``.
+    store_on_workers
+        Every worker of a Dask cluster writes its chunks itself, into `out`, which has the same path on all machines.
 
     Returns
     -------
@@ -81,7 +84,7 @@ def campaign(
     TypeError
         For arguments of other types.
     ValueError
-        For an engine that does not exist.
+        For an engine that does not exist, or `store_on_workers` without a cluster.
     ScenarioError
         The campaign is not valid, or a run draws a scenario that is not ("run 17: key: expected ..., got ...").
     OutputError
@@ -94,7 +97,7 @@ def campaign(
     store = Store(out, plan, new_record(plan))
     state = _State(store)
     with (
-        engine_of(engine, store, threads) as chosen,
+        engine_of(engine, store, threads, store_on_workers=store_on_workers) as chosen,
         store.opened(),
         _reporting(progress) as report,
         _ctrl_c_noted() as asked,
@@ -218,7 +221,13 @@ def _compute(state: _State, engine: Engine, report: _Report, asked: threading.Ev
             for future in wait(flying, _WATCHED, FIRST_COMPLETED).done:
                 index = flying.pop(future)
                 content, tally = _result_of(future)
-                state.store.write_chunk(index, content)
+                if content is not None:
+                    state.store.write_chunk(index, content)
+                elif not state.store.path_of(index).exists():
+                    raise OutputError(
+                        f"{named(state.store.path_of(index))}: expected a folder that every worker shares, got one "
+                        "without the chunk that a worker wrote; leave out store_on_workers"
+                    )
                 state.fresh.add(index)
                 state.enter(index, tally)
                 state.summarise()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import threading
 from collections.abc import Callable, Iterator
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 __all__ = ["ENGINES", "Chunk", "Engine", "engine_of"]
 
 ENGINES = "local, dask, or the address of a Dask scheduler as tcp://host:port"
-Chunk: TypeAlias = tuple[bytes, Tally]
-"""A chunk's file, and its counts."""
+Chunk: TypeAlias = tuple[bytes | None, Tally]
+"""A chunk's file, None where it is written already, and its counts."""
 
 _IN_FLIGHT = 2  # chunks that are computed here or wait to be kept
 _IN_FLIGHT_OF_WORKER = 4
@@ -70,11 +71,15 @@ class Engine:
 
 
 class DaskEngine(Engine):
-    """Computes chunks on the workers of a Dask cluster, each on as many threads as the worker has."""
+    """Computes chunks on the workers of a Dask cluster, each on as many threads as the worker has.
 
-    def __init__(self, store: Store, threads: int | None, client: Client) -> None:
+    With a folder that all of them share, each writes its own chunks there.
+    """
+
+    def __init__(self, store: Store, threads: int | None, client: Client, *, store_on_workers: bool) -> None:
         super().__init__(store, threads, client.get_executor(pure=False))
         self.client = client
+        self._shared = os.fspath(store.folder.resolve()) if store_on_workers else None
         self._plan = json.dumps(store.plan.to_mapping(), allow_nan=False)
 
     @property
@@ -91,6 +96,7 @@ class DaskEngine(Engine):
             self.store.record["variant"],
             index,
             self.threads,
+            self._shared,
         )
         return future
 
@@ -119,20 +125,30 @@ def compute_chunk(
     return chunk_bytes(table, store.identity(index)), tally_of(table, plan.require, plan.scenario.simulation.duration)
 
 
-def compute_remotely(plan: str, campaign: str, variant: str, index: int, threads: int | None) -> Chunk:
-    """Compute a chunk on a worker, which has no folder.
+def compute_remotely(
+    plan: str, campaign: str, variant: str, index: int, threads: int | None, shared: str | None
+) -> Chunk:
+    """Compute a chunk on a worker, and write it into the campaign's folder if that is shared.
 
     Raises
     ------
     VariantError
         The worker uses a different compiled variant, or a different version of hexservo.
+    OutputError
+        The shared folder is not that of the campaign, or cannot be written.
     """
-    store = _store_of(plan, campaign, variant)
-    return compute_chunk(store, index, threads or _threads_of_worker())
+    store = _store_of(plan, campaign, variant, shared or "")
+    if shared is not None:
+        store.require_own_folder()
+    content, tally = compute_chunk(store, index, threads or _threads_of_worker())
+    if shared is None or content is None:
+        return content, tally
+    store.write_chunk(index, content)
+    return None, tally
 
 
 @lru_cache(maxsize=2)
-def _store_of(text: str, campaign: str, variant: str) -> Store:
+def _store_of(text: str, campaign: str, variant: str, folder: str) -> Store:
     plan = CampaignPlan(**json.loads(text))
     plan.changed(variant=variant).required_variant()
     record = new_record(plan)
@@ -141,7 +157,7 @@ def _store_of(text: str, campaign: str, variant: str) -> Store:
             f"worker: expected the version of hexservo that began the campaign, got {record['hexservo']}; "
             "install the same one there"
         )
-    return Store("", plan, record)
+    return Store(folder, plan, record)
 
 
 def _threads_of_worker() -> int:
@@ -151,17 +167,19 @@ def _threads_of_worker() -> int:
 
 
 @contextlib.contextmanager
-def engine_of(name: str, store: Store, threads: int | None) -> Iterator[Engine]:
+def engine_of(name: str, store: Store, threads: int | None, *, store_on_workers: bool = False) -> Iterator[Engine]:
     """Start an engine, and end what it computes.
 
     Raises
     ------
     ValueError
-        There is no such engine.
+        There is no such engine, or it has no workers that could write.
     OutputError
         Dask is not installed, or no scheduler answers at the address.
     """
     thread_count(threads)
+    if name == "local" and store_on_workers:
+        raise ValueError("store_on_workers: expected the engine dask or tcp://host:port, got local")
     if name == "local":
         with ThreadPoolExecutor(1, "campaign") as executor:
             engine = Engine(store, threads, executor)
@@ -174,7 +192,7 @@ def engine_of(name: str, store: Store, threads: int | None) -> Iterator[Engine]:
     if name != "dask" and "://" not in name:
         raise ValueError(f"engine: expected {ENGINES}; got {name!r}")
     with _client(name) as client:
-        yield DaskEngine(store, threads, client)
+        yield DaskEngine(store, threads, client, store_on_workers=store_on_workers)
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import secrets
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -160,6 +161,24 @@ class Store:
             It cannot be written; the other ones stay.
         """
         write_bytes(self.path_of(index), content)
+
+    def require_own_folder(self) -> None:
+        """Refuse a folder that another process opened for a different campaign, or that is not there.
+
+        Raises
+        ------
+        OutputError
+            It is not the campaign's.
+        """
+        try:
+            found = read_plan(self.folder)[1]["campaign"]
+        except ResultError:
+            found = None
+        if found != self.record["campaign"]:
+            raise OutputError(
+                f"{named(self.folder)}: expected a folder that every worker shares, got none of this campaign on "
+                f"{socket.gethostname()}; leave out store_on_workers"
+            )
 
     def set_aside(self, index: int) -> Path:
         """Move a damaged chunk to the folder ``damaged``, out of the way of readers, and return its path."""

@@ -59,6 +59,10 @@ def campaign(
     engine: Annotated[
         str, typer.Option("--engine", help="local, dask (a local cluster), or tcp://host:port of a Dask scheduler.")
     ] = "local",
+    store_on_workers: Annotated[
+        bool,
+        typer.Option("--store-on-workers", help="Dask workers write the runs, into the same folder on all machines."),
+    ] = False,
     worst: Annotated[
         bool,
         typer.Option("--worst", help="Search the worst case too, when the runs are complete; it is kept as a file."),
@@ -95,6 +99,7 @@ def campaign(
                 chunk_size=chunk_size,
                 threads=threads,
                 engine=engine,
+                store_on_workers=store_on_workers,
                 progress=watched,
                 warn=lambda sentence: complain(sentence, head="Warning"),
             )
