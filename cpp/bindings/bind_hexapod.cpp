@@ -24,7 +24,11 @@ void bind_hexapod(py::module_& m) {
       .def_readwrite("base_radius", &RobotParameters::base_radius, "[m]")
       .def_readwrite("platform_angles", &RobotParameters::platform_angles, "(6,) about z of E [rad]")
       .def_readwrite("base_angles", &RobotParameters::base_angles, "(6,) about z of B [rad]")
-      .def_readwrite("home_position", &RobotParameters::home_position, "(3,) in B, where R = I [m]")
+      .def_readwrite("platform_joints", &RobotParameters::platform_joints, "(6, 3) in E, or None: on a circle [m]")
+      .def_readwrite("base_joints", &RobotParameters::base_joints, "(6, 3) in B, or None: on a circle [m]")
+      .def_readwrite("home_position", &RobotParameters::home_position, "(3,) in B [m]")
+      .def_readwrite("home_attitude", &RobotParameters::home_attitude, "(3,) rotation vector of E in B at home [rad]")
+      .def_readwrite("gravity", &RobotParameters::gravity, "(3,) acceleration in B [m/s^2]")
       .def_readwrite("mass", &RobotParameters::mass, "[kg]")
       .def_readwrite("inertia", &RobotParameters::inertia, "(3, 3) about E's origin, in E [kg m^2]")
       .def_readwrite("stroke", &RobotParameters::stroke, "leg travel about the home length, each way [m]")
@@ -53,6 +57,9 @@ void bind_hexapod(py::module_& m) {
   py::class_<Hexapod<double>>(m, "Hexapod", "Legs of a robot; poses are (position in B [m], quaternion w x y z).")
       .def(py::init(&make_hexapod), py::arg("robot"), "ValueError where the legs cannot hold a platform.")
       .def_readonly("home_position", &Hexapod<double>::home_position, "(3,) in B [m]")
+      .def_readonly("home_quaternion", &Hexapod<double>::home_quaternion, "(4,) w x y z, of E in B")
+      .def_readonly("platform_radius", &Hexapod<double>::platform_radius,
+                    "that moments are divided by; of joints given one by one the RMS distance from their mean [m]")
       .def_readonly("home_lengths", &Hexapod<double>::home_lengths, "(6,) [m]")
       .def_property_readonly(
           "platform_joints",

@@ -7,7 +7,7 @@ void bind_rigid_body(py::module_& m) {
       .def(py::init<>())
       .def_readwrite("mass", &RigidBody<double>::mass, "platform mass [kg]")
       .def_readwrite("inertia", &RigidBody<double>::inertia_E, "(3, 3) about E's origin, in E [kg m^2]")
-      .def_readwrite("gravity", &RigidBody<double>::gravity, "acceleration along +z of B [m/s^2]")
+      .def_readwrite("gravity", &RigidBody<double>::gravity, "(3,) acceleration in B [m/s^2]")
       .def_property_readonly("gravity_wrench", &gravity_wrench<double>,
                              "(6,) G of (1), what holds the platform at rest, in B [N; N m]");
 

@@ -134,6 +134,8 @@ void bind_settings(py::module_& m) {
       .def_property_readonly(
           "robot", [](const Settings& s) { return s.robot; }, "a copy")
       .def_property_readonly(
+          "body", [](const Settings& s) { return estimated_body(s.robot); }, "mass properties as estimated, a copy")
+      .def_property_readonly(
           "camera", [](const Settings& s) { return Camera<double>(s.camera); }, "a copy")
       .def_property_readonly(
           "dynamics_error", [](const Settings& s) { return DynamicsError<double>(s.uncertainty); }, "a copy")
@@ -144,6 +146,9 @@ void bind_settings(py::module_& m) {
           "validate", [](const Settings& s) { check_settings(s); },
           "ValueError('key: expected ..., got ...') for the first thing that is wrong.");
 
+  m.def("project_target", &project_target, py::arg("settings"), py::arg("displacement"),
+        "(8,) image of the target from a displacement of home (6,), in B [m; rad]; the goal's image is not used. "
+        "ValueError where a point is not in front of the camera.");
   m.def(
       "step_count",
       [](double step, double duration, long long log_every) {

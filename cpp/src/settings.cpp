@@ -41,27 +41,36 @@ void require_full_rank(const std::string& key, double f, const Image<double>& im
 }
 
 /// Initial image and, for a camera that projects, the points in B.
-void place_target(const Target& target, CameraConvention convention, double f, const Vector3<double>& home,
+void place_target(const Target& target, CameraConvention convention, double f, const Pose<double>& home,
                   Image<double>& image, Eigen::Matrix<double, 3, kPoints>& points_B) {
-  const Matrix3<double> R_BE = Matrix3<double>::Identity();
+  const Matrix3<double> R_BE = rotation_matrix(home.quaternion);
   if (target.points) {
     if (convention == CameraConvention::as_printed)
       refuse("target.points", "initial_features and depth, since a camera as_printed integrates them and has no points",
              "points");
     points_B = target.points->transpose();
-    for (int i = 0; i < kPoints; ++i) {
-      const double Z = points_B(2, i) - home(2);
-      if (!(Z < 0.0))
+    image = take_image(f, home.position, R_BE, points_B);
+    for (int i = 0; i < kPoints; ++i)
+      if (!(image.depth(i) < 0.0))
         refuse(words("target.points[", i, "]"),
-               words("a point in front of the camera, which looks along -z from home (z < ", home(2), " m)"),
-               words("z = ", points_B(2, i), " m"));
-    }
-    image = take_image(f, home, R_BE, points_B);
+               words("a point in front of the camera, which looks along -z of the platform from home at ",
+                     home.position.transpose(), " m"),
+               words("one ", image.depth(i), " m behind it"));
   } else {
     image = {target.initial_features, -target.depth};
     for (int i = 0; i < kPoints; ++i)
-      points_B.col(i) = home + R_BE * back_project<double>(f, image.features.segment<2>(2 * i), image.depth(i));
+      points_B.col(i) =
+          home.position + R_BE * back_project<double>(f, image.features.segment<2>(2 * i), image.depth(i));
   }
+}
+
+/// Checks every number that acts by the bounds of its field.
+void require_acting_bounds(const Settings& settings) {
+  const bool sampled = settings.simulation.mode == LoopMode::sampled;
+  const bool points = settings.target.points.has_value();
+  detail::walk(detail::Path{}, settings, [&](const detail::Path& path, const Field& field, const auto& member) {
+    if ((sampled || !field.sampled) && (field.with_points || !points)) detail::require_within(path, field, member);
+  });
 }
 
 /// A time on the grid of the servo's ticks.
@@ -184,16 +193,27 @@ SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<doubl
   return {settings.damping.value_or(2.0 * w * inertia), settings.hold.value_or(w * w * inertia)};
 }
 
-namespace {
+RigidBody<double> estimated_body(const RobotParameters& robot) { return {robot.mass, robot.inertia, robot.gravity}; }
 
-/// Checks every number that acts by the bounds of its field.
-void require_acting_bounds(const Settings& settings) {
-  const bool sampled = settings.simulation.mode == LoopMode::sampled;
-  const bool points = settings.target.points.has_value();
-  detail::walk(detail::Path{}, settings, [&](const detail::Path& path, const Field& field, const auto& member) {
-    if ((sampled || !field.sampled) && (field.with_points || !points)) detail::require_within(path, field, member);
-  });
+Vector<double, 2 * kPoints> project_target(const Settings& settings, const Vector6<double>& displacement) {
+  require_acting_bounds(settings);
+  const Hexapod<double> hexapod = make_hexapod(settings.robot);
+  const double f = settings.camera.focal_pixels();
+  Image<double> image;
+  Eigen::Matrix<double, 3, kPoints> points_B;
+  place_target(settings.target, settings.camera.convention, f, home_pose(hexapod), image, points_B);
+  if (settings.camera.convention == CameraConvention::as_printed)
+    refuse("target.desired_pose", "desired_features, since a camera as_printed has no points", "a pose");
+  detail::require_finite("target.desired_pose", displacement);
+  const Pose<double> pose = moved(home_pose(hexapod), displacement);
+  image = take_image(f, pose.position, rotation_matrix(pose.quaternion), points_B);
+  if (!(image.depth.maxCoeff() < 0.0))
+    refuse("target.desired_pose", "a pose from which every point is in front of the camera",
+           words("one with a point ", image.depth.maxCoeff(), " m behind it"));
+  return image.features;
 }
+
+namespace {
 
 /// The controller's goal: where the assumed points give the desired features.
 Pose<double> believed_goal(const SceneParameters<double>& p, std::string_view law) {
@@ -229,13 +249,36 @@ void prepare_devices(const Settings& settings, SceneParameters<double>& p) {
   p.seed = seed_halves(settings.seed);
 }
 
+/// Image of the target where the run starts.
+void require_view_at_start(const SceneParameters<double>& p) {
+  const Pose<double> home = home_pose(p.hexapod);
+  const std::string key = "simulation.start.pose";
+  if (p.start.position == home.position && p.start.quaternion == home.quaternion) return;
+  if (p.convention == CameraConvention::as_printed)
+    refuse(key, "zeros, since a camera as_printed has no points that it could see from elsewhere than from home",
+           "other numbers");
+  const Image<double> image =
+      take_image(p.camera.focal_pixels(), p.start.position, rotation_matrix(p.start.quaternion), p.points_B);
+  if (!(image.depth.maxCoeff() < 0.0))
+    refuse(key, "a pose from which every point is in front of the camera",
+           words("one with a point ", image.depth.maxCoeff(), " m behind it"));
+  const double error = (p.desired_features - image.features).cwiseAbs().maxCoeff();
+  if (!(error <= kMaxFeatureError))
+    refuse(key, words("a pose that shows the features within ", kMaxFeatureError, " px of the goal"),
+           words(error, " px"));
+  const Vector6<double> sigma = wrench_map_singular_values(p.hexapod, p.start);
+  if (!(sigma(5) > kRankDeficient * sigma(0)))
+    refuse(key, "a pose that is not singular",
+           words("a wrench map with smallest/largest singular value ", sigma(5) / sigma(0)));
+}
+
 /// All that no law enters.
 SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod<double>* legs) {
   SceneParameters<double> p;
   require_acting_bounds(settings);
   step_count(settings.simulation);
   p.hexapod = legs != nullptr ? *legs : make_hexapod(settings.robot);
-  p.body = {settings.robot.mass, settings.robot.inertia, RigidBody<double>{}.gravity};
+  p.body = estimated_body(settings.robot);
   p.dynamics_error = settings.uncertainty;
   validate(p.body, p.dynamics_error);
   p.camera = settings.camera;
@@ -243,7 +286,7 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.jacobian = settings.controller.jacobian;
 
   const double f = p.camera.focal_pixels();
-  place_target(settings.target, p.convention, f, settings.robot.home_position, p.initial_image, p.points_B);
+  place_target(settings.target, p.convention, f, home_pose(p.hexapod), p.initial_image, p.points_B);
   p.desired_features = settings.target.desired_features;
   const std::string source = settings.target.points ? "target.points" : "target.initial_features";
   for (const auto& [key, image] :
@@ -258,6 +301,9 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.depth_error = settings.uncertainty.depth;
   p.switching = settings.controller.switching;
   p.goal = home_pose(p.hexapod);
+  p.start = moved(p.goal, settings.simulation.start.pose);
+  p.start_twist = settings.simulation.start.twist;
+  require_view_at_start(p);
   p.step = settings.simulation.step;
   p.mode = settings.simulation.mode;
   p.substeps = settings.simulation.substeps;

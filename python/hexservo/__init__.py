@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from hexservo.findings.analysis import Analysis, analyse
     from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
     from hexservo.findings.diagnosis import Diagnosis, diagnose
+    from hexservo.findings.reach import Reachability, project, reachable
     from hexservo.report import write_report
     from hexservo.report.campaign_page import write_campaign_report
     from hexservo.run.batch import BatchResult, simulate_batch
@@ -68,6 +69,7 @@ __all__ = [
     "LimitEvent",
     "Observation",
     "RareFailures",
+    "Reachability",
     "Result",
     "ResultError",
     "Scenario",
@@ -91,6 +93,8 @@ __all__ = [
     "load_scenario",
     "metrics",
     "plots",
+    "project",
+    "reachable",
     "scenario_names",
     "sensitivity",
     "simulate",
@@ -116,6 +120,7 @@ _MODULES = {
     "findings.analysis": ("Analysis", "analyse"),
     "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),
     "findings.diagnosis": ("Diagnosis", "diagnose"),
+    "findings.reach": ("Reachability", "project", "reachable"),
     "report": ("write_report",),
     "report.campaign_page": ("write_campaign_report",),
     "run.batch": ("BatchResult", "simulate_batch"),

@@ -75,7 +75,7 @@ Situation<Law> random_situation(Random& random) {
   s.task.focal_pixels = kFocal;
   s.task.jacobian_sign = -1.0;
   s.task.gravity_wrench = gravity_wrench(RigidBody<double>{});
-  s.task.body = RigidBody<double>{random.uniform(0.03, 0.1), random.inertia(), 9.8};
+  s.task.body = RigidBody<double>{random.uniform(0.03, 0.1), random.inertia()};
   s.task.reference = {Vector3<double>(0.0, 0.0, -0.15), random.quaternion(0.5, 2.0)};
   for (int i = 0; i < 4; ++i) {  // one feature in each quarter of the image: well spread
     const double x = i < 2 ? 60.0 : -60.0, y = i % 2 == 0 ? 60.0 : -60.0;

@@ -271,7 +271,7 @@ TEST_CASE("a pack of poses goes through both kinematics as single ones do, whate
 
 TEST_CASE("known numbers of the presets (docs/model.md, section 2)") {
   const auto forces_at_rest = [](const RobotParameters& robot, const Hexapod<double>& hexapod) {
-    const RigidBody<double> body{robot.mass, robot.inertia, 9.8};
+    const RigidBody<double> body{robot.mass, robot.inertia};
     return WrenchMapSolver<double>(hexapod, legs_at(hexapod, home_of(hexapod))).leg_forces(gravity_wrench(body));
   };
   struct Known {

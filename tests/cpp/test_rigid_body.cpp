@@ -20,7 +20,7 @@ Matrix3<double> turn(const Vector3<double>& omega, double time) {
   return Eigen::AngleAxisd(omega.norm() * time, omega.normalized()).toRotationMatrix();
 }
 
-RigidBody<double> random_body(Random& random) { return {random.uniform(0.02, 0.2), random.inertia(), 9.8}; }
+RigidBody<double> random_body(Random& random) { return {random.uniform(0.02, 0.2), random.inertia()}; }
 
 /// Element-wise errors as (3) allows them: symmetric for D, anything for C and G.
 DynamicsError<double> random_error(Random& random, double size) {
@@ -127,7 +127,7 @@ TEST_CASE("z points down: a platform without actuators falls with +9.8 m/s^2 alo
   Random random(7104);
   CAPTURE(random.seed());
   for (int trial = 0; trial < 20; ++trial) {
-    const RigidBody<double> body{random.uniform(0.02, 0.2), random.inertia(), 9.8};
+    const RigidBody<double> body{random.uniform(0.02, 0.2), random.inertia()};
     const Matrix3<double> R_BE = random.rotation();
     const Vector6<double> rest = Vector6<double>::Zero();
     Vector6<double> fall = rest;

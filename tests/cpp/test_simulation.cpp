@@ -321,7 +321,7 @@ TEST_CASE("without leg forces the platform falls freely: the closed form") {
 TEST_CASE("leg forces that carry the weight hold the platform at home, with the actual mass") {
   const RobotParameters robot;
   const Hexapod<double> hexapod = make_hexapod(robot);
-  const RigidBody<double> body{robot.mass, robot.inertia, 9.8};
+  const RigidBody<double> body{robot.mass, robot.inertia};
   const Legs<double> legs = inverse_kinematics<double>(hexapod, robot.home_position, Matrix3<double>::Identity());
   for (const double error : {0.0, 0.075}) {
     DynamicsError<double> uncertainty;
@@ -342,7 +342,7 @@ TEST_CASE("constant leg forces do work: energy gained is force times travel") {
   CAPTURE(random.seed());
   const RobotParameters robot;
   const Hexapod<double> hexapod = make_hexapod(robot);
-  const RigidBody<double> body{robot.mass, robot.inertia, 9.8};
+  const RigidBody<double> body{robot.mass, robot.inertia};
   const Legs<double> legs = inverse_kinematics<double>(hexapod, robot.home_position, Matrix3<double>::Identity());
   const Vector6<double> holding = WrenchMapSolver<double>(hexapod, legs).leg_forces(gravity_wrench(body));
   for (int trial = 0; trial < 5; ++trial) {

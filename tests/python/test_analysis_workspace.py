@@ -13,6 +13,7 @@ from hexservo.findings.analysis import workspace
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.words import number
+from hexservo.scenario.parameters import core_parameters
 
 SEED = 21
 
@@ -26,7 +27,7 @@ def found(paper: hs.Scenario) -> workspace.Workspace:
 def test_vertical_reach_by_hand(paper: hs.Scenario, preset: str) -> None:
     """All legs are sqrt(rho^2 + z^2) long: z = sqrt((l_0 +- stroke)^2 - rho^2), rho between the joints of a leg."""
     scenario = paper.updated({"robot.preset": preset})
-    robot = scenario.robot
+    robot = core_parameters(scenario).robot
     angle = robot.platform_angles[0] - robot.base_angles[0]
     across = robot.platform_radius**2 + robot.base_radius**2
     rho2 = across - 2 * robot.platform_radius * robot.base_radius * np.cos(angle)
@@ -43,7 +44,7 @@ def test_vertical_reach_by_hand(paper: hs.Scenario, preset: str) -> None:
 def test_turn_about_z_by_hand(paper: hs.Scenario, preset: str) -> None:
     """l_i^2 = r_p^2 + r_b^2 - 2 r_p r_b cos(phi_i + turn - beta_i) + z^2; the first leg at l_0 +- stroke ends it."""
     scenario = paper.updated({"robot.preset": preset})
-    robot = scenario.robot
+    robot = core_parameters(scenario).robot
     p, b, z = robot.platform_radius, robot.base_radius, robot.home_position[2]
     between = np.array(robot.platform_angles) - np.array(robot.base_angles)
     home = np.sqrt(p**2 + b**2 - 2 * p * b * np.cos(between) + z**2)
@@ -206,7 +207,7 @@ def test_the_findings_name_the_leg_and_its_numbers(found: workspace.Workspace, p
 
 def test_start_and_goal_against_the_stroke_by_hand(paper: hs.Scenario) -> None:
     """A goal that is a shift along the optical axis: legs of sqrt(rho^2 + z^2), against strokes on both sides of it."""
-    robot = paper.robot
+    robot = core_parameters(paper).robot
     angle = robot.platform_angles[0] - robot.base_angles[0]
     rho2 = (
         robot.platform_radius**2 + robot.base_radius**2 - 2 * robot.platform_radius * robot.base_radius * np.cos(angle)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import hexservo as hs
@@ -29,7 +30,8 @@ EIGEN = next((path for path in map(Path, ("/usr/include/eigen3", "/usr/local/inc
 # What the header has to bring to C++: everything but the plant's errors and the run's grid.
 SHARED = [
     *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
-    *(f"robot.{name}" for name in ("home_position", "mass", "inertia", "stroke", "force_limit")),
+    *(f"robot.{name}" for name in ("home_position", "home_attitude", "gravity")),
+    *(f"robot.{name}" for name in ("mass", "inertia", "stroke", "force_limit")),
     *("camera.focal_length", "camera.pixel_scale", "camera.convention", "target.desired_features"),
     *("controller.jacobian", "controller.switching.kind", "controller.switching.width", "uncertainty.depth"),
     *("simulation.mode", "simulation.step"),
@@ -79,6 +81,8 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
             "robot.platform_angles": about(-0.8, 0.9, 1.2, 3.0, 3.3, 5.0),
             "robot.base_angles": about(-0.2, 0.2, 1.9, 2.3, 4.0, 4.4),
             "robot.home_position": [0.001, -1 / 3e3, -0.16],
+            "robot.home_attitude": [0.01, -1 / 70, 0.03],
+            "robot.gravity": [0.1, -1 / 3, 9.7],
             "robot.mass": mass,
             "robot.inertia": [[1.5e-4, 1e-6, 2e-6 / 3], [1e-6, 1.6e-4, -1e-6], [2e-6 / 3, -1e-6, 2.9e-4]],
             "robot.stroke": stroke,
@@ -190,13 +194,19 @@ def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: P
     if points:
         where = [[0.03, 0.02, -0.61], [0.05, -1 / 17, -0.65], [-0.04, 0.03, -0.7], [-0.01, -0.02, -0.6]]
         changes: dict[str, Any] = {"target.initial_features": None, "target.depth": None, "target.points": where}
-        rays = np.asarray(where) - scenario.robot.home_position
+        turn = Rotation.from_rotvec(scenario.robot.home_attitude)
+        rays = turn.inv().apply(np.asarray(where) - scenario.robot.home_position)
         f = scenario.camera.focal_length * scenario.camera.pixel_scale
         changes["target.desired_features"] = (-f * rays[:, :2] / rays[:, 2:] + [-20 / 3, -8 / 7]).ravel().tolist()
+        hexapod = _core.Hexapod(core_parameters(scenario).robot)
+        for side, placed in (("platform", hexapod.platform_joints), ("base", hexapod.base_joints)):
+            changes |= {f"robot.{side}_joints": placed, f"robot.{side}_radius": None, f"robot.{side}_angles": None}
         scenario = scenario.updated({**changes, "camera.convention": "eye_in_hand"})
-        seen = ["target.points"]
+        seen = ["target.points", "robot.platform_joints", "robot.base_joints"]
     write_header(gains_header(scenario, 1 / 1700), tmp_path / "gains.hpp")
-    place = {"target.points": "*s.target.points"} | {name: name for name in OWN[law]}
+    place = {name: f"*s.{name}" for name in seen if "joints" in name or "points" in name} | {
+        name: name for name in OWN[law]
+    }
     shows = "".join(f'  show("{name}", {place.get(name, f"s.{name}")});\n' for name in MEMBERS[law] + seen)
     (tmp_path / "main.cpp").write_text(
         f"""#include "gains.hpp"

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo import _core
 from hexservo.scenario.blocks import Camera
 from hexservo.scenario.keys import all_paths, numeric_keys, sampled_keys, value_at
 from hexservo.scenario.laws import LAWS
+from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
 # A legal value of every key that acts in sampled mode alone, other than its default; a servo period is 1 ms.
@@ -79,6 +81,11 @@ def fingerprint(scenario: hs.Scenario) -> bytes:
     return b"".join([*(np.ascontiguousarray(a).tobytes() for a in [*arrays, numbers]), words])
 
 
+def _joints(scenario: hs.Scenario) -> tuple[Any, Any]:
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    return hexapod.platform_joints, hexapod.base_joints
+
+
 def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
     """Another value of a key that acts in continuous mode, as changes."""
     value = value_at(scenario, key)
@@ -88,6 +95,12 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "robot.stroke": {key: 1e-9},
         "robot.force_limit": {key: 1e-6},
         "camera.convention": {key: "as_printed"},
+        "robot.platform_joints": {key: (np.array(_joints(scenario)[0]) + np.eye(6, 3) * 1e-3).tolist()},
+        "robot.base_joints": {key: (np.array(_joints(scenario)[1]) + np.eye(6, 3) * 1e-3).tolist()},
+        "target.desired_pose": {"target": {"desired_features": None, "desired_pose": [1e-3] * 3 + [1e-2] * 3}},
+        "target.tag": {
+            "target": {"initial_features": None, "depth": None, "tag": {"size": 0.1, "pose": [0, 0, -0.65, 0, 0, 0]}}
+        },
         "target.points": {
             "target": {
                 "initial_features": None,

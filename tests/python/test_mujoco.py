@@ -1,7 +1,8 @@
 """The plant against MuJoCo, an independent dynamics engine.
 
 The same hexapod is built there from its joints: a free body on six spatial tendons, each with a motor of gear 1, whose
-positive force acts towards a longer tendon, so it pushes. Gravity acts along +z, which points down in B.
+positive force acts towards a longer tendon, so it pushes. Gravity acts along +z, which points down in B; on the robot
+"uneven" it is tilted, no joint lies on a circle, and home is turned.
 """
 
 from __future__ import annotations
@@ -20,12 +21,27 @@ Array = NDArray[np.float64]
 
 DURATION = 0.3  # [s]
 UNEQUAL = 1e-3 * np.array([20.0, 9.0, 19.0, 12.0, 20.0, 4.0])  # [N], beyond the share of the weight
-HOME_ATTITUDE = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-@pytest.fixture(params=["micro", "cubic"])
+def uneven() -> _core.RobotParameters:
+    robot = _core.robot_preset("micro")
+    hexapod, random = _core.Hexapod(robot), np.random.default_rng(5)
+    robot.platform_joints = hexapod.platform_joints + random.uniform(-0.02, 0.02, (6, 3))
+    robot.base_joints = hexapod.base_joints + random.uniform(-0.04, 0.04, (6, 3))
+    robot.home_attitude = np.array([0.1, -0.15, 0.2])
+    robot.gravity = np.array([1.5, -2.0, 9.0])
+    return robot
+
+
+@pytest.fixture(params=["micro", "cubic", "uneven"])
 def robot(request: pytest.FixtureRequest) -> _core.RobotParameters:
-    return _core.robot_preset(request.param)
+    return uneven() if request.param == "uneven" else _core.robot_preset(request.param)
+
+
+def body_of(robot: _core.RobotParameters) -> _core.RigidBody:
+    body = _core.RigidBody()
+    body.mass, body.inertia, body.gravity = robot.mass, robot.inertia, robot.gravity
+    return body
 
 
 def text(numbers: Any) -> str:
@@ -41,10 +57,10 @@ def mujoco_model(robot: _core.RobotParameters, step: float) -> Any:
     return mujoco.MjModel.from_xml_string(
         f"""
         <mujoco>
-          <option timestep="{step!r}" integrator="RK4" gravity="0 0 9.8"/>
+          <option timestep="{step!r}" integrator="RK4" gravity="{text(robot.gravity)}"/>
           <worldbody>
             {base}
-            <body pos="{text(robot.home_position)}">
+            <body pos="{text(robot.home_position)}" quat="{text(hexapod.home_quaternion)}">
               <freejoint/>
               <inertial pos="0 0 0" mass="{robot.mass!r}" diaginertia="{text(np.diag(robot.inertia))}"/>
               {platform}
@@ -60,8 +76,8 @@ def mujoco_model(robot: _core.RobotParameters, step: float) -> Any:
 def constant_forces(robot: _core.RobotParameters) -> Array:
     """Leg forces that hold the platform at home, and unequal ones on top."""
     hexapod = _core.Hexapod(robot)
-    weight = np.array([0.0, 0.0, -9.8 * robot.mass, 0.0, 0.0, 0.0])
-    return hexapod.leg_forces(hexapod.home_position, HOME_ATTITUDE, weight) + UNEQUAL
+    weight = np.concatenate([-robot.mass * np.array(robot.gravity), np.zeros(3)])
+    return hexapod.leg_forces(hexapod.home_position, hexapod.home_quaternion, weight) + UNEQUAL
 
 
 def mujoco_pose(robot: _core.RobotParameters, step: float) -> Array:
@@ -77,24 +93,18 @@ def mujoco_pose(robot: _core.RobotParameters, step: float) -> Array:
 
 def core_pose(robot: _core.RobotParameters, step: float) -> Array:
     hexapod = _core.Hexapod(robot)
-    body = _core.RigidBody()
-    body.mass, body.inertia = robot.mass, robot.inertia
     position, quaternion, _ = _core.drive_legs(
         hexapod,
-        body,
+        body_of(robot),
         _core.DynamicsError(),
         hexapod.home_position,
-        HOME_ATTITUDE,
+        hexapod.home_quaternion,
         np.zeros(6),
         constant_forces(robot),
         step,
         round(DURATION / step),
     )
     return np.concatenate([position, quaternion * np.sign(quaternion[0])])
-
-
-def rotation_angle(quaternion: Array) -> float:
-    return float(2 * np.arctan2(np.linalg.norm(quaternion[1:]), abs(quaternion[0])))
 
 
 @pytest.mark.parametrize("robot", ["micro"], indirect=True)
@@ -104,10 +114,10 @@ def test_home_share_of_the_weight(robot: _core.RobotParameters) -> None:
 
 def test_pose_after_constant_leg_forces(robot: _core.RobotParameters) -> None:
     core, reference = core_pose(robot, 1e-4), mujoco_pose(robot, 1e-4)
-    home = np.concatenate([robot.home_position, HOME_ATTITUDE])
     # The motion is large enough to mean something.
-    assert np.linalg.norm(core[:3] - home[:3]) > 0.030
-    assert rotation_angle(core[3:]) > 0.2
+    home = _core.Hexapod(robot).home_quaternion
+    assert np.linalg.norm(core[:3] - robot.home_position) > 0.030
+    assert 2 * np.arccos(abs(core[3:] @ home)) > 0.15
     # Both have converged far below the tolerance: at twice the step they are where they were.
     assert np.abs(core - core_pose(robot, 2e-4)).max() < 1e-10
     assert np.abs(reference - mujoco_pose(robot, 2e-4)).max() < 1e-10
@@ -130,7 +140,7 @@ def test_lengths_and_wrench_map_at_random_poses(robot: _core.RobotParameters, se
     model = mujoco_model(robot, 1e-3)
     data = mujoco.MjData(model)
     position = robot.home_position + random.uniform(-0.03, 0.03, 3)
-    quaternion = HOME_ATTITUDE + random.uniform(-0.2, 0.2, 4)
+    quaternion = hexapod.home_quaternion + random.uniform(-0.2, 0.2, 4)
     quaternion /= np.linalg.norm(quaternion)
     data.qpos[:] = np.concatenate([position, quaternion])
     mujoco.mj_forward(model, data)
@@ -153,7 +163,10 @@ def test_a_positive_leg_force_acts_as_its_column_of_h(robot: _core.RobotParamete
     hexapod = _core.Hexapod(robot)
     model = mujoco_model(robot, 1e-3)
     data = mujoco.MjData(model)
-    for leg, column in enumerate(hexapod.wrench_map(hexapod.home_position, HOME_ATTITUDE).T):
+    R_BE = np.empty(9)  # noqa: N806
+    mujoco.mju_quat2Mat(R_BE, hexapod.home_quaternion)
+    for leg, column in enumerate(hexapod.wrench_map(hexapod.home_position, hexapod.home_quaternion).T):
         data.ctrl[:] = np.eye(6)[leg]
         mujoco.mj_forward(model, data)
-        np.testing.assert_allclose(data.qfrc_actuator, column, rtol=0, atol=32 * 2.0**-53)
+        moment = R_BE.reshape(3, 3).T @ column[3:]  # MuJoCo's is in the body's frame
+        np.testing.assert_allclose(data.qfrc_actuator, [*column[:3], *moment], rtol=0, atol=32 * 2.0**-53)

@@ -359,7 +359,7 @@ def test_missing_keys_are_named() -> None:
     lines = str(caught.value).splitlines()
     assert lines[0].startswith('robot.preste: unknown key; did you mean "preset"?')
     assert lines[1].startswith("missing key: name (a name of")
-    assert lines[2].startswith("robot: missing keys: platform_radius (a number > 0), base_radius")
+    assert lines[2].startswith("robot: missing keys: platform_radius (a number > 0 or null), base_radius")
     assert "mass" not in lines[2].partition("home_position")[2].partition("inertia")[0]
     assert lines[2].endswith("a preset would fill them in")
     assert lines[3] == "target: missing key: desired_features (8 finite numbers)"
@@ -442,10 +442,10 @@ def test_a_run_of_too_many_steps_is_refused() -> None:
 
 def test_a_target_has_one_form(paper: hs.Scenario) -> None:
     (both,) = refusal({"target.points": POINTS})
-    assert both.startswith("target: expected either initial_features (8 numbers, px) with depth (m), or points")
-    assert "got both; leave one out or set it to null" in both
+    assert both.startswith("target: expected either initial_features (8 numbers, px) with depth (m), points")
+    assert "got initial_features and points; leave one out or set it to null" in both
     (neither,) = refusal({"target.initial_features": None})
-    assert neither.endswith("got neither")
+    assert neither.endswith("got none of them")
     switch = {"target.points": POINTS, "target.initial_features": None}
     by_points = paper.updated(switch)
     assert by_points == paper.updated({**switch, "target.depth": None})

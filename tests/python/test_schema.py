@@ -19,8 +19,15 @@ from hexservo.scenario.rules import ArrayRule, Choice, Flag, Inertia, Integer, N
 from hexservo.scenario.schema import schema
 
 # What the core has no use for: names, and what is read into other keys.
-OF_PYTHON = {"name", "description", "robot.preset", "base_motion.file", "controller.law"} | {
-    f"controller.{law}.auto.{key}" for law in LAWS for key in ("bandwidth", "damping")
+OF_PYTHON = {
+    "name",
+    "description",
+    "robot.preset",
+    "base_motion.file",
+    "controller.law",
+    "target.desired_pose",
+    "target.tag",
+    *(f"controller.{law}.auto.{key}" for law in LAWS for key in ("bandwidth", "damping")),
 }
 FIELDS: dict[str, tuple[FieldInfo, bool]] = {path: (field, sampled) for path, field, sampled in leaves(Blocks)}
 ENTRIES: dict[str, dict[str, Any]] = {entry["key"]: entry for entry in schema()}

@@ -82,7 +82,7 @@ class LoopEquations {
   Vector<S, N> inverse_depth_share_;
 };
 
-/// Plant and law in continuous time, from home, at rest.
+/// Plant and law in continuous time.
 template <class S, class Law, int N = kPoints>
 class ClosedLoop {
  public:

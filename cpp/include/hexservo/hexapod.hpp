@@ -14,6 +14,7 @@
 #include "hexservo/side_by_side.hpp"
 
 #include <array>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -30,14 +31,20 @@ enum class LimitPolicy {
   stop     ///< the end of the run, with `Outcome::leg_limit`
 };
 
-/// A robot as a user describes it: symmetric leg geometry, mass properties and limits. The defaults are the preset
-/// `micro`.
+/// Where six joints are, one in each row [m].
+using Joints = Eigen::Matrix<double, 6, 3>;
+
+/// A robot as a user describes it: leg geometry, mass properties and limits. The defaults are the preset `micro`.
 struct RobotParameters {
   double platform_radius = 0.1;                                           ///< r_p [m], 0.1 (paper)
   double base_radius = 0.2;                                               ///< r_b [m], 0.2 (paper)
   Vector6<double> platform_angles = degrees(-50, 50, 70, 170, 190, 290);  ///< phi_i about z of E [rad], -50 ... 290 deg
   Vector6<double> base_angles = degrees(-10, 10, 110, 130, 230, 250);  ///< beta_i about z of B [rad], -10 ... 250 deg
-  Vector3<double> home_position = {0.0, 0.0, -0.15};                   ///< p_BE at home, where R = I [m], (0, 0, -0.15)
+  std::optional<Joints> platform_joints;                               ///< p_i in E [m], in place of radius and angles
+  std::optional<Joints> base_joints;                                   ///< b_i in B [m], likewise
+  Vector3<double> home_position = {0.0, 0.0, -0.15};                   ///< p_BE at home [m], (0, 0, -0.15)
+  Vector3<double> home_attitude = {0.0, 0.0, 0.0};                     ///< rotation vector of R_BE at home [rad], 0
+  Vector3<double> gravity = RigidBody<double>{}.gravity;               ///< g in B [m/s^2], (0, 0, 9.8)
   double mass = RigidBody<double>{}.mass;                              ///< platform with camera [kg], 0.06 (paper)
   Matrix3<double> inertia = RigidBody<double>{}.inertia_E;  ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
   double stroke = 0.017;                                    ///< leg travel about the home length, each way [m], 0.017
@@ -50,7 +57,11 @@ struct RobotParameters {
     v(Field{"base_radius", "m", kPositive}.of_legs(), self.base_radius...);
     v(Field{"platform_angles", "rad", kAngle}.entrywise().of_legs(), self.platform_angles...);
     v(Field{"base_angles", "rad", kAngle}.entrywise().of_legs(), self.base_angles...);
+    v(Field{"platform_joints", "m"}.entrywise().of_legs(), self.platform_joints...);
+    v(Field{"base_joints", "m"}.entrywise().of_legs(), self.base_joints...);
     v(Field{"home_position", "m"}.entrywise().of_legs(), self.home_position...);
+    v(Field{"home_attitude", "rad", kAngle}.entrywise().of_legs(), self.home_attitude...);
+    v(Field{"gravity", "m/s^2"}.entrywise(), self.gravity...);
     v(Field{"mass", "kg", kPositive}, self.mass...);
     v(Field{"inertia", "kg m^2"}.symmetric(), self.inertia...);
     v(Field{"stroke", "m", kPositive}.of_legs(), self.stroke...);
@@ -72,7 +83,8 @@ struct Hexapod {
   Matrix36<S> platform_joints_E;  ///< p_i, one column per leg, in E [m]
   Matrix36<S> base_joints_B;      ///< b_i, one column per leg, in B [m]
   S platform_radius;              ///< r_p, the length that makes moments comparable with forces [m]
-  Vector3<S> home_position;       ///< p_BE at home, where R = I [m]
+  Vector3<S> home_position;       ///< p_BE at home [m]
+  Vector4<S> home_quaternion;     ///< of R_BE at home, of unit length
   Vector6<S> home_lengths;        ///< leg lengths at home [m]
   S stroke;                       ///< allowed |l - home length| [m]
   S force_limit;                  ///< allowed |leg force| [N]
@@ -83,19 +95,22 @@ struct Hexapod {
     v(Field{"base_joints_B", "m"}, self.base_joints_B...);
     v(Field{"platform_radius", "m"}, self.platform_radius...);
     v(Field{"home_position", "m"}, self.home_position...);
+    v(Field{"home_quaternion", "1"}, self.home_quaternion...);
     v(Field{"home_lengths", "m"}, self.home_lengths...);
     v(Field{"stroke", "m"}, self.stroke...);
     v(Field{"force_limit", "N"}, self.force_limit...);
   }
 };
 
-/// Where a run starts, and where R = I.
+/// Where leg travel is counted from, and where a run starts unless its scenario has another start.
 template <class S>
 Pose<S> home_pose(const Hexapod<S>& hexapod) {
-  return {hexapod.home_position, Pose<S>{}.quaternion};
+  return {hexapod.home_position, hexapod.home_quaternion};
 }
 
 /// Builds the legs and checks that they can hold a platform.
+///
+/// r_p of joints that are given one by one is the RMS distance of the platform's from their mean.
 /// @throws std::invalid_argument naming the scenario key: radii, stroke or force limit not positive, coinciding joints,
 /// a leg of no length, or a geometry whose wrench map is singular at home or at generic poses (sigma_min/sigma_max
 /// below 1e-9), such as regular hexagons joined in cyclic order or a platform similar to its base

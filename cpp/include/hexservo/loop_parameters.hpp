@@ -31,6 +31,8 @@ struct SceneParameters {
   Image<S, N> initial_image;          ///< seen from home [px; m]
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
   Vector<S, N> depth_error;           ///< delta_Z,i [1]
+  Pose<S> start;                      ///< of a run
+  Vector6<S> start_twist;             ///< likewise, in B [m/s; rad/s]
   Pose<S> goal;                       ///< where the assumed points give xi_d; home for laws that do not use it
   Switching<S> switching;
   LoopMode mode = LoopMode::continuous;
@@ -59,6 +61,8 @@ struct SceneParameters {
     v(Field{"initial_image"}, self.initial_image...);
     v(Field{"desired_features"}, self.desired_features...);
     v(Field{"depth_error"}, self.depth_error...);
+    v(Field{"start"}, self.start...);
+    v(Field{"start_twist"}, self.start_twist...);
     v(Field{"goal"}, self.goal...);
     v(Field{"switching"}, self.switching...);
     v(Field{"mode"}, self.mode...);

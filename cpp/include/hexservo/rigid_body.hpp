@@ -11,6 +11,8 @@
 
 #include "hexservo/side_by_side.hpp"
 
+#include <cmath>
+
 namespace hexservo {
 
 /// Mass properties of the platform with its camera, as the controller assumes them.
@@ -18,7 +20,7 @@ template <class S>
 struct RigidBody {
   S mass{0.06};                                                            ///< platform mass [kg], 0.06 (paper)
   Matrix3<S> inertia_E = Vector3<S>(1.5e-4, 1.5e-4, 3.0e-4).asDiagonal();  ///< inertia about E's origin, in E [kg m^2]
-  S gravity{9.8};                                                          ///< acceleration along +z of B [m/s^2], 9.8
+  Vector3<S> gravity = Vector3<S>(S(0.0), S(0.0), S(9.8));  ///< acceleration g in B [m/s^2], 9.8 along +z (paper)
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -102,6 +104,23 @@ Vector6<S> pose_difference(const Pose<S>& to, const Pose<S>& from) {
   difference.template head<3>() = to.position - from.position;
   difference.template tail<3>() = rotation_vector(turn);
   return difference;
+}
+
+/// The pose after a finite displacement (m; rad): the position moves by its first three numbers, and the attitude turns
+/// by the rotation vector of the others, R <- exp([r]x) R, both in B. Inverse of `pose_difference`.
+inline Pose<double> moved(const Pose<double>& pose, const Vector6<double>& displacement) {
+  const Vector3<double> r = displacement.tail<3>();
+  const double angle = r.norm(), half = 0.5 * angle;
+  // sin(x)/x is 1 to rounding for small x, where its quotient would be 0/0.
+  const Vector3<double> v = (angle > 1e-8 ? std::sin(half) / angle : 0.5) * r;
+  const double w = std::cos(half);
+  const Vector4<double>& q = pose.quaternion;
+  const Vector3<double> u = q.tail<3>();
+  Pose<double> next;
+  next.position = pose.position + displacement.head<3>();
+  next.quaternion(0) = w * q(0) - v.dot(u);
+  next.quaternion.tail<3>() = w * u + q(0) * v + v.cross(u);
+  return next;
 }
 
 /// q-dot = 1/2 (0, omega) (x) q with omega in B [rad/s] and q as it stands (docs/model.md, section 1).
@@ -228,11 +247,11 @@ Matrix6<S> coriolis_matrix(const RigidBody<S>& body, const Matrix3<S>& R_BE, con
   return C;
 }
 
-/// G of (1): the wrench that holds the platform at rest, m (0, 0, -g, 0, 0, 0) since z points down [N; N m].
+/// G of (1): the wrench that holds the platform at rest, (-m g; 0) [N; N m]; m (0, 0, -g, 0, 0, 0) where z points down.
 template <class S>
 Vector6<S> gravity_wrench(const RigidBody<S>& body) {
   Vector6<S> G = Vector6<S>::Zero();
-  G(2) = -body.mass * body.gravity;
+  for (int i = 0; i < 3; ++i) G(i) = S(0.0) - body.mass * body.gravity(i);  // 0, not -0, where there is none
   return G;
 }
 
@@ -323,10 +342,10 @@ S kinetic_energy(const RigidBody<S>& body, const Matrix3<S>& R_BE, const Vector6
   return S(0.5) * twist.dot(mass_matrix(body, R_BE) * twist);
 }
 
-/// Potential energy -m g z [J], zero at the height of the base (z points down).
+/// Potential energy -m g . p_BE [J], zero at B's origin.
 template <class S>
 S potential_energy(const RigidBody<S>& body, const Vector3<S>& p_BE) {
-  return -body.mass * body.gravity * p_BE(2);
+  return -body.mass * dot<S>(body.gravity, p_BE);
 }
 
 /// Checks mass, inertia and errors as a user gives them.

@@ -14,7 +14,7 @@
 
 namespace hexservo {
 
-/// Plant, sensors and actuators on the grid of the servo's ticks, from home, at rest.
+/// Plant, sensors and actuators on the grid of the servo's ticks.
 template <class S, int N = kPoints>
 class SampledPlant {
  public:

@@ -127,13 +127,26 @@ struct ControllerSettings {
   }
 };
 
-/// Time grid and logging of a run.
+/// How a run starts.
+struct StartSettings {
+  Vector6<double> pose = Vector6<double>::Zero();   ///< displacement from home, as of `moved`, in B [m; rad], 0
+  Vector6<double> twist = Vector6<double>::Zero();  ///< in B [m/s; rad/s], 0
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"pose", "m; rad"}.entrywise().of_run(), self.pose...);
+    v(Field{"twist", "m/s; rad/s"}.entrywise().of_run(), self.twist...);
+  }
+};
+
+/// Time grid, start and logging of a run.
 struct SimulationSettings {
   LoopMode mode = LoopMode::continuous;
-  double step = 1e-3;       ///< h, or in `sampled` mode the servo period T_c [s], 1e-3
-  long long substeps = 1;   ///< Runge-Kutta steps in a servo period, in `sampled` mode, 1
-  double duration = 5.0;    ///< [s], 5; a whole number of steps
+  double step = 1e-3;      ///< h, or in `sampled` mode the servo period T_c [s], 1e-3
+  long long substeps = 1;  ///< Runge-Kutta steps in a servo period, in `sampled` mode, 1
+  double duration = 5.0;   ///< [s], 5; a whole number of steps
   long long log_every = 1;  ///< steps between logged samples, 1
+  StartSettings start;
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -142,6 +155,7 @@ struct SimulationSettings {
     v(Field{"substeps", "1", {.least = 1.0, .most = 1e6}}.of_pack().of_run().in_sampled_mode(), self.substeps...);
     v(Field{"duration", "s", kPositive}.of_pack().of_run(), self.duration...);
     v(Field{"log_every", "1", {.least = 1.0, .most = 1e9}}.of_pack().of_run(), self.log_every...);
+    v(Field{"start"}, self.start...);
   }
 };
 
@@ -213,6 +227,14 @@ long long step_count(const SimulationSettings& simulation);
 /// @param delay [s]
 /// @throws std::invalid_argument for a gain that is negative or not finite
 SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, double delay);
+
+/// Mass properties as the controller assumes them.
+RigidBody<double> estimated_body(const RobotParameters& robot);
+
+/// Image of the target from a displacement (m; rad) of home, as of `moved` [px]; the goal's image is not used.
+/// @throws std::invalid_argument naming the scenario key: robot, camera or target that are wrong, a camera
+/// `as_printed`, a displacement that is not finite, or that has a point behind the camera
+Vector<double, 2 * kPoints> project_target(const Settings& settings, const Vector6<double>& displacement);
 
 /// Validates a scenario and prepares it for the loop of its law: joints, target points, initial image.
 /// @tparam Law the one that acts

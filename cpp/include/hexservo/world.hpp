@@ -87,10 +87,10 @@ class World {
         points_B_(p.points_B),
         convention_(p.convention) {}
 
-  /// At home, at rest.
+  /// Where a run starts.
   template <class Law>
   WorldState<S, N> start(const LoopParameters<S, Law, N>& p) const noexcept {
-    const auto body = BodyMotion<S>::of(body_state<S>(home_pose(p.hexapod), Vector6<S>::Zero()));
+    const auto body = BodyMotion<S>::of(body_state<S>(p.start, p.start_twist));
     return {body, printed_camera() ? View<S, N>(p.initial_image, rotation_matrix(quaternion_of(body))) : view_of(body)};
   }
 

@@ -350,9 +350,7 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     ValueError
         For any other number of axes.
     """
-    body = _core.RigidBody()
-    body.mass = result.scenario.robot.mass
-    weight = float(body.gravity_wrench[2])
+    weight = float(core_parameters(result.scenario).body.gravity_wrench[2])
     horizontal, vertical, moment = result.wrench[:, :2], result.wrench[:, 2:3], 1e3 * result.wrench[:, 3:]
     mean = _mean_samples(result.time)
     shown = [[horizontal], [vertical, np.array([weight])], [moment], [result.leg_forces]]

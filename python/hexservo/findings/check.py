@@ -72,7 +72,7 @@ def _of_legs(scene: Scene) -> Iterator[str]:
 def _of_goal(scene: Scene) -> Iterator[str]:
     reach = reach_of_start_and_goal(scene.scenario)
     if not reach.start.within:
-        yield f"robot.home_position: the start is out of reach: {_beyond(reach.start)}"
+        yield f"simulation.start.pose: the start is out of reach: {_beyond(reach.start)}"
     if reach.residual > scene.band:
         yield (
             "target.desired_features: no pose with these features was found; the best one leaves "
@@ -93,7 +93,7 @@ def _of_image(scenario: Scenario) -> Iterator[str]:
     scene = scene_of(scenario)
     seen = {
         "target.desired_features: the goal": scene.desired,
-        "target: the start": scene.view(scene.home).features,
+        "target: the start": scene.view(scene.start).features,
     }
     for what, features in seen.items():
         outside = np.flatnonzero((np.abs(features.reshape(4, 2)) > half).any(axis=1)) + 1

@@ -199,9 +199,7 @@ def _platform_motion(result: Result) -> list[Html]:
 
 
 def _wrench(result: Result) -> list[Html]:
-    body = _core.RigidBody()
-    body.mass = result.scenario.robot.mass
-    weight = float(body.gravity_wrench[2])
+    weight = float(core_parameters(result.scenario).body.gravity_wrench[2])
     count = mean_samples(result.time)
     note = ""
     if count > 1:

@@ -29,8 +29,10 @@ from hexservo.scenario.rules import (
     Angle,
     ArrayRule,
     Choice,
+    DisplacementRule,
     File,
     Flag,
+    GravityRule,
     Inertia,
     Integer,
     LineRule,
@@ -47,12 +49,18 @@ from hexservo.scenario.rules import (
     shown_value,
     tupled,
 )
+from hexservo.scenario.tag import Tag, TagRule
 from hexservo.scenario.yaml import ScenarioError
 
 __all__ = ["Actuators", "BaseMotion", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
 
 _DEFAULT_PRESET = "micro"
+_SIDES = ("platform", "base")
 DEFAULT_DEPTH = float(core_default("target.depth"))  # [m], docs/model.md section 4
+
+
+def _circle(side: str) -> tuple[str, str]:
+    return f"{side}_radius", f"{side}_angles"
 
 
 class Robot(Block):
@@ -64,11 +72,16 @@ class Robot(Block):
     """
 
     preset: Annotated[str | None, Choice(tuple(_core.ROBOT_PRESETS), or_null=True)] = None
-    platform_radius: PositiveNumber  # [m], circle of the platform joints
-    base_radius: PositiveNumber  # [m], circle of the base joints
-    platform_angles: Annotated[Vector, ArrayRule((6,), Angle())]  # (6,) [rad], on that circle, in E
-    base_angles: Annotated[Vector, ArrayRule((6,), Angle())]  # (6,) [rad], on that circle, in B
+    # joints on circles about E's and B's origin, or null where they are given one by one
+    platform_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the platform joints
+    base_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the base joints
+    platform_angles: Annotated[Vector | None, ArrayRule((6,), Angle(), or_null=True)]  # (6,) [rad], on it, in E
+    base_angles: Annotated[Vector | None, ArrayRule((6,), Angle(), or_null=True)]  # (6,) [rad], on it, in B
+    platform_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in E
+    base_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in B
     home_position: Annotated[Vector, ArrayRule((3,))]  # (3,) [m], of E's origin in B; z points down
+    home_attitude: Annotated[Vector, ArrayRule((3,), Angle())] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector, in B
+    gravity: Annotated[Vector, GravityRule()] = from_core("robot.gravity")  # (3,) [m/s^2], in B; a number: along +z
     mass: PositiveNumber  # [kg], of the platform
     inertia: Annotated[Vector | Matrix, Inertia()]  # (3,) diagonal or (3, 3) [kg m^2], in E about its origin
     stroke: PositiveNumber  # [m], each leg's travel either way from its home length
@@ -82,12 +95,27 @@ class Robot(Block):
         if not isinstance(data, dict):
             return data
         given = {key: value for key, value in data.items() if value is not None}
+        # Joints given one by one leave no circle.
+        no_circle = {key: None for side in _SIDES if f"{side}_joints" in given for key in _circle(side)}
         preset = given.get("preset")
         if preset is None:
-            return given
+            return {**no_circle, **given}
         # An unknown preset is reported at its own key; any values do to check the others.
         known = isinstance(preset, str) and preset in _core.ROBOT_PRESETS
-        return {**preset_values(preset if known else _DEFAULT_PRESET), **given}
+        return {**preset_values(preset if known else _DEFAULT_PRESET), **no_circle, **given}
+
+    @model_validator(mode="after")
+    def _has_one_form(self) -> Robot:
+        both = [
+            ((key,), f"expected null beside {side}_joints, got {shown_value(map_lists(value, list))}")
+            for side in _SIDES
+            if getattr(self, f"{side}_joints") is not None
+            for key in _circle(side)
+            if (value := getattr(self, key)) is not None
+        ]
+        if both:
+            raise refusal(*both)
+        return self
 
 
 class Camera(Block):
@@ -189,34 +217,50 @@ class BaseMotion(Block):
 class Target(Block):
     """The four points in view of the camera, and their desired image.
 
-    The points are given either by their image from the home pose and their depth, or by their place in B. Features are
-    ordered (x1, y1, ..., x4, y4), in pixels.
+    The points are given by their image from the home pose and their depth, by their place in B, or as the corners of a
+    square tag; the desired image by its features, or as the image of the points from a pose. Features are
+    ordered (x1, y1, ..., x4, y4), in pixels. Tag and pose are read at once: a scenario holds the points and the
+    features that follow from them, and its own ``tag`` and ``desired_pose`` are null.
     """
 
     initial_features: Annotated[Vector | None, ArrayRule((8,), or_null=True)] = None  # (8,) [px], seen from home
-    desired_features: Annotated[Vector, ArrayRule((8,))]  # (8,) [px]
+    # (8,) [px]; null only until a desired pose has been read
+    desired_features: Annotated[Vector, ArrayRule((8,), or_null=True)]
+    # (6,) [m; rad], displacement from home, in B: difference of the positions, rotation vector
+    desired_pose: Annotated[Vector | None, DisplacementRule()] = None
     # [m], distance |Z| along the optical axis from home: one for all points or (4,); 0.5 if not given
     depth: Annotated[float | Vector | None, ArrayRule((4,), POSITIVE, or_number=True, or_null=True)] = None
     points: Annotated[Matrix | None, ArrayRule((4, 3), or_null=True)] = None  # (4, 3) [m], in B
+    tag: Annotated[Tag | None, TagRule()] = None
 
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, data: Any) -> Any:
-        if isinstance(data, dict) and data.get("initial_features") is not None and data.get("points") is None:
-            return {**data, "depth": DEFAULT_DEPTH if data.get("depth") is None else data["depth"]}
-        return data
+        if not isinstance(data, dict):
+            return data
+        if data.get("initial_features") is not None and data.get("points") is None:
+            data = {**data, "depth": DEFAULT_DEPTH if data.get("depth") is None else data["depth"]}
+        return data if data.get("desired_pose") is None else {"desired_features": None, **data}
 
     @model_validator(mode="after")
     def _has_one_form(self) -> Target:
-        forms = "expected either initial_features (8 numbers, px) with depth (m), or points (4x3 numbers, m, in B)"
-        if self.initial_features is None and self.points is None:
-            raise refusal(((), f"{forms}, got neither"))
-        if self.initial_features is not None and self.points is not None:
-            raise refusal(((), f"{forms}, got both; leave one out or set it to null"))
-        if self.points is not None and self.depth is not None:
-            raise refusal(
-                (("depth",), f"expected no depth beside points, got {shown_value(map_lists(self.depth, list))}")
-            )
+        forms = (
+            "expected either initial_features (8 numbers, px) with depth (m), points (4x3 numbers, m, in B), "
+            "or tag (size, pose)"
+        )
+        given = [key for key in ("initial_features", "points", "tag") if getattr(self, key) is not None]
+        if not given:
+            raise refusal(((), f"{forms}, got none of them"))
+        if len(given) > 1:
+            raise refusal(((), f"{forms}, got {' and '.join(given)}; leave one out or set it to null"))
+        if self.initial_features is None and self.depth is not None:
+            depth = shown_value(map_lists(self.depth, list))
+            raise refusal((("depth",), f"expected no depth beside {given[0]}, got {depth}"))
+        goals = [key for key in ("desired_features", "desired_pose") if getattr(self, key) is not None]
+        if not goals:
+            raise refusal((("desired_features",), "expected 8 finite numbers, got null; or desired_pose"))
+        if len(goals) > 1:
+            raise refusal((("desired_pose",), "expected null beside desired_features, got both; leave one out"))
         return self
 
 
@@ -235,6 +279,14 @@ class Uncertainty(Block):
     )
 
 
+class Start(Block):
+    """How a run starts; docs/model.md section 7. The defaults are home, at rest."""
+
+    # (6,) [m; rad], displacement from home, in B: difference of the positions, rotation vector
+    pose: Annotated[Vector, ArrayRule((6,))] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    twist: Annotated[Vector, ArrayRule((6,))] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # (6,) [m/s; rad/s], in B
+
+
 class Simulation(Block):
     """How long and how finely; the step divides the duration."""
 
@@ -245,6 +297,7 @@ class Simulation(Block):
     # in sampled mode: Runge-Kutta steps in a servo period
     substeps: Annotated[int, Integer(1, 10**6), SAMPLED] = from_core("simulation.substeps")
     duration: PositiveNumber = from_core("simulation.duration")  # [s]
+    start: Start = Field(default_factory=Start)
     # steps per logged sample
     log_every: Annotated[int, Integer(1, 10**9)] = from_core("simulation.log_every")
 

@@ -12,7 +12,7 @@ from hexservo.scenario.keys import value_at
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks
 
-__all__ = ["Settings", "core_parameters", "frame_period", "gains_of"]
+__all__ = ["Settings", "core_parameters", "core_settings", "frame_period", "gains_of"]
 
 Settings = _core.Settings
 """A scenario in the core, by dotted keys: ``settings["camera.noise"]``."""
@@ -27,13 +27,19 @@ def core_parameters(scenario: Blocks) -> Settings:
         Text "key: expected ..., got ..." for what only the maths can tell: an inertia that no body has, legs that
         cannot hold a platform, a target behind the camera, features that coincide, a log that does not fit.
     """
+    settings = core_settings(scenario)
+    settings.validate()
+    return settings
+
+
+def core_settings(scenario: Blocks) -> Settings:
+    """Return the core's settings of a scenario, as they are: `core_parameters` checks them."""
     law = scenario.controller.law
     settings = _core.Settings(law)
     for key in _keys(law):
         value = _in_core(key, value_at(scenario, key.name))
         if value is not None:  # null is the core's default
             settings[key.name] = value
-    settings.validate()
     return settings
 
 

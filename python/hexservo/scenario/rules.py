@@ -139,6 +139,38 @@ class ArrayRule(Rule):
 
 
 @dataclass(frozen=True)
+class GravityRule(ArrayRule):
+    """The acceleration of gravity in B; a number is its magnitude, along +z, which points down."""
+
+    shape: tuple[int, ...] = (3,)
+
+    @property
+    def expected(self) -> str:
+        return "3 finite numbers (in B), or a number >= 0 (along +z)"
+
+    def accept(self, value: Any) -> Vector:
+        if is_number(value):
+            return (0.0, 0.0, Number(at_least=0).accept(value))
+        return cast("Vector", super().accept(value))
+
+
+@dataclass(frozen=True)
+class DisplacementRule(Rule):
+    """A pose as its displacement from another, or null; it is read into other keys, and so does not vary in a batch."""
+
+    @property
+    def expected(self) -> str:
+        return "6 finite numbers (m x3, rad x3) or null"
+
+    def accept(self, value: Any) -> Vector | None:
+        if value is None:
+            return None
+        if not isinstance(value, list):
+            self.refuse(value)
+        return cast("Vector", _tuples(value, (6,), Number().accept, self.expected))
+
+
+@dataclass(frozen=True)
 class Inertia(Rule):
     """A symmetric 3x3 matrix; its diagonal where the rest is zero."""
 
@@ -378,8 +410,8 @@ def _tuples(value: list[Any], shape: tuple[int, ...], accept: Callable[[Any], fl
 
 
 def tupled(array: Any) -> Any:
-    """Turn an array of the core into nested tuples of floats."""
-    values = np.asarray(array, dtype=float).tolist()
+    """Turn an array of the core into nested tuples of floats; None stays."""
+    values = None if array is None else np.asarray(array, dtype=float).tolist()
     return map_lists(values, tuple)
 
 

@@ -33,6 +33,7 @@ from hexservo.findings.analysis.loop_of_scenario import (
     loop_with_weights,
     scaled,
 )
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
@@ -220,7 +221,7 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     most = most_frames(at_rest.free)
     if clock.latency > most * clock.period:
         return CameraRate(scenario, f"more than {most} frames are under way at once; take a longer camera.period")
-    radius = scenario.robot.platform_radius
+    radius = scene_of(scenario).platform_radius
     free = loop_margins(at_rest.free, clock, radius, borders=borders)
     smooth = loop_margins(at_rest.smooth, clock, radius, borders=borders) if at_rest.smooth is not None else None
     result = CameraRate(scenario, None, at_rest, clock, free, smooth)

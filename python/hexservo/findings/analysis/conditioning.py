@@ -84,7 +84,7 @@ def analyse(scenario: Scenario) -> Conditioning:
     """Decompose the image Jacobian at the start and at the goal, and search for better places of the points."""
     scene = scene_of(scenario)
     goals = find_goals(scene)
-    start = scene.view(scene.home)
+    start = scene.view(scene.start)
     return Conditioning(
         scene=scene,
         start=sight("start", start, start.mean_depth),

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.goal import SHOWN, find_goals
-from hexservo.findings.analysis.scene import WIDER, Scene, scene_of
+from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
 from hexservo.findings.part import Part
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array, Mask
@@ -187,7 +187,7 @@ class _Trial:
         # the short duration, unless the task itself needs the longer one
         self.longer = min(own, _whole(_LONG, step))
         self.duration = min(own, _whole(_SHORT, step))
-        self.scenario = scenario.updated({"simulation.duration": self.duration})
+        self.scenario = scenario.updated({**AT_HOME, "simulation.duration": self.duration})
         self.task_settles = self._task_settles()
         if not self.task_settles and self.duration < self.longer:
             short, self.scenario = self.scenario, self.longest()

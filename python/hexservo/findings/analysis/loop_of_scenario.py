@@ -18,7 +18,7 @@ from hexservo.findings.analysis.linear_law import (
     rest_of,
 )
 from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
-from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.analysis.scene import AT_HOME, scene_of
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import frame_period
@@ -69,6 +69,7 @@ def quiet(scenario: Scenario) -> Scenario:
         Where the camera's times are no whole numbers of ticks.
     """
     changes: dict[str, Any] = {
+        **AT_HOME,
         "simulation.mode": "sampled",
         "camera.latency_jitter": 0.0,
         "camera.timeout": None,
@@ -290,7 +291,7 @@ def growth(
         # Forward kinematics of legs of some metres may miss its tolerance: no statement on stability.
         lost = result.outcome == "solver_failed" and np.max(np.abs(result.feature_error[-1])) < 1.0
         return np.nan if lost else np.inf
-    twist = result.twist[::every] * np.repeat([1.0, scenario.robot.platform_radius], 3)
+    twist = result.twist[::every] * np.repeat([1.0, scene.platform_radius], 3)
     for multiplier in [*without, *([1.0, 1.0] if angle > 1e-3 else [])]:
         twist = twist[1:] - multiplier * twist[:-1]
     turned = twist * np.exp(-1j * angle * np.arange(len(twist)))[:, None]

@@ -80,7 +80,7 @@ def reach_of_start_and_goal(scenario: Scenario) -> StartAndGoal:
 
     goals = find_goals(scene)
     if goals is None:
-        return StartAndGoal(at(scene.home), None, None, float("nan"))
+        return StartAndGoal(at(scene.start), None, None, float("nan"))
     goal = at(goals.best.view.pose)
     nearest = goal if goal.within else at(goals.nearest.view.pose)
-    return StartAndGoal(at(scene.home), goal, nearest, goals.best.largest_residual)
+    return StartAndGoal(at(scene.start), goal, nearest, goals.best.largest_residual)

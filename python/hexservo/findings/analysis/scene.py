@@ -14,10 +14,13 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["WIDER", "Scene", "View", "scene_of"]
+__all__ = ["AT_HOME", "WIDER", "Scene", "View", "scene_of"]
 
 # Half widths of the region about home that is searched beside the workspace [mean depth; rad].
 WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
+
+# Changes of a scenario whose run starts at home, at rest, whatever start it has.
+AT_HOME = {"simulation.start.pose": [0.0] * 6, "simulation.start.twist": [0.0] * 6}
 
 _NEAR = 0.02  # of the depth of home's nearest point: no search takes a point closer to the camera than this
 
@@ -52,9 +55,11 @@ class Scene:
         self.probe = _core.Probe(self.settings)
         self.camera = self.settings.camera
         self.hexapod = _core.Hexapod(self.settings.robot)
-        self.home = Poses(np.array(self.hexapod.home_position), np.array([1.0, 0.0, 0.0, 0.0]))
+        self.home = Poses(np.array(self.hexapod.home_position), np.array(self.hexapod.home_quaternion))
+        # where a run starts: home, unless the scenario has another start
+        self.start = self.home.moved(np.array(self.settings["simulation.start.pose"]))
         self.desired: Array = self.settings["target.desired_features"]  # (8,) [px]
-        self.platform_radius: float = self.settings["robot.platform_radius"]  # [m]
+        self.platform_radius: float = self.hexapod.platform_radius  # [m]
         self.stroke: float = self.settings["robot.stroke"]  # [m]
         self.band: float = self.settings["metrics.band"]  # [px], of settling
         from_home = np.abs(self._image_of_home()[1])
@@ -82,16 +87,15 @@ class Scene:
     @cached_property
     def body(self) -> _core.RigidBody:
         """The platform's estimated mass properties."""
-        body = _core.RigidBody()
-        body.mass, body.inertia = self.settings["robot.mass"], self.settings["robot.inertia"]
-        return body
+        return self.settings.body
 
     def points_seen_as(self, features: Array, depth: Array) -> Array:
         """Return points in B, (4, 3) [m], with this image from home: features (8,) [px], depth (4,) [m], negative."""
         beside = np.column_stack([np.ones((4, 2)), depth])  # in E, one metre off the axis each way
-        scale, _ = _core.take_image(self.camera, self.home.position, self.home.quaternion, self.home.position + beside)
+        level = np.array([1.0, 0.0, 0.0, 0.0])
+        scale, _ = _core.take_image(self.camera, np.zeros(3), level, beside)
         lateral = features.reshape(4, 2) / scale.reshape(4, 2)
-        return self.home.position + np.column_stack([lateral, depth])
+        return self.home.carried(np.column_stack([lateral, depth]))
 
     def _image_of_home(self) -> tuple[Array, Array]:
         """Return the true features (8,) [px] and Z (4,) [m] at the start."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.rest import RestLaw
-from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.analysis.scene import AT_HOME, Scene
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array, Mask
@@ -65,6 +65,7 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
     duration = max(1, min(_STEPS, round(steps))) * scenario.simulation.step
     name = scenario.controller.law
     changes: dict[str, Any] = {
+        **AT_HOME,
         "simulation.duration": duration,
         "simulation.log_every": 1,
         f"controller.{name}.fuzzy.enabled": fuzzy,

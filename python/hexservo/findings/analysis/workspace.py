@@ -86,7 +86,7 @@ def analyse(scenario: Scenario) -> Workspace:
     none = np.zeros((RANDOM, 3))
     ends = _reaches(scene, np.vstack([units, np.hstack([sideways, none]), np.hstack([none, sideways])]))
     shifts, turns = ends[len(units) : -RANDOM], ends[-RANDOM:]
-    start = _place(scene, "start", scene.home)
+    start = _place(scene, "start", scene.start)
     goal = None if goals is None else _place(scene, "goal", goals.best.view.pose)
     centre = goal or start
     around = _neighbourhood(scene, centre.pose, random)
@@ -101,7 +101,7 @@ def analyse(scenario: Scenario) -> Workspace:
         axes=tuple(ends[: len(units)]),
         least_shift=min(shifts, key=lambda end: end.distance),
         least_turn=min(turns, key=lambda end: end.distance),
-        way_margin=np.empty(0) if goals is None else _way_margin(scene, goals.best.displacement),
+        way_margin=np.empty(0) if goals is None else _way_margin(scene, goals.best.view.pose),
         neighbourhood_singularity=min([place.singularity for place in near], default=centre.singularity),
         neighbourhood_force=max(float(np.abs(place.actual_forces).max()) for place in [*near, centre]),
         map_x=x,
@@ -184,8 +184,9 @@ def _neighbourhood(scene: Scene, centre: Poses, random: np.random.Generator) -> 
     return poses[scene.stroke_left(poses) >= 0]
 
 
-def _way_margin(scene: Scene, displacement: Array) -> Array:
-    return scene.stroke_left(scene.home.moved(np.linspace(0.0, 1.0, WAY)[:, None] * displacement))
+def _way_margin(scene: Scene, goal: Poses) -> Array:
+    displacement = goal.displacement_from(scene.start)
+    return scene.stroke_left(scene.start.moved(np.linspace(0.0, 1.0, WAY)[:, None] * displacement))
 
 
 def _margin_map(scene: Scene, centre: Poses) -> tuple[Array, Array, Array]:

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Judgement, Record
 from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
 from hexservo.findings.diagnosis.model import Case
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.wording import number
 
 __all__ = ["SIGNATURES", "Signature"]
@@ -73,13 +74,16 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
 
 
 def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
+    weight = np.array(core_parameters(case.scenario).body.gravity_wrench[:3])  # what holds it points up
+    if not weight.any():
+        return Signature(0.0, "There is no gravity.")
+    main = int(np.abs(weight).argmax())
     moved = record.samples["position"] - record.samples["position"][0]
-    rise = -moved[np.argmax(np.abs(moved[:, 2])), 2]
+    height = moved @ (weight / np.linalg.norm(weight))
+    rise = height[np.argmax(np.abs(height))]
     share = float(abs(rise)) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
-    error = float(np.broadcast_to(case.scenario.uncertainty.gravity, 6)[2])  # the weight has no other entry
-    body = _core.RigidBody()
-    body.mass = case.scenario.robot.mass
-    excess = abs(error * body.gravity_wrench[2])
+    error = float(np.broadcast_to(case.scenario.uncertainty.gravity, 6)[main])
+    excess = abs(error * weight[main])
     sentence = (
         f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {number(abs(rise) * 1e3)} mm; "
         f"the weight fed forward is {number(excess)} N too {'large' if error > 0.0 else 'small'}."
@@ -102,7 +106,7 @@ def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
     law = case.scenario.controller.law
     if not _core.LAW_TRAITS[law].memory:
         return Signature(0.0, "")
-    scale = np.repeat([1.0, 1.0 / case.scenario.robot.platform_radius], 3)
+    scale = np.repeat([1.0, 1.0 / scene_of(case.scenario).platform_radius], 3)
     held = math.hypot(*(scale * record.samples["fuzzy_output"][-1]))  # no square of it overflows
     friction = math.hypot(*(scale * np.broadcast_to(getattr(case.scenario.controller, law).kv, 6)))
     sentence = (

@@ -130,9 +130,9 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
     camera, features, depth = seen_from_home(scenario)
     distance = float(np.abs(depth).mean())
     corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
-    home = np.asarray(scenario.robot.home_position, dtype=float)
-    points = home + distance * (_SPREAD * corners - [0.0, 0.0, 1.0])
-    start, start_depth = _core.take_image(camera, home, [1.0, 0.0, 0.0, 0.0], points)
+    home = scene_of(scenario).home
+    points = home.carried(distance * (_SPREAD * corners - [0.0, 0.0, 1.0]))
+    start, start_depth = _core.take_image(camera, home.position, home.quaternion, points)
     end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
     gain = pixels_per_metre(camera, start, start_depth) / pixels_per_metre(camera, features, depth)
     changes: dict[str, Any] = {"target.desired_features": end.tolist()}

@@ -1,0 +1,160 @@
+"""Image and reach of single poses: ``hs.project`` and ``hs.reachable``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Reachability", "project", "reachable"]
+
+_ON_THE_EDGE = 1e-9  # of the stroke: a nearest pose may be so far beyond it
+
+
+@dataclass(frozen=True, eq=False)
+class Reachability:
+    """Whether the legs take the platform to a pose, what limits them there, and the nearest pose that they reach."""
+
+    within: bool
+    limit: Literal["stroke", "singularity"]  # that binds, or is nearest
+    leg: int  # nearest to its limit or farthest beyond it, 1 to 6
+    margin: float  # remaining travel of that leg [m]; negative beyond the stroke
+    singularity: float  # smallest singular value of H there, moments divided by r_p [1]
+    pose: Array  # (6,) that was asked for, displacement from home in B [m; rad]
+    nearest: Array  # (6,) nearest pose within reach that was found, likewise; `pose` where that is within
+    distance: float  # sqrt(|shift|^2 + (r_p |turn|)^2) from `pose` to `nearest` [m]
+
+    def __str__(self) -> str:
+        """Return one sentence."""
+        if self.within:
+            return f"within reach: leg {self.leg} has {1e3 * self.margin:.3g} mm of its travel left"
+        why = (
+            f"leg {self.leg} would be {-1e3 * self.margin:.3g} mm beyond its stroke"
+            if self.limit == "stroke"
+            else "a singular pose lies between home and there"
+        )
+        return f"out of reach: {why}; the nearest pose within is {1e3 * self.distance:.3g} mm away"
+
+
+def project(scenario: Scenario, pose: ArrayLike) -> Array:
+    """Return the image of a scenario's target from a pose.
+
+    Parameters
+    ----------
+    scenario
+        Its camera and target; a camera that projects (`eye_in_hand`).
+    pose
+        (..., 6) displacement from home, in B: difference of the positions [m], rotation vector [rad].
+
+    Returns
+    -------
+    Array
+        (..., 8) true features (x1, y1, ...) [px] by (4) of docs/model.md; NaN where a point is not in front of the
+        camera.
+
+    Raises
+    ------
+    ValueError
+        For poses that are not six finite numbers each, and for a camera `as_printed`, which has no points.
+    """
+    moves = _displacements(pose, (...,))
+    scene = scene_of(scenario)
+    poses = scene.home.moved(moves)
+    features, depth = scene.probe.image(poses.rows.position, poses.rows.quaternion)
+    seen = np.asarray((depth < 0).all(axis=1))[:, None]
+    return np.asarray(np.where(seen, features, np.nan).reshape(*moves.shape[:-1], -1))
+
+
+def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
+    """Return whether the legs of a scenario's robot reach a pose, and the nearest pose that they do.
+
+    A pose is within reach where every leg is within its stroke and the wrench map has the orientation of home (the sign
+    of its determinant). The nearest one is a local minimum of sqrt(|shift|^2 + (r_p |turn|)^2), found by sequential
+    quadratic programming from the last reachable pose on the straight way from home; it may miss a nearer one.
+
+    Parameters
+    ----------
+    scenario
+        Its robot.
+    pose
+        (6,) displacement from home, in B: difference of the positions [m], rotation vector [rad].
+
+    Raises
+    ------
+    ValueError
+        For a pose that is not six finite numbers.
+    """
+    wanted = _displacements(pose, ())
+    scene = scene_of(scenario)
+    there = scene.home.moved(wanted)
+    travel = scene.leg_travel(there)
+    leg = int(np.abs(travel).argmax())
+    margin = float(scene.stroke - abs(travel[leg]))
+    within = bool(scene.reachable(there.rows)[0])
+    found = wanted if within else _nearest(scene, wanted)
+    return Reachability(
+        within=within,
+        limit="singularity" if not within and margin >= 0 else "stroke",
+        leg=leg + 1,
+        margin=margin,
+        singularity=float(scene.hexapod.singular_values(there.position, there.quaternion)[-1]),
+        pose=wanted,
+        nearest=found,
+        distance=_distance(scene, wanted, found),
+    )
+
+
+def _displacements(pose: ArrayLike, lead: tuple[object, ...]) -> Array:
+    moves = np.asarray(pose, dtype=float)
+    if moves.shape[-1:] != (6,) or (not lead and moves.ndim != 1) or not np.isfinite(moves).all():
+        raise ValueError(
+            f"pose: expected {'(..., 6)' if lead else '6'} finite numbers (m x3, rad x3), got shape {moves.shape}"
+            + ("" if np.isfinite(moves).all() else " with numbers that are not finite")
+        )
+    return moves
+
+
+def _distance(scene: Scene, one: Array, other: Array) -> float:
+    """Return the distance between displacements of home [m]: that of the poses, not of the numbers."""
+    between = scene.home.moved(one).displacement_from(scene.home.moved(other))
+    return float(np.linalg.norm(between * np.repeat([1.0, scene.platform_radius], 3)))
+
+
+def _nearest(scene: Scene, wanted: Array) -> Array:
+    """Minimise the distance to a pose within the legs' stroke, on home's side of the singular poses."""
+    from scipy.optimize import minimize
+
+    metric = np.repeat([1.0, scene.platform_radius], 3)  # [m; m/rad]
+    shares = np.linspace(0.0, 1.0, 201)
+    good = scene.reachable(scene.home.moved(shares[:, None] * wanted))
+    start = np.asarray(shares[max(0, int(np.argmin(good)) - 1)] * wanted)
+    target = scene.home.moved(wanted)
+
+    def away(x: Array) -> float:  # in units of the stroke, squared
+        between = target.displacement_from(scene.home.moved(x / metric * scene.stroke))
+        return float(((between * metric / scene.stroke) ** 2).sum())
+
+    def room(x: Array) -> Array:  # (12,), in units of the stroke
+        travel = scene.leg_travel(scene.home.moved(x / metric * scene.stroke)) / scene.stroke
+        return np.concatenate([1.0 - travel, 1.0 + travel])
+
+    best = minimize(
+        away,
+        start * metric / scene.stroke,
+        method="SLSQP",
+        constraints=[{"type": "ineq", "fun": room}],
+        options={"maxiter": 200, "ftol": 1e-12},
+    )
+    # A step of the search ends beyond the border by its tolerance: back towards home until it is within.
+    found = np.asarray(best.x) / metric * scene.stroke
+    for share in (1.0, *(1.0 - np.geomspace(_ON_THE_EDGE, 0.5, 40))):
+        if scene.reachable(scene.home.moved(share * found).rows)[0]:
+            nearer = _distance(scene, wanted, share * found) < _distance(scene, wanted, start)
+            return np.asarray(share * found) if nearer else start
+    return start

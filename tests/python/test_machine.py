@@ -1,0 +1,315 @@
+"""Machines other than the presets: joints anywhere, home turned, gravity tilted, a start and a goal given as poses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.scenario.parameters import core_parameters
+
+Array = NDArray[np.float64]
+
+SEED = 20261122
+# A law without preferred directions: the loop is the same in any frame.
+ISOTROPIC = {
+    "controller.law": "kelly",
+    "controller.kelly.kd": [1.2] * 3 + [0.02] * 3,
+    "simulation.duration": 1.0,
+}
+POINTS = [[0.03, 0.02, -0.7], [0.06, -0.06, -0.62], [-0.04, 0.03, -0.66], [-0.01, -0.02, -0.64]]
+NO_IMAGE = {"initial_features": None, "depth": None}  # for points in their place
+GOAL = [0.004, -0.003, 0.005, 0.02, -0.03, 0.04]  # [m; rad]
+
+
+@pytest.fixture(scope="module")
+def paper() -> hs.Scenario:
+    return hs.load_scenario("paper")
+
+
+def matrix(quaternion: Array) -> Array:
+    return np.asarray(Rotation.from_quat(quaternion[..., [1, 2, 3, 0]]).as_matrix())
+
+
+def joints(scenario: hs.Scenario) -> tuple[Array, Array]:
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    return np.array(hexapod.platform_joints), np.array(hexapod.base_joints)
+
+
+def test_joints_on_circles_may_be_given_one_by_one(paper: hs.Scenario) -> None:
+    platform, base = joints(paper)
+    same = paper.updated({"robot.platform_joints": platform, "robot.base_joints": base})
+    assert (same.robot.platform_radius, same.robot.base_angles) == (None, None)
+    one, other = hs.simulate(paper), hs.simulate(same)
+    for name in ("feature_error", "position", "wrench", "leg_forces"):
+        # r_p is the joints' RMS distance from their mean, the radius up to rounding.
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0, atol=1e-9)
+
+
+def test_a_turned_world_has_the_same_run() -> None:
+    """Everything in B turned alike: joints, home, gravity, points. The image cannot tell, and the pose turns along."""
+    print("seed", SEED)
+    random = np.random.default_rng(SEED)
+    turn = Rotation.from_rotvec(random.uniform(-1.0, 1.0, 3))
+    level = hs.load_scenario("paper").updated(
+        {
+            **ISOTROPIC,
+            "target": {**NO_IMAGE, "points": POINTS},
+            "uncertainty.inertia": 0.0,  # entry by entry in B, so not the same in every frame
+            "uncertainty.coriolis": 0.0,
+            "robot.home_attitude": [0.05, -0.1, 0.2],
+            "robot.inertia": [[1.5e-4, 1e-5, 0], [1e-5, 1.2e-4, -2e-5], [0, -2e-5, 2e-4]],
+        }
+    )
+    platform, base = joints(level)
+    turned = level.updated(
+        {
+            "robot.platform_joints": platform,
+            "robot.base_joints": turn.apply(base),
+            "robot.home_position": turn.apply(level.robot.home_position),
+            "robot.home_attitude": (turn * Rotation.from_rotvec(level.robot.home_attitude)).as_rotvec(),
+            "robot.gravity": turn.apply(level.robot.gravity),
+            "target.points": turn.apply(POINTS),
+        }
+    )
+    one, other = hs.simulate(level), hs.simulate(turned)
+    assert one.outcome == other.outcome == "completed"
+    moved = np.abs(one.position - one.position[0]).max()
+    assert moved > 1e-3
+    # some thousand steps of rounding errors of 1e-16, on a loop that forgets them
+    np.testing.assert_allclose(other.feature_error, one.feature_error, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(other.position, turn.apply(one.position), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(matrix(other.quaternion), turn.as_matrix() @ matrix(one.quaternion), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(other.leg_forces, one.leg_forces, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(other.wrench[:, :3], turn.apply(one.wrench[:, :3]), rtol=0, atol=1e-10)
+
+
+def test_legs_of_joints_anywhere() -> None:
+    """Lengths by their definition, and H by finite differences of them."""
+    random = np.random.default_rng(SEED)
+    robot = _core.robot_preset("micro")
+    robot.platform_joints = np.array(_core.Hexapod(robot).platform_joints) + random.uniform(-0.03, 0.03, (6, 3))
+    robot.base_joints = np.array(_core.Hexapod(robot).base_joints) + random.uniform(-0.05, 0.05, (6, 3))
+    hexapod = _core.Hexapod(robot)
+    platform = np.array(robot.platform_joints)
+    spread = platform - platform.mean(axis=0)
+    assert hexapod.platform_radius == pytest.approx(np.sqrt((spread**2).sum() / 6), rel=1e-15)
+    for _ in range(20):
+        position, turn = robot.home_position + random.uniform(-0.03, 0.03, 3), random.uniform(-0.3, 0.3, 3)
+
+        def lengths(displacement: Array, position: Array = position, turn: Array = turn) -> Array:
+            attitude = Rotation.from_rotvec(displacement[3:]) * Rotation.from_rotvec(turn)
+            ends = position + displacement[:3] + attitude.apply(platform)
+            return np.asarray(np.linalg.norm(ends - robot.base_joints, axis=1))
+
+        quaternion = Rotation.from_rotvec(turn).as_quat()[[3, 0, 1, 2]]
+        np.testing.assert_allclose(hexapod.leg_lengths(position, quaternion), lengths(np.zeros(6)), rtol=1e-15, atol=0)
+        h = 1e-4  # differences of the fourth order: error h^4, rounding 1e-16/h
+        rates = np.stack(
+            [
+                (8 * (lengths(h * e) - lengths(-h * e)) - (lengths(2 * h * e) - lengths(-2 * h * e))) / (12 * h)
+                for e in np.eye(6)
+            ]
+        )
+        np.testing.assert_allclose(hexapod.wrench_map(position, quaternion), rates, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("law", ["hybrid", "kelly", "resolved_rate"])
+def test_a_start_is_a_home_elsewhere(paper: hs.Scenario, law: str) -> None:
+    """These laws do not ask where home is: a run from a displaced start is one of a machine at home there."""
+    changes = {
+        "controller.law": law,
+        "simulation.duration": 0.2,
+        "target": {**NO_IMAGE, "points": POINTS},
+        "uncertainty.depth": 0.0,
+        "robot.stroke": 0.1,
+    }
+    start = np.array([0.002, -0.003, 0.004, 0.03, -0.02, 0.05])
+    displaced = paper.updated({**changes, "simulation.start.pose": start})
+    elsewhere = paper.updated(
+        {
+            **changes,
+            "robot.home_position": np.array(paper.robot.home_position) + start[:3],
+            "robot.home_attitude": start[3:],
+        }
+    )
+    one, other = hs.simulate(displaced), hs.simulate(elsewhere)
+    np.testing.assert_array_equal(one.feature_error, other.feature_error)
+    np.testing.assert_array_equal(one.position, other.position)
+    travel = np.abs(one.leg_lengths - _core.Hexapod(core_parameters(paper).robot).home_lengths).max()
+    assert hs.metrics(one)["peak_leg_excursion"] == pytest.approx(travel)  # counted from home
+
+
+@pytest.mark.parametrize("mode", ["continuous", "sampled"])
+def test_a_start_in_motion(paper: hs.Scenario, mode: str) -> None:
+    twist = np.array([0.02, -0.01, 0.03, 0.2, -0.1, 0.3])
+    run = hs.simulate(paper.updated({"simulation.mode": mode, "simulation.start.twist": twist}))
+    np.testing.assert_array_equal(run.twist[0], twist)
+    h = paper.simulation.step
+    acceleration = np.abs(np.diff(run.twist[:2], axis=0)).max() / h
+    np.testing.assert_allclose(run.position[1] - run.position[0], h * twist[:3], rtol=0, atol=acceleration * h * h)
+
+
+def test_starts_of_a_batch_are_those_of_single_runs(paper: hs.Scenario) -> None:
+    scenario = paper.updated({"controller.law": "kelly", "simulation.duration": 0.2, "simulation.log_every": 50})
+    starts = np.random.default_rng(SEED).uniform(-3e-3, 3e-3, (5, 6))
+    batch = hs.simulate_batch(scenario, {"simulation.start.pose": starts}, log="trajectory")
+    for k, start in enumerate(starts):
+        one = hs.simulate(scenario.updated({"simulation.start.pose": start}))
+        np.testing.assert_allclose(batch.samples["feature_error"][k], one.feature_error, rtol=0, atol=1e-9)
+
+
+def test_a_goal_pose_is_reached(paper: hs.Scenario) -> None:
+    """Its image is the goal, and without model errors the law takes the platform there."""
+    scenario = paper.updated(
+        {
+            "controller.law": "pbvs",
+            "target": {
+                "initial_features": None,
+                "depth": None,
+                "points": POINTS,
+                "desired_features": None,
+                "desired_pose": GOAL,
+            },
+            "uncertainty": {"depth": 0.0, "inertia": 0.0, "coriolis": 0.0},
+            "robot.home_attitude": [0.1, 0.05, -0.2],
+        }
+    )
+    assert scenario.target.desired_pose is None  # read into the features
+    np.testing.assert_allclose(hs.project(scenario, GOAL), scenario.target.desired_features, rtol=0, atol=1e-11)
+    end = hs.simulate(scenario)
+    home = Rotation.from_rotvec(scenario.robot.home_attitude)
+    np.testing.assert_allclose(end.position[-1] - scenario.robot.home_position, GOAL[:3], rtol=0, atol=1e-7)
+    turn = Rotation.from_matrix(matrix(end.quaternion[-1])) * home.inv()
+    np.testing.assert_allclose(turn.as_rotvec(), GOAL[3:], rtol=0, atol=1e-6)
+    assert hs.Scenario.from_yaml(scenario.to_yaml()) == scenario
+
+
+def test_projection_by_its_definition(paper: hs.Scenario) -> None:
+    scenario = paper.updated(
+        {
+            "target": {**NO_IMAGE, "points": POINTS},
+            "robot.home_attitude": [0.1, 0.05, -0.2],
+        }
+    )
+    poses = np.random.default_rng(SEED).uniform(-0.05, 0.05, (7, 6))
+    features = hs.project(scenario, poses)
+    assert features.shape == (7, 8)
+    for pose, seen in zip(poses, features, strict=True):
+        attitude = Rotation.from_rotvec(pose[3:]) * Rotation.from_rotvec(scenario.robot.home_attitude)
+        x, y, z = attitude.inv().apply(np.array(POINTS) - scenario.robot.home_position - pose[:3]).T
+        f = scenario.camera.focal_length * scenario.camera.pixel_scale
+        np.testing.assert_allclose(seen, np.column_stack([-f * x / z, -f * y / z]).ravel(), rtol=0, atol=1e-10)
+    assert np.isnan(hs.project(scenario, [0, 0, -1.0, 0, 0, 0])).all()  # beyond the target
+
+
+def test_a_tag_is_its_corners(paper: hs.Scenario) -> None:
+    tag: dict[str, Any] = {"size": 0.08, "pose": [0.01, 0.02, -0.65, 0.1, 0.2, 0.3]}
+    scenario = paper.updated({"target": {**NO_IMAGE, "tag": tag}})
+    square = 0.04 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    expected = np.array(tag["pose"][:3]) + Rotation.from_rotvec(tag["pose"][3:]).apply(square)
+    np.testing.assert_allclose(np.array(scenario.target.points), expected, rtol=0, atol=1e-16)
+    assert scenario.target.tag is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"robot.platform_joints": np.zeros((6, 3))}, "robot.platform_joints: expected joints at different places"),
+        ({"robot.platform_joints": np.ones((5, 3))}, "robot.platform_joints: expected 6x3 finite numbers"),
+        ({"robot.base_joints": np.ones((6, 3)), "robot.base_radius": 0.2}, "robot.base_radius: expected null beside"),
+        ({"robot.home_attitude": [0, 0, 90]}, "robot.home_attitude[2]: expected a number within +-2 pi"),
+        ({"robot.gravity": -9.8}, "robot.gravity: expected a number >= 0"),
+        ({"simulation.start.pose": [0, 0, -0.6, 0, 0, 0]}, "simulation.start.pose: expected a pose from which every"),
+        ({"simulation.start.pose": [0.3, 0, 0, 0, 0, 0]}, ""),
+        (
+            {"camera.convention": "as_printed", "simulation.start.pose": [1e-3] * 6},
+            "simulation.start.pose: expected zeros",
+        ),
+        ({"target.desired_pose": GOAL}, "target.desired_pose: expected null beside desired_features"),
+        ({"target.desired_features": None}, "target.desired_features: expected 8 finite numbers, got null"),
+        (
+            {"target": {"desired_features": None, "desired_pose": [0, 0, -1, 0, 0, 0]}},
+            "target.desired_pose: expected a pose from which every point is in front",
+        ),
+        (
+            {
+                "target": {
+                    "initial_features": None,
+                    "depth": None,
+                    "tag": {"size": 0.1, "pose": [0, 0, -0.6, 3.1, 0, 0]},
+                }
+            },
+            "target.tag.pose: expected a tag whose front",
+        ),
+        (
+            {"target": {**NO_IMAGE, "tag": {"size": 0.1}}},
+            "target.tag: expected size (a number > 0, m) and pose",
+        ),
+    ],
+)
+def test_refusals(paper: hs.Scenario, changes: dict[str, Any], message: str) -> None:
+    if not message:  # a start far off is allowed: the legs' limits are reported, not enforced
+        paper.updated(changes)
+        return
+    with pytest.raises(hs.ScenarioError) as caught:
+        paper.updated(changes)
+    assert str(caught.value).startswith(message), caught.value
+
+
+def test_a_radius_beside_joints_does_not_vary(paper: hs.Scenario) -> None:
+    placed = paper.updated({"robot.platform_joints": joints(paper)[0]})
+    with pytest.raises(ValueError, match=r"robot.platform_radius"):
+        hs.simulate_batch(placed, {"robot.platform_radius": [0.1, 0.11]})
+
+
+def test_the_nearest_reachable_pose_by_brute_force(paper: hs.Scenario) -> None:
+    """No pose within reach among many around the nearest one is nearer; and it is within reach, at the stroke's end."""
+    print("seed", SEED)
+    random = np.random.default_rng(SEED)
+    radius, stroke = paper.robot.platform_radius, paper.robot.stroke
+    assert radius is not None
+    metric = np.repeat([1.0, radius], 3)
+    hexapod = _core.Hexapod(core_parameters(paper).robot)
+
+    def travel(pose: Array) -> float:
+        position = np.array(paper.robot.home_position) + pose[:3]
+        quaternion = Rotation.from_rotvec(pose[3:]).as_quat()[[3, 0, 1, 2]]
+        return float(np.abs(hexapod.leg_lengths(position, quaternion) - hexapod.home_lengths).max())
+
+    def distance(one: Array, other: Array) -> float:
+        turn = Rotation.from_rotvec(one[3:]) * Rotation.from_rotvec(other[3:]).inv()
+        return float(np.linalg.norm(metric * np.concatenate([one[:3] - other[:3], turn.as_rotvec()])))
+
+    for _ in range(6):
+        wanted = random.normal(size=6) * np.repeat([0.03, 0.3], 3)
+        found = hs.reachable(paper, wanted)
+        assert found.margin == pytest.approx(stroke - travel(wanted), abs=1e-15)
+        if found.within:
+            assert travel(wanted) <= stroke
+            continue
+        assert "out of reach" in str(found)
+        assert travel(found.nearest) <= stroke * (1 + 1e-12)
+        assert travel(found.nearest) >= stroke * (1 - 1e-4)
+        assert found.distance == pytest.approx(distance(wanted, found.nearest), rel=1e-9)
+        # Poses nearer than that by 0.1 %: towards what was asked for, and in all directions about it.
+        for size in (0.02, 0.2, 1.0):
+            for _ in range(300):
+                ball = random.normal(size=6)
+                ball *= 0.999 * found.distance * random.uniform() ** (1 / 6) / np.linalg.norm(ball)
+                near = found.nearest + size * (wanted + ball / metric - found.nearest)
+                if distance(wanted, near) < 0.999 * found.distance:
+                    assert travel(near) > stroke
+
+
+def test_poses_of_the_wrong_shape_are_refused(paper: hs.Scenario) -> None:
+    for function in (hs.project, hs.reachable):
+        with pytest.raises(ValueError, match=r"^pose: expected .*6"):
+            function(paper, [1.0, 2.0])
+        with pytest.raises(ValueError, match="not finite"):
+            function(paper, [np.nan] * 6)
