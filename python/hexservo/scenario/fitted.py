@@ -19,6 +19,7 @@ from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.laws import LAWS, Auto
 from hexservo.scenario.parameters import Settings, core_parameters
+from hexservo.scenario.placing import read_target
 from hexservo.scenario.plain import plain, put
 
 __all__ = [
@@ -113,7 +114,9 @@ def machine_with(scenario: Blocks, changes: Mapping[str, Any]) -> Machine:
 def _nominal(scenario: Blocks, law: str = "kelly", **gains: Any) -> Settings:
     """Return the core's settings without uncertainties and devices."""
     blocks = {name: getattr(scenario, name) for name in _BLOCKS}
-    return core_parameters(Blocks.model_validate({**blocks, "controller": {"law": law, law: gains}}))
+    nominal = Blocks.model_validate({**blocks, "controller": {"law": law, law: gains}})
+    read_target(nominal)
+    return core_parameters(nominal)
 
 
 def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Array, Array]:
@@ -121,7 +124,8 @@ def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Arr
 
     The law `pbvs` with unit stiffness gives the displacement from home to the goal as a wrench, beside the weight.
     """
-    position, quaternion = settings["robot.home_position"][None], np.array([[1.0, 0.0, 0.0, 0.0]])
+    home = _core.Hexapod(settings.robot)
+    position, quaternion = np.array(home.home_position)[None], np.array(home.home_quaternion)[None]
     if settings["camera.convention"] == "as_printed":
         return quaternion, -settings["target.depth"][None]
     features, depth = probe.image(position, quaternion)
@@ -134,7 +138,9 @@ def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Arr
     _, _, weight = asked.estimated_wrenches(quaternion, still, still)
     shift, turn = np.split((wrench - weight)[0], 2)
     angle = float(np.linalg.norm(turn))
-    quaternion = np.array([[np.cos(angle / 2), *(np.sinc(angle / (2 * np.pi)) / 2 * turn)]])
+    w, v = np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * turn
+    q, u = quaternion[0, 0], quaternion[0, 1:]
+    quaternion = np.array([[w * q - v @ u, *(w * u + q * v + np.cross(v, u))]])
     return quaternion, probe.image(position + shift, quaternion)[1]
 
 

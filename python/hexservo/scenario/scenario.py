@@ -13,20 +13,18 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 from pydantic import ValidationError, model_validator
 
-from hexservo import _core
 from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.blocks import DEFAULT_DEPTH, Blocks, Target, preset_values
+from hexservo.scenario.blocks import DEFAULT_DEPTH, Blocks, preset_values
 from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.fitted import with_fitted_gains, without_fitted_gains
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
-from hexservo.scenario.parameters import core_parameters, core_settings
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.placing import read_target
 from hexservo.scenario.plain import plain, put
 from hexservo.scenario.problems import in_words, listing
 from hexservo.scenario.rules import did_you_mean, is_number, shown_value
-from hexservo.scenario.tag import corners, normal
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
 
 __all__ = ["Scenario", "load_scenario", "scenario_names"]
@@ -79,26 +77,9 @@ class Scenario(Blocks):
     @model_validator(mode="after")
     def _can_run(self) -> Scenario:
         self._refuse_keys_without_effect()
-        self._read_target()
+        read_target(self)
         core_parameters(self)
         return self
-
-    def _read_target(self) -> None:
-        """Read tag and desired pose into points and desired features."""
-        target = self.target
-        if target.tag is not None:
-            centre, away = np.array(target.tag[1][:3]), np.array(normal(target.tag))
-            if not float(away @ (np.array(self.robot.home_position) - centre)) > 0.0:
-                raise ValueError(
-                    "target.tag.pose: expected a tag whose front, where its z axis points, is seen from home, "
-                    "got one that is seen from behind"
-                )
-            target = _changed(target, {"tag": None, "points": corners(target.tag)})
-        if target.desired_pose is not None:
-            self.__dict__["target"] = target  # frozen for everyone else
-            features = _core.project_target(core_settings(self), target.desired_pose)
-            target = _changed(target, {"desired_pose": None, "desired_features": features.tolist()})
-        self.__dict__["target"] = target
 
     def _refuse_keys_without_effect(self) -> None:
         if self.simulation.mode == SAMPLED_MODE:
@@ -171,10 +152,6 @@ class Scenario(Blocks):
             del keys["camera"]["period"]
         without_fitted_gains(self, keys)
         return keys
-
-
-def _changed(target: Target, changes: dict[str, Any]) -> Target:
-    return Target.model_validate(plain({**dict(target), **changes}))
 
 
 # ---- Scenarios by name or path --------------------------------------------------------------------------------------
