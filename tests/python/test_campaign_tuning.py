@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import re
 from pathlib import Path
@@ -14,6 +15,7 @@ import hexservo as hs
 from hexservo.campaigns.candidates import ranking
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.run.publish import OutputError
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.yaml import load_yaml
 from test_readme import ROOT, examples, output_of
 from test_terminal import invoke
@@ -187,3 +189,18 @@ def test_the_page_and_the_command(tmp_path: Path) -> None:
     better, interval = output_of(example, tmp_path).splitlines()
     assert better == "True True"
     assert re.fullmatch(r"\(0\.0, 0\.0\d+\)", interval)
+
+
+def test_every_law_has_a_search_on_both_scenarios() -> None:
+    """The script behind the tables of docs/robustness.md: its files are valid, with the gains of the law within."""
+    spec = importlib.util.spec_from_file_location("tune_laws", ROOT / "benchmarks" / "tune_laws.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for scenario in module.VARY:
+        for law in LAWS:
+            plan = module.plan_of(scenario, law, 3)
+            assert plan.scenario.controller.law == law
+            assert plan.tune.minimise == ("settling_time",)
+            assert all(key.startswith(f"controller.{law}.") for key in plan.tune.variables)
