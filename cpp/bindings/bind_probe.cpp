@@ -90,7 +90,8 @@ py::object array_or_none(const std::optional<Made>& made) {
 /// What a law gives, as arrays.
 struct LawProbe {
   py::array_t<double> wrench, fuzzy_output;
-  py::object error_memberships, rate_memberships, adaptation;
+  py::object error_memberships, rate_memberships, adaptation, pose_error;
+  py::dict parts;
 };
 
 /// The stages of steps, as arrays.
@@ -133,6 +134,24 @@ py::tuple image(const Probe& probe, const py::object& p, const py::object& q) {
   return py::make_tuple(features.array(), depth.array());
 }
 
+py::tuple goal_minima(const Probe& probe) {
+  const std::vector<GoalMinimum> found = probe.goal_minima();
+  const auto n = static_cast<py::ssize_t>(found.size());
+  Made position(n, kThree), quaternion(n, kFour);
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    std::copy_n(found[i].pose.position.data(), 3, position.column().data() + 3 * i);
+    std::copy_n(found[i].pose.quaternion.data(), 4, quaternion.column().data() + 4 * i);
+  }
+  return py::make_tuple(position.array(), quaternion.array());
+}
+
+py::array_t<double> base_acceleration(const Probe& probe, const py::object& t) {
+  const Given time("time", t, {});
+  Made made(time.count(), kThree);
+  probe.base_acceleration(time.rows(), made.column());
+  return made.array();
+}
+
 py::array_t<double> image_jacobian(const Probe& probe, const py::object& f, const py::object& z, const py::object& q,
                                    bool controller) {
   const Given features("features", f, kEight), depth("depth", z, kFour, features.count()),
@@ -158,19 +177,34 @@ LawProbe law(const Probe& probe, const py::object& f, const py::object& z, const
   const States states(f, z, p, q, v, w);
   const py::ssize_t n = states.count();
   Made wrench(n, kSix), fuzzy_output(n, kSix);
-  std::optional<Made> error, rate, adaptation;
+  std::optional<Made> error, rate, adaptation, pose_error;
   if (probe.has_fuzzy_systems()) {
     error.emplace(n, kMembershipShape);
     rate.emplace(n, kMembershipShape);
     adaptation.emplace(n, kSix);
   }
+  if (probe.traits().pose_error()) pose_error.emplace(n, kSix);
+  ProbedLaw out{wrench.column(),           fuzzy_output.column(),      column_or_none(error),
+                column_or_none(rate),      column_or_none(adaptation), {},
+                column_or_none(pose_error)};
+  py::dict parts;
+  for (std::size_t part = 0; part < kLawParts; ++part) {
+    if (!probe.traits().parts.has(static_cast<LawPart>(part))) continue;
+    Made made(n, kSix);
+    out.parts[part] = made.column();
+    parts[text(kNamesOf<LawPart>[part])] = made.array();
+  }
   {
-    const ProbedLaw out{wrench.column(), fuzzy_output.column(), column_or_none(error), column_or_none(rate),
-                        column_or_none(adaptation)};
     const py::gil_scoped_release no_gil;
     probe.law(states.rows(), out);
   }
-  return {wrench.array(), fuzzy_output.array(), array_or_none(error), array_or_none(rate), array_or_none(adaptation)};
+  return {wrench.array(),
+          fuzzy_output.array(),
+          array_or_none(error),
+          array_or_none(rate),
+          array_or_none(adaptation),
+          array_or_none(pose_error),
+          parts};
 }
 
 py::array_t<double> acceleration(const Probe& probe, const py::object& p, const py::object& q, const py::object& v,
@@ -278,7 +312,11 @@ void bind_probe(py::module_& m) {
                     "(n, 6, 7) normalised, of u-dot [1], or None; phi-bar[i, j, r, c] = error[i, j, r] rate[i, j, c]")
       .def_readonly("adaptation", &LawProbe::adaptation,
                     "(n, 6) a_j = driver_j/Psi_j, the dead zone taken off [N/s; N m/s], or None: omega_j-dot = a_j "
-                    "phi-bar_j - sigma_j omega_j; the limit acts at the end of a step");
+                    "phi-bar_j - sigma_j omega_j; the limit acts at the end of a step")
+      .def_readonly("pose_error", &LawProbe::pose_error,
+                    "(n, 6) that the law regulates, in B [m; rad]; None for a law that regulates none")
+      .def_readonly("parts", &LawProbe::parts,
+                    "by name, (n, 6) in B [N; N m]: `LawTraits.parts`, which sum to the wrench together with G-bar");
 
   py::class_<StageProbe>(m, "StageProbe", "The four Runge-Kutta stages of n steps, and the states after them.")
       .def_readonly("features", &StageProbe::features, "(n, 4, 8) true [px]")
@@ -314,6 +352,9 @@ void bind_probe(py::module_& m) {
       .def("image", &image, position, quaternion,
            "(4): true features (n, 8) [px] and Z (n, 4) [m]; features are NaN for a point that is not in front. "
            "ValueError for a camera as_printed.")
+      .def("goal_minima", &goal_minima,
+           "Poses from which the true points look nearest to the desired features, position (m, 3) [m] and quaternion "
+           "(m, 4): minima of the image error found from home. ValueError for a camera as_printed.")
       .def("image_jacobian", &image_jacobian, features, depth, quaternion, py::arg("controller") = false,
            "J of (12), (n, 8, 6): twist in B (m/s; rad/s) to feature rates [px/s], with the depths as given and the "
            "plant's sign, or the controller's.")
@@ -323,6 +364,8 @@ void bind_probe(py::module_& m) {
            "scenario's initial ones.")
       .def("acceleration", &acceleration, position, quaternion, twist, py::arg("wrench"),
            "chi-ddot (n, 6) of the actual plant, (3) [m/s^2; rad/s^2]; it is the same at every position.")
+      .def("base_acceleration", &base_acceleration, py::arg("time"),
+           "Acceleration of B (n, 3) [m/s^2] at times (n,) >= 0 [s]; zero in continuous mode, whose base stands.")
       .def("estimated_wrenches", &estimated_wrenches, quaternion, twist, py::arg("acceleration"),
            "D-bar chi-ddot (n, 6), C-bar chi-dot (n, 6) and G-bar (6,) of (1), in B [N; N m].")
       .def("inertia", &inertia, quaternion, "D-bar of (1), (n, 6, 6): acceleration in B to wrench.")

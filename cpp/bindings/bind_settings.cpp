@@ -16,8 +16,6 @@ std::string_view name_of(E value) {
   return kNamesOf<E>[static_cast<std::size_t>(value)];
 }
 
-py::str text(std::string_view view) { return {view.data(), view.size()}; }
-
 /// Shape of an array as NumPy has it; () is one number.
 py::tuple shape_of(const ScenarioKey& key) {
   if (key.type == KeyType::samples) return py::make_tuple(py::none(), 3);
@@ -111,12 +109,26 @@ void bind_traits(py::module_& m) {
           "type", [](const T& t) { return text(t.type); }, "its name in C++")
       .def_property_readonly(
           "output", [](const T& t) { return text(name_of(t.output)); }, "wrench or twist")
-      .def_readonly("memory", &T::memory, "fuzzy systems, whose weights change from tick to tick")
-      .def_readonly("viscous", &T::viscous, "damping in proportion to the twist")
-      .def_readonly("switching", &T::switching, "the friction-like term")
+      .def_property_readonly(
+          "parts",
+          [](const T& t) {
+            py::list parts;
+            for (std::size_t part = 0; part < kLawParts; ++part)
+              if (t.parts.has(static_cast<LawPart>(part))) parts.append(text(kNamesOf<LawPart>[part]));
+            return py::tuple(parts);
+          },
+          "what its wrench is made of beside the weight's, by name")
+      .def_property_readonly("memory", &T::memory, "fuzzy systems, whose weights change from tick to tick")
+      .def_property_readonly("viscous", &T::viscous, "damping in proportion to the twist")
+      .def_property_readonly("switching", &T::switching, "the friction-like term")
+      .def_property_readonly("pose_error", &T::pose_error, "a pose error that it regulates")
+      .def_property_readonly(
+          "inverse", [](const T& t) { return text(t.inverse); },
+          "gain M of (J^T J + M)^-1, which takes an image error to a pose error; empty: none")
       .def_readonly("points", &T::points, "gains may ask for the assumed points")
       .def_readonly("depth", &T::depth, "the measured depths enter")
-      .def_readonly("prior", &T::prior, "the pose of the joint sensors, weighed by the gain prior");
+      .def_readonly("prior", &T::prior, "the pose of the joint sensors, weighed by the gain prior")
+      .def_readonly("theorem", &T::theorem, "the paper's theorem is of this law");
   py::dict traits;
   for (const LawTraits& law : kLawTraits) traits[text(law.name)] = py::cast(law);
   m.attr("LAW_TRAITS") = traits;

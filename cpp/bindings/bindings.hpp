@@ -12,6 +12,7 @@
 
 #include <stdexcept>
 #include <string>
+#include <string_view>
 
 namespace hexservo::bindings {
 
@@ -32,6 +33,8 @@ void bind_bench(py::module_& m);
 
 /// True where Ctrl-C was pressed; anything else that a signal handler raises goes on to the caller. Takes the GIL.
 bool interrupt_requested();
+
+inline py::str text(std::string_view view) { return {view.data(), view.size()}; }
 
 /// Passes on a fixed-size array whose entries are all finite.
 template <class Derived>

@@ -134,6 +134,22 @@ void require_body_room(Column position, Column quaternion, Column twist, std::si
   require_room("twist", twist, 6, n);
 }
 
+/// Keeps a row of what a law tells.
+struct ProbeListener {
+  const ProbedLaw& out;
+  std::size_t row;
+
+  template <class F>
+  void part(LawPart part, const F& wrench) const noexcept {
+    const Column to = out.parts[static_cast<std::size_t>(part)];
+    if (!to.empty()) put(to, row, wrench());
+  }
+  template <class F>
+  void pose_error(const F& error) const noexcept {
+    if (!out.pose_error.empty()) put(out.pose_error, row, error());
+  }
+};
+
 /// Checks states, and gives their number.
 std::size_t require_states(const ProbeStates& states, bool fuzzy) {
   const std::size_t n = row_count("features", states.features, kFeatures);
@@ -163,7 +179,8 @@ auto known(bool where, const Eigen::MatrixBase<Derived>& numbers) {
 struct Probe::Parts {
   template <class Law>
   explicit Parts(const LoopParameters<double, Law>& p)
-      : estimate(p.body),
+      : traits(Law::traits),
+        estimate(p.body),
         plant(p.body, p.dynamics_error),
         focal_pixels(p.camera.focal_pixels()),
         plant_sign(hexservo::plant_sign(p.convention)),
@@ -171,6 +188,11 @@ struct Probe::Parts {
         projects(p.convention == CameraConvention::eye_in_hand),
         points_B(p.points_B),
         depth_error(p.depth_error),
+        desired_features(p.desired_features),
+        home(home_pose(p.hexapod)),
+        recorded(p.recorded.samples, p.recorded.samples + (p.recorded.samples ? 3 * p.recorded.count : 0)),
+        base(p.mode == LoopMode::sampled ? p.base_motion : BaseMotionParameters<double>{}, p.seed,
+             {recorded.data(), p.recorded.count, p.recorded.period}),
         fuzzy(fuzzy_systems_act<Law>(p.gains)) {
     if constexpr (kHasFuzzySystems<Law>) weights = Law::initial_state(p.gains);
   }
@@ -179,12 +201,17 @@ struct Probe::Parts {
   virtual void law(const ProbeStates& states, std::size_t n, const ProbedLaw& out) const = 0;
   virtual void stages(const ProbeStates& states, std::size_t n, const ProbedStages& out) const = 0;
 
+  const LawTraits& traits;
   RigidBody<double> estimate;  ///< of the platform
   Plant<double> plant;
   double focal_pixels, plant_sign, controller_sign;
   bool projects;  ///< whether the camera has points
   Vectors3<double, kPoints> points_B;
   Vector<double, kPoints> depth_error;
+  Vector<double, kFeatures> desired_features;
+  Pose<double> home;
+  std::vector<double> recorded;  ///< samples of the base's acceleration, to which `base` refers
+  BaseMotion<double> base;
   bool fuzzy;                         ///< whether fuzzy systems act
   FuzzyWeights<double> weights = {};  ///< initial ones
 };
@@ -218,7 +245,8 @@ struct Probe::PartsOf final : Probe::Parts {
       const Vector<double, kFeatures> features = row<kFeatures>(states.features, i);
       const Vector<double, kPoints> inverse_depth = row<kPoints>(states.depth, i).cwiseInverse();
       const Vector6<double> twist = row<6>(states.twist, i);
-      equations.evaluate(Stage{&state}, LawInput<double>{features, inverse_depth, R_BE, twist, pose}, now);
+      equations.evaluate(Stage{&state}, LawInput<double>{features, inverse_depth, R_BE, twist, pose}, now,
+                         ProbeListener{out, i});
       put(out.wrench, i, now.wrench);
       if (!out.fuzzy_output.empty()) put(out.fuzzy_output, i, now.fuzzy_output);
       if constexpr (kHasFuzzySystems<Law>) {
@@ -303,13 +331,33 @@ Probe::Probe(Probe&&) noexcept = default;
 Probe& Probe::operator=(Probe&&) noexcept = default;
 Probe::~Probe() = default;
 
+const LawTraits& Probe::traits() const noexcept { return parts_->traits; }
 bool Probe::has_fuzzy_systems() const noexcept { return parts_->fuzzy; }
 const FuzzyWeights<double>& Probe::initial_weights() const noexcept { return parts_->weights; }
 Vector6<double> Probe::gravity() const noexcept { return gravity_wrench(parts_->estimate); }
 
-void Probe::image(Rows position, Rows quaternion, Column features, Column depth) const {
+void Probe::require_points() const {
   if (!parts_->projects)
     refuse("camera.convention", "eye_in_hand, since a camera as_printed has no points", "as_printed");
+}
+
+std::vector<GoalMinimum> Probe::goal_minima() const {
+  require_points();
+  const Vectors3<double, kPoints>& points = parts_->points_B;
+  return hexservo::goal_minima(parts_->focal_pixels, points.matrix(), parts_->desired_features, parts_->home);
+}
+
+void Probe::base_acceleration(Rows time, Column acceleration) const {
+  require_rows("time", time, 1, time.size());
+  require_room("acceleration", acceleration, 3, time.size());
+  for (std::size_t i = 0; i < time.size(); ++i) {
+    if (time[i] < 0.0) refuse(words("time[", i, "]"), "a time >= 0", words(time[i]));
+    put(acceleration, i, parts_->base.acceleration(time[i]));
+  }
+}
+
+void Probe::image(Rows position, Rows quaternion, Column features, Column depth) const {
+  require_points();
   const std::size_t n = row_count("position", position, 3);
   require_rows("position", position, 3, n);
   require_quaternions("quaternion", quaternion, n);
@@ -360,6 +408,18 @@ void Probe::law(const ProbeStates& states, const ProbedLaw& out) const {
   if (!out.error_memberships.empty()) require_room("error_memberships", out.error_memberships, kMemberships, n);
   if (!out.rate_memberships.empty()) require_room("rate_memberships", out.rate_memberships, kMemberships, n);
   if (!out.adaptation.empty()) require_room("adaptation", out.adaptation, 6, n);
+  for (std::size_t part = 0; part < kLawParts; ++part) {
+    if (out.parts[part].empty()) continue;
+    const std::string name = words("parts.", kNamesOf<LawPart>[part]);
+    if (!parts_->traits.parts.has(static_cast<LawPart>(part)))
+      refuse(name, words("none, since the law ", parts_->traits.name, " has no such part"), "room for some");
+    require_room(name.c_str(), out.parts[part], 6, n);
+  }
+  if (!out.pose_error.empty()) {
+    if (!parts_->traits.pose_error())
+      refuse("pose_error", words("none, since the law ", parts_->traits.name, " regulates none"), "room for some");
+    require_room("pose_error", out.pose_error, 6, n);
+  }
   parts_->law(states, n, out);
 }
 

@@ -320,7 +320,7 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
 
 template <class Law>
 LoopParameters<double, Law> loop_parameters(const Settings& settings, const Hexapod<double>* legs) {
-  static_assert(Law::traits.memory == kHasFuzzySystems<Law>);
+  static_assert(Law::traits.memory() == kHasFuzzySystems<Law>);
   const std::string block = words("controller.", Law::traits.name);
   LoopParameters<double, Law> p{scene_parameters(settings, legs), settings.gains<Law>()};
   if constexpr (requires { validate(p.gains, block + "."); }) validate(p.gains, block + ".");

@@ -2,8 +2,8 @@
 
 #include "check.hpp"
 
+#include <algorithm>
 #include <numbers>
-#include <vector>
 
 namespace hexservo {
 
@@ -41,21 +41,22 @@ std::vector<Pose<double>> goal_starts(const Eigen::Matrix<double, 3, kPoints>& p
 
 }  // namespace
 
-Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
-                       const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
+std::vector<GoalMinimum> goal_minima(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
+                                     const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
   using Fit = PoseFit<double, kPoints>;
   const Vectors3<double, kPoints> points(points_B);
   const PosePrior<double> none{home, Vector6<double>::Zero()};
-  std::vector<Fit> found;
+  std::vector<GoalMinimum> found;
   double least = std::numeric_limits<double>::infinity();
   const auto keep = [&](const Fit& fit) {
     const ImageJacobian<double> J(f, -1.0, fit.features, fit.inverse_depth, fit.R_BE);
     const Cholesky<double, 6> solver(J.normal_matrix());
-    const Vector6<double> gradient = J.pull(Vector<double, 2 * kPoints>(desired_features - fit.features));
+    const Vector<double, 2 * kPoints> residual = desired_features - fit.features;
+    const Vector6<double> gradient = J.pull(residual);
     if (!std::isfinite(fit.squared_residual) || solver.failed() ||
         !(gradient.dot(solver.solve(gradient)) <= kGoalMinimum))
       return;
-    found.push_back(fit);
+    found.push_back({fit.pose, fit.squared_residual, residual.cwiseAbs().maxCoeff()});
     least = std::min(least, fit.squared_residual);
   };
   for (const Pose<double>& start : goal_starts(points_B, home)) {
@@ -64,28 +65,36 @@ Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points
     if (least <= kExactGoal) break;
     keep(fit_pose<double, kPoints>(f, points, desired_features, none, mirrored_pose(points_B, fit.pose), kGoalRounds));
   }
+  return found;
+}
+
+Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
+                       const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
+  const std::vector<GoalMinimum> found = goal_minima(f, points_B, desired_features, home);
   if (found.empty())
     detail::refuse("target.desired_features",
                    "features that determine a pose where the controller assumes the points (not all on one line)",
                    "none from home, turned, moved or tilted");
-
-  const auto residual = [&](const Fit& fit) { return (desired_features - fit.features).cwiseAbs().maxCoeff(); };
-  const Fit* goal = nullptr;
+  const auto by_residual = [](const GoalMinimum& a, const GoalMinimum& b) {
+    return a.squared_residual < b.squared_residual;
+  };
+  const double least = std::min_element(found.begin(), found.end(), by_residual)->squared_residual;
+  const GoalMinimum* goal = nullptr;
   double nearest = std::numeric_limits<double>::infinity();
-  for (const Fit& fit : found) {
-    if (fit.squared_residual > std::max(kGoalShare * least, kExactGoal)) continue;
-    if (fit.squared_residual > least && residual(fit) > kGoalResidual) continue;
-    const double far = pose_difference(fit.pose, home).norm();
+  for (const GoalMinimum& minimum : found) {
+    if (minimum.squared_residual > std::max(kGoalShare * least, kExactGoal)) continue;
+    if (minimum.squared_residual > least && minimum.largest_residual > kGoalResidual) continue;
+    const double far = pose_difference(minimum.pose, home).norm();
     if (far < nearest) {
-      goal = &fit;
+      goal = &minimum;
       nearest = far;
     }
   }
-  if (!(residual(*goal) <= kGoalResidual))
+  if (!(goal->largest_residual <= kGoalResidual))
     detail::refuse("target.desired_features",
                    detail::words("features that some pose gives within ", kGoalResidual,
                                  " px, where the controller assumes the points"),
-                   detail::words("a residual of ", residual(*goal), " px at the best pose found"));
+                   detail::words("a residual of ", goal->largest_residual, " px at the best pose found"));
   return goal->pose;
 }
 

@@ -294,3 +294,68 @@ TEST_CASE("rows that do not fit are refused by name, and so are numbers without 
       refusal([&] { Probe(printed).image(rows(position), rows(quaternion), column(features), column(depth)); }),
       "camera.convention"));
 }
+
+TEST_CASE("the parts that a law tells sum to its wrench, and those that it has not are refused by name") {
+  Random random(83);
+  CAPTURE(random.seed());
+  Laws::for_each([&]<class Law>(std::type_identity<Law>) {
+    CAPTURE(Law::traits.name);
+    const Settings settings = paper_settings<Law>();
+    const Probe probe(settings);
+    CHECK(probe.traits().name == Law::traits.name);
+    const Vector3<double> position = settings.robot.home_position + random.matrix<3>(0.01);
+    const Vector4<double> quaternion = Vector4<double>(1.0, 0.0, 0.0, 0.0) + random.matrix<4>(0.1);
+    const Vector6<double> twist = random.six(0.02, 0.2);
+    Vector<double, 8> features;
+    Vector<double, 4> depth;
+    probe.image(rows(position), rows(quaternion), column(features), column(depth));
+    const ProbeStates at{rows(features), rows(depth), rows(position), rows(quaternion), rows(twist)};
+    Vector6<double> wrench;
+    std::array<Vector6<double>, kLawParts> parts;
+    ProbedLaw out{.wrench = column(wrench)};
+    for (std::size_t part = 0; part < kLawParts; ++part) {
+      const std::string name(kNamesOf<LawPart>[part]);
+      const bool has = Law::traits.parts.has(static_cast<LawPart>(part));
+      parts[part].setZero();
+      ProbedLaw one{.wrench = column(wrench)};
+      one.parts[part] = column(parts[part]);
+      CHECK((has ? refusal([&] { probe.law(at, one); }) == "(accepted)"
+                 : is_about(refusal([&] { probe.law(at, one); }), "parts." + name)));
+      if (has) out.parts[part] = column(parts[part]);
+    }
+    probe.law(at, out);
+    Vector6<double> sum = probe.gravity(), scale = probe.gravity().cwiseAbs();
+    for (const Vector6<double>& part : parts) {
+      sum += part;
+      scale += part.cwiseAbs();
+    }
+    // ten roundings of the largest
+    for (int j = 0; j < 6; ++j) CHECK(std::abs(sum(j) - wrench(j)) <= 10.0 * kEpsilon * scale(j));
+
+    Vector6<double> error;
+    ProbedLaw with_error{.wrench = column(wrench)};
+    with_error.pose_error = column(error);
+    CHECK((Law::traits.pose_error() ? refusal([&] { probe.law(at, with_error); }) == "(accepted)"
+                                    : is_about(refusal([&] { probe.law(at, with_error); }), "pose_error")));
+  });
+}
+
+TEST_CASE("acceleration of the base: that of its motion, at times that are not negative, and none in continuous mode") {
+  Settings settings = paper_settings();
+  settings.base_motion.kind = BaseMotionKind::noise;
+  settings.base_motion.level.setConstant(0.01);
+  const std::array<double, 2> times = {0.0, 0.1234};
+  std::array<double, 6> found;
+  Probe(settings).base_acceleration(times, found);
+  for (const double a : found) CHECK(a == 0.0);
+  settings.simulation.mode = LoopMode::sampled;
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
+  const BaseMotion<double> base(p.base_motion, p.seed);
+  Probe(settings).base_acceleration(times, found);
+  for (std::size_t i = 0; i < 2; ++i)
+    for (int axis = 0; axis < 3; ++axis)
+      CHECK(found[3 * i + static_cast<std::size_t>(axis)] == base.acceleration(times[i])(axis));
+  CHECK(found[0] != 0.0);
+  const std::array<double, 2> before = {0.0, -1e-3};
+  CHECK(is_about(refusal([&] { Probe(settings).base_acceleration(before, found); }), "time[1]"));
+}

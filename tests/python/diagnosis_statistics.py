@@ -107,7 +107,7 @@ def studied(cause: str, failures: int, first_seed: int, threads: int) -> tuple[l
             if left == 0:
                 kept = kept[: end + 1]
                 break
-        cases = make_cases([one.variation.scenario for one in kept], threads)
+        cases = make_cases([one.variation.scenario for one in kept])
         found += zip(kept, study(cases, [one.judgement for one in kept], threads), strict=True)
     return found, drawn
 

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 import hexservo as hs
-from hexservo.findings.certificate.base import _from_means
 from hexservo.findings.certificate.energy import COARSE, EnergyLedger, energy_ledger
 from hexservo.findings.certificate.replay import Plant, replay, replay_of
 from hexservo.findings.evidence import Curves, Table
@@ -128,19 +127,22 @@ def test_a_base_that_shakes_does_its_work(paper: hs.Scenario) -> None:
     assert ledger.closes
 
 
-def test_the_base_is_measured_to_fourth_order(paper: hs.Scenario) -> None:
-    """From Simpson means of neighbouring steps, as an integration of 1, 5 and 9 rad per unit time takes them."""
-
-    def error(cells: int) -> float:
-        borders = np.linspace(0.0, 1.0, 2 * cells + 1)[:, None]
-        values = np.sin(borders * [1.0, 5.0, 9.0])
-        means = (values[:-2:2] + 4 * values[1:-1:2] + values[2::2]) / 6
-        found = _from_means(means)
-        expected = np.stack([values[:-2:2], values[1:-1:2], values[2::2]], axis=1)
-        return float(np.abs(found - expected)[3:-3].max())  # the outermost cells have no neighbours on one side
-
-    ratios = [error(cells) / error(2 * cells) for cells in (20, 40, 80)]
-    assert all(14 < ratio < 18 for ratio in ratios), ratios
+def test_steps_on_a_base_that_moves_at_random_are_rebuilt_to_rounding(paper: hs.Scenario) -> None:
+    """The acceleration of the base is the loop's own, also between its waves and at the kinks of a recording."""
+    kinks = [[0.0, 0.0, 0.0], [0.3, -0.2, 0.5], [-0.4, 0.1, -0.3], [0.2, 0.2, 0.1]]
+    motions: list[dict[str, Any]] = [
+        {"kind": "noise", "level": 0.01, "low_frequency": 1.0, "high_frequency": 30.0},
+        {"kind": "recorded", "samples": kinks, "sample_period": 0.0134},
+    ]
+    for motion in motions:
+        scenario = varied(
+            paper,
+            SAMPLED,
+            {"base_motion": motion, "simulation.substeps": 3, "simulation.duration": 0.2},
+        )
+        ledger = ledger_of(scenario)
+        assert ledger.mismatch < 1e-12, motion["kind"]
+        assert ledger.closes, motion["kind"]
 
 
 def test_the_image_spring_gives_what_the_image_loses(paper: hs.Scenario) -> None:

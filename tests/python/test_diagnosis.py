@@ -28,7 +28,7 @@ from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, j
 from hexservo.findings.diagnosis.environment import ORDINARY, ideal, ordinary
 from hexservo.findings.diagnosis.evidence import SIGNATURES
 from hexservo.findings.diagnosis.gains import slower
-from hexservo.findings.diagnosis.goal import goal_of, goal_run, pixels_per_metre, seen_from_home, spread_target
+from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
@@ -459,11 +459,35 @@ def test_the_weighed_platform_is_the_same_platform() -> None:
 
 
 def test_the_goal_of_the_paper_is_its_pure_shift() -> None:
-    goal = goal_of(run_all([goal_run(hs.load_scenario("paper"))])[0])
+    goal = goal_of(hs.load_scenario("paper"))
     assert goal is not None
     assert goal.position == pytest.approx([20.0 * 0.5 / 581.816, 8.0 * 0.5 / 581.816, -0.15], abs=1e-8)
     assert abs(goal.quaternion[0]) == pytest.approx(1.0, abs=1e-10)
-    assert goal_of(None) is None
+    assert goal_of(hs.load_scenario("paper").updated({"camera.convention": "as_printed"})) is None
+
+
+def test_the_goal_is_where_a_position_based_law_comes_to_rest() -> None:
+    """By a run of an exact model in continuous time, which settles as exp(-20 t) in 2 s: to rounding."""
+    scenario = hs.load_scenario("task-general").updated({"uncertainty.inertia": 0.0, "uncertainty.coriolis": 0.0})
+    weights = np.array([scenario.robot.mass] * 3 + np.atleast_1d(scenario.robot.inertia).tolist())
+    run = hs.simulate(
+        scenario.updated(
+            {
+                "simulation.mode": "continuous",
+                "simulation.step": 0.005,
+                "simulation.duration": 2.0,
+                "controller.law": "pbvs",
+                "controller.pbvs.kp": (400.0 * weights).tolist(),
+                "controller.pbvs.kd": (40.0 * weights).tolist(),
+                "uncertainty.depth": 0.0,
+                "uncertainty.gravity": 0.0,
+            }
+        )
+    )
+    goal = goal_of(scenario)
+    assert goal is not None
+    np.testing.assert_allclose(goal.position, run.position[-1], rtol=0, atol=1e-12)
+    assert abs(goal.quaternion @ run.quaternion[-1]) == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("points", [False, True])

@@ -233,6 +233,116 @@ def test_a_term_of_the_law_by_a_gain_of_zero(paper: hs.Scenario) -> None:
     np.testing.assert_allclose(term, kv * np.tanh(at["twist"] / 2e-3), rtol=0, atol=1e-15)
 
 
+# By law: gains whose parts are taken out one after another, in an order in which none changes what is left.
+BY_ZERO: dict[str, list[tuple[str, dict[str, Any]]]] = {
+    "hybrid": [("switching", {"kv": 0.0}), ("fuzzy", {"fuzzy.enabled": False})],
+    "composite": [
+        ("switching", {"kv": 0.0}),
+        ("damping", {"kd": 0.0}),
+        ("pose_spring", {"kt": 0.0}),
+        ("fuzzy", {"fuzzy.enabled": False}),
+    ],
+    "kelly": [("damping", {"kd": 0.0})],
+    "resolved_rate": [("reference", {"gain": 0.0})],
+    "pbvs": [("damping", {"kd": 0.0})],
+    "computed_torque": [("damping", {"kd": 0.0}), ("pose_spring", {"kp": 0.0})],
+}
+
+
+@pytest.mark.parametrize("kind", ["tanh", "implicit_coupled"])
+@pytest.mark.parametrize("law", LAWS)
+def test_parts_are_what_gains_of_zero_take_away(paper: hs.Scenario, law: str, kind: str) -> None:
+    """Each part but the last as the difference of two laws; the last is what is left beside the weight."""
+    mode = {"simulation.mode": "sampled"} if kind.startswith("implicit") else {}
+    scenario = paper.updated({"controller.law": law, "controller.switching.kind": kind, **mode})
+    if law in FUZZY_LAWS:
+        scenario = scenario.updated({f"controller.{law}.fuzzy.initial_scale": 0.01})
+    at = believed(scenario, states(scenario))
+    given = probe(scenario).law(**at)
+    gravity = probe(scenario).estimated_wrenches(at["quaternion"][:1], np.zeros((1, 6)), np.zeros((1, 6)))[2]
+    assert tuple(given.parts) == _core.LAW_TRAITS[law].parts
+    scale = sum(np.abs(part) for part in given.parts.values()) + np.abs(gravity)  # of the roundings
+    np.testing.assert_allclose((sum(given.parts.values()) + gravity - given.wrench) / scale, 0.0, atol=2e-15)
+    left, wrench = dict(given.parts), given.wrench
+    for part, gains in BY_ZERO[law]:
+        scenario = scenario.updated({f"controller.{law}.{name}": value for name, value in gains.items()})
+        without = probe(scenario).law(**at).wrench
+        np.testing.assert_allclose((left.pop(part) - (wrench - without)) / scale, 0.0, atol=4e-15, err_msg=part)
+        wrench = without
+    assert len(left) == 1
+    np.testing.assert_allclose((next(iter(left.values())) - (wrench - gravity)) / scale, 0.0, atol=4e-15)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_pose_error_is_what_its_gain_multiplies(paper: hs.Scenario, law: str) -> None:
+    scenario = paper.updated({"controller.law": law})
+    at = believed(scenario, states(scenario))
+    given = probe(scenario).law(**at)
+    if not _core.LAW_TRAITS[law].pose_error:
+        assert given.pose_error is None
+        return
+    assert given.pose_error is not None
+    gains = getattr(scenario.controller, law)
+    if law == "resolved_rate":
+        stiff = gains.gain * np.asarray(gains.ki)
+        spring = given.parts["reference"]
+    else:
+        stiff = np.asarray(gains.kt if law == "composite" else gains.kp)
+        spring = given.parts["pose_spring"]
+    expected = stiff * given.pose_error
+    if law == "computed_torque":
+        expected = np.einsum("nij,nj->ni", probe(scenario).inertia(at["quaternion"]), expected)
+    np.testing.assert_allclose(spring, expected, rtol=0, atol=1e-14 * np.abs(spring).max())
+
+
+# ---- Goal and base --------------------------------------------------------------------------------------------------
+
+
+def test_goal_minima_show_the_goal(paper: hs.Scenario) -> None:
+    of = probe(paper)
+    features, _ = of.image(*of.goal_minima())
+    assert len(features) > 0
+    error = np.abs(features - np.asarray(paper.target.desired_features)).max(axis=1)
+    assert error.min() < 1e-9  # roundings of features of 1e2 px
+
+
+def test_minima_of_a_goal_that_no_pose_shows_are_stationary(paper: hs.Scenario) -> None:
+    desired = np.asarray(paper.target.desired_features) + np.array([3.0, 0, 0, 0, 0, 0, 0, 2.0])
+    of = probe(paper.updated({"target.desired_features": desired.tolist()}))
+    position, quaternion = of.goal_minima()
+    features, depth = of.image(position, quaternion)
+    assert len(features) > 0
+    slopes = np.einsum("nij,ni->nj", of.image_jacobian(features, depth, quaternion), desired - features)
+    scale = np.linalg.norm(of.image_jacobian(features, depth, quaternion), axis=1) * 5.0  # px/(m, rad) times px
+    assert np.abs(slopes / scale).max() < 1e-3  # minima to 2e-3 px of the 5 px
+
+
+def test_the_base_accelerates_by_the_scenario(paper: hs.Scenario) -> None:
+    """A sinusoid and a recording by their formulas; without motion, and in continuous mode, nothing."""
+    time = np.linspace(0.0, 0.5, 101)
+    base = {"kind": "sinusoid", "amplitude": [0.1, -0.2, 0.3], "frequency": 7.0, "phase": 0.4}
+    sampled = paper.updated({"simulation.mode": "sampled"})
+    moving = probe(sampled.updated({"base_motion": base})).base_acceleration(time)
+    expected = np.sin(2 * np.pi * 7.0 * time + 0.4)[:, None] * [0.1, -0.2, 0.3]
+    np.testing.assert_allclose(moving, expected, rtol=0, atol=1e-13)  # roundings of 22 rad, and of the core's sine
+    samples = np.random.default_rng(4).uniform(-1, 1, (6, 3))
+    recorded = {"kind": "recorded", "samples": samples.tolist(), "sample_period": 0.05}
+    found = probe(sampled.updated({"base_motion": recorded})).base_acceleration(time)
+    within = time <= 0.25 * (1 + 1e-12)
+    for axis in range(3):
+        line = np.interp(time, 0.05 * np.arange(6), samples[:, axis]) * within
+        np.testing.assert_allclose(found[:, axis], line, rtol=0, atol=1e-13)
+    for still in (sampled, paper):
+        np.testing.assert_array_equal(probe(still).base_acceleration(time), np.zeros((101, 3)))
+    for bad, sentence in (
+        ([-1e-3], r"time\[0\]: expected a time >= 0, got -0.001"),
+        ([0.0, np.nan], r"time\[1\]: expected a finite number, got -?nan"),
+        ([[0.0]], r"time: expected numbers of shape \(n,\), got shape \(1, 1\)"),
+    ):
+        with pytest.raises(ValueError, match=f"^{sentence}"):
+            probe(paper).base_acceleration(bad)
+
+
 # ---- Plant ----------------------------------------------------------------------------------------------------------
 
 
@@ -432,6 +542,8 @@ def test_what_a_scenario_does_not_have(paper: hs.Scenario) -> None:
     printed = probe(paper.updated({"camera.convention": "as_printed"}))
     with pytest.raises(ValueError, match=r"^camera.convention: expected eye_in_hand"):
         printed.image(at["position"], at["quaternion"])
+    with pytest.raises(ValueError, match=r"^camera.convention: expected eye_in_hand"):
+        printed.goal_minima()
 
 
 ROWS: dict[str, Any] = {

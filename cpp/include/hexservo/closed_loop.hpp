@@ -30,9 +30,12 @@ class LoopEquations {
   const World<S, N>& world() const noexcept { return world_; }
 
   /// The law at an instant.
+  /// @param listener to what a law tells of its work, see `NoListener`; none: none
+  template <class... Listener>
   [[gnu::always_inline]] inline void evaluate(const LawStage& stage, const LawInput<S, N>& input,
-                                              typename Law::template Evaluation<S>& out) const noexcept {
-    Law::evaluate(task_, law_, stage, input, out);
+                                              typename Law::template Evaluation<S>& out,
+                                              const Listener&... listener) const noexcept {
+    Law::evaluate(task_, law_, stage, input, out, listener...);
   }
 
   /// Law and plant at an instant.

@@ -8,13 +8,16 @@
 /// | Z-hat               | measured_depth                | (1 + delta_Z) Z [m]                                     |
 /// | tau, tau_f, phi-bar | law                           | (13), (14), (15), (22), or another law's                |
 /// | chi-ddot            | acceleration                  | of the actual plant (3)                                 |
+/// | a                   | base_acceleration             | of the frame B, where the base moves                    |
 /// | D, C, G (bars)      | inertia, estimated_wrenches   | of the estimate (1)                                     |
 #pragma once
 
 #include "hexservo/simulation.hpp"
 
+#include <array>
 #include <memory>
 #include <span>
+#include <vector>
 
 namespace hexservo {
 
@@ -40,6 +43,9 @@ struct ProbedLaw {
   /// n x 6, a_j = driver_j/Psi_j with the dead zone [N/s; N m/s]: omega_j-dot = a_j phi-bar_j - sigma_j omega_j, and
   /// the limit then acts at the end of a step.
   Column adaptation{};
+  /// n x 6 each by `LawPart`, in B [N; N m]: what the law's wrench is made of beside G; only those that the law has.
+  std::array<Column, kLawParts> parts{};
+  Column pose_error{};  ///< n x 6, that the law regulates, in B [m; rad]; only of a law that has one
 };
 
 /// The four stages of a Runge-Kutta step, and the state after it. Only next_weights may be empty, and is not asked for.
@@ -66,6 +72,8 @@ class Probe {
   Probe& operator=(Probe&&) noexcept;
   ~Probe();
 
+  /// Of the law.
+  const LawTraits& traits() const noexcept;
   /// Whether the law has fuzzy systems that act: otherwise it has neither weights nor memberships.
   bool has_fuzzy_systems() const noexcept;
   /// omega(0); of no meaning without fuzzy systems [N; N m].
@@ -76,6 +84,10 @@ class Probe {
   /// @param depth n x 4, true Z_i [m]
   /// @throws std::invalid_argument also for a camera `as_printed`, which has no points
   void image(Rows position, Rows quaternion, Column features, Column depth) const;
+
+  /// Poses from which the true points look nearest to the desired features, as `goal_minima` finds them from home.
+  /// @throws std::invalid_argument as `image`
+  std::vector<GoalMinimum> goal_minima() const;
 
   /// J of (12): twist in B (m/s; rad/s) to feature rates [px/s].
   /// @param depth as the Jacobian shall take it: the true ones, or the controller's [m]
@@ -92,6 +104,9 @@ class Probe {
   /// chi-ddot of the actual plant under a wrench, (3), n x 6 [m/s^2; rad/s^2].
   /// @param position it is the same at each, but only finite ones are states
   void acceleration(Rows position, Rows quaternion, Rows twist, Rows wrench, Column acceleration) const;
+
+  /// Acceleration of the frame B at times >= 0 [s], n x 3 in B [m/s^2]; zero in continuous mode, whose base stands.
+  void base_acceleration(Rows time, Column acceleration) const;
 
   /// D-bar chi-ddot and C-bar chi-dot of the estimated dynamics (1), n x 6 each [N; N m].
   void estimated_wrenches(Rows quaternion, Rows twist, Rows acceleration, Column inertial, Column coriolis) const;
@@ -131,6 +146,8 @@ class Probe {
                     Column twist);
 
  private:
+  void require_points() const;
+
   struct Parts;
   template <class Law>
   struct PartsOf;

@@ -8,6 +8,7 @@
 #include "hexservo/rigid_body.hpp"
 
 #include <limits>
+#include <vector>
 
 namespace hexservo {
 
@@ -323,14 +324,26 @@ PoseEstimate<S> estimate_pose(const S& f, const Eigen::Matrix<S, 3, N>& points_B
   return estimate;
 }
 
+/// A pose with a local minimum of the distance between the image of given points and a desired one.
+struct GoalMinimum {
+  Pose<double> pose;        ///< in B; quaternion of unit length
+  double squared_residual;  ///< |xi_d - xi(pose)|^2 [px^2]
+  double largest_residual;  ///< of its coordinates [px]
+};
+
+/// Those found by `fit_pose` from home, from home turned about the optical axis, moved along it and tilted, and from
+/// the mirror image of each pose that it finds, in this order; the search ends at the first that shows the desired
+/// features to (1e-6 px)^2. Empty where the features determine no pose.
+std::vector<GoalMinimum> goal_minima(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
+                                     const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home);
+
 /// The goal is refused where no pose gives the desired features within this, in every coordinate [px].
 inline constexpr double kGoalResidual = 1.0;
 
 /// Pose where the assumed points give the desired features, in the least squares.
 ///
-/// `fit_pose` searches from home, from home turned about the optical axis, moved along it and tilted, and from the
-/// mirror image of each pose that it finds. Of minima whose squared residual is within four times the smallest one, or
-/// below (1e-6 px)^2, that nearest to home is the goal.
+/// Of `goal_minima` whose squared residual is within four times the smallest one, or below (1e-6 px)^2, that nearest to
+/// home is the goal.
 /// @throws std::invalid_argument where the largest residual of a coordinate is beyond `kGoalResidual`, or the features
 /// do not determine a pose
 Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,

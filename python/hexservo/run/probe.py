@@ -23,17 +23,23 @@ def probe(scenario: Scenario) -> _core.Probe:
 
     ``image(position, quaternion)``
         True features and Z, (4). Features are NaN for a point that is not in front of the camera.
+    ``goal_minima()``
+        Poses from which the true points look nearest to the desired features, position (m, 3) and quaternion (m, 4):
+        local minima of the image error found from home, the first that shows the goal last.
     ``image_jacobian(features, depth, quaternion, controller=False)``
         (n, 8, 6), (12): twist to feature rates, with the depths as given and the plant's sign or the controller's.
     ``measured_depth(depth)``
         The controller's depths (n, 4) for the true ones.
     ``law(features, depth, position, quaternion, twist, weights=None)``
-        Wrench, fuzzy output, normalised memberships and adaptation; `depth` is the controller's. The weights
-        follow omega_j-dot = adaptation_j phi-bar_j - sigma_j omega_j, phi-bar_j being the outer product of the two
-        memberships and sigma_j the leakage; a limit acts at the end of a step. Adaptation holds the dead zone. A
+        Wrench, its parts by name (those of ``_core.LAW_TRAITS[law].parts``, which sum to it with G-bar), the pose error
+        that the law regulates, fuzzy output, normalised memberships and adaptation; `depth` is the controller's. The
+        weights follow omega_j-dot = adaptation_j phi-bar_j - sigma_j omega_j, phi-bar_j being the outer product of the
+        two memberships and sigma_j the leakage; a limit acts at the end of a step. Adaptation holds the dead zone. A
         sampled scenario's law is that of a servo tick, with the tick's period.
     ``acceleration(position, quaternion, twist, wrench)``
         Of the actual plant, (3); the same at every position.
+    ``base_acceleration(time)``
+        Of the frame B, (n, 3) [m/s^2], at times (n,) >= 0 [s]; zero in continuous mode, whose base stands.
     ``estimated_wrenches(quaternion, twist, acceleration)``
         D-bar chi-ddot (n, 6), C-bar chi-dot (n, 6) and G-bar (6,), (1).
     ``inertia(quaternion)``

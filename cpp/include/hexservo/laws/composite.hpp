@@ -60,19 +60,19 @@ struct CompositeGains {
 
 /// The law as a policy of the loop.
 struct Composite : FuzzyLaw<CompositeGains> {
-  static constexpr LawTraits traits = {.name = "composite",
-                                       .type = "Composite",
-                                       .memory = true,
-                                       .viscous = true,
-                                       .switching = true,
-                                       .depth = true,
-                                       .prior = true};
+  static constexpr LawTraits traits = {
+      .name = "composite",
+      .type = "Composite",
+      .parts = {LawPart::switching, LawPart::damping, LawPart::pose_spring, LawPart::fuzzy, LawPart::image_spring},
+      .inverse = "prior",
+      .depth = true,
+      .prior = true};
 
   /// tau = J^T K_p xi-tilde + K_t e - K_d chi-dot - K_v sw(chi-dot) + G - tau_f.
   /// @param out what the law gives; filled in place, since the basis is 84 numbers
-  template <class S, int N>
+  template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
-                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+                       const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
     const Vector6<S> pose_error =
@@ -87,9 +87,17 @@ struct Composite : FuzzyLaw<CompositeGains> {
     } else {
       out.fuzzy_output.setConstant(S(0.0));
     }
-    const Vector6<S> others = J.pull(constants.kp.cwiseProduct(feature_error)) + constants.kt.cwiseProduct(pose_error) -
+    const Vector6<S> image_wrench = J.pull(constants.kp.cwiseProduct(feature_error));
+    const Vector6<S> others = image_wrench + constants.kt.cwiseProduct(pose_error) -
                               constants.kd.cwiseProduct(input.twist) - out.fuzzy_output;
-    out.wrench = others - task.switching_wrench(constants.kv, input, others) + task.gravity_wrench;
+    const Vector6<S> switched = task.switching_wrench(constants.kv, input, others);
+    out.wrench = others - switched + task.gravity_wrench;
+    listener.pose_error([&] { return pose_error; });
+    listener.part(LawPart::switching, [&] { return Vector6<S>(-switched); });
+    listener.part(LawPart::damping, [&] { return Vector6<S>(-constants.kd.cwiseProduct(input.twist)); });
+    listener.part(LawPart::pose_spring, [&] { return Vector6<S>(constants.kt.cwiseProduct(pose_error)); });
+    listener.part(LawPart::fuzzy, [&] { return Vector6<S>(-out.fuzzy_output); });
+    listener.part(LawPart::image_spring, [&] { return image_wrench; });
   }
 };
 

@@ -25,13 +25,17 @@ struct ComputedTorqueGains {
 
 /// The law as a policy of the loop.
 struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
-  static constexpr LawTraits traits = {
-      .name = "computed_torque", .type = "ComputedTorque", .viscous = true, .depth = true, .prior = true};
+  static constexpr LawTraits traits = {.name = "computed_torque",
+                                       .type = "ComputedTorque",
+                                       .parts = {LawPart::damping, LawPart::pose_spring, LawPart::coriolis_feedforward},
+                                       .inverse = "prior",
+                                       .depth = true,
+                                       .prior = true};
 
   /// tau = D (K_p e - K_d chi-dot) + C chi-dot + G with the estimates of (1), and e as in `composite`.
-  template <class S, int N>
+  template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
-                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+                       const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
     const Vector6<S> pose_error =
@@ -43,6 +47,19 @@ struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
     out.wrench.template head<3>() += task.body.mass * wanted.template head<3>();
     out.wrench.template tail<3>() += rotate<S>(inertia_B, wanted.template tail<3>()) +
                                      omega.cross(rotate<S>(inertia_B, omega));  // [omega]x I' omega
+    const auto inertial = [&](const Vector6<S>& acceleration) {
+      Vector6<S> wrench;
+      wrench << task.body.mass * acceleration.template head<3>(), rotate<S>(inertia_B, acceleration.template tail<3>());
+      return wrench;
+    };
+    listener.pose_error([&] { return pose_error; });
+    listener.part(LawPart::damping, [&] { return inertial(-gains.kd.cwiseProduct(input.twist)); });
+    listener.part(LawPart::pose_spring, [&] { return inertial(gains.kp.cwiseProduct(pose_error)); });
+    listener.part(LawPart::coriolis_feedforward, [&] {
+      Vector6<S> wrench = Vector6<S>::Zero();
+      wrench.template tail<3>() = omega.cross(rotate<S>(inertia_B, omega));
+      return wrench;
+    });
   }
 };
 

@@ -31,14 +31,17 @@ struct HybridGains {
 
 /// The law as a policy of the loop.
 struct Hybrid : FuzzyLaw<HybridGains> {
-  static constexpr LawTraits traits = {
-      .name = "hybrid", .type = "Hybrid", .memory = true, .switching = true, .depth = true};
+  static constexpr LawTraits traits = {.name = "hybrid",
+                                       .type = "Hybrid",
+                                       .parts = {LawPart::switching, LawPart::fuzzy, LawPart::image_spring},
+                                       .depth = true,
+                                       .theorem = true};
 
   /// (14), (15) with (13) and (22): tau = g - K_v sgn(chi-dot) + G - tau_f.
   /// @param out what the law gives; filled in place, since the basis is 84 numbers
-  template <class S, int N>
+  template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
-                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+                       const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
     const Pairs<S, N> kp(constants.kp);
     const Pairs<S, N> feature_error = Pairs<S, N>(task.desired_features) - Pairs<S, N>(input.features);
@@ -59,6 +62,9 @@ struct Hybrid : FuzzyLaw<HybridGains> {
     const AxisVector<S> wrench = others - switched + AxisVector<S>(task.gravity_wrench);
     wrench.store(out.wrench.data());
     fuzzy_output.store(out.fuzzy_output.data());
+    listener.part(LawPart::switching, [&] { return Vector6<S>(-switched.vector()); });
+    listener.part(LawPart::fuzzy, [&] { return Vector6<S>(-out.fuzzy_output); });
+    listener.part(LawPart::image_spring, [&] { return image_wrench.vector(); });
   }
 };
 

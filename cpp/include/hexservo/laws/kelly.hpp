@@ -23,16 +23,19 @@ struct KellyGains {
 
 /// The law as a policy of the loop.
 struct Kelly : StatelessLaw<KellyGains> {
-  static constexpr LawTraits traits = {.name = "kelly", .type = "Kelly", .viscous = true, .depth = true};
+  static constexpr LawTraits traits = {
+      .name = "kelly", .type = "Kelly", .parts = {LawPart::damping, LawPart::image_spring}, .depth = true};
 
   /// tau = J^T K_p xi-tilde - K_d chi-dot + G.
-  template <class S, int N>
+  template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
-                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+                       const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.focal_pixels, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
-    out.wrench =
-        J.pull(gains.kp.cwiseProduct(feature_error)) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
+    const Vector6<S> image_wrench = J.pull(gains.kp.cwiseProduct(feature_error));
+    out.wrench = image_wrench - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
+    listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.kd.cwiseProduct(input.twist)); });
+    listener.part(LawPart::image_spring, [&] { return image_wrench; });
   }
 };
 

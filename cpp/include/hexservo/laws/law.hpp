@@ -7,6 +7,10 @@
 #include "hexservo/rigid_body.hpp"
 #include "hexservo/target_model.hpp"
 
+#include <array>
+#include <initializer_list>
+#include <string_view>
+
 namespace hexservo {
 
 /// Stand-ins for sgn in the friction-like term -K_v sgn(chi-dot) of (15).
@@ -110,17 +114,62 @@ enum class LawOutput {
   twist    ///< a motion, which a loop around the law makes the platform follow
 };
 
+/// What the wrench of a law may be made of beside G, each with its sign: they and G sum to it.
+enum class LawPart {
+  switching,            ///< -K_v sw(chi-dot)
+  reference,            ///< of a velocity to be followed, K_i v*
+  damping,              ///< in proportion to the twist
+  pose_spring,          ///< in proportion to a pose error
+  fuzzy,                ///< -tau_f of the fuzzy systems
+  image_spring,         ///< J-hat^T K_p xi-tilde
+  coriolis_feedforward  ///< C chi-dot of the estimate
+};
+inline constexpr std::size_t kLawParts = kNamesOf<LawPart>.size();
+
+/// Those of one law.
+class LawParts {
+ public:
+  constexpr LawParts(std::initializer_list<LawPart> parts) {
+    for (const LawPart part : parts) has_[static_cast<std::size_t>(part)] = true;
+  }
+  constexpr bool has(LawPart part) const { return has_[static_cast<std::size_t>(part)]; }
+
+ private:
+  std::array<bool, kLawParts> has_{};
+};
+
 /// What there is to know of a law without its equation; each law has its own as `traits`.
 struct LawTraits {
   std::string_view name;  ///< of `controller.law`, and of the block of its gains
   std::string_view type;  ///< in C++
+  LawParts parts;
   LawOutput output = LawOutput::wrench;
-  bool memory = false;     ///< fuzzy systems, whose weights change from tick to tick
-  bool viscous = false;    ///< damping in proportion to the twist
-  bool switching = false;  ///< the friction-like term -K_v sw(chi-dot)
-  bool points = false;     ///< gains may use the assumed points and their goal: `needs_goal` of the gains
-  bool depth = false;      ///< the measured depths enter
-  bool prior = false;      ///< the joint sensors' pose, weighed against the image by the gain `prior`
+  std::string_view inverse{};  ///< gain M of (J^T J + M)^-1, which takes an image error to a pose error; empty: none
+  bool points = false;         ///< gains may use the assumed points and their goal: `needs_goal` of the gains
+  bool depth = false;          ///< the measured depths enter
+  bool prior = false;          ///< the joint sensors' pose, weighed against the image by the gain `prior`
+  bool theorem = false;        ///< the paper's theorem, (16) to (21), is of this law
+
+  /// Fuzzy systems, whose weights change from tick to tick.
+  constexpr bool memory() const { return parts.has(LawPart::fuzzy); }
+  /// Damping in proportion to the twist.
+  constexpr bool viscous() const { return parts.has(LawPart::damping); }
+  /// The friction-like term -K_v sw(chi-dot).
+  constexpr bool switching() const { return parts.has(LawPart::switching); }
+  /// A pose error that the law regulates.
+  constexpr bool pose_error() const { return parts.has(LawPart::pose_spring) || parts.has(LawPart::reference); }
+};
+
+/// Hears nothing of what a law tells while it is evaluated: the loops' listener. That of the probe keeps it.
+///
+/// What is told comes as a function that works it out, so that nothing is worked out for this one.
+struct NoListener {
+  /// @param wrench gives what the part adds to the wrench, in B [N; N m]
+  template <class F>
+  void part(LawPart /*part*/, const F& /*wrench*/) const noexcept {}
+  /// @param error gives the pose error that the law regulates, in B [m; rad]
+  template <class F>
+  void pose_error(const F& /*error*/) const noexcept {}
 };
 
 /// Whether a law has fuzzy systems.

@@ -31,18 +31,22 @@ struct PbvsGains {
 
 /// The law as a policy of the loop.
 struct Pbvs : StatelessLaw<PbvsGains> {
-  static constexpr LawTraits traits = {.name = "pbvs", .type = "Pbvs", .viscous = true, .points = true, .prior = true};
+  static constexpr LawTraits traits = {
+      .name = "pbvs", .type = "Pbvs", .parts = {LawPart::damping, LawPart::pose_spring}, .points = true, .prior = true};
 
   /// tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat from the features by `estimate_pose`, started at
   /// the pose of the joint sensors and, with M > 0, weighed against it. NaN where there is no estimate.
-  template <class S, int N>
+  template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
-                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+                       const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const PoseEstimate<S> estimate =
         estimate_pose(task.focal_pixels, task.target.points_B, input.features, input.pose, gains.prior);
     const Vector6<S> error =
         select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
     out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
+    listener.pose_error([&] { return error; });
+    listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.kd.cwiseProduct(input.twist)); });
+    listener.part(LawPart::pose_spring, [&] { return Vector6<S>(gains.kp.cwiseProduct(error)); });
   }
 };
 

@@ -65,16 +65,17 @@ S velocity_gain(const ResolvedRateGains<S, N>& gains, const S& x) {
 struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
   static constexpr LawTraits traits = {.name = "resolved_rate",
                                        .type = "ResolvedRate",
+                                       .parts = {LawPart::reference, LawPart::damping},
                                        .output = LawOutput::twist,
-                                       .viscous = true,
+                                       .inverse = "damping",
                                        .points = true,
                                        .depth = true};
 
   /// v* = lambda (J^T J + M)^-1 J^T xi-tilde, tau = K_i (v* - chi-dot) + G. NaN where J^T J + M is not positive
   /// definite.
-  template <class S, int N>
+  template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
-                       const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
+                       const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
     const Eigen::Matrix<S, 2 * N, 6> J = jacobian(gains.jacobian_at, task, input);
     Matrix6<S> information = Matrix6<S>::Zero();
@@ -86,8 +87,12 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
       }
     for (int j = 0; j < 6; ++j) information(j, j) += gains.damping(j);
     const S lambda = velocity_gain(gains, largest_abs<S, 2 * N, 1>(feature_error));
-    const Vector6<S> velocity = lambda * solve_normal_equations<S>(information, pulled);
+    const Vector6<S> pose_error = solve_normal_equations<S>(information, pulled);
+    const Vector6<S> velocity = lambda * pose_error;
     out.wrench = gains.ki.cwiseProduct(velocity - input.twist) + task.gravity_wrench;
+    listener.pose_error([&] { return pose_error; });
+    listener.part(LawPart::reference, [&] { return Vector6<S>(gains.ki.cwiseProduct(velocity)); });
+    listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.ki.cwiseProduct(input.twist)); });
   }
 
  private:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest, not_analysed
@@ -225,11 +224,9 @@ class _Worker:
 
     def ends(self, errors: Array) -> tuple[Poses, Mask]:
         """Search for poses of zero pose error, from the start; return them and which converged."""
-        probe = _core.Probe(_only_pose_error(self.rest.settings, self.inverse))
         count = len(errors)
         home = self.rest.home
         poses = home.repeated(count)
-        still = np.zeros((count, 6))
         last = np.full(count, np.inf)
         for _ in range(_CREEP_ROUNDS if self.expected.any() else 0):
             features, depth = self.rest.image(poses)
@@ -237,10 +234,11 @@ class _Worker:
             if not seen.any():
                 break
             there, believed = poses[seen], (1.0 + errors[seen]) * depth[seen]
-            law = probe.law(features[seen], believed, there.position, there.quaternion, still[seen])
-            error = law.wrench - self.rest.weight  # K_t is one and everything else zero: the wrench is e
-            known = probe.image_jacobian(features[seen], believed, there.quaternion)
-            true = probe.image_jacobian(features[seen], depth[seen], there.quaternion)
+            at = (there.position, there.quaternion, np.zeros((len(there), 6)))
+            error = self.rest.probe.law(features[seen], believed, *at).pose_error
+            assert error is not None  # a law with a prior regulates one
+            known = self.rest.jacobian(features[seen], believed, there.quaternion)
+            true = self.rest.jacobian(features[seen], depth[seen], there.quaternion)
             slope = loop_matrix(known, true, self.inverse, self.expected)
             step = np.zeros((count, 6))
             step[seen] = np.linalg.solve(slope, error[..., None])[..., 0]
@@ -329,16 +327,3 @@ class _Worker:
             grid,
             curves,
         )
-
-
-def _only_pose_error(like: _core.Settings, prior: Array) -> _core.Settings:
-    """Return the law composite with K_t = 1 and the weight only: its wrench is the pose error plus the weight."""
-    law = "composite"
-    settings = _core.Settings(law)
-    for key in _core.scenario_keys(law):
-        if key.name.startswith(("robot.", "camera.", "target.", "uncertainty.", "controller.jacobian")):
-            settings[key.name] = like[key.name]
-    gains = {"kp": 0.0, "kv": 0.0, "kd": 0.0, "kt": 1.0, "prior": prior, "fuzzy.enabled": False}
-    for name, value in gains.items():
-        settings[f"controller.{law}.{name}"] = value
-    return settings

@@ -61,8 +61,8 @@ class Goals:
 def find_goals(scene: Scene) -> Goals | None:
     """Find the pose with the goal image (docs/analysis/conditioning.md).
 
-    `best` is searched from home turned about the optical axis in eighths and, where that leaves a coordinate of a
-    feature more than `TOLERANCE` off, from 64 poses of `Scene.spread`. Of poses that show the goal image to `SHOWN` it
+    `best` is searched by the core (`_core.Probe.goal_minima`) and, where that leaves a coordinate of a feature more
+    than `TOLERANCE` off, from 64 poses of `Scene.spread`. Of poses that show the goal image to `SHOWN` it
     is the one nearest to home, otherwise the one with the least sum of squared image errors. `nearest` has the least
     sqrt(|shift|^2 + (r_p |turn|)^2), with r_p the platform's radius, among poses near the way from home to `best` that
     leave no coordinate more than `TOLERANCE` further from its goal than `best` leaves one. A local search: it may miss
@@ -74,9 +74,7 @@ def find_goals(scene: Scene) -> Goals | None:
     """
     if not scene.has_points:
         return None
-    turns = np.zeros((8, 6))
-    turns[:, 5] = np.pi / 4 * np.array([0, 1, -1, 2, -2, 3, -3, 4])
-    found = nearest_images(scene, scene.home.moved(turns), rounds=60)
+    found = Poses(*scene.probe.goal_minima())
     if not (scene.residual(found) <= TOLERANCE).any():
         found = Poses.joined(found, nearest_images(scene, scene.spread(64, seed=0), rounds=60))
     largest = scene.residual(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any
 
@@ -16,7 +16,7 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Rest", "RestLaw", "not_analysed", "without_friction"]
+__all__ = ["Rest", "RestLaw", "not_analysed"]
 
 _STEPS = np.repeat([1e-5, 1e-5], 3)  # [m; rad], of the central differences of a wrench
 
@@ -57,8 +57,15 @@ class Rest(Scene):
         other.desired = desired
         return other
 
-    def wrench(self, poses: Poses, twist: Array | None = None, *, exact_depth: bool = False) -> Array:
-        """Return the law's wrench, (..., 6) in B [N; N m], at rest or at twists (..., 6) in B; weight included.
+    def _of_law(
+        self,
+        wanted: Callable[[_core.LawProbe], Array],
+        poses: Poses,
+        twist: Array | None = None,
+        *,
+        exact_depth: bool = False,
+    ) -> Array:
+        """Return six numbers of what the law gives at poses, (..., 6), at rest or at twists (..., 6) in B.
 
         NaN where not all points are in view. With `exact_depth` the controller uses the true depths.
         """
@@ -72,8 +79,42 @@ class Rest(Scene):
             if not exact_depth:
                 believed = self.probe.measured_depth(believed)
             at = (there.position, there.quaternion, speed)
-            result[seen] = self.probe.law(features.reshape(-1, 8)[seen], believed, *at).wrench
+            result[seen] = wanted(self.probe.law(features.reshape(-1, 8)[seen], believed, *at))
         return result.reshape(*poses.shape, 6)
+
+    def wrench(self, poses: Poses, twist: Array | None = None) -> Array:
+        """Return the law's wrench, (..., 6) in B [N; N m], at rest or at twists (..., 6) in B; weight included.
+
+        NaN where not all points are in view.
+        """
+        return self._of_law(lambda law: law.wrench, poses, twist)
+
+    def spring(self, poses: Poses, *, exact_depth: bool = False) -> Array:
+        """Return the parts of the law's wrench that depend on the pose alone, (..., 6) in B [N; N m].
+
+        Friction, fuzzy systems and weight are left out. NaN where not all points are in view.
+        """
+
+        def springs(law: _core.LawProbe) -> Array:
+            found: Array = sum(
+                (wrench for part, wrench in law.parts.items() if part not in ("switching", "fuzzy")),
+                start=np.zeros_like(law.wrench),
+            )
+            return found
+
+        return self._of_law(springs, poses, exact_depth=exact_depth)
+
+    def pose_error(self, poses: Poses) -> Array:
+        """Return the pose error that the law regulates, (..., 6) in B [m; rad]; NaN where not all points are in view.
+
+        Of a law with `_core.LawTraits.pose_error`.
+        """
+
+        def error(law: _core.LawProbe) -> Array:
+            assert law.pose_error is not None
+            return law.pose_error
+
+        return self._of_law(error, poses)
 
     def acceleration(self, poses: Poses, twist: Array | None = None) -> Array:
         """Return chi-ddot of the plant under the law, (..., 6) [m/s^2; rad/s^2], at rest or at twists (..., 6) in B.
@@ -93,13 +134,22 @@ class Rest(Scene):
 
         Central differences: with steps near 1e-6 truncation and rounding leave about 1e-12 of the largest entry.
         """
-        return -by_displacement(self.acceleration, poses, step * self.unit) * self.unit / self.unit[:, None]
+        return self._slope(self.acceleration, poses, step)
 
-    def settled(self, starts: Poses, rounds: int = 10) -> tuple[Poses, Mask]:
-        """Return equilibria by Newton's method from each start, and which converged (last step below 1e-8)."""
+    def _slope(self, of: Callable[[Poses], Array], poses: Poses, step: float = 1e-6) -> Array:
+        return -by_displacement(of, poses, step * self.unit) * self.unit / self.unit[:, None]
+
+    def settled(
+        self, starts: Poses, rounds: int = 10, of: Callable[[Poses], Array] | None = None
+    ) -> tuple[Poses, Mask]:
+        """Return zeros by Newton's method from each start, and which converged (last step below 1e-8).
+
+        Of `acceleration`, which are equilibria, or of another function from poses (n,) to (n, 6), linear and angular.
+        """
+        field = self.acceleration if of is None else of
         poses, last = starts, np.full(len(starts), np.inf)
         for _ in range(rounds):
-            slope, value = self.stiffness(poses), self.acceleration(poses) / self.unit
+            slope, value = self._slope(field, poses), field(poses) / self.unit
             usable = np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(value).all(axis=1)
             slope[~usable], value[~usable] = np.eye(6), 0.0
             usable &= np.linalg.cond(slope) < 1e14  # beyond, a step is rounding
@@ -108,14 +158,6 @@ class Rest(Scene):
             last = np.where(usable, np.abs(step).max(axis=1), np.inf)
             poses = poses.moved(limited(step) * self.unit)
         return poses, last < 1e-8
-
-
-def without_friction(scenario: Scenario) -> Scenario:
-    """Return the scenario with a law that has neither switching term nor fuzzy systems."""
-    law = scenario.controller.law
-    changes: dict[str, Any] = {"controller.switching.kind": "sign", f"controller.{law}.kv": 0.0}
-    changes[f"controller.{law}.fuzzy.enabled"] = False
-    return scenario.updated(changes)
 
 
 def not_analysed(scenario: Scenario, reasons: Mapping[str, str]) -> str:
@@ -139,7 +181,7 @@ def not_analysed(scenario: Scenario, reasons: Mapping[str, str]) -> str:
 class RestLaw:
     """The wrench that acts on a platform at rest, but for friction and fuzzy systems.
 
-    It is the law's own less what holds the estimated weight, plus the gravity error: tau - G-bar + delta_G G-bar.
+    It is the sum of the law's other parts and the gravity error delta_G G-bar.
 
     Parameters
     ----------
@@ -150,7 +192,7 @@ class RestLaw:
     """
 
     def __init__(self, scene: Scene, *, exact_depth: bool = False) -> None:
-        self._rest = Rest(without_friction(scene.scenario))
+        self._rest = Rest(scene.scenario)
         self._exact_depth = exact_depth
 
     def aimed_at(self, desired: Array) -> RestLaw:
@@ -177,10 +219,10 @@ class RestLaw:
         ValueError
             Where the law gives none: a point behind the camera, a singular pose.
         """
-        wrench = self._rest.wrench(poses, exact_depth=self._exact_depth)
+        wrench = self._rest.spring(poses, exact_depth=self._exact_depth)
         if not np.isfinite(wrench).all():
             raise ValueError("pose: expected one from which the law gives a wrench, got one behind a point or singular")
-        return np.asarray(wrench - self._rest.weight + self.gravity_error)
+        return np.asarray(wrench + self.gravity_error)
 
     def stiffness(self, poses: Poses) -> Array:
         """Return minus the derivative of the wrench by the displacement, (..., 6, 6), by central differences."""

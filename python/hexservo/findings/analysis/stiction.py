@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
-from hexservo.findings.analysis.rest import Rest, RestLaw, without_friction
+from hexservo.findings.analysis.rest import Rest, RestLaw
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.analysis.stiction_runs import Runs, run
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed, extremes
@@ -220,8 +220,6 @@ def _creep(rest: RestSet, at_goal: Array, scenario: Scenario, kv: Array) -> Cree
 
 def _prior_error(scene: Scene, goals: Goals) -> float | None:
     """Return the image error where the pose error e of `composite` vanishes [px], near the goal; None if not found."""
-    changes = {"kp": 0.0, "kd": 0.0, "kt": 1.0}  # the law's wrench is then e
-    only_e = scene.scenario.updated({f"controller.composite.{key}": value for key, value in changes.items()})
-    rest = Rest(without_friction(only_e), gravity=0.0)
-    poses, found = rest.settled(goals.nearest.view.pose.rows, rounds=30)
+    rest = Rest(scene.scenario)
+    poses, found = rest.settled(goals.nearest.view.pose.rows, rounds=30, of=rest.pose_error)
     return float(rest.residual(poses)[0]) if found[0] else None

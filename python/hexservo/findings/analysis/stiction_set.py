@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from hexservo.scenario.arrays import Array
 __all__ = ["SPAN", "Extremes", "RestSet", "confirmed", "extremes"]
 
 SPAN = 0.2  # of the points' mean depth, and in rad: farther than this no image is called linear
+_ROUNDING = 1e-12  # of the stroke: what a leg at its limit stays within it, whatever its length is rounded to
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +207,9 @@ def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) ->
         if not (view.depth < 0).all():
             return found
         here = RestSet.at(scene, law, view, margin * rest.low, margin * rest.high)
+        here = replace(here, stroke=(1 - _ROUNDING) * rest.stroke)
         inside = (here.wrench >= rest.low).all() and (here.wrench <= rest.high).all()
-        if inside and (np.abs(here.travel) <= here.stroke).all():
+        if inside and (np.abs(here.travel) <= rest.stroke).all():
             reached = float(np.abs(here.error).max())
             if found is None or reached > found[1]:
                 found = pose, reached

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hexservo import _core
-from hexservo.findings.certificate.replay import Plant, Replay, probe_without, product
+from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.findings.certificate.stages import STAGE_WEIGHTS, Stages, doubled_stages_of, stages_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.laws import laws_with
 from hexservo.scenario.wording import number
 
 __all__ = ["EnergyLedger", "energy_ledger"]
@@ -21,25 +21,6 @@ NEGLIGIBLE = 1e-3  # of the work of lifting the weight by the stroke
 _ROUNDING = 1e-12  # of the turnover
 _SAME = 1e-9  # of the largest twist: what rebuilt steps may differ from the samples by
 _ZERO = 1e-12  # likewise: a component that is zero but for rounding
-
-# law -> gains whose terms are taken out one after another, each (key of the term, gains set to zero)
-_TERMS: Mapping[str, Sequence[tuple[str, tuple[str, ...]]]] = {
-    "hybrid": (("switching", ("kv",)),),
-    "composite": (("switching", ("kv",)), ("damping", ("kd",)), ("pose_spring", ("kt",))),
-    "kelly": (("damping", ("kd",)),),
-    "resolved_rate": (("reference", ("adaptive", "gain")),),
-    "pbvs": (("damping", ("kd",)),),
-    "computed_torque": (("damping", ("kd",)), ("pose_spring", ("kp",))),
-}
-# law -> key of what is left of it then, but for fuzzy output and weight
-_REST = {
-    "hybrid": "image_spring",
-    "composite": "image_spring",
-    "kelly": "image_spring",
-    "resolved_rate": "damping",
-    "pbvs": "pose_spring",
-    "computed_torque": "coriolis_feedforward",
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,17 +126,16 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
 
 @dataclass(frozen=True, eq=False)
 class _Terms:
-    """Splits the acting wrench into the law's terms by gains set to zero, without a second copy of the law."""
+    """Splits the acting wrench into the law's parts, as the core tells them, and the rest."""
 
     run: Replay
-    without: tuple[tuple[str, _core.Probe], ...]  # term -> the law without it, and without those before it
     gravity: Array  # (6,) G-bar [N; N m]
     law_is_known: bool
     remarks: tuple[str, ...]
 
     @classmethod
     def of(cls, run: Replay) -> _Terms:
-        """Prepare the laws with gains set to zero."""
+        """Decide whether the law's parts are known."""
         scenario = run.scenario
         remarks: list[str] = []
         known = not run.own and (run.continuous or scenario.camera.convention == "eye_in_hand")
@@ -165,14 +145,9 @@ class _Terms:
             remarks.append(
                 "A sampled camera as printed has no image between two ticks: the law is not split into terms."
             )
-        zeroed: list[str] = []
-        without = []
-        for term, gains in _TERMS[scenario.controller.law] if known else ():
-            zeroed += gains
-            without.append((term, probe_without(scenario, *zeroed)))
         rest = np.zeros((1, 6))
         gravity = run.probe.estimated_wrenches(np.array([[1.0, 0.0, 0.0, 0.0]]), rest, rest)[2]
-        return cls(run, tuple(without), gravity, known, tuple(remarks))
+        return cls(run, gravity, known, tuple(remarks))
 
     def wrenches(self, stages: Stages, plant: Plant) -> dict[str, Array]:
         """Return the wrench of every term in every stage, (m, 4, 6) [N; N m]; they sum to what acts."""
@@ -187,36 +162,23 @@ class _Terms:
         return found
 
     def _of_law(self, stages: Stages) -> dict[str, Array]:
-        run, scenario = self.run, self.run.scenario
+        run = self.run
         shape = stages.wrench.shape
         depth = run.probe.measured_depth(stages.rows("depth"))
-        features, position, quaternion, twist = (
-            stages.rows(name) for name in ("features", "position", "quaternion", "twist")
-        )
-        # Inside a stage of the continuous loop, weights are the core's business; no difference below depends on them.
+        state = (stages.rows(name) for name in ("features", "position", "quaternion", "twist"))
+        features, position, quaternion, twist = state
+        # Inside a stage of the continuous loop, weights are the core's business: the fuzzy part there is the stage's.
         weights = None
         if run.weights is not None and not run.continuous:
             weights = np.repeat(run.weights[stages.tick], 4, axis=0)
-
-        def law_of(probe: _core.Probe) -> _core.LawProbe:
-            return probe.law(features, depth, position, quaternion, twist, weights)
-
-        whole = law_of(run.probe)
-        found: dict[str, Array] = {}
-        before = whole.wrench
-        for term, probe in self.without:
-            after = law_of(probe).wrench
-            found[term] = (before - after).reshape(shape)
-            before = after
-        law, fuzzy = whole.wrench.reshape(shape), whole.fuzzy_output.reshape(shape)
-        if stages.fuzzy_output is not None:
-            law, fuzzy = stages.wrench, stages.fuzzy_output
-        if run.weights is not None:
-            found["fuzzy"] = -fuzzy
-        rest = law + fuzzy - self.gravity - sum(found[term] for term, _ in self.without)
-        found[_REST[scenario.controller.law]] = found.get(_REST[scenario.controller.law], 0.0) + rest
+        law = run.probe.law(features, depth, position, quaternion, twist, weights)
+        found = {part: wrench.reshape(shape) for part, wrench in law.parts.items()}
+        if "fuzzy" in found and run.weights is None:
+            del found["fuzzy"]
+        elif stages.fuzzy_output is not None and "fuzzy" in found:
+            found["fuzzy"] = -stages.fuzzy_output
         if not run.continuous:
-            found["held"] = stages.wrench - law
+            found["held"] = stages.wrench - law.wrench.reshape(shape)
         return found
 
 
@@ -312,5 +274,5 @@ def _compare(run: Replay, stages: Stages, inertia: Array) -> tuple[float, int, f
 
 def _smooth(run: Replay) -> bool:
     """Whether the law has no switching term, or a smooth one."""
-    terms = [term for term, _ in _TERMS[run.scenario.controller.law]]
-    return "switching" not in terms or run.scenario.controller.switching.kind == "tanh"
+    controller = run.scenario.controller
+    return controller.law not in laws_with("switching") or controller.switching.kind == "tanh"

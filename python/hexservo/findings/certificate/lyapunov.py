@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hexservo.findings.certificate.replay import Plant, Replay, probe_without, sgn_breaks
+from hexservo.findings.certificate.replay import Plant, Replay, sgn_breaks
 from hexservo.findings.certificate.uncertainty import Assumption, DeltaTau
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
@@ -95,7 +95,7 @@ def lyapunov_of(run: Replay, plant: Plant, uncertainty: DeltaTau, assumption: As
     sign = settings["controller.switching.kind"] == "sign"
     believed = run.probe.measured_depth(run.depth)
     state = (run.features, believed, run.position, run.quaternion, run.twist)
-    switching = run.probe.law(*state).wrench - probe_without(run.scenario, "kv").law(*state).wrench  # -K_v sw(chi-dot)
+    switching = run.probe.law(*state).parts["switching"]
     # chi-dot^T gamma by axis: what neither K_v nor fuzzy systems answer.
     own = run.twist * (assumption.gamma + switching)
     options = np.zeros_like(own)

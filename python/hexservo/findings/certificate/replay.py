@@ -15,7 +15,7 @@ from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
-__all__ = ["Plant", "Replay", "every_step", "probe_without", "product", "replay", "replay_of", "sgn_breaks"]
+__all__ = ["Plant", "Replay", "every_step", "product", "replay", "replay_of", "sgn_breaks"]
 
 
 # what two runs are compared by -> unit
@@ -159,14 +159,6 @@ def _differences(result: Result, run: Result) -> dict[str, float]:
         if not np.array_equal(mine, theirs):
             found[name] = float(np.abs(mine - theirs).max())
     return found
-
-
-def probe_without(scenario: Scenario, *gains: str) -> _core.Probe:
-    """Return the parts of a scenario's loop with some gains of its law zero, to find the effect of these gains."""
-    settings = core_parameters(scenario)
-    for name in gains:
-        settings[f"controller.{settings.law}.{name}"] = 0.0
-    return _core.Probe(settings)
 
 
 def sgn_breaks(twist: Array) -> Mask:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo.findings.certificate.base import base_accelerations
 from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
@@ -51,13 +50,12 @@ class Stages:
 
 def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:
     """Return the stages of all steps between the run's samples, some at a time."""
-    moving_base = None if run.continuous else base_accelerations(run)
     for first in range(0, len(run.time) - 1, _CHUNK):
         ticks = np.arange(first, min(first + _CHUNK, len(run.time) - 1))
         if run.continuous:
             yield _continuous(run, ticks, run.probe, run.step)
         else:
-            yield from _sampled(run, plant, ticks, moving_base)
+            yield from _sampled(run, plant, ticks)
 
 
 def doubled_stages_of(run: Replay) -> Iterator[Stages]:
@@ -97,16 +95,17 @@ def _continuous(run: Replay, ticks: NDArray[np.intp], probe: _core.Probe, step: 
     )
 
 
-def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp], moving_base: Array | None) -> Iterator[Stages]:
+def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp]) -> Iterator[Stages]:
     """Move the platform from every tick to the next one under the logged wrench or leg forces."""
     substeps = run.scenario.simulation.substeps
     step = run.step / substeps
     body = (run.position[ticks], run.quaternion[ticks], run.twist[ticks])
     legs = _core.Hexapod(run.settings.robot) if run.scenario.actuators.hold == "leg_forces" else None
+    base_moves = run.scenario.base_motion.kind != "none"
     for substep in range(substeps):
         stages: list[dict[str, Array]] = []
-        base = None if moving_base is None else moving_base[ticks * substeps + substep]  # (m, 3 instants, 3)
-        for number, scale in enumerate((0.0, step / 2, step / 2, step)):
+        start = ticks * run.step + substep * step  # [s]
+        for scale in (0.0, step / 2, step / 2, step):
             before = stages[-1] if stages else None
             place = body
             if before is not None:
@@ -116,8 +115,8 @@ def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp], moving_base: Ar
                 run.wrench[ticks] if legs is None else _leg_wrench(legs, position, quaternion, run.leg_forces[ticks])
             )
             inertial = np.zeros_like(twist)
-            if base is not None:
-                inertial[:, :3] = -base[:, (0, 1, 1, 2)[number]]
+            if base_moves:
+                inertial[:, :3] = -run.probe.base_acceleration(start + scale)
                 inertial = product(plant.inertia(quaternion), inertial)
             acceleration = run.probe.acceleration(position, quaternion, twist, wrench + inertial)
             stages.append(
@@ -146,7 +145,7 @@ def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp], moving_base: Ar
             twist=joined["twist"],
             wrench=joined["wrench"],
             fuzzy_output=None,
-            base=None if moving_base is None else joined["base"],
+            base=joined["base"] if base_moves else None,
             acceleration=joined["acceleration"],
             start_quaternion=body[1],
             start_twist=body[2],

@@ -11,18 +11,14 @@ from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.diagnosis.criterion import Record
-from hexservo.findings.diagnosis.runs import Run
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.keys import sampled_keys
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Goal", "Obstacle", "goal_of", "goal_run", "obstacle_of", "pixels_per_metre", "spread_target"]
+__all__ = ["Goal", "Obstacle", "goal_of", "obstacle_of", "pixels_per_metre", "spread_target"]
 
-_STIFFNESS = 400.0  # [1/s^2], of the run that finds the goal: settles as exp(-20 t)
 _SPREAD = 0.2  # half the side of the square that stands in for a target, in parts of its distance
 _EXACT = 0.5  # [px]: features of a pose are no farther off, with ordinary noise
-_REACHED = 1.0  # [px], of the run that finds the goal: it may be that no pose shows the goal exactly
+_SHOWN = 1.0  # [px]: it may be that no pose shows the goal exactly
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,39 +61,14 @@ def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
     return Obstacle("image" if found.residual > allowed else "stroke", travel, found.residual, image)
 
 
-def goal_run(scenario: Scenario) -> Run:
-    """Prepare the run that finds the goal: position-based control of an exact model, in continuous time."""
-    robot = scenario.robot
-    inertia = np.asarray(robot.inertia)
-    moments = inertia if inertia.ndim == 1 else np.diag(inertia)
-    weights = np.array([robot.mass] * 3 + moments.tolist())
-    changes: dict[str, Any] = {
-        **sampled_keys(),
-        "simulation.mode": "continuous",
-        "simulation.step": 0.005,
-        "simulation.duration": 2.0,
-        "controller.law": "pbvs",
-        "controller.switching.kind": "sign",
-        "controller.pbvs.kp": (_STIFFNESS * weights).tolist(),
-        "controller.pbvs.kd": (2.0 * _STIFFNESS**0.5 * weights).tolist(),
-        "uncertainty.inertia": 0.0,
-        "uncertainty.coriolis": 0.0,
-        "uncertainty.gravity": 0.0,
-        "uncertainty.depth": 0.0,
-    }
-    return Run(scenario, changes, keep=True)
-
-
-def goal_of(record: Record | None) -> Goal | None:
-    """Return the goal from that run; None if it was refused or did not reach the goal."""
-    if record is None or record.outcome != "completed" or record.metrics["final_error"] > _REACHED:
+def goal_of(scenario: Scenario) -> Goal | None:
+    """Return the goal of a scenario; None if no pose was found that shows it to 1 px, or the camera is as printed."""
+    scene = scene_of(scenario)
+    goals = find_goals(scene)
+    if goals is None or goals.best.largest_residual > _SHOWN:
         return None
-    lengths = record.samples["leg_lengths"]
-    return Goal(
-        record.samples["position"][-1],
-        record.samples["quaternion"][-1],
-        float(np.abs(lengths[-1] - lengths[0]).max()),
-    )
+    pose = goals.best.view.pose
+    return Goal(pose.position, pose.quaternion, float(np.abs(scene.leg_travel(pose)).max()))
 
 
 def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array) -> float:

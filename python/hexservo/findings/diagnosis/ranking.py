@@ -21,7 +21,7 @@ from hexservo.findings.diagnosis.environment import (
     known,
     unusual,
 )
-from hexservo.findings.diagnosis.goal import goal_of, goal_run, obstacle_of
+from hexservo.findings.diagnosis.goal import goal_of, obstacle_of
 from hexservo.findings.diagnosis.model import Case, Cause, Removal
 from hexservo.findings.diagnosis.runs import Run, run_all
 from hexservo.scenario.scenario import Scenario
@@ -62,10 +62,9 @@ class Study:
     controls: tuple[bool, ...]  # whether the run passes with other seeds and with small random changes
 
 
-def make_cases(scenarios: Sequence[Scenario], threads: int = 1) -> list[Case]:
+def make_cases(scenarios: Sequence[Scenario]) -> list[Case]:
     """Find the goals of scenarios, and whether they can be reached."""
-    records = run_all([goal_run(scenario) for scenario in scenarios], threads)
-    goals = [goal_of(record) for record in records]
+    goals = [goal_of(scenario) for scenario in scenarios]
     return [Case(scenario, goal, obstacle_of(scenario, goal)) for scenario, goal in zip(scenarios, goals, strict=True)]
 
 
