@@ -134,7 +134,7 @@ void require_body_room(Column position, Column quaternion, Column twist, std::si
   require_room("twist", twist, 6, n);
 }
 
-/// Keeps a row of what a law tells.
+/// Keeps a row of what a law reports.
 struct ProbeListener {
   const ProbedLaw& out;
   std::size_t row;

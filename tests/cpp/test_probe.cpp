@@ -295,7 +295,7 @@ TEST_CASE("rows that do not fit are refused by name, and so are numbers without 
       "camera.convention"));
 }
 
-TEST_CASE("the parts that a law tells sum to its wrench, and those that it has not are refused by name") {
+TEST_CASE("the parts that a law reports sum to its wrench, and those that it does not have are refused by name") {
   Random random(83);
   CAPTURE(random.seed());
   Laws::for_each([&]<class Law>(std::type_identity<Law>) {

@@ -30,7 +30,7 @@ class LoopEquations {
   const World<S, N>& world() const noexcept { return world_; }
 
   /// The law at an instant.
-  /// @param listener to what a law tells of its work, see `NoListener`; none: none
+  /// @param listener receives what a law reports of its work, see `NoListener`
   template <class... Listener>
   [[gnu::always_inline]] inline void evaluate(const LawStage& stage, const LawInput<S, N>& input,
                                               typename Law::template Evaluation<S>& out,

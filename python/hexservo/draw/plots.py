@@ -397,7 +397,7 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
     """
     target = Path(folder)
     controller = result.scenario.controller
-    has_table = "fuzzy" in type(getattr(controller, controller.law)).model_fields
+    has_table = "fuzzy" in type(controller.gains).model_fields
     figures = {
         **({"fig2a_rule_table": rule_table(result.scenario)} if has_table else {}),
         "fig2b_feature_errors": feature_errors(result),

@@ -15,7 +15,7 @@ from hexservo.findings.check_gains import of_gains
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
-from hexservo.scenario.laws import LAWS, laws_with
+from hexservo.scenario.laws import LAWS, Controller, laws_with
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
@@ -146,7 +146,7 @@ class _Condition:
 
 
 def _switches(scenario: Scenario) -> bool:
-    return scenario.controller.law in laws_with("memory")
+    return scenario.controller.law in laws_with("switching")
 
 
 def _has_slope(scenario: Scenario) -> bool:
@@ -185,6 +185,15 @@ def _of_auto(law: str) -> tuple[_Condition, _Condition]:
     )
 
 
+def _of_adaptive_gain(law: str) -> _Condition:
+    block = f"controller.{law}"
+
+    def adapts(scenario: Scenario) -> bool:
+        return scenario.controller.law != law or value_at(scenario, f"{block}.adaptive") is True
+
+    return _Condition((f"{block}.gain_far", f"{block}.gain_slope"), adapts, f"only with {block}.adaptive: true")
+
+
 def _of_motion(keys: str, kind: str) -> _Condition:
     return _Condition(
         tuple(f"base_motion.{key}" for key in keys.split()),
@@ -197,12 +206,8 @@ _CONDITIONS = (
     *map(_of_law, LAWS),
     *map(_of_fuzzy, laws_with("memory")),
     *(condition for law in LAWS for condition in _of_auto(law)),
-    _Condition(
-        ("controller.resolved_rate.gain_far", "controller.resolved_rate.gain_slope"),
-        lambda scenario: scenario.controller.law != "resolved_rate" or scenario.controller.resolved_rate.adaptive,
-        "only with controller.resolved_rate.adaptive: true",
-    ),
-    _Condition(("controller.switching.kind",), _switches, "only with the laws hybrid and composite"),
+    *(_of_adaptive_gain(law) for law in LAWS if hasattr(getattr(Controller(), law), "adaptive")),
+    _Condition(("controller.switching.kind",), _switches, f"only with the laws {' and '.join(laws_with('switching'))}"),
     _Condition(("controller.switching.width",), _has_slope, "only where the switching term is tanh or saturation"),
     _Condition(
         ("camera.outlier_size",),

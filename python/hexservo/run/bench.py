@@ -21,7 +21,7 @@ from hexservo.run.batch import thread_count
 from hexservo.run.machine import describe_machine
 from hexservo.run.variant import available_variants, load_kernel
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import LAWS, THEOREM_LAW
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, load_scenario
 
@@ -39,11 +39,6 @@ _EDGES = np.round(10.0 ** (np.arange(_BINS_PER_DECADE, 10 * _BINS_PER_DECADE + 1
 _KNOWN = {"settling_time": (0.353, 0.02 * 0.353), "final_error": (0.080, 0.02)}  # paper, docs/model.md section 8
 _LANE_TOLERANCE = 1e-9  # between a lane and a single run on the smooth loop [px]
 _SIGN_TOLERANCE = 0.02  # the same where the force jumps with the sign of a velocity [px]
-# Between a tick's wrench and the run's [N; N m]: laws with weights adapt by forward Euler in a tick and by Runge-Kutta
-# in a run, which at 1 ms makes 1.2e-4 and 9.4e-4; without weights only roundings differ.
-_TICK_TOLERANCES = {"hybrid": 5e-4, "composite": 2e-3} | dict.fromkeys(
-    ("kelly", "resolved_rate", "pbvs", "computed_torque"), 1e-9
-)
 
 
 class BenchmarkError(RuntimeError):
@@ -54,7 +49,7 @@ class BenchmarkError(RuntimeError):
 class Plan:
     """Durations and repetitions of the measurements."""
 
-    ticks: int = 1_000_000  # of law `hybrid`, free-running
+    ticks: int = 1_000_000  # of the paper's law, free-running
     seconds: float = 3.0  # of every rate
     realtime: bool = False  # ask for SCHED_FIFO and locked memory
     rounds: int = 9  # of the rates
@@ -184,8 +179,8 @@ def benchmark(plan: Plan, say: Say = lambda text: None) -> Benchmark:
 def _parameters(scenario: Scenario) -> _core.Settings:
     """Return the core's settings of a scenario of the law whose runs are measured."""
     parameters = core_parameters(scenario)
-    if parameters.law != "hybrid":
-        raise ValueError(f"controller.law: expected hybrid, got {scenario.controller.law}")
+    if parameters.law != THEOREM_LAW:
+        raise ValueError(f"controller.law: expected {THEOREM_LAW}, got {scenario.controller.law}")
     return parameters
 
 
@@ -200,7 +195,7 @@ def _replayed(scenario: Scenario, law: str) -> Scenario:
 def _time_ticks(scenario: Scenario, rate: float | None, plan: Plan) -> TickTiming:
     law = scenario.controller.law
     if rate is None:
-        periods = plan.ticks if law == "hybrid" else plan.law_ticks
+        periods = plan.ticks if law == THEOREM_LAW else plan.law_ticks
     else:
         periods = max(1, round(plan.seconds * rate))
     times = _core.time_ticks(core_parameters(scenario), periods, rate or 0.0, plan.realtime)
@@ -209,7 +204,7 @@ def _time_ticks(scenario: Scenario, rate: float | None, plan: Plan) -> TickTimin
     what = f"ticks of {law}, free-running" if rate is None else f"ticks of {law} at {rate:g} Hz"
     _require(times.invalid == 0, what, "no invalid input", f"{times.invalid} of them")
     _require(times.reproduced, what, "the same outputs in every replay", "others")
-    difference, allowed = times.wrench_difference, _TICK_TOLERANCES[law]
+    difference, allowed = times.wrench_difference, _tick_tolerance(scenario.controller.traits)
     _require(difference <= allowed, what, f"the run's wrenches to {allowed:g}", f"{difference:.2g} off")
     return TickTiming(
         law=law,
@@ -225,6 +220,17 @@ def _time_ticks(scenario: Scenario, rate: float | None, plan: Plan) -> TickTimin
         wrench_difference=difference,
         load_average=os.getloadavg()[0],
     )
+
+
+def _tick_tolerance(law: _core.LawTraits) -> float:
+    """Return the largest difference between a tick's wrench and the run's [N; N m].
+
+    Laws with weights adapt by forward Euler in a tick and by Runge-Kutta in a run. At 1 ms that makes 1.2e-4, and
+    9.4e-4 where a pose error drives them; without weights only roundings differ.
+    """
+    if not law.memory:
+        return 1e-9
+    return 2e-3 if law.pose_error else 5e-4
 
 
 def _distribution(nanoseconds: NDArray[np.uint32]) -> Distribution:

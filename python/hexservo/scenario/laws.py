@@ -24,6 +24,7 @@ from hexservo.scenario.rules import (
 
 __all__ = [
     "LAWS",
+    "THEOREM_LAW",
     "Auto",
     "Composite",
     "ComputedTorque",
@@ -40,13 +41,14 @@ __all__ = [
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
 JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
 LAWS: tuple[str, ...] = tuple(_core.LAW_TRAITS)
+THEOREM_LAW = next(law for law, traits in _core.LAW_TRAITS.items() if traits.theorem)  # the paper's
 SixNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)]
 EightNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)]
 
 
-def laws_with(trait: str) -> tuple[str, ...]:
-    """Return the laws that have a trait of `_core.LawTraits`, such as ``memory``."""
-    return tuple(law for law, traits in _core.LAW_TRAITS.items() if getattr(traits, trait))
+def laws_with(*traits: str) -> tuple[str, ...]:
+    """Return the laws that have all these traits of `_core.LawTraits`, such as ``memory``."""
+    return tuple(law for law, has in _core.LAW_TRAITS.items() if all(getattr(has, trait) for trait in traits))
 
 
 class Switching(Block):
@@ -235,3 +237,13 @@ class Controller(Block):
     resolved_rate: ResolvedRate = Field(default_factory=ResolvedRate)
     pbvs: Pbvs = Field(default_factory=Pbvs)
     computed_torque: ComputedTorque = Field(default_factory=ComputedTorque)
+
+    @property
+    def gains(self) -> Any:
+        """The block of the selected law."""
+        return getattr(self, self.law)
+
+    @property
+    def traits(self) -> _core.LawTraits:
+        """What there is to know of the selected law without its equation."""
+        return _core.LAW_TRAITS[self.law]

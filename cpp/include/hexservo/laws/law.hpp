@@ -160,9 +160,9 @@ struct LawTraits {
   constexpr bool pose_error() const { return parts.has(LawPart::pose_spring) || parts.has(LawPart::reference); }
 };
 
-/// Hears nothing of what a law tells while it is evaluated: the loops' listener. That of the probe keeps it.
+/// Drops what a law reports while it is evaluated: the listener of the loops. That of the probe keeps it.
 ///
-/// What is told comes as a function that works it out, so that nothing is worked out for this one.
+/// A law reports functions that compute a quantity, so that nothing is computed for this one.
 struct NoListener {
   /// @param wrench gives what the part adds to the wrench, in B [N; N m]
   template <class F>

@@ -1,9 +1,8 @@
 /// @file
 /// The one list of control laws. What exists once per law (numbers, explicit instantiations, bindings) follows from it.
 ///
-/// A new law is a header with its equation beside this one, its file in cpp/src/laws and a line here, where CMake reads
-/// it too: a law `NewLaw` is in new_law.hpp. The gains are bound in bind_settings.cpp and have a block in
-/// scenario/laws.py.
+/// A new law is a header with its gains, traits and equation beside this one, its name here, its line in laws.hpp (this
+/// file is read where no law's equation is), and a block of gains in scenario/laws.py.
 #pragma once
 
 #include <type_traits>

@@ -11,7 +11,7 @@ from hexservo.findings.analysis.camera_margins import LARGEST_FACTOR, Border, Ma
 from hexservo.findings.analysis.camera_rate import CameraRate
 from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
-from hexservo.findings.analysis.loop_of_scenario import LoopAtRest
+from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
 from hexservo.findings.analysis.words import number
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict
 
@@ -24,13 +24,6 @@ ENOUGH_GAIN = 2.0
 
 _TITLE = "How fast must the camera be?"
 _AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
-_SCALED = {
-    "composite": "kp, kt and drive",
-    "kelly": "kp",
-    "pbvs": "kp",
-    "computed_torque": "kp",
-    "resolved_rate": "gain and gain_far",
-}
 
 
 def section(result: CameraRate) -> Section:
@@ -38,7 +31,7 @@ def section(result: CameraRate) -> Section:
     if result.open is not None or result.at_rest is None or result.clock is None or result.free is None:
         reason = result.open or "nothing was found"
         sentences = [f"The linear loop does not apply: {reason}."]
-        if result.scenario.controller.law == "hybrid":
+        if not result.scenario.controller.traits.viscous:
             sentences.append(
                 "The starting errors that settle with this camera are found by runs instead (empirical): see "
                 "the part largest_start."
@@ -97,9 +90,8 @@ def _mode(frequency: float) -> str:
 
 
 def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins, acting: Margins) -> list[str]:
-    scenario, tick = at_rest.scenario, at_rest.scenario.simulation.step
+    tick = at_rest.scenario.simulation.step
     period, latency = _ms(clock.period * tick), _ms(clock.latency * tick)
-    law = scenario.controller.law
     borders = (
         f"at its latency of {latency} {_at_most(acting.period, tick, 'period')} (it is {period}), and at its period "
         f"{_at_most(acting.latency, tick, 'latency')} (it is {latency}{_delay_margin(acting, clock, tick)})"
@@ -136,7 +128,8 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         f"{abs(acting.rate):.3g} 1/s {_mode(acting.frequency)}."
     )
     below, above = acting.gain
-    what = f"The proportional gains ({_SCALED[law]})"
+    *gains, last = proportional_gains(at_rest.scenario)
+    what = f"The proportional gains ({' and '.join([', '.join(gains), last] if gains else [last])})"
     if acting.stable and above is not None:
         found.append(f"{what} may be multiplied by up to {above:.3g}; then a mode begins to grow{_which(acting)}.")
     if acting.stable and below is not None:

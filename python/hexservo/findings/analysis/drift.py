@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest, not_analysed
@@ -23,12 +24,6 @@ GRID = 20  # sizes up to it before the bisection, so that a border that is not t
 _ROUNDS = 20  # of bisection
 _CREEP_ROUNDS = 30  # of the search for the end of the drift
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=4)))  # (16, 4)
-
-_NOT_FOR = {
-    "hybrid": "it forms no pose error; for its image part under unequal depth errors see equilibria",
-    "kelly": "it forms no pose error; for its image part under unequal depth errors see equilibria",
-    "pbvs": "it estimates the pose by iteration from assumed target points",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +109,20 @@ def analyse(scenario: Scenario) -> Drift:
         For a scenario that the core refuses.
     """
     law = scenario.controller.law
-    if reason := not_analysed(scenario, _NOT_FOR):
+    if reason := not_analysed(scenario, _not_for(scenario.controller.traits)):
         return Drift(law, reason)
-    if law == "resolved_rate" and scenario.controller.resolved_rate.jacobian_at != "current":
-        return Drift(law, "resolved_rate with a Jacobian of the goal: not analysed, since no depth of an image enters.")
+    if getattr(scenario.controller.gains, "jacobian_at", "current") != "current":
+        return Drift(law, f"{law} with a Jacobian of the goal: not analysed, since no depth of an image enters.")
     if scenario.controller.jacobian == "printed":
         return Drift(law, "With the printed sign of the Jacobian every feature moves away from its goal: not analysed.")
     return _Worker(scenario).drift()
+
+
+def _not_for(law: _core.LawTraits) -> str:
+    """Return why a law is not analysed; empty for one with a pose error by (J-hat^T J-hat + M)^-1."""
+    if not law.pose_error:
+        return "it forms no pose error; for its image part under unequal depth errors see equilibria"
+    return "" if law.inverse else "it estimates the pose by iteration from assumed target points"
 
 
 def loop_matrix(known: Array, true: Array, inverse: Array, expected: Array) -> Array:
@@ -151,28 +153,33 @@ class _Worker:
 
     def __init__(self, scenario: Scenario) -> None:
         self.rest = Rest(scenario)
-        self.law = scenario.controller.law
+        self.traits = scenario.controller.traits
         self.gains = self.rest.gains
         goals = find_goals(scene_of(scenario))
         self.goal = None if goals is None else goals.shown_at
         places = [self.rest.home] if self.goal is None else [self.rest.home, self.goal]
         self.places = [(pose, *self.rest.image(pose)) for pose in places]
         self.true = [self.rest.jacobian(features, depth, pose.quaternion) for pose, features, depth in self.places]
-        if self.law == "resolved_rate":
-            self.inverse, self.expected = np.array(self.gains.damping), np.zeros(6)
-        else:
-            self.inverse = self.expected = np.array(self.gains.prior)
+        self.inverse = np.array(getattr(self.gains, self.traits.inverse))
+        self.expected = self.inverse if self.traits.prior else np.zeros(6)
         self.drive, self.driven_by = self._drive()
 
     def _drive(self) -> tuple[Array, str]:
         """Return the diagonal from a small pose error to a velocity [1/s], where all else is faster."""
-        if self.law == "resolved_rate":
-            return np.full(6, float(self.gains.gain)), "its gain times the eigenvalue"
-        if self.law == "computed_torque":
-            return np.array(self.gains.kp) / np.array(self.gains.kd), "K_p/K_d times the eigenvalue"
-        if self.gains.fuzzy.enabled:
-            return np.array(self.gains.drive), "Lambda times the eigenvalue"
-        return np.array(self.gains.kt) / np.array(self.gains.kd), "K_t/K_d times the eigenvalue, K_v aside"
+        gains = self.gains
+        if self.traits.output == "twist":
+            return np.full(6, float(gains.gain)), "its gain times the eigenvalue"
+        if self.integrates:
+            return np.array(gains.drive), "Lambda times the eigenvalue"
+        spring = "kt" if hasattr(gains, "kt") else "kp"  # K_p of a law with an image spring is that of the image
+        friction = ", K_v aside" if self.traits.switching else ""
+        drive = np.array(getattr(gains, spring)) / np.array(gains.kd)
+        return drive, f"K_{spring[1]}/K_d times the eigenvalue{friction}"
+
+    @property
+    def integrates(self) -> bool:
+        """Whether fuzzy systems are driven by the pose error."""
+        return self.traits.memory and bool(self.gains.fuzzy.enabled)
 
     def known(self, place: int, errors: Array) -> Array:
         """Return J-hat (n, 8, 6) at a place for depth errors (n, 4): the core's J at Z-hat = (1 + delta) Z, (9)."""
@@ -312,7 +319,7 @@ class _Worker:
             curves[f"{name}, no prior"] = self.over_sizes(place, grid, np.zeros(6), np.zeros(6))
             limits.append(self.limit(place, grid, curves[name]))
         return Drift(
-            self.law,
+            self.traits.name,
             "",
             self.driven_by,
             self.rest.depth,
@@ -323,7 +330,7 @@ class _Worker:
             limits[1] if len(limits) > 1 else None,
             self.goal is not None,
             bool(self.expected.any()),
-            self.law == "composite" and bool(self.gains.fuzzy.enabled and np.any(self.gains.fuzzy.leakage)),
+            self.integrates and bool(np.any(self.gains.fuzzy.leakage)),
             grid,
             curves,
         )

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo import _core
 from hexservo.findings.analysis.goal import SHOWN, nearest_images
 from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest, not_analysed
@@ -24,13 +24,6 @@ _SAME = 1e-4  # [mean depth; rad], equilibria closer than this are one
 _ZERO = 1e-11  # of the largest eigenvalue, below which the sign of another one is rounding
 _FARTHEST = 3.0  # [mean depth], from home: a zero beyond is the one at infinity
 _GRAVITY_STEPS = 24  # in which the gravity error is switched on
-
-_NOT_FOR = {
-    "composite": "it regulates a pose error with a prior (see drift)",
-    "computed_torque": "it regulates a pose error with a prior (see drift)",
-    "resolved_rate": "it follows the pseudo-inverse of the image Jacobian, not its transpose",
-    "pbvs": "it regulates an estimated pose, not the image",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +85,9 @@ def analyse(scenario: Scenario) -> Equilibria:
         For a scenario that the core refuses.
     """
     law = scenario.controller.law
-    if reason := not_analysed(scenario, _NOT_FOR):
+    if reason := not_analysed(scenario, _not_for(scenario.controller.traits)):
         return Equilibria(law, reason)
-    bare = scenario.updated(_BARE[law])
+    bare = _bare(scenario)
     rest, level = Rest(bare), Rest(bare, gravity=0.0)
     within, wider = _starts_within(level), level.spread(_WIDER, seed=SEED)
     starts = Poses.joined(level.home, within, wider)
@@ -127,10 +120,24 @@ def analyse(scenario: Scenario) -> Equilibria:
     return replace(result, barrier=_barrier(level, result))
 
 
-_BARE: dict[str, dict[str, Any]] = {
-    "hybrid": {"controller.hybrid.fuzzy.enabled": False, "controller.hybrid.kv": 0.0},
-    "kelly": {},
-}
+def _not_for(law: _core.LawTraits) -> str:
+    """Return why a law is not analysed; empty for a transpose law, of an image spring and no pose error."""
+    if law.inverse and law.prior:
+        return "it regulates a pose error with a prior (see drift)"
+    if law.inverse:
+        return "it follows the pseudo-inverse of the image Jacobian, not its transpose"
+    return "it regulates an estimated pose, not the image" if law.pose_error else ""
+
+
+def _bare(scenario: Scenario) -> Scenario:
+    """Return the scenario with a law that has neither fuzzy systems nor friction."""
+    law = scenario.controller.traits
+    changes: dict[str, float] = {}
+    if law.memory:
+        changes[f"controller.{law.name}.fuzzy.enabled"] = False
+    if law.switching:
+        changes[f"controller.{law.name}.kv"] = 0.0
+    return scenario.updated(changes)
 
 
 def _starts_within(rest: Rest) -> Poses:

@@ -10,6 +10,7 @@ from hexservo.findings.analysis.equilibria import SEED, Equilibria, Equilibrium
 from hexservo.findings.analysis.scene import WIDER
 from hexservo.findings.analysis.words import direction_words, displacement_words, number, open_section, vector_words
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+from hexservo.scenario.laws import laws_with
 
 __all__ = ["section"]
 
@@ -91,7 +92,7 @@ def _sentences(result: Equilibria) -> list[str]:
             f"equilibria that attract outside the stroke or beyond a singular pose, and {len(others) - attracting} "
             "that do not attract."
         )
-    if result.law == "hybrid":
+    if result.law in laws_with("switching"):
         words.append(
             "K_v holds the platform wherever the image part is below it, about each of these poses (see stiction); "
             "the fuzzy systems are neglected."

@@ -201,9 +201,9 @@ def rest_of(scenario: Scenario, scene: Scene) -> RestPose:
     if goals is None:
         raise NoRestError("a camera as_printed has no points, and so no pose at which the goal is seen")
     pose = goals.best.view.pose
-    if scenario.controller.law == "composite" and scenario.controller.composite.fuzzy.enabled:
+    if scenario.controller.traits.memory and scenario.controller.gains.fuzzy.enabled:
         # Far from rest what fuzzy systems learn bends with their memberships; the law without them leads near it.
-        plain = scenario.updated({"controller.composite.fuzzy.enabled": False})
+        plain = scenario.updated({f"controller.{scenario.controller.law}.fuzzy.enabled": False})
         pose, _ = _settled(_Tick(plain, scene, smooth=False), pose)
     pose, settled = _settled(_Tick(scenario, scene, smooth=False), pose)
     if not settled:

@@ -21,6 +21,7 @@ from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
 from hexservo.findings.analysis.scene import AT_HOME, scene_of
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
@@ -33,9 +34,12 @@ __all__ = [
     "growth",
     "loop_at_rest",
     "loop_with_weights",
+    "proportional_gains",
     "quiet",
     "scaled",
 ]
+
+_PROPORTIONAL = ("kp", "kt", "drive", "gain", "gain_far")
 
 OFFSET = 0.01
 """Largest feature offset from which a check by simulation starts [px]."""
@@ -108,9 +112,11 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     NotApplicableError
         For a law without viscous damping, a camera without points, and where the loop rests nowhere near its goal.
     """
-    law = scenario.controller.law
-    if law == "hybrid":
-        raise NotApplicableError("the law hybrid has Coulomb damping only, which a linear loop does not describe")
+    controller = scenario.controller
+    if not controller.traits.viscous:
+        raise NotApplicableError(
+            f"the law {controller.law} has Coulomb damping only, which a linear loop does not describe"
+        )
     if scenario.camera.convention == "as_printed":
         raise NotApplicableError(
             "a camera as_printed has no points, and so no pose at which the goal is seen; set "
@@ -118,9 +124,8 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         )
     calm = quiet(scenario)
     slope = np.zeros(6)
-    if law == "composite":
-        kv = np.broadcast_to(np.asarray(scenario.controller.composite.kv, dtype=float), (6,))
-        slope = kv / scenario.controller.switching.width
+    if controller.traits.switching:
+        slope = np.broadcast_to(np.asarray(controller.gains.kv, dtype=float), (6,)) / controller.switching.width
     try:
         scene = scene_of(scenario)
         rest = rest_of(calm, scene)
@@ -193,29 +198,27 @@ def _actuation(scenario: Scenario, plant: LinearPlant) -> Actuation:
     )
 
 
-def scaled(scenario: Scenario, factor: float) -> Scenario:
-    """Scale the proportional gains of a law: all its gains except the damping.
+def proportional_gains(scenario: Scenario) -> tuple[str, ...]:
+    """Return the names of the proportional gains of a scenario's law: all its gains but damping, prior and friction."""
+    return tuple(name for name in _PROPORTIONAL if hasattr(scenario.controller.gains, name))
 
-    These are kp of `kelly`, `pbvs` and `computed_torque`, the gain of `resolved_rate`, and kp, kt, drive and the scale
-    of the fuzzy systems' error of `composite`.
+
+def scaled(scenario: Scenario, factor: float) -> Scenario:
+    """Scale the proportional gains of a law: `proportional_gains`, and what has to go with them.
+
+    These are the scale of the error of fuzzy systems, and the slope of an adaptive gain, which falls with the error in
+    proportion.
     """
-    law = scenario.controller.law
-    keys = {
-        "composite": ("kp", "kt", "drive", "fuzzy.error_scale"),
-        "kelly": ("kp",),
-        "pbvs": ("kp",),
-        "computed_torque": ("kp",),
-        "resolved_rate": ("gain", "gain_far"),
-    }[law]
-    changes = {}
-    for key in keys:
-        value: Any = getattr(scenario.controller, law)
-        for name in key.split("."):
-            value = getattr(value, name)
-        changes[f"controller.{law}.{key}"] = (np.asarray(value, dtype=float) * factor).tolist()
-    if law == "resolved_rate":  # its slope falls with the error in proportion
-        changes["controller.resolved_rate.gain_slope"] = scenario.controller.resolved_rate.gain_slope * factor
-    return scenario.updated(changes)
+    controller = scenario.controller
+    keys = list(proportional_gains(scenario))
+    if controller.traits.memory:
+        keys.append("fuzzy.error_scale")
+    if hasattr(controller.gains, "gain_slope"):
+        keys.append("gain_slope")
+    paths = [f"controller.{controller.law}.{key}" for key in keys]
+    return scenario.updated(
+        {path: (np.asarray(value_at(scenario, path), dtype=float) * factor).tolist() for path in paths}
+    )
 
 
 def at_rest_at_home(at_rest: LoopAtRest) -> Scenario:
@@ -282,8 +285,8 @@ def growth(
         "simulation.duration": 4 * quarter * every * tick,
         "simulation.log_every": 1,
     }
-    if scenario.controller.law == "composite" and not with_kv:
-        changes["controller.composite.kv"] = 0.0
+    if scenario.controller.traits.switching and not with_kv:
+        changes[f"controller.{scenario.controller.law}.kv"] = 0.0
     result = simulate(scenario.updated(changes))
     if result.outcome == "interrupted":  # no statement on stability
         raise KeyboardInterrupt

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import copy
 from typing import Any
 
@@ -160,19 +160,18 @@ class Rest(Scene):
         return poses, last < 1e-8
 
 
-def not_analysed(scenario: Scenario, reasons: Mapping[str, str]) -> str:
+def not_analysed(scenario: Scenario, reason: str) -> str:
     """Return why an analysis of poses and laws does not apply; empty if it does.
 
     Parameters
     ----------
     scenario
         Its law and its camera decide.
-    reasons
-        By law, of those that are not analysed.
+    reason
+        Why its law is not analysed; empty if it is.
     """
-    law = scenario.controller.law
-    if law in reasons:
-        return f"The law {law} is not analysed here: {reasons[law]}."
+    if reason:
+        return f"The law {scenario.controller.law} is not analysed here: {reason}."
     if scenario.camera.convention == "as_printed":
         return "A camera as_printed has no points in space, so no pose belongs to an image: not analysed."
     return ""

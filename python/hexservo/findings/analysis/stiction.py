@@ -83,7 +83,7 @@ def analyse(scenario: Scenario) -> Stiction:
     if (unusable := _unusable(scene, goals)) is not None:
         return Stiction(scene, "open", unusable, nothing, nothing)
     law = RestLaw(scene)
-    block = getattr(scenario.controller, scenario.controller.law)
+    block = scenario.controller.gains
     kv = np.array(np.broadcast_to(np.asarray(block.kv, dtype=float), 6))
     if kind == "integrated":
         return Stiction(scene, kind, reason, kv, law.gravity_error, prior_error=_prior_error(scene, goals))
@@ -94,7 +94,7 @@ def analyse(scenario: Scenario) -> Stiction:
     if np.any(np.asarray(scenario.uncertainty.depth) != 0):
         cases.append(_case(scene, RestLaw(scene, exact_depth=True), goals, "J, exact depths", -kv, kv))
     way = None
-    if scenario.controller.law == "hybrid" and block.fuzzy.enabled:
+    if block.fuzzy.enabled and not scenario.controller.traits.pose_error:  # driven by the velocity alone
         way = _straight_way(block.fuzzy, goals)
         low, high = np.minimum(way, 0.0) - kv, np.maximum(way, 0.0) + kv
         cases.append(_case(scene, law, goals, "J-hat, with the output of the fuzzy systems", low, high))
@@ -128,10 +128,10 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
         return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
     if scenario.camera.convention == "as_printed":
         return "open", "Open: a camera as printed has no points in space, so the set has no poses."
-    block = getattr(scenario.controller, law)
+    block = scenario.controller.gains
     switching = scenario.controller.switching
     smooth = switching.kind in ("tanh", "saturation")
-    if law == "composite" and block.fuzzy.enabled:
+    if scenario.controller.traits.pose_error and block.fuzzy.enabled:
         drive = np.broadcast_to(np.asarray(block.drive, dtype=float), 6)
         fuzzy = block.fuzzy
         restrained = (
@@ -160,7 +160,7 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
     if (kv == 0).all():
         return "set", (
             "K_v = 0: the set is a point, where the law's wrench balances the gravity error"
-            + (", and the motion about it is undamped." if law == "hybrid" else ".")
+            + ("." if scenario.controller.traits.viscous else ", and the motion about it is undamped.")
         )
     if switching.kind == "sign":
         return "set", ""
@@ -201,8 +201,8 @@ def _creep(rest: RestSet, at_goal: Array, scenario: Scenario, kv: Array) -> Cree
 
     controller = scenario.controller
     damping = kv / controller.switching.width
-    if controller.law == "composite":
-        damping = damping + np.broadcast_to(np.asarray(controller.composite.kd), 6)
+    if controller.traits.viscous:
+        damping = damping + np.broadcast_to(np.asarray(controller.gains.kd), 6)
     rates = np.linalg.eigvals(at_goal / damping[:, None]).real
     with np.errstate(divide="ignore"):
         times = np.sort(np.where(rates > 0, 1.0 / rates, np.inf))[::-1]

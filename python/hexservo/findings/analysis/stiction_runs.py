@@ -90,8 +90,8 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
     for k in np.flatnonzero(completed):
         final[k] = laws[k].wrench(poses[k]) - tau[k]
     still = _CHATTER * scenario.simulation.step * kv / inertia
-    if name == "composite":
-        kd = np.broadcast_to(np.asarray(scenario.controller.composite.kd), 6)
+    if scenario.controller.traits.viscous:
+        kd = np.broadcast_to(np.asarray(scenario.controller.gains.kd), 6)
         with np.errstate(divide="ignore"):
             still = np.minimum(still, _DAMPED * kv / kd)
     at_rest = np.asarray((speed <= still).all(axis=1))

@@ -13,6 +13,7 @@ from hexservo.findings.certificate.uncertainty import Assumption, assumption_of,
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
 from hexservo.run.result import Result
+from hexservo.scenario.laws import THEOREM_LAW
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["BatchCertificate", "Certificate", "certify", "certify_batch"]
@@ -115,9 +116,10 @@ def certify(result: Result) -> Certificate:
 def _outside_theorem(run: Replay) -> str:
     """Return why the theorem does not apply to a run; empty if it does."""
     if run.own:
-        return "Does not apply: the controller is a custom function, and the theorem is about the law hybrid."
-    if run.scenario.controller.law != "hybrid":
-        return f"Does not apply: the theorem is of the law hybrid, and this run's is {run.scenario.controller.law}."
+        return f"Does not apply: the controller is a custom function, and the theorem is about the law {THEOREM_LAW}."
+    law = run.scenario.controller.law
+    if law != THEOREM_LAW:
+        return f"Does not apply: the theorem is of the law {THEOREM_LAW}, and this run's is {law}."
     if not run.continuous:
         return (
             "Does not apply: the theorem is of continuous time, and this run is sampled; what sampling and delay put "

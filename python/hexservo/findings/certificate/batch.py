@@ -18,6 +18,7 @@ from hexservo.run.metrics import metrics
 from hexservo.run.progress import reporting
 from hexservo.run.variations import checked_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.laws import THEOREM_LAW
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
@@ -103,8 +104,10 @@ def certify_batch(
     """
     if not isinstance(scenario, Scenario):
         raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
-    if scenario.controller.law != "hybrid":
-        raise ValueError(f"controller.law: expected hybrid, of which the theorem is, got {scenario.controller.law}")
+    if scenario.controller.law != THEOREM_LAW:
+        raise ValueError(
+            f"controller.law: expected {THEOREM_LAW}, of which the theorem is, got {scenario.controller.law}"
+        )
     if scenario.simulation.mode != "continuous":
         raise ValueError("simulation.mode: expected continuous, of which the theorem is, got sampled")
     arrays = checked_variations(scenario, variations)

@@ -126,7 +126,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
 
 @dataclass(frozen=True, eq=False)
 class _Terms:
-    """Splits the acting wrench into the law's parts, as the core tells them, and the rest."""
+    """Splits the acting wrench into the law's parts, as the core returns them, and the rest."""
 
     run: Replay
     gravity: Array  # (6,) G-bar [N; N m]

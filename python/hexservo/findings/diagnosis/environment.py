@@ -39,7 +39,7 @@ __all__ = [
 DEVICE_BLOCKS = ("camera", "sensors", "actuators", "base_motion", "uncertainty")
 FINE_STEP = 1.0e-3  # [s], of an ordinary servo period or integration
 _OF_THE_TASK = frozenset({"camera.focal_length", "camera.pixel_scale", "camera.convention"})
-_FORCES = ("kp", "kt", "kd", "ki", "kv")  # gains of forces, which grow with the mass
+_FORCES = ("kp", "kt", "kd", "ki", "kv")  # gains that grow with the mass, where they are of forces
 _MICRO_MASS = 0.06  # [kg], that the defaults of the gains are for
 
 ORDINARY: dict[str, float] = {
@@ -106,10 +106,11 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to ordinary settings of the same law: its defaults, and a fine step."""
     changes: dict[str, Any] = {}
     law = scenario.controller.law
-    own = getattr(scenario.controller, law)
+    own = scenario.controller.gains
     default = type(scenario.controller)()
     ratio = scenario.robot.mass / _MICRO_MASS
-    changes |= _differences(f"controller.{law}", own, getattr(default, law), ratio)
+    units = {key.name: key.unit for key in _core.scenario_keys(law)}
+    changes |= _differences(f"controller.{law}", own, getattr(default, law), ratio, units)
     sampled = scenario.simulation.mode == "sampled"
     kind = "implicit" if sampled else "sign"
     switching = scenario.controller.switching
@@ -126,14 +127,14 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     return changes
 
 
-def _differences(path: str, own: Any, default: Any, ratio: float) -> dict[str, Any]:
+def _differences(path: str, own: Any, default: Any, ratio: float, units: Mapping[str, str]) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     for name in type(own).model_fields:
         wanted = getattr(default, name)
         if hasattr(type(wanted), "model_fields"):
-            changes |= _differences(f"{path}.{name}", getattr(own, name), wanted, ratio)
+            changes |= _differences(f"{path}.{name}", getattr(own, name), wanted, ratio, units)
             continue
-        if name in _FORCES and ratio != 1.0 and "computed_torque" not in path:
+        if name in _FORCES and ratio != 1.0 and units[f"{path}.{name}"].startswith("N"):
             wanted = (np.asarray(wanted, dtype=float) * ratio).tolist()
         if getattr(own, name) != wanted:
             changes[f"{path}.{name}"] = list(wanted) if isinstance(wanted, tuple) and name != "table" else wanted
@@ -186,7 +187,7 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     scenario = case.scenario
     without = {**ideal(scenario), **ordinary(scenario)}
     law = scenario.controller.law
-    block, default = getattr(scenario.controller, law), getattr(type(scenario.controller)(), law)
+    block, default = scenario.controller.gains, getattr(type(scenario.controller)(), law)
     stiffness = "kt" if hasattr(block, "kt") else "kp"
     own = np.broadcast_to(np.asarray(getattr(block, stiffness), dtype=float), 6 if stiffness == "kt" else 8)
     usual = np.broadcast_to(np.asarray(getattr(default, stiffness), dtype=float), own.shape)

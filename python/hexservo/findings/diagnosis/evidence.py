@@ -108,7 +108,7 @@ def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
         return Signature(0.0, "")
     scale = np.repeat([1.0, 1.0 / scene_of(case.scenario).platform_radius], 3)
     held = math.hypot(*(scale * record.samples["fuzzy_output"][-1]))  # no square of it overflows
-    friction = math.hypot(*(scale * np.broadcast_to(getattr(case.scenario.controller, law).kv, 6)))
+    friction = math.hypot(*(scale * np.broadcast_to(case.scenario.controller.gains.kv, 6)))
     sentence = (
         f"At the end the output of the fuzzy systems is {number(held)} N, and K_v is {friction:.3g} N (moments by the "
         "radius)."

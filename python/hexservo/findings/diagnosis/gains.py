@@ -38,13 +38,14 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
     Exact for a law whose plant has no weight error: m d2x/dt2 = F keeps its paths where F is divided by the square.
     """
     law = scenario.controller.law
-    block = getattr(scenario.controller, law)
+    block = scenario.controller.gains
     rate = 1.0 / factor
     changes = _scaled(f"controller.{law}", block, _POWERS, rate)
     if hasattr(block, "fuzzy") and block.fuzzy.enabled:
         powers = dict(_FUZZY_POWERS)
-        # Inputs of the systems: forces and their rates in the law hybrid, a pose error and a velocity in composite.
-        powers |= {"error_scale": -2.0, "rate_scale": -3.0} if law == "hybrid" else {"rate_scale": -1.0}
+        # Inputs of the systems: a pose error and a velocity, or else forces and their rates.
+        forces = {"error_scale": -2.0, "rate_scale": -3.0}
+        powers |= {"rate_scale": -1.0} if scenario.controller.traits.pose_error else forces
         changes |= _scaled(f"controller.{law}.fuzzy", block.fuzzy, powers, rate)
     return changes
 
@@ -52,13 +53,13 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
 def damped(scenario: Scenario, factor: float) -> dict[str, Any]:
     """Return the changes that damp the loop more."""
     law = scenario.controller.law
-    return _scaled(f"controller.{law}", getattr(scenario.controller, law), dict.fromkeys(_DAMPING, 1.0), factor)
+    return _scaled(f"controller.{law}", scenario.controller.gains, dict.fromkeys(_DAMPING, 1.0), factor)
 
 
 def not_below_default(scenario: Scenario) -> dict[str, Any]:
     """Return the changes that raise stiffness and damping to the law's defaults where they are lower."""
     law = scenario.controller.law
-    block, default = getattr(scenario.controller, law), getattr(type(scenario.controller)(), law)
+    block, default = scenario.controller.gains, getattr(type(scenario.controller)(), law)
     changes = {}
     for name in (*_STIFFNESS, *_DAMPING):
         if hasattr(block, name):

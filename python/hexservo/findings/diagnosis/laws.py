@@ -37,7 +37,7 @@ _OPTIONS = ("jacobian_at", "damping", "prior")
 
 
 def _block(case: Case) -> Any:
-    return getattr(case.scenario.controller, case.scenario.controller.law)
+    return case.scenario.controller.gains
 
 
 def _law_key(case: Case, name: str) -> str:
@@ -214,7 +214,10 @@ def _false_equilibrium(case: Case) -> list[Removal]:
     scenario = case.scenario
     if scenario.controller.law not in IMAGE_ALONE or scenario.camera.convention != "eye_in_hand":
         return []
-    return [Removal("the law pbvs, which regulates the pose", {"controller.law": "pbvs"})]
+    return [
+        Removal(f"the law {law}, which regulates the pose", {"controller.law": law})
+        for law in laws_with("points", "prior")
+    ]
 
 
 def _duration(case: Case) -> list[Removal]:

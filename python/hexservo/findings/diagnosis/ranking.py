@@ -265,7 +265,7 @@ def _controls(case: Case) -> list[dict[str, Any]]:
         changes += [{"seed": (scenario.seed + number) % 2**31} for number in range(1, 1 + _SEEDS)]
     random = np.random.default_rng(20)
     law = scenario.controller.law
-    block = getattr(scenario.controller, law)
+    block = scenario.controller.gains
     numbers = {
         f"controller.{law}.{name}": getattr(block, name)
         for name in ("kp", "kt", "kd", "ki", "kv", "gain")

@@ -26,8 +26,8 @@ def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Remova
     """Slow down the loop or its adaptation, instead of a better device."""
     law = case.scenario.controller.law
     offered = [Removal(f"the loop {factor:g} times as slow", slower(case.scenario, factor)) for factor in (2.0, 4.0)]
-    if law in laws_with("memory") and getattr(case.scenario.controller, law).fuzzy.enabled:
-        slowness = np.asarray(getattr(case.scenario.controller, law).fuzzy.adaptation, dtype=float)
+    if law in laws_with("memory") and case.scenario.controller.gains.fuzzy.enabled:
+        slowness = np.asarray(case.scenario.controller.gains.fuzzy.adaptation, dtype=float)
         key = f"controller.{law}.fuzzy.adaptation"
         offered.append(Removal("adaptation 10 times as slow", {key: (10.0 * slowness).tolist()}))
     return [*offered, removal]
@@ -58,17 +58,20 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
         }
         if all(-1.0 < changes[f"uncertainty.{name}"] < 1.0 for name in ("inertia", "coriolis")):
             remedies.append(Removal(f"the measured mass of {share * robot.mass:.4g} kg in the law", changes))
-    if case.scenario.controller.law != "composite":
-        remedies.append(Removal("the law composite, which integrates a wrong weight", {"controller.law": "composite"}))
-    return [*remedies, removal]
+    return [*remedies, *_integrating_law(case, "which integrates a wrong weight"), removal]
 
 
 def unequal_depth_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Use equal depth errors, or a law with a prior."""
-    remedies = []
-    if case.scenario.controller.law != "composite":
-        remedies.append(Removal("the law composite, whose prior bounds the drift", {"controller.law": "composite"}))
-    return [removal, *remedies]
+    return [removal, *_integrating_law(case, "whose prior bounds the drift")]
+
+
+def _integrating_law(case: Case, virtue: str) -> list[Removal]:
+    """Use a law whose fuzzy systems integrate a pose error with a prior, unless it is one."""
+    laws = laws_with("memory", "pose_error", "prior")
+    if case.scenario.controller.law in laws:
+        return []
+    return [Removal(f"the law {law}, {virtue}", {"controller.law": law}) for law in laws]
 
 
 def saturation_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
