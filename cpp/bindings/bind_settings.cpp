@@ -67,6 +67,10 @@ void bind_keys(py::module_& m) {
           "number, array, whole, flag, choice, samples or seed")
       .def_property_readonly("shape", &shape_of, "() is one number")
       .def_readonly("optional", &K::optional, "may be None")
+      .def_property_readonly(
+          "none",
+          [](const K& k) { return std::isnan(k.field.bound.none) ? std::nullopt : std::optional(k.field.bound.none); },
+          "the number that stands for none, or None")
       .def_readonly("wrapped", &K::wrapped, "held in a std::optional")
       .def_property_readonly("widths", &K::widths, "numbers that it takes, row by row")
       .def_property_readonly("varies", &K::varies, "scenarios of a batch may differ in it")

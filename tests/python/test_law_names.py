@@ -1,7 +1,7 @@
 """A law's name stands in its own files, in the list of laws, in prose and in scenarios: nowhere else.
 
 Code that has to know something of a law asks its traits (`_core.LAW_TRAITS`) or its gains, so that a new law needs its
-header, its place in the list and its block of gains.
+header, its place in the list, its block of gains and their formulas.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from pathlib import Path
 from hexservo.scenario.laws import LAWS
 from test_docs import ROOT
 
-OWN = {ROOT / "python" / "hexservo" / "scenario" / name for name in ("laws.py", "fitted.py")}  # gains, and those that fit
+SCENARIO = ROOT / "python" / "hexservo" / "scenario"
+OWN = (SCENARIO / "laws.py", SCENARIO / "fitted.py")  # the blocks of gains, and the gains that fit a machine
 NAME = re.compile(rf"\b(?:{'|'.join(LAWS)})\b")
 TYPES = re.compile(rf"\b(?:{'|'.join(law.title().replace('_', '') for law in LAWS)})\b")
 

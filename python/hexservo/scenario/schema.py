@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -50,8 +49,7 @@ def _entry(key: _core.ScenarioKey, default: Any) -> dict[str, Any]:
 
 
 def _plain(key: _core.ScenarioKey, value: Any) -> Any:
-    """Return a default as a scenario has it: null for the number that stands for none."""
-    if isinstance(value, np.ndarray):
-        return None if key.optional and not np.isfinite(value).all() else value.tolist()
-    none = key.optional and (value is None or value == 0.0 or math.isinf(value))
-    return None if none else value
+    """Return a default as a scenario has it: null for the number that stands for none, `ScenarioKey.none`."""
+    if value is None or (key.none is not None and np.all(value == key.none)):
+        return None
+    return value.tolist() if isinstance(value, np.ndarray) else value

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from hexservo.findings.diagnosis.environment import ideal, ordinary, setting
+from hexservo.findings.diagnosis.environment import ideal, ordinary
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
@@ -18,6 +19,7 @@ from hexservo.findings.diagnosis.remedies import (
     unequal_depth_remedies,
 )
 from hexservo.scenario.blocks import BaseMotion
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.parameters import frame_period
 
@@ -29,6 +31,29 @@ _ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
 
 def _keys(*names: str) -> frozenset[str]:
     return frozenset(names)
+
+
+def _sampled(case: Case) -> bool:
+    return case.sampled
+
+
+def _without(
+    key: str, none: object, words: str, *, of: Callable[[Case], bool] = _sampled
+) -> Callable[[Case], list[Removal]]:
+    """Return what removes a device's fault: its key set to the value that stands for no fault.
+
+    Parameters
+    ----------
+    of
+        Whether a case has that device.
+    """
+
+    def removals(case: Case) -> list[Removal]:
+        if not of(case) or value_at(case.scenario, key) == none:
+            return []
+        return [Removal(words, {key: none})]
+
+    return removals
 
 
 # ---- Camera ---------------------------------------------------------------------------------------------------------
@@ -76,24 +101,6 @@ def _brake(case: Case) -> list[Removal]:
     return [Removal("the default gains of the brake", changes)]
 
 
-def _image_timeout(case: Case) -> list[Removal]:
-    if not case.sampled or case.scenario.camera.timeout is None:
-        return []
-    return [Removal("images without an age limit", {"camera.timeout": None})]
-
-
-def _pixel_noise(case: Case) -> list[Removal]:
-    if not case.sampled or case.scenario.camera.noise == 0.0:
-        return []
-    return [Removal("features without noise", {"camera.noise": 0.0})]
-
-
-def _pixel_quantisation(case: Case) -> list[Removal]:
-    if not case.sampled or case.scenario.camera.quantisation == 0.0:
-        return []
-    return [Removal("features that are not rounded", {"camera.quantisation": 0.0})]
-
-
 def _outliers(case: Case) -> list[Removal]:
     camera = case.scenario.camera
     if not case.sampled or camera.outlier_probability == 0.0 or camera.outlier_size == 0.0:
@@ -106,18 +113,6 @@ def _outliers(case: Case) -> list[Removal]:
 
 def _with_encoders(case: Case) -> bool:
     return case.sampled and case.scenario.sensors.pose == "encoders"
-
-
-def _encoder_noise(case: Case) -> list[Removal]:
-    if not _with_encoders(case) or case.scenario.sensors.noise == 0.0:
-        return []
-    return [Removal("encoders without noise", {"sensors.noise": 0.0})]
-
-
-def _encoder_resolution(case: Case) -> list[Removal]:
-    if not _with_encoders(case) or case.scenario.sensors.resolution == 0.0:
-        return []
-    return [Removal("encoders with exact resolution", {"sensors.resolution": 0.0})]
 
 
 def _encoder_period(case: Case) -> list[Removal]:
@@ -136,45 +131,6 @@ def _encoders(case: Case) -> list[Removal]:
     return [Removal("rates of the legs from a separate sensor", {"sensors.rate": True}), *exact]
 
 
-# ---- Actuators and base ---------------------------------------------------------------------------------------------
-
-
-def _saturation(case: Case) -> list[Removal]:
-    if not case.sampled or not case.scenario.actuators.saturation:
-        return []
-    return [Removal("legs without a force limit", {"actuators.saturation": False})]
-
-
-def _actuator_delay(case: Case) -> list[Removal]:
-    if not case.sampled or case.scenario.actuators.delay == 0.0:
-        return []
-    return [Removal("actuators without delay", {"actuators.delay": 0.0})]
-
-
-def _actuator_lag(case: Case) -> list[Removal]:
-    if not case.sampled or case.scenario.actuators.bandwidth is None:
-        return []
-    return [Removal("actuators without lag", {"actuators.bandwidth": None})]
-
-
-def _actuator_quantisation(case: Case) -> list[Removal]:
-    if not case.sampled or case.scenario.actuators.quantisation == 0.0:
-        return []
-    return [Removal("leg forces that are not rounded", {"actuators.quantisation": 0.0})]
-
-
-def _actuator_hold(case: Case) -> list[Removal]:
-    if not case.sampled or case.scenario.actuators.hold == "wrench":
-        return []
-    return [Removal("a wrench that is held while the legs rotate", {"actuators.hold": "wrench"})]
-
-
-def _base_motion(case: Case) -> list[Removal]:
-    if not case.sampled or case.scenario.base_motion.kind == "none":
-        return []
-    return [Removal("a base at rest", {"base_motion.kind": "none"})]
-
-
 # ---- What the controller assumes -----------------------------------------------------------------------------------
 
 
@@ -187,7 +143,7 @@ def _gravity(case: Case) -> list[Removal]:
 def _gravity_alone(case: Case) -> list[Alone]:
     """Try an ordinary law too: a weight that only these settings do not hold is not the cause."""
     without = {**ideal(case.scenario), "uncertainty.gravity": 0.0}
-    error = setting(case.scenario, "uncertainty.gravity")
+    error = value_at(case.scenario, "uncertainty.gravity")
     wrong = {**without, "uncertainty.gravity": list(error) if isinstance(error, tuple) else error}
     usual = ordinary(case.scenario)
     return [Alone(without, wrong), Alone({**without, **usual}, {**wrong, **usual})]
@@ -244,7 +200,7 @@ DEVICES: tuple[Cause, ...] = (
         "saturation of the actuators",
         "device",
         _keys("actuators.saturation", "robot.force_limit"),
-        _saturation,
+        _without("actuators.saturation", False, "legs without a force limit"),
         saturation_remedies,
     ),
     Cause(
@@ -252,7 +208,7 @@ DEVICES: tuple[Cause, ...] = (
         "images that time out",
         "device",
         _keys("camera.timeout"),
-        _image_timeout,
+        _without("camera.timeout", None, "images without an age limit"),
         context=_IMAGE | {"camera.dropout", "camera.image_size", "camera.on_lost"},
     ),
     Cause(
@@ -285,7 +241,7 @@ DEVICES: tuple[Cause, ...] = (
         "noise of the features",
         "device",
         _keys("camera.noise"),
-        _pixel_noise,
+        _without("camera.noise", 0.0, "features without noise"),
         context=_IMAGE,
     ),
     Cause(
@@ -293,7 +249,7 @@ DEVICES: tuple[Cause, ...] = (
         "features that are rounded",
         "device",
         _keys("camera.quantisation"),
-        _pixel_quantisation,
+        _without("camera.quantisation", 0.0, "features that are not rounded"),
         context=_IMAGE,
     ),
     Cause(
@@ -301,7 +257,7 @@ DEVICES: tuple[Cause, ...] = (
         "noise of the encoders",
         "device",
         _keys("sensors.noise"),
-        _encoder_noise,
+        _without("sensors.noise", 0.0, "encoders without noise", of=_with_encoders),
         slower_remedies,
         context=_ENCODERS,
     ),
@@ -310,7 +266,7 @@ DEVICES: tuple[Cause, ...] = (
         "resolution of the encoders",
         "device",
         _keys("sensors.resolution"),
-        _encoder_resolution,
+        _without("sensors.resolution", 0.0, "encoders with exact resolution", of=_with_encoders),
         slower_remedies,
         context=_ENCODERS,
     ),
@@ -325,31 +281,41 @@ DEVICES: tuple[Cause, ...] = (
     ),
     Cause("encoders", "pose and twist from leg lengths", "device", _keys("sensors.pose", "sensors.rate"), _encoders),
     Cause(
-        "actuator_delay", "delay of the actuators", "device", _keys("actuators.delay"), _actuator_delay, slower_remedies
+        "actuator_delay",
+        "delay of the actuators",
+        "device",
+        _keys("actuators.delay"),
+        _without("actuators.delay", 0.0, "actuators without delay"),
+        slower_remedies,
     ),
     Cause(
-        "actuator_lag", "lag of the actuators", "device", _keys("actuators.bandwidth"), _actuator_lag, slower_remedies
+        "actuator_lag",
+        "lag of the actuators",
+        "device",
+        _keys("actuators.bandwidth"),
+        _without("actuators.bandwidth", None, "actuators without lag"),
+        slower_remedies,
     ),
     Cause(
         "actuator_quantisation",
         "leg forces that are rounded",
         "device",
         _keys("actuators.quantisation"),
-        _actuator_quantisation,
+        _without("actuators.quantisation", 0.0, "leg forces that are not rounded"),
     ),
     Cause(
         "actuator_hold",
         "leg forces that are held while the legs rotate",
         "device",
         _keys("actuators.hold"),
-        _actuator_hold,
+        _without("actuators.hold", "wrench", "a wrench that is held while the legs rotate"),
     ),
     Cause(
         "base_motion",
         "motion of the base",
         "device",
         _keys(*(f"base_motion.{name}" for name in BaseMotion.model_fields)),
-        _base_motion,
+        _without("base_motion.kind", "none", "a base at rest"),
     ),
     Cause(
         "gravity",

@@ -14,6 +14,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
@@ -32,7 +33,6 @@ __all__ = [
     "ideal",
     "known",
     "ordinary",
-    "setting",
     "unusual",
 ]
 
@@ -64,14 +64,6 @@ IMAGE_ALONE = tuple(law for law, has in _core.LAW_TRAITS.items() if has.output =
 ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary
 _KEPT = frozenset({"sensors.pose", "sensors.rate", "actuators.hold"})  # how a machine is built, and no fault
-
-
-def setting(scenario: Scenario, key: str) -> Any:
-    """Return the value of a dotted key as plain data."""
-    value: Any = scenario
-    for part in key.split("."):
-        value = getattr(value, part)
-    return value
 
 
 def ideal(scenario: Scenario) -> dict[str, Any]:
@@ -145,7 +137,7 @@ def unusual(scenario: Scenario) -> frozenset[str]:
     """Return the keys whose values are neither those of good devices nor near the ordinary settings of the law."""
     found = set(ideal(scenario))
     for key, wanted in ordinary(scenario).items():
-        own = setting(scenario, key)
+        own = value_at(scenario, key)
         if _numeric(own) and _numeric(wanted):
             one, other = np.asarray(own, dtype=float), np.asarray(wanted, dtype=float)
             low, high = np.minimum(one, other), np.maximum(one, other)
