@@ -146,7 +146,7 @@ def test_the_page_has_the_keys_and_the_packaged_campaigns() -> None:
 @pytest.mark.parametrize("runs", [200, pytest.param(10_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", hs.campaign_names())
 def test_a_short_form_agrees_with_the_bounds_of_the_long_one(name: str, runs: int, tmp_path: Path) -> None:
-    """Runs of a stream of their own, which the long campaign did not draw, against its interval in docs/robustness.md:
+    """Runs of a different stream, which the long campaign did not draw, against its interval in docs/robustness.md:
     each tail has a probability above 1e-4 somewhere in it."""
     text = RESULTS.read_text(encoding="utf-8")
     row = re.search(rf"^\| `{name}` \| ([\d ]+) \| ([\d ]+) \| (\S+) \.\.\. (\S+) \|", text, re.MULTILINE)

@@ -18,7 +18,9 @@ import pytest
 
 import hexservo as hs
 from hexservo.campaigns.candidates import Judged
+from hexservo.campaigns.loop_numbers import delay_margin
 from hexservo.campaigns.strategies import best_candidate, front_of, not_dominated, relax
+from hexservo.findings.analysis import camera_rate
 from hexservo.run.publish import OutputError
 from hexservo.scenario.arrays import Array
 from test_campaign_tuning import FILE
@@ -276,3 +278,55 @@ def test_two_metrics_need_pymoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(OutputError, match=r"expected an installation with pymoo for two metrics: pip install"):
         hs.tune(SHORT | {"tune": tune}, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+# ---- Numbers of the loop --------------------------------------------------------------------------------------------
+
+
+def test_the_delay_margin_is_that_of_the_analysis() -> None:
+    scenario = hs.load_scenario("noisy-camera").updated({"camera.prediction": "none", "camera.noise": 0.0})
+    for factor in (0.3, 1.0, 30.0):
+        kt = [factor * value for value in scenario.controller.composite.kt]  # type: ignore[union-attr]
+        changed = scenario.updated({"controller.law": "composite", "controller.composite.kt": kt})
+        part = camera_rate.analyse(changed)
+        assert part.acting is not None
+        assert part.clock is not None
+        stable = part.acting.latency.stable
+        expected = math.nan if stable is None else (stable - part.clock.latency) * changed.simulation.step
+        print(f"{factor}: {expected} s")
+        assert delay_margin(changed) == pytest.approx(expected, nan_ok=True, abs=1e-12)
+    assert math.isnan(delay_margin(scenario.updated({"controller.law": "hybrid"})))
+
+
+def test_a_required_delay_margin_holds(tmp_path: Path) -> None:
+    """Without the requirement the search ends at gains whose margin is smaller by 20 ms."""
+    scenario = hs.load_scenario("noisy-camera").updated(
+        {
+            "camera.prediction": "none",
+            "camera.noise": 0.0,
+            "simulation.duration": 0.8,
+            "metrics.rms_start": 0.4,
+            "controller.law": "kelly",
+        }
+    )
+    tune = {
+        "variables": {
+            "controller.kelly.kp": {"log": [1e-8, 1e-4]},
+            "controller.kelly.kd": {"log": [1e-3, 10], "groups": [3, 3]},
+        },
+        "minimise": "rms_error",
+        "over": 2,
+    }
+    file = SHORT | {
+        "scenario": scenario,
+        "vary": {"uncertainty.depth": {"uniform": [-0.1, 0.1]}},
+        "require": ["peak_leg_force <= 0.9"],
+        "tune": tune,
+    }
+    free = hs.tune(file, tmp_path / "free", generations=8, rounds=1, seed=1)
+    before = delay_margin(free.scenario)
+    required = f"delay_margin >= {before + 0.02:.3f}"
+    bound = hs.tune(file | {"tune": tune | {"subject_to": [required]}}, tmp_path / "b", generations=8, rounds=1, seed=1)
+    print(f"{before} s, then {bound.loop}")
+    assert bound.feasible
+    assert bound.loop[required] == delay_margin(bound.scenario) >= before + 0.019

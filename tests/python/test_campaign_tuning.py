@@ -129,9 +129,14 @@ REFUSED = [
     ({"minimise": "settling"}, 'tune.minimise: unknown metric "settling"; did you mean "settling_time"'),
     ({"minimise": ["rms_error"] * 2}, "tune.minimise: expected a metric, a list of two different ones, or null, got"),
     ({"minimise": []}, "tune.minimise: expected a metric, a list of two different ones, or null, got"),
+    ({"subject_to": "delay_margin >= 0.1"}, "tune.subject_to: expected a list of requirements, got"),
+    (
+        {"subject_to": ["rms_error <= 1"]},
+        r'tune.subject_to\[0\]: unknown number of the loop "rms_error"; known: delay_margin',
+    ),
     ({"over": 0}, "tune.over: expected an integer from 1 to"),
     ({"over": ["corners", 3, 4]}, r"tune.over: expected a number of variations, corners, or \[corners, number\], got"),
-    ({"more": 0}, "tune: expected a block with variables and, optionally, minimise and over"),
+    ({"more": 0}, "tune: expected a block with variables and, optionally, minimise, subject_to and over"),
 ]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.campaigns.judging import Judge
+from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.tune_keys import TunePlan
@@ -78,7 +79,8 @@ class Candidates:
         self.runs = 0  # of all steps, those that were kept included
         self.numbers = self._variations()
         self.joined = 0  # worst cases among the variations
-        self.nearest = np.full(len(plan.require), -math.inf)  # largest margin of a requirement where all others hold
+        self.required = (*plan.require, *asked.subject_to)
+        self.nearest = np.full(len(self.required), -math.inf)  # largest margin of a requirement where all others hold
         self.renew()
 
     def _variations(self) -> dict[str, NDArray[Any]]:
@@ -143,11 +145,28 @@ class Candidates:
     def judged(self, places: Array) -> Judged:
         """Return the worst of candidates, (n, dimension), over the variations."""
         found = self._judged(self.gains_of(places), self.numbers, len(places))
+        if self.asked.subject_to:
+            found = Judged(np.concatenate([found.margins, self._loop_margins(places)], axis=1), found.values)
         for column in range(found.margins.shape[1]):
             others = np.delete(found.margins, column, axis=1)
             kept = found.margins[(others >= 0).all(axis=1), column]
             self.nearest[column] = max(self.nearest[column], *kept, -math.inf)
         return found
+
+    def loop_numbers(self, place: Array) -> list[float]:
+        """Return the numbers of the loop that are required, of the scenario with a candidate's gains."""
+        scenario = self.plan.scenario.updated(self.gains(place))
+        return [LOOP_NUMBERS[one.name][1](scenario) for one in self.asked.subject_to]
+
+    def _loop_margins(self, places: Array) -> Array:
+        """Return the margins of what is required of the loop, (n, s); -1 for a number that has no value."""
+
+        def compute() -> dict[str, Array]:
+            return {"values": np.array([self.loop_numbers(place) for place in places])}
+
+        values = self.steps.take({"places": places}, compute)["values"]
+        margins = [one.margin(column) for one, column in zip(self.asked.subject_to, values.T, strict=True)]
+        return np.nan_to_num(np.stack(margins, axis=1), nan=-1.0)
 
     def _judged(self, gains: Mapping[str, Array], numbers: Mapping[str, NDArray[Any]], count: int) -> Judged:
         """Run every candidate on every variation, in one batch."""
@@ -175,8 +194,9 @@ class Candidates:
         The smallest margin in the box is searched, and, where it is not negative, the largest value of each metric.
         """
         before = self.judged(place[None])
+        kept = float(before.margins[0, : len(self.plan.require)].min())  # what variations change
         if not self.drawing.dimension:
-            return [], float(before.smallest[0])
+            return [], kept
         gains = self.gains_of(place[None])
         seeds = np.array([self.random.integers(0, 2**64, dtype=np.uint64)])
 
@@ -186,7 +206,6 @@ class Candidates:
 
         start = np.full(self.drawing.dimension, 0.5)
         found, margin = smallest_in_box(lambda shares: runs(shares).smallest, start, _WORST_RUNS, self.seed + 1)
-        kept = float(before.smallest[0])
         worse = margin < kept - _WORSE and (margin < 0 or not self.asked.minimise)
         if worse or margin < 0:
             return ([self._at(found[None], seeds)] if worse else []), margin

@@ -103,14 +103,22 @@ def run_margins(
     return np.where(np.isnan(found), -1.0, found)
 
 
-def requirement_of(value: Any) -> Requirement:
+def requirement_of(value: Any, units: Mapping[str, str] | None = None) -> Requirement:
     """Return a requirement from its form in a file.
+
+    Parameters
+    ----------
+    value
+        Text, or a block with ``holds`` and ``scale``.
+    units
+        Name -> unit of what may be required; None: metrics of runs, and that they complete.
 
     Raises
     ------
     ValidationError
         With one problem.
     """
+    known = {name: unit for name, (unit, _) in METRICS.items()} if units is None else units
     scale = None
     if isinstance(value, Mapping):
         if set(value) != {"holds", "scale"}:
@@ -124,13 +132,14 @@ def requirement_of(value: Any) -> Requirement:
     if match is None:
         raise refusal(((), f"expected {_EXPECTED}, got {shown_value(value)}"))
     name, comparison, text = match["name"], match["comparison"], match["bound"]
-    if name == "outcome":
+    if name == "outcome" and units is None:
         if (comparison, text, scale) != ("==", COMPLETED, None):
             raise refusal(((), f'expected "outcome == {COMPLETED}", the only requirement of an outcome, got "{value}"'))
         return Requirement("outcome")
-    if name not in METRICS:
-        known = ("outcome", *METRICS)
-        raise refusal(((), f'unknown metric "{name}"{did_you_mean(name, known) or ";"} known: {", ".join(known)}'))
+    if name not in known:
+        names = ("outcome", *known) if units is None else tuple(known)
+        what = "metric" if units is None else "number of the loop"
+        raise refusal(((), f'unknown {what} "{name}"{did_you_mean(name, names) or ";"} known: {", ".join(names)}'))
     if comparison not in _COMPARISONS:
         raise refusal(((), f'expected one of {" ".join(_COMPARISONS)} for a metric, got "{comparison}"'))
     try:
@@ -138,7 +147,7 @@ def requirement_of(value: Any) -> Requirement:
     except ValueError:
         bound = math.nan
     if not math.isfinite(bound):
-        unit = METRICS[name][0]
+        unit = known[name]
         raise refusal(((), f'expected a finite bound [{unit}], got "{text}"'))
     if bound == 0 and scale is None:
         raise refusal(

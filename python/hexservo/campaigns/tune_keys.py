@@ -8,6 +8,8 @@ from typing import Any, cast
 
 from hexservo.campaigns.distributions import Variation, variation_of
 from hexservo.campaigns.file_keys import Problem, tried
+from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
+from hexservo.campaigns.requirements import Requirement, requirement_of
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.rules import Integer, Rule, did_you_mean, refusal, shown_value
 
@@ -17,7 +19,7 @@ CORNERS = "corners"
 """In `over`: every number that varies at both ends of its range."""
 
 _OVER = 32  # variations of a search for gains
-_KEYS = ("variables", "minimise", "over")
+_KEYS = ("variables", "minimise", "subject_to", "over")
 _MOST_OVER = 10_000
 
 
@@ -40,6 +42,7 @@ class TunePlan:
 
     variables: Mapping[str, Variable]
     minimise: tuple[str, ...]  # of hs.METRICS, of each the largest value over the variations; none: the margin
+    subject_to: tuple[Requirement, ...]  # of LOOP_NUMBERS, of the scenario with the gains
     over: int  # variations that are drawn, as the first runs of the campaign are
     corners: bool  # whether the corners of what varies are among the variations
 
@@ -48,7 +51,8 @@ class TunePlan:
         variables = {key: variable.to_plain() for key, variable in self.variables.items()}
         minimise: Any = list(self.minimise) if len(self.minimise) > 1 else self.minimise[0] if self.minimise else None
         over: Any = [CORNERS, self.over] if self.corners and self.over else CORNERS if self.corners else self.over
-        return {"variables": variables, "minimise": minimise, "over": over}
+        subject_to = [requirement.to_plain() for requirement in self.subject_to]
+        return {"variables": variables, "minimise": minimise, "subject_to": subject_to, "over": over}
 
 
 class TuneRule(Rule):
@@ -56,7 +60,7 @@ class TuneRule(Rule):
 
     @property
     def expected(self) -> str:
-        return "a block with variables and, optionally, minimise and over"
+        return "a block with variables and, optionally, minimise, subject_to and over"
 
     def accept(self, value: Any) -> TunePlan | None:
         if value is None:
@@ -70,11 +74,24 @@ class TuneRule(Rule):
         read = {key: tried(_variable_of, given, key, problems) for key, given in variables.items()}
         problems = [(("variables", *place), text) for place, text in problems]
         minimise = tried(_minimised, value.get("minimise"), "minimise", problems)
+        given = value.get("subject_to", [])
+        if not isinstance(given, list):
+            problems.append((("subject_to",), f"expected a list of requirements, got {shown_value(given)}"))
+            given = []
+        found: list[Problem] = []
+        required = [tried(_of_loop, each, index, found) for index, each in enumerate(given)]
+        problems += [(("subject_to", *place), text) for place, text in found]
         over = tried(_variations, value.get("over", _OVER), "over", problems)
         if problems:
             raise refusal(*problems)
         count, corners = cast("tuple[int, bool]", over)
-        return TunePlan(cast("dict[str, Variable]", read), cast("tuple[str, ...]", minimise), count, corners)
+        return TunePlan(
+            cast("dict[str, Variable]", read),
+            cast("tuple[str, ...]", minimise),
+            cast("tuple[Requirement, ...]", tuple(required)),
+            count,
+            corners,
+        )
 
 
 def _minimised(value: Any) -> tuple[str, ...]:
@@ -86,6 +103,10 @@ def _minimised(value: Any) -> tuple[str, ...]:
     if len(names) != len(set(names)) or len(names) > 2 or value == []:
         raise refusal(((), f"expected a metric, a list of two different ones, or null, got {shown_value(value)}"))
     return tuple(names)
+
+
+def _of_loop(value: Any) -> Requirement:
+    return requirement_of(value, {name: unit for name, (unit, _) in LOOP_NUMBERS.items()})
 
 
 def _variations(value: Any) -> tuple[int, bool]:

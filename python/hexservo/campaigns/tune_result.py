@@ -70,6 +70,7 @@ class TuneResult(Findings):
     worst: tuple[float, ...]  # largest value of each minimised metric over these, in its unit; NaN where a run has none
     before: tuple[float, ...]  # margin and metrics of the original gains, over the same variations and noise
     gains: Mapping[str, Any]  # by dotted key
+    loop: Mapping[str, float]  # what is required of the loop -> its number with the gains; NaN: none
     held_out: CampaignResult | None  # a campaign with other draws; None for gains that are not feasible
     relaxations: tuple[Relaxation, ...]  # for gains that are not feasible, the smallest change first
     front: tuple[FrontPoint, ...]  # for two metrics, ordered by the first one
@@ -109,6 +110,9 @@ class TuneResult(Findings):
         """Return the result in sentences, with the gains."""
         rows: list[list[Cell]] = [[key, _text(value)] for key, value in self.gains.items()]
         items: list[Item] = [Table("Gains", (Column("key"), Column("value")), rows, "", _PAGE)]
+        if self.loop:
+            numbers: list[list[Cell]] = [[name, value] for name, value in self.loop.items()]
+            items.append(Table("Numbers of the loop", (Column("required"), Column("is")), numbers, "", _PAGE))
         if self.relaxations:
             changed: list[list[Cell]] = [[str(one.requirement), one.text, one.share] for one in self.relaxations]
             columns = (Column("requirement"), Column("would hold"), Column("change, in parts of its scale"))
@@ -170,6 +174,7 @@ class TuneResult(Findings):
             "worst": list(self.worst),
             "before": list(self.before),
             "gains": dict(self.gains),
+            "loop": dict(self.loop),
             "held_out": None if self.held_out is None else self.held_out.summary,
             "relaxations": {str(one.requirement): one.bound for one in self.relaxations},
             "front": [[*point.values, *point.held_out, point.failures] for point in self.front],

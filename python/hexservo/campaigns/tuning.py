@@ -144,7 +144,7 @@ class _Search:
         self.candidates.renew()
         judged = self.candidates.judged(self.best[None])
         if not judged.feasible[0]:
-            for column, one in enumerate(self.candidates.plan.require):
+            for column, one in enumerate(self.candidates.required):
                 if one.name != "outcome":
                     relax(self.candidates, self.best, max(self.generations // 2, 1), column)
 
@@ -230,6 +230,10 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         worst=tuple(map(float, both.values[0])),
         before=(float(both.smallest[1]), *map(float, both.values[1])),
         gains=candidates.gains(search.best),
+        loop={
+            str(one): value
+            for one, value in zip(candidates.asked.subject_to, candidates.loop_numbers(search.best), strict=True)
+        },
         held_out=held_out,
         relaxations=() if feasible else _relaxations(candidates),
         front=front,
@@ -262,7 +266,7 @@ def _set_aside(folder: Path, plan: CampaignPlan) -> None:
 def _relaxations(candidates: Candidates) -> tuple[Relaxation, ...]:
     """Return the requirements that do not hold with the others, the smallest change first."""
     found = []
-    for one, margin in zip(candidates.plan.require, candidates.nearest, strict=True):
+    for one, margin in zip(candidates.required, candidates.nearest, strict=True):
         if one.name == "outcome" or not -math.inf < margin < 0:
             continue
         scale = abs(one.bound) if one.scale is None else one.scale
