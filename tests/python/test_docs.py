@@ -284,11 +284,10 @@ def test_named_tests_exist(page: Path) -> None:
         if is_test_file(link):
             named_test(page, link)
     # also where a test is named without a link, code blocks included
-    files = {file.stem: file for file in [*ROOT.glob("tests/python/test_*.py"), *ROOT.glob("tests/cpp/test_*.cpp")]}
-    functions = {
-        name.rpartition("::")[2] for file in files.values() if file.suffix == ".py" for name in python_tests(file)
-    }
-    case_names = " ".join(name for file in files.values() if file.suffix == ".cpp" for name in cpp_tests(file))
+    of_python, of_cpp = list(ROOT.glob("tests/python/test_*.py")), list(ROOT.glob("tests/cpp/test_*.cpp"))
+    files = {file.stem for file in (*of_python, *of_cpp)}  # some are of both
+    functions = {name.rpartition("::")[2] for file in of_python for name in python_tests(file)}
+    case_names = " ".join(name for file in of_cpp for name in cpp_tests(file))
     unknown = {
         word
         for word in re.findall(r"\btest_\w+", text_of(page))
