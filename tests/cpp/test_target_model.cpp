@@ -85,9 +85,12 @@ Features noisy(const Features& features, double sigma, Random& random) {
   return out;
 }
 
-/// Length of the residual's projection on what displacements can change, |P_J r| [px]: J by central differences of the
-/// projection above, P_J by Householder reflections.
-double explainable_residual(const Pose<double>& pose, const Points& points, const Features& measured) {
+/// Lengths of the residual's part that displacements can change, |P_J r|, and of the rest [px]: J by central
+/// differences of the projection above, P_J by Householder reflections.
+struct ResidualParts {
+  double explainable, unexplained;
+};
+ResidualParts residual_parts(const Pose<double>& pose, const Points& points, const Features& measured) {
   Eigen::Matrix<double, 8, 6> J;
   for (int j = 0; j < 6; ++j) {
     const double h = 1e-5;
@@ -99,7 +102,7 @@ double explainable_residual(const Pose<double>& pose, const Points& points, cons
   }
   J.leftCols<3>() *= 0.5;  // metres are made comparable with radians
   const Features rotated = J.colPivHouseholderQr().householderQ().transpose() * (measured - seen_from(pose, points));
-  return rotated.head<6>().norm();
+  return {rotated.head<6>().norm(), rotated.tail<2>().norm()};
 }
 
 double largest_residual(const Pose<double>& pose, const Points& points, const Features& features) {
@@ -159,7 +162,7 @@ TEST_CASE("where no pose explains the image, the estimate is stationary: J^T r =
     const PoseEstimate<double> found = estimate_pose<double, 4>(kFocal, points, measured, truth, kImageAlone);
     REQUIRE_FALSE(found.failed);
     REQUIRE((measured - seen_from(found.pose, points)).norm() > 0.1);
-    CHECK(explainable_residual(found.pose, points, measured) <= 1e-6);
+    CHECK(residual_parts(found.pose, points, measured).explainable <= 1e-6);
     CHECK(std::abs(std::sqrt(found.squared_residual) - (measured - seen_from(found.pose, points)).norm()) <= 1e-9);
     CHECK(std::sqrt(std::max(found.decrement, 0.0)) <= 1e-11);
   }
@@ -225,7 +228,7 @@ TEST_CASE("10 000 images of the paper's target with 0.2 px of noise: never worse
     REQUIRE_FALSE(found.failed);
     const double residual = (measured - seen_from(found.pose, points)).norm();
     worse += residual > (measured - seen_from(start, points)).norm() * (1.0 + 1e-12);
-    const double left = explainable_residual(found.pose, points, measured);
+    const double left = residual_parts(found.pose, points, measured).explainable;
     stationary += left <= 2e-3;
     mirrored += found.mirrored;
     if (left > 1e-5) REQUIRE(std::abs(std::sqrt(found.decrement) - left) <= 1e-2 * left);
@@ -237,7 +240,7 @@ TEST_CASE("10 000 images of the paper's target with 0.2 px of noise: never worse
   CHECK(mirrored > 0);
 }
 
-TEST_CASE("with a prior the estimate minimises the residual plus e^T M e: its slope vanishes, by central differences") {
+TEST_CASE("with a prior the estimate minimises the residual plus its share of e^T M e: the slope vanishes") {
   Random random(9113);
   CAPTURE(random.seed());
   const Vector6<double> weight = (Vector6<double>() << 400, 300, 200, 50, 60, 70).finished();
@@ -256,7 +259,7 @@ TEST_CASE("with a prior the estimate minimises the residual plus e^T M e: its sl
           Matrix3<double>(rotation_of(joints.quaternion) * rotation_of(pose.quaternion).transpose()));
       Vector6<double> e;
       e << joints.position - pose.position, 2.0 * std::sin(turn.angle() / 2.0) * turn.axis();
-      return (measured - seen_from(pose, points)).squaredNorm() + e.dot(weight.cwiseProduct(e));
+      return (measured - seen_from(pose, points)).squaredNorm() + found.prior_share * e.dot(weight.cwiseProduct(e));
     };
     const double least = cost(found.pose);
     CHECK(least <= cost(joints));
@@ -269,6 +272,70 @@ TEST_CASE("with a prior the estimate minimises the residual plus e^T M e: its sl
       CHECK(std::abs(slope) <= 3e-5);  // third derivatives of 1e8 px^2/m^3 times h^2/6, of 1e6 px^2/m elsewhere
     }
   }
+}
+
+TEST_CASE("the unexplained variance is that of the noise, whatever the prior") {
+  Random random(9115);
+  CAPTURE(random.seed());
+  const Points points = paper_points();
+  const Vector6<double> strong = linear_angular<double>(1e5, 16000.0);
+  constexpr int kTrials = 2000;
+  for (const double sigma : {0.05, 0.2, 1.0}) {
+    CAPTURE(sigma);
+    double sum = 0.0;
+    for (int trial = 0; trial < kTrials; ++trial) {
+      const Pose<double> truth = moved(kHome, random.matrix<3>(0.015), random.matrix<3>(0.1));
+      const Features measured = noisy(seen_from(truth, points), sigma, random);
+      const PosePrior<double> prior{truth, strong};
+      const auto fit = fit_pose<double, 4>(kFocal, Vectors3<double, 4>(points), measured, prior, truth, kPoseRounds);
+      const double variance = unexplained_variance<double, 4>(kFocal, fit, measured),
+                   unexplained = residual_parts(fit.pose, points, measured).unexplained;
+      CHECK(std::abs(variance - unexplained * unexplained / 2.0) <= 1e-6 * measured.squaredNorm() * kEpsilon / 1e-13);
+      sum += variance;
+    }
+    // chi squared of two degrees of freedom, over two: a standard deviation of one sigma^2 each
+    CHECK(std::abs(sum / kTrials / (sigma * sigma) - 1.0) <= 4.0 / std::sqrt(kTrials));
+  }
+}
+
+TEST_CASE("the share of a prior: none for an exact image, half at 0.02 px, all for a very noisy one") {
+  const double exact = 0.002 * 0.002, half = 0.02 * 0.02 - exact;
+  CHECK(prior_share(0.0) == kLeastPrior);
+  CHECK(prior_share(exact) == kLeastPrior);
+  CHECK(prior_share(exact + 1e-5) == doctest::Approx(1e-5 / (1e-5 + half)));
+  CHECK(prior_share(0.02 * 0.02) == doctest::Approx(0.5));
+  CHECK(prior_share(0.04) == doctest::Approx((0.04 - exact) / (0.04 - exact + half)));
+  CHECK(prior_share(std::numeric_limits<double>::infinity()) == 1.0);
+}
+
+TEST_CASE("without noise a prior that contradicts the image gives way: the target 30 % too far, poses 15 mm off") {
+  // The image of the larger target is that of the true one from a position 30 % nearer to home, which is up to 6 mm
+  // off.
+  Random random(9116);
+  CAPTURE(random.seed());
+  const Points points = paper_points();
+  Points believed = points;
+  believed.colwise() -= kHome.position;
+  believed *= 1.3;
+  believed.colwise() += kHome.position;
+  const Vector6<double> strong = linear_angular<double>(1e5, 16000.0);
+  double worst = 0.0, fixed = 0.0;
+  for (int trial = 0; trial < 1000; ++trial) {
+    CAPTURE(trial);
+    const Pose<double> truth = moved(kHome, random.matrix<3>(0.015), random.matrix<3>(0.05));
+    const Features measured = seen_from(truth, points);
+    const PoseEstimate<double> found = estimate_pose<double, 4>(kFocal, believed, measured, truth, strong);
+    REQUIRE_FALSE(found.failed);
+    worst = std::max(worst, largest_residual(found.pose, believed, measured));
+    const PosePrior<double> prior{truth, strong};
+    fixed = std::max(
+        fixed,
+        largest_residual(fit_pose<double, 4>(kFocal, Vectors3<double, 4>(believed), measured, prior, truth, 15).pose,
+                         believed, measured));
+  }
+  MESSAGE("seed ", random.seed(), ": at most ", worst, " px off, with a fixed prior ", fixed, " px");
+  CHECK(worst <= 5e-4);
+  CHECK(fixed > 0.2);
 }
 
 TEST_CASE("a prior takes the noise out of what the image hardly constrains") {
@@ -456,7 +523,7 @@ TEST_CASE("goals of whole pixels are accepted with the residual that rounding le
     REQUIRE(residual <= kGoalResidual);
     // no worse than twice what the pose leaves that it was rounded from: the least, or one nearer to home
     REQUIRE((seen_from(goal, points) - desired).norm() <= 2.0 * (exact - desired).norm());
-    stationary += explainable_residual(goal, points, desired) <= 2e-3;
+    stationary += residual_parts(goal, points, desired).explainable <= 2e-3;
   }
   MESSAGE("seed ", random.seed(), ": largest residual ", worst, " px, ", stationary, " stationary");
   CHECK(worst > 0.0);

@@ -43,15 +43,21 @@ TargetModel<S, N> target_model(const S& f, const Eigen::Matrix<S, 3, N>& points_
   return model;
 }
 
-inline constexpr int kPoseRounds = 8;         ///< of Levenberg-Marquardt from the start of an estimate
+inline constexpr int kPoseRounds = 5;         ///< of Levenberg-Marquardt from the start of an estimate
 inline constexpr int kMirrorRounds = 4;       ///< of those from the mirror image of what they find
-inline constexpr int kPolishRounds = 3;       ///< of those from the better of the two
+inline constexpr int kPolishRounds = 6;       ///< of those from the better of the two
 inline constexpr double kPoseStep = 0.5;      ///< largest first-order step of a round, in mean depths and in rad
 inline constexpr double kPoseDamping = 1e-6;  ///< of the first round, times the diagonal of J^T J [1]
 /// Sums of squares r^2 cannot be compared below this times r: some hundred roundings of features of 1e3 px [px].
 inline constexpr double kResidualRounding = 1e-11;
 /// The mirror image replaces the pose that was found from the start where its squared residual is below this share [1].
 inline constexpr double kMirrorShare = 0.04;
+/// Standard deviation of the image where the prior of an estimate has half of its weight [px].
+inline constexpr double kPriorNoise = 0.02;
+/// Below this one the image counts as exact: it is more than the prior's own pull bends an image by, 15 mm from home
+/// [px].
+inline constexpr double kExactImage = 0.002;
+inline constexpr double kLeastPrior = 1e-6;  ///< share of the prior's weight that stays without noise [1]
 
 /// What is known of a pose beside the image.
 template <class S>
@@ -276,11 +282,36 @@ Pose<S> mirrored_pose(const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pos
   return mirrored;
 }
 
+/// sigma^2 of the features as their fit shows it: the part of the residual that no displacement explains, which a prior
+/// does not change to first order, over its 2 N - 6 degrees of freedom [px^2].
+///
+/// All of the residual counts where the image does not determine the pose.
+/// @param measured features that were fitted [px]
+template <class S, int N>
+S unexplained_variance(const S& f, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& measured) noexcept {
+  const ImageJacobian<S, N> J(f, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
+  const Vector6<S> gradient = J.pull(Vector<S, 2 * N>(measured - fit.features));
+  const Cholesky<S, 6> solver(J.normal_matrix());
+  const S explained = select(solver.failed(), S(0.0), S(gradient.dot(solver.solve(gradient))));
+  return larger(S(fit.squared_residual - explained), S(0.0)) * S(1.0 / (2 * N - 6));
+}
+
+/// Share of a prior's weight for a measured variance: s/(s + sigma_0^2) of its excess s over `kExactImage` squared,
+/// with sigma_0 so that it is half at `kPriorNoise`; at least `kLeastPrior`.
+///
+/// In proportion to the excess, as M = sigma^2/sigma_pose^2, where that is small; limited where it is large.
+template <class S>
+S prior_share(const S& variance) noexcept {
+  constexpr double kExact = kExactImage * kExactImage, kHalf = kPriorNoise * kPriorNoise - kExact;
+  return larger(S(S(1.0) - S(kHalf) / (variance + S(kHalf - kExact))), S(kLeastPrior));  // 1 for an infinite variance
+}
+
 /// Pose estimated from an image.
 template <class S>
 struct PoseEstimate {
   Pose<S> pose;        ///< in B; quaternion of unit length
   S squared_residual;  ///< |xi - xi(pose)|^2 [px^2]
+  S prior_share;       ///< of the given weight that the prior had in the end [1]
   S decrement;         ///< what a first-order step would still gain, |P_J (xi - xi(pose))|^2 without a prior; 0 at a
                        ///< minimum [px^2]
   Mask<S> mirrored;    ///< it was found from the mirror image of the pose near the start
@@ -293,23 +324,28 @@ struct PoseEstimate {
 /// A planar target has two poses that look alike. The mirror image of what is found from the start is followed as well
 /// (`mirrored_pose`), and taken where its cost C is below `kMirrorShare` of the first one's: the pose near
 /// the joint sensors' stays unless the other one explains the image clearly better, so that noise alone does not make
-/// the estimate change sides from one image to the next. Always the same number of rounds, and never worse than the
-/// start.
+/// the estimate change sides from one image to the next.
+///
+/// The prior pulls the estimate towards the joint sensors even where the image is exact. So the first rounds have all
+/// of its weight, and those from the better of the two poses the `prior_share` of the noise that is measured there
+/// (`unexplained_variance`). Always the same number of rounds, and C is never above that of the start.
 /// @param points_B in B [m]
 /// @param features measured [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param joints pose of the joint sensors: start, and centre of the prior; its quaternion need not be of unit length
-/// @param prior_weight diagonal of M [px^2/m^2; px^2/rad^2]; 0: the image alone
+/// @param prior_weight diagonal of M under noise [px^2/m^2; px^2/rad^2]; 0: the image alone
 template <class S, int N>
 PoseEstimate<S> estimate_pose(const S& f, const Eigen::Matrix<S, 3, N>& points_B, const Vector<S, 2 * N>& features,
                               const Pose<S>& joints, const Vector6<S>& prior_weight) noexcept {
   const Vectors3<S, N> points(points_B);
-  const PosePrior<S> prior{displaced<S>(joints, Vector6<S>::Zero()), prior_weight};
+  PosePrior<S> prior{displaced<S>(joints, Vector6<S>::Zero()), prior_weight};
   PoseFit<S, N> fit = fit_pose<S, N>(f, points, features, prior, joints, kPoseRounds);
   const PoseFit<S, N> mirror =
       fit_pose<S, N>(f, points, features, prior, mirrored_pose<S, N>(points_B, fit.pose), kMirrorRounds);
   PoseEstimate<S> estimate;
   estimate.mirrored = mirror.cost < S(kMirrorShare) * fit.cost;
   fit.replace(estimate.mirrored, mirror);
+  estimate.prior_share = prior_share(unexplained_variance<S, N>(f, fit, features));
+  prior.weight *= estimate.prior_share;
   fit = fit_pose<S, N>(f, points, features, prior, fit.pose, kPolishRounds);
 
   const ImageJacobian<S, N> J(f, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);

@@ -16,7 +16,8 @@ struct PbvsGains {
   Vector6<S> kd{S(2.4),  S(2.4),  S(2.4),
                 S(6e-3), S(6e-3), S(1.2e-2)};  ///< diagonal of K_d [N s/m; N m s/rad], 2.4 x3, 6e-3 x2, 1.2e-2
 
-  Vector6<S> prior = linear_angular<S>(1e4, 1600.0);  ///< diagonal of M [px^2/m^2; px^2/rad^2], 1e4 x3, 1600 x3
+  /// Diagonal of M under noise [px^2/m^2; px^2/rad^2], 1e5 x3, 16000 x3
+  Vector6<S> prior = linear_angular<S>(1e5, 16000.0);
 
   /// The task has to hold the pose of the goal.
   static constexpr bool needs_goal() { return true; }
@@ -35,7 +36,8 @@ struct Pbvs : StatelessLaw<PbvsGains> {
       .name = "pbvs", .type = "Pbvs", .parts = {LawPart::damping, LawPart::pose_spring}, .points = true, .prior = true};
 
   /// tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat from the features by `estimate_pose`, started at
-  /// the pose of the joint sensors and, with M > 0, weighed against it. NaN where there is no estimate.
+  /// the pose of the joint sensors and, with M > 0, weighed against it as far as the image is noisy. NaN where there is
+  /// no estimate.
   template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
