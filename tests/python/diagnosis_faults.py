@@ -213,7 +213,7 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
         Fault(
             {"timeout": Uniform(1.0, 1.3)},
             cameras=("frames", "predicted"),
-            base_ranges={"camera.dropout": Uniform(0.2, 0.6)},
+            base_ranges={"camera.dropout": Uniform(0.75, 0.92)},
         ),
     ),
     "late_camera": (

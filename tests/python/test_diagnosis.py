@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pydantic import BaseModel
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from diagnosis_faults import CAUSES as FAULTY
@@ -116,6 +117,44 @@ def test_faults_are_drawn_from_ranges_and_repeat_by_their_seed() -> None:
     for key in FAULTS:
         made = draw(key, 3)
         assert made.scenario != made.baseline, key
+
+
+@pytest.mark.parametrize("law", ["pbvs", "resolved_rate"])
+def test_coriolis_errors_of_99_percent_change_no_verdict(law: str) -> None:
+    """Turns of 0.3 to 1 rad about the target at up to 25 rad/s, of a body whose inertias differ as far as they can."""
+    random = np.random.default_rng(20)
+    focal, home = 0.008 * 72727, np.array([0.0, 0.0, -0.15])
+    points = np.array([[0.1, 0.1, -0.65], [-0.1, 0.09, -0.66], [-0.11, -0.1, -0.64], [0.09, -0.11, -0.65]])
+    fastest = 0.0
+    for faster in (1.0, 4.0):
+        for _ in range(5):
+            turn = random.normal(size=3)
+            turn *= random.uniform(0.3, 1.0) / np.linalg.norm(turn)
+            turned = Rotation.from_rotvec(turn).as_matrix()
+            centre = points.mean(axis=0)
+            rays = (points - centre + turned @ (centre - home)) @ turned
+            task = {"initial_features": None, "depth": None, "points": points.tolist()}
+            task["desired_features"] = (-focal * rays[:, :2] / rays[:, 2:]).ravel().tolist()
+            stiffness, damping = {"pbvs": ("kp", "kd"), "resolved_rate": ("gain", "ki")}[law]
+            block = getattr(hs.load_scenario("paper").controller, law)
+            square = 2 if law == "pbvs" else 1
+            exact = hs.load_scenario("paper").updated(
+                {
+                    **{f"target.{key}": value for key, value in task.items()},
+                    **{f"uncertainty.{key}": 0.0 for key in ("inertia", "coriolis", "gravity", "depth")},
+                    "controller.law": law,
+                    f"controller.{law}.{stiffness}": (np.array(getattr(block, stiffness)) * faster**square).tolist(),
+                    f"controller.{law}.{damping}": (np.array(getattr(block, damping)) * faster).tolist(),
+                    "robot.preset": "micro",
+                    "robot.inertia": [2e-5, 3.8e-4, 3.9e-4],
+                    "simulation.duration": 3.0,
+                }
+            )
+            for error in (-0.99, 0.0, 0.99):
+                result = hs.simulate(exact.updated({"uncertainty.coriolis": error}))
+                fastest = max(fastest, float(np.linalg.norm(result.twist[:, 3:], axis=1).max()))
+                assert math.isfinite(hs.metrics(result)["settling_time"]), (turn, error)
+    assert fastest > 20.0
 
 
 # ---- Every key ------------------------------------------------------------------------------------------------------

@@ -290,10 +290,11 @@ Pose<S> mirrored_pose(const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pos
 template <class S, int N>
 S unexplained_variance(const S& f, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& measured) noexcept {
   const ImageJacobian<S, N> J(f, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
-  const Vector6<S> gradient = J.pull(Vector<S, 2 * N>(measured - fit.features));
+  const Vector<S, 2 * N> residual = measured - fit.features;
   const Cholesky<S, 6> solver(J.normal_matrix());
-  const S explained = select(solver.failed(), S(0.0), S(gradient.dot(solver.solve(gradient))));
-  return larger(S(fit.squared_residual - explained), S(0.0)) * S(1.0 / (2 * N - 6));
+  // The vector first: a difference of squares would carry the rounding of the larger, explained part.
+  const Vector<S, 2 * N> rest = residual - J.push(solver.solve(J.pull(residual)));
+  return select(solver.failed(), residual, rest).squaredNorm() * S(1.0 / (2 * N - 6));
 }
 
 /// Share of a prior's weight for a measured variance: s/(s + sigma_0^2) of its excess s over `kExactImage` squared,
