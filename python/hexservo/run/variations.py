@@ -108,6 +108,10 @@ def known_key(key: object, law: str) -> NumericKey:
 
 def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
     """Check shape and values against the scenario's own rules for the key."""
+    if rule.whole and not isinstance(given, np.ndarray):
+        for index, item in enumerate(np.asarray(given, dtype=object).flat):
+            if isinstance(item, int) and abs(item) >= 2**64:  # numpy has no number for it
+                raise ValueError(f"scenario {index}: {key}: expected {rule.expected}, got {item}")
     try:
         values = np.asarray(given)
         if rule.whole and not isinstance(given, np.ndarray):

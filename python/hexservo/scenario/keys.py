@@ -44,7 +44,10 @@ class NumericKey:
     @property
     def expected(self) -> str:
         """Expected value of each number, as text."""
-        return f"an integer {self.element.bounds}" if self.whole else self.element.expected
+        if not self.whole:
+            return self.element.expected
+        least, most = self.element.at_least, self.element.at_most
+        return f"an integer {self.element.bounds}" if most is None else f"an integer from {least} to {most}"
 
     @property
     def dtype(self) -> np.dtype[Any]:
