@@ -8,6 +8,7 @@ import math
 import os
 import pickle
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -596,6 +597,15 @@ def test_signatures_detect_the_patterns_they_describe() -> None:
     error[:15, 0] = desired[0] - 71.0  # x1 = 71, beyond +-70
     seen = dataclasses.replace(record, samples={**record.samples, "feature_error": error})
     assert SIGNATURES["lost_features"](Case(bordered, None), seen, judgement).strength == pytest.approx(0.75)
+
+
+def test_the_signature_of_a_spring_is_finite_where_friction_by_the_radius_overflows() -> None:
+    scenario = hs.load_scenario("paper").updated({"simulation.duration": 0.3})
+    record = record_of(hs.simulate(scenario))
+    extreme = scenario.updated({"controller.hybrid.kv": sys.float_info.max})
+    signature = SIGNATURES["spring"](Case(extreme, None), record, judged(scenario, record))
+    assert signature.strength == 0.0
+    assert "inf" not in signature.sentence
 
 
 # ---- What a user gets -----------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Judgement, Record
 from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
 from hexservo.findings.diagnosis.model import Case
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.wording import number
 
@@ -21,6 +23,7 @@ __all__ = ["SIGNATURES", "Signature"]
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
 _AT_REST = 0.02  # of the stroke, that the legs may move in it
 _AT_LIMIT = 0.999  # of the force limit
+_LARGEST = sys.float_info.max / 8.0  # six of them have a finite length, and twice that
 _WANDER = 0.1  # of the stroke, by which one standard deviation of noise moves the pose that follows from the image
 
 
@@ -102,13 +105,20 @@ def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signatur
     )
 
 
+def _newtons(wrench: Array, radius: float) -> float:
+    """Return the length of a wrench with moments divided by the radius; finite, also where a number overflows."""
+    with np.errstate(over="ignore"):
+        parts = wrench / np.repeat([1.0, radius], 3)
+    return math.hypot(*np.clip(parts, -_LARGEST, _LARGEST))
+
+
 def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
     law = case.scenario.controller.law
     if not _core.LAW_TRAITS[law].memory:
         return Signature(0.0, "")
-    scale = np.repeat([1.0, 1.0 / scene_of(case.scenario).platform_radius], 3)
-    held = math.hypot(*(scale * record.samples["fuzzy_output"][-1]))  # no square of it overflows
-    friction = math.hypot(*(scale * np.broadcast_to(case.scenario.controller.gains.kv, 6)))
+    radius = scene_of(case.scenario).platform_radius
+    held = _newtons(record.samples["fuzzy_output"][-1], radius)
+    friction = _newtons(np.broadcast_to(case.scenario.controller.gains.kv, 6), radius)
     sentence = (
         f"At the end the output of the fuzzy systems is {number(held)} N, and K_v is {friction:.3g} N (moments by the "
         "radius)."
