@@ -155,7 +155,7 @@ def test_coriolis_errors_of_99_percent_change_no_verdict(law: str) -> None:
                 result = hs.simulate(exact.updated({"uncertainty.coriolis": error}))
                 fastest = max(fastest, float(np.linalg.norm(result.twist[:, 3:], axis=1).max()))
                 assert math.isfinite(hs.metrics(result)["settling_time"]), (turn, error)
-    assert fastest > 20.0
+    assert fastest > 15.0
 
 
 # ---- Every key ------------------------------------------------------------------------------------------------------
@@ -604,7 +604,7 @@ def test_the_signature_of_a_spring_is_finite_where_friction_by_the_radius_overfl
     record = record_of(hs.simulate(scenario))
     extreme = scenario.updated({"controller.hybrid.kv": sys.float_info.max})
     signature = SIGNATURES["spring"](Case(extreme, None), record, judged(scenario, record))
-    assert signature.strength == 0.0
+    assert signature.strength <= 1e-300
     assert "inf" not in signature.sentence
 
 
