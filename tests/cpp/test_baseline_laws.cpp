@@ -257,8 +257,8 @@ TEST_CASE("pbvs: tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat 
     const Vector6<double> tau = s.gains.kp.asDiagonal() * difference(s.task.target.goal, truth) -
                                 s.gains.kd.asDiagonal() * s.input.twist + s.task.gravity_wrench;
     CHECK(distance(s.wrench(), tau) <= 1e-7);  // the estimate is good to 1e-9
-    // a prior that outweighs the image: the pose of the sensors
-    s.gains.prior.setConstant(1e16);
+    // a prior whose least share outweighs the image: the pose of the sensors
+    s.gains.prior.setConstant(1e16 / kLeastPrior);
     const Vector6<double> sensed = s.gains.kp.asDiagonal() * difference(s.task.target.goal, s.input.pose) -
                                    s.gains.kd.asDiagonal() * s.input.twist + s.task.gravity_wrench;
     CHECK(distance(s.wrench(), sensed) <= 1e-7);

@@ -155,7 +155,7 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
     if key == "uncertainty.coriolis":
         base = base.updated({"uncertainty.depth": [0.3, 0.2, 0.1, 0.25]})  # with equal ones some laws do not turn
     # The plain pseudo-inverse solves with J^T J, whose condition is that of the image squared: 1e7 times the rounding.
-    # So does the estimate of `pbvs`, whose prior an exact image releases. What is zero but for rounding (rotation, where
+    # So does the estimate of `pbvs`, whose prior an exact image releases. What is zero but for rounding (rotation, if
     # all depths err alike) has no digits to compare: motions are of 1e-2 to 1 in SI units.
     tolerance = 1e-8 if law in ("resolved_rate", "pbvs") else 1e-11
     floor = tolerance if law in ("resolved_rate", "pbvs") else 0.0
