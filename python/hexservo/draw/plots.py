@@ -64,7 +64,8 @@ from hexservo.run.samples import ImageView, image_views
 from hexservo.run.samples import extreme_samples as _extreme_samples
 from hexservo.run.samples import mean_samples as _mean_samples
 from hexservo.run.samples import parts as _parts
-from hexservo.run.samples import rotation_vectors as _rotation_vector
+from hexservo.run.samples import turns_from_home as _turns_from_home
+from hexservo.run.samples import vertical as _vertical
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.rules import TERMS, term_text
 
@@ -285,7 +286,7 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any]) -> t
 def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = None) -> Figure | tuple[Axes, ...]:
     """Draw the platform's position relative to home in mm and its rotation vector in mrad, in B, figure 4.
 
-    The rotation vector is the axis times the angle (at most pi) of R_BE; at home it is zero.
+    The rotation vector is the axis times the angle (at most pi) of the turn from home, where it is zero.
 
     Parameters
     ----------
@@ -303,7 +304,7 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
         For any other number of axes.
     """
     displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
-    rotation = 1e3 * _rotation_vector(result.quaternion)
+    rotation = 1e3 * _turns_from_home(result, result.quaternion)
     figure = Figure(figsize=(PAGE, 3.6))
     given = None if axes is None else given_axes(axes, 2)
     if given is None:
@@ -314,8 +315,8 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
         lower = whole_run(given[1], result, [rotation])
     fill_panels(upper, result, displacement, ["x", "y", "z"], _AXES_INKS)
     fill_panels(lower, result, rotation, ["θx", "θy", "θz"], _AXES_INKS)
-    describe(upper, "displacement [mm]", "Position relative to home, in B (z points down)")
-    describe(lower, "rotation vector [mrad]", "Orientation: axis times angle, in B", time=True)
+    describe(upper, "displacement [mm]", f"Position relative to home, in B ({_vertical(result)})")
+    describe(lower, "rotation vector [mrad]", "Orientation relative to home: axis times angle, in B", time=True)
     note_outcome(figure if given is None else given[1], result)
     return figure if given is None else given
 
@@ -368,7 +369,7 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     fill_panels(rows[2], result, moment, ["mx", "my", "mz"], _AXES_INKS, mean)
     fill_panels(legs, result, result.leg_forces, [f"leg {leg}" for leg in range(1, 7)], _LEG_INKS, mean)
     describe(rows[0], "force [N]", "Horizontal force, in B")
-    describe(rows[1], "force [N]", "Vertical force, in B (z points down)")
+    describe(rows[1], "force [N]", f"Vertical force, in B ({_vertical(result)})")
     describe(rows[2], "moment [mN m]", "Moment, in B", time=True)
     describe(legs, "leg force [N]", "Leg forces (positive: pushing)", time=True)
     if mean > 1 and given is None:

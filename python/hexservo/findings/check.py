@@ -56,10 +56,14 @@ def _of_legs(scene: Scene) -> Iterator[str]:
             f"robot.force_limit: {number(robot.force_limit)} N is less than the {number(abs(forces[leg]))} N that leg "
             f"{leg + 1} needs to carry the platform's weight at home"
         )
-    if robot.home_position[2] > 0:
+    z_down = robot.gravity[2] >= 0
+    upward = -1.0 if z_down else 1.0  # z of E at home, along which the camera does not look, against "up"
+    looks_up = upward * float(scene.home.carried(np.eye(3))[2, 2] - robot.home_position[2]) < 0
+    if upward * robot.home_position[2] < 0 and looks_up:  # a platform that hangs has a camera that looks down
+        above = "negative" if z_down else "positive"
         yield (
-            f"robot.home_position: z = {quantity(robot.home_position[2], 'm')} puts home below the base, since z "
-            "points down; above the base z is negative"
+            f"robot.home_position: z = {quantity(robot.home_position[2], 'm')} puts home below the base, with a camera "
+            f"that looks up at it, since z points {'down' if z_down else 'up'}; above the base z is {above}"
         )
     shortest = float(np.min(scene.hexapod.home_lengths))
     if robot.stroke > shortest:

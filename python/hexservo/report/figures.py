@@ -17,7 +17,8 @@ from hexservo.run.samples import (
     mean_samples,
     moving_mean,
     parts,
-    rotation_vectors,
+    turns_from_home,
+    vertical,
 )
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
@@ -189,11 +190,17 @@ def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Htm
 
 def _platform_motion(result: Result) -> list[Html]:
     displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
-    rotation = 1e3 * rotation_vectors(result.quaternion)
+    rotation = 1e3 * turns_from_home(result, result.quaternion)
     return [
-        _over_time(result, "Position relative to home, in B (z points down)", "displacement [mm]", displacement, "xyz"),
         _over_time(
-            result, "Orientation: axis times angle, in B", "rotation vector [mrad]", rotation, ["θx", "θy", "θz"]
+            result, f"Position relative to home, in B ({vertical(result)})", "displacement [mm]", displacement, "xyz"
+        ),
+        _over_time(
+            result,
+            "Orientation relative to home: axis times angle, in B",
+            "rotation vector [mrad]",
+            rotation,
+            ["θx", "θy", "θz"],
         ),
     ]
 
@@ -211,7 +218,7 @@ def _wrench(result: Result) -> list[Html]:
         _over_time(result, "Horizontal force, in B", "force [N]", wrench[:, :2], ["fx", "fy"], count, note=note),
         _over_time(
             result,
-            "Vertical force, in B (z points down)",
+            f"Vertical force, in B ({vertical(result)})",
             "force [N]",
             wrench[:, 2:3],
             ["fz"],

@@ -216,7 +216,7 @@
         scene: {
           aspectmode: "manual", dragmode: "turntable", uirevision: "keep",
           aspectratio: ratio(),
-          xaxis: axis("x", 0, false), yaxis: axis("y", 1, true), zaxis: axis("z", 2, true),
+          xaxis: axis("x", 0, false), yaxis: axis("y", 1, scene.zDown), zaxis: axis("z", 2, scene.zDown),
           camera: { eye: { x, y, z }, up: { x: 0, y: 0, z: 1 }, projection: { type: "perspective" } },
         },
       };

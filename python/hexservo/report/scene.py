@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.report.charts import encoded
-from hexservo.run.samples import parts, rotation_vectors
+from hexservo.run.samples import parts, turns_from_home
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 
@@ -42,6 +42,7 @@ class SpaceView:
     turn: Array  # (k, 3) [rad], rotation vector
     error: Array  # (k,) [px], largest feature error
     pixels_per_metre: float  # of the image plane
+    z_down: bool  # gravity points along z of B, not against it
 
     def placed(self, frame: int, points: Array) -> Array:
         """Return points of E, (..., 3), in B at an instant."""
@@ -71,6 +72,7 @@ class SpaceView:
             "base": self.base.tolist(),
             "targets": None if self.targets is None else self.targets.tolist(),
             "corners": self.corners.tolist(),
+            "zDown": self.z_down,
             "goals": self.goals.tolist(),
             "low": (middle - half).tolist(),
             "high": (middle + half).tolist(),
@@ -84,7 +86,7 @@ def scene(result: Result) -> SpaceView:
     chosen = _instants(result)
     position, quaternion = result.position[chosen], result.quaternion[chosen]
     joints = np.array([_platform_joints(hexapod, *pose) for pose in zip(position, quaternion, strict=True)])
-    rotation = np.array([_rotation(hexapod, *pose) for pose in zip(position, joints, strict=True)])
+    rotation = _rotations(quaternion)
     features = result.features[chosen].reshape(-1, 4, 2)
     goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
     distance = _IMAGE_DISTANCE * float(np.abs(result.depth[0]).mean())
@@ -105,9 +107,10 @@ def scene(result: Result) -> SpaceView:
         image=image,
         goals=_on_plane(goals * pixel, distance),
         displacement=position - np.asarray(result.scenario.robot.home_position),
-        turn=rotation_vectors(quaternion),
+        turn=turns_from_home(result, quaternion),
         error=np.abs(result.feature_error[chosen]).max(axis=1),
         pixels_per_metre=1 / pixel,
+        z_down=result.scenario.robot.gravity[2] >= 0,
     )
 
 
@@ -126,10 +129,17 @@ def _platform_joints(hexapod: _core.Hexapod, position: Array, quaternion: Array)
     return np.asarray(hexapod.base_joints + (directions * hexapod.leg_lengths(position, quaternion)).T)
 
 
-def _rotation(hexapod: _core.Hexapod, position: Array, joints: Array) -> Array:
-    """Compute the attitude of E from the platform joints of the core, which lie in the xy plane of E."""
-    across, *_ = np.linalg.lstsq(np.asarray(hexapod.platform_joints)[:, :2], joints - position, rcond=None)
-    return np.column_stack([across[0], across[1], np.cross(across[0], across[1])])
+def _rotations(quaternion: Array) -> Array:
+    """Return the rotation matrices (k, 3, 3) of attitudes (k, 4), w x y z."""
+    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
+        ],
+        axis=1,
+    )
 
 
 def _on_plane(points: Array, distance: float) -> Array:

@@ -13,7 +13,7 @@ from hexservo.scenario.arrays import Array
 __all__ = ["VIEW", "still"]
 
 VIEW = (1.42, -1.75, 1.15)
-"""Viewpoint in the upright frame (x, -y, -z) of B; also the initial one of the page's script."""
+"""Viewpoint in the upright frame, (x, -y, -z) of B where z points down; also the initial one of the page's script."""
 
 _HEIGHT = 560.0  # of the picture
 _MARGIN = 26.0
@@ -27,13 +27,13 @@ def still(scene: SpaceView) -> Html:
     corners = scene.placed(last, scene.corners)
     low, high = scene.box()
     bounds = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    flat = _seen(bounds)
+    flat = _seen(bounds, scene.z_down)
     scale = (_HEIGHT - 2 * _MARGIN) / float(np.ptp(flat[:, 1]))
     offset = np.array([_MARGIN, _MARGIN]) - flat.min(axis=0) * scale
     width = float(np.ptp(flat[:, 0])) * scale + 2 * _MARGIN + 70
 
     def at(points: Array) -> Array:
-        return np.asarray(_seen(points) * scale + offset)
+        return np.asarray(_seen(points, scene.z_down) * scale + offset)
 
     shapes = [_polygon(at(scene.base), "base")]
     shapes += [_line(at(np.stack([foot, head])), "leg") for foot, head in zip(scene.base, joints, strict=True)]
@@ -65,9 +65,9 @@ def still(scene: SpaceView) -> Html:
     )
 
 
-def _seen(points: Array) -> Array:
+def _seen(points: Array, z_down: bool) -> Array:
     """Project points of B, (..., 3), without perspective: to the right, and down."""
-    upright = points * np.array([1.0, -1.0, -1.0])
+    upright = points * np.array([1.0, -1.0, -1.0]) if z_down else points
     toward = np.array(VIEW) / np.linalg.norm(VIEW)
     right = np.cross([0.0, 0.0, 1.0], toward)
     right /= np.linalg.norm(right)

@@ -22,7 +22,9 @@ __all__ = [
     "moving_mean",
     "parts",
     "rotation_vectors",
+    "turns_from_home",
     "unit_rotation_vectors",
+    "vertical",
 ]
 
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
@@ -45,6 +47,18 @@ def parts(result: Result) -> list[slice]:
     return [slice(0, cut + 1), slice(cut, len(time))] if 2 <= cut <= len(time) - 3 else whole
 
 
+def turns_from_home(result: Result, quaternion: Array) -> Array:
+    """Return the rotation vectors in B from home to attitudes (n, 4), w x y z, as (n, 3) [rad]; at most pi long."""
+    home = np.asarray(result.scenario.robot.home_attitude)
+    if home.any():
+        half = 0.5 * float(np.linalg.norm(home))
+        w, v = np.cos(half), -0.5 * np.sinc(half / np.pi) * home  # of the turn back
+        scalar = quaternion[:, :1] * w - (quaternion[:, 1:] @ v)[:, None]
+        vector = quaternion[:, :1] * v + w * quaternion[:, 1:] + np.cross(quaternion[:, 1:], v)
+        quaternion = np.hstack([scalar, vector])
+    return rotation_vectors(quaternion)
+
+
 def rotation_vectors(quaternion: Array) -> Array:
     """Return axis times angle of unit quaternions (n, 4), w x y z, as (n, 3) [rad]; the angle is at most pi.
 
@@ -52,6 +66,11 @@ def rotation_vectors(quaternion: Array) -> Array:
     """
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     return unit_rotation_vectors(unit)
+
+
+def vertical(result: Result) -> str:
+    """Return where z of B points, for titles: down, as gravity does in docs/model.md, or up."""
+    return f"z points {'down' if result.scenario.robot.gravity[2] >= 0 else 'up'}"
 
 
 def unit_rotation_vectors(unit: Array) -> Array:

@@ -1,0 +1,110 @@
+"""The machines of docs/your-machine.md: their travel is their sheets', they settle, and their reports are written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.findings.check import keys_without_effect, unlikely
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.parameters import core_parameters
+
+DEGREE = np.pi / 180
+# What the sources state, towards minus and plus [m; rad], each alone; and how well the machine reproduces it.
+LIMITS = {
+    "pi-h824": (0.02, np.outer([22.5e-3, 22.5e-3, 12.5e-3, 7.5 * DEGREE, 7.5 * DEGREE, 12.5 * DEGREE], [1, 1])),
+    "moog-6dof2000e": (
+        0.10,
+        np.array([[0.241, 0.259], [0.259] * 2, [0.178] * 2, [21 * DEGREE] * 2, [22 * DEGREE] * 2, [22 * DEGREE] * 2]),
+    ),
+}
+# Limits of the software, which are narrower than what the legs allow; there the joints themselves are known.
+WITHIN = np.array([11.4e-3, 11.4e-3, 13.1e-3, 0.36 * DEGREE, 0.36 * DEGREE, 0.10 * DEGREE])
+MACHINES = [*LIMITS, "rubin-camera-hexapod"]
+
+
+def travel(scenario: hs.Scenario, direction: Array) -> float:
+    """How far the platform goes along a direction until a leg is at the end of its stroke."""
+
+    def margin(amount: float) -> float:
+        return hs.reachable(scenario, amount * direction).margin
+
+    far = 1e-3
+    while margin(far) > 0:
+        far *= 1.3
+    return float(brentq(margin, 0.0, far, xtol=1e-9))
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_travel_is_that_of_the_sheet(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    tolerance, stated = LIMITS[name]
+    found = np.array([[travel(scenario, sign * axis) for sign in (-1, 1)] for axis in np.eye(6)])
+    print(f"{name}: travel found over stated\n{found / stated}")
+    for axis in range(6):  # a range that is stated even is the smaller of both ways
+        if stated[axis, 0] == stated[axis, 1]:
+            assert found[axis].min() == pytest.approx(stated[axis, 0], rel=tolerance)
+        else:
+            np.testing.assert_allclose(found[axis], stated[axis], rtol=tolerance)
+
+
+def test_limits_of_the_telescope_are_within_the_travel_of_its_struts() -> None:
+    scenario = hs.load_scenario("rubin-camera-hexapod")
+    robot = scenario.robot
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    for axis, limit in enumerate(WITHIN):
+        for sign in (-1.0, 1.0):
+            pose = sign * limit * np.eye(6)[axis]
+            found = hs.reachable(scenario, pose)
+            print(f"{axis} {sign:+.0f}: {found}")
+            assert found.within
+            # Strut lengths as the source computes them: the moving ends turn about the pivot, then shift with it.
+            ends = robot.home_position + pose[:3] + Rotation.from_rotvec(pose[3:]).apply(robot.platform_joints)
+            lengths = np.linalg.norm(ends - np.asarray(robot.base_joints), axis=1)
+            margin = robot.stroke - np.abs(lengths - np.asarray(hexapod.home_lengths)).max()
+            assert found.margin == pytest.approx(margin, abs=1e-12)
+    # All of them at once are out of reach: the limits are not those of the legs.
+    assert not hs.reachable(scenario, WITHIN).within
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_it_settles_without_a_warning(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    assert unlikely(scenario) == []
+    assert keys_without_effect(scenario) == []
+    result = hs.simulate(scenario)
+    metrics = hs.metrics(result)
+    assert (result.outcome, result.events) == ("completed", ())
+    # docs/gains.md: 0.7 to 2.0 periods of the bandwidth until 5 % of the start; here until 2 px of some 20 px
+    bandwidth = scenario.controller.composite.auto.bandwidth
+    assert bandwidth is not None
+    assert metrics["settling_time"] < 3.0 / bandwidth
+    assert metrics["rms_error"] < 2.0 * scenario.camera.noise + 0.2
+    assert np.abs(result.feature_error[0]).max() > 10 * scenario.metrics.band
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_every_number_has_its_source_or_is_an_assumption(name: str) -> None:
+    (folder,) = {Path(hs.__file__).parent / "scenarios"}
+    text = (folder / f"{name}.yaml").read_text(encoding="utf-8")
+    head, _, body = text.partition("\nrobot:\n")
+    assert "Sources: [" in head
+    robot = body.partition("\ncamera:")[0]
+    for key in ("mass", "inertia", "force_limit"):
+        at = robot.index(f"  {key}:")
+        line = robot[at : robot.index("\n", at)]
+        before = robot[:at].rstrip("\n").rpartition("\n")[2]
+        assert "[" in line.partition("#")[2] or "ssumption" in line + before, key
+
+
+def test_a_report_of_joints_anywhere(tmp_path: Path) -> None:
+    scenario = hs.load_scenario("rubin-camera-hexapod").updated({"simulation.duration": 2.0})
+    file = tmp_path / "rubin.html"
+    hs.write_report(hs.simulate(scenario), file)
+    assert "The machine in space" in file.read_text(encoding="utf-8")
