@@ -91,11 +91,10 @@ def test_it_settles_without_a_warning(name: str) -> None:
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_every_number_has_its_source_or_is_an_assumption(name: str) -> None:
-    (folder,) = {Path(hs.__file__).parent / "scenarios"}
-    text = (folder / f"{name}.yaml").read_text(encoding="utf-8")
+    text = (Path(hs.__file__).parent / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8")
     head, _, body = text.partition("\nrobot:\n")
     assert "Sources: [" in head
-    robot = body.partition("\ncamera:")[0]
+    robot = body.partition("camera:")[0]
     for key in ("mass", "inertia", "force_limit"):
         at = robot.index(f"  {key}:")
         line = robot[at : robot.index("\n", at)]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli import assurance, evidence, keys, terminal
+from hexservo.cli import assurance, evidence, keys, machine, terminal
 from hexservo.cli.terminal import (
     ENDED_EARLY,
     INTERRUPTED,
@@ -207,6 +207,7 @@ for command in (
     assurance.campaign,
     assurance.tune,
     keys.schema,
+    machine.new,
 ):
     app.command()(command)
 
