@@ -416,7 +416,7 @@ void restrained_step(const FuzzySystems<double>& systems, const FuzzyBasis<doubl
   const std::array<double, 4> times = {0.0, 0.5 * h, 0.5 * h, h};
   for (std::size_t i = 0; i < 4; ++i) {
     k[i].basis = basis;
-    Vector6<double> output = Vector6<double>::Zero();
+    AxisVector<double> output = AxisVector<double>::Zero();
     restrain<double>(systems, times[i], Vector6<double>(driver(t + times[i])), k[i], output);
   }
   advance_weights<double, 4>(weights, {&k[0], &k[1], &k[2], &k[3]}, {h / 6.0, h / 3.0, h / 3.0, h / 6.0}, true);
@@ -482,10 +482,10 @@ TEST_CASE("leakage inside a stage: the output is that of weights that have decay
 
   const FuzzySystems<double> systems(gains);
   FuzzyRate<double> rate{before, {}};
-  Vector6<double> ignored = Vector6<double>::Zero();
+  AxisVector<double> ignored = AxisVector<double>::Zero();
   restrain<double>(systems, since, driver, rate, ignored);
   FuzzyRate<double> own{basis, {}};
-  Vector6<double> output;
+  AxisVector<double> output;
   respond<double>(systems, {&weights, &rate, elapsed}, driver, own, output);
 
   for (int j = 0; j < 6; ++j) {
@@ -509,7 +509,7 @@ TEST_CASE("dead zone: a driver within it changes no weight, one beyond it acts b
   gains.dead_zone << 0.01, 0.02, 0.03, 0.1, 0.2, 0.0;
   const auto strength = [&](const Vector6<double>& driver) {
     FuzzyRate<double> rate{};
-    Vector6<double> output = Vector6<double>::Zero();
+    AxisVector<double> output = AxisVector<double>::Zero();
     restrain<double>(FuzzySystems<double>(gains), 1e-3, driver, rate, output);
     return Vector6<double>(rate.strength.vector().cwiseProduct(gains.adaptation));
   };
@@ -575,7 +575,7 @@ TEST_CASE(
   CHECK(has_restraint(pack));
   const Vector6<double> driver = random.six(0.02, 0.1), output = random.six(1e-2, 1e-3);
   FuzzyRate<S> rate{};
-  Vector6<S> outputs = output.cast<S>();
+  AxisVector<S> outputs = Vector6<S>(output.cast<S>());
   const FuzzySystems<S> systems(pack);
   restrain<S>(systems, S(0.01), Vector6<S>(driver.cast<S>()), rate, outputs);
   restrain<S>(systems, S(0.02), weights, active);
@@ -583,13 +583,13 @@ TEST_CASE(
     CAPTURE(lane);
     const auto l = static_cast<std::size_t>(lane);
     FuzzyRate<double> one{};
-    Vector6<double> its_output = output;
+    AxisVector<double> its_output = output;
     const FuzzySystems<double> its_systems(single[l]);
     restrain<double>(its_systems, 0.01, driver, one, its_output);
     FuzzyWeights<double> expected = start[l];
     restrain(its_systems, 0.02, expected, lane != 2);
     CHECK(distance(lane_of(rate.strength, lane), one.strength.vector()) <= 1e-17);
-    CHECK(distance(lane_of(outputs, lane), its_output) <= 1e-17);
+    CHECK(distance(lane_of(outputs, lane), its_output.vector()) <= 1e-17);
     for (std::size_t r = 0; r < 49; ++r) CHECK(distance(lane_of(weights[r], lane), expected[r].vector()) <= 1e-17);
   }
 }

@@ -383,15 +383,6 @@ void restrain(const FuzzySystems<S>& systems, const S& elapsed, const AxisVector
   }
 }
 
-/// The same, with the output as a vector.
-template <class S>
-void restrain(const FuzzySystems<S>& systems, const S& elapsed, const AxisVector<S>& driver, FuzzyRate<S>& rate,
-              Vector6<S>& output) {
-  AxisVector<S> side_by_side(output);
-  restrain(systems, elapsed, driver, rate, side_by_side);
-  output = side_by_side.vector();
-}
-
 /// Leakage and limit at the end of a step: from V back to W, each weight then projected on its interval.
 /// @param step length of the step [s]
 /// @param active lanes that take part; the others keep their weights
@@ -424,14 +415,6 @@ template <class S>
   rate.strength = systems.inverse_adaptation * driver;
   output = weights.output(rate.basis);
   if (systems.restrained) restrain(systems, weights.scale, driver, rate, output);
-}
-/// The same, with the output as a vector.
-template <class S>
-[[gnu::always_inline]] inline void respond(const FuzzySystems<S>& systems, const FuzzyStage<S>& weights,
-                                           const AxisVector<S>& driver, FuzzyRate<S>& rate, Vector6<S>& output) {
-  AxisVector<S> side_by_side;
-  respond(systems, weights, driver, rate, side_by_side);
-  side_by_side.store(output.data());
 }
 
 /// The end of a step: the weights advance by its stages, then leakage and limit act.

@@ -76,6 +76,12 @@ class SideBySide {
     return made;
   }
 
+  static SideBySide Zero() {
+    SideBySide zero;
+    zero.part.fill(Register(0.0));
+    return zero;
+  }
+
   S operator()(int k) const {
     if constexpr (per_register == 1)
       return part[static_cast<std::size_t>(k)];

@@ -83,14 +83,16 @@ struct Composite : FuzzyLaw<CompositeGains> {
       fuzzy_basis(systems.bells, systems.error_scale * AxisVector<S>(pose_error),
                   systems.rate_scale * AxisVector<S>(Vector6<S>(-input.twist)), out.rate.basis);
       const Vector6<S> driver = input.twist - constants.drive.cwiseProduct(pose_error);
-      respond(systems, weights, AxisVector<S>(driver), out.rate, out.fuzzy_output);
+      AxisVector<S> fuzzy_output;
+      respond(systems, weights, AxisVector<S>(driver), out.rate, fuzzy_output);
+      fuzzy_output.store(out.fuzzy_output.data());
     } else {
-      out.fuzzy_output.setConstant(S(0.0));
+      out.fuzzy_output.setZero();
     }
     const Vector6<S> image_wrench = J.pull(constants.kp.cwiseProduct(feature_error));
     const Vector6<S> others = image_wrench + constants.kt.cwiseProduct(pose_error) -
                               constants.kd.cwiseProduct(input.twist) - out.fuzzy_output;
-    const Vector6<S> switched = task.switching_wrench(constants.kv, input, others);
+    const Vector6<S> switched = task.switching_wrench(constants.kv, input, others).vector();
     out.wrench = others - switched + task.gravity_wrench;
     listener.pose_error([&] { return pose_error; });
     listener.part(LawPart::switching, [&] { return Vector6<S>(-switched); });

@@ -55,7 +55,7 @@ struct Hybrid : FuzzyLaw<HybridGains> {
                   out.rate.basis);
       respond(systems, weights, AxisVector<S>(input.twist), out.rate, fuzzy_output);  // (13), (22)
     } else {
-      fuzzy_output = AxisVector<S>::of(S(0.0), S(0.0), S(0.0), S(0.0), S(0.0), S(0.0));
+      fuzzy_output = AxisVector<S>::Zero();
     }
     const AxisVector<S> others = image_wrench - fuzzy_output;
     const AxisVector<S> switched = task.switching_wrench(AxisVector<S>(constants.kv), input, others);

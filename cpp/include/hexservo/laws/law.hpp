@@ -199,9 +199,6 @@ struct ControlTask {
   /// K_v sw(chi-dot) [N; N m], which a law takes from its wrench.
   /// @param kv diagonal of K_v [N; N m]
   /// @param others F, the rest of the wrench without G [N; N m]
-  Vector6<S> switching_wrench(const Vector6<S>& kv, const LawInput<S, N>& input, const Vector6<S>& others) const {
-    return switching_wrench(SideBySide<S, 6>(kv), input, SideBySide<S, 6>(others)).vector();
-  }
   SideBySide<S, 6> switching_wrench(const SideBySide<S, 6>& kv_axes, const LawInput<S, N>& input,
                                     const SideBySide<S, 6>& other_axes) const {
     if (!is_implicit(switching.kind)) return kv_axes * switching(SideBySide<S, 6>(input.twist));
