@@ -31,6 +31,8 @@ void bind_hexapod(py::module_& m) {
       .def_readwrite("gravity", &RobotParameters::gravity, "(3,) acceleration in B [m/s^2]")
       .def_readwrite("mass", &RobotParameters::mass, "[kg]")
       .def_readwrite("inertia", &RobotParameters::inertia, "(3, 3) about E's origin, in E [kg m^2]")
+      .def_readwrite("centre_of_mass", &RobotParameters::centre_of_mass,
+                     "(3,) of the platform without payload, in E [m]")
       .def_readwrite("stroke", &RobotParameters::stroke, "leg travel about the home length, each way [m]")
       .def_readwrite("force_limit", &RobotParameters::force_limit, "of each leg, each way [N]");
 

@@ -8,8 +8,22 @@ void bind_rigid_body(py::module_& m) {
       .def_readwrite("mass", &RigidBody<double>::mass, "platform mass [kg]")
       .def_readwrite("inertia", &RigidBody<double>::inertia_E, "(3, 3) about E's origin, in E [kg m^2]")
       .def_readwrite("gravity", &RigidBody<double>::gravity, "(3,) acceleration in B [m/s^2]")
-      .def_property_readonly("gravity_wrench", &gravity_wrench<double>,
-                             "(6,) G of (1), what holds the platform at rest, in B [N; N m]");
+      .def_property(
+          "centre_of_mass", [](const RigidBody<double>& b) { return b.centre_E; },
+          [](RigidBody<double>& b, const Vector3<double>& centre) {
+            b.centre_E = centre;
+            b.off_centre = b.off_centre || centre != Vector3<double>::Zero();
+          },
+          "(3,) in E [m]")
+      .def_property_readonly(
+          "gravity_wrench", [](const RigidBody<double>& b) { return gravity_wrench<double>(b); },
+          "(6,) G of (1) with the centre of mass in E's origin, in B [N; N m]")
+      .def(
+          "weight",
+          [](const RigidBody<double>& b, const Vector4<double>& q) {
+            return gravity_wrench<double>(b, rotation_matrix(checked_pose(Vector3<double>::Zero(), q).quaternion));
+          },
+          py::arg("quaternion"), "(6,) G of (1) at an attitude, what holds the platform at rest, in B [N; N m]");
 
   py::class_<DynamicsError<double>>(m, "DynamicsError", "Relative errors of the estimated dynamics, (3) of the paper.")
       .def(py::init<>())

@@ -152,6 +152,9 @@ void bind_settings(py::module_& m) {
       .def_property_readonly(
           "body", [](const Settings& s) { return estimated_body(s.robot); }, "mass properties as estimated, a copy")
       .def_property_readonly(
+          "plant_body", [](const Settings& s) { return plant_body(s.robot); },
+          "mass properties of what the platform carries, but for relative errors, a copy")
+      .def_property_readonly(
           "camera", [](const Settings& s) { return Camera<double>(s.camera); }, "a copy")
       .def_property_readonly(
           "dynamics_error", [](const Settings& s) { return DynamicsError<double>(s.uncertainty); }, "a copy")

@@ -29,6 +29,10 @@ class Scenarios {
       : base_(base), count_(count) {
     if (count == 0) refuse("variations", "at least one scenario", "none");
     for (const Variation& variation : variations) add(variation);
+    // One set of equations for all scenarios: what shares a pack must not change their bits.
+    base_.robot.off_centre |= std::ranges::any_of(items_, [](const Item& item) {
+      return item.key->name == "robot.centre_of_mass" || item.key->name.starts_with("robot.payload.");
+    });
   }
 
   std::size_t count() const { return count_; }
@@ -94,7 +98,7 @@ class Scenarios {
     seeds_ = variation.seeds;
   }
 
-  const Settings& base_;
+  Settings base_;
   std::size_t count_;
   std::vector<Item> items_;
   std::span<const std::uint64_t> seeds_;  // one for all, one for each, or empty: that of the base

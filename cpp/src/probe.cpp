@@ -181,7 +181,7 @@ struct Probe::Parts {
   explicit Parts(const LoopParameters<double, Law>& p)
       : traits(Law::traits),
         estimate(p.body),
-        plant(p.body, p.dynamics_error),
+        plant(p.plant_body, p.dynamics_error),
         focal_pixels(p.camera.focal_pixels()),
         plant_sign(hexservo::plant_sign(p.convention)),
         controller_sign(hexservo::controller_sign(p.convention, p.jacobian)),

@@ -15,9 +15,19 @@ namespace {
 /// is enough: 1 - delta_D is positive semidefinite with a positive diagonal (Schur's product theorem), or the errors
 /// are small against the inertia's smallest principal moment (Weyl's inequality with the Frobenius norm, which no
 /// rotation changes).
-void validate_inertia_error(const Matrix6<double>& delta, const Matrix3<double>& inertia, double smallest_moment) {
+///
+/// Off centre all entries of delta_D act, and the first condition is asked of all of them.
+void validate_inertia_error(const Matrix6<double>& delta, const RigidBody<double>& body, double smallest_moment) {
+  const Matrix3<double>& inertia = body.inertia_E;
   const std::string key = "uncertainty.inertia";
   if ((delta - delta.transpose()).cwiseAbs().maxCoeff() > 0.0) refuse(key, "a symmetric 6x6 array", "one that is not");
+  if (body.off_centre) {
+    const Eigen::SelfAdjointEigenSolver<Matrix6<double>> all(Matrix6<double>::Ones() - delta, Eigen::EigenvaluesOnly);
+    if (!(all.eigenvalues()(0) >= -1e-12))
+      refuse(key, "errors with 1 - error positive semidefinite, since the centre of mass is off the platform's origin",
+             words("an eigenvalue of ", all.eigenvalues()(0)));
+    return;
+  }
   const Matrix3<double> angular = delta.bottomRightCorner<3, 3>();
   const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(Matrix3<double>::Ones() - angular,
                                                               Eigen::EigenvaluesOnly);
@@ -32,6 +42,19 @@ void validate_inertia_error(const Matrix6<double>& delta, const Matrix3<double>&
 
 }  // namespace
 
+RigidBody<double> joined(const RigidBody<double>& a, const RigidBody<double>& b) {
+  RigidBody<double> both = a;
+  both.mass = a.mass + b.mass;
+  both.inertia_E = a.inertia_E + b.inertia_E;
+  both.centre_E = (a.mass * a.centre_E + b.mass * b.centre_E) / both.mass;
+  both.off_centre = a.off_centre || b.off_centre;
+  return both;
+}
+
+Matrix3<double> displaced_inertia(double mass, const Vector3<double>& centre) {
+  return mass * (centre.squaredNorm() * Matrix3<double>::Identity() - centre * centre.transpose());
+}
+
 void validate(const RigidBody<double>& body, const DynamicsError<double>& error) {
   detail::require_positive("robot.mass", body.mass);
   detail::require_finite("robot.inertia", body.inertia_E);
@@ -39,16 +62,24 @@ void validate(const RigidBody<double>& body, const DynamicsError<double>& error)
   const Matrix3<double>& I = body.inertia_E;
   if ((I - I.transpose()).cwiseAbs().maxCoeff() > 1e-12 * I.cwiseAbs().maxCoeff())
     refuse("robot.inertia", "a symmetric 3x3 matrix", "one that is not");
-  const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(I, Eigen::EigenvaluesOnly);
+  // About the centre of mass, which is E's origin in the paper.
+  const Matrix3<double> central = body.off_centre ? I - displaced_inertia(body.mass, body.centre_E) : I;
+  const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(central, Eigen::EigenvaluesOnly);
   const Vector3<double> principal = solver.eigenvalues();  // ascending
-  const std::string got = words("principal moments ", principal(0), ", ", principal(1), ", ", principal(2), " kg m^2");
-  if (!(principal(0) > 0.0)) refuse("robot.inertia", "a positive definite matrix", got);
+  const std::string got = words("principal moments ", principal(0), ", ", principal(1), ", ", principal(2), " kg m^2",
+                                body.off_centre ? " about the centre of mass" : "");
+  if (!(principal(0) > 0.0))
+    refuse("robot.inertia",
+           body.off_centre ? "an inertia about the platform's origin of more than mass times distance squared of "
+                             "robot.centre_of_mass"
+                           : "a positive definite matrix",
+           got);
   if (principal(2) - principal(0) - principal(1) > 1e-9 * principal.sum())
     refuse("robot.inertia",
            "principal moments none of which exceeds the sum of the other two (no body has such an inertia)", got);
 
   detail::require_bounds("uncertainty", error);
-  validate_inertia_error(error.inertia, I, principal(0));
+  validate_inertia_error(error.inertia, body, principal(0));
 }
 
 }  // namespace hexservo

@@ -2,6 +2,7 @@
 
 #include "walk.hpp"
 
+#include <Eigen/Eigenvalues>
 #include <Eigen/SVD>
 
 namespace hexservo {
@@ -193,7 +194,24 @@ SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<doubl
   return {settings.damping.value_or(2.0 * w * inertia), settings.hold.value_or(w * w * inertia)};
 }
 
-RigidBody<double> estimated_body(const RobotParameters& robot) { return {robot.mass, robot.inertia, robot.gravity}; }
+namespace {
+
+/// The platform with its payload, or without.
+RigidBody<double> body_of(const RobotParameters& robot, bool with_payload) {
+  const Payload& load = robot.payload;
+  RigidBody<double> platform{robot.mass, robot.inertia, robot.gravity, robot.centre_of_mass};
+  const bool loaded = load.mass > 0.0 && load.position != Vector3<double>::Zero();
+  platform.off_centre = robot.off_centre || loaded || robot.centre_of_mass != Vector3<double>::Zero();
+  if (!with_payload || load.mass == 0.0) return platform;
+  return joined(platform, {load.mass, load.inertia + displaced_inertia(load.mass, load.position), robot.gravity,
+                           load.position, platform.off_centre});
+}
+
+}  // namespace
+
+RigidBody<double> estimated_body(const RobotParameters& robot) { return body_of(robot, robot.payload.known); }
+
+RigidBody<double> plant_body(const RobotParameters& robot) { return body_of(robot, true); }
 
 Vector<double, 2 * kPoints> project_target(const Settings& settings, const Vector6<double>& displacement) {
   require_acting_bounds(settings);
@@ -272,6 +290,18 @@ void require_view_at_start(const SceneParameters<double>& p) {
            words("a wrench map with smallest/largest singular value ", sigma(5) / sigma(0)));
 }
 
+void validate_payload(const Payload& load) {
+  if (load.mass == 0.0 && (load.position != Vector3<double>::Zero() || load.inertia != Matrix3<double>::Zero()))
+    refuse("robot.payload.mass", "a mass > 0 for a payload with a position or an inertia", "0");
+  if ((load.inertia - load.inertia.transpose()).cwiseAbs().maxCoeff() > 1e-12 * load.inertia.cwiseAbs().maxCoeff())
+    refuse("robot.payload.inertia", "a symmetric 3x3 matrix", "one that is not");
+  const Vector3<double> principal =
+      Eigen::SelfAdjointEigenSolver<Matrix3<double>>(load.inertia, Eigen::EigenvaluesOnly).eigenvalues();
+  if (!(principal(0) >= 0.0) || principal(2) - principal(0) - principal(1) > 1e-9 * principal.sum())
+    refuse("robot.payload.inertia", "principal moments >= 0 none of which exceeds the sum of the other two",
+           words(principal(0), ", ", principal(1), ", ", principal(2), " kg m^2"));
+}
+
 /// All that no law enters.
 SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod<double>* legs) {
   SceneParameters<double> p;
@@ -280,7 +310,9 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.hexapod = legs != nullptr ? *legs : make_hexapod(settings.robot);
   p.body = estimated_body(settings.robot);
   p.dynamics_error = settings.uncertainty;
-  validate(p.body, p.dynamics_error);
+  p.plant_body = plant_body(settings.robot);
+  validate(body_of(settings.robot, false), p.dynamics_error);
+  validate_payload(settings.robot.payload);
   p.camera = settings.camera;
   p.convention = settings.camera.convention;
   p.jacobian = settings.controller.jacobian;

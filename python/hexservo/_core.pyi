@@ -75,8 +75,10 @@ class RigidBody(metaclass=_PybindType):
     mass: float
     inertia: _Array
     gravity: _Array
+    centre_of_mass: _Array
     @property
     def gravity_wrench(self) -> _Array: ...
+    def weight(self, quaternion: ArrayLike) -> _Array: ...
 
 class DynamicsError(metaclass=_PybindType):
     """Relative errors of the estimated dynamics, (3)."""
@@ -101,6 +103,7 @@ class RobotParameters(metaclass=_PybindType):
     gravity: _Array
     mass: float
     inertia: _Array
+    centre_of_mass: _Array
     stroke: float
     force_limit: float
 
@@ -238,6 +241,8 @@ class Settings(metaclass=_PybindType):
     def robot(self) -> RobotParameters: ...
     @property
     def body(self) -> RigidBody: ...
+    @property
+    def plant_body(self) -> RigidBody: ...
     @property
     def camera(self) -> Camera: ...
     @property

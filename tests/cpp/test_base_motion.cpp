@@ -153,11 +153,13 @@ TEST_CASE("the inertial wrench gives the actual platform the acceleration -a, wh
   error.inertia.diagonal() << 0.1, -0.05, 0.2, 0.0, 0.0, 0.0;
   const Plant<double> plant(RigidBody<double>{}, error);
   const Vector3<double> a = random.matrix<3>(3.0);
-  const Vector6<double> gain = acceleration<double>(plant, Matrix3<double>::Identity(), Vector6<double>::Zero(),
-                                                    plant.weight + inertial_wrench(plant, a));
+  const Vector6<double> gain =
+      acceleration<double>(plant, Matrix3<double>::Identity(), Vector6<double>::Zero(),
+                           plant.weight + inertial_wrench<double>(plant, Matrix3<double>::Identity(), a));
   CHECK(distance(gain.head<3>(), -a) <= 100.0 * kEpsilon);
   CHECK(gain.tail<3>().norm() == 0.0);
-  CHECK(inertial_wrench(plant, a)(1) == doctest::Approx(-1.05 * 0.06 * a(1)).epsilon(1e-14));
+  CHECK(inertial_wrench<double>(plant, Matrix3<double>::Identity(), a)(1) ==
+        doctest::Approx(-1.05 * 0.06 * a(1)).epsilon(1e-14));
 }
 
 TEST_CASE("a pack moves as single ones do, each lane with its own seed and numbers") {

@@ -22,6 +22,15 @@ Matrix3<double> turn(const Vector3<double>& omega, double time) {
 
 RigidBody<double> random_body(Random& random) { return {random.uniform(0.02, 0.2), random.inertia()}; }
 
+/// The same body described from another origin: its centre of mass is at c from there.
+RigidBody<double> described_from(const RigidBody<double>& central, const Vector3<double>& c) {
+  RigidBody<double> body = central;
+  body.inertia_E += displaced_inertia(body.mass, c);
+  body.centre_E = c;
+  body.off_centre = true;
+  return body;
+}
+
 /// Element-wise errors as (3) allows them: symmetric for D, anything for C and G.
 DynamicsError<double> random_error(Random& random, double size) {
   DynamicsError<double> error;
@@ -54,19 +63,23 @@ TEST_CASE("Property 1 (2): y^T (D-dot - 2 C) y = 0, with D-dot by central differ
   double largest_part = 0.0;
   for (int trial = 0; trial < 200; ++trial) {
     CAPTURE(trial);
-    const RigidBody<double> body = random_body(random);
+    const RigidBody<double> central = random_body(random);
+    const RigidBody<double> body = trial % 2 == 0 ? central : described_from(central, random.matrix<3>(0.05));
     const Matrix3<double> R_BE = random.rotation();
     const Vector3<double> omega = random.matrix<3>(5.0);
+    const Vector6<double> twist = (Vector6<double>() << random.matrix<3>(), omega).finished();
     const Vector6<double> y = random.matrix<6>();
     const double h = 1e-5 / omega.norm();
     const Matrix6<double> D_rate =
         (mass_matrix<double>(body, turn(omega, h) * R_BE) - mass_matrix<double>(body, turn(omega, -h) * R_BE)) /
         (2.0 * h);
-    const Matrix6<double> C = coriolis_matrix(body, R_BE, omega);
+    const Matrix6<double> C = coriolis_matrix(body, R_BE, twist);
     // Each derivative of R I R^T brings at most a factor 2 |omega|, so the difference is off by (h |omega|)^2 8/6
     // = 1.3e-10 of |omega| |I|, and rounding adds a few eps/(h |omega|) = 2e-11 of m, which D holds beside I.
-    const double size = omega.norm() * body.inertia_E.norm() * y.squaredNorm();
-    const double rounding = 8.0 * kEpsilon / 1e-5 * omega.norm() * y.squaredNorm() * body.inertia_E.norm();
+    // Off centre D has m [c]x as well, of which the same holds.
+    const double turned = body.inertia_E.norm() + body.mass * body.centre_E.norm();
+    const double size = omega.norm() * turned * y.squaredNorm();
+    const double rounding = 8.0 * kEpsilon / 1e-5 * omega.norm() * y.squaredNorm() * turned;
     CHECK(std::abs(y.dot((D_rate - 2.0 * C) * y)) <= 2e-10 * size + rounding);
     largest_part = std::max(largest_part, std::abs(y.dot(D_rate * y)) / size);
   }
@@ -86,14 +99,79 @@ TEST_CASE(
 
     const Matrix6<double> ones = Matrix6<double>::Ones();
     const Matrix6<double> D = (ones - error.inertia).cwiseProduct(mass_matrix(body, R_BE));
-    const Matrix6<double> C =
-        (ones - error.coriolis).cwiseProduct(coriolis_matrix<double>(body, R_BE, twist.tail<3>()));
+    const Matrix6<double> C = (ones - error.coriolis).cwiseProduct(coriolis_matrix<double>(body, R_BE, twist));
     const Vector6<double> G = (Vector6<double>::Ones() - error.gravity).cwiseProduct(gravity_wrench(body));
     const Vector6<double> expected = Eigen::FullPivLU<Matrix6<double>>(D).solve(wrench - C * twist - G);
     const Vector6<double> result = acceleration(Plant<double>(body, error), R_BE, twist, wrench);
     // Both blocks are well conditioned on their own (inertias differ by less than 20, errors leave more than 0.6).
     CHECK(relative_distance(result.head<3>(), expected.head<3>()) <= 100.0 * kEpsilon);
     CHECK(relative_distance(result.tail<3>(), expected.tail<3>()) <= 1000.0 * kEpsilon);
+  }
+}
+
+TEST_CASE("acceleration off centre solves (3) with errors of all entries") {
+  Random random(7107);
+  CAPTURE(random.seed());
+  for (int trial = 0; trial < 200; ++trial) {
+    CAPTURE(trial);
+    const RigidBody<double> body = described_from(random_body(random), random.matrix<3>(0.05));
+    const DynamicsError<double> error = random_error(random, 0.05);
+    const Matrix3<double> R_BE = random.rotation();
+    const Vector6<double> twist = random.six(0.5, 10.0), wrench = random.six(1.0, 0.1);
+    const Matrix6<double> ones = Matrix6<double>::Ones();
+    const Matrix6<double> D = (ones - error.inertia).cwiseProduct(mass_matrix(body, R_BE));
+    const Matrix6<double> C = (ones - error.coriolis).cwiseProduct(coriolis_matrix<double>(body, R_BE, twist));
+    const Vector6<double> G = (Vector6<double>::Ones() - error.gravity).cwiseProduct(gravity_wrench(body, R_BE));
+    const Vector6<double> result = acceleration(Plant<double>(body, error), R_BE, twist, wrench);
+    // What is left of the equation, next to its terms.
+    const Vector6<double> left = D * result + C * twist + G - wrench;
+    const Vector6<double> terms = (D.cwiseAbs() * result.cwiseAbs()) + wrench.cwiseAbs() + G.cwiseAbs();
+    for (int i = 0; i < 6; ++i) CHECK(std::abs(left(i)) <= 1000.0 * kEpsilon * terms(i));
+  }
+}
+
+TEST_CASE("a body described from another origin than its centre of mass moves alike") {
+  Random random(7108);
+  CAPTURE(random.seed());
+  for (int trial = 0; trial < 5; ++trial) {
+    CAPTURE(trial);
+    const RigidBody<double> central = random_body(random);
+    const Vector3<double> c = random.matrix<3>(0.05);
+    const RigidBody<double> body = described_from(central, c);
+    const Pose<double> pose{random.matrix<3>(0.1), random.quaternion()};
+    const BodyState<double> start = body_state(pose, random.six(0.5, 3.0));
+    const auto other_origin = [&](const BodyState<double>& s) {  // the state of the origin that has c from it
+      const Vector3<double> arm = rotation_matrix(quaternion_of(s)) * c;
+      Vector6<double> twist = twist_of(s);
+      twist.head<3>() -= twist_of(s).tail<3>().cross(arm);
+      return body_state<double>({position_of(s) - arm, quaternion_of(s)}, twist);
+    };
+    const BodyState<double> expected = other_origin(integrate(central, start, Vector6<double>::Zero(), 1e-3, 1000));
+    const BodyState<double> end = integrate(body, other_origin(start), Vector6<double>::Zero(), 1e-3, 1000);
+    // Both are off by some (h omega)^5/120 a step, below 1e-14 for |omega| below 10 rad/s.
+    CHECK(distance(end, expected) <= 1e-9 * expected.norm());
+    CHECK(distance(position_of(end), position_of(start)) > 1.0);
+    // Energies of the two descriptions are the same.
+    CHECK(kinetic_energy(body, rotation_matrix(quaternion_of(end)), twist_of(end)) ==
+          doctest::Approx(
+              kinetic_energy(central, rotation_matrix(quaternion_of(end)),
+                             Vector6<double>(twist_of(integrate(central, start, Vector6<double>::Zero(), 1e-3, 1000)))))
+              .epsilon(1e-9));
+  }
+}
+
+TEST_CASE("two bodies joined have the momenta of both") {
+  Random random(7109);
+  CAPTURE(random.seed());
+  const RigidBody<double> a = described_from(random_body(random), random.matrix<3>(0.05));
+  const RigidBody<double> b = described_from(random_body(random), random.matrix<3>(0.1));
+  const RigidBody<double> both = joined(a, b);
+  for (int trial = 0; trial < 20; ++trial) {
+    const Matrix3<double> R_BE = random.rotation();
+    const Matrix6<double> sum = mass_matrix(a, R_BE) + mass_matrix(b, R_BE);
+    CHECK(relative_distance(mass_matrix(both, R_BE), sum) <= 10.0 * kEpsilon);
+    CHECK(relative_distance(gravity_wrench(both, R_BE), gravity_wrench(a, R_BE) + gravity_wrench(b, R_BE)) <=
+          10.0 * kEpsilon);
   }
 }
 
@@ -105,7 +183,7 @@ TEST_CASE("D and C are those of (1): blkdiag(m 1, R I R^T) and blkdiag(0, [omega
     const Matrix3<double> R_BE = random.rotation();
     const Vector3<double> omega = random.matrix<3>(5.0);
     const Vector6<double> twist = random.six(1.0, 5.0);
-    const Matrix6<double> D = mass_matrix(body, R_BE), C = coriolis_matrix(body, R_BE, omega);
+    const Matrix6<double> D = mass_matrix(body, R_BE), C = coriolis_matrix(body, R_BE, twist);
     CHECK(D.topLeftCorner<3, 3>() == body.mass * Matrix3<double>::Identity());
     CHECK(D.topRightCorner<3, 3>().isZero(0.0));
     CHECK(D.bottomLeftCorner<3, 3>().isZero(0.0));
@@ -140,7 +218,8 @@ TEST_CASE("z points down: a platform without actuators falls with +9.8 m/s^2 alo
     CHECK(gravity_wrench(body) == printed);
     // potential energy falls with the fall: its gradient is minus the weight
     const Vector3<double> p = random.matrix<3>(), up(0.0, 0.0, -1.0);
-    CHECK(potential_energy<double>(body, p + up) - potential_energy(body, p) == doctest::Approx(body.mass * 9.8));
+    CHECK(potential_energy<double>(body, p + up, R_BE) - potential_energy(body, p, R_BE) ==
+          doctest::Approx(body.mass * 9.8));
   }
 }
 
@@ -169,7 +248,7 @@ TEST_CASE("energy and angular momentum are conserved without control: tumbling a
     };
     const auto energy = [&](const BodyState<double>& s) {
       return kinetic_energy(body, rotation_matrix(quaternion_of(s)), twist_of(s)) +
-             potential_energy(body, position_of(s));
+             potential_energy(body, position_of(s), rotation_matrix(quaternion_of(s)));
     };
     const auto spin = [&](const BodyState<double>& s) {
       return Vector3<double>(inertia_in_base(body, rotation_matrix(quaternion_of(s))) * twist_of(s).tail<3>());
@@ -177,7 +256,8 @@ TEST_CASE("energy and angular momentum are conserved without control: tumbling a
     // A step of RK4 is off by (h omega)^5/120 < 1e-15 for |omega| < 4 rad/s; 10^4 of them stay below 1e-11.
     CHECK(std::abs(spin_energy(end) - spin_energy(start)) <= 1e-10 * spin_energy(start));
     CHECK(distance(spin(end), spin(start)) <= 1e-10 * spin(start).norm());
-    const double exchanged = potential_energy(body, position_of(start)) - potential_energy(body, position_of(end));
+    const double exchanged = potential_energy(body, position_of(start), rotation_matrix(quaternion_of(start))) -
+                             potential_energy(body, position_of(end), rotation_matrix(quaternion_of(end)));
     CHECK(exchanged > 10.0);  // [J]: some 490 m
     CHECK(std::abs(energy(end) - energy(start)) <= 1e-10 * exchanged);
     // it really tumbled: the angular velocity is not constant in B
@@ -198,7 +278,7 @@ TEST_CASE("work of a constant wrench becomes energy") {
   const Vector6<double> wrench = gravity_wrench(body) + random.six(0.05, 1e-3);
   const auto energy = [&] {
     return kinetic_energy(body, rotation_matrix(quaternion_of(state)), twist_of(state)) +
-           potential_energy(body, position_of(state));
+           potential_energy(body, position_of(state), rotation_matrix(quaternion_of(state)));
   };
   const double h = 1e-3;
   const int steps = 400;

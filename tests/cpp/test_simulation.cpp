@@ -352,8 +352,9 @@ TEST_CASE("constant leg forces do work: energy gained is force times travel") {
     const BodyState<double> end = drive_legs(hexapod, body, {}, start, forces, 1e-4, 3000);
     const Matrix3<double> R_BE = rotation_matrix(quaternion_of(end));
     const Vector6<double> lengths = inverse_kinematics<double>(hexapod, position_of(end), R_BE).lengths;
-    const double gained = kinetic_energy(body, R_BE, twist_of(end)) + potential_energy(body, position_of(end)) -
-                          potential_energy(body, position_of(start));
+    const double gained = kinetic_energy(body, R_BE, twist_of(end)) +
+                          potential_energy(body, position_of(end), rotation_matrix(quaternion_of(end))) -
+                          potential_energy(body, position_of(start), rotation_matrix(quaternion_of(start)));
     const double work = forces.dot(lengths - hexapod.home_lengths);
     CHECK(distance(lengths, hexapod.home_lengths) > 1e-3);
     const double exchanged = forces.cwiseAbs().dot((lengths - hexapod.home_lengths).cwiseAbs());

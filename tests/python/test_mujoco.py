@@ -33,14 +33,24 @@ def uneven() -> _core.RobotParameters:
     return robot
 
 
-@pytest.fixture(params=["micro", "cubic", "uneven"])
+def off_centre() -> _core.RobotParameters:
+    robot = uneven()
+    robot.centre_of_mass = np.array([0.012, -0.02, 0.03])
+    c = robot.centre_of_mass
+    robot.inertia = robot.inertia + robot.mass * (c @ c * np.eye(3) - np.outer(c, c))
+    return robot
+
+
+@pytest.fixture(params=["micro", "cubic", "uneven", "off centre"])
 def robot(request: pytest.FixtureRequest) -> _core.RobotParameters:
-    return uneven() if request.param == "uneven" else _core.robot_preset(request.param)
+    own = {"uneven": uneven, "off centre": off_centre}
+    return own[request.param]() if request.param in own else _core.robot_preset(request.param)
 
 
 def body_of(robot: _core.RobotParameters) -> _core.RigidBody:
     body = _core.RigidBody()
     body.mass, body.inertia, body.gravity = robot.mass, robot.inertia, robot.gravity
+    body.centre_of_mass = robot.centre_of_mass
     return body
 
 
@@ -49,7 +59,9 @@ def text(numbers: Any) -> str:
 
 
 def mujoco_model(robot: _core.RobotParameters, step: float) -> Any:
-    hexapod = _core.Hexapod(robot)
+    hexapod, c = _core.Hexapod(robot), np.array(robot.centre_of_mass)
+    central = robot.inertia - robot.mass * (c @ c * np.eye(3) - np.outer(c, c))
+    six = central[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     base = "".join(f'<site name="b{leg}" pos="{text(p)}"/>' for leg, p in enumerate(hexapod.base_joints))
     platform = "".join(f'<site name="p{leg}" pos="{text(p)}"/>' for leg, p in enumerate(hexapod.platform_joints))
     legs = "".join(f'<spatial name="{leg}"><site site="b{leg}"/><site site="p{leg}"/></spatial>' for leg in range(6))
@@ -62,7 +74,7 @@ def mujoco_model(robot: _core.RobotParameters, step: float) -> Any:
             {base}
             <body pos="{text(robot.home_position)}" quat="{text(hexapod.home_quaternion)}">
               <freejoint/>
-              <inertial pos="0 0 0" mass="{robot.mass!r}" diaginertia="{text(np.diag(robot.inertia))}"/>
+              <inertial pos="{text(c)}" mass="{robot.mass!r}" fullinertia="{text(six)}"/>
               {platform}
             </body>
           </worldbody>
@@ -76,7 +88,10 @@ def mujoco_model(robot: _core.RobotParameters, step: float) -> Any:
 def constant_forces(robot: _core.RobotParameters) -> Array:
     """Leg forces that hold the platform at home, and unequal ones on top."""
     hexapod = _core.Hexapod(robot)
-    weight = np.concatenate([-robot.mass * np.array(robot.gravity), np.zeros(3)])
+    force = -robot.mass * np.array(robot.gravity)
+    R_BE = np.empty(9)  # noqa: N806
+    mujoco.mju_quat2Mat(R_BE, hexapod.home_quaternion)
+    weight = np.concatenate([force, np.cross(R_BE.reshape(3, 3) @ robot.centre_of_mass, force)])
     return hexapod.leg_forces(hexapod.home_position, hexapod.home_quaternion, weight) + UNEQUAL
 
 

@@ -133,12 +133,17 @@ class BaseMotion {
   std::array<Wave, 3 * kBaseMotionWaves> waves_;  ///< axis by axis
 };
 
-/// Wrench of the inertial force -(1 - delta_D) m a on the actual platform, whose centre of mass is E's origin, in B
-/// [N; N m].
+/// Wrench of the inertial force -(1 - delta_D) m a on the actual platform, in its centre of mass, in B [N; N m].
 /// @param acceleration_B of the frame B, in B [m/s^2]
 template <class S>
-Vector6<S> inertial_wrench(const Plant<S>& plant, const Vector3<S>& acceleration_B) {
+Vector6<S> inertial_wrench(const Plant<S>& plant, const Matrix3<S>& R_BE, const Vector3<S>& acceleration_B) {
   Vector6<S> wrench = Vector6<S>::Zero();
+  if (plant.body.off_centre) {
+    const Matrix6<S> D = plant.mass_matrix_at(R_BE);
+    for (int j = 0; j < 3; ++j)
+      for (int i = 0; i < 6; ++i) wrench(i) -= D(i, j) * acceleration_B(j);
+    return wrench;
+  }
   for (int i = 0; i < 3; ++i) wrench(i) = -acceleration_B(i) / plant.inverse_mass(i);
   return wrench;
 }

@@ -34,6 +34,22 @@ enum class LimitPolicy {
 /// Where six joints are, one in each row [m].
 using Joints = Eigen::Matrix<double, 6, 3>;
 
+/// A body that is fixed to the platform.
+struct Payload {
+  double mass = 0.0;                                   ///< [kg], 0: none
+  Vector3<double> position = Vector3<double>::Zero();  ///< of its centre of mass in E [m], 0
+  Matrix3<double> inertia = Matrix3<double>::Zero();   ///< about its centre of mass, in axes of E [kg m^2], 0
+  bool known = true;                                   ///< to the controller; the plant has it in any case
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"mass", "kg", kNotNegative}, self.mass...);
+    v(Field{"position", "m"}.entrywise(), self.position...);
+    v(Field{"inertia", "kg m^2"}.symmetric(), self.inertia...);
+    v(Field{"known"}, self.known...);
+  }
+};
+
 /// A robot as a user describes it: leg geometry, mass properties and limits. The defaults are the preset `micro`.
 struct RobotParameters {
   double platform_radius = 0.1;                                           ///< r_p [m], 0.1 (paper)
@@ -46,9 +62,13 @@ struct RobotParameters {
   Vector3<double> home_attitude = {0.0, 0.0, 0.0};                     ///< rotation vector of R_BE at home [rad], 0
   Vector3<double> gravity = RigidBody<double>{}.gravity;               ///< g in B [m/s^2], (0, 0, 9.8)
   double mass = RigidBody<double>{}.mass;                              ///< platform with camera [kg], 0.06 (paper)
-  Matrix3<double> inertia = RigidBody<double>{}.inertia_E;  ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
-  double stroke = 0.017;                                    ///< leg travel about the home length, each way [m], 0.017
-  double force_limit = 1.0;                                 ///< of each leg, each way [N], 1
+  Matrix3<double> inertia = RigidBody<double>{}.inertia_E;   ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
+  Vector3<double> centre_of_mass = Vector3<double>::Zero();  ///< of the platform without payload, in E [m], 0 (paper)
+  Payload payload;
+  /// The centre of mass may be elsewhere than in E's origin: where a batch varies it, in all its scenarios.
+  bool off_centre = false;
+  double stroke = 0.017;     ///< leg travel about the home length, each way [m], 0.017
+  double force_limit = 1.0;  ///< of each leg, each way [N], 1
   LimitPolicy on_limit = LimitPolicy::report;
 
   template <class V, class... Self>
@@ -64,6 +84,8 @@ struct RobotParameters {
     v(Field{"gravity", "m/s^2"}.entrywise(), self.gravity...);
     v(Field{"mass", "kg", kPositive}, self.mass...);
     v(Field{"inertia", "kg m^2"}.symmetric(), self.inertia...);
+    v(Field{"centre_of_mass", "m"}.entrywise(), self.centre_of_mass...);
+    v(Field{"payload"}, self.payload...);
     v(Field{"stroke", "m", kPositive}.of_legs(), self.stroke...);
     v(Field{"force_limit", "N", kPositive}.of_legs(), self.force_limit...);
     v(Field{"on_limit"}.of_pack().of_plant().in_sampled_mode(), self.on_limit...);

@@ -22,7 +22,8 @@ enum class LoopMode {
 template <class S, int N = kPoints>
 struct SceneParameters {
   Hexapod<S> hexapod;
-  RigidBody<S> body;
+  RigidBody<S> body;        ///< as the controller assumes it
+  RigidBody<S> plant_body;  ///< what the platform carries, but for its relative errors
   DynamicsError<S> dynamics_error;
   Camera<S> camera;
   CameraConvention convention = CameraConvention::eye_in_hand;
@@ -53,6 +54,7 @@ struct SceneParameters {
   static void visit(V&& v, Self&... self) {
     v(Field{"hexapod"}, self.hexapod...);
     v(Field{"body"}, self.body...);
+    v(Field{"plant_body"}, self.plant_body...);
     v(Field{"dynamics_error"}, self.dynamics_error...);
     v(Field{"camera"}, self.camera...);
     v(Field{"convention"}, self.convention...);

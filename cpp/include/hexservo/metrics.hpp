@@ -289,11 +289,12 @@ class Settling {
 template <class S, int N = kPoints>
 class MetricsAccumulator {
  public:
-  MetricsAccumulator(const MetricsSettings<S>& settings, const Hexapod<S>& hexapod, const Vector6<S>& gravity_wrench,
+  MetricsAccumulator(const MetricsSettings<S>& settings, const Hexapod<S>& hexapod, const RigidBody<S>& body,
                      const Vector<S, 2 * N>& desired_features, const Sample<S, N>& first)
       : rms_start_(settings.rms_start),
         hexapod_(hexapod),
-        gravity_wrench_(gravity_wrench),
+        body_(body),
+        gravity_wrench_(gravity_wrench(body)),
         start_position_(first.position),
         start_quaternion_(first.quaternion),
         features_(settings.band, desired_features, first.feature_error),
@@ -354,7 +355,8 @@ class MetricsAccumulator {
     keep(linear_speed_squared_, sample.twist.template head<3>().squaredNorm());
     keep(angular_speed_squared_, sample.twist.template tail<3>().squaredNorm());
 
-    const Vector6<S> control = sample.wrench - gravity_wrench_;
+    Vector6<S> control = sample.wrench - gravity_wrench_;
+    if (body_.off_centre) control = sample.wrench - gravity_wrench(body_, rotation_matrix(sample.quaternion));
     peak(peak_control_force_, detail::largest_abs<S, 3>(control.template head<3>(), take));
     peak(peak_control_moment_, detail::largest_abs<S, 3>(control.template tail<3>(), take));
     features_.add(sample.feature_error, take);
@@ -371,6 +373,7 @@ class MetricsAccumulator {
 
   double rms_start_;
   Hexapod<S> hexapod_;
+  RigidBody<S> body_;  ///< as estimated
   Vector6<S> gravity_wrench_;
   Vector3<S> start_position_;
   Vector4<S> start_quaternion_;

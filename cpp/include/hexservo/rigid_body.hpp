@@ -9,6 +9,7 @@
 /// | D_e, C_e, G_e  | DynamicsError            | delta_D D etc. with delta element-wise (docs/model.md, 3)  |
 #pragma once
 
+#include "hexservo/cholesky.hpp"
 #include "hexservo/side_by_side.hpp"
 
 #include <cmath>
@@ -21,14 +22,24 @@ struct RigidBody {
   S mass{0.06};                                                            ///< platform mass [kg], 0.06 (paper)
   Matrix3<S> inertia_E = Vector3<S>(1.5e-4, 1.5e-4, 3.0e-4).asDiagonal();  ///< inertia about E's origin, in E [kg m^2]
   Vector3<S> gravity = Vector3<S>(S(0.0), S(0.0), S(9.8));  ///< acceleration g in B [m/s^2], 9.8 along +z (paper)
+  Vector3<S> centre_E = Vector3<S>::Zero();                 ///< centre of mass in E [m], 0 (paper)
+  bool off_centre = false;  ///< the centre of mass may be elsewhere than in E's origin; otherwise it is not looked at
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     v(Field{"mass", "kg"}, self.mass...);
     v(Field{"inertia_E", "kg m^2"}, self.inertia_E...);
     v(Field{"gravity", "m/s^2"}, self.gravity...);
+    v(Field{"centre_E", "m"}, self.centre_E...);
+    v(Field{"off_centre"}, self.off_centre...);
   }
 };
+
+/// One rigid body of two that are fixed to each other, with the gravity of the first.
+RigidBody<double> joined(const RigidBody<double>& a, const RigidBody<double>& b);
+
+/// What a mass at a place c in E adds to an inertia about E's origin, m (|c|^2 1 - c c^T) [kg m^2].
+Matrix3<double> displaced_inertia(double mass, const Vector3<double>& centre);
 
 /// Relative errors of the estimated dynamics: the actual matrices are (1 - delta) times the estimated ones, entry by
 /// entry.
@@ -236,14 +247,28 @@ Matrix6<S> mass_matrix(const RigidBody<S>& body, const Matrix3<S>& R_BE) {
   Matrix6<S> D = Matrix6<S>::Zero();
   D.diagonal().template head<3>().setConstant(body.mass);
   D.template bottomRightCorner<3, 3>() = inertia_in_base(body, R_BE);
+  if (body.off_centre) {
+    const Matrix3<S> first_moment = body.mass * skew(rotate<S>(R_BE, body.centre_E));  // m [c]x
+    D.template bottomLeftCorner<3, 3>() = first_moment;
+    D.template topRightCorner<3, 3>() = -first_moment;
+  }
   return D;
 }
 
-/// C of (1), 6x6: maps twist to the gyroscopic wrench, [omega]x I' in the lower right block.
+/// C of (1), 6x6: maps twist to the gyroscopic wrench, [omega]x I' in the lower right block. Off centre it has
+/// -m [omega]x [c]x, m [omega]x [c]x, and m [c x v]x beside I', so that Property 1 holds for every vector.
 template <class S>
-Matrix6<S> coriolis_matrix(const RigidBody<S>& body, const Matrix3<S>& R_BE, const Vector3<S>& omega_B) {
+Matrix6<S> coriolis_matrix(const RigidBody<S>& body, const Matrix3<S>& R_BE, const Vector6<S>& twist) {
+  const Vector3<S> v = twist.template head<3>(), omega_B = twist.template tail<3>();
   Matrix6<S> C = Matrix6<S>::Zero();
   C.template bottomRightCorner<3, 3>() = skew(omega_B) * inertia_in_base(body, R_BE);
+  if (body.off_centre) {
+    const Vector3<S> c = rotate<S>(R_BE, body.centre_E);
+    const Matrix3<S> turning = body.mass * (skew(omega_B) * skew(c));
+    C.template topRightCorner<3, 3>() = -turning;
+    C.template bottomLeftCorner<3, 3>() = turning;
+    C.template bottomRightCorner<3, 3>() += body.mass * skew(cross<S>(c, v));
+  }
   return C;
 }
 
@@ -252,6 +277,14 @@ template <class S>
 Vector6<S> gravity_wrench(const RigidBody<S>& body) {
   Vector6<S> G = Vector6<S>::Zero();
   for (int i = 0; i < 3; ++i) G(i) = S(0.0) - body.mass * body.gravity(i);  // 0, not -0, where there is none
+  return G;
+}
+/// The same at an attitude: (-m g; -c x m g), where the centre of mass may be off E's origin.
+template <class S>
+Vector6<S> gravity_wrench(const RigidBody<S>& body, const Matrix3<S>& R_BE) {
+  Vector6<S> G = gravity_wrench(body);
+  if (body.off_centre)
+    G.template tail<3>() = cross<S>(rotate<S>(R_BE, body.centre_E), Vector3<S>(G.template head<3>()));
   return G;
 }
 
@@ -267,8 +300,9 @@ template <class S>
 /// The actual platform (3), with what does not change in a run worked out.
 template <class S>
 struct Plant {
-  Plant(const RigidBody<S>& estimate, const DynamicsError<S>& error) : body(estimate) {
-    const Vector6<S> G = gravity_wrench(estimate);
+  /// @param nominal of which the error is relative
+  Plant(const RigidBody<S>& nominal, const DynamicsError<S>& error) : body(nominal), dynamics_error(error) {
+    const Vector6<S> G = gravity_wrench(nominal);
     for (int i = 0; i < 3; ++i) {
       inverse_mass(i) = S(1.0) / (body.mass - error.inertia(i, i) * body.mass);
       for (int j = 0; j < 3; ++j) {
@@ -279,18 +313,43 @@ struct Plant {
     weight = G - error.gravity.cwiseProduct(G);
   }
 
-  RigidBody<S> body;          ///< as estimated
-  Vector3<S> inverse_mass;    ///< of the three linear directions [1/kg]
-  Matrix3<S> inertia_share;   ///< 1 - delta_D of the angular block, D being block-diagonal [1]
-  Matrix3<S> coriolis_share;  ///< 1 - delta_C of the angular block, the only one of C that is not zero [1]
-  Vector6<S> weight;          ///< (1 - delta_G) G [N; N m]
+  /// (1 - delta_D) o D at an attitude, 6x6.
+  Matrix6<S> mass_matrix_at(const Matrix3<S>& R_BE) const {
+    return (Matrix6<S>::Ones() - dynamics_error.inertia).cwiseProduct(mass_matrix(body, R_BE));
+  }
+  /// (1 - delta_G) o G at an attitude [N; N m].
+  Vector6<S> weight_at(const Matrix3<S>& R_BE) const {
+    if (!body.off_centre) return weight;
+    const Vector6<S> G = gravity_wrench(body, R_BE);
+    return G - dynamics_error.gravity.cwiseProduct(G);
+  }
+
+  RigidBody<S> body;                ///< without the errors
+  DynamicsError<S> dynamics_error;  ///< looked at off centre alone: what follows has the rest
+  Vector3<S> inverse_mass;          ///< of the three linear directions [1/kg]
+  Matrix3<S> inertia_share;         ///< 1 - delta_D of the angular block, D being block-diagonal [1]
+  Matrix3<S> coriolis_share;        ///< 1 - delta_C of the angular block, the only one of C that is not zero [1]
+  Vector6<S> weight;                ///< (1 - delta_G) G [N; N m]
 };
+
+/// chi-ddot of a body whose centre of mass is off E's origin: all entries of D and C act.
+template <class S>
+[[gnu::noinline]] Vector6<S> acceleration_off_centre(const Plant<S>& plant, const Matrix3<S>& R_BE,
+                                                     const Vector6<S>& twist, const Vector6<S>& wrench) {
+  const Matrix6<S> C =
+      (Matrix6<S>::Ones() - plant.dynamics_error.coriolis).cwiseProduct(coriolis_matrix(plant.body, R_BE, twist));
+  Vector6<S> rest = wrench - plant.weight_at(R_BE);
+  for (int j = 0; j < 6; ++j)
+    for (int i = 0; i < 6; ++i) rest(i) -= C(i, j) * twist(j);
+  return Cholesky<S, 6>(plant.mass_matrix_at(R_BE)).solve(rest);
+}
 
 /// chi-ddot of the actual dynamics (3): (1 - delta_D) D chi-ddot + (1 - delta_C) C chi-dot + (1 - delta_G) G = tau.
 /// @return (m/s^2; rad/s^2), in B
 template <class S>
 [[gnu::always_inline]] inline SideBySide<S, 6> acceleration(const Plant<S>& plant, const Matrix3<S>& R_BE,
                                                             const SideBySide<S, 6>& twist, const Vector6<S>& wrench) {
+  if (plant.body.off_centre) return SideBySide<S, 6>(acceleration_off_centre<S>(plant, R_BE, twist.vector(), wrench));
   const Vector3<S> omega(twist(3), twist(4), twist(5));
   const Matrix3<S> I_B = inertia_in_base(plant.body, R_BE);
 
@@ -342,10 +401,10 @@ S kinetic_energy(const RigidBody<S>& body, const Matrix3<S>& R_BE, const Vector6
   return S(0.5) * twist.dot(mass_matrix(body, R_BE) * twist);
 }
 
-/// Potential energy -m g . p_BE [J], zero at B's origin.
+/// Potential energy -m g . (p_BE + c) [J], zero at B's origin.
 template <class S>
-S potential_energy(const RigidBody<S>& body, const Vector3<S>& p_BE) {
-  return -body.mass * dot<S>(body.gravity, p_BE);
+S potential_energy(const RigidBody<S>& body, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
+  return -body.mass * dot<S>(body.gravity, Vector3<S>(p_BE + rotate<S>(R_BE, body.centre_E)));
 }
 
 /// Checks mass, inertia and errors as a user gives them.

@@ -28,7 +28,7 @@ struct SafeGains {
 /// What it takes to decide on a command, besides a law.
 template <class S, int N = kPoints>
 struct SafetyGains : Sensing<S, N> {
-  Vector6<S> gravity_wrench;  ///< G [N; N m]
+  RigidBody<S> body;  ///< as estimated
   SafeGains<S> safe;
   S saturation_limit;  ///< leg force beyond which integral action waits [N]; infinite where nothing limits it
 };
@@ -97,16 +97,18 @@ void decide(const SafetyGains<S, N>& gains, SafetyState<S, N>& state, const Vect
   state.stop_pose.position = select(begins, seen.pose.position, state.stop_pose.position);
   state.stop_pose.quaternion = select(begins, seen.pose.quaternion, state.stop_pose.quaternion);
   state.braking = (!out.acts) & (known | state.braking);
-  const Vector6<S> brake = gains.gravity_wrench - gains.safe.damping.cwiseProduct(seen.twist) +
+  const Vector6<S> weight = gravity_wrench(gains.body, seen.R_BE);
+  const Vector6<S> brake = weight - gains.safe.damping.cwiseProduct(seen.twist) +
                            gains.safe.hold.cwiseProduct(pose_difference(state.stop_pose, seen.pose));
   const Vector6<S> brake_forces = solver.leg_forces(brake);
   const Mask<S> brakes = known & (!out.acts) & is_finite(S(brake_forces.sum()));
 
   // Before this tick's pose replaces it.
-  const WrenchMapSolver<S> last(gains.legs, inverse_kinematics(gains.legs, state.last_pose.position,
-                                                               rotation_matrix(state.last_pose.quaternion)));
-  const Vector6<S> rest_forces = last.leg_forces(gains.gravity_wrench);
-  out.wrench = select(out.acts, wrench, select(brakes, brake, gains.gravity_wrench));
+  const Matrix3<S> last_R_BE = rotation_matrix(state.last_pose.quaternion);
+  const WrenchMapSolver<S> last(gains.legs, inverse_kinematics(gains.legs, state.last_pose.position, last_R_BE));
+  const Vector6<S> rest = gravity_wrench(gains.body, last_R_BE);
+  const Vector6<S> rest_forces = last.leg_forces(rest);
+  out.wrench = select(out.acts, wrench, select(brakes, brake, rest));
   out.leg_forces = select(out.acts, out.leg_forces, select(brakes, brake_forces, rest_forces));
   const Mask<S> here = out.acts | brakes;
   state.last_pose.position = select(here, seen.pose.position, state.last_pose.position);

@@ -39,7 +39,8 @@ class SampledPlant {
     if (p.pose_source == PoseSource::encoders) encoders_.emplace(p.encoders, p.seed);
     if (acts(p.actuators)) {
       const WrenchMapSolver<S> solver(hexapod_, legs_at(position_of(state_.body), state_.view.R_BE));
-      actuators_.emplace(p.actuators, hexapod_.force_limit, p.step, solver.leg_forces(gravity_wrench(p.body)));
+      actuators_.emplace(p.actuators, hexapod_.force_limit, p.step,
+                         solver.leg_forces(gravity_wrench(p.body, state_.view.R_BE)));
     }
     read_sensors();
   }
@@ -122,7 +123,7 @@ class SampledPlant {
   Vector6<S> acting_wrench(double time, const WorldState<S, N>& state) const noexcept {
     Vector6<S> wrench = wrench_;
     if (holds_leg_forces_) wrench = legs_at(position_of(state.body), state.view.R_BE).wrench(leg_forces_);
-    if (base_moves_) wrench += world_.inertial_wrench(base_.acceleration(time));
+    if (base_moves_) wrench += world_.inertial_wrench(state.view.R_BE, base_.acceleration(time));
     return wrench;
   }
 

@@ -45,7 +45,7 @@ template <class S, class Law, int N>
 SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
   return {{p.hexapod, LegGeometry<S>(p.hexapod), p.camera.focal_pixels(), p.desired_features, p.frames, p.pose_source,
            p.encoders, p.step},
-          gravity_wrench(p.body),
+          p.body,
           p.safe,
           p.actuators.saturation ? p.hexapod.force_limit : S(std::numeric_limits<double>::infinity())};
 }

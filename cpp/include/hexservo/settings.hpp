@@ -142,9 +142,9 @@ struct StartSettings {
 /// Time grid, start and logging of a run.
 struct SimulationSettings {
   LoopMode mode = LoopMode::continuous;
-  double step = 1e-3;      ///< h, or in `sampled` mode the servo period T_c [s], 1e-3
-  long long substeps = 1;  ///< Runge-Kutta steps in a servo period, in `sampled` mode, 1
-  double duration = 5.0;   ///< [s], 5; a whole number of steps
+  double step = 1e-3;       ///< h, or in `sampled` mode the servo period T_c [s], 1e-3
+  long long substeps = 1;   ///< Runge-Kutta steps in a servo period, in `sampled` mode, 1
+  double duration = 5.0;    ///< [s], 5; a whole number of steps
   long long log_every = 1;  ///< steps between logged samples, 1
   StartSettings start;
 
@@ -228,8 +228,11 @@ long long step_count(const SimulationSettings& simulation);
 /// @throws std::invalid_argument for a gain that is negative or not finite
 SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, double delay);
 
-/// Mass properties as the controller assumes them.
+/// Mass properties as the controller assumes them: of the platform, with its payload if that is known.
 RigidBody<double> estimated_body(const RobotParameters& robot);
+
+/// What the platform carries, known or not, but for the relative errors of its dynamics.
+RigidBody<double> plant_body(const RobotParameters& robot);
 
 /// Image of the target from a displacement (m; rad) of home, as of `moved` [px]; the goal's image is not used.
 /// @throws std::invalid_argument naming the scenario key: robot, camera or target that are wrong, a camera

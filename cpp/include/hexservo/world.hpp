@@ -82,7 +82,7 @@ class World {
  public:
   template <class Law>
   explicit World(const LoopParameters<S, Law, N>& p)
-      : plant_(p.body, p.dynamics_error),
+      : plant_(p.plant_body, p.dynamics_error),
         focal_pixels_(p.camera.focal_pixels()),
         points_B_(p.points_B),
         convention_(p.convention) {}
@@ -107,8 +107,8 @@ class World {
   }
 
   /// What an acceleration of B [m/s^2] adds to a wrench in B [N; N m].
-  Vector6<S> inertial_wrench(const Vector3<S>& acceleration_B) const noexcept {
-    return hexservo::inertial_wrench(plant_, acceleration_B);
+  Vector6<S> inertial_wrench(const Matrix3<S>& R_BE, const Vector3<S>& acceleration_B) const noexcept {
+    return hexservo::inertial_wrench(plant_, R_BE, acceleration_B);
   }
 
   /// state + scale rate: a Runge-Kutta stage.

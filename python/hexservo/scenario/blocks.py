@@ -59,6 +59,16 @@ _SIDES = ("platform", "base")
 DEFAULT_DEPTH = float(core_default("target.depth"))  # [m], docs/model.md section 4
 
 
+class Payload(Block):
+    """A body fixed to the platform, which the plant has; the controller too, if it is known. docs/model.md section 3."""
+
+    mass: NumberNotNegative = 0.0  # [kg]; 0: no payload
+    position: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of its centre of mass in E
+    # (3,) diagonal or (3, 3) [kg m^2], about its centre of mass, in E
+    inertia: Annotated[Vector | Matrix, Inertia()] = (0.0, 0.0, 0.0)
+    known: Annotated[bool, Flag()] = True  # to the controller
+
+
 def _circle(side: str) -> tuple[str, str]:
     return f"{side}_radius", f"{side}_angles"
 
@@ -84,6 +94,8 @@ class Robot(Block):
     gravity: Annotated[Vector, GravityRule()] = from_core("robot.gravity")  # (3,) [m/s^2], in B; a number: along +z
     mass: PositiveNumber  # [kg], of the platform
     inertia: Annotated[Vector | Matrix, Inertia()]  # (3,) diagonal or (3, 3) [kg m^2], in E about its origin
+    centre_of_mass: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of the platform, in E
+    payload: Payload = Field(default_factory=Payload)
     stroke: PositiveNumber  # [m], each leg's travel either way from its home length
     force_limit: PositiveNumber  # [N], magnitude of each leg's force
     # in sampled mode: what a leg beyond its stroke means, an event or the end of the run
@@ -347,6 +359,6 @@ def preset_values(preset: str) -> dict[str, Any]:
     values = {
         key: map_lists(tupled(getattr(robot, key)), list)
         for key in Robot.model_fields
-        if key not in ("preset", "inertia", "on_limit")
+        if key not in ("preset", "inertia", "payload", "on_limit")
     }
     return {**values, "inertia": map_lists(diagonal_if_diagonal(tupled(robot.inertia)), list)}

@@ -41,9 +41,10 @@ struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
     const Vector6<S> pose_error =
         most_probable_pose_error(J, feature_error, gains.prior, pose_difference(task.reference, input.pose));
     const Vector6<S> wanted = gains.kp.cwiseProduct(pose_error) - gains.kd.cwiseProduct(input.twist);  // chi-ddot
+    if (task.body.off_centre) return off_centre<S, N>(task, gains, input, pose_error, wanted, out, listener);
+    out.wrench = task.gravity_wrench;
     const Matrix3<S> inertia_B = inertia_in_base(task.body, input.R_BE);
     const Vector3<S> omega = input.twist.template tail<3>();
-    out.wrench = task.gravity_wrench;
     out.wrench.template head<3>() += task.body.mass * wanted.template head<3>();
     out.wrench.template tail<3>() += rotate<S>(inertia_B, wanted.template tail<3>()) +
                                      omega.cross(rotate<S>(inertia_B, omega));  // [omega]x I' omega
@@ -60,6 +61,26 @@ struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
       wrench.template tail<3>() = omega.cross(rotate<S>(inertia_B, omega));
       return wrench;
     });
+  }
+
+ private:
+  /// The same where all entries of D and C act.
+  template <class S, int N, class Listener>
+  static void off_centre(const ControlTask<S, N>& task, const Constants<S>& gains, const LawInput<S, N>& input,
+                         const Vector6<S>& pose_error, const Vector6<S>& wanted, Evaluation<S>& out,
+                         const Listener& listener) noexcept {
+    const Matrix6<S> D = mass_matrix(task.body, input.R_BE), C = coriolis_matrix(task.body, input.R_BE, input.twist);
+    const auto times = [](const Matrix6<S>& A, const Vector6<S>& x) {
+      Vector6<S> y = Vector6<S>::Zero();
+      for (int j = 0; j < 6; ++j)
+        for (int i = 0; i < 6; ++i) y(i) += A(i, j) * x(j);
+      return y;
+    };
+    out.wrench = task.weight(input.R_BE) + times(D, wanted) + times(C, input.twist);
+    listener.pose_error([&] { return pose_error; });
+    listener.part(LawPart::damping, [&] { return times(D, Vector6<S>(-gains.kd.cwiseProduct(input.twist))); });
+    listener.part(LawPart::pose_spring, [&] { return times(D, Vector6<S>(gains.kp.cwiseProduct(pose_error))); });
+    listener.part(LawPart::coriolis_feedforward, [&] { return times(C, input.twist); });
   }
 };
 

@@ -59,7 +59,7 @@ struct Hybrid : FuzzyLaw<HybridGains> {
     }
     const AxisVector<S> others = image_wrench - fuzzy_output;
     const AxisVector<S> switched = task.switching_wrench(AxisVector<S>(constants.kv), input, others);
-    const AxisVector<S> wrench = others - switched + AxisVector<S>(task.gravity_wrench);
+    const AxisVector<S> wrench = others - switched + AxisVector<S>(task.weight(input.R_BE));
     wrench.store(out.wrench.data());
     fuzzy_output.store(out.fuzzy_output.data());
     listener.part(LawPart::switching, [&] { return Vector6<S>(-switched.vector()); });

@@ -196,6 +196,11 @@ struct ControlTask {
   S period;           ///< T_c, time between two evaluations; used by the implicit switching functions alone [s]
   TargetModel<S, N> target{};  ///< what the controller takes the target for
 
+  /// G of (1) at an attitude [N; N m], in B.
+  [[gnu::always_inline]] Vector6<S> weight(const Matrix3<S>& R_BE) const {
+    return body.off_centre ? hexservo::gravity_wrench(body, R_BE) : gravity_wrench;
+  }
+
   /// K_v sw(chi-dot) [N; N m], which a law takes from its wrench.
   /// @param kv diagonal of K_v [N; N m]
   /// @param others F, the rest of the wrench without G [N; N m]

@@ -45,7 +45,7 @@ struct Pbvs : StatelessLaw<PbvsGains> {
         estimate_pose(task.focal_pixels, task.target.points_B, input.features, input.pose, gains.prior);
     const Vector6<S> error =
         select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
-    out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
+    out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.weight(input.R_BE);
     listener.pose_error([&] { return error; });
     listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.kd.cwiseProduct(input.twist)); });
     listener.part(LawPart::pose_spring, [&] { return Vector6<S>(gains.kp.cwiseProduct(error)); });
