@@ -33,7 +33,8 @@ void bind_hexapod(py::module_& m) {
       .def_readwrite("inertia", &RobotParameters::inertia, "(3, 3) about E's origin, in E [kg m^2]")
       .def_readwrite("centre_of_mass", &RobotParameters::centre_of_mass,
                      "(3,) of the platform without payload, in E [m]")
-      .def_readwrite("stroke", &RobotParameters::stroke, "leg travel about the home length, each way [m]")
+      .def_readwrite("stroke", &RobotParameters::stroke, "leg travel about its middle, each way [m]")
+      .def_readwrite("stroke_centre", &RobotParameters::stroke_centre, "middle of the travel, from the home length [m]")
       .def_readwrite("force_limit", &RobotParameters::force_limit, "of each leg, each way [N]");
 
   m.def("robot_preset", &robot_preset, py::arg("name"), "Preset of that name; ValueError lists the known ones.");
@@ -63,6 +64,7 @@ void bind_hexapod(py::module_& m) {
       .def_readonly("platform_radius", &Hexapod<double>::platform_radius,
                     "that moments are divided by; of joints given one by one the RMS distance from their mean [m]")
       .def_readonly("home_lengths", &Hexapod<double>::home_lengths, "(6,) [m]")
+      .def_readonly("mid_lengths", &Hexapod<double>::mid_lengths, "(6,) in the middle of their travel [m]")
       .def_property_readonly(
           "platform_joints",
           [](const Hexapod<double>& h) { return Eigen::Matrix<double, 6, 3>(h.platform_joints_E.transpose()); },

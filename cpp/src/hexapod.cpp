@@ -98,7 +98,11 @@ Hexapod<double> make_hexapod(const RobotParameters& robot) {
   hexapod.force_limit = robot.force_limit;
   hexapod.home_lengths =
       inverse_kinematics<double>(hexapod, home.position, rotation_matrix<double>(home.quaternion)).lengths;
+  hexapod.mid_lengths = hexapod.home_lengths.array() + robot.stroke_centre;
   require_distinct_legs(hexapod, robot);
+  if (!(std::abs(robot.stroke_centre) <= robot.stroke))
+    refuse("robot.stroke_centre", words("a middle of the travel within the stroke of ", robot.stroke, " m from home"),
+           words(robot.stroke_centre, " m"));
 
   double best = 0.0;
   for (const Pose<double>& pose : generic_poses(hexapod)) best = std::max(best, condition(hexapod, pose));

@@ -447,7 +447,7 @@ void Probe::estimated_wrenches(Rows quaternion, Rows twist, Rows acceleration, C
     const Matrix3<double> R_BE = rotation_matrix(row<4>(quaternion, i));
     const Vector6<double> chi_rate = row<6>(twist, i);
     put(inertial, i, mass_matrix(parts_->estimate, R_BE) * row<6>(acceleration, i));
-    put(coriolis, i, coriolis_matrix<double>(parts_->estimate, R_BE, chi_rate.tail<3>()) * chi_rate);
+    put(coriolis, i, coriolis_matrix<double>(parts_->estimate, R_BE, chi_rate) * chi_rate);
   }
 }
 

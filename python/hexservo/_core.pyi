@@ -105,6 +105,7 @@ class RobotParameters(metaclass=_PybindType):
     inertia: _Array
     centre_of_mass: _Array
     stroke: float
+    stroke_centre: float
     force_limit: float
 
 class ForwardKinematics(metaclass=_PybindType):
@@ -132,6 +133,8 @@ class Hexapod(metaclass=_PybindType):
     def platform_radius(self) -> float: ...
     @property
     def home_lengths(self) -> _Array: ...
+    @property
+    def mid_lengths(self) -> _Array: ...
     @property
     def platform_joints(self) -> _Array: ...
     @property

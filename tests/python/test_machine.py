@@ -313,3 +313,35 @@ def test_poses_of_the_wrong_shape_are_refused(paper: hs.Scenario) -> None:
             function(paper, [1.0, 2.0])
         with pytest.raises(ValueError, match="not finite"):
             function(paper, [np.nan] * 6)
+
+
+def test_travel_that_is_not_even_about_home(paper: hs.Scenario) -> None:
+    uneven = paper.updated({"robot.stroke": [-0.004, 0.012]})
+    assert (uneven.robot.stroke, uneven.robot.stroke_centre) == (pytest.approx(0.008), pytest.approx(0.004))
+    down, up = (hs.reachable(uneven, [0, 0, z, 0, 0, 0]) for z in (0.006, -0.006))
+    # z points down: lower legs are shorter, by about 0.15/0.2046 of the way
+    assert not down.within
+    assert up.within
+    hexapod = _core.Hexapod(core_parameters(uneven).robot)
+    lower = np.array(paper.robot.home_position) + [0, 0, 0.006]
+    travel = hexapod.leg_lengths(lower, hexapod.home_quaternion) - hexapod.home_lengths
+    assert down.margin == pytest.approx(0.004 - np.abs(travel).max(), abs=1e-12)
+    even = hs.simulate(paper)
+    one, other = hs.metrics(even), hs.metrics(hs.simulate(uneven))
+    assert one["settling_time"] == other["settling_time"]  # limits are reported
+    far = np.abs(even.leg_lengths - hexapod.home_lengths - 0.004).max()
+    assert other["peak_leg_excursion"] == pytest.approx(far, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"robot.stroke": [0.01, 0.02]}, "robot.stroke: expected [shortest, longest] travel with home between them"),
+        ({"robot.stroke": [-0.01, 0.02], "robot.stroke_centre": 0.01}, "robot.stroke_centre: expected none beside"),
+        ({"robot.stroke_centre": 0.03}, "robot.stroke_centre: expected a middle of the travel within the stroke"),
+    ],
+)
+def test_refusals_of_travel(paper: hs.Scenario, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(hs.ScenarioError) as caught:
+        paper.updated(changes)
+    assert str(caught.value).startswith(message), caught.value

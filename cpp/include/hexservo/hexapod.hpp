@@ -67,8 +67,9 @@ struct RobotParameters {
   Payload payload;
   /// The centre of mass may be elsewhere than in E's origin: where a batch varies it, in all its scenarios.
   bool off_centre = false;
-  double stroke = 0.017;     ///< leg travel about the home length, each way [m], 0.017
-  double force_limit = 1.0;  ///< of each leg, each way [N], 1
+  double stroke = 0.017;       ///< leg travel about its middle, each way [m], 0.017
+  double stroke_centre = 0.0;  ///< middle of the travel, from the home length [m], 0
+  double force_limit = 1.0;    ///< of each leg, each way [N], 1
   LimitPolicy on_limit = LimitPolicy::report;
 
   template <class V, class... Self>
@@ -87,6 +88,7 @@ struct RobotParameters {
     v(Field{"centre_of_mass", "m"}.entrywise(), self.centre_of_mass...);
     v(Field{"payload"}, self.payload...);
     v(Field{"stroke", "m", kPositive}.of_legs(), self.stroke...);
+    v(Field{"stroke_centre", "m"}.of_legs(), self.stroke_centre...);
     v(Field{"force_limit", "N", kPositive}.of_legs(), self.force_limit...);
     v(Field{"on_limit"}.of_pack().of_plant().in_sampled_mode(), self.on_limit...);
   }
@@ -108,7 +110,8 @@ struct Hexapod {
   Vector3<S> home_position;       ///< p_BE at home [m]
   Vector4<S> home_quaternion;     ///< of R_BE at home, of unit length
   Vector6<S> home_lengths;        ///< leg lengths at home [m]
-  S stroke;                       ///< allowed |l - home length| [m]
+  Vector6<S> mid_lengths;         ///< leg lengths in the middle of their travel [m]
+  S stroke;                       ///< allowed |l - middle| [m]
   S force_limit;                  ///< allowed |leg force| [N]
 
   template <class V, class... Self>
@@ -119,6 +122,7 @@ struct Hexapod {
     v(Field{"home_position", "m"}, self.home_position...);
     v(Field{"home_quaternion", "1"}, self.home_quaternion...);
     v(Field{"home_lengths", "m"}, self.home_lengths...);
+    v(Field{"mid_lengths", "m"}, self.mid_lengths...);
     v(Field{"stroke", "m"}, self.stroke...);
     v(Field{"force_limit", "N"}, self.force_limit...);
   }

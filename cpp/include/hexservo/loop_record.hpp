@@ -18,7 +18,7 @@ class LoopRecord {
   template <class Law>
   LoopRecord(const LoopParameters<S, Law, N>& p, const WorldState<S, N>& start)
       : legs_(p.hexapod),
-        home_lengths_(p.hexapod.home_lengths),
+        mid_lengths_(p.hexapod.mid_lengths),
         stroke_(p.hexapod.stroke),
         desired_features_(p.desired_features),
         stops_at_limit_(p.mode == LoopMode::sampled && p.on_limit == LimitPolicy::stop) {
@@ -117,7 +117,7 @@ class LoopRecord {
     using std::abs;
     S farthest = stroke_, leg(-1.0);
     for (int i = 0; i < 6; ++i) {
-      const S travel = abs(lengths(i) - home_lengths_(i));
+      const S travel = abs(lengths(i) - mid_lengths_(i));
       leg = select(travel > farthest, S(static_cast<double>(i)), leg);
       farthest = max(farthest, travel);
     }
@@ -127,7 +127,7 @@ class LoopRecord {
   }
 
   LegGeometry<S> legs_;
-  Vector6<S> home_lengths_;
+  Vector6<S> mid_lengths_;
   S stroke_;
   Vector<S, 2 * N> desired_features_;
   Sample<S, N> sample_;

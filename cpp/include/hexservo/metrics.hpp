@@ -65,7 +65,7 @@ struct Metrics {
   S peak_control_force{0.0};   ///< max |tau_j - G_j| of the force [N]
   S peak_control_moment{0.0};  ///< max |tau_j - G_j| of the moment [N m]
   S peak_leg_force{0.0};       ///< max |f_c,i| [N]
-  S peak_leg_excursion{0.0};   ///< max |l_i - home length| [m]
+  S peak_leg_excursion{0.0};   ///< max |l_i - middle of its travel| [m]
   S overshoot{0.0};            ///< max excursion of a xi_i beyond its goal, seen from its start [px]
   S relative_overshoot{0.0};   ///< the same, each relative to |xi-tilde_i(0)| [1]
   S peak_feature_distance{0.0};  ///< max distance of a feature from the image centre [px]
@@ -361,7 +361,7 @@ class MetricsAccumulator {
     peak(peak_control_moment_, detail::largest_abs<S, 3>(control.template tail<3>(), take));
     features_.add(sample.feature_error, take);
     cost_.add(time, control, take);
-    stroke_.add(time, sample.leg_lengths - hexapod_.home_lengths, hexapod_.stroke, take);
+    stroke_.add(time, sample.leg_lengths - hexapod_.mid_lengths, hexapod_.stroke, take);
     force_.add(time, sample.leg_forces, hexapod_.force_limit, take);
   }
 

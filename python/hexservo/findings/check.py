@@ -48,7 +48,8 @@ def unlikely(scenario: Scenario) -> list[str]:
 
 def _of_legs(scene: Scene) -> Iterator[str]:
     robot = scene.scenario.robot
-    weight = (1.0 - np.array(scene.settings["uncertainty.gravity"])) * scene.body.gravity_wrench
+    share = 1.0 - np.array(scene.settings["uncertainty.gravity"])
+    weight = share * scene.settings.plant_body.weight(scene.home.quaternion)
     forces = scene.hexapod.leg_forces(scene.home.position, scene.home.quaternion, weight)
     leg = int(np.abs(forces).argmax())
     if abs(forces[leg]) > robot.force_limit:

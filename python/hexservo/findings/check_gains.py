@@ -112,6 +112,6 @@ def start_forces(scene: Scene) -> tuple[Array, Array]:
     given = scene.probe.law(view.features[None], depth, rows.position, rows.quaternion, np.zeros((1, 6)), None).wrench
     weight, whole = (
         np.asarray(scene.hexapod.leg_forces(pose.position, pose.quaternion, wrench))
-        for wrench in (scene.body.gravity_wrench, given[0])
+        for wrench in (scene.body.weight(pose.quaternion), given[0])
     )
     return weight, np.nan_to_num(whole - weight)

@@ -24,7 +24,7 @@ METRICS: dict[str, tuple[str, str]] = {
     "peak_control_force": ("N", "largest force component beyond the estimated weight"),
     "peak_control_moment": ("N m", "largest moment component"),
     "peak_leg_force": ("N", "largest leg force"),
-    "peak_leg_excursion": ("m", "largest leg travel from the home length"),
+    "peak_leg_excursion": ("m", "largest leg travel from the middle of its stroke, which is the home length as a rule"),
     "overshoot": ("px", "largest excursion of a feature coordinate beyond its goal"),
     "relative_overshoot": ("1", "overshoot as a fraction of the initial error of the component"),
     "peak_feature_distance": ("px", "largest distance of a feature from the image centre"),

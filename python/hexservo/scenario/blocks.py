@@ -38,12 +38,14 @@ from hexservo.scenario.rules import (
     LineRule,
     Matrix,
     Name,
+    Number,
     OptionalNumber,
     SamplePeriod,
     Samples,
     TrueOr,
     Vector,
     diagonal_if_diagonal,
+    is_number,
     map_lists,
     refusal,
     shown_value,
@@ -60,13 +62,27 @@ DEFAULT_DEPTH = float(core_default("target.depth"))  # [m], docs/model.md sectio
 
 
 class Payload(Block):
-    """A body fixed to the platform, which the plant has; the controller too, if it is known. docs/model.md section 3."""
+    """A body fixed to the platform: the plant has it, and the controller where it is known; docs/model.md section 3."""
 
     mass: NumberNotNegative = 0.0  # [kg]; 0: no payload
     position: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of its centre of mass in E
     # (3,) diagonal or (3, 3) [kg m^2], about its centre of mass, in E
     inertia: Annotated[Vector | Matrix, Inertia()] = (0.0, 0.0, 0.0)
     known: Annotated[bool, Flag()] = True  # to the controller
+
+
+def _travel(stroke: Any, centre: Any) -> dict[str, float]:
+    """Return stroke and its middle where the stroke is given as the shortest and the longest travel."""
+    if not isinstance(stroke, list) or len(stroke) != 2 or not all(map(is_number, stroke)):
+        return {}  # refused at its own place, if it is no number
+    shortest, longest = map(float, stroke)
+    if not shortest <= 0.0 <= longest or shortest == longest:
+        raise refusal(
+            (("stroke",), f"expected [shortest, longest] travel with home between them, got {shown_value(stroke)}")
+        )
+    if centre:
+        raise refusal((("stroke_centre",), f"expected none beside [shortest, longest], got {shown_value(centre)}"))
+    return {"stroke": (longest - shortest) / 2, "stroke_centre": (longest + shortest) / 2}
 
 
 def _circle(side: str) -> tuple[str, str]:
@@ -96,7 +112,9 @@ class Robot(Block):
     inertia: Annotated[Vector | Matrix, Inertia()]  # (3,) diagonal or (3, 3) [kg m^2], in E about its origin
     centre_of_mass: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of the platform, in E
     payload: Payload = Field(default_factory=Payload)
-    stroke: PositiveNumber  # [m], each leg's travel either way from its home length
+    # [m], each leg's travel either way from its middle; [shortest, longest] from the home length is read as both
+    stroke: PositiveNumber
+    stroke_centre: Annotated[float, Number()] = 0.0  # [m], middle of the travel, from the home length
     force_limit: PositiveNumber  # [N], magnitude of each leg's force
     # in sampled mode: what a leg beyond its stroke means, an event or the end of the run
     on_limit: Annotated[Literal["report", "stop"], Choice(), SAMPLED] = "report"
@@ -107,6 +125,7 @@ class Robot(Block):
         if not isinstance(data, dict):
             return data
         given = {key: value for key, value in data.items() if value is not None}
+        given |= _travel(given.get("stroke"), given.get("stroke_centre"))
         # Joints given one by one leave no circle.
         no_circle = {key: None for side in _SIDES if f"{side}_joints" in given for key in _circle(side)}
         preset = given.get("preset")

@@ -135,7 +135,7 @@ def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Arr
         return quaternion, depth
     still = np.zeros((1, 6))
     wrench = asked.law(features, depth, position, quaternion, still, None).wrench
-    _, _, weight = asked.estimated_wrenches(quaternion, still, still)
+    weight = settings.body.weight(quaternion[0])
     shift, turn = np.split((wrench - weight)[0], 2)
     angle = float(np.linalg.norm(turn))
     w, v = np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * turn

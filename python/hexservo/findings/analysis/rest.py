@@ -11,7 +11,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.goal import limited
 from hexservo.findings.analysis.poses import Poses, by_displacement
-from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
@@ -174,7 +174,7 @@ def not_analysed(scenario: Scenario, reason: str) -> str:
         return f"The law {scenario.controller.law} is not analysed here: {reason}."
     if scenario.camera.convention == "as_printed":
         return "A camera as_printed has no points in space, so no pose belongs to an image: not analysed."
-    return ""
+    return scene_of(scenario).unusual_body
 
 
 class RestLaw:

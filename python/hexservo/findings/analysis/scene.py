@@ -67,6 +67,17 @@ class Scene:
         self._nearest = _NEAR * float(from_home.min())
         self.unit: Array = np.repeat([self.depth, 1.0], 3)  # [m; rad]: moves the image alike in all six directions
 
+    @cached_property
+    def unusual_body(self) -> str:
+        """Why what is analysed at rest does not hold for the platform's mass; empty where it does."""
+        body, plant = self.body, self.settings.plant_body
+        level = (np.array(body.gravity_wrench), np.array(plant.gravity_wrench))
+        if np.any(body.centre_of_mass) or np.any(plant.centre_of_mass):
+            return "The centre of mass is not in the platform's origin, and the moment of its weight is not analysed."
+        if not np.array_equal(*level) or not np.array_equal(body.inertia, plant.inertia):
+            return "The platform has a payload that the controller does not know, which is not analysed."
+        return ""
+
     @property
     def has_points(self) -> bool:
         """Whether there are points in space; a camera as printed integrates features and depths instead."""
@@ -135,9 +146,9 @@ class Scene:
         return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=-1))
 
     def leg_travel(self, poses: Poses) -> Array:
-        """Return how much longer each leg is than at home, (..., 6) [m]."""
+        """Return how much longer each leg is than in the middle of its travel, (..., 6) [m]; that is home as a rule."""
         pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
-        found = np.asarray([self.hexapod.leg_lengths(*pose) for pose in pairs]) - self.hexapod.home_lengths
+        found = np.asarray([self.hexapod.leg_lengths(*pose) for pose in pairs]) - self.hexapod.mid_lengths
         return found.reshape(*poses.shape, 6)
 
     def stroke_left(self, poses: Poses) -> Array:

@@ -128,6 +128,8 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
         return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
     if scenario.camera.convention == "as_printed":
         return "open", "Open: a camera as printed has no points in space, so the set has no poses."
+    if reason := scene_of(scenario).unusual_body:
+        return "open", f"Open: {reason}"
     block = scenario.controller.gains
     switching = scenario.controller.switching
     smooth = switching.kind in ("tanh", "saturation")

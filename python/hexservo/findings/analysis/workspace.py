@@ -149,8 +149,8 @@ def _reaches(scene: Scene, directions: Array) -> list[Reach]:
 
 
 def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
-    weight = np.array(scene.body.gravity_wrench)
-    actual = (1.0 - scene.settings["uncertainty.gravity"]) * weight
+    weight = np.array(scene.body.weight(pose.quaternion))
+    actual = (1.0 - scene.settings["uncertainty.gravity"]) * scene.settings.plant_body.weight(pose.quaternion)
     legs, at = scene.hexapod, (pose.position, pose.quaternion)
 
     def forces(wrench: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.certificate.batch import BatchCertificate, certify_batch
 from hexservo.findings.certificate.energy import EnergyLedger, energy_ledger
 from hexservo.findings.certificate.lyapunov import Lyapunov, lyapunov_of
@@ -95,7 +96,9 @@ def certify(result: Result) -> Certificate:
         except ArithmeticError as error:
             open_questions |= dict.fromkeys(("lyapunov", "assumption"), f"No best weights: {error}.")
     energy: EnergyLedger | None = None
-    if len(run.time) < 2:
+    if reason := _unusual_body(run):
+        open_questions["energy"] = reason
+    elif len(run.time) < 2:
         open_questions["energy"] = "The run ended at its first sample: there is nothing to add up."
     else:
         try:
@@ -113,6 +116,12 @@ def certify(result: Result) -> Certificate:
     )
 
 
+def _unusual_body(run: Replay) -> str:
+    """Return why the terms of the dynamics are not those that are certified; empty if they are."""
+    reason = scene_of(run.scenario).unusual_body
+    return f"Not certified: {reason[0].lower()}{reason[1:]}" if reason else ""
+
+
 def _outside_theorem(run: Replay) -> str:
     """Return why the theorem does not apply to a run; empty if it does."""
     if run.own:
@@ -127,4 +136,4 @@ def _outside_theorem(run: Replay) -> str:
         )
     if len(run.time) < 2:
         return "The run ended at its first sample."
-    return ""
+    return _unusual_body(run)

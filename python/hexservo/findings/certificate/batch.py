@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.certificate.replay import Plant, every_step, replay_of
 from hexservo.findings.certificate.uncertainty import assumption_of, uncertainty_of
 from hexservo.findings.evidence import as_data
@@ -100,7 +101,8 @@ def certify_batch(
     TypeError
         For anything but a `Scenario`, a mapping and the types above.
     ValueError
-        For another law or mode, of which the theorem does not speak, and as `simulate_batch` for the variations.
+        For another law or mode, of which the theorem does not speak, a centre of mass off the platform's origin or an
+        unknown payload, which have no certificate, and as `simulate_batch` for the variations.
     """
     if not isinstance(scenario, Scenario):
         raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
@@ -110,6 +112,8 @@ def certify_batch(
         )
     if scenario.simulation.mode != "continuous":
         raise ValueError("simulation.mode: expected continuous, of which the theorem is, got sampled")
+    if reason := scene_of(scenario).unusual_body:
+        raise ValueError(f"robot: expected the body of the paper, got another: {reason}")
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     scenarios = [scenario.updated(_row(scenario, arrays, index)) for index in range(count)]

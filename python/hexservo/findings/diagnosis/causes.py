@@ -11,16 +11,26 @@ __all__ = ["CAUSES", "HARMLESS", "IN_COMMON"]
 CAUSES: tuple[Cause, ...] = (*TASKS[:1], *DEVICES, *LAWS, *TASKS[1:])
 
 IN_COMMON: dict[str, str] = {
+    "robot.stroke_centre": "leg_limits: part of the travel",
     "robot.preset": "stands for the robot's other keys",
     "robot.platform_radius": "leg_limits and gains: acts through the reach of the legs and the stiffness of the loop",
     "robot.base_radius": "as platform_radius",
     "robot.platform_angles": "as platform_radius",
     "robot.base_angles": "as platform_radius",
-    "robot.home_position": "as platform_radius: home is where a run starts, and no leg is beyond its stroke there",
+    "robot.platform_joints": "as platform_radius",
+    "robot.base_joints": "as platform_radius",
+    "robot.home_position": "as platform_radius: leg travel is counted from home",
+    "robot.home_attitude": "as home_position",
+    "robot.gravity": "gravity: the law feeds the weight forward, and only its error counts",
+    "robot.centre_of_mass": "gravity: known to the controller, as the mass is",
     "robot.mass": "gains: they are high or low for a mass",
     "robot.inertia": "gains: they are high or low for an inertia",
     "simulation.mode": "decides whether devices act; each of them has its removal",
     "camera.prediction": "late_camera, depth and encoders: a prediction repeats their errors and adds none",
+    "simulation.start.pose": "leg_limits and lost_features: acts through the reach of the legs and the image",
+    "simulation.start.twist": "as start.pose",
+    "target.tag": "read into points",
+    "target.desired_pose": "read into desired_features",
     "camera.convention": "another plant, for the paper's signs; the goal's pose is open there",
 }
 """Keys that act only through the cause of another key, each with that cause."""

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.diagnosis.environment import ideal, ordinary
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.diagnosis.environment import ideal, ordinary, unknown_payload
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
@@ -18,10 +19,10 @@ from hexservo.findings.diagnosis.remedies import (
     slower_remedies,
     unequal_depth_remedies,
 )
-from hexservo.scenario.blocks import BaseMotion
+from hexservo.scenario.blocks import BaseMotion, Payload
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import laws_with
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.parameters import core_parameters, frame_period
 
 __all__ = ["DEVICES"]
 
@@ -135,9 +136,16 @@ def _encoders(case: Case) -> list[Removal]:
 
 
 def _gravity(case: Case) -> list[Removal]:
-    if np.broadcast_to(case.scenario.uncertainty.gravity, 6)[2] == 0.0:  # the weight has no other entry
+    weight = np.array(core_parameters(case.scenario).body.weight(scene_of(case.scenario).home.quaternion))
+    changes: dict[str, Any] = {}
+    if np.any(np.broadcast_to(case.scenario.uncertainty.gravity, 6) * weight):
+        changes["uncertainty.gravity"] = 0.0
+    if unknown_payload(case.scenario):
+        changes["robot.payload.known"] = True
+    if not changes:
         return []
-    return [Removal("an exact estimate of the weight", {"uncertainty.gravity": 0.0})]
+    words = "an exact estimate of the weight"
+    return [Removal(words if len(changes) == 1 else f"{words}, with the payload", changes)]
 
 
 def _gravity_alone(case: Case) -> list[Alone]:
@@ -145,6 +153,8 @@ def _gravity_alone(case: Case) -> list[Alone]:
     without = {**ideal(case.scenario), "uncertainty.gravity": 0.0}
     error = value_at(case.scenario, "uncertainty.gravity")
     wrong = {**without, "uncertainty.gravity": list(error) if isinstance(error, tuple) else error}
+    if unknown_payload(case.scenario):
+        wrong["robot.payload.known"] = False
     usual = ordinary(case.scenario)
     return [Alone(without, wrong), Alone({**without, **usual}, {**wrong, **usual})]
 
@@ -321,7 +331,7 @@ DEVICES: tuple[Cause, ...] = (
         "gravity",
         "a wrong weight",
         "device",
-        _keys("uncertainty.gravity"),
+        _keys("uncertainty.gravity", *(f"robot.payload.{name}" for name in Payload.model_fields)),
         _gravity,
         gravity_remedies,
         alone=_gravity_alone,

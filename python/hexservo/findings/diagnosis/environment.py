@@ -33,6 +33,7 @@ __all__ = [
     "ideal",
     "known",
     "ordinary",
+    "unknown_payload",
     "unusual",
 ]
 
@@ -84,6 +85,8 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
                 wanted = value if value is None or value >= ORDINARY_BANDWIDTH else None
             if value != wanted:
                 changes[key] = wanted
+    if unknown_payload(scenario):
+        changes["robot.payload.known"] = True
     usual = type(scenario.metrics)().dwell
     if scenario.metrics.dwell > usual:
         changes["metrics.dwell"] = usual
@@ -92,6 +95,11 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
     if scenario.controller.jacobian == "printed" and scenario.camera.convention == "eye_in_hand":
         changes["controller.jacobian"] = "consistent"
     return changes
+
+
+def unknown_payload(scenario: Scenario) -> bool:
+    """Return whether the platform has a payload that the controller does not know."""
+    return scenario.robot.payload.mass > 0.0 and not scenario.robot.payload.known
 
 
 def ordinary(scenario: Scenario) -> dict[str, Any]:

@@ -85,7 +85,9 @@ def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
     height = moved @ (weight / np.linalg.norm(weight))
     rise = height[np.argmax(np.abs(height))]
     share = float(abs(rise)) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
-    error = float(np.broadcast_to(case.scenario.uncertainty.gravity, 6)[main])
+    actual = np.array(core_parameters(case.scenario).plant_body.gravity_wrench[:3])
+    left = (1.0 - np.broadcast_to(case.scenario.uncertainty.gravity, 6)[:3]) * actual
+    error = float(1.0 - left[main] / weight[main])
     excess = abs(error * weight[main])
     sentence = (
         f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {number(abs(rise) * 1e3)} mm; "

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hexservo.findings.diagnosis.criterion import Record
+from hexservo.findings.diagnosis.environment import unknown_payload
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.scenario.laws import laws_with
@@ -46,7 +47,14 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
     """Correct the mass, or use a law that integrates."""
     robot, model = case.scenario.robot, case.scenario.uncertainty
     remedies = []
-    if isinstance(model.gravity, float) and isinstance(model.inertia, float) and isinstance(model.coriolis, float):
+    if unknown_payload(case.scenario):
+        remedies.append(Removal("a payload that the controller knows", {"robot.payload.known": True}))
+    if (
+        model.gravity
+        and isinstance(model.gravity, float)
+        and isinstance(model.inertia, float)
+        and isinstance(model.coriolis, float)
+    ):
         # The same plant, given to the controller: its terms are (1 - delta) times the estimated ones.
         share = 1.0 - model.gravity
         changes = {
