@@ -39,11 +39,15 @@ inline hexservo::Settings settings() {
   s.robot.force_limit = 1.0;  // [N]
   s.camera.focal_length = 0.008;  // [m]
   s.camera.pixel_scale = 72727.0;  // [px/m]
+  s.camera.mount.position << 0.0, 0.0, 0.0;  // [m]
+  s.camera.mount.rotation << 0.0, 0.0, 0.0;  // [rad]
   s.camera.convention = hexservo::CameraConvention::eye_in_hand;
   s.target.initial_features << 30.0, 18.0, 65.0, -65.0, -44.0, 37.0, -10.0, -15.0;  // [px]
   s.target.desired_features << 10.0, 10.0, 45.0, -73.0, -64.0, 29.0, -30.0, -23.0;  // [px]
   s.target.depth << 0.5, 0.5, 0.5, 0.5;  // [m]
   s.uncertainty.depth << 0.3, 0.3, 0.3, 0.3;  // [1]
+  s.uncertainty.mount.position << 0.0, 0.0, 0.0;  // [m]
+  s.uncertainty.mount.rotation << 0.0, 0.0, 0.0;  // [rad]
   s.controller.jacobian = hexservo::JacobianConvention::consistent;
   s.controller.switching.kind = hexservo::SwitchingKind::sign;
   s.controller.switching.width = 0.001;  // [m/s; rad/s]

@@ -77,7 +77,7 @@ class Robot {
     return hexservo::inverse_kinematics(gains_.hexapod, hexservo::position_of(body), attitude(body));
   }
   hexservo::Image<double> image() const {
-    return hexservo::take_image(gains_.focal_pixels, hexservo::position_of(body_), attitude(body_), points_B_);
+    return hexservo::take_image(gains_.camera, hexservo::position_of(body_), attitude(body_), points_B_);
   }
 
   const hexservo::ControllerGains<Law>& gains_;

@@ -12,36 +12,71 @@ void bind_camera(py::module_& m) {
       .value("as_printed", CameraConvention::as_printed)
       .finalize();
 
-  py::class_<Camera<double>>(m, "Camera", "Pinhole camera, (4) of the paper.")
+  py::class_<Mount>(m, "Mount", "Frame C of the camera in E.")
       .def(py::init<>())
-      .def_readwrite("focal_length", &Camera<double>::focal_length, "lambda [m]")
-      .def_readwrite("pixel_scale", &Camera<double>::pixel_scale, "alpha [px/m]")
-      .def_property_readonly("focal_pixels", &Camera<double>::focal_pixels, "f = alpha lambda [px]");
+      .def_readwrite("position", &Mount::position, "of C's origin in E [m]")
+      .def_readwrite("rotation", &Mount::rotation, "rotation vector of C in E [rad]");
+
+  py::class_<Camera>(m, "Camera", "Pinhole camera on the platform, (4) of the paper.")
+      .def(py::init<>())
+      .def_readwrite("focal_length", &Camera::focal_length, "lambda [m]")
+      .def_readwrite("pixel_scale", &Camera::pixel_scale, "alpha [px/m]")
+      .def_readwrite("mount", &Camera::mount, "C in E")
+      .def_property_readonly("focal_pixels", &Camera::focal_pixels, "f = alpha lambda [px]")
+      .def(
+          "in_platform",
+          [](const Camera& camera, const Eigen::Matrix<double, Eigen::Dynamic, 3>& points) {
+            const Placement<double> at = camera.parameters().placement;
+            Eigen::Matrix<double, Eigen::Dynamic, 3> moved(points.rows(), 3);
+            for (Eigen::Index i = 0; i < points.rows(); ++i)
+              moved.row(i) = at.in_platform(points.row(i).transpose()).transpose();
+            return moved;
+          },
+          py::arg("points"), "Points (n, 3) in C [m] in E.");
 
   m.def(
       "take_image",
-      [](const Camera<double>& camera, const Vector3<double>& position, const Vector4<double>& quaternion,
+      [](const Camera& camera, const Vector3<double>& position, const Vector4<double>& quaternion,
          const Eigen::Matrix<double, kPoints, 3>& points) {
         require_finite("points", points);
         const Pose<double> pose = checked_pose(position, quaternion);
-        const Image<double> image = take_image<double, kPoints>(camera.focal_pixels(), pose.position,
-                                                                rotation_matrix(pose.quaternion), points.transpose());
+        const PlatformCamera<double> mounted(camera.parameters());
+        const Image<double> image =
+            take_image<double, kPoints>(mounted, pose.position, rotation_matrix(pose.quaternion), points.transpose());
         return py::make_tuple(image.features, image.depth);
       },
       py::arg("camera"), py::arg("position"), py::arg("quaternion"), py::arg("points"),
       "(4): features (8,) [px] and depth Z (4,) [m], negative in front, of points (4, 3) in B [m].");
 
   m.def(
+      "lift",
+      [](const Camera& camera, const Vector3<double>& position, const Vector4<double>& quaternion,
+         const Vector<double, 2 * kPoints>& features, const Vector<double, kPoints>& depth) {
+        require_finite("features", features);
+        require_finite("depth", depth);
+        const Pose<double> pose = checked_pose(position, quaternion);
+        const PlatformCamera<double> mounted(camera.parameters());
+        const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
+        Eigen::Matrix<double, kPoints, 3> points;
+        for (int i = 0; i < kPoints; ++i)
+          points.row(i) = lift<double>(mounted, pose.position, R_BE, features.segment<2>(2 * i), depth(i)).transpose();
+        return points;
+      },
+      py::arg("camera"), py::arg("position"), py::arg("quaternion"), py::arg("features"), py::arg("depth"),
+      "Inverse of take_image: points (4, 3) in B [m].");
+
+  m.def(
       "image_jacobian",
-      [](const Camera<double>& camera, const Vector<double, 2 * kPoints>& features,
-         const Vector<double, kPoints>& depth, const Vector4<double>& quaternion, CameraConvention convention) {
+      [](const Camera& camera, const Vector<double, 2 * kPoints>& features, const Vector<double, kPoints>& depth,
+         const Vector4<double>& quaternion, CameraConvention convention) {
         require_finite("features", features);
         require_finite("depth", depth);
         if ((depth.array() == 0.0).any())
           throw std::invalid_argument("depth: expected numbers that are not zero, got zero");
         const Matrix3<double> R_BE = rotation_matrix(checked_pose(Vector3<double>::Zero(), quaternion).quaternion);
         const Image<double> image{features, depth};
-        return ImageJacobian<double>(camera.focal_pixels(), plant_sign(convention), image, R_BE).matrix();
+        const PlatformCamera<double> mounted(camera.parameters());
+        return ImageJacobian<double>(mounted, plant_sign(convention), image, R_BE).matrix();
       },
       py::arg("camera"), py::arg("features"), py::arg("depth"), py::arg("quaternion"),
       py::arg("convention") = CameraConvention::eye_in_hand,

@@ -155,7 +155,9 @@ void bind_settings(py::module_& m) {
           "plant_body", [](const Settings& s) { return plant_body(s.robot); },
           "mass properties of what the platform carries, but for relative errors, a copy")
       .def_property_readonly(
-          "camera", [](const Settings& s) { return Camera<double>(s.camera); }, "a copy")
+          "camera", [](const Settings& s) { return Camera(s.camera); }, "a copy")
+      .def_property_readonly(
+          "assumed_camera", [](const Settings& s) { return assumed_camera(s); }, "the controller's, a copy")
       .def_property_readonly(
           "dynamics_error", [](const Settings& s) { return DynamicsError<double>(s.uncertainty); }, "a copy")
       .def("__getitem__", &value_of, py::arg("key"), "Value of a key: a copy.")

@@ -182,7 +182,8 @@ struct Probe::Parts {
       : traits(Law::traits),
         estimate(p.body),
         plant(p.plant_body, p.dynamics_error),
-        focal_pixels(p.camera.focal_pixels()),
+        camera(p.camera),
+        assumed_camera(p.assumed_camera),
         plant_sign(hexservo::plant_sign(p.convention)),
         controller_sign(hexservo::controller_sign(p.convention, p.jacobian)),
         projects(p.convention == CameraConvention::eye_in_hand),
@@ -204,7 +205,8 @@ struct Probe::Parts {
   const LawTraits& traits;
   RigidBody<double> estimate;  ///< of the platform
   Plant<double> plant;
-  double focal_pixels, plant_sign, controller_sign;
+  PlatformCamera<double> camera, assumed_camera;
+  double plant_sign, controller_sign;
   bool projects;  ///< whether the camera has points
   Vectors3<double, kPoints> points_B;
   Vector<double, kPoints> depth_error;
@@ -344,7 +346,7 @@ void Probe::require_points() const {
 std::vector<GoalMinimum> Probe::goal_minima() const {
   require_points();
   const Vectors3<double, kPoints>& points = parts_->points_B;
-  return hexservo::goal_minima(parts_->focal_pixels, points.matrix(), parts_->desired_features, parts_->home);
+  return hexservo::goal_minima(parts_->camera, points.matrix(), parts_->desired_features, parts_->home);
 }
 
 void Probe::base_acceleration(Rows time, Column acceleration) const {
@@ -366,8 +368,8 @@ void Probe::image(Rows position, Rows quaternion, Column features, Column depth)
   for (std::size_t i = 0; i < n; ++i) {
     Vector<double, kPoints> inverse_depth;
     Image<double> seen;
-    take_image(parts_->focal_pixels, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)), parts_->points_B,
-               seen, inverse_depth);
+    take_image<double, kPoints>(parts_->camera, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)),
+                                parts_->points_B, seen, inverse_depth);
     for (int point = 0; point < kPoints; ++point)
       if (!(seen.depth(point) < 0.0)) seen.features.segment<2>(2 * point).setConstant(kNaN);
     put(features, i, seen.features);
@@ -382,10 +384,11 @@ void Probe::image_jacobian(Rows features, Rows depth, Rows quaternion, bool cont
   require_quaternions("quaternion", quaternion, n);
   require_room("jacobian", jacobian, kFeatures * 6, n);
   const double sign = controller ? parts_->controller_sign : parts_->plant_sign;
+  const PlatformCamera<double>& camera = controller ? parts_->assumed_camera : parts_->camera;
   for (std::size_t i = 0; i < n; ++i) {
     const Image<double> image{row<kFeatures>(features, i), row<kPoints>(depth, i)};
     const Matrix3<double> R_BE = rotation_matrix(row<4>(quaternion, i));
-    put_matrix(jacobian, i, ImageJacobian<double>(parts_->focal_pixels, sign, image, R_BE).matrix());
+    put_matrix(jacobian, i, ImageJacobian<double>(camera, sign, image, R_BE).matrix());
   }
 }
 

@@ -42,26 +42,26 @@ void require_full_rank(const std::string& key, double f, const Image<double>& im
 }
 
 /// Initial image and, for a camera that projects, the points in B.
-void place_target(const Target& target, CameraConvention convention, double f, const Pose<double>& home,
-                  Image<double>& image, Eigen::Matrix<double, 3, kPoints>& points_B) {
+void place_target(const Target& target, CameraConvention convention, const CameraView<double>& camera,
+                  const Pose<double>& home, Image<double>& image, Eigen::Matrix<double, 3, kPoints>& points_B) {
   const Matrix3<double> R_BE = rotation_matrix(home.quaternion);
   if (target.points) {
     if (convention == CameraConvention::as_printed)
       refuse("target.points", "initial_features and depth, since a camera as_printed integrates them and has no points",
              "points");
     points_B = target.points->transpose();
-    image = take_image(f, home.position, R_BE, points_B);
+    image = take_image<double, kPoints>(camera, home.position, R_BE, points_B);
     for (int i = 0; i < kPoints; ++i)
       if (!(image.depth(i) < 0.0))
         refuse(words("target.points[", i, "]"),
-               words("a point in front of the camera, which looks along -z of the platform from home at ",
+               words("a point in front of the camera, which looks along -z of ",
+                     camera.placement == nullptr ? "the platform" : "its own frame (camera.mount)", " from home at ",
                      home.position.transpose(), " m"),
                words("one ", image.depth(i), " m behind it"));
   } else {
     image = {target.initial_features, -target.depth};
     for (int i = 0; i < kPoints; ++i)
-      points_B.col(i) =
-          home.position + R_BE * back_project<double>(f, image.features.segment<2>(2 * i), image.depth(i));
+      points_B.col(i) = lift<double>(camera, home.position, R_BE, image.features.segment<2>(2 * i), image.depth(i));
   }
 }
 
@@ -172,6 +172,12 @@ StopCause cause_at_start(const LoopParameters<double, Law>& p) {
 
 }  // namespace
 
+Camera assumed_camera(const Settings& settings) {
+  Camera camera = settings.camera;
+  camera.mount = assumed_mount(camera.mount, settings.uncertainty.mount);
+  return camera;
+}
+
 long long step_count(const SimulationSettings& simulation) {
   detail::require_positive("simulation.step", simulation.step);
   detail::require_positive("simulation.duration", simulation.duration);
@@ -216,15 +222,15 @@ RigidBody<double> plant_body(const RobotParameters& robot) { return body_of(robo
 Vector<double, 2 * kPoints> project_target(const Settings& settings, const Vector6<double>& displacement) {
   require_acting_bounds(settings);
   const Hexapod<double> hexapod = make_hexapod(settings.robot);
-  const double f = settings.camera.focal_pixels();
+  const PlatformCamera<double> camera(settings.camera.parameters());
   Image<double> image;
   Eigen::Matrix<double, 3, kPoints> points_B;
-  place_target(settings.target, settings.camera.convention, f, home_pose(hexapod), image, points_B);
+  place_target(settings.target, settings.camera.convention, camera, home_pose(hexapod), image, points_B);
   if (settings.camera.convention == CameraConvention::as_printed)
     refuse("target.desired_pose", "desired_features, since a camera as_printed has no points", "a pose");
   detail::require_finite("target.desired_pose", displacement);
   const Pose<double> pose = moved(home_pose(hexapod), displacement);
-  image = take_image(f, pose.position, rotation_matrix(pose.quaternion), points_B);
+  image = take_image<double, kPoints>(camera, pose.position, rotation_matrix(pose.quaternion), points_B);
   if (!(image.depth.maxCoeff() < 0.0))
     refuse("target.desired_pose", "a pose from which every point is in front of the camera",
            words("one with a point ", image.depth.maxCoeff(), " m behind it"));
@@ -240,9 +246,10 @@ Pose<double> believed_goal(const SceneParameters<double>& p, std::string_view la
            words("eye_in_hand for the law ", law,
                  " with these gains, since a camera as_printed has no points and so no pose of the goal"),
            "as_printed");
-  const double f = p.camera.focal_pixels();
+  const PlatformCamera<double> camera(p.assumed_camera);
   const Pose<double> home = home_pose(p.hexapod);
-  return goal_pose(f, believed_points(f, home, p.initial_image, p.depth_error), p.desired_features, home);
+  return goal_pose(camera, believed_points<double, kPoints>(camera, home, p.initial_image, p.depth_error),
+                   p.desired_features, home);
 }
 
 /// Devices of the sampled loop.
@@ -275,8 +282,9 @@ void require_view_at_start(const SceneParameters<double>& p) {
   if (p.convention == CameraConvention::as_printed)
     refuse(key, "zeros, since a camera as_printed has no points that it could see from elsewhere than from home",
            "other numbers");
+  const PlatformCamera<double> camera(p.camera);
   const Image<double> image =
-      take_image(p.camera.focal_pixels(), p.start.position, rotation_matrix(p.start.quaternion), p.points_B);
+      take_image<double, kPoints>(camera, p.start.position, rotation_matrix(p.start.quaternion), p.points_B);
   if (!(image.depth.maxCoeff() < 0.0))
     refuse(key, "a pose from which every point is in front of the camera",
            words("one with a point ", image.depth.maxCoeff(), " m behind it"));
@@ -302,6 +310,18 @@ void validate_payload(const Payload& load) {
            words(principal(0), ", ", principal(1), ", ", principal(2), " kg m^2"));
 }
 
+/// The true camera and the one that the controller assumes.
+void place_cameras(const Settings& settings, SceneParameters<double>& p) {
+  for (const auto& [key, mount] :
+       {std::pair{"camera.mount", &settings.camera.mount}, std::pair{"uncertainty.mount", &settings.uncertainty.mount}})
+    if (p.convention == CameraConvention::as_printed && !mount->is_none())
+      refuse(key, "no mount for a camera as_printed, whose equations are those of a camera at the platform's origin",
+             "one");
+  p.camera = settings.camera.parameters();
+  placement(settings.uncertainty.mount, "uncertainty.mount");
+  p.assumed_camera = assumed_camera(settings).parameters();
+}
+
 /// All that no law enters.
 SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod<double>* legs) {
   SceneParameters<double> p;
@@ -313,19 +333,19 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.plant_body = plant_body(settings.robot);
   validate(body_of(settings.robot, false), p.dynamics_error);
   validate_payload(settings.robot.payload);
-  p.camera = settings.camera;
   p.convention = settings.camera.convention;
+  place_cameras(settings, p);
   p.jacobian = settings.controller.jacobian;
 
-  const double f = p.camera.focal_pixels();
-  place_target(settings.target, p.convention, f, home_pose(p.hexapod), p.initial_image, p.points_B);
+  const PlatformCamera<double> camera(p.camera);
+  place_target(settings.target, p.convention, camera, home_pose(p.hexapod), p.initial_image, p.points_B);
   p.desired_features = settings.target.desired_features;
   const std::string source = settings.target.points ? "target.points" : "target.initial_features";
   for (const auto& [key, image] :
        {std::pair{source, p.initial_image},
         std::pair{std::string("target.desired_features"), Image<double>{p.desired_features, p.initial_image.depth}}}) {
     require_apart(key, image.features);
-    require_full_rank(key, f, image);
+    require_full_rank(key, p.camera.focal, image);
     const double error = (p.desired_features - image.features).cwiseAbs().maxCoeff();
     if (!(error <= kMaxFeatureError))
       refuse(key, words("features within ", kMaxFeatureError, " px of the goal"), words(error, " px"));

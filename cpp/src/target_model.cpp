@@ -15,33 +15,38 @@ constexpr double kGoalShare = 4.0;     // minima with squared residuals within i
 constexpr double kExactGoal = 1e-12;   // squared residuals below it are rounding [px^2]
 
 /// Where a search begins: home, and home turned, moved and tilted, with the camera still facing the points.
-std::vector<Pose<double>> goal_starts(const Eigen::Matrix<double, 3, kPoints>& points_B, const Pose<double>& home) {
+std::vector<Pose<double>> goal_starts(const CameraView<double>& camera,
+                                      const Eigen::Matrix<double, 3, kPoints>& points_B, const Pose<double>& home) {
   using Turn = Eigen::AngleAxisd;
-  const Vector3<double> centroid = points_B.rowwise().mean(), sight = centroid - home.position;
+  const Matrix3<double> R_BE = rotation_matrix(home.quaternion), R_BC = camera.attitude(R_BE);
+  const Vector3<double> centre = camera.centre(home.position, R_BE), arm = centre - home.position;
+  const Vector3<double> centroid = points_B.rowwise().mean(), sight = centroid - centre;
   const Vector4<double>& q = home.quaternion;
   const Eigen::Quaterniond attitude(q(0), q(1), q(2), q(3));
   std::vector<Pose<double>> starts;
   const auto add = [&](const Eigen::Quaterniond& turn, double depth) {
     const Eigen::Quaterniond turned = turn * attitude;
     // about the points' centroid, so that they stay in view
-    starts.push_back({centroid - depth * (turn * sight), {turned.w(), turned.x(), turned.y(), turned.z()}});
+    starts.push_back(
+        {centroid - depth * (turn * sight) - turn * arm, {turned.w(), turned.x(), turned.y(), turned.z()}});
   };
-  const Vector3<double> axis = attitude * Vector3<double>::UnitZ();
+  const Vector3<double> axis = R_BC.col(2);
   for (const int eighths : {0, 1, -1, 2, -2, 3, -3, 4}) {
     const Turn turn(eighths * std::numbers::pi / 4.0, axis);
     // a camera that turns about its own axis does not move
     const Eigen::Quaterniond turned = turn * attitude;
-    starts.push_back({home.position, {turned.w(), turned.x(), turned.y(), turned.z()}});
+    starts.push_back({centre - turn * arm, {turned.w(), turned.x(), turned.y(), turned.z()}});
     for (const double depth : {0.6, 1.6}) add(Eigen::Quaterniond(turn), depth);
   }
   for (const Vector3<double>& tilt : {Vector3<double>::UnitX().eval(), Vector3<double>::UnitY().eval()})
-    for (const double angle : {0.5, -0.5}) add(Eigen::Quaterniond(Turn(angle, attitude * tilt)), 1.0);
+    for (const double angle : {0.5, -0.5}) add(Eigen::Quaterniond(Turn(angle, R_BC * tilt)), 1.0);
   return starts;
 }
 
 }  // namespace
 
-std::vector<GoalMinimum> goal_minima(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
+std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera,
+                                     const Eigen::Matrix<double, 3, kPoints>& points_B,
                                      const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
   using Fit = PoseFit<double, kPoints>;
   const Vectors3<double, kPoints> points(points_B);
@@ -49,7 +54,7 @@ std::vector<GoalMinimum> goal_minima(double f, const Eigen::Matrix<double, 3, kP
   std::vector<GoalMinimum> found;
   double least = std::numeric_limits<double>::infinity();
   const auto keep = [&](const Fit& fit) {
-    const ImageJacobian<double> J(f, -1.0, fit.features, fit.inverse_depth, fit.R_BE);
+    const ImageJacobian<double> J(camera, -1.0, fit.features, fit.inverse_depth, fit.R_BE);
     const Cholesky<double, 6> solver(J.normal_matrix());
     const Vector<double, 2 * kPoints> residual = desired_features - fit.features;
     const Vector6<double> gradient = J.pull(residual);
@@ -59,18 +64,19 @@ std::vector<GoalMinimum> goal_minima(double f, const Eigen::Matrix<double, 3, kP
     found.push_back({fit.pose, fit.squared_residual, residual.cwiseAbs().maxCoeff()});
     least = std::min(least, fit.squared_residual);
   };
-  for (const Pose<double>& start : goal_starts(points_B, home)) {
-    const Fit fit = fit_pose<double, kPoints>(f, points, desired_features, none, start, kGoalRounds);
+  for (const Pose<double>& start : goal_starts(camera, points_B, home)) {
+    const Fit fit = fit_pose<double, kPoints>(camera, points, desired_features, none, start, kGoalRounds);
     keep(fit);
     if (least <= kExactGoal) break;
-    keep(fit_pose<double, kPoints>(f, points, desired_features, none, mirrored_pose(points_B, fit.pose), kGoalRounds));
+    keep(fit_pose<double, kPoints>(camera, points, desired_features, none,
+                                   mirrored_pose<double, kPoints>(camera, points_B, fit.pose), kGoalRounds));
   }
   return found;
 }
 
-Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
+Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, kPoints>& points_B,
                        const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
-  const std::vector<GoalMinimum> found = goal_minima(f, points_B, desired_features, home);
+  const std::vector<GoalMinimum> found = goal_minima(camera, points_B, desired_features, home);
   if (found.empty())
     detail::refuse("target.desired_features",
                    "features that determine a pose where the controller assumes the points (not all on one line)",

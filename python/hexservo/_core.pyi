@@ -147,14 +147,23 @@ class Hexapod(metaclass=_PybindType):
         self, lengths: ArrayLike, start_position: ArrayLike, start_quaternion: ArrayLike
     ) -> ForwardKinematics: ...
 
+class Mount(metaclass=_PybindType):
+    """Frame C of the camera in E."""
+
+    def __init__(self) -> None: ...
+    position: _Array
+    rotation: _Array
+
 class Camera(metaclass=_PybindType):
-    """Pinhole camera, (4)."""
+    """Pinhole camera on the platform, (4)."""
 
     def __init__(self) -> None: ...
     focal_length: float
     pixel_scale: float
+    mount: Mount
     @property
     def focal_pixels(self) -> float: ...
+    def in_platform(self, points: ArrayLike) -> _Array: ...
 
 class ScenarioKey(metaclass=_PybindType):
     """One key of a scenario file."""
@@ -248,6 +257,8 @@ class Settings(metaclass=_PybindType):
     def plant_body(self) -> RigidBody: ...
     @property
     def camera(self) -> Camera: ...
+    @property
+    def assumed_camera(self) -> Camera: ...
     @property
     def dynamics_error(self) -> DynamicsError: ...
     def validate(self) -> None: ...
@@ -590,6 +601,9 @@ def robot_preset(name: str) -> RobotParameters: ...
 def take_image(
     camera: Camera, position: ArrayLike, quaternion: ArrayLike, points: ArrayLike
 ) -> tuple[_Array, _Array]: ...
+def lift(
+    camera: Camera, position: ArrayLike, quaternion: ArrayLike, features: ArrayLike, depth: ArrayLike
+) -> _Array: ...
 def image_jacobian(
     camera: Camera,
     features: ArrayLike,

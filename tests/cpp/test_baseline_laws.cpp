@@ -72,7 +72,7 @@ Jacobian jacobian_by_differences(const Features& features, const Vector4<double>
 template <class Law>
 Situation<Law> random_situation(Random& random) {
   Situation<Law> s;
-  s.task.focal_pixels = kFocal;
+  s.task.camera = kFocal;
   s.task.jacobian_sign = -1.0;
   s.task.gravity_wrench = gravity_wrench(RigidBody<double>{});
   s.task.body = RigidBody<double>{random.uniform(0.03, 0.1), random.inertia()};
@@ -172,7 +172,7 @@ TEST_CASE(
       CAPTURE(side);
       const double depth = 0.5, lambda = 3.0;
       Situation<ResolvedRate> s{};
-      s.task.focal_pixels = kFocal;
+      s.task.camera = kFocal;
       s.task.jacobian_sign = -1.0;
       s.task.gravity_wrench.setZero();
       s.task.target.goal_inverse_depth.setConstant(-1.0 / depth);
@@ -323,7 +323,7 @@ TEST_CASE_TEMPLATE(
       s.task.target.points_B.setZero();
       if constexpr (requires { s.gains.prior; }) s.gains.prior.setZero();
     }
-    set_lane(task.focal_pixels, lane, s.task.focal_pixels);
+    set_lane(task.camera.focal, lane, s.task.camera.focal);
     set_lane(task.jacobian_sign, lane, s.task.jacobian_sign);
     set_lane(task.desired_features, lane, s.task.desired_features);
     set_lane(task.gravity_wrench, lane, s.task.gravity_wrench);

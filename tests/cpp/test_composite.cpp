@@ -41,7 +41,7 @@ struct Situation {
     return evaluate_law<Composite, double>(task, gains, weights, input);
   }
   ImageJacobian<double> jacobian() const {
-    return ImageJacobian<double>(task.focal_pixels, task.jacobian_sign, input.image, input.R_BE);
+    return ImageJacobian<double>(task.camera, task.jacobian_sign, input.image, input.R_BE);
   }
   Vector<double, 8> feature_error() const { return task.desired_features - input.image.features; }
 };
@@ -68,7 +68,7 @@ Pose<double> random_pose(Random& random) {
 
 Situation random_situation(Random& random) {
   Situation s;
-  s.task.focal_pixels = kFocal;
+  s.task.camera = kFocal;
   s.task.jacobian_sign = random.uniform(-1.0, 1.0) < 0.0 ? -1.0 : 1.0;
   s.task.desired_features = random.matrix<8>(100.0);
   s.task.gravity_wrench = gravity_wrench(RigidBody<double>{});
@@ -397,7 +397,7 @@ TEST_CASE("a pack evaluates the law as double does, lane by lane, and a lane wit
       s.gains.prior.setZero();
       s.input.image.features.setZero();
     }
-    set_lane(task.focal_pixels, lane, s.task.focal_pixels);
+    set_lane(task.camera.focal, lane, s.task.camera.focal);
     set_lane(task.jacobian_sign, lane, s.task.jacobian_sign);
     set_lane(task.desired_features, lane, s.task.desired_features);
     set_lane(task.gravity_wrench, lane, s.task.gravity_wrench);
@@ -564,7 +564,7 @@ TEST_CASE(
 TEST_CASE("the drift's cause: eigenvalues of (J-hat^T J-hat)^-1 J-hat^T J below zero, which the prior lifts above it") {
   const LoopParameters<double, Composite> p = loop_parameters<Composite>(gravity_settings());
   const Matrix6<double> M = p.gains.prior.asDiagonal();
-  const double f = p.camera.focal_pixels();
+  const double f = p.camera.focal;
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
   const auto smallest = [](const Matrix6<double>& A) { return A.eigenvalues().real().minCoeff(); };
   // where the run starts, and the goal reached by translation

@@ -62,7 +62,7 @@ ControllerInput random_input(Random& random, const ControllerGains<Law>& gains) 
 template <class Law>
 ControllerInput seen_input(Random& random, const ControllerGains<Law>& gains) {
   ControllerInput input = random_input(random, gains);
-  input.frame.image = take_image(gains.task.focal_pixels, input.pose.position, rotation_matrix(input.pose.quaternion),
+  input.frame.image = take_image(gains.task.camera, input.pose.position, rotation_matrix(input.pose.quaternion),
                                  gains.task.target.points_B);
   return input;
 }
@@ -174,7 +174,7 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
         const Vector4<double> q = input.pose.quaternion.normalized();
         const Matrix3<double> R_BE = Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix();
         ControlTask<double> task{};
-        task.focal_pixels = f;
+        task.camera = f;
         task.jacobian_sign = -1.0;
         task.desired_features = settings.target.desired_features;
         task.gravity_wrench = gravity_wrench(RigidBody<double>{});
@@ -491,7 +491,7 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
         body_state<double>({p.hexapod.home_position, {1.0, 0.0, 0.0, 0.0}}, Vector6<double>::Zero());
     for (int tick = 0; tick < ticks; ++tick) {
       const Matrix3<double> R_BE = rotation_matrix(quaternion_of(body));
-      const Image<double> image = take_image(p.camera.focal_pixels(), position_of(body), R_BE, p.points_B);
+      const Image<double> image = take_image(p.camera.focal, position_of(body), R_BE, p.points_B);
       const ControllerInput input =
           input_of(tick * period,
                    {measured_image(image, p.depth_error), {position_of(body), quaternion_of(body)}, twist_of(body)});

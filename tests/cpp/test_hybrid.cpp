@@ -31,7 +31,7 @@ struct Situation {
 
 Situation random_situation(Random& random) {
   Situation s;
-  s.task.focal_pixels = 581.816;
+  s.task.camera = 581.816;
   s.task.jacobian_sign = random.uniform(-1.0, 1.0) < 0.0 ? -1.0 : 1.0;
   s.task.desired_features = random.matrix<8>(100.0);
   s.task.gravity_wrench = gravity_wrench(RigidBody<double>{});
@@ -49,7 +49,7 @@ Situation random_situation(Random& random) {
 
 /// The image Jacobian as a matrix; (8) itself is checked in test_camera.cpp.
 Eigen::Matrix<double, 8, 6> jacobian_of(const Situation& s) {
-  return ImageJacobian<double>(s.task.focal_pixels, s.task.jacobian_sign, s.input.image, s.input.R_BE).matrix();
+  return ImageJacobian<double>(s.task.camera, s.task.jacobian_sign, s.input.image, s.input.R_BE).matrix();
 }
 
 }  // namespace
@@ -247,7 +247,7 @@ TEST_CASE("a pack evaluates each lane as double does") {
   for (int lane = 0; lane < 4; ++lane) {
     Situation& s = situations[static_cast<std::size_t>(lane)];
     s = random_situation(random);
-    set_lane(task.focal_pixels, lane, s.task.focal_pixels);
+    set_lane(task.camera.focal, lane, s.task.camera.focal);
     set_lane(task.jacobian_sign, lane, s.task.jacobian_sign);
     set_lane(task.desired_features, lane, s.task.desired_features);
     set_lane(task.gravity_wrench, lane, s.task.gravity_wrench);

@@ -32,7 +32,7 @@ template <class Law>
 ControllerInput input_at_home(const ControllerGains<Law>& gains, double twist) {
   ControllerInput input;
   input.pose = home_pose(gains.hexapod);
-  input.frame = {0.0, take_image(gains.task.focal_pixels, input.pose.position, rotation_matrix(input.pose.quaternion),
+  input.frame = {0.0, take_image(gains.task.camera, input.pose.position, rotation_matrix(input.pose.quaternion),
                                  gains.task.target.points_B)};
   input.twist.setConstant(twist);
   return input;

@@ -366,13 +366,13 @@ TEST_CASE("the mirrored pose turns the points' plane over about the line of sigh
     Points points = paper_points();
     const Vector3<double> centroid = points.rowwise().mean();
     points = (size * (points.colwise() - centroid)).colwise() + centroid;
-    return distance(seen_from(mirrored_pose(points, pose), points), seen_from(pose, points));
+    return distance(seen_from(mirrored_pose<double, 4>(kFocal, points, pose), points), seen_from(pose, points));
   };
   for (int trial = 0; trial < 100; ++trial) {
     CAPTURE(trial);
     const Points points = paper_points();
     const Pose<double> pose = moved(kHome, random.matrix<3>(0.05), random.matrix<3>(0.3));
-    const Pose<double> mirrored = mirrored_pose(points, pose);
+    const Pose<double> mirrored = mirrored_pose<double, 4>(kFocal, points, pose);
     const Vector3<double> centroid = points.rowwise().mean(), normal = Vector3<double>::UnitZ();
     const Matrix3<double> R = rotation_of(pose.quaternion), R_mirrored = rotation_of(mirrored.quaternion);
     const Vector3<double> sight = (R.transpose() * (centroid - pose.position)).normalized(), n = R.transpose() * normal,
@@ -380,7 +380,8 @@ TEST_CASE("the mirrored pose turns the points' plane over about the line of sigh
     CHECK(distance(R_mirrored.transpose() * (centroid - mirrored.position),
                    R.transpose() * (centroid - pose.position)) <= 1e-14);
     CHECK(distance(n_mirrored, 2.0 * sight.dot(n) * sight - n) <= 1e-14);
-    CHECK(far_from(mirrored_pose(points, mirrored), pose) <= 1e-7);  // angles of small turns lose half the digits
+    CHECK(far_from(mirrored_pose<double, 4>(kFocal, points, mirrored), pose) <=
+          1e-7);  // angles of small turns lose half the digits
     // features change by the size, the two images' difference by its square
     CHECK(image_change(0.1, pose) <= 0.02 * image_change(1.0, pose));
   }
@@ -403,7 +404,7 @@ TEST_CASE("planar ambiguity: from the wrong side the estimate changes to the tru
     truth.position = centroid - rotation_of(truth.quaternion) * (centroid - kHome.position);
     const Features exact = seen_from(truth, points);
     // exact image, start beside the mirrored pose
-    const Pose<double> start = mirrored_pose(points, truth);
+    const Pose<double> start = mirrored_pose<double, 4>(kFocal, points, truth);
     const PoseFit<double, 4> near =
         fit_pose<double, 4>(kFocal, Vectors3<double, 4>(points), exact, kNoPrior, start, kPoseRounds + kPolishRounds);
     const PoseEstimate<double> found = estimate_pose<double, 4>(kFocal, points, exact, start, kImageAlone);

@@ -32,8 +32,10 @@ SHARED = [
     *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
     *(f"robot.{name}" for name in ("home_position", "home_attitude", "gravity")),
     *(f"robot.{name}" for name in ("mass", "inertia", "stroke", "force_limit")),
-    *("camera.focal_length", "camera.pixel_scale", "camera.convention", "target.desired_features"),
+    *("camera.focal_length", "camera.pixel_scale", "camera.mount.position", "camera.mount.rotation"),
+    *("camera.convention", "target.desired_features"),
     *("controller.jacobian", "controller.switching.kind", "controller.switching.width", "uncertainty.depth"),
+    *("uncertainty.mount.position", "uncertainty.mount.rotation"),
     *("simulation.mode", "simulation.step"),
 ]
 FUZZY = [
@@ -90,6 +92,14 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
             "camera.focal_length": focal,
             "camera.pixel_scale": scale,
             "camera.convention": "eye_in_hand" if law == "pbvs" else "as_printed",
+            **(
+                {
+                    "camera.mount": {"position": about(0.01, 0.02, -0.03), "rotation": about(0.1, -0.2, 0.3)},
+                    "uncertainty.mount": {"position": about(1e-3, 2e-3, 3e-3), "rotation": about(0.01, 0.02, 0.03)},
+                }
+                if law == "pbvs"
+                else {}
+            ),
             "target.initial_features": initial,
             "target.desired_features": goal,
             "target.depth": about(0.5, 0.6, 0.5, 0.4),

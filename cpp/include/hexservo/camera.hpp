@@ -7,9 +7,11 @@
 /// | xi, Z            | features, depth               | (x1, y1, ...) [px]; Z_i < 0 in front of the camera [m]    |
 /// | J_im             | point_rate, add_point_wrench  | (8) and its transpose, applied to one point               |
 /// | J = J_im K(chi)  | ImageJacobian                 | push a twist, pull an image force; a matrix on request    |
+/// | C in E           | PlatformCamera                | f and mount, which all that projects or differentiates has |
 /// | J_m = J_r + J_e  | ImageJacobian at the measured depth, image_jacobian_error    |                            |
 #pragma once
 
+#include "hexservo/mount.hpp"
 #include "hexservo/side_by_side.hpp"
 
 namespace hexservo {
@@ -26,18 +28,76 @@ enum class JacobianConvention {
   printed      ///< (8) as printed, whatever the plant does
 };
 
-/// Pinhole camera.
+/// Numbers of a pinhole camera on the platform, prepared.
 template <class S>
-struct Camera {
-  S focal_length{0.008};   ///< lambda [m], 0.008 (paper)
-  S pixel_scale{72727.0};  ///< alpha [px/m], 72727 (paper)
+struct CameraParameters {
+  S focal{581.816};        ///< f [px]
+  Placement<S> placement;  ///< of C in E
 
-  S focal_pixels() const { return pixel_scale * focal_length; }  ///< f = alpha lambda [px], 581.816
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"focal", "px"}, self.focal...);
+    v(Field{"placement"}, self.placement...);
+  }
+};
+
+/// Pinhole camera as a scenario has it.
+struct Camera {
+  double focal_length = 0.008;   ///< lambda [m], 0.008 (paper)
+  double pixel_scale = 72727.0;  ///< alpha [px/m], 72727 (paper)
+  Mount mount;                   ///< of C in E
+
+  double focal_pixels() const { return pixel_scale * focal_length; }  ///< f = alpha lambda [px], 581.816
+
+  /// The numbers that projection and image Jacobian need.
+  /// @throws std::invalid_argument for a rotation vector longer than pi
+  /// @param key that the messages name
+  CameraParameters<double> parameters(std::string_view key = "camera") const;
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     v(Field{"focal_length", "m", kPositive}, self.focal_length...);
     v(Field{"pixel_scale", "px/m", kPositive}, self.pixel_scale...);
+    v(Field{"mount"}, self.mount...);
+  }
+};
+
+/// A pinhole camera on the platform: f, and C in E.
+template <class S>
+struct PlatformCamera : CameraParameters<S> {
+  PlatformCamera() = default;
+  /// At E's origin, with E's axes.
+  PlatformCamera(const S& f) : CameraParameters<S>{f, {}} {}
+  PlatformCamera(const CameraParameters<S>& camera)
+      : CameraParameters<S>(camera), mounted(camera.placement.differs()) {}
+
+  bool mounted = false;  ///< C differs from E in some lane: otherwise its operations are left out
+};
+
+/// Reference to such a camera, which must outlive it; a focal length alone is one at E.
+template <class S>
+struct CameraView {
+  S f;                                      ///< [px]
+  const Placement<S>* placement = nullptr;  ///< none: C is E
+
+  CameraView(const S& focal) : f(focal) {}
+  CameraView(const PlatformCamera<S>& camera)
+      : f(camera.focal), placement(camera.mounted ? &camera.placement : nullptr) {}
+  CameraView(PlatformCamera<S>&&) = delete;
+
+  /// p_BC: centre of projection in B [m].
+  Vector3<S> centre(const Vector3<S>& p_BE, const Matrix3<S>& R_BE) const {
+    return placement == nullptr ? p_BE : Vector3<S>(p_BE + rotate<S>(R_BE, placement->p_EC));
+  }
+  /// R_BC: turns C-coordinates into B-coordinates.
+  Matrix3<S> attitude(const Matrix3<S>& R_BE) const {
+    if (placement == nullptr) return R_BE;
+    Matrix3<S> R_BC;
+    for (int j = 0; j < 3; ++j) {
+      const Vector3<S> axis = placement->R_EC.col(j);
+      R_BC.col(j) = rotate<S>(R_BE, axis);
+    }
+    return R_BC;
   }
 };
 
@@ -54,68 +114,99 @@ struct Image {
   }
 };
 
-/// (4): xi = -f (X, Y)/Z of a point in E [m].
+/// (4): xi = -f (X, Y)/Z of a point in C [m].
 /// @param inverse_depth 1/Z [1/m]
 template <class S>
-Vector2<S> project(const S& f, const Vector3<S>& p_E, const S& inverse_depth) {
+Vector2<S> project(const S& f, const Vector3<S>& p_C, const S& inverse_depth) {
   const S scale = -f * inverse_depth;
-  return Vector2<S>(scale * p_E(0), scale * p_E(1));
+  return Vector2<S>(scale * p_C(0), scale * p_C(1));
 }
 template <class S>
-Vector2<S> project(const S& f, const Vector3<S>& p_E) {
-  return project<S>(f, p_E, S(1.0) / p_E(2));
+Vector2<S> project(const S& f, const Vector3<S>& p_C) {
+  return project<S>(f, p_C, S(1.0) / p_C(2));
 }
 
-/// Inverse of (4): the point in E [m] seen at (x, y) [px] with depth Z [m].
+/// Inverse of (4): the point in C [m] seen at (x, y) [px] with depth Z [m].
 template <class S>
 Vector3<S> back_project(const S& f, const Vector2<S>& feature, const S& depth) {
   const S scale = -depth / f;
   return Vector3<S>(scale * feature(0), scale * feature(1), depth);
 }
 
+/// The point in B [m] that a camera on a platform at this pose sees at (x, y) [px] with depth Z [m].
+template <class S>
+Vector3<S> lift(const CameraView<S>& camera, const Vector3<S>& p_BE, const Matrix3<S>& R_BE, const Vector2<S>& feature,
+                const S& depth) {
+  const Vector3<S> p_C = back_project<S>(camera.f, feature, depth);
+  return p_BE + rotate<S>(R_BE, camera.placement == nullptr ? p_C : camera.placement->in_platform(p_C));
+}
+
 /// One number of each point, side by side.
 template <class S, int N>
 using PointVector = SideBySide<S, N>;
 
-/// What the camera at a pose sees of points fixed in B: P_i = R^T (P_i^B - x_p), then (4).
-/// @param points_B of N points [m]
-/// @param image filled in
-/// @param inverse_depth 1/Z_i [1/m], a by-product; filled in
+namespace detail {
+
+/// What a camera whose own pose is given sees of points fixed in B: P_i = R^T (P_i^B - p), then (4).
 template <class S, int N>
-[[gnu::always_inline]] inline void take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
-                                              const Vectors3<S, N>& points_B, Image<S, N>& image,
-                                              Vector<S, N>& inverse_depth) {
+[[gnu::always_inline]] inline void take_image_from(const S& f, const Vector3<S>& p_BC, const Matrix3<S>& R_BC,
+                                                   const Vectors3<S, N>& points_B, Image<S, N>& image,
+                                                   Vector<S, N>& inverse_depth) {
   using R = typename PointVector<S, N>::Register;
-  const Vector3<R> position = broadcast<R>(p_BE);
-  const Matrix3<R> attitude = broadcast<R>(R_BE);
+  const Vector3<R> position = broadcast<R>(p_BC);
+  const Matrix3<R> attitude = broadcast<R>(R_BC);
   Pairs<S, N> features;
   PointVector<S, N> depth, inverse;
   for (std::size_t r = 0; r < PointVector<S, N>::registers; ++r) {
     const Vector3<R> point = points_B.part(r);
-    const Vector3<R> p_E =
+    const Vector3<R> p_C =
         rotate_back<R>(attitude, Vector3<R>(point(0) - position(0), point(1) - position(1), point(2) - position(2)));
-    inverse.part[r] = R(1.0) / p_E(2);
-    const Vector2<R> feature = project<R>(R(f), p_E, inverse.part[r]);
+    inverse.part[r] = R(1.0) / p_C(2);
+    const Vector2<R> feature = project<R>(R(f), p_C, inverse.part[r]);
     features.x.part[r] = feature(0);
     features.y.part[r] = feature(1);
-    depth.part[r] = p_E(2);
+    depth.part[r] = p_C(2);
   }
   features.store(image.features.data());
   depth.store(image.depth.data());
   inverse.store(inverse_depth.data());
 }
+
+/// The same through a mount; out of line, so that a camera without one does not pay for it.
+template <class S, int N>
+[[gnu::noinline]] void take_mounted_image(const CameraView<S>& camera, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
+                                          const Vectors3<S, N>& points_B, Image<S, N>& image,
+                                          Vector<S, N>& inverse_depth) {
+  take_image_from<S, N>(camera.f, camera.centre(p_BE, R_BE), camera.attitude(R_BE), points_B, image, inverse_depth);
+}
+
+}  // namespace detail
+
+/// What the camera on a platform at a pose sees of points fixed in B: P_i = R_BC^T (P_i^B - p_BC), then (4).
+/// @param points_B of N points [m]
+/// @param image filled in
+/// @param inverse_depth 1/Z_i [1/m], a by-product; filled in
+template <class S, int N>
+[[gnu::always_inline]] inline void take_image(const std::type_identity_t<CameraView<S>>& camera, const Vector3<S>& p_BE,
+                                              const Matrix3<S>& R_BE, const Vectors3<S, N>& points_B,
+                                              Image<S, N>& image, Vector<S, N>& inverse_depth) {
+  if (camera.placement == nullptr)
+    detail::take_image_from<S, N>(camera.f, p_BE, R_BE, points_B, image, inverse_depth);
+  else
+    detail::take_mounted_image<S, N>(camera, p_BE, R_BE, points_B, image, inverse_depth);
+}
 /// The same, for image and depth alone.
 /// @param points_B 3xN, one column per point [m]
 template <class S, int N>
-Image<S, N> take_image(const S& f, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
-                       const Eigen::Matrix<S, 3, N>& points_B) {
+Image<S, N> take_image(const std::type_identity_t<CameraView<S>>& camera, const Vector3<S>& p_BE,
+                       const Matrix3<S>& R_BE, const Eigen::Matrix<S, 3, N>& points_B) {
   Image<S, N> image;
   Vector<S, N> inverse_depth;
-  take_image(f, p_BE, R_BE, Vectors3<S, N>(points_B), image, inverse_depth);
+  take_image<S, N>(camera, p_BE, R_BE, Vectors3<S, N>(points_B), image, inverse_depth);
   return image;
 }
 
-/// (8) applied to one point: image velocity [px/s] for the camera's velocity v and angular velocity w, both in E.
+/// (8) applied to one point: image velocity [px/s] for the camera's velocity v and angular velocity w, both in C.
 template <class S>
 Vector2<S> point_rate(const S& f, const S& inverse_f, const S& x, const S& y, const S& inverse_depth,
                       const Vector3<S>& v, const Vector3<S>& w) {
@@ -124,7 +215,7 @@ Vector2<S> point_rate(const S& f, const S& inverse_f, const S& x, const S& y, co
                     -(f * v(1) + y * v(2)) * inverse_depth - y * roll + f * w(0) + x * w(2));
 }
 
-/// Transpose of (8) for one point: adds force on E's origin and moment, both in E, for an image force (fx, fy).
+/// Transpose of (8) for one point: adds force on C's origin and moment, both in C, for an image force (fx, fy).
 template <class S>
 void add_point_wrench(const S& f, const S& inverse_f, const S& x, const S& y, const S& inverse_depth, const S& fx,
                       const S& fy, Vector3<S>& force, Vector3<S>& moment) {
@@ -138,7 +229,8 @@ void add_point_wrench(const S& f, const S& inverse_f, const S& x, const S& y, co
   moment(2) += x * fy - y * fx;
 }
 
-/// J = sign J_im(xi, Z) blkdiag(R^T, R^T) of (12): twist in B to image velocity; applied point by point.
+/// J = sign J_im(xi, Z) blkdiag(R^T, R^T) of (12): twist in B to image velocity; applied point by point. Through a
+/// mount the twist at E becomes that of the camera first, v_C = v + w x (R r).
 ///
 /// With sign = -1 this is the Jacobian of real points fixed in B (eye in hand); +1 is (8) as printed.
 /// (8) changes its sign with x, y and f, so they carry it.
@@ -148,36 +240,39 @@ class ImageJacobian {
   /// @param features [px]
   /// @param inverse_depth 1/Z_i [1/m], measured or true
   /// @param R_BE shared: it must outlive this
-  ImageJacobian(const S& f, const S& sign, const Vector<S, 2 * N>& features, const Vector<S, N>& inverse_depth,
-                const Matrix3<S>& R_BE)
-      : f_(sign * f),
+  ImageJacobian(const CameraView<S>& camera, const S& sign, const Vector<S, 2 * N>& features,
+                const Vector<S, N>& inverse_depth, const Matrix3<S>& R_BE)
+      : f_(sign * camera.f),
         inverse_f_(S(1.0) / f_),
         inverse_depth_(PointVector<S, N>::load(inverse_depth.data())),
-        R_BE_(R_BE) {
+        R_BE_(R_BE),
+        placement_(camera.placement) {
     const Pairs<S, N> pairs(features);
     points_.x = sign * pairs.x;
     points_.y = sign * pairs.y;
   }
 
   /// @param image features [px] and depth [m], measured or true; depth must not be zero
-  ImageJacobian(const S& f, const S& sign, const Image<S, N>& image, const Matrix3<S>& R_BE)
-      : ImageJacobian(f, sign, image.features, image.depth.cwiseInverse(), R_BE) {}
+  ImageJacobian(const CameraView<S>& camera, const S& sign, const Image<S, N>& image, const Matrix3<S>& R_BE)
+      : ImageJacobian(camera, sign, image.features, image.depth.cwiseInverse(), R_BE) {}
 
   // What is, or may be, shared must have a name: a temporary is gone before the Jacobian is used.
-  ImageJacobian(const S&, const S&, Vector<S, 2 * N>&&, const Vector<S, N>&, const Matrix3<S>&) = delete;
-  ImageJacobian(const S&, const S&, const Vector<S, 2 * N>&, const Vector<S, N>&, Matrix3<S>&&) = delete;
-  ImageJacobian(const S&, const S&, Image<S, N>&&, const Matrix3<S>&) = delete;
-  ImageJacobian(const S&, const S&, const Image<S, N>&, Matrix3<S>&&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, Vector<S, 2 * N>&&, const Vector<S, N>&, const Matrix3<S>&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, const Vector<S, 2 * N>&, const Vector<S, N>&, Matrix3<S>&&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, Image<S, N>&&, const Matrix3<S>&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, const Image<S, N>&, Matrix3<S>&&) = delete;
 
   /// J chi-dot [px/s] for a twist in B.
   Vector<S, 2 * N> push(const Vector6<S>& twist) const { return push_pairs(twist).vector(); }
   Pairs<S, N> push_pairs(const Vector6<S>& twist) const {
-    const Vector3<R> v_E = broadcast<R>(rotate_back<S>(R_BE_, Vector3<S>(twist(0), twist(1), twist(2))));
-    const Vector3<R> w_E = broadcast<R>(rotate_back<S>(R_BE_, Vector3<S>(twist(3), twist(4), twist(5))));
+    Vector3<S> velocity = rotate_back<S>(R_BE_, Vector3<S>(twist(0), twist(1), twist(2)));
+    Vector3<S> turning = rotate_back<S>(R_BE_, Vector3<S>(twist(3), twist(4), twist(5)));
+    if (placement_ != nullptr) placement_->to_camera(velocity, turning);
+    const Vector3<R> v = broadcast<R>(velocity), w = broadcast<R>(turning);
     Pairs<S, N> rates;
     for (std::size_t r = 0; r < registers; ++r) {
       const Vector2<R> rate =
-          point_rate<R>(R(f_), R(inverse_f_), points_.x.part[r], points_.y.part[r], inverse_depth_.part[r], v_E, w_E);
+          point_rate<R>(R(f_), R(inverse_f_), points_.x.part[r], points_.y.part[r], inverse_depth_.part[r], v, w);
       rates.x.part[r] = rate(0);
       rates.y.part[r] = rate(1);
     }
@@ -194,8 +289,9 @@ class ImageJacobian {
     const auto [fx, fy] = lane_sums<S>(force(0), force(1));
     const auto [fz, mx] = lane_sums<S>(force(2), moment(0));
     const auto [my, mz] = lane_sums<S>(moment(1), moment(2));
-    const Vector3<S> force_B = rotate<S>(R_BE_, Vector3<S>(fx, fy, fz));
-    const Vector3<S> moment_B = rotate<S>(R_BE_, Vector3<S>(mx, my, mz));
+    Vector3<S> force_E(fx, fy, fz), moment_E(mx, my, mz);
+    if (placement_ != nullptr) placement_->to_platform(force_E, moment_E);
+    const Vector3<S> force_B = rotate<S>(R_BE_, force_E), moment_B = rotate<S>(R_BE_, moment_E);
     return SideBySide<S, 6>::of(force_B(0), force_B(1), force_B(2), moment_B(0), moment_B(1), moment_B(2));
   }
 
@@ -227,6 +323,7 @@ class ImageJacobian {
   Vector6<S> row(int i, const S& fx, const S& fy) const {
     Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
     add_point_wrench<S>(f_, inverse_f_, points_.x(i), points_.y(i), inverse_depth_(i), fx, fy, force_E, moment_E);
+    if (placement_ != nullptr) placement_->to_platform(force_E, moment_E);
     return in_base(force_E, moment_E);
   }
 
@@ -244,6 +341,7 @@ class ImageJacobian {
   Pairs<S, N> points_;  ///< likewise
   PointVector<S, N> inverse_depth_;
   const Matrix3<S>& R_BE_;
+  const Placement<S>* placement_;  ///< of C in E; none: they are one
 };
 
 /// The controller's depth estimates, Z-hat_i = (1 + delta_Z,i) Z_i (docs/model.md, section 4) [m].
@@ -260,10 +358,12 @@ Vector<S, N> measured_inverse_share(const Vector<S, N>& depth_error) {
 
 /// Delta-J of (12): measured minus real image Jacobian, 2N x 6, at one pose.
 template <class S, int N>
-Eigen::Matrix<S, 2 * N, 6> image_jacobian_error(const S& f, const S& sign, const Image<S, N>& image,
-                                                const Vector<S, N>& depth_error, const Matrix3<S>& R_BE) {
+Eigen::Matrix<S, 2 * N, 6> image_jacobian_error(const std::type_identity_t<CameraView<S>>& camera, const S& sign,
+                                                const Image<S, N>& image, const Vector<S, N>& depth_error,
+                                                const Matrix3<S>& R_BE) {
   const Image<S, N> measured = measured_image(image, depth_error);
-  return ImageJacobian<S, N>(f, sign, measured, R_BE).matrix() - ImageJacobian<S, N>(f, sign, image, R_BE).matrix();
+  return ImageJacobian<S, N>(camera, sign, measured, R_BE).matrix() -
+         ImageJacobian<S, N>(camera, sign, image, R_BE).matrix();
 }
 
 /// Z-dot_i [m/s] of (6) as printed: (omega x P_i + v) along Z, in E, with P_i from (4).

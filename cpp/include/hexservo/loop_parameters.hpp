@@ -25,7 +25,8 @@ struct SceneParameters {
   RigidBody<S> body;        ///< as the controller assumes it
   RigidBody<S> plant_body;  ///< what the platform carries, but for its relative errors
   DynamicsError<S> dynamics_error;
-  Camera<S> camera;
+  CameraParameters<S> camera;          ///< the true one
+  CameraParameters<S> assumed_camera;  ///< the controller's
   CameraConvention convention = CameraConvention::eye_in_hand;
   JacobianConvention jacobian = JacobianConvention::consistent;
   Eigen::Matrix<S, 3, N> points_B;    ///< target points [m]; not used by `as_printed`
@@ -57,6 +58,7 @@ struct SceneParameters {
     v(Field{"plant_body"}, self.plant_body...);
     v(Field{"dynamics_error"}, self.dynamics_error...);
     v(Field{"camera"}, self.camera...);
+    v(Field{"assumed_camera"}, self.assumed_camera...);
     v(Field{"convention"}, self.convention...);
     v(Field{"jacobian"}, self.jacobian...);
     v(Field{"points_B"}, self.points_B...);
@@ -97,9 +99,9 @@ struct LoopParameters : SceneParameters<S, N> {
 /// The task of a loop's law: estimates, goal and reference.
 template <class S, class Law, int N>
 ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
-  const S f = p.camera.focal_pixels();
+  const PlatformCamera<S> camera(p.assumed_camera);
   const Pose<S> home = home_pose(p.hexapod);
-  return {f,
+  return {camera,
           S(controller_sign(p.convention, p.jacobian)),
           p.desired_features,
           gravity_wrench(p.body),
@@ -107,7 +109,7 @@ ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
           home,
           p.body,
           S(p.step),
-          target_model(f, believed_points(f, home, p.initial_image, p.depth_error), p.goal)};
+          target_model<S, N>(camera, believed_points<S, N>(camera, home, p.initial_image, p.depth_error), p.goal)};
 }
 
 }  // namespace hexservo

@@ -37,7 +37,7 @@ template <class S, int N = kPoints>
 struct Sensing {
   Hexapod<S> hexapod;
   LegGeometry<S> legs;
-  S focal_pixels;                     ///< f [px]
+  PlatformCamera<S> camera;           ///< as it is assumed
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
   FrameSettings<S> frames;
   PoseSource pose_source;
@@ -314,10 +314,8 @@ class Perception {
       const Pose<S> pose = history_.at(min(frame.exposure, S(input.now)));
       const Matrix3<S> R_BE = rotation_matrix(pose.quaternion);
       for (int i = 0; i < N; ++i) {
-        points_B.col(i) =
-            pose.position +
-            rotate<S>(R_BE, back_project<S>(sensing.focal_pixels, frame.image.features.template segment<2>(2 * i),
-                                            frame.image.depth(i)));
+        points_B.col(i) = lift<S>(sensing.camera, pose.position, R_BE, frame.image.features.template segment<2>(2 * i),
+                                  frame.image.depth(i));
         good = good & ((!shown[static_cast<std::size_t>(i)]) | is_finite(Vector3<S>(points_B.col(i))));
       }
     }
@@ -351,7 +349,7 @@ class Perception {
       return;
     }
     const bool predicting = sensing.frames.prediction == Prediction::encoder;
-    const Image<S, N> projected = take_image(sensing.focal_pixels, now_.pose.position, now_.R_BE, points_B_);
+    const Image<S, N> projected = take_image<S, N>(sensing.camera, now_.pose.position, now_.R_BE, points_B_);
     for (int i = 0; i < N; ++i) {
       const Mask<S> lost = lost_(i) > S(0.5);
       const Mask<S> again = predicting ? (!lost) | Mask<S>(sensing.frames.on_lost != LostFeature::hold) : lost;

@@ -91,7 +91,7 @@ class Probe {
 
   /// J of (12): twist in B (m/s; rad/s) to feature rates [px/s].
   /// @param depth as the Jacobian shall take it: the true ones, or the controller's [m]
-  /// @param controller the controller's sign instead of the plant's
+  /// @param controller the controller's sign and camera instead of the plant's
   /// @param jacobian n x 8 x 6
   void image_jacobian(Rows features, Rows depth, Rows quaternion, bool controller, Column jacobian) const;
 

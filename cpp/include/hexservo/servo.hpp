@@ -43,7 +43,7 @@ struct ServoTick {
 /// What decides on a command for a scenario, estimates only.
 template <class S, class Law, int N>
 SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
-  return {{p.hexapod, LegGeometry<S>(p.hexapod), p.camera.focal_pixels(), p.desired_features, p.frames, p.pose_source,
+  return {{p.hexapod, LegGeometry<S>(p.hexapod), p.assumed_camera, p.desired_features, p.frames, p.pose_source,
            p.encoders, p.step},
           p.body,
           p.safe,

@@ -30,19 +30,21 @@ struct Target {
   }
 };
 
-/// Relative errors between estimates and plant, docs/model.md, sections 3 and 4.
+/// Errors between estimates and plant, relative but for the mount, docs/model.md, sections 3 and 4.
 struct Uncertainty : DynamicsError<double> {
   Vector<double, kPoints> depth = Vector<double, kPoints>::Zero();  ///< delta_Z,i [1], 0
+  Mount mount;  ///< what the controller's mount is off: position in E, rotation vector in C, `assumed_mount`
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     DynamicsError<double>::visit(v, self...);
     v(Field{"depth", "1", kRelativeError}, self.depth...);  // the controller's own: what it takes the target for
+    v(Field{"mount"}, self.mount...);                       // and where it takes its camera to be
   }
 };
 
 /// The camera, with its timing in `sampled` mode, where every time is a whole number of servo periods.
-struct CameraSettings : Camera<double>, FrameFaults<double> {
+struct CameraSettings : Camera, FrameFaults<double> {
   CameraConvention convention = CameraConvention::eye_in_hand;
   double period = 0.0;                                       ///< between two exposures [s]; 0: the servo period
   double latency = 0.0;                                      ///< from exposure to first use [s], 0
@@ -51,7 +53,7 @@ struct CameraSettings : Camera<double>, FrameFaults<double> {
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
-    Camera<double>::visit(v, self...);
+    Camera::visit(v, self...);
     v(Field{"convention"}.of_pack(), self.convention...);
     v(Field{"period", "s", kPositiveOrZero}.of_pack().in_sampled_mode(), self.period...);
     v(Field{"latency", "s", kNotNegative}.of_pack().in_sampled_mode(), self.latency...);
@@ -213,6 +215,9 @@ struct Settings {
     v(Field{"metrics"}, self.metrics);
   }
 };
+
+/// The controller's camera: that of the scenario with the errors of `uncertainty`.
+Camera assumed_camera(const Settings& settings);
 
 /// Number of steps of a run.
 /// @throws std::invalid_argument naming the scenario key where step, duration or log_every make no grid

@@ -22,24 +22,25 @@ struct TargetModel {
 
 /// P-hat_i: the image from home, lifted with the controller's depth estimates, (1 + delta_Z,i) Z_i, 3xN in B [m].
 template <class S, int N>
-Eigen::Matrix<S, 3, N> believed_points(const S& f, const Pose<S>& home, const Image<S, N>& seen_from_home,
-                                       const Vector<S, N>& depth_error) {
+Eigen::Matrix<S, 3, N> believed_points(const CameraView<S>& camera, const Pose<S>& home,
+                                       const Image<S, N>& seen_from_home, const Vector<S, N>& depth_error) {
   const Image<S, N> measured = measured_image(seen_from_home, depth_error);
   const Matrix3<S> R_BE = rotation_matrix(home.quaternion);
   Eigen::Matrix<S, 3, N> points_B;
   for (int i = 0; i < N; ++i)
-    points_B.col(i) = home.position + rotate<S>(R_BE, back_project<S>(f, measured.features.template segment<2>(2 * i),
-                                                                      measured.depth(i)));
+    points_B.col(i) =
+        lift<S>(camera, home.position, R_BE, measured.features.template segment<2>(2 * i), measured.depth(i));
   return points_B;
 }
 
 /// Those points with the goal, and their depths there.
 template <class S, int N>
-TargetModel<S, N> target_model(const S& f, const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& goal) {
+TargetModel<S, N> target_model(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B,
+                               const Pose<S>& goal) {
   TargetModel<S, N> model{points_B, goal, {}};
   Image<S, N> image;
-  take_image(f, goal.position, rotation_matrix(goal.quaternion), Vectors3<S, N>(points_B), image,
-             model.goal_inverse_depth);
+  take_image<S, N>(camera, goal.position, rotation_matrix(goal.quaternion), Vectors3<S, N>(points_B), image,
+                   model.goal_inverse_depth);
   return model;
 }
 
@@ -113,13 +114,13 @@ struct PoseFit {
 
 /// The fit of one pose; NaN where a number is.
 template <class S, int N>
-PoseFit<S, N> pose_fit(const S& f, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
+PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
                        const PosePrior<S>& prior, const Pose<S>& pose) noexcept {
   PoseFit<S, N> fit;
   fit.pose = pose;
   fit.R_BE = rotation_matrix(pose.quaternion);
   Image<S, N> image;
-  take_image(f, pose.position, fit.R_BE, points_B, image, fit.inverse_depth);
+  take_image<S, N>(camera, pose.position, fit.R_BE, points_B, image, fit.inverse_depth);
   S nearest = image.depth(0);
   for (int i = 1; i < N; ++i) nearest = max(nearest, image.depth(i));
   fit.features = image.features;
@@ -164,15 +165,18 @@ S quartic_line_search(const Vector<S, M>& r, const Vector<S, M>& Jd, const Vecto
 /// e_z the optical axis, their second derivative for that motion is -(g e_z^T + e_z g^T)/Z.
 /// @param r weights [px]
 template <class S, int N>
-Matrix6<S> feature_curvature(const S& f, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& r) noexcept {
-  const Vector3<S> axis = fit.R_BE.col(2);
+Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& fit,
+                             const Vector<S, 2 * N>& r) noexcept {
+  const S& f = camera.f;
+  const Matrix3<S> R_BC = camera.attitude(fit.R_BE);
+  const Vector3<S> axis = R_BC.col(2), arm = camera.centre(fit.pose.position, fit.R_BE) - fit.pose.position;
   Matrix6<S> sum = Matrix6<S>::Zero();
   for (int i = 0; i < N; ++i) {
     const S x = fit.features(2 * i), y = fit.features(2 * i + 1), rx = r(2 * i), ry = r(2 * i + 1);
     const S inverse_depth = fit.inverse_depth(i);
-    const Vector3<S> g_E(S(-f * rx * inverse_depth), S(-f * ry * inverse_depth), S(-(x * rx + y * ry) * inverse_depth));
-    const Vector3<S> g = rotate<S>(fit.R_BE, g_E);
-    const Vector3<S> w = rotate<S>(fit.R_BE, back_project<S>(f, Vector2<S>(x, y), S(S(1.0) / inverse_depth)));
+    const Vector3<S> g_C(S(-f * rx * inverse_depth), S(-f * ry * inverse_depth), S(-(x * rx + y * ry) * inverse_depth));
+    const Vector3<S> g = rotate<S>(R_BC, g_C);
+    const Vector3<S> w = arm + rotate<S>(R_BC, back_project<S>(f, Vector2<S>(x, y), S(S(1.0) / inverse_depth)));
     Vector6<S> a, b;
     a.template head<3>() = -g;
     a.template tail<3>() = cross<S>(g, w);
@@ -210,14 +214,14 @@ Matrix6<S> feature_curvature(const S& f, const PoseFit<S, N>& fit, const Vector<
 /// @param measured features [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param start its quaternion need not be of unit length
 template <class S, int N>
-PoseFit<S, N> fit_pose(const S& f, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
+PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
                        const PosePrior<S>& prior, const Pose<S>& start, int rounds) noexcept {
   using std::abs;
   using std::sqrt;
-  PoseFit<S, N> best = pose_fit<S, N>(f, points_B, measured, prior, displaced<S>(start, Vector6<S>::Zero()));
+  PoseFit<S, N> best = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(start, Vector6<S>::Zero()));
   S mu(kPoseDamping), growth(2.0);
   for (int round = 0; round < rounds; ++round) {
-    const ImageJacobian<S, N> J(f, S(-1.0), best.features, best.inverse_depth, best.R_BE);
+    const ImageJacobian<S, N> J(camera, S(-1.0), best.features, best.inverse_depth, best.R_BE);
     const Vector<S, 2 * N> residual = measured - best.features;
     const Vector6<S> gradient = J.pull(residual) + prior.gradient(best.prior_error);
     Matrix6<S> A = J.normal_matrix();
@@ -225,7 +229,7 @@ PoseFit<S, N> fit_pose(const S& f, const Vectors3<S, N>& points_B, const Vector<
     const Vector6<S> damping = mu * A.diagonal();
     A.diagonal() += damping;
     const Cholesky<S, 6> gauss(A);
-    A -= feature_curvature<S, N>(f, best, residual);
+    A -= feature_curvature<S, N>(camera, best, residual);
     const Cholesky<S, 6> newton(A);
     Vector6<S> d = select(newton.failed(), gauss.solve(gradient), newton.solve(gradient));
 
@@ -234,10 +238,10 @@ PoseFit<S, N> fit_pose(const S& f, const Vectors3<S, N>& points_B, const Vector<
     const S length = max(S(sqrt(S(d.template head<3>().squaredNorm())) / mean_depth),
                          S(sqrt(S(d.template tail<3>().squaredNorm()))));
     d *= select(length > S(kPoseStep), S(S(kPoseStep) / length), S(1.0));
-    const PoseFit<S, N> full = pose_fit<S, N>(f, points_B, measured, prior, displaced<S>(best.pose, d));
+    const PoseFit<S, N> full = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(best.pose, d));
     const Vector<S, 2 * N> Jd = J.push(d);
     const S t = quartic_line_search<S, 2 * N>(residual, Jd, S(2.0) * (full.features - best.features - Jd));
-    PoseFit<S, N> next = pose_fit<S, N>(f, points_B, measured, prior, displaced<S>(best.pose, t * d));
+    PoseFit<S, N> next = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(best.pose, t * d));
     const S expected = larger(S(d.dot(damping.cwiseProduct(d) + gradient)), S(1e-300));
     const Mask<S> rounding = expected * expected < S(kResidualRounding * kResidualRounding) *
                                                        (best.cost + S(kResidualRounding * kResidualRounding));
@@ -258,7 +262,8 @@ PoseFit<S, N> fit_pose(const S& f, const Vectors3<S, N>& points_B, const Vector<
 ///
 /// The plane is that of the largest of their triangles; NaN where they lie on a line.
 template <class S, int N>
-Pose<S> mirrored_pose(const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pose) noexcept {
+Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B,
+                      const Pose<S>& pose) noexcept {
   using std::sqrt;
   Vector3<S> centroid = Vector3<S>::Zero(), normal = Vector3<S>::Zero();
   for (int i = 0; i < N; ++i) centroid += S(1.0 / N) * points_B.col(i);
@@ -270,13 +275,19 @@ Pose<S> mirrored_pose(const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pos
         normal = select(area.squaredNorm() > normal.squaredNorm(), area, normal);
       }
   normal /= sqrt(S(normal.squaredNorm()));
-  const Vector3<S> sight = centroid - pose.position;
+  Vector3<S> arm = Vector3<S>::Zero();  // from E's origin to C's, in B
+  if (camera.placement != nullptr) arm = rotate<S>(rotation_matrix(pose.quaternion), camera.placement->p_EC);
+  const Vector3<S> sight = centroid - pose.position - arm;
   const S along = dot<S>(sight, normal), inverse_distance = S(1.0) / sqrt(S(sight.squaredNorm()));
   // R_BE <- (1 - 2 n n^T) (1 - 2 s s^T) R_BE, which is a turn in B by twice the angle from s to n
   const S w = along * inverse_distance;
   const Vector3<S> v = inverse_distance * cross<S>(sight, normal), u = pose.quaternion.template tail<3>();
   Pose<S> mirrored;
-  mirrored.position = centroid + sight - S(2.0) * along * normal;
+  mirrored.position = centroid + sight - S(2.0) * along * normal;  // of the camera
+  if (camera.placement != nullptr) {                               // the arm turns with it
+    arm -= S(2.0) * inverse_distance * inverse_distance * dot<S>(arm, sight) * sight;
+    mirrored.position -= arm - S(2.0) * dot<S>(arm, normal) * normal;
+  }
   mirrored.quaternion(0) = w * pose.quaternion(0) - dot<S>(v, u);
   mirrored.quaternion.template tail<3>() = w * u + pose.quaternion(0) * v + cross<S>(v, u);
   return mirrored;
@@ -288,8 +299,9 @@ Pose<S> mirrored_pose(const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pos
 /// All of the residual counts where the image does not determine the pose.
 /// @param measured features that were fitted [px]
 template <class S, int N>
-S unexplained_variance(const S& f, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& measured) noexcept {
-  const ImageJacobian<S, N> J(f, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
+S unexplained_variance(const CameraView<S>& camera, const PoseFit<S, N>& fit,
+                       const Vector<S, 2 * N>& measured) noexcept {
+  const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
   const Vector<S, 2 * N> residual = measured - fit.features;
   const Cholesky<S, 6> solver(J.normal_matrix());
   // The vector first: a difference of squares would carry the rounding of the larger, explained part.
@@ -335,21 +347,22 @@ struct PoseEstimate {
 /// @param joints pose of the joint sensors: start, and centre of the prior; its quaternion need not be of unit length
 /// @param prior_weight diagonal of M under noise [px^2/m^2; px^2/rad^2]; 0: the image alone
 template <class S, int N>
-PoseEstimate<S> estimate_pose(const S& f, const Eigen::Matrix<S, 3, N>& points_B, const Vector<S, 2 * N>& features,
-                              const Pose<S>& joints, const Vector6<S>& prior_weight) noexcept {
+PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B,
+                              const Vector<S, 2 * N>& features, const Pose<S>& joints,
+                              const Vector6<S>& prior_weight) noexcept {
   const Vectors3<S, N> points(points_B);
   PosePrior<S> prior{displaced<S>(joints, Vector6<S>::Zero()), prior_weight};
-  PoseFit<S, N> fit = fit_pose<S, N>(f, points, features, prior, joints, kPoseRounds);
+  PoseFit<S, N> fit = fit_pose<S, N>(camera, points, features, prior, joints, kPoseRounds);
   const PoseFit<S, N> mirror =
-      fit_pose<S, N>(f, points, features, prior, mirrored_pose<S, N>(points_B, fit.pose), kMirrorRounds);
+      fit_pose<S, N>(camera, points, features, prior, mirrored_pose<S, N>(camera, points_B, fit.pose), kMirrorRounds);
   PoseEstimate<S> estimate;
   estimate.mirrored = mirror.cost < S(kMirrorShare) * fit.cost;
   fit.replace(estimate.mirrored, mirror);
-  estimate.prior_share = prior_share(unexplained_variance<S, N>(f, fit, features));
+  estimate.prior_share = prior_share(unexplained_variance<S, N>(camera, fit, features));
   prior.weight *= estimate.prior_share;
-  fit = fit_pose<S, N>(f, points, features, prior, fit.pose, kPolishRounds);
+  fit = fit_pose<S, N>(camera, points, features, prior, fit.pose, kPolishRounds);
 
-  const ImageJacobian<S, N> J(f, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
+  const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
   Matrix6<S> A = J.normal_matrix();
   A.diagonal() += prior.weight;
   const Cholesky<S, 6> solver(A);
@@ -371,7 +384,8 @@ struct GoalMinimum {
 /// Those found by `fit_pose` from home, from home turned about the optical axis, moved along it and tilted, and from
 /// the mirror image of each pose that it finds, in this order; the search ends at the first that shows the desired
 /// features to (1e-6 px)^2. Empty where the features determine no pose.
-std::vector<GoalMinimum> goal_minima(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
+std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera,
+                                     const Eigen::Matrix<double, 3, kPoints>& points_B,
                                      const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home);
 
 /// The goal is refused where no pose gives the desired features within this, in every coordinate [px].
@@ -383,7 +397,7 @@ inline constexpr double kGoalResidual = 1.0;
 /// home is the goal.
 /// @throws std::invalid_argument where the largest residual of a coordinate is beyond `kGoalResidual`, or the features
 /// do not determine a pose
-Pose<double> goal_pose(double f, const Eigen::Matrix<double, 3, kPoints>& points_B,
+Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, kPoints>& points_B,
                        const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home);
 
 }  // namespace hexservo

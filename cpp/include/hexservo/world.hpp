@@ -82,10 +82,7 @@ class World {
  public:
   template <class Law>
   explicit World(const LoopParameters<S, Law, N>& p)
-      : plant_(p.plant_body, p.dynamics_error),
-        focal_pixels_(p.camera.focal_pixels()),
-        points_B_(p.points_B),
-        convention_(p.convention) {}
+      : plant_(p.plant_body, p.dynamics_error), camera_(p.camera), points_B_(p.points_B), convention_(p.convention) {}
 
   /// Where a run starts.
   template <class Law>
@@ -100,9 +97,9 @@ class World {
     out.nearest_depth = nearest_depth(state.view.image);
     if (printed_camera()) {
       const Vector6<S> twist = twist_of(state.body);
-      const ImageJacobian<S, N> J(focal_pixels_, S(plant_sign(convention_)), state.view.image, state.view.R_BE);
+      const ImageJacobian<S, N> J(camera_, S(plant_sign(convention_)), state.view.image, state.view.R_BE);
       out.printed_image.features = J.push(twist);  // (12)
-      out.printed_image.depth = printed_depth_rate(focal_pixels_, state.view.image, state.view.R_BE, twist);
+      out.printed_image.depth = printed_depth_rate(camera_.focal, state.view.image, state.view.R_BE, twist);
     }
   }
 
@@ -148,7 +145,7 @@ class World {
   /// Fills in the image; in place, since a copy would be waited for.
   [[gnu::always_inline]] inline void look(const BodyMotion<S>& body, View<S, N>& view) const noexcept {
     view.R_BE = rotation_matrix(quaternion_of(body));
-    take_image(focal_pixels_, position_of(body), view.R_BE, points_B_, view.image, view.inverse_depth);
+    take_image<S, N>(camera_, position_of(body), view.R_BE, points_B_, view.image, view.inverse_depth);
   }
   View<S, N> view_of(const BodyMotion<S>& body) const noexcept {
     View<S, N> view;
@@ -157,7 +154,7 @@ class World {
   }
 
   Plant<S> plant_;
-  S focal_pixels_;
+  PlatformCamera<S> camera_;
   Vectors3<S, N> points_B_;
   CameraConvention convention_;
 };

@@ -131,8 +131,9 @@
     const POINTS = ["blue", "vermilion", "green", "black"];
     const GAP = [null, null, null];
 
-    /** Puts a point of E into B at an instant. */
-    function placed(frame, p) {
+    /** Puts a point of C into B at an instant. */
+    function placed(frame, point) {
+      const p = [0, 1, 2].map((row) => scene.camera[row] + scene.axes[row].reduce((sum, axis, at) => sum + axis * point[at], 0));
       const R = runs.rotation.subarray(9 * frame, 9 * frame + 9);
       const o = runs.position.subarray(3 * frame, 3 * frame + 3);
       return [0, 1, 2].map((row) => o[row] + R[3 * row] * p[0] + R[3 * row + 1] * p[1] + R[3 * row + 2] * p[2]);

@@ -27,17 +27,19 @@ _WIDEST = 1.0  # half width of the drawn image, in parts of its distance: featur
 
 @dataclass(frozen=True, eq=False)
 class SpaceView:
-    """Positions in B [m], except for those of the image plane, which are in E [m]."""
+    """Positions in B [m], except for those of the image plane, which are in C, the camera's frame [m]."""
 
     time: Array  # (k,) [s]
-    position: Array  # (k, 3), of E's origin, the camera
+    position: Array  # (k, 3), of E's origin
     rotation: Array  # (k, 3, 3), transforms E-coordinates into B-coordinates
     joints: Array  # (k, 6, 3), of the platform
     base: Array  # (6, 3), joints of the base
+    camera: Array  # (3,), of C's origin in E [m]
+    axes: Array  # (3, 3), transforms C-coordinates into E-coordinates
     targets: Array | None  # (4, 3); None where the plant has no points
-    corners: Array  # (4, 3) in E, of the image plane, in cyclic order
-    image: Array  # (k, 4, 3) in E, features on the image plane; NaN beyond its widest
-    goals: Array  # (4, 3) in E
+    corners: Array  # (4, 3) in C, of the image plane, in cyclic order
+    image: Array  # (k, 4, 3) in C, features on the image plane; NaN beyond its widest
+    goals: Array  # (4, 3) in C
     displacement: Array  # (k, 3) [m], from home
     turn: Array  # (k, 3) [rad], rotation vector
     error: Array  # (k,) [px], largest feature error
@@ -45,8 +47,9 @@ class SpaceView:
     z_down: bool  # gravity points along z of B, not against it
 
     def placed(self, frame: int, points: Array) -> Array:
-        """Return points of E, (..., 3), in B at an instant."""
-        return np.asarray(self.position[frame] + points @ self.rotation[frame].T)
+        """Return points of C, (..., 3), in B at an instant."""
+        in_platform = self.camera + points @ self.axes.T
+        return np.asarray(self.position[frame] + in_platform @ self.rotation[frame].T)
 
     def box(self) -> tuple[Array, Array]:
         """Return the smallest and the largest coordinates of all drawn points, (3,) each."""
@@ -70,6 +73,8 @@ class SpaceView:
             "turn": encoded(1e3 * self.turn.ravel()),
             "error": encoded(self.error),
             "base": self.base.tolist(),
+            "camera": self.camera.tolist(),
+            "axes": self.axes.tolist(),
             "targets": None if self.targets is None else self.targets.tolist(),
             "corners": self.corners.tolist(),
             "zDown": self.z_down,
@@ -96,13 +101,17 @@ def scene(result: Result) -> SpaceView:
     image = _on_plane(features * pixel, distance)
     image[np.abs(image[..., :2]).max(axis=-1) > _WIDEST * distance] = np.nan
     has_points = settings["camera.convention"] == "eye_in_hand"
+    camera, *axes = settings.camera.in_platform(np.vstack([np.zeros(3), np.eye(3)]))
+    start = result.position[0], result.quaternion[0], result.features[0], result.depth[0]
     return SpaceView(
         time=result.time[chosen],
         position=position,
         rotation=rotation,
         joints=joints,
         base=np.asarray(hexapod.base_joints),
-        targets=_targets(result, settings.camera.focal_pixels, rotation[0]) if has_points else None,
+        camera=camera,
+        axes=np.column_stack(axes) - camera[:, None],
+        targets=_core.lift(settings.camera, *start) if has_points else None,
         corners=_on_plane(np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * half, distance),
         image=image,
         goals=_on_plane(goals * pixel, distance),
@@ -143,15 +152,8 @@ def _rotations(quaternion: Array) -> Array:
 
 
 def _on_plane(points: Array, distance: float) -> Array:
-    """Place points (..., 2) [m] on the image plane, drawn in front of the camera, which looks along -z of E."""
+    """Place points (..., 2) [m] on the image plane, drawn in front of the camera, which looks along -z of C."""
     return np.concatenate([points, np.full((*points.shape[:-1], 1), -distance)], axis=-1)
-
-
-def _targets(result: Result, focal: float, rotation: Array) -> Array:
-    """Compute the four target points from the features and depths of the first sample."""
-    depth = np.abs(result.depth[0])[:, None]
-    rays = np.column_stack([result.features[0].reshape(4, 2) / focal, np.full(4, -1.0)])
-    return np.asarray(result.position[0] + depth * rays @ rotation.T)
 
 
 def _half_size(result: Result, features: Array, goals: Array) -> Array:

@@ -23,7 +23,7 @@ _POINTS = ("blue", "vermilion", "green", "black")
 def still(scene: SpaceView) -> Html:
     """Draw the end of the run, with the paths of the features on the image plane up to there."""
     last = len(scene.time) - 1
-    joints, camera = scene.joints[last], scene.position[last]
+    joints, camera = scene.joints[last], scene.placed(last, np.zeros(3))
     corners = scene.placed(last, scene.corners)
     low, high = scene.box()
     bounds = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])

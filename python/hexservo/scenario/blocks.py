@@ -149,6 +149,16 @@ class Robot(Block):
         return self
 
 
+class Mount(Block):
+    """Where the camera's frame C is in the platform's frame E; as an error, what the controller's frame is off.
+
+    The rotation vector of an error turns the true C into the controller's, about the axes of C.
+    """
+
+    position: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of C's origin in E
+    rotation: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector of C in E
+
+
 class Camera(Block):
     """The camera in the platform; docs/model.md section 4, (4)-(8).
 
@@ -158,6 +168,7 @@ class Camera(Block):
 
     focal_length: PositiveNumber = from_core("camera.focal_length")  # [m]
     pixel_scale: PositiveNumber = from_core("camera.pixel_scale")  # [px/m]
+    mount: Mount = Field(default_factory=Mount)
     convention: Annotated[Literal["eye_in_hand", "as_printed"], Choice()] = "eye_in_hand"
     # [s], between exposures; null: the servo period, which a scenario in sampled mode fills in
     period: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
@@ -296,7 +307,7 @@ class Target(Block):
 
 
 class Uncertainty(Block):
-    """The relative errors delta of the controller's model, each above -1 and below 1; docs/model.md sections 3 and 4.
+    """Errors of the controller's model, relative ones above -1 and below 1; docs/model.md sections 3 and 4.
 
     The plant has (1 - delta) times the controller's inertia, Coriolis and gravity terms (3); the controller takes
     (1 + delta) times the true depth of a point. Arrays act element by element.
@@ -308,6 +319,7 @@ class Uncertainty(Block):
     depth: Annotated[float | Vector, ArrayRule((4,), RELATIVE_ERROR, or_number=True)] = (
         0.0  # one for all points or (4,)
     )
+    mount: Mount = Field(default_factory=Mount)
 
 
 class Start(Block):

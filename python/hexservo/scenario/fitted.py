@@ -53,7 +53,7 @@ _SURE = 1e6  # weight of the pose sensors where the pose is known [px^2/m^2; px^
 _SAME = 1e-9  # relative difference of gains that are equal but for rounding
 # What the machine depends on; the two keys of the robot are limits.
 _BLOCKS = ("name", "robot", "camera", "target")
-_OF_MACHINE = ("robot.", "camera.focal_length", "camera.pixel_scale", "target.")
+_OF_MACHINE = ("robot.", "camera.focal_length", "camera.pixel_scale", "camera.mount.", "target.")
 _LIMITS = ("robot.stroke", "robot.force_limit")
 
 

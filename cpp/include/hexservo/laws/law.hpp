@@ -186,7 +186,7 @@ bool fuzzy_systems_act(const typename Law::template Gains<double>& gains) noexce
 /// A law's model of robot, camera and goal: estimates, never the plant's own values.
 template <class S, int N = kPoints>
 struct ControlTask {
-  S focal_pixels;                     ///< f [px]
+  PlatformCamera<S> camera;           ///< as it is assumed
   S jacobian_sign;                    ///< sign of the controller's image Jacobian relative to (8)
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
   Vector6<S> gravity_wrench;          ///< G of (1) [N; N m], in B

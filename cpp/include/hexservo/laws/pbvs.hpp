@@ -42,7 +42,7 @@ struct Pbvs : StatelessLaw<PbvsGains> {
   static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const PoseEstimate<S> estimate =
-        estimate_pose(task.focal_pixels, task.target.points_B, input.features, input.pose, gains.prior);
+        estimate_pose<S, N>(task.camera, task.target.points_B, input.features, input.pose, gains.prior);
     const Vector6<S> error =
         select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
     out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.weight(input.R_BE);

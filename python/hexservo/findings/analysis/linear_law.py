@@ -76,13 +76,16 @@ class _Tick:
         settings = core_parameters(scenario)
         self.scenario = scenario
         self.points = scene.points
-        self.camera = scene.camera
+        self.camera, self.assumed_camera = scene.camera, settings.assumed_camera
         self.depth_scale: Array = 1.0 + settings["uncertainty.depth"]
         self.predicts = scenario.camera.prediction == "encoder"
         self.weight = scene.body.gravity_wrench
         # The points that the controller assumes, with their errors of depth: the tick adds none to them.
         settings["target.points"] = self._believed(scene.home)
         settings["uncertainty.depth"] = 0.0
+        for key in ("position", "rotation"):
+            settings[f"camera.mount.{key}"] = getattr(self.assumed_camera.mount, key)
+            settings[f"uncertainty.mount.{key}"] = np.zeros(3)
         if _core.LAW_TRAITS[settings.law].switching:
             if smooth:
                 settings["controller.switching.kind"] = "tanh"
@@ -96,11 +99,9 @@ class _Tick:
         self.probe = _core.Probe(settings)
 
     def _believed(self, pose: Poses) -> Array:
-        """Back-project the image of a pose with the controller's depths: the assumed target points, (4, 3).
-
-        Along the ray of each point the distance is scaled as its depth is, (9) and (10).
-        """
-        return pose.position + self.depth_scale[:, None] * (self.points - pose.position)
+        """Back-project the image of a pose with the controller's depths and camera: the assumed points, (4, 3)."""
+        features, depth = _core.take_image(self.camera, pose.position, pose.quaternion, self.points)
+        return _core.lift(self.assumed_camera, pose.position, pose.quaternion, features, depth * self.depth_scale)
 
     def image(self, frame: Array, pose: Poses) -> tuple[Array, Array]:
         """Features and depths for the law at a pose, from a frame of another pose.
@@ -113,7 +114,8 @@ class _Tick:
             return features, depth * self.depth_scale
         # What counts is the move from the exposure on as the sensors tell it: their error there acts the other way.
         seen_from = pose.moved(-frame[6:])
-        return _core.take_image(self.camera, seen_from.position, seen_from.quaternion, self._believed(exposure))
+        believed = self._believed(exposure)
+        return _core.take_image(self.assumed_camera, seen_from.position, seen_from.quaternion, believed)
 
     def step(self, frame: Array, pose: Poses, twist: Array) -> tuple[Array, Array]:
         """Wrench and fuzzy output of a tick."""

@@ -85,11 +85,7 @@ class Scene:
 
     @cached_property
     def points(self) -> Array:
-        """The target's points in B, (4, 3) [m].
-
-        Where the scenario gives features and depths, the core's projection of points beside the optical axis gives the
-        pixels per metre at each depth.
-        """
+        """The target's points in B, (4, 3) [m]."""
         points: Array | None = self.settings["target.points"]
         if points is not None:
             return points
@@ -102,11 +98,7 @@ class Scene:
 
     def points_seen_as(self, features: Array, depth: Array) -> Array:
         """Return points in B, (4, 3) [m], with this image from home: features (8,) [px], depth (4,) [m], negative."""
-        beside = np.column_stack([np.ones((4, 2)), depth])  # in E, one metre off the axis each way
-        level = np.array([1.0, 0.0, 0.0, 0.0])
-        scale, _ = _core.take_image(self.camera, np.zeros(3), level, beside)
-        lateral = features.reshape(4, 2) / scale.reshape(4, 2)
-        return self.home.carried(np.column_stack([lateral, depth]))
+        return _core.lift(self.camera, self.home.position, self.home.quaternion, features, depth)
 
     def _image_of_home(self) -> tuple[Array, Array]:
         """Return the true features (8,) [px] and Z (4,) [m] at the start."""

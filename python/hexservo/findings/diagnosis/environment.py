@@ -39,8 +39,16 @@ __all__ = [
 
 DEVICE_BLOCKS = ("camera", "sensors", "actuators", "base_motion", "uncertainty")
 FINE_STEP = 1.0e-3  # [s], of an ordinary servo period or integration
-_OF_THE_TASK = frozenset({"camera.focal_length", "camera.pixel_scale", "camera.convention"})
-_FORCES = ("kp", "kt", "kd", "ki", "kv")  # gains that grow with the mass, where they are of forces
+_OF_THE_TASK = frozenset(
+    {
+        "camera.focal_length",
+        "camera.pixel_scale",
+        "camera.convention",
+        "camera.mount.position",
+        "camera.mount.rotation",
+    }
+)
+_FORCES = ("kp", "kt", "kd", "ki", "kv")  # gains of forces, which grow with the mass
 _MICRO_MASS = 0.06  # [kg], that the defaults of the gains are for
 
 ORDINARY: dict[str, float] = {

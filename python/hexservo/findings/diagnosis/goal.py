@@ -100,10 +100,10 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
     """
     camera, features, depth = seen_from_home(scenario)
     distance = float(np.abs(depth).mean())
-    corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    corners = np.array([-1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     home = scene_of(scenario).home
-    points = home.carried(distance * (_SPREAD * corners - [0.0, 0.0, 1.0]))
-    start, start_depth = _core.take_image(camera, home.position, home.quaternion, points)
+    start, start_depth = camera.focal_pixels * _SPREAD * corners, np.full(4, -distance)
+    points = _core.lift(camera, home.position, home.quaternion, start, start_depth)
     end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
     gain = pixels_per_metre(camera, start, start_depth) / pixels_per_metre(camera, features, depth)
     changes: dict[str, Any] = {"target.desired_features": end.tolist()}

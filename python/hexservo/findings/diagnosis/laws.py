@@ -303,6 +303,8 @@ TASKS: tuple[Cause, ...] = (
                 "target.depth",
                 "camera.focal_length",
                 "camera.pixel_scale",
+                "camera.mount.position",
+                "camera.mount.rotation",
             }
         ),
         _poor_image,
