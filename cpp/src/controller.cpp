@@ -78,7 +78,7 @@ ControllerGains<Law> controller_gains(const Settings& settings, double period) {
   ticking.uncertainty = {};
   ticking.uncertainty.depth = settings.uncertainty.depth;  // the controller's own: what it takes the target for
   ticking.uncertainty.mount = settings.uncertainty.mount;  // and where it takes its camera to be
-  ticking.simulation = {LoopMode::sampled, period, 1, period, 1};
+  ticking.simulation = {LoopMode::sampled, period, 1, period, 1, {}};
   ticking.base_motion = {};
   ticking.sensors.noise = 0.0;  // of the real encoders, not of those that a scenario simulates
   ticking.sensors.resolution = 0.0;

@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 import hexservo as hs
 from hexservo import _core
@@ -16,10 +17,11 @@ from hexservo.scenario.parameters import core_parameters
 IMAGE_AXES = np.diag([1.0, -1.0, -1.0])  # from OpenCV's camera frame (x right, y down, z ahead) to C
 
 
-def rotated(features: np.ndarray, angle: float) -> list[float]:
+def rotated(features: ArrayLike | None, angle: float) -> list[float]:
     """Image of the same points by a camera that is rotated by an angle about its z axis."""
     c, s = np.cos(angle), np.sin(angle)
-    return (np.asarray(features).reshape(4, 2) @ np.array([[c, -s], [s, c]])).ravel().tolist()
+    image = np.asarray(features, dtype=float).reshape(4, 2) @ np.array([[c, -s], [s, c]])
+    return [float(number) for number in image.ravel()]
 
 
 @pytest.mark.parametrize("law", list(LAWS))
@@ -108,7 +110,7 @@ def test_errors_of_the_mount_are_the_controllers(paper: hs.Scenario) -> None:
     np.testing.assert_allclose(settings.assumed_camera.mount.rotation, [0, 0, np.pi / 2 + np.pi / 180], atol=1e-15)
     np.testing.assert_array_equal(settings.camera.mount.position, [0.01, 0.0, -0.02])
     result = hs.simulate(scenario.updated({"simulation.duration": 0.01}))
-    np.testing.assert_allclose(result.features[0], scenario.target.initial_features, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(result.features[0], np.array(scenario.target.initial_features), rtol=0, atol=1e-10)
     # The wrench of the first instant is J^T K_p xi-tilde + G of the assumed mount.
     kelly = scenario.updated({"controller.law": "kelly", "simulation.duration": 0.01, "uncertainty.depth": 0.0})
     run = hs.simulate(kelly)

@@ -604,6 +604,7 @@ def test_the_signature_of_a_spring_is_finite_where_friction_by_the_radius_overfl
     record = record_of(hs.simulate(scenario))
     extreme = scenario.updated({"controller.hybrid.kv": sys.float_info.max})
     signature = SIGNATURES["spring"](Case(extreme, None), record, judged(scenario, record))
+    assert signature.strength is not None
     assert signature.strength <= 1e-300
     assert "inf" not in signature.sentence
 

@@ -22,7 +22,7 @@ TYPES = re.compile(rf"\b(?:{'|'.join(law.title().replace('_', '') for law in LAW
 
 def docstrings(tree: ast.AST) -> set[int]:
     """Return the identities of the nodes that are docstrings."""
-    bodies = (node.body for node in ast.walk(tree) if isinstance(getattr(node, "body", None), list))
+    bodies = (body for node in ast.walk(tree) if isinstance(body := getattr(node, "body", None), list))
     return {
         id(statement.value)
         for body in bodies

@@ -317,13 +317,14 @@ def test_poses_of_the_wrong_shape_are_refused(paper: hs.Scenario) -> None:
 
 def test_travel_that_is_not_even_about_home(paper: hs.Scenario) -> None:
     uneven = paper.updated({"robot.stroke": [-0.004, 0.012]})
-    assert (uneven.robot.stroke, uneven.robot.stroke_centre) == (pytest.approx(0.008), pytest.approx(0.004))
+    assert uneven.robot.stroke == pytest.approx(0.008)
+    assert uneven.robot.stroke_centre == pytest.approx(0.004)
     down, up = (hs.reachable(uneven, [0, 0, z, 0, 0, 0]) for z in (0.006, -0.006))
     # z points down: lower legs are shorter, by about 0.15/0.2046 of the way
     assert not down.within
     assert up.within
     hexapod = _core.Hexapod(core_parameters(uneven).robot)
-    lower = np.array(paper.robot.home_position) + [0, 0, 0.006]
+    lower = np.add(paper.robot.home_position, [0, 0, 0.006])
     travel = hexapod.leg_lengths(lower, hexapod.home_quaternion) - hexapod.home_lengths
     assert down.margin == pytest.approx(0.004 - np.abs(travel).max(), abs=1e-12)
     even = hs.simulate(paper)
