@@ -157,8 +157,8 @@ TEST_CASE("flattening keeps every number, flag and mode") {
   for (std::size_t i = 0; i < numbers.size(); ++i) modes += is_mode(i) ? 1U : 0U;
   // Whole numbers, modes and flags; the others are real numbers. Both modes: convention, Jacobian, switching kind,
   // fuzzy on or off (4). Sampled: mode, substeps (2), frames (5), pose source, encoders (3), actuators (3), base,
-  // limits (2).
-  CHECK(modes == 4 + 2 + 5 + 3 + 3 + 2);
+  // limits (2). Whether the centre of mass is off E's origin, as estimated and as it is (2).
+  CHECK(modes == 4 + 2 + 5 + 3 + 3 + 2 + 2);
 }
 
 TEST_CASE("every lane is the single run, to rounding, on the smooth loop; short packs too") {

@@ -263,7 +263,7 @@ TEST_CASE("the loop is of order four: errors fall 16-fold with half the step (ta
   };
   double largest_input = 0.0;  // of |a g| and |b g-dot| along the trajectory: beyond 1 a clip would act
   const auto run = [&](int divisions) {
-    settings.simulation = {LoopMode::continuous, 1e-3 / divisions, 1, kDuration, 1};
+    settings.simulation = {LoopMode::continuous, 1e-3 / divisions, 1, kDuration, 1, {}};
     const Parameters p = loop_parameters<Hybrid>(settings);
     const ControlTask<double> task = control_task(p);
     Single loop(p);
@@ -487,7 +487,7 @@ TEST_CASE("without uncertainty the Lyapunov function (16) never grows, and what 
   // steps.
   Settings settings = nominal_settings();
   settings.controller.switching = {SwitchingKind::tanh, 0.05};
-  settings.simulation = {LoopMode::continuous, 2.5e-4, 1, 1.0, 1};
+  settings.simulation = {LoopMode::continuous, 2.5e-4, 1, 1.0, 1, {}};
   const Parameters p = loop_parameters<Hybrid>(settings);
   Single loop(p);
   const auto lyapunov = [&] {

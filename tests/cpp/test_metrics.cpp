@@ -32,7 +32,7 @@ Sample<double> random_sample(Random& random, double error) {
 
 Metrics<double> metrics_of(const std::vector<Sample<double>>& samples, const MetricsSettings<double>& settings,
                            double step) {
-  MetricsAccumulator<double> accumulator(settings, make_hexapod({}), kGravity, kDesired, samples.front());
+  MetricsAccumulator<double> accumulator(settings, make_hexapod({}), RigidBody<double>{}, kDesired, samples.front());
   for (std::size_t i = 0; i < samples.size(); ++i) accumulator.add(static_cast<double>(i) * step, samples[i], true);
   return accumulator.metrics();
 }
@@ -275,14 +275,12 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
   MetricsSettings<S> pack_settings;
   constexpr int kSamples = 60, kFrozenFrom = 30, kFrozenLane = 2;
   Hexapod<S> pack_hexapod;
-  Vector6<S> gravity;
   std::array<std::vector<Sample<double>>, 4> samples;
   std::vector<Sample<S>> packs(std::size_t{kSamples});
   for (int lane = 0; lane < 4; ++lane) {
     const auto l = static_cast<std::size_t>(lane);
     set_lane(pack_hexapod, lane, hexapod);
     set_lane(pack_settings, lane, settings[l]);
-    set_lane(gravity, lane, kGravity);
     for (int i = 0; i < kSamples; ++i) {
       samples[l].push_back(random_sample(random, lane == 1 ? 5.0 : 5.0 * std::exp(-0.1 * i)));
       if (lane == kFrozenLane && i >= kFrozenFrom) samples[l].back().feature_error.setConstant(kNaN);
@@ -290,7 +288,7 @@ TEST_CASE("in a pack each lane has its own metrics, and a lane that is not activ
     }
     samples[l].resize(static_cast<std::size_t>(lane == kFrozenLane ? kFrozenFrom : kSamples));
   }
-  MetricsAccumulator<S> accumulator(pack_settings, pack_hexapod, gravity, kDesired.cast<S>(), packs.front());
+  MetricsAccumulator<S> accumulator(pack_settings, pack_hexapod, RigidBody<S>{}, kDesired.cast<S>(), packs.front());
   S is_frozen = 0.0;
   is_frozen.set(kFrozenLane, 1.0);
   for (int i = 0; i < kSamples; ++i)
@@ -333,7 +331,7 @@ TEST_CASE("samples that are known to be finite give the same metrics and limits,
   std::vector<Sample<double>> samples;
   for (int i = 0; i <= 200; ++i) samples.push_back(random_sample(random, 5.0 * std::exp(-0.02 * i)));
   const MetricsSettings<double> settings{2.0, 0.02, 0.05};
-  MetricsAccumulator<double> any(settings, hexapod, kGravity, kDesired, samples.front()), finite = any;
+  MetricsAccumulator<double> any(settings, hexapod, RigidBody<double>{}, kDesired, samples.front()), finite = any;
   for (std::size_t i = 0; i < samples.size(); ++i) {
     any.add(static_cast<double>(i) * 1e-3, samples[i], true);
     finite.add_finite(static_cast<double>(i) * 1e-3, samples[i]);

@@ -61,7 +61,7 @@ TEST_CASE("loop parameters are those of the settings") {
   CHECK(p.depth_error == settings.uncertainty.depth);
   CHECK(p.dynamics_error.inertia == settings.uncertainty.inertia);
   CHECK(p.body.mass == 0.06);
-  CHECK(p.body.gravity == 9.8);
+  CHECK(p.body.gravity == Vector3<double>(0.0, 0.0, 9.8));
   CHECK(p.gains.kp == Vector<double, 8>::Constant(1e-6));
   CHECK(p.step == 1e-3);
   CHECK(p.hexapod.home_position == settings.robot.home_position);
@@ -297,7 +297,7 @@ TEST_CASE("targets that no camera can use are refused") {
 
 TEST_CASE("time grids: a step that divides the duration to rounding, neither empty nor endless") {
   const auto count = [](double step, double duration) {
-    return step_count({LoopMode::continuous, step, 1, duration, 1});
+    return step_count({LoopMode::continuous, step, 1, duration, 1, {}});
   };
   CHECK(count(1e-3, 5.0) == 5000);
   CHECK(count(1e-3, 0.1) == 100);  // neither is a binary fraction
@@ -337,7 +337,7 @@ TEST_CASE("a log that would not fit into memory is refused before it is allocate
   CHECK(is_about(long_run(1), "simulation.log_every"));
   CHECK(long_run(1000) == "(accepted)");
   PaperSettings settings = paper_settings();
-  settings.simulation = {LoopMode::continuous, 1e-6, 1, 900.0, 1};
+  settings.simulation = {LoopMode::continuous, 1e-6, 1, 900.0, 1, {}};
   CHECK(is_about(refusal([&] { simulate(settings); }), "simulation.log_every"));
 }
 

@@ -20,6 +20,7 @@ from hexservo import _core
 from hexservo.run.batch import Log
 from hexservo.scenario.keys import numeric_keys
 from hexservo.scenario.laws import LAWS
+from hexservo.scenario.parameters import core_parameters
 
 CONSTANTS = {"simulation.duration": 0.1, "controller.switching": {"kind": "tanh", "width": 0.01}}
 
@@ -99,10 +100,16 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
     if key == "target.points":
         points = np.array([[0.02, 0.03, -0.65], [0.05, -0.05, -0.66], [-0.04, 0.03, -0.64], [-0.01, -0.02, -0.65]])
         return [np.stack([points, points + 0.001, points * 1.01])]
+    if key.endswith("_joints"):
+        joints = np.array(value)
+        return [np.stack([joints, joints + 1e-3 * np.eye(6, 3), 1.01 * joints])]
+    if key == "robot.centre_of_mass":
+        return [np.array([[0.0, 0.0, 0.0], [0.01, -0.02, 0.005], [0.0, 0.01, 0.0]])]
     arrays = []
     for shape in numeric_keys(scenario.controller.law)[key].shapes:
-        if key == "robot.inertia" and shape == (3, 3):
+        if key.endswith(".inertia") and key.startswith("robot.") and shape == (3, 3):
             base = np.diag([1.5e-4, 1.6e-4, 2.5e-4]) + 2e-6 * (np.ones((3, 3)) - np.eye(3))
+            base *= 1.0 if key == "robot.inertia" else 0.01
         elif np.ndim(value) <= len(shape):
             base = np.broadcast_to(np.asarray(value, dtype=float), shape)
         else:
@@ -123,7 +130,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
         elif key.endswith((".leakage", ".dead_zone", ".damping")):
             rows[1], rows[2] = 0.01, 0.02
         elif not rows.any():  # relative errors and initial scales that are zero
-            rows[1], rows[2] = 0.01, -0.02
+            rows[1], rows[2] = 0.01, -0.015
         if key == "target.initial_features":
             rows[1] += np.tile([1.0, 2.0], 4)  # the image of a pose, which `pbvs` needs as a goal
         if key == "target.desired_features":
@@ -142,6 +149,15 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         base = smooth.updated(
             {"target": {"initial_features": None, "depth": None, "points": points, "desired_features": goal.ravel()}}
         )
+    if key.endswith("_joints"):
+        side = key.removeprefix("robot.").removesuffix("_joints")
+        hexapod = _core.Hexapod(core_parameters(base).robot)
+        circle = {f"robot.{side}_radius": None, f"robot.{side}_angles": None}
+        base = base.updated({**circle, key: getattr(hexapod, f"{side}_joints")})
+    if key == "robot.centre_of_mass":  # an inertia that a body with all of these has
+        base = base.updated({"robot.inertia": [5e-4] * 3})
+    if key.startswith("robot.payload."):
+        base = base.updated({"robot.payload": {"mass": 6e-3, "position": [0.01, 0.02, -0.01], "inertia": [1e-6] * 3}})
     if key in NOISE_OF_THE_BASE:
         base = base.updated({"base_motion.kind": "noise"})
     if key.endswith((".fuzzy.table", ".fuzzy.initial_scale", ".fuzzy.leakage")):

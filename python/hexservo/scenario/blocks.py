@@ -340,9 +340,9 @@ class Simulation(Block):
     # in sampled mode: Runge-Kutta steps in a servo period
     substeps: Annotated[int, Integer(1, 10**6), SAMPLED] = from_core("simulation.substeps")
     duration: PositiveNumber = from_core("simulation.duration")  # [s]
-    start: Start = Field(default_factory=Start)
     # steps per logged sample
     log_every: Annotated[int, Integer(1, 10**9)] = from_core("simulation.log_every")
+    start: Start = Field(default_factory=Start)
 
     @model_validator(mode="after")
     def _step_divides_duration(self) -> Simulation:

@@ -48,7 +48,7 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
     robot, model = case.scenario.robot, case.scenario.uncertainty
     remedies = []
     if unknown_payload(case.scenario):
-        remedies.append(Removal("a payload that the controller knows", {"robot.payload.known": True}))
+        remedies.append(Removal("the payload in the model of the controller", {"robot.payload.known": True}))
     if (
         model.gravity
         and isinstance(model.gravity, float)
