@@ -35,7 +35,16 @@ inline hexservo::Settings settings() {
       0.00015, 0.0, 0.0,
       0.0, 0.00015, 0.0,
       0.0, 0.0, 0.0003;
+  s.robot.centre_of_mass << 0.0, 0.0, 0.0;  // [m]
+  s.robot.payload.mass = 0.0;  // [kg]
+  s.robot.payload.position << 0.0, 0.0, 0.0;  // [m]
+  s.robot.payload.inertia <<  // [kg m^2]
+      0.0, 0.0, 0.0,
+      0.0, 0.0, 0.0,
+      0.0, 0.0, 0.0;
+  s.robot.payload.known = true;
   s.robot.stroke = 0.017;  // [m]
+  s.robot.stroke_centre = 0.0;  // [m]
   s.robot.force_limit = 1.0;  // [N]
   s.camera.focal_length = 0.008;  // [m]
   s.camera.pixel_scale = 72727.0;  // [px/m]

@@ -355,6 +355,9 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.goal = home_pose(p.hexapod);
   p.start = moved(p.goal, settings.simulation.start.pose);
   p.start_twist = settings.simulation.start.twist;
+  if (!(p.start_twist.cwiseAbs().maxCoeff() <= kMaxTwist))
+    refuse("simulation.start.twist", words("numbers within ", kMaxTwist, ", beyond which a run counts as diverged"),
+           words(p.start_twist.cwiseAbs().maxCoeff()));
   require_view_at_start(p);
   p.step = settings.simulation.step;
   p.mode = settings.simulation.mode;

@@ -236,7 +236,7 @@ TEST_CASE("refused: rotations beyond pi, a mount of a camera as printed, and a t
                  "camera.mount"));
   const auto points =
       (Eigen::Matrix<double, 4, 3>() << 0.1, 0.1, -0.6, 0.1, -0.1, -0.6, -0.1, -0.1, -0.6, -0.1, 0.1, -0.65).finished();
-  CHECK(refusal_of([&](Settings& s) { s.target.points = points; }) == "");
+  CHECK(refusal_of([&](Settings& s) { s.target.points = points; }) == "(accepted)");
   for (const Mount& mount : {Mount{{0.0, 0.0, -0.5}, {0.0, 0.0, 0.0}}, Mount{{0.0, 0.0, 0.0}, {3.0, 0.0, 0.0}}}) {
     const std::string message = refusal_of([&](Settings& s) {
       s.target.points = points;

@@ -61,10 +61,3 @@ def test_a_diagnosis_does_not_rest_on_runs_that_were_stopped(monkeypatch: pytest
     monkeypatch.setattr("hexservo.findings.diagnosis.runs.simulate_batch", stopped_batch)
     with pytest.raises(KeyboardInterrupt):
         hs.diagnose(failing)
-
-
-def test_a_ledger_does_not_rest_on_a_base_that_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    shaken = hs.simulate(hs.load_scenario("rough-road").updated({"simulation.duration": 0.1}))
-    monkeypatch.setattr("hexservo.findings.certificate.base.simulate", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        hs.certify(shaken)

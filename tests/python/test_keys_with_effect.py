@@ -97,6 +97,10 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "camera.convention": {key: "as_printed"},
         "robot.platform_joints": {key: (np.array(_joints(scenario)[0]) + np.eye(6, 3) * 1e-3).tolist()},
         "robot.base_joints": {key: (np.array(_joints(scenario)[1]) + np.eye(6, 3) * 1e-3).tolist()},
+        "robot.centre_of_mass": {key: [0.01, -0.01, 0.005], "robot.inertia": [5e-4] * 3},
+        "robot.payload.position": {"robot.payload": {"mass": 0.01, "position": [0.01, 0.02, 0.0]}},
+        "robot.payload.inertia": {"robot.payload": {"mass": 0.01, "inertia": [1e-5] * 3}},
+        "robot.payload.known": {"robot.payload": {"mass": 0.01, "known": False}},
         "target.desired_pose": {"target": {"desired_features": None, "desired_pose": [1e-3] * 3 + [1e-2] * 3}},
         "target.tag": {
             "target": {"initial_features": None, "depth": None, "tag": {"size": 0.1, "pose": [0, 0, -0.65, 0, 0, 0]}}

@@ -227,6 +227,7 @@ def test_a_tag_is_its_corners(paper: hs.Scenario) -> None:
         ({"robot.gravity": -9.8}, "robot.gravity: expected a number >= 0"),
         ({"simulation.start.pose": [0, 0, -0.6, 0, 0, 0]}, "simulation.start.pose: expected a pose from which every"),
         ({"simulation.start.pose": [0.3, 0, 0, 0, 0, 0]}, ""),
+        ({"simulation.start.twist": [0, 0, 0, 0, 0, 1e4]}, "simulation.start.twist: expected numbers within 1000"),
         (
             {"camera.convention": "as_printed", "simulation.start.pose": [1e-3] * 6},
             "simulation.start.pose: expected zeros",

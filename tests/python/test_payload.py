@@ -107,7 +107,7 @@ def test_a_controller_knows_what_it_is_told(paper: hs.Scenario) -> None:
         controller = hs.Controller(scenario)
         for k in range(5):
             out = controller.step(run.features[k], run.depth[k], run.position[k], run.quaternion[k], run.twist[k])
-            np.testing.assert_array_equal(out.wrench, run.wrench[k])
+            np.testing.assert_allclose(out.wrench, run.wrench[k], rtol=1e-12)  # kernels may fuse
 
 
 def test_the_diagnosis_names_an_unknown_payload() -> None:

@@ -406,7 +406,7 @@ def test_steps_from_logged_samples_are_the_run(paper: hs.Scenario, changes: dict
     of = probe(scenario)
     at = {name: values[:-1] for name, values in logged(result).items()}
     bound = 1e-12
-    if scenario.controller.law == "resolved_rate":  # it divides by J^T J alone, and samples are rounded
+    if scenario.controller.law in ("resolved_rate", "pbvs"):  # they divide by J^T J alone, and samples are rounded
         matrices = of.image_jacobian(at["features"], at["depth"], at["quaternion"], True)
         bound = float(np.finfo(float).eps * np.linalg.cond(matrices).max() ** 2)
     history = result.weight_history

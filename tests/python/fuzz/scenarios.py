@@ -15,6 +15,7 @@ from hexservo.scenario import keys
 from hexservo.scenario import rules as kinds
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.plain import plain as as_plain
+from hexservo.scenario.tag import TagRule
 
 __all__ = ["Drawn", "draw", "inclusive_bounds", "rules"]
 
@@ -225,6 +226,11 @@ def _value(random: Generator, key: str, current: Any) -> Any:
         return _one(random, TEXTS)
     if isinstance(rule, kinds.LineRule):
         return _one(random, LINES)
+    if isinstance(rule, kinds.DisplacementRule):
+        return _one(random, [None, (0.02 * random.normal(size=6)).tolist()])
+    if isinstance(rule, TagRule):
+        pose = [*(0.05 * random.normal(size=2)), -0.65, *(0.5 * random.normal(size=3))]
+        return _one(random, [None, {"size": 10.0 ** random.uniform(-3, 0), "pose": [float(x) for x in pose]}])
     raise NotImplementedError(f"the fuzzer has no values of a {type(rule).__name__}")
 
 

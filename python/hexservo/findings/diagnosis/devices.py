@@ -171,6 +171,14 @@ def _coriolis(case: Case) -> list[Removal]:
     return [Removal("an exact estimate of the Coriolis terms", {"uncertainty.coriolis": 0.0})]
 
 
+def _mount(case: Case) -> list[Removal]:
+    mount = case.scenario.uncertainty.mount
+    if not np.any([mount.position, mount.rotation]):
+        return []
+    none = {"uncertainty.mount.position": [0.0] * 3, "uncertainty.mount.rotation": [0.0] * 3}
+    return [Removal("an exact mount of the camera", none)]
+
+
 def _unequal_depth(case: Case) -> list[Removal]:
     errors = np.asarray(case.scenario.uncertainty.depth, dtype=float)
     if errors.ndim == 0 or not np.ptp(errors):
@@ -338,6 +346,13 @@ DEVICES: tuple[Cause, ...] = (
     ),
     Cause("inertia", "a wrong inertia", "device", _keys("uncertainty.inertia"), _inertia),
     Cause("coriolis", "wrong Coriolis terms", "device", _keys("uncertainty.coriolis"), _coriolis),
+    Cause(
+        "mount",
+        "a wrong mount of the camera",
+        "device",
+        _keys("uncertainty.mount.position", "uncertainty.mount.rotation"),
+        _mount,
+    ),
     Cause(
         "unequal_depth",
         "unequal depth errors",

@@ -109,6 +109,9 @@ def _options(case: Case) -> list[Removal]:
     return [Removal("the law's prior and Jacobian at their defaults", changes)] if changes else []
 
 
+_FITTED = frozenset({"LAW.auto.bandwidth", "LAW.auto.damping"})  # act through the gains that they give
+
+
 def _gains_high(case: Case) -> list[Removal]:
     scenario = case.scenario
     removals = [
@@ -272,7 +275,7 @@ LAWS: tuple[Cause, ...] = (
         context=frozenset({"uncertainty.gravity"}),
     ),
     Cause("prior", "prior or Jacobian of the law", "law", frozenset(f"LAW.{name}" for name in _OPTIONS), _options),
-    Cause("gains_high", "gains that are too high, or too little damped", "law", GAIN_KEYS, _gains_high),
+    Cause("gains_high", "gains that are too high, or too little damped", "law", GAIN_KEYS | _FITTED, _gains_high),
     Cause("gains_low", "gains that are too low", "law", GAIN_KEYS, _gains_low),
 )
 
