@@ -31,7 +31,8 @@ EIGEN = next((path for path in map(Path, ("/usr/include/eigen3", "/usr/local/inc
 SHARED = [
     *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
     *(f"robot.{name}" for name in ("home_position", "home_attitude", "gravity")),
-    *(f"robot.{name}" for name in ("mass", "inertia", "stroke", "force_limit")),
+    *(f"robot.{name}" for name in ("mass", "inertia", "stroke", "stroke_centre", "force_limit", "centre_of_mass")),
+    *(f"robot.payload.{name}" for name in ("mass", "position", "inertia", "known")),
     *("camera.focal_length", "camera.pixel_scale", "camera.mount.position", "camera.mount.rotation"),
     *("camera.convention", "target.desired_features"),
     *("controller.jacobian", "controller.switching.kind", "controller.switching.width", "uncertainty.depth"),
@@ -88,6 +89,13 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
             "robot.mass": mass,
             "robot.inertia": [[1.5e-4, 1e-6, 2e-6 / 3], [1e-6, 1.6e-4, -1e-6], [2e-6 / 3, -1e-6, 2.9e-4]],
             "robot.stroke": stroke,
+            "robot.stroke_centre": 0.1 * stroke,
+            "robot.centre_of_mass": [1e-3 / 3, -2e-3 / 7, 1e-3 / 9],
+            "robot.payload": {
+                "mass": 0.1 * mass,
+                "position": [0.01 / 3, 0.02 / 7, -0.01 / 9],
+                "inertia": [1e-6 / 3] * 3,
+            },
             "robot.force_limit": limit,
             "camera.focal_length": focal,
             "camera.pixel_scale": scale,

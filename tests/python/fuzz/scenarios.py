@@ -184,10 +184,21 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
     if changes.get("base_motion.kind") == "recorded" and changes.get("base_motion.samples") is None:
         changes["base_motion.samples"] = random.normal(size=(20, 3)).tolist()
         changes["base_motion.sample_period"] = 0.01
-    if changes.get("target.points") is not None:
+    if changes.get("target.tag") is not None:
+        changes |= {"target.initial_features": None, "target.depth": None, "target.points": None}
+    elif changes.get("target.points") is not None:
         changes |= {"target.initial_features": None, "target.depth": None}
     elif changes.get("target.initial_features") is not None:
         changes["target.points"] = None
+    if changes.get("target.desired_pose") is not None:
+        changes["target.desired_features"] = None
+    for side in ("platform", "base"):
+        if changes.get(f"robot.{side}_joints") is not None:
+            changes |= {f"robot.{side}_radius": None, f"robot.{side}_angles": None}
+    if any(key.startswith("robot.payload.") for key in changes) and changes.get("robot.payload.mass", 0.0) == 0.0:
+        changes["robot.payload.mass"] = 0.01
+    if "robot.centre_of_mass" in changes:
+        changes["robot.inertia"] = [1e-3] * 3
     switching = changes.get("controller.switching.kind", base.controller.switching.kind)
     if str(switching).startswith("implicit") and changes["simulation.mode"] != "sampled":
         changes["controller.switching.kind"] = "tanh"
@@ -196,9 +207,30 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
 # ---- One value ------------------------------------------------------------------------------------------------------
 
 
+SMALL = {  # sizes of what is refused, or beyond all reach, as a rule where it is larger
+    "robot.home_attitude": 0.1,
+    "robot.stroke_centre": 1e-3,
+    "robot.centre_of_mass": 5e-3,
+    "robot.payload.position": 0.02,
+    "camera.mount.position": 0.02,
+    "camera.mount.rotation": 0.1,
+    "uncertainty.mount.position": 5e-3,
+    "uncertainty.mount.rotation": 0.02,
+    "simulation.start.pose": 3e-3,
+    "simulation.start.twist": 0.05,
+}
+
+
 def _value(random: Generator, key: str, current: Any) -> Any:
     """Draw a value for a key; most of them are legal."""
     rule = rules()[key]
+    if key in SMALL and random.random() < 0.9:
+        return (SMALL[key] * random.normal(size=keys.numeric_keys("hybrid")[key].shapes[-1])).tolist()
+    if key in ("robot.platform_joints", "robot.base_joints"):
+        radius, start = (0.1, -50.0) if key == "robot.platform_joints" else (0.2, -10.0)
+        turn = np.deg2rad(start + np.array([0.0, 100.0, 120.0, 220.0, 240.0, 340.0]))  # as those of the preset micro
+        circle = radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(6)])
+        return _one(random, [None, (circle + 0.02 * random.normal(size=(6, 3))).tolist()])
     if isinstance(rule, kinds.Number):
         if isinstance(rule, kinds.OptionalNumber) and random.random() < 0.2:
             return None
