@@ -209,3 +209,13 @@ def test_every_law_has_a_search_on_both_scenarios() -> None:
             assert plan.scenario.controller.law == law
             assert plan.tune.minimise == ("settling_time",)
             assert all(key.startswith(f"controller.{law}.") for key in plan.tune.variables)
+
+
+def test_the_file_of_tuned_gains_differs_from_the_packaged_one_in_gains_only() -> None:
+    tuned, packaged = hs.load_scenario(ROOT / "examples" / "real-machine-tuned.yaml"), hs.load_scenario("real-machine")
+    keys, others = tuned.to_mapping(), packaged.to_mapping()
+    assert keys.pop("name") == "real-machine-tuned"
+    others.pop("name")
+    gains, hand = keys.pop("controller"), others.pop("controller")
+    assert keys == others
+    assert {key for key in gains if gains[key] != hand[key]} == set(LAWS)
