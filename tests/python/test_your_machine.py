@@ -1,0 +1,99 @@
+"""docs/your-machine.md: its code runs and prints what is written there, its numbers are those of the runs."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import hexservo as hs
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "your-machine.md").read_text(encoding="utf-8")
+sys.path.insert(0, str(ROOT / "docs" / "tools"))
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_reach_prints_what_is_written(tmp_path: Path) -> None:
+    first, _ = blocks("python")
+    run = subprocess.run([sys.executable, "-c", first], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert [run.stdout] == blocks("text")
+
+
+def test_a_tag_of_opencv_is_seen_where_opencv_sees_it(capsys: pytest.CaptureFixture[str]) -> None:
+    _, second = blocks("python")
+    place: dict[str, object] = {}
+    exec(second, place)
+    printed = np.array(eval(capsys.readouterr().out))
+    # OpenCV's own projection of the corners that SOLVEPNP_IPPE_SQUARE takes, in its axes, without distortion
+    corners = 0.04 * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    rotation, shift = Rotation.from_rotvec(np.array(place["rvec"])), np.array(place["tvec"])
+    seen = rotation.apply(corners) + shift
+    scenario = place["scenario"]
+    assert isinstance(scenario, hs.Scenario)
+    fx = scenario.camera.focal_length * scenario.camera.pixel_scale
+    u, v = (fx * seen[:, :2] / seen[:, 2:]).T  # less cx and cy
+    features = np.column_stack([u, -v]).ravel()
+    np.testing.assert_allclose(hs.project(scenario, np.zeros(6)), features, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(printed, np.round(features))
+
+
+def test_the_commands_run_in_an_empty_folder(tmp_path: Path) -> None:
+    (commands,) = blocks("sh")
+    environment = {**os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
+    program = tmp_path / "hexservo"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m hexservo "$@"\n', encoding="utf-8")
+    program.chmod(0o755)
+    run = subprocess.run(
+        ["sh", "-ec", commands],
+        cwd=tmp_path,
+        input="\n" * 60,
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert "Warning" not in run.stderr
+    assert (tmp_path / "mine.html").stat().st_size > 100_000
+
+
+def test_the_gains_of_the_page_are_those_of_the_machine() -> None:
+    from hexservo.scenario.yaml import load_yaml
+
+    (block,) = blocks("yaml")
+    document = load_yaml(block)
+    assert isinstance(document, dict)
+    machine = hs.load_scenario("pi-h824").updated({"controller.composite.auto.bandwidth": 9.0})
+    assert machine.updated(document) == hs.load_scenario("pi-h824")
+
+
+def test_the_table_has_the_numbers_of_the_runs() -> None:
+    rows = re.findall(
+        r"^\| `([\w-]+)` \| (\d+) kg \| ± ([\d.]+) mm \| ([\d.]+) Hz \| ([\d.]+) s \| ([\d.]+) px", PAGE, re.M
+    )
+    assert len(rows) == 3
+    for name, mass, stroke, bandwidth, settles, rms in rows:
+        scenario = hs.load_scenario(name)
+        metrics = hs.metrics(hs.simulate(scenario))
+        assert float(mass) == scenario.robot.mass
+        assert float(stroke) == pytest.approx(1e3 * scenario.robot.stroke)
+        assert float(bandwidth) == scenario.controller.composite.auto.bandwidth
+        # half a printed digit, and what variants of the kernel differ by after chatter and noise
+        assert float(settles) == pytest.approx(metrics["settling_time"], abs=0.01)
+        assert float(rms) == pytest.approx(metrics["rms_error"], abs=2e-3)
+
+
+def test_the_picture_is_up_to_date() -> None:
+    from frames import PICTURE, picture
+
+    assert PICTURE.read_text(encoding="utf-8") == picture(), "type: python docs/tools/frames.py"
