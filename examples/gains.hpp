@@ -48,6 +48,7 @@ inline hexservo::Settings settings() {
   s.robot.force_limit = 1.0;  // [N]
   s.camera.focal_length = 0.008;  // [m]
   s.camera.pixel_scale = 72727.0;  // [px/m]
+  s.camera.axes = hexservo::CameraAxes::paper;
   s.camera.mount.position << 0.0, 0.0, 0.0;  // [m]
   s.camera.mount.rotation << 0.0, 0.0, 0.0;  // [rad]
   s.camera.convention = hexservo::CameraConvention::eye_in_hand;

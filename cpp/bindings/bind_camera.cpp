@@ -6,6 +6,12 @@
 
 namespace hexservo::bindings {
 
+namespace {
+
+using Pixels = Eigen::Matrix<double, Eigen::Dynamic, 2>;
+
+}  // namespace
+
 void bind_camera(py::module_& m) {
   py::native_enum<CameraConvention>(m, "CameraConvention", "enum.Enum")
       .value("eye_in_hand", CameraConvention::eye_in_hand)
@@ -22,7 +28,27 @@ void bind_camera(py::module_& m) {
       .def_readwrite("focal_length", &Camera::focal_length, "lambda [m]")
       .def_readwrite("pixel_scale", &Camera::pixel_scale, "alpha [px/m]")
       .def_readwrite("mount", &Camera::mount, "C in E")
-      .def_property_readonly("focal_pixels", &Camera::focal_pixels, "f = alpha lambda [px]")
+      .def_property_readonly("focal_pixels", &Camera::focal, "f of the pinhole [px]")
+      .def(
+          "features",
+          [](const Camera& camera, const Pixels& pixels) {
+            const Lens<double> lens(camera.lens());
+            Pixels features(pixels.rows(), 2);
+            for (Eigen::Index i = 0; i < pixels.rows(); ++i)
+              features.row(i) = lens.features(Vector2<double>(pixels.row(i).transpose())).transpose();
+            return features;
+          },
+          py::arg("pixels"), "Features (n, 2) of the pinhole [px] of pixels (n, 2); NaN where the lens shows none.")
+      .def(
+          "pixels",
+          [](const Camera& camera, const Pixels& features) {
+            const Lens<double> lens(camera.lens());
+            Pixels pixels(features.rows(), 2);
+            for (Eigen::Index i = 0; i < features.rows(); ++i)
+              pixels.row(i) = lens.pixels(Vector2<double>(features.row(i).transpose())).transpose();
+            return pixels;
+          },
+          py::arg("features"), "Pixels (n, 2) of features (n, 2) of the pinhole [px]; NaN where the lens shows none.")
       .def(
           "in_platform",
           [](const Camera& camera, const Eigen::Matrix<double, Eigen::Dynamic, 3>& points) {

@@ -77,7 +77,9 @@ ControllerGains<Law> controller_gains(const Settings& settings, double period) {
   Settings ticking = settings;  // on the tick's own grid, and without what belongs to the plant
   ticking.uncertainty = {};
   ticking.uncertainty.depth = settings.uncertainty.depth;  // the controller's own: what it takes the target for
-  ticking.uncertainty.mount = settings.uncertainty.mount;  // and where it takes its camera to be
+  ticking.uncertainty.focal_length = settings.uncertainty.focal_length;  // and its camera
+  ticking.uncertainty.principal_point = settings.uncertainty.principal_point;
+  ticking.uncertainty.mount = settings.uncertainty.mount;
   ticking.simulation = {LoopMode::sampled, period, 1, period, 1, {}};
   ticking.base_motion = {};
   ticking.sensors.noise = 0.0;  // of the real encoders, not of those that a scenario simulates

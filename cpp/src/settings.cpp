@@ -41,9 +41,20 @@ void require_full_rank(const std::string& key, double f, const Image<double>& im
            words("an image Jacobian with smallest/largest singular value ", sigma(5) / sigma(0)));
 }
 
+/// What a camera's pinhole would have in place of pixels.
+Features rectified(const std::string& key, const LensParameters<double>& lens, const Features& pixels) {
+  const Features features = Lens<double>(lens).features(pixels);
+  for (int i = 0; i < 2 * kPoints; ++i)
+    if (!std::isfinite(features(i)))
+      refuse(words(key, "[", i, "]"), "a pixel that the camera's lens shows (camera.distortion)",
+             words("(", pixels(i - i % 2), ", ", pixels(i - i % 2 + 1), ") px"));
+  return features;
+}
+
 /// Initial image and, for a camera that projects, the points in B.
 void place_target(const Target& target, CameraConvention convention, const CameraView<double>& camera,
-                  const Pose<double>& home, Image<double>& image, Eigen::Matrix<double, 3, kPoints>& points_B) {
+                  const LensParameters<double>& lens, const Pose<double>& home, Image<double>& image,
+                  Eigen::Matrix<double, 3, kPoints>& points_B) {
   const Matrix3<double> R_BE = rotation_matrix(home.quaternion);
   if (target.points) {
     if (convention == CameraConvention::as_printed)
@@ -59,7 +70,7 @@ void place_target(const Target& target, CameraConvention convention, const Camer
                      home.position.transpose(), " m"),
                words("one ", image.depth(i), " m behind it"));
   } else {
-    image = {target.initial_features, -target.depth};
+    image = {rectified("target.initial_features", lens, target.initial_features), -target.depth};
     for (int i = 0; i < kPoints; ++i)
       points_B.col(i) = lift<double>(camera, home.position, R_BE, image.features.segment<2>(2 * i), image.depth(i));
   }
@@ -91,6 +102,32 @@ long long ticks(const char* key, double time, double period, long long at_least)
   return static_cast<long long>(whole);
 }
 
+/// A principal point within the image, and a lens that shows all of it.
+void require_an_image(const CameraSettings& camera, const FrameSettings<double>& frames) {
+  if (!camera.image_size.allFinite()) return;
+  if (camera.principal_point)
+    for (int axis = 0; axis < 2; ++axis)
+      if (const double at = (*camera.principal_point)(axis);
+          std::abs(at - frames.image_centre(axis)) > 0.5 * camera.image_size(axis))
+        refuse(words("camera.principal_point[", axis, "]"),
+               words("a pixel of the image, from ", frames.image_centre(axis) - 0.5 * camera.image_size(axis), " to ",
+                     frames.image_centre(axis) + 0.5 * camera.image_size(axis)),
+               words(at));
+  const Lens<double> lens(camera.lens());
+  if (!lens.converts()) return;
+  constexpr int kSamples = 64;
+  for (int side = 0; side < 4; ++side)
+    for (int i = 0; i <= kSamples; ++i) {
+      Vector2<double> along(side % 2 == 0 ? 1.0 : -1.0, 2.0 * i / kSamples - 1.0);
+      if (side >= 2) std::swap(along(0), along(1));
+      const Vector2<double> pixel = frames.image_centre + 0.5 * along.cwiseProduct(camera.image_size);
+      if (!lens.feature(pixel).allFinite())
+        refuse("camera.distortion",
+               words("a lens that shows all of an image of ", camera.image_size(0), " x ", camera.image_size(1), " px"),
+               words("one whose image folds, or ends, before the pixel (", pixel(0), ", ", pixel(1), ")"));
+    }
+}
+
 /// Timing and faults of the camera.
 FrameSettings<double> frame_settings(const CameraSettings& camera, double period) {
   FrameSettings<double> frames;
@@ -106,6 +143,9 @@ FrameSettings<double> frame_settings(const CameraSettings& camera, double period
   frames.timeout = std::isfinite(camera.timeout)
                        ? static_cast<double>(ticks("camera.timeout", camera.timeout, period, 1))
                        : camera.timeout;
+  if (camera.principal_point && camera.image_size.allFinite())  // then the first pixel's centre is (0, 0)
+    frames.image_centre = 0.5 * (camera.image_size - Vector2<double>::Ones());
+  require_an_image(camera, frames);
   return frames;
 }
 
@@ -175,6 +215,13 @@ StopCause cause_at_start(const LoopParameters<double, Law>& p) {
 Camera assumed_camera(const Settings& settings) {
   Camera camera = settings.camera;
   camera.mount = assumed_mount(camera.mount, settings.uncertainty.mount);
+  if (settings.simulation.mode == LoopMode::continuous) return camera;  // whose law has features without pixels
+  const double scale = 1.0 + settings.uncertainty.focal_length;
+  if (camera.focal_pixels)
+    *camera.focal_pixels *= scale;
+  else
+    camera.focal_length *= scale;
+  camera.image_offset += settings.uncertainty.principal_point;
   return camera;
 }
 
@@ -225,7 +272,8 @@ Vector<double, 2 * kPoints> project_target(const Settings& settings, const Vecto
   const PlatformCamera<double> camera(settings.camera.parameters());
   Image<double> image;
   Eigen::Matrix<double, 3, kPoints> points_B;
-  place_target(settings.target, settings.camera.convention, camera, home_pose(hexapod), image, points_B);
+  place_target(settings.target, settings.camera.convention, camera, settings.camera.lens(), home_pose(hexapod), image,
+               points_B);
   if (settings.camera.convention == CameraConvention::as_printed)
     refuse("target.desired_pose", "desired_features, since a camera as_printed has no points", "a pose");
   detail::require_finite("target.desired_pose", displacement);
@@ -234,7 +282,7 @@ Vector<double, 2 * kPoints> project_target(const Settings& settings, const Vecto
   if (!(image.depth.maxCoeff() < 0.0))
     refuse("target.desired_pose", "a pose from which every point is in front of the camera",
            words("one with a point ", image.depth.maxCoeff(), " m behind it"));
-  return image.features;
+  return Lens<double>(settings.camera.lens()).pixels(image.features);
 }
 
 namespace {
@@ -247,9 +295,7 @@ Pose<double> believed_goal(const SceneParameters<double>& p, std::string_view la
                  " with these gains, since a camera as_printed has no points and so no pose of the goal"),
            "as_printed");
   const PlatformCamera<double> camera(p.assumed_camera);
-  const Pose<double> home = home_pose(p.hexapod);
-  return goal_pose(camera, believed_points<double, kPoints>(camera, home, p.initial_image, p.depth_error),
-                   p.desired_features, home);
+  return goal_pose(camera, believed_points(p), p.assumed_desired, home_pose(p.hexapod));
 }
 
 /// Devices of the sampled loop.
@@ -319,7 +365,12 @@ void place_cameras(const Settings& settings, SceneParameters<double>& p) {
              "one");
   p.camera = settings.camera.parameters();
   placement(settings.uncertainty.mount, "uncertainty.mount");
-  p.assumed_camera = assumed_camera(settings).parameters();
+  const Camera assumed = assumed_camera(settings);
+  p.assumed_camera = assumed.parameters();
+  if (p.convention == CameraConvention::as_printed && settings.camera.axes != CameraAxes::paper)
+    refuse("camera.axes", "paper for a camera as_printed, which looks along -z of the platform", "opencv");
+  p.lens = settings.camera.lens();
+  p.assumed_lens = assumed.lens();
 }
 
 /// All that no law enters.
@@ -338,8 +389,8 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.jacobian = settings.controller.jacobian;
 
   const PlatformCamera<double> camera(p.camera);
-  place_target(settings.target, p.convention, camera, home_pose(p.hexapod), p.initial_image, p.points_B);
-  p.desired_features = settings.target.desired_features;
+  place_target(settings.target, p.convention, camera, p.lens, home_pose(p.hexapod), p.initial_image, p.points_B);
+  p.desired_features = rectified("target.desired_features", p.lens, settings.target.desired_features);
   const std::string source = settings.target.points ? "target.points" : "target.initial_features";
   for (const auto& [key, image] :
        {std::pair{source, p.initial_image},
@@ -350,6 +401,10 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
     if (!(error <= kMaxFeatureError))
       refuse(key, words("features within ", kMaxFeatureError, " px of the goal"), words(error, " px"));
   }
+  const Features start =
+      settings.target.points ? Lens<double>(p.lens).pixels(p.initial_image.features) : settings.target.initial_features;
+  p.assumed_initial = rectified(source, p.assumed_lens, start);
+  p.assumed_desired = rectified("target.desired_features", p.assumed_lens, settings.target.desired_features);
   p.depth_error = settings.uncertainty.depth;
   p.switching = settings.controller.switching;
   p.goal = home_pose(p.hexapod);

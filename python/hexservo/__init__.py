@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from hexservo.run.sealed import ResultError
     from hexservo.run.simulation import simulate
     from hexservo.run.variant import VariantError
+    from hexservo.scenario.calibration import camera_from_opencv
     from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
     from hexservo.scenario.yaml import ScenarioError
 
@@ -81,6 +82,7 @@ __all__ = [
     "WorstRun",
     "__version__",
     "analyse",
+    "camera_from_opencv",
     "campaign",
     "campaign_names",
     "certify",
@@ -134,6 +136,7 @@ _MODULES = {
     "run.sealed": ("ResultError",),
     "run.simulation": ("simulate",),
     "run.variant": ("VariantError",),
+    "scenario.calibration": ("camera_from_opencv",),
     "scenario.scenario": ("Scenario", "load_scenario", "scenario_names"),
     "scenario.yaml": ("ScenarioError",),
 }

@@ -100,7 +100,7 @@ TEST_CASE("projection (4) and back projection are inverses, both ways") {
     const double depth = random.uniform(-2.0, -0.1);
     CHECK(distance(project(kFocal, back_project(kFocal, pixel, depth)), pixel) <= 8.0 * kEpsilon * 300.0);
   }
-  CHECK(Camera{}.focal_pixels() == doctest::Approx(581.816).epsilon(4.0 * kEpsilon));
+  CHECK(Camera{}.focal() == doctest::Approx(581.816).epsilon(4.0 * kEpsilon));
 }
 
 TEST_CASE("an image is the projection of P = R^T (P_B - x_p), with its depth") {

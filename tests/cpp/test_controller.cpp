@@ -160,7 +160,7 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
       CAPTURE(fuzzy);
       const Settings settings = settings_for(kind, fuzzy);
       const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
-      const double f = settings.camera.focal_pixels();
+      const double f = settings.camera.focal();
       State state = initial_state(gains);
       Random random(71);
       CAPTURE(random.seed());

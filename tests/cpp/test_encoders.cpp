@@ -46,7 +46,7 @@ class JointSensors {
  public:
   JointSensors(const EncoderParameters<S>& parameters, const Hexapod<S>& hexapod, const SeedHalves<S>& seed,
                double tick = kTick)
-      : sensing_{hexapod, LegGeometry<S>(hexapod), S(1.0),     Vector<S, 8>::Zero(),
+      : sensing_{hexapod, LegGeometry<S>(hexapod), S(1.0),     Lens<S>(), Vector<S, 8>::Zero(),
                  {},      PoseSource::encoders,    parameters, tick},
         encoders_(parameters, seed),
         perception_(sensing_) {}

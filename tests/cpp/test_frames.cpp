@@ -27,10 +27,15 @@ Image<double> image_of(long long tick) {
 class Eye {
  public:
   explicit Eye(const FrameSettings<double>& settings, std::uint64_t seed = 1)
-      : sensing_{hexapod_, LegGeometry<double>(hexapod_),
-                 kFocal,   Vector<double, 8>::Zero(),
-                 settings, PoseSource::truth,
-                 {},       1e-3},
+      : sensing_{hexapod_,
+                 LegGeometry<double>(hexapod_),
+                 kFocal,
+                 Lens<double>(),
+                 Vector<double, 8>::Zero(),
+                 settings,
+                 PoseSource::truth,
+                 {},
+                 1e-3},
         frames_(settings, seed_halves(seed)),
         perception_(sensing_) {}
 

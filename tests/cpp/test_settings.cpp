@@ -52,7 +52,7 @@ TEST_CASE("loop parameters are those of the settings") {
   const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
   CHECK(p.initial_image.features == settings.target.initial_features);
   CHECK(p.initial_image.depth == Vector<double, 4>::Constant(-0.5));
-  const double f = settings.camera.focal_pixels();
+  const double f = settings.camera.focal();
   const Image<double> seen =
       take_image(f, settings.robot.home_position, Matrix3<double>(Matrix3<double>::Identity()), p.points_B);
   CHECK(distance(seen.features, settings.target.initial_features) <= 1e-12);

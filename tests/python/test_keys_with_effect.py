@@ -54,6 +54,8 @@ SAMPLED: dict[str, Any] = {
     "simulation.substeps": 2,
     "controller.safe.damping": 1.0,
     "controller.safe.hold": 10.0,
+    "uncertainty.focal_length": 0.02,
+    "uncertainty.principal_point": [3.0, -2.0],
 }
 # In continuous mode: what is for people, or is about another key, or is a gain that `others` sees.
 FOR_PEOPLE = {"name", "description", "simulation.log_every"}
@@ -95,6 +97,11 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "robot.stroke": {key: 1e-9},
         "robot.force_limit": {key: 1e-6},
         "camera.convention": {key: "as_printed"},
+        "camera.focal_pixels": {"camera": {"focal_length": None, "pixel_scale": None, "focal_pixels": 700.0}},
+        "camera.principal_point": {key: [5.0, -3.0]},
+        "camera.axes": {key: "opencv"},
+        "camera.distortion.brown_conrady": {key: [-0.3, 0.1, 1e-3, 1e-3, 0.0]},
+        "camera.distortion.kannala_brandt": {key: [0.1, 0.0, 0.0, 0.0]},
         "robot.platform_joints": {key: (np.array(_joints(scenario)[0]) + np.eye(6, 3) * 1e-3).tolist()},
         "robot.base_joints": {key: (np.array(_joints(scenario)[1]) + np.eye(6, 3) * 1e-3).tolist()},
         "robot.centre_of_mass": {key: [0.01, -0.01, 0.005], "robot.inertia": [5e-4] * 3},

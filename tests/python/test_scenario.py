@@ -183,10 +183,10 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("robot.inertia[1]", [[1, 0, 0], 5, [0, 0, 1]], "expected a row of 3, got 5"),
     ("robot.inertia[0][1]", [[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], "symmetric matrix, got 0.1 here and 0.2 at [1][0]"),
     ("robot.inertia[2]", [1e-4, 1e-4, INF], "expected a finite number, got inf"),
-    ("camera", None, "expected a block with the keys focal_length, pixel_scale, mount, convention, "),
+    ("camera", None, "expected a block with the keys focal_length, pixel_scale, focal_pixels, "),
     ("camera", [1], "got [1]"),
     ("camera.focal_length", 0, "expected a number > 0"),
-    ("camera.pixel_scale", [72727], "expected a number > 0, got [72727]"),
+    ("camera.pixel_scale", [72727], "expected a number > 0 or null, got [72727]"),
     (
         "camera.convention",
         "Eye_in_hand",

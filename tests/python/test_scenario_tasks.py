@@ -162,6 +162,7 @@ SAMPLED = {
     "rough-road": Sampled(0.575, 0.153),
     "saturation": Sampled(0.538, 0.057),
     "real-machine": Sampled(0.579, 0.073),
+    "hand-eye": Sampled(0.576, 0.085),
 }
 
 

@@ -11,6 +11,7 @@
 /// | J_m = J_r + J_e  | ImageJacobian at the measured depth, image_jacobian_error    |                            |
 #pragma once
 
+#include "hexservo/lens.hpp"
 #include "hexservo/mount.hpp"
 #include "hexservo/side_by_side.hpp"
 
@@ -28,6 +29,24 @@ enum class JacobianConvention {
   printed      ///< (8) as printed, whatever the plant does
 };
 
+/// Axes of the camera's frame C and of its image.
+enum class CameraAxes {
+  paper,  ///< the camera looks along -z; x to the right and y up in the image
+  opencv  ///< the camera looks along +z; x to the right and y down in the image
+};
+
+/// Distortion of a lens, in the order of OpenCV; none, or one of the two.
+struct Distortion {
+  std::optional<Vector<double, 5>> brown_conrady;   ///< k1, k2, p1, p2, k3 [1]
+  std::optional<Vector<double, 4>> kannala_brandt;  ///< k1, k2, k3, k4 of a fisheye [1]
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"brown_conrady", "1"}.entrywise().of_pack(), self.brown_conrady...);
+    v(Field{"kannala_brandt", "1"}.entrywise().of_pack(), self.kannala_brandt...);
+  }
+};
+
 /// Numbers of a pinhole camera on the platform, prepared.
 template <class S>
 struct CameraParameters {
@@ -41,13 +60,25 @@ struct CameraParameters {
   }
 };
 
-/// Pinhole camera as a scenario has it.
+/// A camera as a scenario has it.
 struct Camera {
-  double focal_length = 0.008;   ///< lambda [m], 0.008 (paper)
-  double pixel_scale = 72727.0;  ///< alpha [px/m], 72727 (paper)
-  Mount mount;                   ///< of C in E
+  double focal_length = 0.008;                     ///< lambda [m], 0.008 (paper)
+  double pixel_scale = 72727.0;                    ///< alpha [px/m], 72727 (paper)
+  std::optional<Vector2<double>> focal_pixels;     ///< f_x, f_y, in place of both [px]
+  std::optional<Vector2<double>> principal_point;  ///< counted from the centre of the first pixel [px]; none: pixels
+                                                   ///< count from the image centre
+  CameraAxes axes = CameraAxes::paper;
+  Distortion distortion;
+  Mount mount;                                             ///< of C in E
+  Vector2<double> image_offset = Vector2<double>::Zero();  ///< what the principal point is off [px]; no key
 
-  double focal_pixels() const { return pixel_scale * focal_length; }  ///< f = alpha lambda [px], 581.816
+  /// f of the pinhole whose features laws use [px]: f_x, or alpha lambda, 581.816.
+  double focal() const { return focal_pixels ? (*focal_pixels)(0) : pixel_scale * focal_length; }
+
+  /// Its pixels.
+  /// @throws std::invalid_argument for two distortions, or one without a monotonic middle
+  /// @param key that the messages name
+  LensParameters<double> lens(std::string_view key = "camera") const;
 
   /// The numbers that projection and image Jacobian need.
   /// @throws std::invalid_argument for a rotation vector longer than pi
@@ -58,6 +89,10 @@ struct Camera {
   static void visit(V&& v, Self&... self) {
     v(Field{"focal_length", "m", kPositive}, self.focal_length...);
     v(Field{"pixel_scale", "px/m", kPositive}, self.pixel_scale...);
+    v(Field{"focal_pixels", "px", kPositive}, self.focal_pixels...);
+    v(Field{"principal_point", "px"}.entrywise(), self.principal_point...);
+    v(Field{"axes"}.of_pack(), self.axes...);
+    v(Field{"distortion"}, self.distortion...);
     v(Field{"mount"}, self.mount...);
   }
 };

@@ -29,8 +29,8 @@ struct CameraFrame {
   /// When it was exposed, by the clock of `ControllerInput::now` [s]; NaN: no frame arrived since the last tick. Of two
   /// frames the one that was exposed later counts, whichever arrives first.
   double exposure = std::numeric_limits<double>::quiet_NaN();
-  /// Measured features [px], NaN for a point that the frame does not show, and depths Z-hat at the exposure, negative
-  /// in front of the camera [m].
+  /// Measured pixels of the points as the scenario's camera counts them, NaN for a point that the frame does not show,
+  /// and depths Z-hat at the exposure, negative in front of the camera [m]. The tick rectifies them.
   Image<double> image;
 };
 

@@ -1,5 +1,6 @@
 /// @file
-/// A camera with a period, a latency and faults: the frames that it hands to a controller (docs/model.md, section 7).
+/// A camera with pixels, a period, a latency and faults: the frames that it hands to a controller (docs/model.md,
+/// section 7).
 ///
 /// Times are whole ticks. A frame is exposed at ticks 0, P, 2P, ... and arrives at the first tick at which it is due;
 /// of frames that arrive at the same tick the one exposed last is handed over.
@@ -61,6 +62,7 @@ struct FrameSettings : FrameFaults<S> {
   long long latency = 0;  ///< ticks from exposure to first use
   long long jitter = 0;   ///< most that the latency of a frame is longer, each of 0 ... jitter being as likely [ticks]
   S timeout = S(std::numeric_limits<double>::infinity());  ///< oldest image of a point that is used [ticks]
+  Vector2<S> image_centre = Vector2<S>::Zero();            ///< middle of the image, as its pixels are counted [px]
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -69,6 +71,7 @@ struct FrameSettings : FrameFaults<S> {
     v(Field{"latency"}, self.latency...);
     v(Field{"jitter"}, self.jitter...);
     v(Field{"timeout"}, self.timeout...);
+    v(Field{"image_centre"}, self.image_centre...);
   }
 };
 
@@ -77,7 +80,7 @@ template <class S, int N = kPoints>
 struct Frame {
   /// When it was exposed [ticks]; NaN: no frame arrived.
   S exposure = S(std::numeric_limits<double>::quiet_NaN());
-  /// Measured features [px], NaN in both coordinates of a point that the frame does not show, and depths Z-hat [m].
+  /// Measured pixels of the points, NaN in both coordinates of one that the frame does not show, and depths Z-hat [m].
   Image<S, N> image;
 };
 
@@ -91,8 +94,9 @@ bool lifts_points(const FrameSettings<S>& settings) noexcept {
 template <class S, int N = kPoints>
 class Frames {
  public:
-  Frames(const FrameSettings<S>& settings, const SeedHalves<S>& seed)
+  Frames(const FrameSettings<S>& settings, const SeedHalves<S>& seed, const Lens<S>& lens = Lens<S>())
       : settings_(settings),
+        lens_(lens),
         noise_(seed, RandomSource::feature_noise),
         outliers_(seed, RandomSource::outliers),
         dropout_(seed, RandomSource::dropout),
@@ -110,6 +114,7 @@ class Frames {
     Exposed& frame = ring_[static_cast<std::size_t>(exposed_ % static_cast<long long>(ring_.size()))];
     frame.tick = tick;
     frame.image = image;
+    if (lens_.converts()) frame.image.features = lens_.pixels(image.features);
     disturb(frame.image.features, event);
     frame.due = S(static_cast<double>(tick + settings_.latency));
     if (settings_.jitter > 0) {
@@ -123,7 +128,8 @@ class Frames {
     for (int i = 0; i < N; ++i) {
       using std::abs;
       S &x = frame.image.features(2 * i), &y = frame.image.features(2 * i + 1);
-      const Mask<S> shown = (abs(x) <= S(0.5) * settings_.image_size(0)) & (abs(y) <= S(0.5) * settings_.image_size(1));
+      const Mask<S> shown = (abs(S(x - settings_.image_centre(0))) <= S(0.5) * settings_.image_size(0)) &
+                            (abs(S(y - settings_.image_centre(1))) <= S(0.5) * settings_.image_size(1));
       x = select(shown, x, S(std::numeric_limits<double>::quiet_NaN()));
       y = select(shown, y, S(std::numeric_limits<double>::quiet_NaN()));
     }
@@ -171,6 +177,7 @@ class Frames {
   }
 
   FrameSettings<S> settings_;
+  Lens<S> lens_;
   RandomStream<S> noise_, outliers_, dropout_, latency_;
   std::vector<Exposed> ring_;
   long long exposed_ = 0, pending_ = 0;  ///< frames so far; the first that may still be due in some lane

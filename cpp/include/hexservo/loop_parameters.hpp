@@ -27,11 +27,15 @@ struct SceneParameters {
   DynamicsError<S> dynamics_error;
   CameraParameters<S> camera;          ///< the true one
   CameraParameters<S> assumed_camera;  ///< the controller's
+  LensParameters<S> lens;              ///< of the true camera
+  LensParameters<S> assumed_lens;      ///< of the controller's
   CameraConvention convention = CameraConvention::eye_in_hand;
   JacobianConvention jacobian = JacobianConvention::consistent;
   Eigen::Matrix<S, 3, N> points_B;    ///< target points [m]; not used by `as_printed`
   Image<S, N> initial_image;          ///< seen from home [px; m]
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
+  Vector<S, 2 * N> assumed_initial;   ///< what the controller's camera makes of the pixels of the initial image [px]
+  Vector<S, 2 * N> assumed_desired;   ///< and of those of the desired one [px]
   Vector<S, N> depth_error;           ///< delta_Z,i [1]
   Pose<S> start;                      ///< of a run
   Vector6<S> start_twist;             ///< likewise, in B [m/s; rad/s]
@@ -59,11 +63,15 @@ struct SceneParameters {
     v(Field{"dynamics_error"}, self.dynamics_error...);
     v(Field{"camera"}, self.camera...);
     v(Field{"assumed_camera"}, self.assumed_camera...);
+    v(Field{"lens"}, self.lens...);
+    v(Field{"assumed_lens"}, self.assumed_lens...);
     v(Field{"convention"}, self.convention...);
     v(Field{"jacobian"}, self.jacobian...);
     v(Field{"points_B"}, self.points_B...);
     v(Field{"initial_image"}, self.initial_image...);
     v(Field{"desired_features"}, self.desired_features...);
+    v(Field{"assumed_initial"}, self.assumed_initial...);
+    v(Field{"assumed_desired"}, self.assumed_desired...);
     v(Field{"depth_error"}, self.depth_error...);
     v(Field{"start"}, self.start...);
     v(Field{"start_twist"}, self.start_twist...);
@@ -96,6 +104,13 @@ struct LoopParameters : SceneParameters<S, N> {
   }
 };
 
+/// P-hat_i of a loop's controller, 3xN in B [m].
+template <class S, int N>
+Eigen::Matrix<S, 3, N> believed_points(const SceneParameters<S, N>& p) {
+  const PlatformCamera<S> camera(p.assumed_camera);
+  return believed_points<S, N>(camera, home_pose(p.hexapod), {p.assumed_initial, p.initial_image.depth}, p.depth_error);
+}
+
 /// The task of a loop's law: estimates, goal and reference.
 template <class S, class Law, int N>
 ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
@@ -103,13 +118,13 @@ ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
   const Pose<S> home = home_pose(p.hexapod);
   return {camera,
           S(controller_sign(p.convention, p.jacobian)),
-          p.desired_features,
+          p.assumed_desired,
           gravity_wrench(p.body),
           p.switching,
           home,
           p.body,
           S(p.step),
-          target_model<S, N>(camera, believed_points<S, N>(camera, home, p.initial_image, p.depth_error), p.goal)};
+          target_model<S, N>(camera, believed_points<S, N>(p), p.goal)};
 }
 
 }  // namespace hexservo

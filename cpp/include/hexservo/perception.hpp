@@ -38,7 +38,8 @@ struct Sensing {
   Hexapod<S> hexapod;
   LegGeometry<S> legs;
   PlatformCamera<S> camera;           ///< as it is assumed
-  Vector<S, 2 * N> desired_features;  ///< xi_d [px]
+  Lens<S> lens;                       ///< likewise
+  Vector<S, 2 * N> desired_features;  ///< xi_d of the assumed pinhole [px]
   FrameSettings<S> frames;
   PoseSource pose_source;
   EncoderParameters<S> encoders;
@@ -297,8 +298,14 @@ class Perception {
 
   /// Takes over a frame that is newer than the one before, or the same again.
   void receive(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
+    if (!sensing.lens.converts()) return receive(sensing, input, input.frame);
+    Frame<S, N> rectified = input.frame;  // a pixel that no ray has is not shown
+    rectified.image.features = sensing.lens.features(input.frame.image.features);
+    receive(sensing, input, rectified);
+  }
+  /// @param frame of the input, with features of the pinhole
+  void receive(const Sensing<S, N>& sensing, const SensorInput<S, N>& input, const Frame<S, N>& frame) noexcept {
     using std::abs;
-    const Frame<S, N>& frame = input.frame;
     const Mask<S> arrived = now_.usable & (frame.exposure >= now_.newest);  // not where there is none
     if (!any(arrived)) return;
     Mask<S> good = frame.exposure <= S(input.now + kTickTolerance);  // one from the future means a wrong clock

@@ -31,7 +31,7 @@ class SampledPlant {
         holds_leg_forces_(p.actuators.hold == ActuatorHold::leg_forces),
         base_moves_(p.base_motion.kind != BaseMotionKind::none),
         base_(p.base_motion, p.seed, p.recorded),
-        frames_(p.frames, p.seed),
+        frames_(p.frames, p.seed, Lens<S>(p.lens)),
         record_(p, state_) {
     sensed_.frame.image = state_.view.image;  // of no consequence until a frame arrives
     sensed_.pose = home_pose(p.hexapod);

@@ -43,8 +43,8 @@ struct ServoTick {
 /// What decides on a command for a scenario, estimates only.
 template <class S, class Law, int N>
 SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
-  return {{p.hexapod, LegGeometry<S>(p.hexapod), p.assumed_camera, p.desired_features, p.frames, p.pose_source,
-           p.encoders, p.step},
+  return {{p.hexapod, LegGeometry<S>(p.hexapod), p.assumed_camera, Lens<S>(p.assumed_lens), p.assumed_desired, p.frames,
+           p.pose_source, p.encoders, p.step},
           p.body,
           p.safe,
           p.actuators.saturation ? p.hexapod.force_limit : S(std::numeric_limits<double>::infinity())};

@@ -33,13 +33,17 @@ struct Target {
 /// Errors between estimates and plant, relative but for the mount, docs/model.md, sections 3 and 4.
 struct Uncertainty : DynamicsError<double> {
   Vector<double, kPoints> depth = Vector<double, kPoints>::Zero();  ///< delta_Z,i [1], 0
+  double focal_length = 0.0;                                        ///< of the controller's camera [1], 0
+  Vector2<double> principal_point = Vector2<double>::Zero();        ///< what that of its camera is off [px], 0
   Mount mount;  ///< what the controller's mount is off: position in E, rotation vector in C, `assumed_mount`
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     DynamicsError<double>::visit(v, self...);
     v(Field{"depth", "1", kRelativeError}, self.depth...);  // the controller's own: what it takes the target for
-    v(Field{"mount"}, self.mount...);                       // and where it takes its camera to be
+    v(Field{"focal_length", "1", kRelativeError}.in_sampled_mode(), self.focal_length...);  // and its camera
+    v(Field{"principal_point", "px"}.entrywise().in_sampled_mode(), self.principal_point...);
+    v(Field{"mount"}, self.mount...);
   }
 };
 

@@ -22,6 +22,7 @@ from hexservo.cli.terminal import (
     ENDED_EARLY,
     INTERRUPTED,
     NOT_SETTLED,
+    CameraOption,
     ForceOption,
     RequireSettledOption,
     ScenarioArgument,
@@ -92,6 +93,7 @@ def run(
         typer.Option("--out", "-o", metavar="FOLDER", help="Write figures and data there, into a new or empty folder."),
     ] = None,
     settings: SettingsOption = None,
+    camera: CameraOption = None,
     force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
     require_settled: RequireSettledOption = False,
@@ -105,7 +107,7 @@ def run(
         from hexservo.run.files import check_folder
         from hexservo.run.publish import OutputError
 
-        chosen = load(scenario, settings or [])
+        chosen = load(scenario, settings or [], camera)
         if out is not None:
             check_folder(out, force=force)
         started = time.perf_counter()

@@ -22,6 +22,7 @@ __all__ = [
     "INTERRUPTED",
     "NOT_SETTLED",
     "READER_LEFT",
+    "CameraOption",
     "ForceOption",
     "RequireSettledOption",
     "ScenarioArgument",
@@ -57,6 +58,14 @@ ScenarioArgument = Annotated[
 RequireSettledOption = Annotated[
     bool, typer.Option("--require-settled", help="End with exit code 4 if a run does not settle.")
 ]
+CameraOption = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="FILE",
+        help="Take the camera's intrinsics from a calibration file of OpenCV (YAML); target features are its pixels.",
+    ),
+]
 ForceOption = Annotated[
     bool, typer.Option("--force", "-f", help="Replace the results of an earlier run in the folder.")
 ]
@@ -70,10 +79,17 @@ SettingsOption = Annotated[
 ]
 
 
-def load(scenario: str, settings: list[str]) -> hs.Scenario:
-    """Load a scenario and apply the changes of --set; all errors of the settings are reported together."""
+def load(scenario: str, settings: list[str], camera: str | None = None) -> hs.Scenario:
+    """Load a scenario and apply the changes of --camera and --set; all errors of the settings are reported together."""
     loaded = _read_standard_input() if scenario == "-" else hs.load_scenario(scenario)
     changes, problems = _changes_of(settings)
+    if camera is not None:
+        from hexservo.scenario.calibration import camera_from_file
+
+        calibrated = camera_from_file(camera)
+        if changes.get("simulation.mode", loaded.simulation.mode) == "continuous":
+            calibrated.pop("image_size", None)  # the border acts in sampled mode
+        changes = {"camera": calibrated, **changes}
     try:
         changed = loaded.updated(changes) if changes else loaded
     except hs.ScenarioError as error:

@@ -67,6 +67,7 @@ from hexservo.run.samples import parts as _parts
 from hexservo.run.samples import turns_from_home as _turns_from_home
 from hexservo.run.samples import vertical as _vertical
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import desired_features
 from hexservo.scenario.rules import TERMS, term_text
 
 if TYPE_CHECKING:
@@ -433,7 +434,7 @@ def _path_marks() -> list[Line2D]:
 def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = True) -> None:
     """Draw border, paths, starts, ends and goals of the four features, and on request their arrows and names."""
     features = result.features.reshape(-1, 4, 2)
-    goals = np.asarray(result.scenario.target.desired_features).reshape(4, 2)
+    goals = desired_features(result.scenario).reshape(4, 2)
     axes.set_xlim(*view.limits[0])
     axes.set_ylim(*view.limits[1])
     axes.set_aspect("equal", adjustable="box")

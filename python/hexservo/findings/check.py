@@ -16,6 +16,7 @@ from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import LAWS, Controller, laws_with
+from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
@@ -94,17 +95,17 @@ def _beyond(margin: LegMargin) -> str:
 def _of_image(scenario: Scenario) -> Iterator[str]:
     if scenario.camera.image_size is None:
         return
-    half = np.asarray(scenario.camera.image_size) / 2.0
+    width, height = scenario.camera.image_size
     scene = scene_of(scenario)
     seen = {
         "target.desired_features: the goal": scene.desired,
         "target: the start": scene.view(scene.start).features,
     }
     for what, features in seen.items():
-        outside = np.flatnonzero((np.abs(features.reshape(4, 2)) > half).any(axis=1)) + 1
+        outside = np.flatnonzero(points_outside(scenario, features)) + 1
         if len(outside):
             points = f"point{'s' if len(outside) > 1 else ''} {', '.join(map(str, outside))}"
-            yield f"{what} is outside the image of {half[0] * 2:.0f} x {half[1] * 2:.0f} px ({points})"
+            yield f"{what} is outside the image of {width:.0f} x {height:.0f} px ({points})"
 
 
 def _of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:

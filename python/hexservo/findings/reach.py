@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.pixels import to_pixels
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Reachability", "project", "reachable"]
@@ -55,8 +56,8 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
     Returns
     -------
     Array
-        (..., 8) true features (x1, y1, ...) [px] by (4) of docs/model.md; NaN where a point is not in front of the
-        camera.
+        (..., 8) pixels of the points [px], as the camera counts them: by (4) of docs/model.md, through the lens if it
+        has one; NaN where a point is not in front of the camera, or the lens does not show it.
 
     Raises
     ------
@@ -68,7 +69,8 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
     poses = scene.home.moved(moves)
     features, depth = scene.probe.image(poses.rows.position, poses.rows.quaternion)
     seen = np.asarray((depth < 0).all(axis=1))[:, None]
-    return np.asarray(np.where(seen, features, np.nan).reshape(*moves.shape[:-1], -1))
+    pixels = to_pixels(scenario, np.where(seen, features, np.nan))
+    return np.asarray(pixels.reshape(*moves.shape[:-1], -1))
 
 
 def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:

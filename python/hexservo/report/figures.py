@@ -22,6 +22,7 @@ from hexservo.run.samples import (
 )
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import desired_features
 from hexservo.scenario.rules import TERMS, term_text
 from hexservo.scenario.scenario import load_scenario
 
@@ -141,7 +142,7 @@ def _feature_paths(result: Result) -> list[Html]:
 
 def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Html:
     features = result.features.reshape(-1, 4, 2)
-    goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
+    goals = desired_features(result.scenario).reshape(4, 2)
     data = []
     for number, colour in enumerate(_POINT_COLOURS):
         path = features[:, number]

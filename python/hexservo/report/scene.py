@@ -13,6 +13,7 @@ from hexservo.report.charts import encoded
 from hexservo.run.samples import parts, turns_from_home
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import desired_features, has_pixels
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -93,7 +94,7 @@ def scene(result: Result) -> SpaceView:
     joints = np.array([_platform_joints(hexapod, *pose) for pose in zip(position, quaternion, strict=True)])
     rotation = _rotations(quaternion)
     features = result.features[chosen].reshape(-1, 4, 2)
-    goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
+    goals = desired_features(result.scenario).reshape(4, 2)
     distance = _IMAGE_DISTANCE * float(np.abs(result.depth[0]).mean())
     pixel = distance / settings.camera.focal_pixels  # [m], as it appears on the plane
     half = _half_size(result, features, goals) * pixel
@@ -159,6 +160,6 @@ def _on_plane(points: Array, distance: float) -> Array:
 def _half_size(result: Result, features: Array, goals: Array) -> Array:
     """Return half the size of the drawn image [px], (2,): the sensor's, or one that contains all features."""
     size = result.scenario.camera.image_size
-    if size is not None:
+    if size is not None and not has_pixels(result.scenario.camera):
         return np.asarray(size, dtype=float) / 2
     return np.full(2, _MARGIN * max(float(np.abs(features).max()), float(np.abs(goals).max())))

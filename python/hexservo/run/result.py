@@ -6,12 +6,11 @@ import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-import numpy as np
-
 from hexservo.run.display import result_text
 from hexservo.run.drawn import html_of
 from hexservo.run.saving import save_result, saved_attributes
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.version import VERSION
 
 if TYPE_CHECKING:
@@ -114,8 +113,17 @@ class Result:
 
     @property
     def features(self) -> Array:
-        """True feature coordinates, (n, 8) [px]."""
-        return np.asarray(self.scenario.target.desired_features) - self.feature_error
+        """True features of the camera's pinhole, (n, 8) [px]; `pixels` are those of its image."""
+        return desired_features(self.scenario) - self.feature_error
+
+    @property
+    def pixels(self) -> Array:
+        """True pixels of the points, (n, 8) [px], as the scenario's camera counts them, without noise.
+
+        They differ from `features` where the camera has a lens, a principal point or axes of OpenCV; NaN where the
+        lens does not show a point.
+        """
+        return to_pixels(self.scenario, self.features)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
         """Write the run into a netCDF file that `hs.load_result` reads back bit for bit.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hexservo.run.metrics import metrics
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.pixels import desired_features, has_pixels
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -137,15 +138,15 @@ class ImageView:
 def image_views(result: Result) -> list[ImageView]:
     """Return the limits of image axes: the paths and goals; with ``camera.image_size`` the image, in its shape.
 
-    Paths that leave the image widen that view in both directions alike. Where they take a small part of it, a second
-    view of the same shape magnifies them.
+    An image whose pixels differ from features counts as none. Paths that leave the image widen that view in both
+    directions alike. Where they take a small part of it, a second view of the same shape magnifies them.
     """
-    goals = np.asarray(result.scenario.target.desired_features, dtype=float).reshape(4, 2)
+    goals = desired_features(result.scenario).reshape(4, 2)
     places = np.concatenate([result.features.reshape(-1, 2), goals])
     low, high = places.min(axis=0), places.max(axis=0)
     middle, extent = (low + high) / 2, (high - low) / 2
     size = result.scenario.camera.image_size
-    if size is None:
+    if size is None or has_pixels(result.scenario.camera):  # whose border is no rectangle of features
         return [ImageView(middle, np.full(2, max(1.14 * float(extent.max()), 1.0)), None)]
     border = (float(size[0]), float(size[1]))
     shape = np.asarray(border, dtype=float) / 2

@@ -57,6 +57,7 @@ from hexservo.scenario.yaml import ScenarioError
 __all__ = ["Actuators", "BaseMotion", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
 
 _DEFAULT_PRESET = "micro"
+_FOCAL_KEYS = ("focal_length", "pixel_scale")
 _SIDES = ("platform", "base")
 DEFAULT_DEPTH = float(core_default("target.depth"))  # [m], docs/model.md section 4
 
@@ -159,6 +160,21 @@ class Mount(Block):
     rotation: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector of C in E
 
 
+class Distortion(Block):
+    """Distortion of the lens with the coefficients of OpenCV: none, or one of the two."""
+
+    # (5,), k1, k2, p1, p2, k3
+    brown_conrady: Annotated[Vector | None, ArrayRule((5,), or_null=True)] = None
+    # (4,), k1 ... k4, of a fisheye
+    kannala_brandt: Annotated[Vector | None, ArrayRule((4,), or_null=True)] = None
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Distortion:
+        if self.brown_conrady is not None and self.kannala_brandt is not None:
+            raise refusal(((), "expected one of brown_conrady and kannala_brandt, got both; set one to null"))
+        return self
+
+
 class Camera(Block):
     """The camera in the platform; docs/model.md section 4, (4)-(8).
 
@@ -166,8 +182,16 @@ class Camera(Block):
     (``simulation.step``); docs/model.md section 7.
     """
 
-    focal_length: PositiveNumber = from_core("camera.focal_length")  # [m]
-    pixel_scale: PositiveNumber = from_core("camera.pixel_scale")  # [px/m]
+    # [m] and [px/m]; null where focal_pixels takes their place
+    focal_length: Annotated[float, OptionalNumber(above=0)] = from_core("camera.focal_length")
+    pixel_scale: Annotated[float, OptionalNumber(above=0)] = from_core("camera.pixel_scale")
+    # [px], one number or (f_x, f_y), in place of focal_length and pixel_scale
+    focal_pixels: Annotated[float | Vector | None, ArrayRule((2,), POSITIVE, or_number=True, or_null=True)] = None
+    # (2,) [px], counted from the centre of the first pixel; null: pixels count from the image centre
+    principal_point: Annotated[Vector | None, ArrayRule((2,), or_null=True)] = None
+    # paper: looks along -z, y up in the image; opencv: looks along +z, y down
+    axes: Annotated[Literal["paper", "opencv"], Choice()] = "paper"
+    distortion: Distortion = Field(default_factory=Distortion)
     mount: Mount = Field(default_factory=Mount)
     convention: Annotated[Literal["eye_in_hand", "as_printed"], Choice()] = "eye_in_hand"
     # [s], between exposures; null: the servo period, which a scenario in sampled mode fills in
@@ -188,6 +212,20 @@ class Camera(Block):
     on_lost: Annotated[Literal["hold", "predict", "stop"], Choice(), SAMPLED] = "hold"
     # between two frames: the newest one as it is, or carried along by the joint sensors
     prediction: Annotated[Literal["none", "encoder"], Choice(), SAMPLED] = "none"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_one_focal_length(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        lengths = [key for key in _FOCAL_KEYS if data.get(key) is not None]
+        if data.get("focal_pixels") is None:
+            return {key: value for key, value in data.items() if key in lengths or key not in _FOCAL_KEYS}
+        if lengths:
+            raise refusal(
+                (("focal_pixels",), f"expected null beside {' and '.join(lengths)}, got both; set one side to null")
+            )
+        return {**data, "focal_length": None, "pixel_scale": None}
 
 
 class Sensors(Block):
@@ -319,6 +357,9 @@ class Uncertainty(Block):
     depth: Annotated[float | Vector, ArrayRule((4,), RELATIVE_ERROR, or_number=True)] = (
         0.0  # one for all points or (4,)
     )
+    # relative, of the controller's camera
+    focal_length: Annotated[float, RELATIVE_ERROR, SAMPLED] = 0.0
+    principal_point: Annotated[Vector, ArrayRule((2,)), SAMPLED] = (0.0, 0.0)  # (2,) [px], what the controller's is off
     mount: Mount = Field(default_factory=Mount)
 
 

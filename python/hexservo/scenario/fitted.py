@@ -53,7 +53,7 @@ _SURE = 1e6  # weight of the pose sensors where the pose is known [px^2/m^2; px^
 _SAME = 1e-9  # relative difference of gains that are equal but for rounding
 # What the machine depends on; the two keys of the robot are limits.
 _BLOCKS = ("name", "robot", "camera", "target")
-_OF_MACHINE = ("robot.", "camera.focal_length", "camera.pixel_scale", "camera.mount.", "target.")
+_OF_MACHINE = ("robot.", "camera.focal_length", "camera.pixel_scale", "camera.focal_pixels", "camera.mount.", "target.")
 _LIMITS = ("robot.stroke", "robot.force_limit")
 
 
@@ -86,7 +86,7 @@ def machine_of(scenario: Blocks) -> Machine:
     settings = _nominal(scenario)
     probe = _core.Probe(settings)
     quaternion, depth = _goal(scenario, settings, probe)
-    desired = settings["target.desired_features"]
+    desired = settings.camera.features(settings["target.desired_features"].reshape(-1, 2)).ravel()
     jacobian = probe.image_jacobian(desired[None], depth, quaternion)[0]
     inertia = probe.inertia(quaternion)[0]
     sight = np.sqrt((jacobian.reshape(-1, 2, 3) ** 2).sum(axis=(0, 2)) / len(desired))

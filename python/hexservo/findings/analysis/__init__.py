@@ -13,6 +13,7 @@ import numpy as np
 from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
+from hexservo.scenario.pixels import on_pinhole
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
@@ -103,12 +104,13 @@ def analyse(
     if unknown := [part for part in asked if part not in PARTS]:
         raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")
     found = {}
+    pinhole = on_pinhole(scenario)
     for name, (module, _) in PARTS.items():
         if name in asked:
             if progress is not None:
                 progress(name)
             part = import_module(f"hexservo.findings.analysis.{module}").analyse
-            found[name] = _computed(scenario, name, partial(part, scenario))
+            found[name] = _computed(scenario, name, partial(part, pinhole))
     return Analysis(scenario, found)
 
 

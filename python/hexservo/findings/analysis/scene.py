@@ -12,6 +12,7 @@ from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
+from hexservo.scenario.pixels import desired_features, to_features
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["AT_HOME", "WIDER", "Scene", "View", "scene_of"]
@@ -58,7 +59,7 @@ class Scene:
         self.home = Poses(np.array(self.hexapod.home_position), np.array(self.hexapod.home_quaternion))
         # where a run starts: home, unless the scenario has another start
         self.start = self.home.moved(np.array(self.settings["simulation.start.pose"]))
-        self.desired: Array = self.settings["target.desired_features"]  # (8,) [px]
+        self.desired: Array = desired_features(scenario)  # (8,) [px]
         self.platform_radius: float = self.hexapod.platform_radius  # [m]
         self.stroke: float = self.settings["robot.stroke"]  # [m]
         self.band: float = self.settings["metrics.band"]  # [px], of settling
@@ -89,7 +90,12 @@ class Scene:
         points: Array | None = self.settings["target.points"]
         if points is not None:
             return points
-        return self.points_seen_as(self.settings["target.initial_features"], -self.settings["target.depth"])
+        return self.points_seen_as(self._initial, -self.settings["target.depth"])
+
+    @property
+    def _initial(self) -> Array:
+        """The features of the target from home where the scenario has them, (8,) [px]."""
+        return to_features(self.scenario, self.settings["target.initial_features"])
 
     @cached_property
     def body(self) -> _core.RigidBody:
@@ -105,7 +111,7 @@ class Scene:
         if self.has_points:
             features, depth = self.probe.image(self.home.rows.position, self.home.rows.quaternion)
             return features[0], depth[0]
-        return self.settings["target.initial_features"], -self.settings["target.depth"]
+        return self._initial, -self.settings["target.depth"]
 
     def image(self, poses: Poses) -> tuple[Array, Array]:
         """Return the true features (..., 8) [px] and Z (..., 4) [m]; NaN where a point is not well in front.

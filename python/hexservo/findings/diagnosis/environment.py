@@ -44,6 +44,11 @@ _OF_THE_TASK = frozenset(
         "camera.focal_length",
         "camera.pixel_scale",
         "camera.convention",
+        "camera.focal_pixels",
+        "camera.principal_point",
+        "camera.axes",
+        "camera.distortion.brown_conrady",
+        "camera.distortion.kannala_brandt",
         "camera.mount.position",
         "camera.mount.rotation",
     }

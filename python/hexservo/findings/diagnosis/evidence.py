@@ -16,6 +16,7 @@ from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
 from hexservo.findings.diagnosis.model import Case
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters, frame_period
+from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.wording import number
 
 __all__ = ["SIGNATURES", "Signature"]
@@ -63,8 +64,8 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
         return Signature(1.0, f"A feature is lost at t = {number(record.end_time)} s, which ends the run.")
     strength, sentences = 0.0, []
     if camera.image_size is not None:
-        features = np.asarray(case.scenario.target.desired_features) - record.samples["feature_error"]
-        outside = (np.abs(features).reshape(len(features), 4, 2) > np.asarray(camera.image_size) / 2.0).any(axis=(1, 2))
+        features = desired_features(case.scenario) - record.samples["feature_error"]
+        outside = points_outside(case.scenario, features).any(axis=1)
         share = float(outside.mean())
         strength = min(1.0, share / 0.2)
         sentences.append(f"A feature is outside of the image for {share:.0%} of the time.")

@@ -12,6 +12,7 @@ from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Goal", "Obstacle", "goal_of", "obstacle_of", "pixels_per_metre", "spread_target"]
@@ -106,13 +107,13 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
     points = _core.lift(camera, home.position, home.quaternion, start, start_depth)
     end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
     gain = pixels_per_metre(camera, start, start_depth) / pixels_per_metre(camera, features, depth)
-    changes: dict[str, Any] = {"target.desired_features": end.tolist()}
+    changes: dict[str, Any] = {"target.desired_features": to_pixels(scenario, end).tolist()}
     if scenario.camera.image_size is not None:  # features that leave the image do so as before
-        before = np.abs(np.concatenate([features, np.asarray(scenario.target.desired_features)]).reshape(8, 2)).max(0)
+        before = np.abs(np.concatenate([features, desired_features(scenario)]).reshape(8, 2)).max(0)
         after = np.abs(np.concatenate([start, end]).reshape(8, 2)).max(0)
         changes["camera.image_size"] = (np.asarray(scenario.camera.image_size) * after / before).tolist()
     if scenario.target.points is not None:
         changes["target.points"] = points.tolist()
     else:
-        changes |= {"target.initial_features": start.tolist(), "target.depth": distance}
+        changes |= {"target.initial_features": to_pixels(scenario, start).tolist(), "target.depth": distance}
     return changes, gain

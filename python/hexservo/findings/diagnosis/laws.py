@@ -22,6 +22,7 @@ from hexservo.findings.diagnosis.remedies import leg_limits_remedies
 from hexservo.scenario.blocks import Metrics
 from hexservo.scenario.laws import Fuzzy, laws_with
 from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.pixels import to_pixels
 
 __all__ = ["LAWS", "TASKS"]
 
@@ -210,7 +211,7 @@ def _impossible_goal(case: Case) -> list[Removal]:
     if case.obstacle is None or case.obstacle.kind != "image":
         return []
     words = f"the nearest image that belongs to a pose, {case.obstacle.residual:.3g} px away"
-    return [Removal(words, {"target.desired_features": case.obstacle.nearest_image.tolist()})]
+    return [Removal(words, {"target.desired_features": to_pixels(case.scenario, case.obstacle.nearest_image).tolist()})]
 
 
 def _false_equilibrium(case: Case) -> list[Removal]:
@@ -306,6 +307,11 @@ TASKS: tuple[Cause, ...] = (
                 "target.depth",
                 "camera.focal_length",
                 "camera.pixel_scale",
+                "camera.focal_pixels",
+                "camera.principal_point",
+                "camera.axes",
+                "camera.distortion.brown_conrady",
+                "camera.distortion.kannala_brandt",
                 "camera.mount.position",
                 "camera.mount.rotation",
             }

@@ -1,0 +1,154 @@
+"""Calibrations of OpenCV as camera blocks of a scenario."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.rules import shown_value
+from hexservo.scenario.yaml import ScenarioError, load_yaml, read_text
+
+__all__ = ["camera_from_file", "camera_from_opencv"]
+
+_BROWN_CONRADY, _KANNALA_BRANDT = 5, 4  # numbers of coefficients
+_MATRICES = ("camera_matrix", "cameraMatrix", "K")
+_COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
+_FISHEYES = ("fisheye", "equidistant", "kannala_brandt")
+
+
+def camera_from_opencv(
+    K: ArrayLike,  # noqa: N803 (as in OpenCV)
+    distortion: ArrayLike | None = None,
+    size: Sequence[int] | None = None,
+    *,
+    model: Literal["brown_conrady", "kannala_brandt"] = "brown_conrady",
+) -> dict[str, Any]:
+    """Return keys of a scenario's camera for a calibration of OpenCV, as it is.
+
+    ``scenario.updated({"camera": camera_from_opencv(K, distortion, size)})`` has pixels that count as OpenCV's do: from
+    the centre of the first pixel, to the right and down. Mount and timing stay.
+
+    Parameters
+    ----------
+    K
+        (3, 3) camera matrix [px], without skew.
+    distortion
+        Coefficients [1] in OpenCV's order: of ``cv2.calibrateCamera`` k1, k2, p1, p2 and k3 (4 or 5 of them; more only
+        if they are zero), of ``cv2.fisheye.calibrate`` k1 to k4; None: no distortion.
+    size
+        (width, height) [px]: the border of the image, for scenarios in sampled mode; None: no border.
+    model
+        Which of the two functions made the calibration.
+
+    Raises
+    ------
+    ValueError
+        "K: expected ..., got ...": a matrix with another shape, with skew or without two positive focal lengths;
+        coefficients of another model; a size that is no two positive numbers.
+    """
+    matrix = _numbers("K", K, (3, 3))
+    if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+        raise ValueError(f"K: expected focal lengths > 0, got {matrix[0, 0]:g} and {matrix[1, 1]:g}")
+    rest = matrix - [[matrix[0, 0], 0.0, matrix[0, 2]], [0.0, matrix[1, 1], matrix[1, 2]], [0.0, 0.0, 1.0]]
+    if np.any(rest):
+        raise ValueError(f"K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {shown_value(matrix.tolist())}")
+    camera: dict[str, Any] = {
+        "focal_length": None,
+        "pixel_scale": None,
+        "focal_pixels": [float(matrix[0, 0]), float(matrix[1, 1])],
+        "principal_point": [float(matrix[0, 2]), float(matrix[1, 2])],
+        "distortion": {"brown_conrady": None, "kannala_brandt": None},
+    }
+    if model not in camera["distortion"]:
+        raise ValueError(f'model: expected "brown_conrady" or "kannala_brandt", got {shown_value(model)}')
+    if distortion is not None:
+        camera["distortion"][model] = _coefficients(distortion, model)
+    if size is not None:
+        width, height = _numbers("size", size, (2,)).tolist()
+        if not (width > 0.0 and height > 0.0):
+            raise ValueError(f"size: expected (width, height) > 0, got ({width:g}, {height:g})")
+        camera["image_size"] = [width, height]
+    return camera
+
+
+def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return keys of a scenario's camera for a calibration file: YAML of OpenCV's ``FileStorage``, or of ROS.
+
+    The camera matrix is ``camera_matrix``, ``cameraMatrix`` or ``K``, the coefficients are ``distortion_coefficients``,
+    ``dist_coeffs``, ``distCoeffs`` or ``D``, the size is ``image_width`` and ``image_height``; other keys do not count.
+    ``distortion_model: fisheye`` (or ``equidistant``) and ``fisheye_model: 1`` mean the model of Kannala and Brandt.
+
+    Raises
+    ------
+    ScenarioError
+        A file that cannot be read, or the first thing that is wrong with it.
+    """
+    source = os.fsdecode(path)
+    text = read_text(path, "YAML").removeprefix("\ufeff")
+    text = re.sub(r"\A%YAML[^\n]*\n", "", text)  # %YAML:1.0 is none; a matrix is a mapping all the same
+    document = load_yaml(re.sub(r"(?m)^(\s*\w+\s*:)\s*!!opencv-(?:nd-)?matrix\s*$", r"\1", text), source)
+    try:
+        if not isinstance(document, dict):
+            raise ValueError(f"expected a calibration with the key camera_matrix, got {shown_value(document)}")
+        return _from_document(document)
+    except ValueError as error:
+        raise ScenarioError(str(error), source) from None
+
+
+def _from_document(document: dict[str, Any]) -> dict[str, Any]:
+    name = next((key for key in _MATRICES if key in document), None)
+    if name is None:
+        raise ValueError(f"expected the key camera_matrix, got the keys {', '.join(map(str, document))}")
+    matrix = _matrix(name, document[name])
+    coefficients = next((key for key in _COEFFICIENTS if document.get(key) is not None), None)
+    fisheye = document.get("distortion_model") in _FISHEYES or document.get("fisheye_model") == 1
+    size = [document.get(key) for key in ("image_width", "image_height")]
+    return camera_from_opencv(
+        matrix,
+        None if coefficients is None else _matrix(coefficients, document[coefficients]),
+        None if None in size else size,  # type: ignore[arg-type]  # checked there
+        model="kannala_brandt" if fisheye else "brown_conrady",
+    )
+
+
+def _matrix(name: str, value: Any) -> Array:
+    """Return what a file has as a matrix: a mapping with rows, cols and data, or nested lists."""
+    if not isinstance(value, dict):
+        return _numbers(name, value, None)
+    rows, columns, data = value.get("rows"), value.get("cols"), value.get("data")
+    if isinstance(sizes := value.get("sizes"), list):  # of an array with one axis, or with more than two
+        rows, columns = [*sizes, 1, 1][:2]
+    if not (isinstance(rows, int) and isinstance(columns, int) and isinstance(data, list)):
+        raise ValueError(f"{name}: expected rows, cols and data, got {shown_value(value)}")
+    numbers = _numbers(f"{name}.data", data, None)
+    if numbers.ndim != 1 or numbers.size != rows * columns or rows < 1:
+        raise ValueError(f"{name}.data: expected {rows} x {columns} numbers, got {numbers.size}")
+    return numbers.reshape(rows, columns)
+
+
+def _coefficients(distortion: ArrayLike, model: str) -> list[float]:
+    numbers = _numbers("distortion", distortion, None).ravel()
+    count = _BROWN_CONRADY if model == "brown_conrady" else _KANNALA_BRANDT
+    if len(numbers) < 4 or np.any(numbers[count:]):
+        what = "k1, k2, p1, p2 and k3" if model == "brown_conrady" else "k1 to k4"
+        raise ValueError(f"distortion: expected {what} (4 or {count} numbers), got {shown_value(numbers.tolist())}")
+    kept: list[float] = numbers[:count].tolist()
+    return kept + [0.0] * (count - len(kept))
+
+
+def _numbers(name: str, value: Any, shape: tuple[int, ...] | None) -> Array:
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected numbers, got {shown_value(value)}") from None
+    if shape is not None and numbers.shape != shape:
+        raise ValueError(f"{name}: expected {' x '.join(map(str, shape))} numbers, got the shape {numbers.shape}")
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"{name}: expected finite numbers, got {shown_value(numbers.tolist())}")
+    return numbers

@@ -1,0 +1,103 @@
+"""Pixels of a scenario's camera, and features of its pinhole (docs/camera.md)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.parameters import core_parameters
+
+if TYPE_CHECKING:
+    from hexservo.scenario.blocks import Blocks, Camera
+    from hexservo.scenario.scenario import Scenario
+
+__all__ = ["desired_features", "has_pixels", "on_pinhole", "points_outside", "to_features", "to_pixels"]
+
+
+def has_pixels(camera: Camera) -> bool:
+    """Return whether pixels of a camera may differ from features of its pinhole."""
+    lens = camera.distortion
+    return camera.axes != "paper" or any(
+        value is not None
+        for value in (camera.focal_pixels, camera.principal_point, lens.brown_conrady, lens.kannala_brandt)
+    )
+
+
+def to_features(scenario: Blocks, pixels: Any) -> Array:
+    """Return the features of the pinhole [px] for pixels of the scenario's camera; NaN where the lens shows none.
+
+    Parameters
+    ----------
+    scenario
+        Whose true camera; the controller's may differ (`uncertainty`).
+    pixels
+        (..., 2n), u and v of each point [px], as ``camera.principal_point`` and ``camera.axes`` count them.
+    """
+    numbers = np.asarray(pixels, dtype=float)
+    if not has_pixels(scenario.camera):
+        return numbers
+    found = core_parameters(scenario).camera.features(numbers.reshape(-1, 2))
+    return np.asarray(found).reshape(numbers.shape)
+
+
+def to_pixels(scenario: Blocks, features: Any) -> Array:
+    """Return the pixels of the scenario's camera for features of its pinhole, the inverse of `to_features`."""
+    numbers = np.asarray(features, dtype=float)
+    if not has_pixels(scenario.camera):
+        return numbers
+    found = core_parameters(scenario).camera.pixels(numbers.reshape(-1, 2))
+    return np.asarray(found).reshape(numbers.shape)
+
+
+def desired_features(scenario: Blocks) -> Array:
+    """Return the desired features of the pinhole, (8,) [px]: what samples and metrics are measured against."""
+    return to_features(scenario, scenario.target.desired_features)
+
+
+def points_outside(scenario: Blocks, features: Any) -> Mask:
+    """Return which points (..., n) are outside ``camera.image_size``, for features (..., 2n) of the pinhole [px]."""
+    numbers = to_pixels(scenario, features)
+    places = numbers.reshape(*numbers.shape[:-1], -1, 2)
+    size = scenario.camera.image_size
+    if size is None:
+        return np.asarray(np.isnan(places).any(axis=-1))
+    centre = np.zeros(2) if scenario.camera.principal_point is None else (np.asarray(size) - 1.0) / 2.0
+    return np.asarray(~(np.abs(places - centre) <= np.asarray(size) / 2.0).all(axis=-1))
+
+
+def on_pinhole(scenario: Scenario) -> Scenario:
+    """Return the scenario whose pixels are the features of its pinhole, with the axes of the paper.
+
+    Points, poses and laws stay; lens, principal point and what the controller has wrong about them do not act. Noise,
+    rounding and border keep their numbers of pixels.
+    """
+    if not has_pixels(scenario.camera) and scenario.simulation.mode == "continuous":
+        return scenario
+    settings = core_parameters(scenario)
+    camera = settings.camera
+    changes: dict[str, Any] = {
+        "uncertainty.focal_length": 0.0,
+        "uncertainty.principal_point": [0.0, 0.0],
+    }
+    if has_pixels(scenario.camera):
+        centre, *axes = camera.in_platform(np.vstack([np.zeros(3), np.eye(3)]))
+        error = np.asarray(scenario.uncertainty.mount.rotation)
+        turned = scenario.camera.axes == "opencv"
+        changes |= {
+            "camera.focal_length": None,
+            "camera.pixel_scale": None,
+            "camera.focal_pixels": camera.focal_pixels,
+            "camera.principal_point": None,
+            "camera.axes": "paper",
+            "camera.distortion.brown_conrady": None,
+            "camera.distortion.kannala_brandt": None,
+            "camera.mount.rotation": Rotation.from_matrix(np.column_stack(axes) - centre[:, None]).as_rotvec().tolist(),
+            "uncertainty.mount.rotation": (error * [1.0, -1.0, -1.0] if turned else error).tolist(),
+            "target.desired_features": desired_features(scenario).tolist(),
+        }
+        if scenario.target.initial_features is not None:
+            changes["target.initial_features"] = to_features(scenario, scenario.target.initial_features).tolist()
+    return scenario.updated(changes)

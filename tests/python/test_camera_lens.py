@@ -1,0 +1,351 @@
+"""Pixels of a real camera: projection and rectification against OpenCV, and runs through a lens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import hexservo as hs
+from camera_frames import PICTURE, picture
+from hexservo import _core
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import desired_features, on_pinhole, to_features, to_pixels
+
+SIZE = (1280, 960)
+MATRIX = np.array([[905.5, 0.0, 650.25], [0.0, 903.0, 470.75], [0.0, 0.0, 1.0]])
+LENSES: dict[str, Any] = {
+    "pinhole": None,
+    "brown_conrady": [-0.28, 0.09, 8e-4, -5e-4, -0.012],
+    "kannala_brandt": [0.021, -0.009, 0.004, -0.001],
+}
+
+
+def camera_of(lens: str, **more: Any) -> dict[str, Any]:
+    model = "kannala_brandt" if lens == "kannala_brandt" else "brown_conrady"
+    return {**hs.camera_from_opencv(MATRIX, LENSES[lens], SIZE, model=model), **more}  # type: ignore[arg-type]
+
+
+def opencv(lens: str, points: np.ndarray) -> np.ndarray:
+    """Pixels (n, 2) of points (n, 3) in OpenCV's camera frame."""
+    function = cv2.fisheye.projectPoints if lens == "kannala_brandt" else cv2.projectPoints
+    coefficients = np.zeros(5) if LENSES[lens] is None else np.array(LENSES[lens])
+    arguments = (np.zeros(3), np.zeros(3), MATRIX, coefficients)
+    return np.asarray(function(points[:, None], *arguments)[0])[:, 0]
+
+
+def in_pixels(scenario: hs.Scenario, lens: str, **more: Any) -> hs.Scenario:
+    """The scenario seen by a camera with that lens: the same points in space, goals in its pixels."""
+    base = scenario.updated({"simulation.mode": "sampled", "camera.focal_length": None, "camera.pixel_scale": None,
+                             "camera.focal_pixels": MATRIX[0, 0]})  # fmt: skip
+    with_lens = base.camera.model_dump() | camera_of(lens, **more)
+    probe = base.updated({"camera": {key: value for key, value in with_lens.items() if key != "image_size"}})
+    return probe.updated(
+        {
+            "camera.image_size": list(SIZE),
+            "target.initial_features": to_pixels(probe, base.target.initial_features).tolist(),
+            "target.desired_features": to_pixels(probe, base.target.desired_features).tolist(),
+        }
+    )
+
+
+@pytest.fixture
+def plain_camera(paper: hs.Scenario) -> hs.Scenario:
+    """The paper's task in sampled mode with f of the calibration."""
+    return paper.updated(
+        {
+            "simulation.mode": "sampled",
+            "simulation.duration": 0.2,
+            "camera.focal_length": None,
+            "camera.pixel_scale": None,
+            "camera.focal_pixels": MATRIX[0, 0],
+            "controller.switching.kind": "tanh",
+        }
+    )
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_pixels_are_those_of_opencv(plain_camera: hs.Scenario, lens: str) -> None:
+    random = np.random.default_rng(5201)
+    camera = core_parameters(in_pixels(plain_camera, lens)).camera
+    f = camera.focal_pixels
+    assert f == MATRIX[0, 0]
+    rays = np.column_stack([random.uniform(-0.65, 0.65, (500, 2)), np.ones(500)]) * random.uniform(0.1, 3, (500, 1))
+    features = f * rays[:, :2] / rays[:, 2:] * [1.0, -1.0]  # y up
+    pixels = camera.pixels(features)
+    np.testing.assert_allclose(pixels, opencv(lens, rays), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_every_pixel_of_the_image_is_rectified(plain_camera: hs.Scenario, lens: str) -> None:
+    """Residual below 1e-6 px everywhere in the image, borders included; it is below 1e-9 px."""
+    camera = core_parameters(in_pixels(plain_camera, lens)).camera
+    u, v = np.meshgrid(np.linspace(-0.5, SIZE[0] - 0.5, 81), np.linspace(-0.5, SIZE[1] - 0.5, 61))
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    features = camera.features(pixels)
+    assert np.isfinite(features).all()
+    np.testing.assert_allclose(camera.pixels(features), pixels, rtol=0, atol=1e-9)
+    # OpenCV's own rectification, by iteration until it changes by no more than 1e-12
+    ideal = features / camera.focal_pixels * [1.0, -1.0]
+    rays = np.column_stack([ideal, np.ones(len(ideal))])
+    np.testing.assert_allclose(opencv(lens, rays), pixels, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("law", list(LAWS))
+def test_a_lens_with_right_numbers_changes_no_motion(plain_camera: hs.Scenario, law: str, lens: str) -> None:
+    """The points in space are the same: only the rounding of the rectification remains."""
+    base = plain_camera.updated({"controller.law": law, "uncertainty.depth": 0.0})
+    run, seen = hs.simulate(base), hs.simulate(in_pixels(base, lens))
+    np.testing.assert_allclose(seen.position, run.position, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(seen.features, run.features, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(seen.pixels, to_pixels(seen.scenario, run.features), rtol=0, atol=1e-6)
+    assert seen.outcome == run.outcome == "completed"
+
+
+def test_without_a_lens_pixels_are_features(paper: hs.Scenario) -> None:
+    result = hs.simulate(paper.updated({"simulation.duration": 0.01}))
+    np.testing.assert_array_equal(result.pixels, result.features)
+
+
+def test_noise_rounding_and_border_act_on_pixels(plain_camera: hs.Scenario) -> None:
+    """With the right lens: what the controller makes of whole pixels, put back through OpenCV, are whole pixels."""
+    scenario = in_pixels(plain_camera, "brown_conrady").updated({"camera.quantisation": 1.0, "camera.noise": 0.7})
+    seen: list[np.ndarray] = []
+
+    def controller(observation: hs.Observation) -> np.ndarray:
+        seen.append(np.array(observation.features))
+        return np.zeros(6)
+
+    hs.simulate(scenario.updated({"simulation.duration": 0.01}), controller=controller)
+    ideal = np.concatenate(seen).reshape(-1, 2) / MATRIX[0, 0] * [1.0, -1.0]
+    pixels = opencv("brown_conrady", np.column_stack([ideal, np.ones(len(ideal))]))
+    np.testing.assert_allclose(pixels, np.round(pixels), rtol=0, atol=1e-6)
+    # the border: a point that passes the right edge of the image is lost
+    corner = to_features(scenario, np.tile([SIZE[0] - 1.0, 200.0], 4))
+    assert np.isfinite(corner).all()
+    near = np.array([1200.0, 150.0, 1270.0, 180.0, 1230.0, 300.0, 1180.0, 260.0])
+    gone = scenario.updated(
+        {
+            "target.initial_features": (near - 40.0).tolist(),
+            "target.desired_features": near.tolist(),
+            "simulation.duration": 2.0,
+            "controller.law": "composite",
+            "camera.image_size": [1250, 960],
+            "camera.on_lost": "stop",
+            "camera.quantisation": 0.0,
+            "camera.noise": 0.0,
+        }
+    )
+    run = hs.simulate(gone)
+    assert run.outcome == "feature_lost"
+    assert 1249.0 < run.pixels[-1].reshape(4, 2)[:, 0].max() <= 1249.5  # of the last sample before
+
+
+def test_wrong_intrinsics_are_the_controllers(plain_camera: hs.Scenario) -> None:
+    """What the controller sees is the true pixel, rectified with its own numbers; the goal in pixels is reached."""
+    scenario = in_pixels(plain_camera, "brown_conrady").updated(
+        {"uncertainty.focal_length": 0.02, "uncertainty.principal_point": [3.0, -2.0], "simulation.duration": 0.01}
+    )
+    settings = core_parameters(scenario)
+    true, assumed = settings.camera, settings.assumed_camera
+    assert assumed.focal_pixels == pytest.approx(1.02 * MATRIX[0, 0], rel=1e-15)
+    seen: list[np.ndarray] = []
+
+    def controller(observation: hs.Observation) -> np.ndarray:
+        seen.append(np.array(observation.features))
+        return np.zeros(6)
+
+    result = hs.simulate(scenario, controller=controller)
+    pixels = true.pixels(result.features[0].reshape(4, 2))
+    np.testing.assert_allclose(pixels.ravel(), np.asarray(scenario.target.initial_features), rtol=0, atol=1e-9)
+    matrix = MATRIX.copy()
+    matrix[:2, :2] *= 1.02
+    matrix[:2, 2] += [3.0, -2.0]
+    rays = np.column_stack([seen[0].reshape(4, 2) / matrix[0, 0] * [1.0, -1.0], np.ones(4)])
+    again = cv2.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), matrix, np.array(LENSES["brown_conrady"]))[0]
+    np.testing.assert_allclose(again[:, 0], pixels, rtol=0, atol=1e-9)
+    long = hs.simulate(scenario.updated({"simulation.duration": 5.0, "controller.law": "composite"}))
+    np.testing.assert_allclose(long.pixels[-1], scenario.target.desired_features, rtol=0, atol=2.0)
+
+
+def test_the_controller_takes_pixels(plain_camera: hs.Scenario) -> None:
+    """`hs.Controller` is the controller of the simulation: it rectifies what it is given."""
+    scenario = in_pixels(plain_camera, "kannala_brandt").updated({"controller.law": "kelly"})
+    pinhole = on_pinhole(scenario)
+    depth = -np.full(4, 0.5)
+    home = np.array(scenario.robot.home_position), np.array([1.0, 0.0, 0.0, 0.0])
+    pixels = np.asarray(scenario.target.initial_features)
+    one = hs.Controller(scenario).step(pixels, depth, *home, np.zeros(6))
+    two = hs.Controller(pinhole).step(to_features(scenario, pixels), depth, *home, np.zeros(6))
+    np.testing.assert_allclose(one.wrench, two.wrench, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(desired_features(scenario), pinhole.target.desired_features, rtol=0, atol=1e-12)
+
+
+def test_axes_of_opencv(plain_camera: hs.Scenario) -> None:
+    """With C as OpenCV has it, 180 degrees about x from E, the camera is the paper's; pixels count downwards."""
+    changes = {"camera.axes": "opencv", "camera.mount.rotation": [np.pi, 0.0, 0.0]}
+    flipped = (np.array(plain_camera.target.initial_features).reshape(4, 2) * [1, -1]).ravel()
+    goal = (np.array(plain_camera.target.desired_features).reshape(4, 2) * [1, -1]).ravel()
+    other = plain_camera.updated(
+        {**changes, "target.initial_features": flipped.tolist(), "target.desired_features": goal.tolist()}
+    )
+    one, two = hs.simulate(plain_camera), hs.simulate(other)
+    np.testing.assert_allclose(two.position, one.position, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(two.features, one.features, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(two.pixels.reshape(-1, 2) * [1, -1], one.features.reshape(-1, 2), rtol=0, atol=1e-8)
+    random = np.random.default_rng(5202)
+    points = random.uniform(-0.1, 0.1, (4, 3)) + np.array([0.0, 0.0, 0.7])
+    turn = random.uniform(-0.2, 0.2, 3)
+    scenario = in_pixels(plain_camera, "brown_conrady").updated(
+        {"camera.axes": "opencv", "camera.mount.rotation": turn.tolist()}
+    )
+    camera = core_parameters(scenario).camera
+    features, _ = _core.take_image(camera, np.zeros(3), [1.0, 0.0, 0.0, 0.0], points)
+    expected = cv2.projectPoints(points[:, None], -turn, np.zeros(3), MATRIX, np.array(LENSES["brown_conrady"]))[0]
+    np.testing.assert_allclose(camera.pixels(features.reshape(4, 2)), expected[:, 0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"camera.focal_pixels": -900}, "camera.focal_pixels: expected a number > 0, got -900"),
+        ({"camera.focal_pixels": [900, 0]}, r"camera.focal_pixels\[1\]: expected a number > 0"),
+        ({"camera.focal_length": 0.008}, "camera.focal_pixels: expected null beside focal_length, got both"),
+        ({"camera.principal_point": [1300.0, 480.0]}, r"camera.principal_point\[0\]: expected a pixel of the image"),
+        ({"camera.distortion.kannala_brandt": [0, 0, 0, 0]}, "camera.distortion: expected one of brown_conrady and"),
+        ({"camera.distortion.brown_conrady": [0.1, 0.0]}, "camera.distortion.brown_conrady: expected 5 finite numbers"),
+        ({"camera.distortion.brown_conrady": [-0.9, 0, 0, 0, 0]}, "camera.distortion: expected a lens that shows all"),
+        (
+            {"target.desired_features": [9e3, 0, 9e3, 9, 9, 9, 9, 0]},
+            r"target.desired_features\[0\]: expected a pixel that",
+        ),
+        ({"uncertainty.focal_length": -1.0}, "uncertainty.focal_length: expected a number > -1 and < 1"),
+        ({"camera.axes": "ros"}, 'camera.axes: expected one of "paper", "opencv"'),
+    ],
+)
+def test_refused_with_the_key(plain_camera: hs.Scenario, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(hs.ScenarioError, match=message):
+        in_pixels(plain_camera, "brown_conrady").updated(changes)
+
+
+def test_wrong_intrinsics_need_pixels(paper: hs.Scenario) -> None:
+    with pytest.raises(hs.ScenarioError, match=r"uncertainty.focal_length: .* no effect in continuous mode"):
+        paper.updated({"uncertainty.focal_length": 0.01})
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_analyses_are_those_of_the_pinhole(plain_camera: hs.Scenario, lens: str) -> None:
+    scenario = in_pixels(plain_camera, lens)
+    one = hs.analyse(scenario, ["conditioning"])
+    two = hs.analyse(on_pinhole(scenario), ["conditioning"])
+    assert one.to_dict()["conditioning"] == two.to_dict()["conditioning"]
+    seen = hs.project(scenario, np.zeros(6))
+    np.testing.assert_allclose(seen, np.asarray(scenario.target.initial_features), rtol=0, atol=1e-9)
+
+
+# ---- Calibrations ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_calibration_file_of_opencv_is_read_as_it_is(tmp_path: Path, lens: str) -> None:
+    """Written by OpenCV itself."""
+    path = tmp_path / "calibration.yaml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("calibration_time", "Thu 01 Jan 1970 00:00:00 UTC")
+    storage.write("image_width", SIZE[0])
+    storage.write("image_height", SIZE[1])
+    storage.write("fisheye_model", int(lens == "kannala_brandt"))
+    storage.write("camera_matrix", MATRIX)
+    if LENSES[lens] is not None:
+        storage.write("distortion_coefficients", np.array(LENSES[lens])[:, None])
+    storage.write("avg_reprojection_error", 0.31)
+    storage.release()
+    written = path.read_text()
+    assert "!!opencv-matrix" in written
+    path.write_text("%YAML:1.0" + written[written.index("\n") :])  # as OpenCV before version 5 begins a file
+
+    from hexservo.scenario.calibration import camera_from_file
+
+    assert camera_from_file(path) == camera_of(lens)
+
+
+def test_a_calibration_of_ros_is_read(tmp_path: Path) -> None:
+    from hexservo.scenario.calibration import camera_from_file
+
+    path = tmp_path / "camera_info.yaml"
+    path.write_text(
+        "image_width: 1280\nimage_height: 960\ndistortion_model: plumb_bob\n"
+        "camera_matrix: {rows: 3, cols: 3, data: [905.5, 0, 650.25, 0, 903.0, 470.75, 0, 0, 1]}\n"
+        "distortion_coefficients: {rows: 1, cols: 5, data: [-0.28, 0.09, 8.0e-4, -5.0e-4, -0.012]}\n"
+    )
+    assert camera_from_file(path) == camera_of("brown_conrady")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("image_width: 3\n", "expected the key camera_matrix, got the keys image_width"),
+        ("- 1\n", "expected a calibration with the key camera_matrix"),
+        ("camera_matrix: {rows: 3, cols: 3, data: [1, 2]}\n", "camera_matrix.data: expected 3 x 3 numbers, got 2"),
+        ("camera_matrix: [[1, 2, 3], [0, 1, 0], [0, 0, 1]]\n", r"K: expected \[\[fx, 0, cx\]"),
+        ("camera_matrix: !!python/object/apply:os.system [ls]\n", "tag"),
+        ("camera_matrix: [[0, 0, 3], [0, 1, 0], [0, 0, 1]]\n", "K: expected focal lengths > 0"),
+    ],
+)
+def test_a_bad_calibration_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    from hexservo.scenario.calibration import camera_from_file
+
+    path = tmp_path / "bad.yaml"
+    path.write_text("%YAML:1.0\n---\n" + text)
+    with pytest.raises(hs.ScenarioError, match=message):
+        camera_from_file(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((np.eye(2),), "K: expected 3 x 3 numbers"),
+        ((MATRIX, [0.1, 0.2]), "distortion: expected k1, k2, p1, p2 and k3"),
+        ((MATRIX, [0.1, 0.2, 0, 0, 0, 0.3, 0, 0]), "distortion: expected k1, k2, p1, p2 and k3"),
+        ((MATRIX, None, (0, 4)), "size: expected"),
+        ((np.full((3, 3), np.nan),), "K: expected finite numbers"),
+    ],
+)
+def test_a_bad_matrix_is_refused(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        hs.camera_from_opencv(*arguments)
+
+
+def test_the_command_takes_a_calibration(tmp_path: Path, plain_camera: hs.Scenario) -> None:
+    from typer.testing import CliRunner
+
+    from hexservo.cli.commands import app
+
+    calibration = tmp_path / "calibration.yaml"
+    storage = cv2.FileStorage(str(calibration), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", SIZE[0])
+    storage.write("image_height", SIZE[1])
+    storage.write("camera_matrix", MATRIX)
+    storage.write("distortion_coefficients", np.array(LENSES["brown_conrady"]))  # as an array with one axis
+    storage.release()
+    scenario = in_pixels(plain_camera, "brown_conrady").updated({"simulation.duration": 0.01})
+    file = tmp_path / "scenario.yaml"
+    text = scenario.updated({"camera.distortion.brown_conrady": None, "camera.principal_point": [600.0, 400.0]})
+    file.write_text(text.to_yaml(), encoding="utf-8")
+    out = tmp_path / "out"
+    found = CliRunner().invoke(app, ["run", str(file), "--camera", str(calibration), "--out", str(out)])
+    assert found.exit_code == 0, found.output
+    assert hs.load_result(next(out.glob("*.nc"))).scenario.camera == scenario.camera
+    missing = CliRunner().invoke(app, ["run", str(file), "--camera", str(tmp_path / "none.yaml")])
+    assert missing.exit_code != 0
+    assert "none.yaml" in missing.stderr
+
+
+def test_the_picture_of_the_frames_is_up_to_date() -> None:
+    """Its command writes the file that the page shows."""
+    assert PICTURE.read_text(encoding="utf-8") == picture(), "type: python docs/tools/camera_frames.py"
