@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 import hexservo as hs
 from hexservo.cli import commands as cli
 
-QUESTIONS = 20  # with joints on circles
+QUESTIONS = 22  # with joints on circles
 
 
 def answered(file: Path, answers: list[str], *options: str) -> Result:
@@ -49,7 +49,7 @@ def test_defaults_make_a_machine_that_settles(tmp_path: Path) -> None:
 def test_numbers_of_a_sheet_become_si_units(tmp_path: Path) -> None:
     """The machine pi-h824 by its answers: pairs of the base about 0, 120, 240 deg and of the platform halfway."""
     file = tmp_path / "pi.yaml"
-    done = answered(file, answers(p1="100", p2="30", p3="131", p4="10", p5="0, 0, -159", p6="11.2"))
+    done = answered(file, answers(p1="100", p2="30", p3="131", p4="10", p5="0, 0, -159", p6="-11.2 11.2"))
     assert done.exit_code == 0, done.output
     made, packaged = hs.load_scenario(file).robot, hs.load_scenario("pi-h824").robot
     for key in ("platform_radius", "base_radius", "home_position", "stroke"):
@@ -57,6 +57,24 @@ def test_numbers_of_a_sheet_become_si_units(tmp_path: Path) -> None:
     for key in ("platform_angles", "base_angles"):
         turn = np.asarray(getattr(made, key)) - np.asarray(getattr(packaged, key))
         np.testing.assert_allclose(np.remainder(turn + 1, 2 * np.pi), 1, atol=1e-6)
+
+
+def test_a_load_and_a_camera_beside_the_middle(tmp_path: Path) -> None:
+    file = tmp_path / "loaded.yaml"
+    given = answers(p6="-10 20", p9="12", p10="0 0 -80")
+    done = answered(
+        file, [*given[:11], "200", "", "", "", "", "30 0 -20"]
+    )  # of those after the load, the force is first
+    assert done.exit_code == 2  # the input ends
+    done = answered(file, [*given[:11], "300", "30 0 -20", *[""] * 10])
+    assert done.exit_code == 0, done.output
+    scenario = hs.load_scenario(file)
+    robot = scenario.robot
+    assert (robot.payload.mass, robot.payload.position[2], robot.force_limit) == (12.0, -0.08, 300.0)
+    np.testing.assert_allclose([robot.stroke, robot.stroke_centre], [0.015, 0.005])
+    assert scenario.camera.mount.position == (0.03, 0.0, -0.02)
+    points = np.array(scenario.target.points)
+    np.testing.assert_allclose(points.mean(axis=0), [0.03, 0.0, -0.16 - 0.02 - 0.5])
 
 
 def test_joints_one_by_one(tmp_path: Path) -> None:
@@ -75,8 +93,9 @@ def test_joints_one_by_one(tmp_path: Path) -> None:
         (answers(p1="-3"), 'expected a number above 0, got "-3"'),
         (answers(p1="nan"), 'expected a number, got "nan"'),
         (answers(p5="1 2"), 'expected 3 numbers with blanks between, got "1 2"'),
+        (answers(p6="1 15"), 'expected a number <= 0, then one >= 0, got "1 15"'),
         (answers(p8="1 1 3"), 'expected none larger than the sum of the other two, got "1 1 3"'),
-        (answers(p15="900"), 'which fills the image, got "900"'),
+        (answers(p17="900"), 'which fills the image, got "900"'),
         (answers()[:7], "expected an answer to every question, got the end of standard input"),
         (answers(p1="150", p2="60", p4="60"), "robot"),  # hexagons joined in cyclic order are singular everywhere
     ],

@@ -121,7 +121,8 @@ def _scenario_text(dialogue: _Dialogue, name: str) -> str:
     dialogue.say("Lengths in mm, angles in degrees. z of the base frame points down: above the base it is negative.")
     robot = _robot(dialogue)
     camera, focal = _camera(dialogue)
-    target = _target(dialogue, robot["home_position"], camera["image_size"], focal)
+    place = [_rounded(sum(both)) for both in zip(robot["home_position"], camera["mount"]["position"], strict=True)]
+    target = _target(dialogue, place, camera["image_size"], focal)
     bandwidth = dialogue.number("Bandwidth of the loop [Hz]", 1.0)
     period = camera["period"]
     parts = max(1, math.ceil(period * _TICKS * bandwidth))
@@ -166,11 +167,17 @@ def _robot(dialogue: _Dialogue) -> dict[str, Any]:
             ]
     home = dialogue.numbers("Home of the platform frame in the base: x y z [mm]", "0 0 -160", 3)
     robot["home_position"] = _metres(home)
-    robot["stroke"] = _rounded(1e-3 * dialogue.number("Travel of a leg each way from home [mm]", 15.0))
+    travel = dialogue.numbers("Travel of a leg from home: shortest longest [mm]", "-15 15", 2, _about_home)
+    robot["stroke"] = _metres(travel)
     robot["gravity"] = 9.81
-    robot["mass"] = dialogue.number("Mass of platform, load and camera [kg]", 5.0)
+    robot["mass"] = dialogue.number("Mass of the platform with the camera [kg]", 5.0)
     robot["inertia"] = _inertia(dialogue, robot)
-    weight = robot["mass"] * robot["gravity"]
+    load = dialogue.number("Mass of a load on it, 0: none [kg]", 0.0, least=-1e-300)
+    if load > 0:
+        place = dialogue.numbers("Centre of the load in the platform frame: x y z [mm]", "0 0 -50", 3)
+        robot["payload"] = {"mass": load, "position": _metres(place)}
+        dialogue.say("The load is taken for a point, which the controller knows: robot.payload has more.")
+    weight = (robot["mass"] + load) * robot["gravity"]
     robot["force_limit"] = dialogue.number("Largest force of a leg [N]", float(f"{weight:.2g}"))
     return robot
 
@@ -207,7 +214,8 @@ def _inertia(dialogue: _Dialogue, robot: dict[str, Any]) -> list[float]:
 
 
 def _camera(dialogue: _Dialogue) -> tuple[dict[str, Any], float]:
-    dialogue.say("The camera is at the origin of the platform frame and looks along its -z: up, from a level platform.")
+    dialogue.say("The camera looks along -z of the platform frame: up, from a level platform.")
+    place = _metres(dialogue.numbers("Camera in the platform frame: x y z [mm]", "0 0 0", 3))
     focal = dialogue.number("Focal length, fx of OpenCV's camera matrix [px]", 1500.0)
     size = dialogue.numbers("Image size: width height [px]", "1280 1024", 2, _positive)
     rate = dialogue.number("Frames per second [1/s]", 30.0)
@@ -219,6 +227,7 @@ def _camera(dialogue: _Dialogue) -> tuple[dict[str, Any], float]:
         "focal_length": length,
         "pixel_scale": focal / length,
         "image_size": size,
+        "mount": {"position": place},
         "period": period,
         "latency": period,
         "noise": noise,
@@ -227,11 +236,15 @@ def _camera(dialogue: _Dialogue) -> tuple[dict[str, Any], float]:
     return camera, focal
 
 
+def _about_home(travel: list[float]) -> str | None:
+    return None if travel[0] <= 0 <= travel[1] and travel[0] < travel[1] else "expected a number <= 0, then one >= 0"
+
+
 def _positive(values: list[float]) -> str | None:
     return None if min(values) > 0 else "expected numbers above 0"
 
 
-def _target(dialogue: _Dialogue, home: list[float], image: list[float], focal: float) -> dict[str, Any]:
+def _target(dialogue: _Dialogue, camera_home: list[float], image: list[float], focal: float) -> dict[str, Any]:
     dialogue.say("The target is a square tag on the line of sight, facing the camera.")
     distance = 1e-3 * dialogue.number("Distance of the tag from the camera at home [mm]", 500.0)
     most = 0.8e3 * min(image) * distance / focal  # [mm], four fifths of the image
@@ -247,7 +260,7 @@ def _target(dialogue: _Dialogue, home: list[float], image: list[float], focal: f
         "Goal, where the platform shall go from home: x y z [mm], turn about x y z [deg]", "3 -2 2 -0.5 -0.5 1", 6
     )
     return {
-        "tag": {"size": size, "pose": [*home[:2], _rounded(home[2] - distance), 0.0, 0.0, 0.0]},
+        "tag": {"size": size, "pose": [*camera_home[:2], _rounded(camera_home[2] - distance), 0.0, 0.0, 0.0]},
         "desired_pose": [_rounded(value * (1e-3 if place < 3 else _DEGREE)) for place, value in enumerate(goal)],
     }
 

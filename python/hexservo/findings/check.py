@@ -59,8 +59,9 @@ def _of_legs(scene: Scene) -> Iterator[str]:
             f"{leg + 1} needs to carry the platform's weight at home"
         )
     z_down = robot.gravity[2] >= 0
-    upward = -1.0 if z_down else 1.0  # z of E at home, along which the camera does not look, against "up"
-    looks_up = upward * float(scene.home.carried(np.eye(3))[2, 2] - robot.home_position[2]) < 0
+    upward = -1.0 if z_down else 1.0
+    sight = scene.settings.camera.in_platform(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
+    looks_up = upward * float(np.diff(scene.home.carried(sight)[:, 2])[0]) > 0
     if upward * robot.home_position[2] < 0 and looks_up:  # a platform that hangs has a camera that looks down
         above = "negative" if z_down else "positive"
         yield (
