@@ -40,7 +40,7 @@ def test_a_tag_of_opencv_is_seen_where_opencv_sees_it(capsys: pytest.CaptureFixt
     seen = rotation.apply(corners) + shift
     scenario = place["scenario"]
     assert isinstance(scenario, hs.Scenario)
-    fx = scenario.camera.focal_length * scenario.camera.pixel_scale
+    fx = scenario.camera.focal_pixels
     u, v = (fx * seen[:, :2] / seen[:, 2:]).T  # less cx and cy
     features = np.column_stack([u, -v]).ravel()
     np.testing.assert_allclose(hs.project(scenario, np.zeros(6)), features, rtol=0, atol=1e-9)
@@ -88,9 +88,9 @@ def test_the_table_has_the_numbers_of_the_runs() -> None:
         assert float(mass) == scenario.robot.mass + scenario.robot.payload.mass
         assert float(stroke) == pytest.approx(1e3 * scenario.robot.stroke)
         assert float(bandwidth) == scenario.controller.composite.auto.bandwidth
-        # half a printed digit, and what variants of the kernel differ by after chatter and noise
-        assert float(settles) == pytest.approx(metrics["settling_time"], abs=0.01)
-        assert float(rms) == pytest.approx(metrics["rms_error"], abs=2e-3)
+        # variants of the kernel differ in the last digits, which may move the last crossing of the band by a frame or two
+        assert float(settles) == pytest.approx(metrics["settling_time"], abs=2.0 * (scenario.camera.period or 0.0))
+        assert float(rms) == pytest.approx(metrics["rms_error"], abs=0.01)
 
 
 def test_the_picture_is_up_to_date() -> None:

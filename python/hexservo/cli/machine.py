@@ -176,7 +176,7 @@ def _robot(dialogue: _Dialogue) -> dict[str, Any]:
     if load > 0:
         place = dialogue.numbers("Centre of the load in the platform frame: x y z [mm]", "0 0 -50", 3)
         robot["payload"] = {"mass": load, "position": _metres(place)}
-        dialogue.say("The load is taken for a point, which the controller knows: robot.payload has more.")
+        dialogue.say("The load is taken for a point, which the controller counts on: robot.payload has more.")
     weight = (robot["mass"] + load) * robot["gravity"]
     robot["force_limit"] = dialogue.number("Largest force of a leg [N]", float(f"{weight:.2g}"))
     return robot
@@ -222,10 +222,8 @@ def _camera(dialogue: _Dialogue) -> tuple[dict[str, Any], float]:
     period = _rounded(round(1e3 / rate) * 1e-3 if rate <= 200.0 else 1.0 / rate)
     dialogue.say(f"The frame period is {1e3 * period:.4g} ms, and an image is used as long after its exposure.")
     noise = dialogue.number("Noise of a detected point, standard deviation [px]", 0.2, least=-1e-300)
-    length = 1e-3  # of the image in metres: only its product with the scale acts
     camera = {
-        "focal_length": length,
-        "pixel_scale": focal / length,
+        "focal_pixels": focal,
         "image_size": size,
         "mount": {"position": place},
         "period": period,
