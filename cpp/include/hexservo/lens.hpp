@@ -5,8 +5,9 @@
 /// each axis, a principal point and a lens that distorts; its pixels are those that a frame holds. Distortion acts on
 /// n = (X/|Z|, -Y/|Z|), to the right and down, with the coefficients of OpenCV:
 ///
-///     brown_conrady    n_d = n (1 + k1 r^2 + k2 r^4 + k3 r^6) + (2 p1 x y + p2 (r^2 + 2 x^2), p1 (r^2 + 2 y^2) + 2 p2
-///     x y) kannala_brandt   n_d = n theta_d/r,  theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8),  theta = atan(r)
+///     brown_conrady    n_d = n (1 + k1 r^2 + k2 r^4 + k3 r^6) + p,
+///                      p = (2 p1 x y + p2 (r^2 + 2 x^2), p1 (r^2 + 2 y^2) + 2 p2 x y)
+///     kannala_brandt   n_d = n theta_d/r,  theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8),  theta = atan(r)
 ///     pixel            (u, v) = centre + (f_x x_d, f_y y_d)
 #pragma once
 
