@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from fitted_machines import BAND, SEED, Array, draw, image, rotation, rows, settled
+from fitted_machines import BAND, MODES, SEED, STARTS, Array, draw, image, rotation, row, settled, warned
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import keys_without_effect, unlikely
@@ -241,6 +243,7 @@ def scaled(scenario: hs.Scenario, mass: float, length: float, time: float) -> hs
         "target.depth": (length * np.array(scenario.target.depth)).tolist(),
         f"controller.{law}.auto.bandwidth": value_at(scenario, f"controller.{law}.auto.bandwidth") / time,
         "robot.force_limit": mass * length / time**2 * robot.force_limit,
+        "robot.gravity": (length / time**2 * np.array(robot.gravity)).tolist(),
     }
     for key in ("platform_radius", "base_radius", "home_position", "stroke"):
         changes[f"robot.{key}"] = (length * np.array(getattr(robot, key))).tolist()
@@ -252,7 +255,7 @@ def scaled(scenario: hs.Scenario, mass: float, length: float, time: float) -> hs
 @pytest.mark.parametrize("mode", ["continuous", "sampled"])
 @pytest.mark.parametrize("law", LAWS)
 def test_a_scaled_machine_runs_the_same_dimensionless_loop(paper: hs.Scenario, law: str, mode: str) -> None:
-    """Powers of two scale without rounding. Where time^2 is length, so does gravity, and its error may stay."""
+    """Powers of two scale without rounding, so that not a bit differs."""
     implicit = mode == "sampled" and law in ("hybrid", "composite")
     base = with_auto(paper, law, 4.0).updated(
         {
@@ -262,52 +265,50 @@ def test_a_scaled_machine_runs_the_same_dimensionless_loop(paper: hs.Scenario, l
         }
     )
     one = hs.simulate(base)
-    for mass, time in ((2.0**14, 2.0), (2.0**-3, 4.0), (1.0, 0.5)):
-        other = hs.simulate(scaled(base, mass, time**2, time))
+    for mass, length, time in ((2.0**14, 4.0, 2.0), (2.0**-3, 16.0, 0.125), (1.0, 0.25, 4.0)):
+        other = hs.simulate(scaled(base, mass, length, time))
         np.testing.assert_array_equal(other.features, one.features)
-        np.testing.assert_array_equal(other.position / time**2, one.position)
-        np.testing.assert_array_equal(other.leg_forces, one.leg_forces * mass)
-    # Any factors, without an error of the weight: rounding of m g beside the law's wrench, and of the gains, which
-    # grows as neighbouring trajectories part; 500 ticks of some 1e-14 px.
-    light = base.updated({"uncertainty.gravity": 0.0})
-    one = hs.simulate(light)
-    other = hs.simulate(scaled(light, 8333.3, 3.7, 0.31))
+        np.testing.assert_array_equal(other.position / length, one.position)
+        np.testing.assert_array_equal(other.leg_forces, one.leg_forces * (mass * length / time**2))
+    # Other factors round: some 1e-14 px a tick, over 500 ticks, while neighbouring trajectories part.
+    other = hs.simulate(scaled(base, 8333.3, 3.7, 0.31))
     np.testing.assert_allclose(other.features, one.features, atol=1e-9)
 
 
 # ---- Random machines ------------------------------------------------------------------------------------------------
 
-# Share of machines within 25 % of their median; what 60 of them may miss by chance of the shares in docs/gains.md.
-ALIKE = {
-    ("composite", "pointing"): 1.0,
-    ("resolved_rate", "pointing"): 1.0,
-    ("pbvs", "pointing"): 1.0,
-    ("computed_torque", "pointing"): 1.0,
-    ("composite", "pose"): 0.9,
-    ("resolved_rate", "pose"): 0.98,
-    ("pbvs", "pose"): 0.98,
-    ("computed_torque", "pose"): 0.9,
+# Median settling time in units of 1/f, and the share within 25 % of it of machines that `hexservo check` does not warn
+# of; docs/gains.md has both for 1000 machines.
+EXPECTED = {
+    "hybrid": (6.6, 0.9),
+    "composite": (0.82, 1.0),
+    "kelly": (0.78, 1.0),
+    "resolved_rate": (0.75, 1.0),
+    "pbvs": (0.75, 1.0),
+    "computed_torque": (0.77, 1.0),
 }
-MEDIAN = {"composite": 0.82, "resolved_rate": 0.75, "pbvs": 0.75, "computed_torque": 0.77}
+# Share of machines that it may warn of, with 60 of them; those laws pull with J^T K_p J.
+MOST_WARNED = {"pointing": 0.05, "pose": 0.15}
 
 
-@pytest.mark.parametrize("mode", ["continuous", "sampled"])
-@pytest.mark.parametrize(("law", "start"), ALIKE)
-def test_random_machines_settle_alike(law: str, start: str, mode: str) -> None:
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("law", LAWS)
+def test_random_machines_settle_alike_or_are_warned_of(law: str, start: str) -> None:
     print(f"seed {SEED}")
-    row = rows(law, 60, start, mode)
-    assert row.alike() >= ALIKE[law, start]
-    assert row.median == pytest.approx(MEDIAN[law], rel=0.05)
-
-
-@pytest.mark.parametrize("mode", ["continuous", "sampled"])
-@pytest.mark.parametrize("law", ["hybrid", "kelly"])
-def test_image_based_laws_settle_alike_where_the_image_turns(law: str, mode: str) -> None:
-    """From a rotation, with targets farther than 1.5 radii of gyration; docs/gains.md has the numbers of the others."""
-    print(f"seed {SEED}")
-    row = rows(law, 60, "pointing", mode)
-    assert row.far.sum() > 25
-    assert row.alike(row.far) >= 0.9
+    machines = draw(60, start)
+    warnings = warned(law, machines)
+    if law not in ("hybrid", "kelly"):
+        assert warnings.mean() <= MOST_WARNED[start]
+    median, least = EXPECTED[law]
+    for mode in MODES:
+        found = row(law, start, mode, machines, warnings)
+        if start == "pointing" or law not in ("hybrid", "kelly"):
+            assert (~warnings).sum() >= 25
+            assert found.alike(~warnings) >= least
+            assert found.median == pytest.approx(median, rel=0.25 if law == "hybrid" else 0.05)
+        else:  # all but a few are warned of, and most of those do not settle
+            assert warnings.mean() > 0.9
+            assert found.alike(warnings) < 0.4
 
 
 def test_the_settling_time_is_that_of_the_second_order_equation() -> None:
@@ -351,8 +352,8 @@ def test_the_force_at_the_start_is_that_of_a_run(paper: hs.Scenario) -> None:
         (sentence,) = warnings_of(fast, f"controller.{law}.auto.bandwidth: 40 Hz needs")
         most = float(sentence.rpartition("enough for ")[2].removesuffix(" Hz"))
         assert 4.0 < most < 40.0
-        for factor, warned in ((0.99, False), (1.01, True)):
-            assert bool(warnings_of(with_auto(paper, law, factor * most), f"controller.{law}.auto")) == warned
+        for factor, expected in ((0.99, False), (1.01, True)):
+            assert bool(warnings_of(with_auto(paper, law, factor * most), f"controller.{law}.auto")) == expected
     heavy = with_auto(paper, "kelly", 4.0).updated({"robot.force_limit": 0.1})
     assert "do not carry the weight" in warnings_of(heavy)[0]
 
@@ -377,6 +378,43 @@ def test_a_late_image_takes_damping_away(paper: hs.Scenario) -> None:
     assert ends[3.0] > 20.0
     predicted = late.updated({"camera.prediction": "encoder"})
     assert image_delay(predicted) == pytest.approx(0.0005)
+
+
+def test_what_a_law_cannot_do_is_in_words(paper: hs.Scenario) -> None:
+    """Near and far targets, and starts that the image constrains weakly; the runs above are the proof of the bounds."""
+    near = paper.updated({"target.depth": 0.03, "robot.force_limit": 1e9})
+    assert "so near that rotations have" in warnings_of(with_auto(near, "hybrid", 5.0))[-1]
+    assert warnings_of(with_auto(near, "pbvs", 5.0)) == []
+    home, points = np.array(paper.robot.home_position), scene_of(paper).points
+    nearer = {"target.desired_features": image(581.816, points, home - [0.0, 0.0, 0.02], np.eye(3))}
+    for law in ("hybrid", "kelly"):
+        sentence = warnings_of(with_auto(paper, law, 5.0, **nearer))[-1]
+        assert sentence.endswith("more than twice as slow with this law")
+    assert warnings_of(with_auto(paper, "resolved_rate", 5.0, **nearer)) == []
+    firm = with_auto(paper, "composite", 5.0, **nearer, **{"controller.composite.prior": 1e6})
+    (sentence,) = warnings_of(firm, "controller.composite.prior")
+    share = float(re.findall(r"with ([\d.]+) % of", sentence)[0]) / 100
+    found = hs.metrics(hs.simulate(firm.updated({"uncertainty.depth": 0.0, "simulation.duration": 20.0})))
+    start = np.abs(scene_of(firm).desired - scene_of(firm).view(scene_of(firm).home).features).max()
+    assert found["final_error"] / start == pytest.approx(share, rel=0.1)
+
+
+def test_a_campaign_varies_the_bandwidth(paper: hs.Scenario, tmp_path: Path) -> None:
+    fitted = with_auto(paper, "pbvs", 4.0).updated({"simulation.duration": 0.05})
+    key = "controller.pbvs.auto.bandwidth"
+    file = {
+        "scenario": fitted,
+        "vary": {key: {"log": [2.0, 8.0]}, "robot.mass": {"uniform": [0.05, 0.08]}},
+        "require": ["outcome == completed"],
+        "runs": 4,
+        "chunk_size": 2,
+    }
+    found = hs.campaign(file, tmp_path / "campaign")
+    table = found.to_dataframe()
+    for index in range(4):
+        run = table.iloc[index]
+        single = hs.metrics(hs.simulate(fitted.updated({key: run[key], "robot.mass": run["robot.mass"]})))
+        assert run["final_error"] == pytest.approx(single["final_error"], rel=1e-7)
 
 
 def test_auto_that_fits_nothing_has_no_effect(paper: hs.Scenario) -> None:

@@ -7,18 +7,23 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
+from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, machine_of
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
-__all__ = ["image_delay", "of_gains", "start_forces"]
+__all__ = ["image_delay", "of_gains", "share_of_prior", "slow_share", "start_forces", "turning_share"]
 
 _OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
+_SLOW = 0.5  # of the bandwidth: motions below it are slow
+_LEFT = 0.03  # share of the image error that may be slow, or stay
+_TURNED = 0.7  # share of rotations in the common motion of the features
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -40,6 +45,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         yield from _of_times(scenario, key, auto.bandwidth)
         yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
         yield from _of_forces(scene, key, auto.bandwidth)
+        yield from _of_image(scene, key)
     elif fastest is not None:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
 
@@ -104,12 +110,78 @@ def _of_forces(scene: Scene, key: str, bandwidth: float) -> Iterator[str]:
         )
 
 
+def _of_image(scene: Scene, key: str) -> Iterator[str]:
+    """Yield where the law's own structure keeps it from settling as others do."""
+    law, machine = scene.scenario.controller.law, machine_of(scene.scenario)
+    traits = _core.LAW_TRAITS[law]
+    if traits.points:  # it follows a pose, or inverts the image Jacobian
+        return
+    if not traits.prior:  # its stiffness is J^T K_p J
+        share = slow_share(scene, machine)
+        if share > _LEFT:
+            yield (
+                f"{key} is that of the features' common motion; {number(100 * share, 2)} % of the image error at the "
+                "start is more than twice as slow with this law"
+            )
+        turned = turning_share(machine)
+        if not traits.viscous and turned < _TURNED:
+            yield (
+                f"{key} is meant for targets that are seen to move with rotations; this one is so near that rotations "
+                f"have {number(100 * turned, 2)} % of the features' common motion"
+            )
+    else:
+        share = share_of_prior(scene, machine)
+        if share > _LEFT:
+            yield (
+                f"controller.{law}.prior: with {number(100 * share, 2)} % of the image error at the start, image and "
+                "start pose balance; a smaller prior leaves less"
+            )
+
+
+def slow_share(scene: Scene, machine: Machine) -> float:
+    """Return the share of the largest feature error at the start that motions below half the bandwidth have.
+
+    Motions of `kelly` without damping, at the goal: the eigenvectors of J D^-1 J^T K_p. Image errors that no motion
+    has (its null space) count.
+    """
+    stiffness = np.tile(1.0 / machine.pointing, machine.points)  # K_p/omega^2
+    root = np.sqrt(stiffness)
+    moved = machine.jacobian @ np.linalg.solve(machine.mass, machine.jacobian.T)
+    squares, ways = np.linalg.eigh(root[:, None] * moved * root)
+    error = scene.desired - scene.view(scene.start).features
+    parts = ways.T @ (root * error)
+    slow = ways @ np.where(squares < _SLOW**2, parts, 0.0) / root
+    return _largest_share(slow, error)
+
+
+def turning_share(machine: Machine) -> float:
+    """Return the share of rotations in how a common force on all features moves them together, the least of x and y."""
+    together = np.tile(np.eye(2), machine.points) / np.sqrt(machine.points)
+    pull = (together @ machine.jacobian)[:, 3:]
+    turned = np.einsum("ij,ji->i", pull, np.linalg.solve(machine.mass[3:, 3:], pull.T))
+    return float((turned / machine.pointing).min())
+
+
+def share_of_prior(scene: Scene, machine: Machine) -> float:
+    """Return the share of the largest feature error at the start with which image and start pose balance.
+
+    Where e = 0: J^T xi-tilde = M x, x from the start, to first order. Zero where no pose shows the goal image.
+    """
+    weight = np.diag(np.broadcast_to(value_at(scene.scenario, f"controller.{scene.scenario.controller.law}.prior"), 6))
+    left = np.linalg.solve(machine.jacobian.T @ machine.jacobian + weight, weight @ machine.displacement)
+    share = _largest_share(machine.jacobian @ left, scene.desired - scene.view(scene.start).features)
+    return share if math.isfinite(share) else 0.0
+
+
+def _largest_share(part: Array, whole: Array) -> float:
+    return float(np.abs(part).max() / max(float(np.abs(whole).max()), 1e-300))
+
+
 def start_forces(scene: Scene) -> tuple[Array, Array]:
-    """Return the leg forces at home, (6,) each [N]: what carries the estimated weight, and the rest."""
-    view, pose = scene.view(scene.home), scene.home
-    depth = scene.probe.measured_depth(view.depth[None])
-    rows = pose.rows
-    given = scene.probe.law(view.features[None], depth, rows.position, rows.quaternion, np.zeros((1, 6)), None).wrench
+    """Return the leg forces at the start, (6,) each [N]: what carries the estimated weight, and the rest."""
+    view, pose = scene.view(scene.start), scene.start
+    depth, twist = scene.probe.measured_depth(view.depth[None]), scene.settings["simulation.start.twist"][None]
+    given = scene.probe.law(view.features[None], depth, pose.rows.position, pose.rows.quaternion, twist, None).wrench
     weight, whole = (
         np.asarray(scene.hexapod.leg_forces(pose.position, pose.quaternion, wrench))
         for wrench in (scene.body.weight(pose.quaternion), given[0])

@@ -136,7 +136,7 @@ def _space(seen: SpaceView) -> Html:
     )
     targets = "Coloured rays end at the targets." if seen.targets is not None else "This plant has no targets in space."
     words = (
-        "Grey: base and legs. Blue: platform, up to the camera. In front of the camera is its image: "
+        "Grey: base and legs. Blue: platform. In front of the camera, at the centre of the platform, is its image: "
         f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B points "
         f"{'down' if seen.z_down else 'up'}; the view is upright. "
     )

@@ -17,6 +17,7 @@ from hexservo import _core
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.core_defaults import core_default
+from hexservo.scenario.keys import sampled_keys
 from hexservo.scenario.laws import LAWS, Auto
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.placing import read_target
@@ -36,7 +37,8 @@ __all__ = [
 ]
 
 # Dimensionless numbers of the formulas, docs/gains.md.
-_PRIOR = 1.5e-3  # all laws with a prior: its weight over the image of one point
+_PRIOR = 1.5e-3  # composite, computed_torque: weight of the prior over the image of one point
+_NOISY_PRIOR = 0.05  # pbvs: the same under noise; an exact image releases it
 _UPTAKE = 0.5  # composite: rate at which the fuzzy systems take up a constant force, over omega
 _CENTRE = 0.63  # composite: |phi-bar|^2 where both inputs are zero, with the default bells
 _FULL_SCALE = 3.0  # composite: one over the pose error at which an input is at its limit, in distances and in rad
@@ -51,9 +53,9 @@ _SPRING = np.repeat([0.0184, 0.0727], 3)  # 1/Psi over the stiffness of the imag
 
 _SURE = 1e6  # weight of the pose sensors where the pose is known [px^2/m^2; px^2/rad^2]
 _SAME = 1e-9  # relative difference of gains that are equal but for rounding
-# What the machine depends on; the two keys of the robot are limits.
 _BLOCKS = ("name", "robot", "camera", "target")
-_OF_MACHINE = ("robot.", "camera.focal_length", "camera.pixel_scale", "camera.focal_pixels", "camera.mount.", "target.")
+# What the machine depends on, but for limits and devices.
+_OF_MACHINE = ("robot.", "camera.", "target.")
 _LIMITS = ("robot.stroke", "robot.force_limit")
 
 
@@ -65,6 +67,9 @@ class Machine:
     sight: Array  # (6,) s_v [px/m] x3, s_omega [px/rad] x3
     pointing: Array  # (2,) rho_x, rho_y [px^2/(N m s^2)]
     points: int  # n
+    jacobian: Array  # (2n, 6) J at the goal [px/m, px/rad]
+    mass: Array  # (6, 6) D-bar there [kg; kg m^2]
+    displacement: Array  # (6,) from home to the goal [m; rad]; NaN where no pose shows the goal image
 
     @property
     def distance(self) -> Array:
@@ -85,7 +90,7 @@ def machine_of(scenario: Blocks) -> Machine:
     """
     settings = _nominal(scenario)
     probe = _core.Probe(settings)
-    quaternion, depth = _goal(scenario, settings, probe)
+    quaternion, depth, displacement = _goal(scenario, settings, probe)
     desired = settings.camera.features(settings["target.desired_features"].reshape(-1, 2)).ravel()
     jacobian = probe.image_jacobian(desired[None], depth, quaternion)[0]
     inertia = probe.inertia(quaternion)[0]
@@ -94,7 +99,7 @@ def machine_of(scenario: Blocks) -> Machine:
     together = np.tile(np.eye(2), points) / np.sqrt(points)  # (2, 2n): all features move alike, in x and in y
     pull = together @ jacobian
     pointing = np.einsum("ij,ji->i", pull, np.linalg.solve(inertia, pull.T))
-    return Machine(np.diag(inertia).copy(), np.repeat(sight, 3), pointing, points)
+    return Machine(np.diag(inertia).copy(), np.repeat(sight, 3), pointing, points, jacobian, inertia, displacement)
 
 
 def machine_with(scenario: Blocks, changes: Mapping[str, Any]) -> Machine:
@@ -119,29 +124,29 @@ def _nominal(scenario: Blocks, law: str = "kelly", **gains: Any) -> Settings:
     return core_parameters(nominal)
 
 
-def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Array, Array]:
-    """Return the quaternion (1, 4) of the goal and the depths Z (1, n) [m] from there; home's if there is none.
+def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Array, Array, Array]:
+    """Return quaternion (1, 4), depths Z (1, n) [m] and displacement (6,) of the goal; home's and NaN if it has none.
 
     The law `pbvs` with unit stiffness gives the displacement from home to the goal as a wrench, beside the weight.
     """
     home = _core.Hexapod(settings.robot)
     position, quaternion = np.array(home.home_position)[None], np.array(home.home_quaternion)[None]
     if settings["camera.convention"] == "as_printed":
-        return quaternion, -settings["target.depth"][None]
+        return quaternion, -settings["target.depth"][None], np.full(6, np.nan)
     features, depth = probe.image(position, quaternion)
     try:
         asked = _core.Probe(_nominal(scenario, "pbvs", kp=1.0, kd=0.0, prior=_SURE))
     except ValueError:  # no pose shows the goal image
-        return quaternion, depth
+        return quaternion, depth, np.full(6, np.nan)
     still = np.zeros((1, 6))
     wrench = asked.law(features, depth, position, quaternion, still, None).wrench
-    weight = settings.body.weight(quaternion[0])
-    shift, turn = np.split((wrench - weight)[0], 2)
+    displacement = (wrench - settings.body.weight(quaternion[0]))[0]
+    shift, turn = np.split(displacement, 2)
     angle = float(np.linalg.norm(turn))
     w, v = np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * turn
     q, u = quaternion[0, 0], quaternion[0, 1:]
     quaternion = np.array([[w * q - v @ u, *(w * u + q * v + np.cross(v, u))]])
-    return quaternion, probe.image(position + shift, quaternion)[1]
+    return quaternion, probe.image(position + shift, quaternion)[1], displacement
 
 
 # ---- Formulas -------------------------------------------------------------------------------------------------------
@@ -164,8 +169,8 @@ def fitted_gains(law: str, machine: Machine, bandwidth: ArrayLike, damping: Arra
         return _FORMULAS[law](machine, omega[..., None], zeta[..., None])
 
 
-def _prior(machine: Machine, omega: Array) -> Array:
-    return _PRIOR * machine.sight**2 * np.ones_like(omega)
+def _prior(machine: Machine, omega: Array, share: float = _PRIOR) -> Array:
+    return share * machine.sight**2 * np.ones_like(omega)
 
 
 def _image_stiffness(machine: Machine, omega: Array) -> Array:
@@ -218,7 +223,7 @@ def _pbvs(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
     return {
         "kp": omega**2 * machine.inertia,
         "kd": 2.0 * zeta * omega * machine.inertia,
-        "prior": _prior(machine, omega),
+        "prior": _prior(machine, omega, _NOISY_PRIOR),
     }
 
 
@@ -262,7 +267,7 @@ def auto_of(scenario: Blocks) -> Auto:
 
 def acts_on_gains(key: str) -> bool:
     """Return whether fitted gains depend on a dotted key, beside bandwidth and damping."""
-    return key.startswith(_OF_MACHINE) and key not in _LIMITS
+    return key.startswith(_OF_MACHINE) and key not in _LIMITS and key not in sampled_keys()
 
 
 def with_fitted_gains(data: dict[str, Any]) -> dict[str, Any]:

@@ -20,11 +20,9 @@ __all__ = ["desired_features", "has_pixels", "on_pinhole", "points_outside", "to
 def has_pixels(camera: Camera) -> bool:
     """Return whether pixels of a camera may differ from features of its pinhole."""
     lens = camera.distortion
-    one_focal_length = not isinstance(camera.focal_pixels, tuple)  # a number is one in another unit
-    return (
-        camera.axes != "paper"
-        or not one_focal_length
-        or any(value is not None for value in (camera.principal_point, lens.brown_conrady, lens.kannala_brandt))
+    return camera.axes != "paper" or any(
+        value is not None
+        for value in (camera.focal_pixels, camera.principal_point, lens.brown_conrady, lens.kannala_brandt)
     )
 
 
