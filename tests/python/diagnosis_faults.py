@@ -266,7 +266,7 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
     ),
     "inertia": (Fault({"uncertainty.inertia": EitherSign(0.5, 0.99)}),),
     "coriolis": (Fault({"uncertainty.coriolis": EitherSign(0.5, 0.99)}),),
-    "mount": (Fault({"uncertainty.mount.rotation": Several(3, EitherSign(0.6, 1.5))}),),
+    "calibration": (Fault({"uncertainty.mount.rotation": Several(3, EitherSign(0.6, 1.5))}),),
     "unequal_depth": (
         Fault(SIGNED, laws=("pbvs", "resolved_rate"), base={**DRIFTING, "controller.pbvs.prior": 0.0}),
         Fault(SIGNED, laws=("pbvs", "resolved_rate"), base={**DRIFTING, "controller.pbvs.prior": 0.0}, continuous=True),

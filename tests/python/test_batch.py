@@ -85,6 +85,29 @@ def sampled(smooth: hs.Scenario) -> hs.Scenario:
     return smooth.updated({**first, "seed": 0, "simulation.substeps": 1, "simulation.mode": "sampled"})
 
 
+CALIBRATED: dict[str, list[Any]] = {  # the first is what `calibrated` has
+    "camera.focal_pixels": [[582.0, 580.0], [583.0, 581.0], [580.0, 582.0]],
+    "camera.principal_point": [[320.0, 240.0], [321.0, 239.0], [318.0, 243.0]],
+    "camera.distortion.brown_conrady": [[0.1, 0.0, 0.0, 0.0, 0.0], [0.05, 0.01, 1e-3, 0.0, 0.0], [-0.1] + [0.0] * 4],
+    "camera.distortion.kannala_brandt": [[0.1, 0.0, 0.0, 0.0], [0.05, 0.01, 0.0, 0.0], [-0.05, 0.0, 0.0, 0.0]],
+    "uncertainty.focal_length": [[0.01], [0.02], [-0.01]],
+    "uncertainty.principal_point": [[1.0, 0.0], [2.0, -1.0], [0.0, 1.0]],
+}
+
+
+def calibrated(sampled: hs.Scenario, key: str) -> hs.Scenario:
+    """The same task, through a calibrated camera."""
+    first = {name: rows[0] for name, rows in CALIBRATED.items() if "distortion" not in name or name == key}
+    centre = np.array(first["camera.principal_point"])
+    image = {
+        f"target.{name}": (getattr(sampled.target, name) + np.tile(centre, 4)).tolist()
+        for name in ("initial_features", "desired_features")
+    }
+    pixels = {"camera.focal_length": None, "camera.pixel_scale": None, "camera.image_size": [640.0, 480.0]}
+    errors = {"uncertainty.focal_length": 0.01, "camera.noise": 0.0, "camera.outlier_probability": 0.0}
+    return sampled.updated({**pixels, **first, **image, **errors})
+
+
 # ---- Every key ------------------------------------------------------------------------------------------------------
 
 
@@ -124,8 +147,10 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
             "metrics.rms_start": [1.0, 0.01, 0.05],
         }.get(key, [1.0, 1.01, 0.98])
         rows = np.stack([base * step for step in steps])
-        if key in SAMPLED_ROWS:
-            rows = np.array(SAMPLED_ROWS[key])
+        if key in SAMPLED_ROWS or key in CALIBRATED:
+            rows = np.array(CALIBRATED.get(key) or SAMPLED_ROWS[key])
+            if key == "camera.focal_pixels" and shape == ():
+                rows = rows[:, :1]
             rows = np.broadcast_to(rows.reshape(3, *[-1] * len(shape)), (3, *shape)).copy()
         elif key.endswith((".leakage", ".dead_zone", ".damping")):
             rows[1], rows[2] = 0.01, 0.02
@@ -141,7 +166,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
 
 @pytest.mark.parametrize(("law", "key"), [(law, key) for law in LAWS for key in numeric_keys(law)])
 def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.Scenario, law: str, key: str) -> None:
-    base = smooth = (sampled if key in SAMPLED_ROWS else smooth).updated({"controller.law": law})
+    base = smooth = (sampled if key in SAMPLED_ROWS or key in CALIBRATED else smooth).updated({"controller.law": law})
     if key == "target.points":
         points = rows_of(smooth, key)[0][0]
         rays = points - smooth.robot.home_position
@@ -154,6 +179,8 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         hexapod = _core.Hexapod(core_parameters(base).robot)
         circle = {f"robot.{side}_radius": None, f"robot.{side}_angles": None}
         base = base.updated({**circle, key: getattr(hexapod, f"{side}_joints")})
+    if key in CALIBRATED:
+        base = calibrated(base, key)
     if key == "robot.centre_of_mass":  # an inertia that a body with all of these has
         base = base.updated({"robot.inertia": [5e-4] * 3})
     if key.startswith("robot.payload."):

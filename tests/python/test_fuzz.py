@@ -87,7 +87,7 @@ def test_scenarios_with_every_key_and_at_every_bound_are_drawn_and_accepted() ->
     bounds = {(key, float(bound)) for key, rule in rules().items() for bound in inclusive_bounds(rule)}
     changed: set[str] = set()
     accepted = 0
-    for trial in range(900):
+    for trial in range(1500):
         drawn = draw(generator("coverage", SEED, trial))
         if drawn.scenario is not None:
             accepted += 1

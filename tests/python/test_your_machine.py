@@ -88,7 +88,7 @@ def test_the_table_has_the_numbers_of_the_runs() -> None:
         assert float(mass) == scenario.robot.mass + scenario.robot.payload.mass
         assert float(stroke) == pytest.approx(1e3 * scenario.robot.stroke)
         assert float(bandwidth) == scenario.controller.composite.auto.bandwidth
-        # variants of the kernel differ in the last digits, which may move the last crossing of the band by a frame or two
+        # variants of the kernel differ in the last digits, which may move the last crossing of the band by a frame
         assert float(settles) == pytest.approx(metrics["settling_time"], abs=2.0 * (scenario.camera.period or 0.0))
         assert float(rms) == pytest.approx(metrics["rms_error"], abs=0.01)
 

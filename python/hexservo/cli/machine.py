@@ -12,6 +12,7 @@ import typer
 
 import hexservo as hs
 from hexservo.cli.terminal import INTERRUPTED, complain, errors_as_messages, write
+from hexservo.scenario.laws import GENERAL_LAW
 
 __all__ = ["new"]
 
@@ -27,7 +28,9 @@ def new(
     machine: Annotated[str, typer.Option("--machine", metavar="FILE", help="YAML file to write, a new file.")],
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace a file of an earlier `hexservo new`.")] = False,
 ) -> None:
-    """Write a scenario from the numbers of a machine's data sheet, which it asks for.
+    """Write a scenario from the numbers of a data sheet.
+
+    Asks for them one by one.
 
     Enter takes the answer in brackets. Each answer is checked at once; without a terminal, answers are read from
     standard input, one a line, and the first that is wrong ends the command. The file appears whole or not at all.
@@ -136,9 +139,9 @@ def _scenario_text(dialogue: _Dialogue, name: str) -> str:
         "camera": camera,
         "target": target,
         "controller": {
-            "law": "composite",
+            "law": GENERAL_LAW,
             "switching": {"kind": "implicit"},
-            "composite": {"auto": {"bandwidth": bandwidth}},
+            GENERAL_LAW: {"auto": {"bandwidth": bandwidth}},
         },
         "sensors": {"pose": "encoders", "resolution": 1e-6},
         "simulation": {"mode": "sampled", "step": step, "duration": _rounded(frames * parts * step)},

@@ -23,6 +23,7 @@ from hexservo.scenario.rules import (
 )
 
 __all__ = [
+    "GENERAL_LAW",
     "LAWS",
     "THEOREM_LAW",
     "Auto",
@@ -41,6 +42,7 @@ __all__ = [
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
 JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
 LAWS: tuple[str, ...] = tuple(_core.LAW_TRAITS)
+GENERAL_LAW = "composite"  # what a new machine begins with: it integrates, and its prior bounds the drift
 THEOREM_LAW = next(law for law, traits in _core.LAW_TRAITS.items() if traits.theorem)  # the paper's
 SixNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)]
 EightNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)]

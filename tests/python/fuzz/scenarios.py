@@ -190,6 +190,13 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
         changes |= {"target.initial_features": None, "target.depth": None}
     elif changes.get("target.initial_features") is not None:
         changes["target.points"] = None
+    if changes.get("camera.focal_pixels") is not None:
+        changes |= {"camera.focal_length": None, "camera.pixel_scale": None}
+    if changes.get("camera.distortion.kannala_brandt") is not None:
+        changes["camera.distortion.brown_conrady"] = None
+    if changes.get("camera.principal_point") is not None:
+        changes |= {"camera.principal_point": [320.0, 240.0], "camera.image_size": [640.0, 480.0]}
+        changes["simulation.mode"] = "sampled"
     if changes.get("target.desired_pose") is not None:
         changes["target.desired_features"] = None
     for side in ("platform", "base"):
@@ -214,6 +221,10 @@ SMALL = {  # sizes of what is refused, or beyond all reach, as a rule where it i
     "robot.payload.position": 0.02,
     "camera.mount.position": 0.02,
     "camera.mount.rotation": 0.1,
+    "camera.distortion.brown_conrady": 0.02,
+    "camera.distortion.kannala_brandt": 0.02,
+    "uncertainty.focal_length": 0.02,
+    "uncertainty.principal_point": 2.0,
     "uncertainty.mount.position": 5e-3,
     "uncertainty.mount.rotation": 0.02,
     "simulation.start.pose": 3e-3,

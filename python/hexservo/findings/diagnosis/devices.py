@@ -171,12 +171,17 @@ def _coriolis(case: Case) -> list[Removal]:
     return [Removal("an exact estimate of the Coriolis terms", {"uncertainty.coriolis": 0.0})]
 
 
-def _mount(case: Case) -> list[Removal]:
-    mount = case.scenario.uncertainty.mount
-    if not np.any([mount.position, mount.rotation]):
-        return []
-    none = {"uncertainty.mount.position": [0.0] * 3, "uncertainty.mount.rotation": [0.0] * 3}
-    return [Removal("an exact mount of the camera", none)]
+_CALIBRATION: dict[str, Any] = {
+    "uncertainty.mount.position": [0.0] * 3,
+    "uncertainty.mount.rotation": [0.0] * 3,
+    "uncertainty.focal_length": 0.0,
+    "uncertainty.principal_point": [0.0] * 2,
+}
+
+
+def _calibration(case: Case) -> list[Removal]:
+    wrong = [key for key in _CALIBRATION if np.any(value_at(case.scenario, key))]
+    return [Removal("an exact calibration of the camera", {key: _CALIBRATION[key] for key in wrong})] if wrong else []
 
 
 def _unequal_depth(case: Case) -> list[Removal]:
@@ -347,11 +352,11 @@ DEVICES: tuple[Cause, ...] = (
     Cause("inertia", "a wrong inertia", "device", _keys("uncertainty.inertia"), _inertia),
     Cause("coriolis", "wrong Coriolis terms", "device", _keys("uncertainty.coriolis"), _coriolis),
     Cause(
-        "mount",
-        "a wrong mount of the camera",
+        "calibration",
+        "a wrong calibration of the camera",
         "device",
-        _keys("uncertainty.mount.position", "uncertainty.mount.rotation"),
-        _mount,
+        _keys(*_CALIBRATION),
+        _calibration,
     ),
     Cause(
         "unequal_depth",
