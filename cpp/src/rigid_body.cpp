@@ -11,6 +11,9 @@ using detail::words;
 
 namespace {
 
+/// Whether the centre of mass is elsewhere than in E's origin.
+bool is_away(const RigidBody<double>& body) { return body.centre_E != Vector3<double>::Zero(); }
+
 /// The actual inertia (1 - delta_D) o (R I R^T) must be positive definite at every attitude. Either of two conditions
 /// is enough: 1 - delta_D is positive semidefinite with a positive diagonal (Schur's product theorem), or the errors
 /// are small against the inertia's smallest principal moment (Weyl's inequality with the Frobenius norm, which no
@@ -21,7 +24,7 @@ void validate_inertia_error(const Matrix6<double>& delta, const RigidBody<double
   const Matrix3<double>& inertia = body.inertia_E;
   const std::string key = "uncertainty.inertia";
   if ((delta - delta.transpose()).cwiseAbs().maxCoeff() > 0.0) refuse(key, "a symmetric 6x6 array", "one that is not");
-  if (body.off_centre) {
+  if (is_away(body)) {
     const Eigen::SelfAdjointEigenSolver<Matrix6<double>> all(Matrix6<double>::Ones() - delta, Eigen::EigenvaluesOnly);
     if (!(all.eigenvalues()(0) >= -1e-12))
       refuse(key, "errors with 1 - error positive semidefinite, since the centre of mass is off the platform's origin",
@@ -63,16 +66,16 @@ void validate(const RigidBody<double>& body, const DynamicsError<double>& error)
   if ((I - I.transpose()).cwiseAbs().maxCoeff() > 1e-12 * I.cwiseAbs().maxCoeff())
     refuse("robot.inertia", "a symmetric 3x3 matrix", "one that is not");
   // About the centre of mass, which is E's origin in the paper.
-  const Matrix3<double> central = body.off_centre ? I - displaced_inertia(body.mass, body.centre_E) : I;
+  const Matrix3<double> central = is_away(body) ? I - displaced_inertia(body.mass, body.centre_E) : I;
   const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(central, Eigen::EigenvaluesOnly);
   const Vector3<double> principal = solver.eigenvalues();  // ascending
   const std::string got = words("principal moments ", principal(0), ", ", principal(1), ", ", principal(2), " kg m^2",
-                                body.off_centre ? " about the centre of mass" : "");
+                                is_away(body) ? " about the centre of mass" : "");
   if (!(principal(0) > 0.0))
     refuse("robot.inertia",
-           body.off_centre ? "an inertia about the platform's origin of more than mass times distance squared of "
-                             "robot.centre_of_mass"
-                           : "a positive definite matrix",
+           is_away(body) ? "an inertia about the platform's origin of more than mass times distance squared of "
+                           "robot.centre_of_mass"
+                         : "a positive definite matrix",
            got);
   if (principal(2) - principal(0) - principal(1) > 1e-9 * principal.sum())
     refuse("robot.inertia",

@@ -62,12 +62,13 @@ void place_target(const Target& target, CameraConvention convention, const Camer
              "points");
     points_B = target.points->transpose();
     image = take_image<double, kPoints>(camera, home.position, R_BE, points_B);
+    const Vector3<double> at = camera.centre(home.position, R_BE), along = -camera.attitude(R_BE).col(2);
     for (int i = 0; i < kPoints; ++i)
       if (!(image.depth(i) < 0.0))
         refuse(words("target.points[", i, "]"),
-               words("a point in front of the camera, which looks along -z of ",
-                     camera.placement == nullptr ? "the platform" : "its own frame (camera.mount)", " from home at ",
-                     home.position.transpose(), " m"),
+               words("a point in front of the camera, which at home is at (", at(0), ", ", at(1), ", ", at(2),
+                     ") m and looks along (", along(0), ", ", along(1), ", ", along(2),
+                     ") of the base frame (camera.mount, camera.axes)"),
                words("one ", image.depth(i), " m behind it"));
   } else {
     image = {rectified("target.initial_features", lens, target.initial_features), -target.depth};
@@ -384,6 +385,7 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.plant_body = plant_body(settings.robot);
   validate(body_of(settings.robot, false), p.dynamics_error);
   validate_payload(settings.robot.payload);
+  validate(p.plant_body, p.dynamics_error);  // with the payload, to which the errors apply as well
   p.convention = settings.camera.convention;
   place_cameras(settings, p);
   p.jacobian = settings.controller.jacobian;

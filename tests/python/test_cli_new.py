@@ -46,6 +46,20 @@ def test_defaults_make_a_machine_that_settles(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.array(scenario.target.points), np.array(corners))
 
 
+@pytest.mark.parametrize("rate", ["10", "24", "29.97", "30", "59.94", "100", "144", "333"])
+@pytest.mark.parametrize("bandwidth", ["0.3", "1.7", "2", "2.7", "5.3"])
+def test_every_rate_and_bandwidth_make_a_grid_of_times(tmp_path: Path, rate: str, bandwidth: str) -> None:
+    """Servo period, frame period, latency and duration are whole numbers of each other, to rounding."""
+    done = answered(tmp_path / "mine.yaml", answers(p14=rate, p19=bandwidth))
+    assert done.exit_code == 0, done.output
+
+
+def test_the_inertia_in_brackets_is_one_of_a_body(tmp_path: Path) -> None:
+    """0.25 m r^2 has digits here that rounding alone would make more than a body has."""
+    done = answered(tmp_path / "mine.yaml", answers(p1="87", p7="1.07"))
+    assert done.exit_code == 0, done.output
+
+
 def test_numbers_of_a_sheet_become_si_units(tmp_path: Path) -> None:
     """The machine pi-h824 by its answers: pairs of the base about 0, 120, 240 deg and of the platform halfway."""
     file = tmp_path / "pi.yaml"
@@ -91,7 +105,7 @@ def test_joints_one_by_one(tmp_path: Path) -> None:
         (answers(p5="1 2"), 'expected 3 numbers with blanks between, got "1 2"'),
         (answers(p6="1 15"), 'expected a number <= 0, then one >= 0, got "1 15"'),
         (answers(p8="1 1 3"), 'expected none larger than the sum of the other two, got "1 1 3"'),
-        (answers(p17="900"), 'which fills the image, got "900"'),
+        (answers(p17="900"), ': 80 % of the image, got "900"'),
         (answers()[:7], "expected an answer to every question, got the end of standard input"),
         (answers(p1="150", p2="60", p4="60"), "robot"),  # hexagons joined in cyclic order are singular everywhere
     ],

@@ -308,6 +308,29 @@ def test_the_nearest_reachable_pose_by_brute_force(paper: hs.Scenario) -> None:
                     assert travel(near) > stroke
 
 
+def test_a_tag_is_before_the_camera_and_not_before_the_platform(paper: hs.Scenario) -> None:
+    """A camera beside the platform that looks along x: which side of a tag it has before it."""
+    mount = {"position": [0.0, 0.0, 0.0], "rotation": [0.0, -np.pi / 2, 0.0]}
+    looks = -Rotation.from_rotvec(mount["rotation"]).as_matrix()[:, 2]
+    centre = np.array(paper.robot.home_position) + 0.5 * looks
+
+    def with_tag(turn: float) -> hs.Scenario:
+        tag = {"size": 0.08, "pose": [*centre, 0.0, turn, 0.0]}
+        target = {**NO_IMAGE, "tag": tag, "desired_features": None, "desired_pose": GOAL}
+        return paper.updated({"camera.mount": mount, "target": target})
+
+    facing, turned = (np.pi / 2, -np.pi / 2) if looks[0] < 0 else (-np.pi / 2, np.pi / 2)
+    assert with_tag(facing).target.points is not None
+    with pytest.raises(hs.ScenarioError, match=r"target.tag.pose: expected a tag whose front"):
+        with_tag(turned)
+
+
+def test_a_stroke_that_ends_at_home_reaches_home(paper: hs.Scenario) -> None:
+    retracted = paper.updated({"robot.stroke": [0.0, 0.02]})
+    assert hs.reachable(retracted, np.zeros(6)).within
+    assert not hs.reachable(retracted, [0.0, 0.0, 1e-4, 0.0, 0.0, 0.0]).within  # down: shorter legs
+
+
 def test_poses_of_the_wrong_shape_are_refused(paper: hs.Scenario) -> None:
     for function in (hs.project, hs.reachable):
         with pytest.raises(ValueError, match=r"^pose: expected .*6"):
@@ -339,7 +362,7 @@ def test_travel_that_is_not_even_about_home(paper: hs.Scenario) -> None:
     ("changes", "message"),
     [
         ({"robot.stroke": [0.01, 0.02]}, "robot.stroke: expected [shortest, longest] travel with home between them"),
-        ({"robot.stroke": [-0.01, 0.02], "robot.stroke_centre": 0.01}, "robot.stroke_centre: expected none beside"),
+        ({"robot.stroke": [-0.01, 0.02], "robot.stroke_centre": 0.01}, "robot.stroke_centre: expected null beside"),
         ({"robot.stroke_centre": 0.03}, "robot.stroke_centre: expected a middle of the travel within the stroke"),
     ],
 )

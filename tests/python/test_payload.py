@@ -132,6 +132,22 @@ def test_what_is_not_certified_says_so(paper: hs.Scenario) -> None:
     assert "centre of mass" in sentences
 
 
+def test_errors_leave_a_positive_inertia_with_the_payload_too(paper: hs.Scenario) -> None:
+    """An entry that is small against the platform's moments, and not against those of a payload at its origin."""
+    n = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
+    errors = np.zeros((6, 6))
+    errors[3, 5] = errors[5, 3] = -0.4
+    payload = {"mass": 0.01, "inertia": (0.02 * (np.eye(3) - np.outer(n, n))).tolist()}
+    assert paper.updated({"uncertainty.inertia": errors}).uncertainty.inertia
+    with pytest.raises(hs.ScenarioError, match=r"uncertainty.inertia: expected errors that surely leave a positive"):
+        paper.updated({"uncertainty.inertia": errors, "robot.payload": payload})
+
+
+def test_a_batch_of_central_payloads_takes_errors_that_a_run_takes(paper: hs.Scenario) -> None:
+    scenario = paper.updated({"uncertainty.inertia": 0.1 * np.eye(6), "simulation.duration": 0.05})
+    assert (hs.simulate_batch(scenario, {"robot.payload.mass": [0.0, 0.01]}).outcome == "completed").all()
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -81,11 +81,11 @@ class _Dialogue:
                 raise hs.ScenarioError([f'{question}: {problem}, got "{answer}"'])
             complain(f'{problem}, got "{answer}"', head="Again")
 
-    def number(self, question: str, default: float, least: float | None = 0.0) -> float:
-        """Return a number above `least`."""
+    def number(self, question: str, default: float, *, zero: bool = False) -> float:
+        """Return a number above 0, or 0 where that is allowed."""
 
         def check(value: float) -> str | None:
-            return None if least is None or value > least else f"expected a number above {least:g}"
+            return None if value > 0 or (zero and value == 0) else f"expected a number {'>= 0' if zero else 'above 0'}"
 
         return float(self.ask(question, f"{default:g}", _number, check))
 
@@ -129,7 +129,7 @@ def _scenario_text(dialogue: _Dialogue, name: str) -> str:
     bandwidth = dialogue.number("Bandwidth of the loop [Hz]", 1.0)
     period = camera["period"]
     parts = max(1, math.ceil(period * _TICKS * bandwidth))
-    step = _rounded(period / parts)
+    step = period / parts  # not rounded: times are whole numbers of it
     dialogue.say(f"The servo period is {1e3 * step:.4g} ms, {f'1/{parts} of' if parts > 1 else ''} the frame period.")
     frames = math.ceil(_PERIODS / bandwidth / period)
     document: dict[str, Any] = {
@@ -144,7 +144,7 @@ def _scenario_text(dialogue: _Dialogue, name: str) -> str:
             GENERAL_LAW: {"auto": {"bandwidth": bandwidth}},
         },
         "sensors": {"pose": "encoders", "resolution": 1e-6},
-        "simulation": {"mode": "sampled", "step": step, "duration": _rounded(frames * parts * step)},
+        "simulation": {"mode": "sampled", "step": step, "duration": frames * period},
     }
     scenario = hs.Scenario.from_mapping(document)  # all that one answer alone does not tell
     _explain(dialogue, scenario)
@@ -175,7 +175,7 @@ def _robot(dialogue: _Dialogue) -> dict[str, Any]:
     robot["gravity"] = 9.81
     robot["mass"] = dialogue.number("Mass of the platform with the camera [kg]", 5.0)
     robot["inertia"] = _inertia(dialogue, robot)
-    load = dialogue.number("Mass of a load on it, 0: none [kg]", 0.0, least=-1e-300)
+    load = dialogue.number("Mass of a load on it, 0: none [kg]", 0.0, zero=True)
     if load > 0:
         place = dialogue.numbers("Centre of the load in the platform frame: x y z [mm]", "0 0 -50", 3)
         robot["payload"] = {"mass": load, "position": _metres(place)}
@@ -204,7 +204,8 @@ def _default_joints(side: str) -> list[str]:
 def _inertia(dialogue: _Dialogue, robot: dict[str, Any]) -> list[float]:
     radius = robot.get("platform_radius") or max(math.hypot(*joint) for joint in robot["platform_joints"])
     disc = robot["mass"] * radius**2 / 4.0
-    default = f"{disc:.3g} {disc:.3g} {2 * disc:.3g}"
+    about_x = float(f"{disc:.3g}")
+    default = f"{about_x:g} {about_x:g} {2 * about_x:g}"  # no more than a body has, in these digits too
     dialogue.say("The inertia in brackets is that of a disc as large as the platform's joints.")
 
     def check(values: list[float]) -> str | None:
@@ -224,7 +225,7 @@ def _camera(dialogue: _Dialogue) -> tuple[dict[str, Any], float]:
     rate = dialogue.number("Frames per second [1/s]", 30.0)
     period = _rounded(round(1e3 / rate) * 1e-3 if rate <= 200.0 else 1.0 / rate)
     dialogue.say(f"The frame period is {1e3 * period:.4g} ms, and an image is used as long after its exposure.")
-    noise = dialogue.number("Noise of a detected point, standard deviation [px]", 0.2, least=-1e-300)
+    noise = dialogue.number("Noise of a detected point, standard deviation [px]", 0.2, zero=True)
     camera = {
         "focal_pixels": focal,
         "image_size": size,
@@ -251,7 +252,7 @@ def _target(dialogue: _Dialogue, camera_home: list[float], image: list[float], f
     most = 0.8e3 * min(image) * distance / focal  # [mm], four fifths of the image
 
     def fits(side: float) -> str | None:
-        return None if 0 < side <= most else f"expected a number above 0, and at most {most:.4g}, which fills the image"
+        return None if 0 < side <= most else f"expected a number above 0, and at most {most:.4g}: 80 % of the image"
 
     size = 1e-3 * float(
         dialogue.ask("Side of the tag [mm]", f"{min(100.0, float(f'{0.3 * most:.2g}')):g}", _number, fits)

@@ -217,6 +217,11 @@ _CONDITIONS = (
     _Condition(("controller.switching.kind",), _switches, f"only with the laws {' and '.join(laws_with('switching'))}"),
     _Condition(("controller.switching.width",), _has_slope, "only where the switching term is tanh or saturation"),
     _Condition(
+        ("robot.payload.known",),
+        lambda scenario: scenario.robot.payload.mass > 0,
+        "only with robot.payload.mass above 0",
+    ),
+    _Condition(
         ("camera.outlier_size",),
         lambda scenario: scenario.camera.outlier_probability > 0,
         "only with camera.outlier_probability above 0",

@@ -82,7 +82,7 @@ def _travel(stroke: Any, centre: Any) -> dict[str, float]:
             (("stroke",), f"expected [shortest, longest] travel with home between them, got {shown_value(stroke)}")
         )
     if centre:
-        raise refusal((("stroke_centre",), f"expected none beside [shortest, longest], got {shown_value(centre)}"))
+        raise refusal((("stroke_centre",), f"expected null beside [shortest, longest], got {shown_value(centre)}"))
     return {"stroke": (longest - shortest) / 2, "stroke_centre": (longest + shortest) / 2}
 
 

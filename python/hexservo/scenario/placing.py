@@ -10,7 +10,7 @@ from hexservo import _core
 from hexservo.scenario.blocks import Blocks, Target
 from hexservo.scenario.parameters import core_settings
 from hexservo.scenario.plain import plain
-from hexservo.scenario.tag import corners, normal
+from hexservo.scenario.tag import Tag, corners, normal, rotation_matrix
 
 __all__ = ["read_target"]
 
@@ -25,16 +25,27 @@ def read_target(scenario: Blocks) -> None:
     """
     target = scenario.target
     if target.tag is not None:
-        centre, away = np.array(target.tag[1][:3]), np.array(normal(target.tag))
-        if not float(away @ (np.array(scenario.robot.home_position) - centre)) > 0.0:
-            raise ValueError(
-                "target.tag.pose: expected a tag whose front, where its z axis points, is seen from home, "
-                "got one that is seen from behind"
-            )
+        _require_front(scenario, target.tag)
         target = _replace(scenario, {"tag": None, "points": corners(target.tag)})
     if target.desired_pose is not None:
         features = _core.project_target(core_settings(scenario), target.desired_pose)
         _replace(scenario, {"desired_pose": None, "desired_features": features})
+
+
+def _require_front(scenario: Blocks, tag: Tag) -> None:
+    """Refuse a tag whose back the camera has before it, at home or at the desired pose."""
+    robot = scenario.robot
+    home = rotation_matrix(robot.home_attitude)
+    places = {"home": (np.zeros(3), np.eye(3))}
+    if (goal := scenario.target.desired_pose) is not None:
+        places["target.desired_pose"] = (np.array(goal[:3]), rotation_matrix(goal[3:]))
+    for name, (shift, turn) in places.items():
+        camera = np.array(robot.home_position) + shift + turn @ home @ np.array(scenario.camera.mount.position)
+        if not float(np.array(normal(tag)) @ (camera - np.array(tag[1][:3]))) > 0.0:
+            raise ValueError(
+                "target.tag.pose: expected a tag whose front, where its z axis points, is before the camera at "
+                f"{name}, got one with its back to it"
+            )
 
 
 def _replace(scenario: Blocks, changes: dict[str, Any]) -> Target:

@@ -10,13 +10,13 @@ import numpy as np
 
 from hexservo.scenario.rules import DisplacementRule, Matrix, Number, Rule, Vector, refusal, shown_value
 
-__all__ = ["Tag"]
+__all__ = ["Tag", "rotation_matrix"]
 
 Tag: TypeAlias = tuple[float, Vector]
 """Side of the square [m]; its pose (6,): centre in B [m], rotation vector [rad]."""
 
 _KEYS = ("size", "pose")
-# Seen from the front, with x to the right and y up: the order of ArUco and AprilTag detectors.
+# Seen from the front, with x to the right and y up: the order of ArUco and of IPPE_SQUARE in OpenCV.
 _CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
 
 
@@ -42,16 +42,16 @@ class TagRule(Rule):
 def corners(tag: Tag) -> Matrix:
     """Return the tag's corners in B, (4, 3) [m]: top left, top right, bottom right, bottom left from the front."""
     size, pose = tag
-    points = np.array(pose[:3]) + size * _CORNERS @ _rotation(pose[3:]).T
+    points = np.array(pose[:3]) + size * _CORNERS @ rotation_matrix(pose[3:]).T
     return tuple(tuple(map(float, point)) for point in points)
 
 
 def normal(tag: Tag) -> Vector:
     """Return the tag's normal in B, (3,), which points to the viewer of its front."""
-    return tuple(map(float, _rotation(tag[1][3:])[:, 2]))
+    return tuple(map(float, rotation_matrix(tag[1][3:])[:, 2]))
 
 
-def _rotation(vector: Vector) -> np.ndarray[Any, np.dtype[np.float64]]:
+def rotation_matrix(vector: Vector) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the rotation matrix of a rotation vector [rad] (Rodrigues)."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)

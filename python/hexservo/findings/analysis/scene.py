@@ -23,6 +23,7 @@ WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
 # Changes of a scenario whose run starts at home, at rest, whatever start it has.
 AT_HOME = {"simulation.start.pose": [0.0] * 6, "simulation.start.twist": [0.0] * 6}
 
+_ROUNDING = 1e-9  # of the stroke: a leg at its very end is within
 _NEAR = 0.02  # of the depth of home's nearest point: no search takes a point closer to the camera than this
 
 
@@ -160,7 +161,7 @@ class Scene:
             pairs = zip(of.position, of.quaternion, strict=True)
             return np.asarray(np.sign(np.linalg.det([self.hexapod.wrench_map(*pose) for pose in pairs])))
 
-        return np.asarray((self.stroke_left(poses) >= 0) & (side(poses) == side(self.home.rows)))
+        return np.asarray((self.stroke_left(poses) >= -_ROUNDING * self.stroke) & (side(poses) == side(self.home.rows)))
 
     def spread(self, count: int, seed: int) -> Poses:
         """Draw poses, at most `count`, that see all points, even over `WIDER` about home, within the stroke or not."""
