@@ -348,6 +348,7 @@ void require_view_at_start(const SceneParameters<double>& p) {
 void validate_payload(const Payload& load) {
   if (load.mass == 0.0 && (load.position != Vector3<double>::Zero() || load.inertia != Matrix3<double>::Zero()))
     refuse("robot.payload.mass", "a mass > 0 for a payload with a position or an inertia", "0");
+  if (load.mass == 0.0) return;
   if ((load.inertia - load.inertia.transpose()).cwiseAbs().maxCoeff() > 1e-12 * load.inertia.cwiseAbs().maxCoeff())
     refuse("robot.payload.inertia", "a symmetric 3x3 matrix", "one that is not");
   const Vector3<double> principal =
@@ -385,7 +386,7 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.plant_body = plant_body(settings.robot);
   validate(body_of(settings.robot, false), p.dynamics_error);
   validate_payload(settings.robot.payload);
-  validate(p.plant_body, p.dynamics_error);  // with the payload, to which the errors apply as well
+  if (settings.robot.payload.mass > 0.0) validate(p.plant_body, p.dynamics_error);  // errors apply to both together
   p.convention = settings.camera.convention;
   place_cameras(settings, p);
   p.jacobian = settings.controller.jacobian;
