@@ -189,6 +189,13 @@ def leaf_keys(block: Any, head: str = "") -> Iterator[str]:
             yield head + name
 
 
+def test_ideal_devices_leave_the_camera_where_it_is() -> None:
+    scenario = hs.load_scenario("hand-eye")
+    without = scenario.updated(ideal(scenario))
+    assert without.camera.mount == scenario.camera.mount
+    assert without.uncertainty.mount == type(scenario.uncertainty.mount)()  # what the controller has wrong is a fault
+
+
 def test_a_scenario_without_faults_has_devices_that_are_ordinary_or_better() -> None:
     """From the schema's defaults, and not from the list of causes."""
     scenario = hs.load_scenario("real-machine").updated(

@@ -14,7 +14,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal
-from hexservo.scenario.keys import value_at
+from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
@@ -22,6 +22,7 @@ __all__ = [
     "DEVICE_BLOCKS",
     "FINE_STEP",
     "IMAGE_ALONE",
+    "OPTICS",
     "ORDINARY",
     "ORDINARY_BANDWIDTH",
     "ORDINARY_BASE",
@@ -39,11 +40,10 @@ __all__ = [
 
 DEVICE_BLOCKS = ("camera", "sensors", "actuators", "base_motion", "uncertainty")
 FINE_STEP = 1.0e-3  # [s], of an ordinary servo period or integration
-_OF_THE_TASK = frozenset(
+OPTICS = frozenset(
     {
         "camera.focal_length",
         "camera.pixel_scale",
-        "camera.convention",
         "camera.focal_pixels",
         "camera.principal_point",
         "camera.axes",
@@ -53,6 +53,8 @@ _OF_THE_TASK = frozenset(
         "camera.mount.rotation",
     }
 )
+"""Keys of what the camera is and where it stands."""
+_OF_THE_TASK = OPTICS | {"camera.convention"}
 _FORCES = ("kp", "kt", "kd", "ki", "kv")  # gains of forces, which grow with the mass
 _MICRO_MASS = 0.06  # [kg], that the defaults of the gains are for
 
@@ -84,11 +86,9 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to devices without faults: a frame at every tick, and the rest no worse than `ORDINARY`."""
     changes: dict[str, Any] = {}
     for block in DEVICE_BLOCKS:
-        own = getattr(scenario, block)
-        default = type(own)()
-        for name in type(own).model_fields:
-            key, value, wanted = f"{block}.{name}", getattr(own, name), getattr(default, name)
-            if key in _OF_THE_TASK | _KEPT or (block == "base_motion" and name != "kind"):  # only its own keys act
+        for key in keys_below(block):
+            value, wanted = value_at(scenario, key), default_of(key)
+            if key in _OF_THE_TASK | _KEPT or (block == "base_motion" and key != "base_motion.kind"):  # its own act
                 continue
             if key == "camera.period" and scenario.simulation.mode == "sampled":
                 value, wanted = frame_period(scenario), scenario.simulation.step

@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.diagnosis.environment import (
     FINE_STEP,
     IMAGE_ALONE,
+    OPTICS,
     ORDINARY,
     alone_at_its_gains,
     ideal,
@@ -300,22 +301,7 @@ TASKS: tuple[Cause, ...] = (
         "poor_image",
         "a poorly observable target",
         "task",
-        frozenset(
-            {
-                "target.initial_features",
-                "target.points",
-                "target.depth",
-                "camera.focal_length",
-                "camera.pixel_scale",
-                "camera.focal_pixels",
-                "camera.principal_point",
-                "camera.axes",
-                "camera.distortion.brown_conrady",
-                "camera.distortion.kannala_brandt",
-                "camera.mount.position",
-                "camera.mount.rotation",
-            }
-        ),
+        OPTICS | {"target.initial_features", "target.points", "target.depth"},
         _poor_image,
         alone=_poor_image_alone,
     ),
