@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from hexservo.report import write_report
     from hexservo.report.campaign_page import write_campaign_report
     from hexservo.run.batch import BatchResult, simulate_batch
+    from hexservo.run.c_library import c_library
     from hexservo.run.compare import compare
     from hexservo.run.comparison import Comparison, ComparisonRow
     from hexservo.run.controller import Controller, ControllerOutput
@@ -82,6 +83,7 @@ __all__ = [
     "WorstRun",
     "__version__",
     "analyse",
+    "c_library",
     "camera_from_opencv",
     "campaign",
     "campaign_names",
@@ -126,6 +128,7 @@ _MODULES = {
     "report": ("write_report",),
     "report.campaign_page": ("write_campaign_report",),
     "run.batch": ("BatchResult", "simulate_batch"),
+    "run.c_library": ("c_library",),
     "run.compare": ("compare",),
     "run.comparison": ("Comparison", "ComparisonRow"),
     "run.controller": ("Controller", "ControllerOutput"),

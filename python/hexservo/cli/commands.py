@@ -229,13 +229,22 @@ def scenarios() -> None:
 
 
 @app.command()
-def show(scenario: ScenarioArgument, settings: SettingsOption = None) -> None:
+def show(
+    scenario: ScenarioArgument,
+    settings: SettingsOption = None,
+    flat: Annotated[
+        bool, typer.Option("--flat", help="Print a line `key value` for each key of the core, for the C interface.")
+    ] = False,
+) -> None:
     """Print a scenario as YAML.
 
     All defaults are included, so that the output is a good start for a custom scenario.
     """
     with errors_as_messages():
-        write(load(scenario, settings or []).to_yaml(), encoding="utf-8")  # what a scenario is read with
+        from hexservo.scenario.flat import flat_text
+
+        chosen = load(scenario, settings or [])
+        write(flat_text(chosen) if flat else chosen.to_yaml(), encoding="utf-8")  # what a scenario is read with
 
 
 @app.command()

@@ -35,6 +35,25 @@ run("${CMAKE_COMMAND}" -S "${work}/examples" -B "${work}/build" -G "${GENERATOR}
 run("${CMAKE_COMMAND}" --build "${work}/build")
 run("${work}/build/servo" 1.0)
 
+# A program in C99 through the C interface; it needs no C++ compiler.
+file(COPY "${SOURCE}/tests/python/c_client.c" DESTINATION "${work}/c")
+file(WRITE "${work}/c/CMakeLists.txt"
+     "cmake_minimum_required(VERSION 3.22)\nproject(c_client LANGUAGES C)\nfind_package(hexservo REQUIRED)\n"
+     "add_executable(c_client c_client.c)\ntarget_link_libraries(c_client PRIVATE hexservo::c)\n")
+run("${CMAKE_COMMAND}" -S "${work}/c" -B "${work}/c/build" -G "${GENERATOR}" "-DCMAKE_BUILD_TYPE=${BUILD_TYPE}"
+    "-DEigen3_DIR=${EIGEN3_DIR}" "-DCMAKE_PREFIX_PATH=${work}/prefix"
+    "-DCMAKE_C_FLAGS=-std=c99 -pedantic -Wall -Wextra -Werror"
+    "-DCMAKE_C_FLAGS_${BUILD_TYPE_UPPER}=${CXX_FLAGS_BUILD_TYPE}")
+run("${CMAKE_COMMAND}" --build "${work}/c/build")
+file(WRITE "${work}/c/lines" "simulation.duration 0.01\n"
+     "target.initial_features 100 100 -100 100 -100 -100 100 -100\n"
+     "target.desired_features 110 110 -110 110 -110 -110 110 -110\n")
+execute_process(COMMAND "${work}/c/build/c_client" 10 INPUT_FILE "${work}/c/lines" RESULT_VARIABLE code
+                OUTPUT_VARIABLE output ERROR_VARIABLE output)
+if(NOT code EQUAL 0 OR NOT output MATCHES "^outcome completed\n")
+  message(FATAL_ERROR "c_client: expected a completed run, got ${code}:\n${output}")
+endif()
+
 # The memory layout is part of the interface: other instruction-set flags must not link.
 if(PROCESSOR MATCHES "^(x86_64|AMD64|amd64)$" AND NOT CXX_FLAGS MATCHES "-m(arch|avx)")
   file(WRITE "${work}/other_flags/CMakeLists.txt"

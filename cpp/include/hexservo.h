@@ -1,0 +1,263 @@
+/** @file
+ * The C interface of hexservo: scenarios, runs and the controller's tick (docs/c-interface.md).
+ *
+ * C99, and the one boundary under every language that is not C++. A scenario is set by the dotted keys of its file;
+ * which ones a law has, and what each takes, is asked (`hexservo_scenario_key`), since all follow from one table.
+ * `hexservo show NAME --flat` prints a scenario as lines `key value`, each of which `hexservo_scenario_set_text` takes.
+ *
+ *     hexservo_scenario* scenario = hexservo_scenario_create();
+ *     hexservo_run* run;
+ *     if (hexservo_scenario_set_number(scenario, "uncertainty.gravity", 0.075) != HEXSERVO_OK ||
+ *         hexservo_run_create(scenario, &run) != HEXSERVO_OK) {
+ *       puts(hexservo_scenario_message(scenario));
+ *     } else {
+ *       hexservo_run_advance(run, -1);
+ *       printf("%s\n", hexservo_run_detail(run));
+ *       hexservo_run_destroy(run);
+ *     }
+ *     hexservo_scenario_destroy(scenario);
+ *
+ * - SI units and radians; pixels in images. Frames and signs: docs/model.md. Matrices and samples lie row by row.
+ * - No exception crosses, nothing is global: a message belongs to its scenario, a text to its handle. Different handles
+ *   may be used by different threads at the same time, one handle by one thread at a time. What is const here may be
+ *   shared by all.
+ * - How many points a target has is asked (`hexservo_scenario_points`): do not count on four.
+ * - Null handles are not allowed but for `destroy`.
+ */
+#ifndef HEXSERVO_H
+#define HEXSERVO_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/** Changes with anything here that a program compiled before would misunderstand; see `hexservo_interface`. */
+#define HEXSERVO_INTERFACE 1
+
+#if defined(__GNUC__) || defined(__clang__)
+#define HEXSERVO_API __attribute__((visibility("default")))
+#else
+#define HEXSERVO_API
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/** What a call came to. */
+typedef enum hexservo_status {
+  HEXSERVO_OK = 0,
+  HEXSERVO_REFUSED = 1,  /**< "key: expected ..., got ..." is the scenario's message; nothing has changed */
+  HEXSERVO_NO_MEMORY = 2 /**< likewise */
+} hexservo_status;
+
+/** `HEXSERVO_INTERFACE` of the library: a program that finds another one than its own should stop. */
+HEXSERVO_API int hexservo_interface(void);
+/** Version of the library: "0.1.0". */
+HEXSERVO_API const char* hexservo_version(void);
+
+/* --- scenarios ---------------------------------------------------------------------------------------------------- */
+
+/** All that a run depends on, as numbers and names by key. */
+typedef struct hexservo_scenario hexservo_scenario;
+
+/** The core's defaults with the first law; its goal has to be set. Null: no memory. */
+HEXSERVO_API hexservo_scenario* hexservo_scenario_create(void);
+/** A copy, without the message. Null: no memory. */
+HEXSERVO_API hexservo_scenario* hexservo_scenario_copy(const hexservo_scenario* scenario);
+HEXSERVO_API void hexservo_scenario_destroy(hexservo_scenario* scenario);
+/** Why the last call that had this scenario was refused; "" after one that was not. Holds until the next such call. */
+HEXSERVO_API const char* hexservo_scenario_message(const hexservo_scenario* scenario);
+
+/** What a key takes. */
+typedef enum hexservo_type {
+  HEXSERVO_NUMBER = 0,
+  HEXSERVO_ARRAY = 1,   /**< `rows` by `columns` numbers */
+  HEXSERVO_WHOLE = 2,   /**< a whole number */
+  HEXSERVO_FLAG = 3,    /**< 1 or 0 */
+  HEXSERVO_CHOICE = 4,  /**< one of several names: text alone */
+  HEXSERVO_SAMPLES = 5, /**< rows of three numbers, as many as there are */
+  HEXSERVO_SEED = 6     /**< a whole number of 64 bits: text alone, for a double does not hold it */
+} hexservo_type;
+
+/** Description of a key; its texts live as long as the library. */
+typedef struct hexservo_key {
+  const char* name; /**< dotted: "camera.noise" */
+  const char* unit; /**< "px"; "linear; angular" where an array mixes both; "": none */
+  hexservo_type type;
+  int rows, columns;
+  int optional;               /**< may be none: no numbers, or the text "none" */
+  int sampled;                /**< acts in `sampled` mode alone */
+  double minimum, maximum;    /**< of each number; infinite: no bound */
+  int above, below;           /**< `minimum` itself is too small, `maximum` itself too large */
+  size_t choice_count;        /**< of a choice */
+  const char* const* choices; /**< their names */
+} hexservo_key;
+
+/** Number of keys that the scenario's law has. "controller.law" is one more, which texts alone set and get. */
+HEXSERVO_API size_t hexservo_scenario_key_count(const hexservo_scenario* scenario);
+/** Key `index`, in the order of a scenario file.
+ * @return whether there is one */
+HEXSERVO_API int hexservo_scenario_key(const hexservo_scenario* scenario, size_t index, hexservo_key* key);
+
+/** Number of points of the target. */
+HEXSERVO_API size_t hexservo_scenario_points(const hexservo_scenario* scenario);
+
+/** Sets a key that holds numbers: all of them, or one for all, or of a symmetric matrix the diagonal.
+ * @param count 0: none, of a key that is optional
+ * @return HEXSERVO_REFUSED for an unknown key or another count; bounds are checked by `hexservo_scenario_validate` */
+HEXSERVO_API hexservo_status hexservo_scenario_set_numbers(hexservo_scenario* scenario, const char* key,
+                                                           const double* numbers, size_t count);
+/** The same with one number. */
+HEXSERVO_API hexservo_status hexservo_scenario_set_number(hexservo_scenario* scenario, const char* key, double number);
+/** Sets any key from text: a name, "none", or numbers with spaces between, always with a decimal point.
+ *
+ * "controller.law" keeps everything but the gains, which are then the defaults of the new law. */
+HEXSERVO_API hexservo_status hexservo_scenario_set_text(hexservo_scenario* scenario, const char* key, const char* text);
+/** Numbers of a key that holds some, row by row.
+ * @param numbers room for `room` of them; null: only the count is asked for
+ * @param count how many there are, which may be more than fit; 0: none */
+HEXSERVO_API hexservo_status hexservo_scenario_get_numbers(hexservo_scenario* scenario, const char* key,
+                                                           double* numbers, size_t room, size_t* count);
+/** Text of any key, as `hexservo_scenario_set_text` takes it; numbers read back bit for bit.
+ * @param text null in case of an error; holds until the next call with this scenario */
+HEXSERVO_API hexservo_status hexservo_scenario_get_text(hexservo_scenario* scenario, const char* key,
+                                                        const char** text);
+/** Checks all that a run checks before it starts. */
+HEXSERVO_API hexservo_status hexservo_scenario_validate(hexservo_scenario* scenario);
+
+/* --- runs --------------------------------------------------------------------------------------------------------- */
+
+/** A simulation of a scenario, which it copies. */
+typedef struct hexservo_run hexservo_run;
+
+/** Starts a run; `simulation.log_every` says which steps are logged.
+ * @param run null in case of an error */
+HEXSERVO_API hexservo_status hexservo_run_create(hexservo_scenario* scenario, hexservo_run** run);
+HEXSERVO_API void hexservo_run_destroy(hexservo_run* run);
+/** Goes on by so many steps of `simulation.step`, or until it ends; a negative number: to its end.
+ * @return steps that were taken since the start */
+HEXSERVO_API int64_t hexservo_run_advance(hexservo_run* run, int64_t steps);
+
+/** How a run ended. */
+typedef enum hexservo_outcome {
+  HEXSERVO_RUNNING = -1,
+  HEXSERVO_COMPLETED = 0,
+  HEXSERVO_DIVERGED = 1,
+  HEXSERVO_BEHIND_CAMERA = 2,
+  HEXSERVO_FEATURE_LOST = 3,
+  HEXSERVO_LEG_LIMIT = 4,
+  HEXSERVO_SINGULAR = 5,
+  HEXSERVO_SOLVER_FAILED = 6
+} hexservo_outcome;
+
+HEXSERVO_API hexservo_outcome hexservo_run_outcome(const hexservo_run* run);
+/** "running", "completed", "diverged", ... */
+HEXSERVO_API const char* hexservo_outcome_name(hexservo_outcome outcome);
+/** One sentence on how it ended; "" while it runs. */
+HEXSERVO_API const char* hexservo_run_detail(const hexservo_run* run);
+/** Time of the newest good sample [s]. */
+HEXSERVO_API double hexservo_run_time(const hexservo_run* run);
+
+/** What a sample consists of. */
+typedef enum hexservo_quantity {
+  HEXSERVO_TIME = 0,          /**< 1 [s] */
+  HEXSERVO_FEATURE_ERROR = 1, /**< 2 per point, goal minus image, true [px] */
+  HEXSERVO_DEPTH = 2,         /**< 1 per point, true Z, negative in front of the camera [m] */
+  HEXSERVO_POSITION = 3,      /**< 3, of the platform in B [m] */
+  HEXSERVO_QUATERNION = 4,    /**< 4, w x y z */
+  HEXSERVO_TWIST = 5,         /**< 6, in B [m/s; rad/s] */
+  HEXSERVO_WRENCH = 6,        /**< 6, in B [N; N m] */
+  HEXSERVO_FUZZY_OUTPUT = 7,  /**< 6 [N; N m] */
+  HEXSERVO_LEG_LENGTHS = 8,   /**< 6 [m] */
+  HEXSERVO_LEG_FORCES = 9     /**< 6 [N] */
+} hexservo_quantity;
+
+/** Samples that were logged so far; after the end the last good one is among them. */
+HEXSERVO_API size_t hexservo_run_rows(const hexservo_run* run);
+/** Numbers of a quantity in each sample; 0: no such quantity. */
+HEXSERVO_API size_t hexservo_run_width(const hexservo_run* run, hexservo_quantity quantity);
+/** `hexservo_run_rows` times `hexservo_run_width` numbers, which stay where they are as long as the run exists. */
+HEXSERVO_API const double* hexservo_run_samples(const hexservo_run* run, hexservo_quantity quantity);
+
+/** Number of metrics that a run has. */
+HEXSERVO_API size_t hexservo_metric_count(void);
+/** Name of metric `index`: "settling_time"; null: there is none. */
+HEXSERVO_API const char* hexservo_metric_name(size_t index);
+/** All metrics from the start until now; they do not depend on what is logged. NaN: not defined. */
+HEXSERVO_API const double* hexservo_run_metrics(const hexservo_run* run);
+
+/** Where things are, for whoever draws them. */
+typedef struct hexservo_scene {
+  double base_joints[6][3];     /**< in B [m] */
+  double platform_joints[6][3]; /**< in the platform's frame E [m] */
+  double home_position[3];      /**< of E in B [m] */
+  double home_quaternion[4];    /**< w x y z */
+  double camera_position[3];    /**< true, in E [m] */
+  double camera_attitude[3][3]; /**< columns: axes of the camera in E; it looks along its -z */
+  double focal;                 /**< focal length [px] */
+} hexservo_scene;
+
+HEXSERVO_API void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene);
+/** `hexservo_scenario_points` points of the target, x y z each, in B [m]. */
+HEXSERVO_API void hexservo_run_target(const hexservo_run* run, double* points);
+
+/* --- the controller's tick ---------------------------------------------------------------------------------------- */
+
+/** Gains and estimates of the controller of a robot: constant, shared by any number of states. */
+typedef struct hexservo_gains hexservo_gains;
+/** What a controller keeps from tick to tick. */
+typedef struct hexservo_state hexservo_state;
+
+/** Prepares the controller of a scenario; errors of the plant (`uncertainty`) do not enter.
+ * @param period time between two ticks [s], up to 1 s; 0: `simulation.step`
+ * @param gains null in case of an error */
+HEXSERVO_API hexservo_status hexservo_gains_create(hexservo_scenario* scenario, double period, hexservo_gains** gains);
+HEXSERVO_API void hexservo_gains_destroy(hexservo_gains* gains);
+HEXSERVO_API double hexservo_gains_period(const hexservo_gains* gains);
+HEXSERVO_API size_t hexservo_gains_points(const hexservo_gains* gains);
+/** The state before the first tick, with all the memory that ticks need; it refers to no gains. Null: no memory. */
+HEXSERVO_API hexservo_state* hexservo_state_create(const hexservo_gains* gains);
+HEXSERVO_API void hexservo_state_destroy(hexservo_state* state);
+
+/** What the sensors give at a tick; a number that is not known is NaN. */
+typedef struct hexservo_input {
+  double now;             /**< time of the tick, by a clock that never goes back [s] */
+  double exposure;        /**< of the frame, by the same clock; NaN: no frame arrived since the last tick */
+  const double* features; /**< 2 per point, pixels as the camera counts them, NaN: not seen; null: no frame */
+  const double* depth;    /**< 1 per point, at the exposure, negative in front of the camera [m]; null: no frame */
+  double position[3];     /**< of the platform in B [m], where `sensors.pose` is true; as the next two */
+  double quaternion[4];   /**< w x y z, of any length but zero */
+  double twist[6];        /**< in B [m/s; rad/s] */
+  double leg_lengths[6];  /**< where `sensors.pose` is encoders [m]; NaN: no reading at this tick */
+  double leg_rates[6];    /**< where `sensors.rate` is true [m/s] */
+} hexservo_input;
+
+/** Whether the law acts at a tick, and if not, why; the first that applies. */
+typedef enum hexservo_input_status {
+  HEXSERVO_VALID = 0,
+  HEXSERVO_UNUSABLE = 1,      /**< a number that is not finite or beyond its limit, or a clock that went back */
+  HEXSERVO_MISSING_IMAGE = 2, /**< a point has never been seen */
+  HEXSERVO_STALE_IMAGE = 3,   /**< a point was not seen for longer than `camera.timeout` */
+  HEXSERVO_LOST_FEATURE = 4   /**< `camera.on_lost` is stop, and a point was not seen */
+} hexservo_input_status;
+
+/** What a tick gives back. */
+typedef struct hexservo_output {
+  double wrench[6];             /**< about the platform's origin, in B [N; N m] */
+  double leg_forces[6];         /**< positive where they push [N] */
+  double fuzzy_output[6];       /**< [N; N m] */
+  hexservo_input_status status; /**< unless valid the wrench brakes and holds the platform, and nothing is learned */
+  int saturated;                /**< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set */
+} hexservo_output;
+
+/** An input of which nothing is known. */
+HEXSERVO_API void hexservo_input_clear(hexservo_input* input);
+/** One tick: bounded time, no memory taken, no failure. `state` was made of these gains. */
+HEXSERVO_API void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hexservo_input* input,
+                                hexservo_output* output);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,551 @@
+#include "hexservo.h"
+
+#include "check.hpp"
+#include "controller_output.hpp"
+#include "hexservo/scenario_keys.hpp"
+#include "run_loop.hpp"
+#include "trajectory_log.hpp"
+
+#include <charconv>
+#include <cstring>
+#include <new>
+#include <optional>
+#include <utility>
+
+#ifndef HEXSERVO_VERSION
+#define HEXSERVO_VERSION "unknown"
+#endif
+
+using namespace hexservo;
+
+namespace {
+
+using detail::refuse;
+using detail::words;
+
+constexpr std::string_view kLawKey = "controller.law";
+constexpr std::string_view kNone = "none";
+
+/// A vector or a matrix, row by row.
+template <class Derived, class Numbers>
+void put_rows(const Eigen::MatrixBase<Derived>& from, Numbers&& to) {
+  for (Eigen::Index row = 0; row < from.rows(); ++row)
+    for (Eigen::Index column = 0; column < from.cols(); ++column) *to++ = from(row, column);
+}
+template <class Derived>
+void put(const Eigen::MatrixBase<Derived>& from, double* to) {
+  put_rows(from, to);
+}
+
+/// A number as text that reads back bit for bit.
+void append(std::string& text, double number) {
+  std::array<char, 32> digits;
+  text.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
+}
+
+/// Numbers with spaces between.
+std::vector<double> numbers_in(const std::string& key, std::string_view text) {
+  std::vector<double> numbers;
+  while (true) {
+    text.remove_prefix(std::min(text.find_first_not_of(" \t\r\n"), text.size()));
+    if (text.empty()) return numbers;
+    const std::string word(text.substr(0, text.find_first_of(" \t\r\n")));
+    text.remove_prefix(word.size());
+    double number = 0.0;
+#ifdef __wasm__  // whose library reads no double from characters, and has no locale but C
+    char* end = nullptr;
+    number = std::strtod(word.c_str(), &end);
+    const bool whole = *end == '\0';
+#else
+    const char* last = word.data() + word.size();
+    const auto [end, error] = std::from_chars(word.data() + (word[0] == '+'), last, number);
+    const bool whole = end == last && error == std::errc{};
+#endif
+    if (!whole) refuse(key, "numbers with spaces between, or none", words('"', word, '"'));
+    numbers.push_back(number);
+  }
+}
+
+/// What the description of a law's key points to.
+struct KeyTexts {
+  std::string unit;
+  std::vector<std::string> choices;
+  std::vector<const char*> pointers;
+};
+
+/// Made once for all laws, then constant.
+const std::vector<KeyTexts>& key_texts(LawId law) {
+  static const auto all = [] {
+    std::array<std::vector<KeyTexts>, kLawTraits.size()> texts;
+    for (std::size_t i = 0; i < texts.size(); ++i)
+      for (const ScenarioKey& key : scenario_keys(static_cast<LawId>(i))) {
+        KeyTexts& to = texts[i].emplace_back();
+        to.unit = key.unit;
+        to.choices.assign(key.choices.begin(), key.choices.end());
+        for (const std::string& choice : to.choices) to.pointers.push_back(choice.c_str());
+      }
+    return texts;
+  }();
+  return all[static_cast<std::size_t>(law)];
+}
+
+hexservo_type type_of(KeyType type) {
+  switch (type) {
+    case KeyType::number:
+      return HEXSERVO_NUMBER;
+    case KeyType::array:
+      return HEXSERVO_ARRAY;
+    case KeyType::whole:
+      return HEXSERVO_WHOLE;
+    case KeyType::flag:
+      return HEXSERVO_FLAG;
+    case KeyType::choice:
+      return HEXSERVO_CHOICE;
+    case KeyType::samples:
+      return HEXSERVO_SAMPLES;
+    case KeyType::seed:
+      return HEXSERVO_SEED;
+  }
+  __builtin_unreachable();
+}
+
+hexservo_input_status status_of(InputStatus status) { return static_cast<hexservo_input_status>(status); }
+static_assert(static_cast<int>(InputStatus::lost_feature) == HEXSERVO_LOST_FEATURE);
+static_assert(static_cast<int>(Outcome::solver_failed) == HEXSERVO_SOLVER_FAILED);
+
+/// Another law with its default gains; all that laws have in common stays.
+void set_law(Settings& settings, std::string_view name) {
+  const LawId law = law_named(name);
+  if (law != settings.law()) settings.controller.gains = Settings::of(law).controller.gains;
+}
+
+void set_text(Settings& settings, std::string_view name, std::string_view text) {
+  if (name == kLawKey) return set_law(settings, text);
+  const ScenarioKey& key = scenario_key(settings.law(), name);
+  if (key.type == KeyType::choice) return set_choice(settings, key, text);
+  if (key.type == KeyType::seed) {
+    std::uint64_t seed = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), seed);
+    if (text.empty() || end != text.data() + text.size() || error != std::errc{})
+      refuse(key.name, "a whole number from 0 to 2^64 - 1", words('"', text, '"'));
+    settings.seed = seed;
+    return;
+  }
+  if (text == kNone) return set_numbers(settings, key, {});
+  const std::vector<double> numbers = numbers_in(key.name, text);
+  if (numbers.empty()) refuse(key.name, "numbers with spaces between, or none", "\"\"");
+  set_numbers(settings, key, numbers);
+}
+
+/// Numbers of a key; those that stand for none are none.
+std::vector<double> numbers_or_none(const Settings& settings, const ScenarioKey& key) {
+  std::vector<double> numbers = numbers_of(settings, key);
+  const double none = key.field.bound.none;
+  if (key.optional && !key.wrapped && !numbers.empty() &&
+      std::ranges::all_of(numbers, [none](double number) { return number == none; }))
+    numbers.clear();
+  return numbers;
+}
+
+std::string text_of(const Settings& settings, std::string_view name) {
+  if (name == kLawKey) return std::string(law_traits(settings.law()).name);
+  const ScenarioKey& key = scenario_key(settings.law(), name);
+  if (key.type == KeyType::choice) return std::string(choice_of(settings, key));
+  if (key.type == KeyType::seed) return std::to_string(settings.seed);
+  const std::vector<double> numbers = numbers_or_none(settings, key);
+  if (numbers.empty()) return std::string(kNone);
+  std::string text;
+  for (const double number : numbers) {
+    if (!text.empty()) text += ' ';
+    append(text, number);
+  }
+  return text;
+}
+
+std::string_view given(const char* text) { return text == nullptr ? std::string_view{} : std::string_view(text); }
+
+}  // namespace
+
+struct hexservo_scenario {
+  Settings settings;
+  std::string message;
+  std::string text;
+};
+
+namespace {
+
+/// Calls `function`; what it throws becomes the scenario's message.
+template <class F>
+hexservo_status guarded(hexservo_scenario& scenario, F&& function) noexcept {
+  try {
+    scenario.message.clear();
+    function();
+    return HEXSERVO_OK;
+  } catch (const std::bad_alloc&) {
+    scenario.message = "no memory";  // which fits without taking any
+    return HEXSERVO_NO_MEMORY;
+  } catch (const std::exception& error) {
+    try {
+      scenario.message = error.what();
+    } catch (...) {
+      return HEXSERVO_NO_MEMORY;
+    }
+    return HEXSERVO_REFUSED;
+  }
+}
+
+template <class T, class... Arguments>
+T* made(Arguments&&... arguments) noexcept {
+  try {
+    return new T(std::forward<Arguments>(arguments)...);
+  } catch (...) {
+    return nullptr;
+  }
+}
+
+}  // namespace
+
+/// A run of any law, step by step.
+struct hexservo_run {
+  explicit hexservo_run(const Settings& given)
+      : settings(given), log(settings.simulation), steps(step_count(settings.simulation)) {
+    request.count = 1;
+    request.steps = steps;
+    request.log_every = settings.simulation.log_every;
+    request.log_end = true;
+    request.answers = &log.answer();
+  }
+  virtual ~hexservo_run() = default;
+  hexservo_run(const hexservo_run&) = delete;
+  hexservo_run& operator=(const hexservo_run&) = delete;
+
+  /// Takes `count` steps at most, and answers.
+  /// @return whether it goes on
+  virtual bool advance(long long count) = 0;
+  virtual const SceneParameters<double>& scene() const = 0;
+
+  Settings settings;  ///< a recorded base motion is shared with the loop
+  detail::TrajectoryLog log;
+  RunRequest request{};
+  long long steps;
+  std::optional<Trajectory> result;  ///< once it has ended
+};
+
+namespace {
+
+template <template <class, class, int> class Loop, class Law>
+struct RunOf final : hexservo_run {
+  RunOf(const Settings& given, const LoopParameters<double, Law>& p)
+      : hexservo_run(given), parameters(p), loop(parameters), rows(request, loop.record(), loop.law_state()) {
+    detail::answer(loop.record(), loop.law_state(), taken, false, 0, request);
+  }
+
+  bool advance(long long count) override {
+    const FlushSubnormals flush;
+    const LoopRecord<double>& record = loop.record();
+    for (; count > 0 && loop.steps() < steps && record.running(); --count) {
+      loop.advance();
+      taken = static_cast<double>(loop.steps());
+      if (loop.steps() % request.log_every == 0) rows.add();
+    }
+    detail::answer(record, loop.law_state(), taken, false, 0, request);
+    if (loop.steps() < steps && record.running()) return true;
+    rows.end(0);
+    return false;
+  }
+
+  const SceneParameters<double>& scene() const override { return parameters; }
+
+  LoopParameters<double, Law> parameters;
+  Loop<double, Law, kPoints> loop;
+  detail::Log<double, typename Law::template State<double>> rows;
+  double taken = 0.0;
+};
+
+std::unique_ptr<hexservo_run> started(Settings settings) {
+  return with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) -> std::unique_ptr<hexservo_run> {
+    // A recorded base motion lives as long as the settings that the run keeps.
+    const LoopParameters<double, Law> parameters = loop_parameters<Law>(settings);
+    const FlushSubnormals flush;
+    if (settings.simulation.mode == LoopMode::sampled)
+      return std::make_unique<RunOf<SampledLoop, Law>>(settings, parameters);
+    return std::make_unique<RunOf<ClosedLoop, Law>>(settings, parameters);
+  });
+}
+
+/// Turns the answer of a run that has ended into its result; without memory for words, into one without any.
+void finish(hexservo_run& run) noexcept {
+  try {
+    run.result = run.log.finish(run.settings.simulation.step, run.scene().hexapod);
+  } catch (...) {
+    run.result.emplace().outcome = outcome_of(static_cast<StopCause>(run.request.answers->cause));
+  }
+}
+
+const RunAnswer& answer_of(const hexservo_run& run) { return *run.request.answers; }
+
+}  // namespace
+
+/// Gains of any law.
+struct hexservo_gains {
+  virtual ~hexservo_gains() = default;
+  virtual hexservo_state* state() const = 0;
+  virtual double period() const noexcept = 0;
+  virtual ControllerOutput tick(hexservo_state& state, const ControllerInput& input) const noexcept = 0;
+};
+
+/// State of any law.
+struct hexservo_state {
+  virtual ~hexservo_state() = default;
+};
+
+namespace {
+
+template <class Law>
+struct StateOf final : hexservo_state {
+  explicit StateOf(const ControllerGains<Law>& gains) : state(initial_state(gains)) {}
+  ControllerState<Law> state;
+};
+
+template <class Law>
+struct GainsFor final : hexservo_gains {
+  GainsFor(const Settings& settings, double period) : gains(controller_gains<Law>(settings, period)) {}
+  hexservo_state* state() const override { return made<StateOf<Law>>(gains); }
+  double period() const noexcept override { return gains.period; }
+  ControllerOutput tick(hexservo_state& state, const ControllerInput& input) const noexcept override {
+    return step(gains, static_cast<StateOf<Law>&>(state).state, input);
+  }
+  ControllerGains<Law> gains;
+};
+
+/// N numbers from where they are, or N unknown ones.
+template <int N>
+Vector<double, N> read(const double* from) noexcept {
+  if (from == nullptr) return Vector<double, N>::Constant(std::numeric_limits<double>::quiet_NaN());
+  return Eigen::Map<const Vector<double, N>>(from);
+}
+
+}  // namespace
+
+extern "C" {
+
+int hexservo_interface(void) { return HEXSERVO_INTERFACE; }
+const char* hexservo_version(void) { return HEXSERVO_VERSION; }
+
+// --- scenarios
+
+hexservo_scenario* hexservo_scenario_create(void) { return made<hexservo_scenario>(); }
+
+hexservo_scenario* hexservo_scenario_copy(const hexservo_scenario* scenario) {
+  try {
+    return new hexservo_scenario{scenario->settings, {}, {}};
+  } catch (...) {
+    return nullptr;
+  }
+}
+
+void hexservo_scenario_destroy(hexservo_scenario* scenario) { delete scenario; }
+
+const char* hexservo_scenario_message(const hexservo_scenario* scenario) { return scenario->message.c_str(); }
+
+size_t hexservo_scenario_key_count(const hexservo_scenario* scenario) {
+  return scenario_keys(scenario->settings.law()).size();
+}
+
+int hexservo_scenario_key(const hexservo_scenario* scenario, size_t index, hexservo_key* key) {
+  const LawId law = scenario->settings.law();
+  const std::vector<ScenarioKey>& keys = scenario_keys(law);
+  if (index >= keys.size()) return 0;
+  const ScenarioKey& from = keys[index];
+  const KeyTexts& texts = key_texts(law)[index];
+  const Bound& bound = from.field.bound;
+  *key = {from.name.c_str(), texts.unit.c_str(),    type_of(from.type),   from.rows,  from.columns,
+          from.optional,     from.field.sampled,    bound.least,          bound.most, bound.above,
+          bound.below,       texts.pointers.size(), texts.pointers.data()};
+  if (from.type == KeyType::samples) key->rows = 0, key->columns = 3;
+  return 1;
+}
+
+size_t hexservo_scenario_points(const hexservo_scenario* /*scenario*/) { return kPoints; }
+
+hexservo_status hexservo_scenario_set_numbers(hexservo_scenario* scenario, const char* key, const double* numbers,
+                                              size_t count) {
+  return guarded(*scenario, [&] {
+    set_numbers(scenario->settings, scenario_key(scenario->settings.law(), given(key)), {numbers, count});
+  });
+}
+
+hexservo_status hexservo_scenario_set_number(hexservo_scenario* scenario, const char* key, double number) {
+  return hexservo_scenario_set_numbers(scenario, key, &number, 1);
+}
+
+hexservo_status hexservo_scenario_set_text(hexservo_scenario* scenario, const char* key, const char* text) {
+  return guarded(*scenario, [&] { set_text(scenario->settings, given(key), given(text)); });
+}
+
+hexservo_status hexservo_scenario_get_numbers(hexservo_scenario* scenario, const char* key, double* numbers,
+                                              size_t room, size_t* count) {
+  *count = 0;
+  return guarded(*scenario, [&] {
+    const ScenarioKey& asked = scenario_key(scenario->settings.law(), given(key));
+    if (asked.type == KeyType::seed || asked.type == KeyType::choice)
+      refuse(asked.name, "a key that holds numbers (its text can be asked for)", "one that does not");
+    const std::vector<double> found = numbers_or_none(scenario->settings, asked);
+    *count = found.size();
+    if (numbers != nullptr) std::copy_n(found.begin(), std::min(room, found.size()), numbers);
+  });
+}
+
+hexservo_status hexservo_scenario_get_text(hexservo_scenario* scenario, const char* key, const char** text) {
+  *text = nullptr;
+  return guarded(*scenario, [&] {
+    scenario->text = text_of(scenario->settings, given(key));
+    *text = scenario->text.c_str();
+  });
+}
+
+hexservo_status hexservo_scenario_validate(hexservo_scenario* scenario) {
+  return guarded(*scenario, [&] {
+    with_law(scenario->settings.law(),
+             [&]<class Law>(std::type_identity<Law>) { loop_parameters<Law>(scenario->settings); });
+    detail::sample_count(scenario->settings.simulation);
+  });
+}
+
+// --- runs
+
+hexservo_status hexservo_run_create(hexservo_scenario* scenario, hexservo_run** run) {
+  *run = nullptr;
+  return guarded(*scenario, [&] {
+    std::unique_ptr<hexservo_run> next = started(scenario->settings);
+    *run = next.release();
+  });
+}
+
+void hexservo_run_destroy(hexservo_run* run) { delete run; }
+
+int64_t hexservo_run_advance(hexservo_run* run, int64_t steps) {
+  if (!run->result && !run->advance(steps < 0 ? run->steps : steps)) finish(*run);
+  return answer_of(*run).steps;
+}
+
+hexservo_outcome hexservo_run_outcome(const hexservo_run* run) {
+  return run->result ? static_cast<hexservo_outcome>(run->result->outcome) : HEXSERVO_RUNNING;
+}
+
+const char* hexservo_outcome_name(hexservo_outcome outcome) {
+  switch (outcome) {
+    case HEXSERVO_RUNNING:
+      return "running";
+    case HEXSERVO_COMPLETED:
+      return "completed";
+    case HEXSERVO_DIVERGED:
+      return "diverged";
+    case HEXSERVO_BEHIND_CAMERA:
+      return "behind_camera";
+    case HEXSERVO_FEATURE_LOST:
+      return "feature_lost";
+    case HEXSERVO_LEG_LIMIT:
+      return "leg_limit";
+    case HEXSERVO_SINGULAR:
+      return "singular";
+    case HEXSERVO_SOLVER_FAILED:
+      return "solver_failed";
+  }
+  return "";
+}
+
+const char* hexservo_run_detail(const hexservo_run* run) { return run->result ? run->result->detail.c_str() : ""; }
+
+double hexservo_run_time(const hexservo_run* run) { return answer_of(*run).end_time; }
+
+size_t hexservo_run_rows(const hexservo_run* run) { return static_cast<size_t>(answer_of(*run).rows); }
+
+size_t hexservo_run_width(const hexservo_run* /*run*/, hexservo_quantity quantity) {
+  if (quantity == HEXSERVO_TIME) return 1;
+  const auto index = static_cast<size_t>(quantity) - 1;
+  return index < kSampleWidths.size() ? static_cast<size_t>(kSampleWidths[index]) : 0;
+}
+
+const double* hexservo_run_samples(const hexservo_run* run, hexservo_quantity quantity) {
+  const RunAnswer& answer = answer_of(*run);
+  if (quantity == HEXSERVO_TIME) return answer.time;
+  const auto index = static_cast<size_t>(quantity) - 1;
+  return index < kSampleWidths.size() ? answer.columns[index] : nullptr;
+}
+
+size_t hexservo_metric_count(void) { return kMetricNumbers; }
+
+const char* hexservo_metric_name(size_t index) {
+  const char* found = nullptr;
+  size_t place = 0;
+  Metrics<double>::visit([&](const char* name) { found = place++ == index ? name : found; });
+  return found;
+}
+
+const double* hexservo_run_metrics(const hexservo_run* run) { return answer_of(*run).metrics; }
+
+void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene) {
+  const SceneParameters<double>& p = run->scene();
+  const PlatformCamera<double> mounted(p.camera);
+  const CameraView<double> camera(mounted);
+  const Matrix3<double> identity = Matrix3<double>::Identity();
+  put(p.hexapod.base_joints_B.transpose(), scene->base_joints[0]);
+  put(p.hexapod.platform_joints_E.transpose(), scene->platform_joints[0]);
+  put(p.hexapod.home_position, scene->home_position);
+  put(p.hexapod.home_quaternion, scene->home_quaternion);
+  put(camera.centre(Vector3<double>::Zero(), identity), scene->camera_position);
+  put(camera.attitude(identity), scene->camera_attitude[0]);
+  scene->focal = p.camera.focal;
+}
+
+void hexservo_run_target(const hexservo_run* run, double* points) { put(run->scene().points_B.transpose(), points); }
+
+// --- the controller's tick
+
+hexservo_status hexservo_gains_create(hexservo_scenario* scenario, double period, hexservo_gains** gains) {
+  *gains = nullptr;
+  return guarded(*scenario, [&] {
+    const Settings& settings = scenario->settings;
+    const double chosen = period == 0.0 ? settings.simulation.step : period;
+    *gains = with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) -> hexservo_gains* {
+      return new GainsFor<Law>(settings, chosen);
+    });
+  });
+}
+
+void hexservo_gains_destroy(hexservo_gains* gains) { delete gains; }
+
+double hexservo_gains_period(const hexservo_gains* gains) { return gains->period(); }
+
+size_t hexservo_gains_points(const hexservo_gains* /*gains*/) { return kPoints; }
+
+hexservo_state* hexservo_state_create(const hexservo_gains* gains) { return gains->state(); }
+
+void hexservo_state_destroy(hexservo_state* state) { delete state; }
+
+void hexservo_input_clear(hexservo_input* input) {
+  constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+  *input = {};
+  input->now = input->exposure = kUnknown;
+  for (double* numbers : {input->twist, input->leg_lengths, input->leg_rates}) std::fill_n(numbers, 6, kUnknown);
+  std::fill_n(input->position, 3, kUnknown);
+  std::fill_n(input->quaternion, 4, kUnknown);
+}
+
+void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hexservo_input* input,
+                   hexservo_output* output) {
+  const ControllerInput taken{input->now,
+                              {input->exposure, {read<2 * kPoints>(input->features), read<kPoints>(input->depth)}},
+                              {read<3>(input->position), read<4>(input->quaternion)},
+                              read<6>(input->twist),
+                              {read<6>(input->leg_lengths), read<6>(input->leg_rates)}};
+  const ControllerOutput out = gains->tick(*state, taken);
+  put(out.wrench, output->wrench);
+  put(out.leg_forces, output->leg_forces);
+  put(out.fuzzy_output, output->fuzzy_output);
+  output->status = status_of(out.status);
+  output->saturated = out.saturated ? 1 : 0;
+}
+
+}  // extern "C"

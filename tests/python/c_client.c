@@ -1,0 +1,106 @@
+/* A program in C99: reads lines "key value", runs the scenario, ticks its controller, and prints every number.
+ *
+ *   c_client TICKS <scenario.txt: "run" with all samples and metrics, then "tick" lines; numbers as hexadecimal floats
+ */
+#include <hexservo.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static int fail(const hexservo_scenario* scenario) {
+  fprintf(stderr, "%s\n", hexservo_scenario_message(scenario));
+  return 2;
+}
+
+static void print(const char* name, const double* numbers, size_t count) {
+  size_t i;
+  printf("%s", name);
+  for (i = 0; i < count; ++i) printf(" %a", numbers[i]);
+  printf("\n");
+}
+
+static int run(hexservo_scenario* scenario) {
+  hexservo_run* run;
+  int quantity;
+  if (hexservo_run_create(scenario, &run) != HEXSERVO_OK) return fail(scenario);
+  while (hexservo_run_outcome(run) == HEXSERVO_RUNNING) hexservo_run_advance(run, 777);
+  printf("outcome %s\n", hexservo_outcome_name(hexservo_run_outcome(run)));
+  for (quantity = HEXSERVO_TIME; hexservo_run_width(run, (hexservo_quantity)quantity) > 0; ++quantity)
+    print("samples", hexservo_run_samples(run, (hexservo_quantity)quantity),
+          hexservo_run_rows(run) * hexservo_run_width(run, (hexservo_quantity)quantity));
+  print("metrics", hexservo_run_metrics(run), hexservo_metric_count());
+  hexservo_run_destroy(run);
+  return 0;
+}
+
+/* Sensors that see the platform move about home: any numbers will do, as long as Python makes the same. */
+static int tick(hexservo_scenario* scenario, long ticks) {
+  hexservo_gains* gains;
+  hexservo_state* state;
+  hexservo_input input;
+  hexservo_output output;
+  double *features, *depth, sum[18] = {0};
+  size_t points, count, i;
+  long k;
+  if (hexservo_gains_create(scenario, 0.0, &gains) != HEXSERVO_OK) return fail(scenario);
+  points = hexservo_gains_points(gains);
+  features = malloc(2 * points * sizeof *features);
+  depth = malloc(points * sizeof *depth);
+  state = hexservo_state_create(gains);
+  if (features == NULL || depth == NULL || state == NULL) return 3;
+  if (hexservo_scenario_get_numbers(scenario, "target.initial_features", features, 2 * points, &count) != HEXSERVO_OK)
+    return fail(scenario);
+  hexservo_input_clear(&input);
+  input.features = features;
+  input.depth = depth;
+  for (i = 0; i < points; ++i) depth[i] = -0.5;
+  for (i = 0; i < 6; ++i) input.twist[i] = 0.0;
+  input.position[0] = input.position[1] = 0.0;
+  input.position[2] = -0.15;
+  input.quaternion[0] = 1.0;
+  input.quaternion[1] = input.quaternion[2] = input.quaternion[3] = 0.0;
+  for (k = 0; k < ticks; ++k) {
+    const double sway = (double)(k % 1000 - 500) / 1048576.0;
+    input.now = input.exposure = (double)k * hexservo_gains_period(gains);
+    features[0] += sway;
+    input.position[1] = sway;
+    input.twist[0] = 2.0 * sway;
+    hexservo_tick(gains, state, &input, &output);
+    if (output.status != HEXSERVO_VALID) return 4;
+    for (i = 0; i < 6; ++i) {
+      sum[i] = 0.5 * sum[i] + output.wrench[i];
+      sum[6 + i] = 0.5 * sum[6 + i] + output.leg_forces[i];
+      sum[12 + i] = 0.5 * sum[12 + i] + output.fuzzy_output[i];
+    }
+    if (k % 100 == 99) print("tick", sum, 18);
+  }
+  hexservo_state_destroy(state);
+  hexservo_gains_destroy(gains);
+  free(features);
+  free(depth);
+  return 0;
+}
+
+int main(int argc, char** argv) {
+  char line[4096];
+  int code = 0;
+  hexservo_scenario* scenario = hexservo_scenario_create();
+  if (scenario == NULL || argc != 2) return 3;
+  if (hexservo_interface() != HEXSERVO_INTERFACE) {
+    fprintf(stderr, "hexservo.h: expected interface %d, got %d\n", HEXSERVO_INTERFACE, hexservo_interface());
+    return 3;
+  }
+  while (code == 0 && fgets(line, sizeof line, stdin) != NULL) {
+    char* value = strchr(line, ' ');
+    line[strcspn(line, "\n")] = '\0';
+    if (value == NULL) return 3;
+    *value++ = '\0';
+    if (hexservo_scenario_set_text(scenario, line, value) != HEXSERVO_OK) code = fail(scenario);
+  }
+  if (code == 0) code = run(scenario);
+  if (code == 0) code = tick(scenario, atol(argv[1]));
+  hexservo_scenario_destroy(scenario);
+  return code;
+}

@@ -1,0 +1,266 @@
+"""The C interface: programs in C99 and ctypes get the bits that Python gets; misuse is refused with a message."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.run.metrics import METRICS
+from hexservo.run.variant import load_kernel
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.flat import flat, flat_text
+from hexservo.scenario.parameters import core_parameters
+
+HEADER = Path(__file__).parents[2] / "cpp" / "include" / "hexservo.h"
+QUANTITIES = (
+    "time", "feature_error", "depth", "position", "quaternion", "twist", "wrench", "fuzzy_output", "leg_lengths",
+    "leg_forces",
+)  # fmt: skip
+TICKS = 100_000
+OK, REFUSED = 0, 1
+
+
+@pytest.fixture(scope="module")
+def path() -> Path:
+    try:
+        return hs.c_library()
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def library(path: Path) -> ctypes.CDLL:
+    """The library with the types that are not int."""
+    library = ctypes.CDLL(str(path))
+    for function in functions():
+        getattr(library, function).argtypes = None
+    for name in ("scenario_create", "scenario_copy"):
+        getattr(library, f"hexservo_{name}").restype = ctypes.c_void_p
+    for name in ("version", "scenario_message", "metric_name", "run_detail", "outcome_name"):
+        getattr(library, f"hexservo_{name}").restype = ctypes.c_char_p
+    library.hexservo_run_advance.restype = ctypes.c_int64
+    for name in ("scenario_points", "scenario_key_count", "metric_count", "run_rows"):
+        getattr(library, f"hexservo_{name}").restype = ctypes.c_size_t
+    return library
+
+
+class Key(ctypes.Structure):
+    """`hexservo_key`."""
+
+    _fields_ = (
+        ("name", ctypes.c_char_p), ("unit", ctypes.c_char_p), ("type", ctypes.c_int), ("rows", ctypes.c_int),
+        ("columns", ctypes.c_int), ("optional", ctypes.c_int), ("sampled", ctypes.c_int),
+        ("minimum", ctypes.c_double), ("maximum", ctypes.c_double), ("above", ctypes.c_int), ("below", ctypes.c_int),
+        ("choice_count", ctypes.c_size_t), ("choices", ctypes.POINTER(ctypes.c_char_p)),
+    )  # fmt: skip
+
+
+class Handle:
+    """A scenario in C."""
+
+    def __init__(self, library: ctypes.CDLL) -> None:
+        self.library = library
+        self.handle = ctypes.c_void_p(library.hexservo_scenario_create())
+
+    def set(self, key: str, text: str) -> int:
+        return int(self.library.hexservo_scenario_set_text(self.handle, key.encode(), text.encode()))
+
+    def get(self, key: str) -> str | None:
+        text = ctypes.c_char_p()
+        status = self.library.hexservo_scenario_get_text(self.handle, key.encode(), ctypes.byref(text))
+        assert (status == OK) == (text.value is not None)
+        return None if text.value is None else text.value.decode()
+
+    def message(self) -> str:
+        return str(self.library.hexservo_scenario_message(self.handle).decode())
+
+    def validate(self) -> int:
+        return int(self.library.hexservo_scenario_validate(self.handle))
+
+
+@pytest.fixture
+def scenario(library: ctypes.CDLL) -> Iterator[Handle]:
+    handle = Handle(library)
+    yield handle
+    library.hexservo_scenario_destroy(handle.handle)
+
+
+def functions() -> list[str]:
+    """Functions that the header declares."""
+    return re.findall(r"^HEXSERVO_API [^(]*?\b(hexservo_\w+)\(", HEADER.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_the_library_has_the_functions_of_the_header_and_no_other_symbol(path: Path) -> None:
+    nm = shutil.which("nm")
+    if nm is None:
+        pytest.skip("nm is not installed")
+    listed = subprocess.run([nm, "-D", "--defined-only", str(path)], capture_output=True, text=True, check=True).stdout
+    assert sorted(line.split()[-1] for line in listed.splitlines()) == sorted(functions())
+
+
+def test_keys_are_those_of_the_table(library: ctypes.CDLL, scenario: Handle) -> None:
+    types = ("number", "array", "whole", "flag", "choice", "samples", "seed")
+    for law in _core.LAW_TRAITS:
+        assert scenario.set("controller.law", law) == OK
+        expected = list(_core.scenario_keys(law))
+        assert library.hexservo_scenario_key_count(scenario.handle) == len(expected)
+        settings = _core.Settings(law)
+        for index, key in enumerate(expected):
+            found = Key()
+            assert library.hexservo_scenario_key(scenario.handle, ctypes.c_size_t(index), ctypes.byref(found))
+            assert (found.name.decode(), found.unit.decode()) == (key.name, key.unit)
+            assert types[found.type] == key.type
+            assert (bool(found.optional), bool(found.sampled)) == (key.optional, key.sampled)
+            assert tuple(found.choices[i].decode() for i in range(found.choice_count)) == key.choices
+            assert found.minimum == (-np.inf if key.least is None else key.least)
+            assert found.maximum == (np.inf if key.most is None else key.most)
+            if key.type == "array":
+                assert found.rows * found.columns == np.size(np.zeros(key.shape))
+            if key.type == "choice":
+                assert scenario.get(key.name) == settings[key.name]
+        assert not library.hexservo_scenario_key(scenario.handle, ctypes.c_size_t(len(expected)), ctypes.byref(Key()))
+
+
+@pytest.mark.parametrize("name", hs.scenario_names())
+def test_a_packaged_scenario_goes_in_line_by_line_and_reads_back(scenario: Handle, name: str) -> None:
+    lines = flat(hs.load_scenario(name))
+    for key, value in lines.items():
+        assert scenario.set(key, value) == OK, scenario.message()
+    assert scenario.validate() == OK, scenario.message()
+    for key, value in lines.items():
+        text = scenario.get(key)
+        assert text is not None
+        try:
+            assert [float(word) for word in text.split()] == [float(word) for word in value.split()]
+        except ValueError:
+            assert text == value
+
+
+def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CDLL, scenario: Handle) -> None:
+    for key, text, words in (
+        ("controller.law", "none such", "controller.law: expected one of hybrid"),
+        ("camera.nois", "1", "camera.nois: expected a key of a scenario with the law hybrid"),
+        ("camera.noise", "a lot", 'camera.noise: expected numbers with spaces between, or none, got "a"'),
+        ("camera.noise", "1 2 3", "camera.noise: expected 1 number, got 3"),
+        ("simulation.mode", "slow", "simulation.mode: expected one of continuous, sampled"),
+        ("seed", "-1", "seed: expected a whole number from 0 to 2^64 - 1"),
+        ("simulation.substeps", "1.5", "simulation.substeps: expected a whole number"),
+    ):
+        before = scenario.get(key)
+        assert scenario.set(key, text) == REFUSED
+        assert words in scenario.message()
+        assert scenario.get(key) == before
+    assert scenario.set("seed", "18446744073709551615") == OK
+    assert scenario.message() == ""
+    assert scenario.get("seed") == "18446744073709551615"
+    assert scenario.validate() == REFUSED  # four features at the same place
+    with pytest.raises(ValueError, match="expected") as error:
+        _core.Settings("hybrid").validate()
+    assert scenario.message() == str(error.value)
+    run = ctypes.c_void_p(1)
+    assert library.hexservo_run_create(scenario.handle, ctypes.byref(run)) == REFUSED
+    assert run.value is None
+
+
+def test_a_run_may_pause_anywhere(library: ctypes.CDLL, scenario: Handle) -> None:
+    for key, value in flat(hs.load_scenario("paper")).items():
+        assert scenario.set(key, value) == OK
+    run = ctypes.c_void_p()
+    assert library.hexservo_run_create(scenario.handle, ctypes.byref(run)) == OK
+    assert library.hexservo_run_advance(run, ctypes.c_int64(10)) == 10
+    assert library.hexservo_run_rows(run) == 11
+    assert library.hexservo_run_outcome(run) == -1
+    assert library.hexservo_run_detail(run) == b""
+    assert library.hexservo_run_advance(run, ctypes.c_int64(0)) == 10
+    assert library.hexservo_run_advance(run, ctypes.c_int64(-1)) == 5000
+    assert library.hexservo_run_advance(run, ctypes.c_int64(1)) == 5000
+    assert library.hexservo_run_rows(run) == 5001
+    assert library.hexservo_run_detail(run) == b"ran to the end"
+    assert [
+        library.hexservo_metric_name(ctypes.c_size_t(i)).decode() for i in range(library.hexservo_metric_count())
+    ] == list(METRICS)
+    assert library.hexservo_metric_name(ctypes.c_size_t(99)) is None
+    library.hexservo_run_destroy(run)
+
+
+@pytest.fixture(scope="module")
+def client(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program in C99, without a warning."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler is installed")
+    program = tmp_path_factory.mktemp("c") / "client"
+    source = Path(__file__).parent / "c_client.c"
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-ffp-contract=off"]
+    shared = path.resolve()
+    places = ["-I", str(HEADER.parent), str(source), str(shared), f"-Wl,-rpath,{shared.parent}", "-o", str(program)]
+    command = [compiler, *flags, *places]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+def numbers(line: str) -> Array:
+    return np.array([float.fromhex(word) for word in line.split()[1:]])
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("paper", {}),
+        ("paper-gravity", {"controller.law": "composite", "simulation.duration": 0.5}),
+        ("real-machine", {"simulation.duration": 0.5}),
+    ],
+)
+def test_a_program_in_c_and_python_agree_bit_for_bit(client: Path, name: str, changes: dict[str, object]) -> None:
+    """The run with all its samples and metrics, and ticks of its controller."""
+    scenario = hs.load_scenario(name).updated(changes)
+    ticks = TICKS if name == "paper" else 0
+    done = subprocess.run(
+        [str(client), str(ticks)], input=flat_text(scenario), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    head, *lines = done.stdout.splitlines()
+    run = _core.simulate(core_parameters(scenario), load_kernel("baseline"))
+    assert head == f"outcome {run.outcome.name}"
+    for quantity, line in zip(QUANTITIES, lines, strict=False):
+        expected: Array = getattr(run, quantity)
+        assert np.array_equal(numbers(line), expected.ravel(), equal_nan=True), quantity
+    metrics = [getattr(run.metrics, metric) for metric in METRICS]
+    assert np.array_equal(numbers(lines[len(QUANTITIES)]), metrics, equal_nan=True)
+    if ticks:
+        sums = lines[len(QUANTITIES) + 1 :]
+        assert len(sums) == ticks // 100
+        assert np.array_equal([numbers(line) for line in sums], ticked(scenario, ticks))
+
+
+def ticked(scenario: hs.Scenario, ticks: int) -> list[Array]:
+    """What the C program prints of its ticks, from the Python module."""
+    period = scenario.simulation.step
+    controller = _core.Controller(core_parameters(scenario), period)
+    features = np.array(scenario.target.initial_features, dtype=float)
+    depth, position, twist = np.full(4, -0.5), np.array([0.0, 0.0, -0.15]), np.zeros(6)
+    total, sums = np.zeros(18), []
+    for k in range(ticks):
+        sway = (k % 1000 - 500) / 1048576.0
+        features[0] += sway
+        position[1] = sway
+        twist[0] = 2.0 * sway
+        now = k * period
+        wrench, leg_forces, fuzzy_output, status, _ = controller.step(
+            features, depth, position, [1.0, 0.0, 0.0, 0.0], twist, None, None, now, now
+        )
+        assert status == _core.InputStatus.valid
+        total = 0.5 * total + np.concatenate([wrench, leg_forces, fuzzy_output])
+        if k % 100 == 99:
+            sums.append(total)
+    return sums
