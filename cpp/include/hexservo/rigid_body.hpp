@@ -334,14 +334,15 @@ struct Plant {
 
 /// chi-ddot of a body whose centre of mass is off E's origin: all entries of D and C act.
 template <class S>
-[[gnu::noinline]] Vector6<S> acceleration_off_centre(const Plant<S>& plant, const Matrix3<S>& R_BE,
-                                                     const Vector6<S>& twist, const Vector6<S>& wrench) {
+[[gnu::noinline, gnu::cold]] SideBySide<S, 6> acceleration_off_centre(const Plant<S>& plant, const Matrix3<S>& R_BE,
+                                                                      const Vector6<S>& twist,
+                                                                      const Vector6<S>& wrench) {
   const Matrix6<S> C =
       (Matrix6<S>::Ones() - plant.dynamics_error.coriolis).cwiseProduct(coriolis_matrix(plant.body, R_BE, twist));
   Vector6<S> rest = wrench - plant.weight_at(R_BE);
   for (int j = 0; j < 6; ++j)
     for (int i = 0; i < 6; ++i) rest(i) -= C(i, j) * twist(j);
-  return Cholesky<S, 6>(plant.mass_matrix_at(R_BE)).solve(rest);
+  return SideBySide<S, 6>(Cholesky<S, 6>(plant.mass_matrix_at(R_BE)).solve(rest));
 }
 
 /// chi-ddot of the actual dynamics (3): (1 - delta_D) D chi-ddot + (1 - delta_C) C chi-dot + (1 - delta_G) G = tau.
@@ -349,7 +350,11 @@ template <class S>
 template <class S>
 [[gnu::always_inline]] inline SideBySide<S, 6> acceleration(const Plant<S>& plant, const Matrix3<S>& R_BE,
                                                             const SideBySide<S, 6>& twist, const Vector6<S>& wrench) {
-  if (plant.body.off_centre) return SideBySide<S, 6>(acceleration_off_centre<S>(plant, R_BE, twist.vector(), wrench));
+  if (plant.body.off_centre) [[unlikely]] {
+    const Matrix3<S> attitude = R_BE;  // copies, so that those of the other way stay in registers
+    const Vector6<S> motion = twist.vector(), force = wrench;
+    return acceleration_off_centre<S>(plant, attitude, motion, force);
+  }
   const Vector3<S> omega(twist(3), twist(4), twist(5));
   const Matrix3<S> I_B = inertia_in_base(plant.body, R_BE);
 
