@@ -13,9 +13,13 @@ from hexservo.scenario.yaml import MAX_DEPTH, ScenarioError
 
 __all__ = []
 
+_AS_IT_IS = frozenset({float, int, bool, type(None)})
+
 
 def plain(value: Any, place: str = "", depth: int = 0) -> Any:
     """Copy into dicts, lists, text, numbers, booleans and None; anything else stays, for a rule to refuse it."""
+    if type(value) in _AS_IT_IS:  # most of a scenario
+        return value
     if depth > MAX_DEPTH:
         raise ScenarioError(f"{place[:60]}...: expected at most {MAX_DEPTH} levels of nesting, got more")
     if isinstance(value, BaseModel):
@@ -39,7 +43,7 @@ def plain(value: Any, place: str = "", depth: int = 0) -> Any:
 
 def _is_unicode(text: str) -> bool:
     """Return whether text has no lone surrogates, which can be neither written nor displayed."""
-    return not any("\ud800" <= character <= "\udfff" for character in text)
+    return text.isascii() or not any("\ud800" <= character <= "\udfff" for character in text)
 
 
 def put(keys: dict[str, Any], path: str, value: Any) -> str | None:

@@ -93,7 +93,8 @@ struct Composite : FuzzyLaw<CompositeGains> {
     const Vector6<S> others = image_wrench + constants.kt.cwiseProduct(pose_error) -
                               constants.kd.cwiseProduct(input.twist) - out.fuzzy_output;
     const Vector6<S> switched = task.switching_wrench(constants.kv, input, others).vector();
-    out.wrench = others - switched + task.weight(input.R_BE);
+    out.wrench = others - switched + task.gravity_wrench;
+    task.add_weight_moment(input.R_BE, out.wrench);
     listener.pose_error([&] { return pose_error; });
     listener.part(LawPart::switching, [&] { return Vector6<S>(-switched); });
     listener.part(LawPart::damping, [&] { return Vector6<S>(-constants.kd.cwiseProduct(input.twist)); });

@@ -76,7 +76,8 @@ struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
         for (int i = 0; i < 6; ++i) y(i) += A(i, j) * x(j);
       return y;
     };
-    out.wrench = task.weight(input.R_BE) + times(D, wanted) + times(C, input.twist);
+    out.wrench = task.gravity_wrench + times(D, wanted) + times(C, input.twist);
+    task.add_weight_moment(input.R_BE, out.wrench);
     listener.pose_error([&] { return pose_error; });
     listener.part(LawPart::damping, [&] { return times(D, Vector6<S>(-gains.kd.cwiseProduct(input.twist))); });
     listener.part(LawPart::pose_spring, [&] { return times(D, Vector6<S>(gains.kp.cwiseProduct(pose_error))); });

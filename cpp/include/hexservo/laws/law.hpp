@@ -189,16 +189,21 @@ struct ControlTask {
   PlatformCamera<S> camera;           ///< as it is assumed
   S jacobian_sign;                    ///< sign of the controller's image Jacobian relative to (8)
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
-  Vector6<S> gravity_wrench;          ///< G of (1) [N; N m], in B
+  Vector6<S> gravity_wrench;          ///< G of (1) [N; N m], in B, but for its moment off centre
   Switching<S> switching;
   Pose<S> reference;  ///< chi_ref, the pose that the prior of `composite` expects: home
   RigidBody<S> body;  ///< as estimated
   S period;           ///< T_c, time between two evaluations; used by the implicit switching functions alone [s]
   TargetModel<S, N> target{};  ///< what the controller takes the target for
 
-  /// G of (1) at an attitude [N; N m], in B.
-  [[gnu::always_inline]] Vector6<S> weight(const Matrix3<S>& R_BE) const {
-    return body.off_centre ? hexservo::gravity_wrench(body, R_BE) : gravity_wrench;
+  /// Adds to a wrench in B what G of (1) has beside `gravity_wrench` where the centre of mass is off E's origin, its
+  /// moment at an attitude [N m].
+  [[gnu::always_inline]] void add_weight_moment(const Matrix3<S>& R_BE, Vector6<S>& wrench) const {
+    if (!body.off_centre) [[likely]]
+      return;
+    const Matrix3<S> attitude = R_BE;  // a copy, so that the attitude of the other way stays in registers
+    const Vector3<S> moment = weight_moment(attitude);
+    for (int i = 0; i < 3; ++i) wrench(i + 3) += moment(i);
   }
 
   /// K_v sw(chi-dot) [N; N m], which a law takes from its wrench.
@@ -221,6 +226,12 @@ struct ControlTask {
                                                     others.template tail<3>());
     }
     return wrench;
+  }
+
+ private:
+  /// Moment of G; out of line, so that a centred body does not pay for it.
+  [[gnu::noinline, gnu::cold]] Vector3<S> weight_moment(const Matrix3<S>& R_BE) const {
+    return hexservo::gravity_wrench(body, R_BE).template tail<3>();
   }
 };
 

@@ -45,7 +45,8 @@ struct Pbvs : StatelessLaw<PbvsGains> {
         estimate_pose<S, N>(task.camera, task.target.points_B, input.features, input.pose, gains.prior);
     const Vector6<S> error =
         select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
-    out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.weight(input.R_BE);
+    out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
+    task.add_weight_moment(input.R_BE, out.wrench);
     listener.pose_error([&] { return error; });
     listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.kd.cwiseProduct(input.twist)); });
     listener.part(LawPart::pose_spring, [&] { return Vector6<S>(gains.kp.cwiseProduct(error)); });

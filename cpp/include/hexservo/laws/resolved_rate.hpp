@@ -89,7 +89,8 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
     const S lambda = velocity_gain(gains, largest_abs<S, 2 * N, 1>(feature_error));
     const Vector6<S> pose_error = solve_normal_equations<S>(information, pulled);
     const Vector6<S> velocity = lambda * pose_error;
-    out.wrench = gains.ki.cwiseProduct(velocity - input.twist) + task.weight(input.R_BE);
+    out.wrench = gains.ki.cwiseProduct(velocity - input.twist) + task.gravity_wrench;
+    task.add_weight_moment(input.R_BE, out.wrench);
     listener.pose_error([&] { return pose_error; });
     listener.part(LawPart::reference, [&] { return Vector6<S>(gains.ki.cwiseProduct(velocity)); });
     listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.ki.cwiseProduct(input.twist)); });
