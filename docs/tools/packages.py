@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "python" / "hexservo"
 PICTURE = ROOT / "docs" / "figures" / "packages.svg"
 
-PACKAGES = ("scenario", "run", "findings", "campaigns", "draw", "report", "cli")
+PACKAGES = ("scenario", "run", "findings", "campaigns", "bridges", "draw", "report", "cli")
 """From the lowest one up: each may import itself and those before it."""
 
 

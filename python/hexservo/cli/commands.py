@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli import assurance, evidence, keys, machine, terminal
+from hexservo.cli import assurance, evidence, export, keys, machine, terminal
 from hexservo.cli.terminal import (
     ENDED_EARLY,
     INTERRUPTED,
@@ -210,6 +210,7 @@ for command in (
     assurance.tune,
     keys.schema,
     machine.new,
+    export.export,
 ):
     app.command()(command)
 
@@ -269,36 +270,6 @@ def check(
             f'{name}: valid (scenario "{chosen.name}", {simulation.duration:.6g} s in steps of '
             f"{simulation.step * 1e3:.6g} ms)\n"
         )
-
-
-@app.command()
-def export(
-    scenario: ScenarioArgument,
-    header: Annotated[str, typer.Option("--header", metavar="FILE", help="C++ header to write, a new file.")],
-    period: Annotated[
-        float | None,
-        typer.Option(
-            "--period", help="Time between two ticks of the controller [s].  [default: simulation.step of the scenario]"
-        ),
-    ] = None,
-    settings: SettingsOption = None,
-    force: Annotated[bool, typer.Option("--force", "-f", help="Replace the header of an earlier export.")] = False,
-) -> None:
-    """Write the gains of a scenario as a C++ header.
-
-    A robot's control program includes it, calls its controller_gains() once and hexservo::step every period.
-    """
-    with errors_as_messages():
-        from hexservo.run.export import gains_header, write_header
-
-        chosen = load(scenario, settings or [])
-        try:
-            text = gains_header(chosen, period)
-        except ValueError as error:
-            raise hs.ScenarioError(str(error).splitlines()) from error
-        write_header(text, header, force=force)
-        ticks = chosen.simulation.step if period is None else period
-        write(f'{header}: gains of the scenario "{chosen.name}" for a period of {ticks * 1e3:.6g} ms\n')
 
 
 @app.command()

@@ -1,0 +1,199 @@
+"""The machine of a scenario as an MJCF file, which MuJoCo reads."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hexservo import _core
+from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.run.files import write_file
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.version import VERSION
+
+__all__ = ["mjcf", "write_mjcf"]
+
+_TITLE = "<!-- hexservo MJCF, format 1 -->"
+"""First line of every exported model, which distinguishes it from other files."""
+
+_RESOLUTION = (640.0, 480.0)  # [px], of a camera without a border
+_PIXEL = 1e-5  # [m], width of a sensor's pixel, which has no effect on the image
+
+
+def mjcf(scenario: Scenario) -> str:
+    """Return the machine of a scenario as an MJCF model: legs with motors, platform, camera and target.
+
+    The world frame is B, whose z points along gravity of the usual scenarios. The platform is a free body with mass
+    and inertia of platform and payload. Each leg is a spatial tendon from a base joint to a platform joint, with a
+    motor of gear 1: its control is the leg force [N], positive where it pushes. Tendons have no mass, as the legs of
+    the model (docs/model.md, section 3), and close the chain by their force alone: nothing is added to the machine, no
+    leg mass and no equality constraint. Integrator and step are those of the scenario, so that MuJoCo follows the
+    plant to rounding under leg forces that are constant over a step.
+
+    Not in the model: the controller, errors of the estimate (``uncertainty``), sensors' faults, motion of the base, and
+    distortion of the lens. Strokes are written as ranges that do not act, since a leg beyond its stroke is an event in
+    hexservo, no stop. Force limits act where ``actuators.saturation`` is set.
+
+    Parameters
+    ----------
+    scenario
+        With prismatic legs, and a camera that projects (`eye_in_hand`).
+
+    Returns
+    -------
+    str
+        The model. Names: body ``platform``; sites ``base1`` to ``base6``, ``platform1`` to ``platform6``, ``target1``
+        and so on; tendons and actuators ``leg1`` to ``leg6``; camera ``camera``; sensors ``image1`` and so on, the
+        pixels of the target's points from the top left corner of the image [px], where the principal point is the
+        centre of the image; keyframes ``home`` and ``start``, the start of the scenario's run, with the leg forces that
+        hold the platform there.
+
+    Raises
+    ------
+    ValueError
+        For rotary legs, for a camera ``as_printed``, and for what the core refuses.
+    """
+    if getattr(scenario.robot, "legs", "prismatic") == "rotary":
+        raise ValueError("robot.legs: expected prismatic for MJCF, got rotary; cranks are not exported")
+    scene = scene_of(scenario)
+    if not scene.has_points:
+        raise ValueError(
+            "camera.convention: expected eye_in_hand for MJCF, got as_printed, whose target has no points in space"
+        )
+    settings, hexapod, body = scene.settings, scene.hexapod, scene.settings.plant_body
+    substeps = settings["simulation.substeps"] if settings["simulation.mode"] == SAMPLED_MODE else 1
+    c = np.array(body.centre_of_mass)
+    inertia = body.inertia - body.mass * (c @ c * np.eye(3) - np.outer(c, c))  # about the centre of mass
+    reach = hexapod.platform_radius
+    # MuJoCo's sensor of an image does not know the principal point
+    seen = 0 if _off_centre(scenario, _image_size(scenario)).any() else len(scene.points)
+    name = escape(scenario.name, {'"': "&quot;"})
+    lines = [
+        _TITLE,
+        f"<!-- Written by `hexservo export` of hexservo {VERSION}. SI units and radians. World: frame B. -->",
+        f'<mujoco model="{name}">',
+        '  <compiler angle="radian" autolimits="false"/>',
+        f'  <option timestep="{float(settings["simulation.step"]) / substeps!r}" integrator="RK4" '
+        f'gravity="{_text(body.gravity)}"/>',
+        f'  <statistic center="{_text(scene.home.position)}" extent="{float(4 * reach)!r}"/>',
+        "  <worldbody>",
+        *(f"    {_site(f'base{leg}', p, reach / 20)}" for leg, p in enumerate(hexapod.base_joints, 1)),
+        *(f"    {_site(f'target{i}', p, reach / 20, '0.9 0.6 0 1')}" for i, p in enumerate(scene.points, 1)),
+        f'    <body name="platform" {_pose(scene.home)}>',
+        "      <freejoint/>",
+        f'      <inertial pos="{_text(c)}" mass="{float(body.mass)!r}" '
+        f'fullinertia="{_text(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}"/>',
+        *(f"      {_site(f'platform{leg}', p, reach / 20)}" for leg, p in enumerate(hexapod.platform_joints, 1)),
+        f"      {_camera(scenario, settings)}",
+        "    </body>",
+        "  </worldbody>",
+        "  <tendon>",
+        *(
+            f'    <spatial name="leg{leg}" width="{float(reach / 40)!r}" limited="false" '
+            f'range="{_text([middle - scene.stroke, middle + scene.stroke])}">'
+            f'<site site="base{leg}"/><site site="platform{leg}"/></spatial>'
+            for leg, middle in enumerate(hexapod.mid_lengths, 1)
+        ),
+        "  </tendon>",
+        "  <actuator>",
+        *(f"    {_motor(leg, settings)}" for leg in range(1, 7)),
+        "  </actuator>",
+        "  <sensor>",
+        *(f'    <camprojection name="image{i}" site="target{i}" camera="camera"/>' for i in range(1, seen + 1)),
+        "  </sensor>",
+        "  <keyframe>",
+        *_keys(scene.home, scene.start, np.asarray(settings["simulation.start.twist"]), hexapod, body),
+        "  </keyframe>",
+        "</mujoco>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def write_mjcf(text: str, file: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write a model whole, or not at all.
+
+    Parameters
+    ----------
+    text
+        What `mjcf` gives.
+    file
+        A name in a folder that exists. A file of that name is kept.
+    force
+        Replace an earlier exported model, recognised by its first line; other files are never replaced.
+
+    Raises
+    ------
+    OutputError
+        The file exists, is not ours, or cannot be written.
+    """
+    write_file(text, file, _TITLE, "hexservo export", force=force)
+
+
+def _text(numbers: Any) -> str:
+    return " ".join(repr(float(number)) for number in np.ravel(numbers))
+
+
+def _pose(pose: Poses) -> str:
+    return f'pos="{_text(pose.position)}" quat="{_text(pose.quaternion)}"'
+
+
+def _site(name: str, position: Array, size: float, colour: str = "0.3 0.3 0.3 1") -> str:
+    return f'<site name="{name}" pos="{_text(position)}" size="{float(size)!r}" rgba="{colour}"/>'
+
+
+def _motor(leg: int, settings: _core.Settings) -> str:
+    limit = float(settings["robot.force_limit"])
+    limited = settings["simulation.mode"] == SAMPLED_MODE and settings["actuators.saturation"]
+    return (
+        f'<motor name="leg{leg}" tendon="leg{leg}" gear="1" ctrllimited="{str(bool(limited)).lower()}" '
+        f'ctrlrange="{-limit!r} {limit!r}"/>'
+    )
+
+
+def _image_size(scenario: Scenario) -> Array:
+    size = scenario.camera.image_size
+    return np.round(np.asarray(_RESOLUTION if size is None else size, dtype=float))
+
+
+def _off_centre(scenario: Scenario, size: Array) -> Array:
+    """Return where the principal point is from the image centre, u right and v down (2,) [px]."""
+    given = scenario.camera.principal_point
+    return np.zeros(2) if given is None else np.asarray(given) - (size - 1.0) / 2.0
+
+
+def _camera(scenario: Scenario, settings: _core.Settings) -> str:
+    """Return the camera: MuJoCo's looks along its -z with y up, as that of the model."""
+    camera, given = settings.camera, scenario.camera
+    origin, *ends = camera.in_platform(np.vstack([np.zeros(3), np.eye(3)]))
+    x, y, _ = (end - origin for end in ends)
+    size = _image_size(scenario)
+    focal = np.full(2, camera.focal_pixels)
+    if given.focal_pixels is not None:
+        focal = np.broadcast_to(np.asarray(given.focal_pixels, dtype=float), (2,))
+    off = _off_centre(scenario, size)
+    at = f'name="camera" pos="{_text(origin)}" xyaxes="{_text([x, y])}" resolution="{size[0]:.0f} {size[1]:.0f}"'
+    if focal[0] == focal[1] and not off.any():
+        return f'<camera {at} fovy="{float(np.rad2deg(2.0 * np.arctan(size[1] / 2.0 / focal[1])))!r}"/>'
+    return (
+        f'<camera {at} sensorsize="{_text(size * _PIXEL)}" focalpixel="{_text(focal)}" principalpixel="{_text(-off)}"/>'
+    )
+
+
+def _keys(home: Poses, start: Poses, twist: Array, hexapod: _core.Hexapod, body: _core.RigidBody) -> list[str]:
+    def key(name: str, pose: Poses, twist: Array) -> str:
+        # MuJoCo's angular velocity is in the body's frame
+        spin = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).inv().apply(twist[3:])
+        forces = hexapod.leg_forces(pose.position, pose.quaternion, body.weight(pose.quaternion))
+        return (
+            f'    <key name="{name}" qpos="{_text([*pose.position, *pose.quaternion])}" '
+            f'qvel="{_text([*twist[:3], *spin])}" ctrl="{_text(forces)}"/>'
+        )
+
+    return [key("home", home, np.zeros(6)), key("start", start, twist)]
