@@ -14,7 +14,8 @@ namespace {
 using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
 using Shape = std::vector<py::ssize_t>;
 
-const Shape kEight = {2 * kPoints}, kFour = {kPoints}, kThree = {3}, kSix = {6}, kWeightShape = {6, kTerms, kTerms};
+const Shape kEight = {2 * kPoints}, kFour = {kPoints}, kThree = {3}, kThreeByThree = {3, 3}, kSix = {6},
+            kWeightShape = {6, kTerms, kTerms};
 const Shape kMembershipShape = {6, kTerms}, kJacobianShape = {2 * kPoints, 6}, kInertiaShape = {6, 6};
 constexpr auto kStages = static_cast<py::ssize_t>(kRungeKuttaWeights.size());
 
@@ -149,6 +150,23 @@ py::array_t<double> base_acceleration(const Probe& probe, const py::object& t) {
   const Given time("time", t, {});
   Made made(time.count(), kThree);
   probe.base_acceleration(time.rows(), made.column());
+  return made.array();
+}
+
+py::tuple base_motion(const Probe& probe, const py::object& t) {
+  const Given time("time", t, {});
+  Made position(time.count(), kThree), attitude(time.count(), kThreeByThree), rate(time.count(), kThree),
+      rate_change(time.count(), kThree);
+  probe.base_motion(time.rows(), {position.column(), attitude.column(), rate.column(), rate_change.column()});
+  return py::make_tuple(position.array(), attitude.array(), rate.array(), rate_change.array());
+}
+
+py::array_t<double> base_wrench(const Probe& probe, const py::object& t, const py::object& p, const py::object& q,
+                                const py::object& twists) {
+  const Given time("time", t, {}), position("position", p, kThree, time.count()),
+      quaternion("quaternion", q, kFour, time.count()), twist("twist", twists, kSix, time.count());
+  Made made(time.count(), kSix);
+  probe.base_wrench(time.rows(), position.rows(), quaternion.rows(), twist.rows(), made.column());
   return made.array();
 }
 
@@ -365,7 +383,14 @@ void bind_probe(py::module_& m) {
       .def("acceleration", &acceleration, position, quaternion, twist, py::arg("wrench"),
            "chi-ddot (n, 6) of the actual plant, (3) [m/s^2; rad/s^2]; it is the same at every position.")
       .def("base_acceleration", &base_acceleration, py::arg("time"),
-           "Acceleration of B (n, 3) [m/s^2] at times (n,) >= 0 [s]; zero in continuous mode, whose base stands.")
+           "Acceleration of B (n, 3) in W [m/s^2] at times (n,) >= 0 [s]; zero in continuous mode, whose base stands.")
+      .def(
+          "base_motion", &base_motion, py::arg("time"),
+          "Position p_WB (n, 3) [m], attitude R_WB (n, 3, 3), rate Omega (n, 3) [rad/s] and its change (n, 3) "
+          "[rad/s^2], both in B, at times (n,) >= 0 [s]. NaN positions where a sinusoid or noise has a frequency of 0.")
+      .def("base_wrench", &base_wrench, py::arg("time"), position, quaternion, twist,
+           "What the motion of the base adds to the wrench on the actual platform (n, 6), in B [N; N m], at times (n,) "
+           ">= 0 [s].")
       .def("estimated_wrenches", &estimated_wrenches, quaternion, twist, py::arg("acceleration"),
            "D-bar chi-ddot (n, 6), C-bar chi-dot (n, 6) and G-bar (6,) of (1), in B [N; N m].")
       .def("inertia", &inertia, quaternion, "D-bar of (1), (n, 6, 6): acceleration in B to wrench.")

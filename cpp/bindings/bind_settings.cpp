@@ -18,7 +18,7 @@ std::string_view name_of(E value) {
 
 /// Shape of an array as NumPy has it; () is one number.
 py::tuple shape_of(const ScenarioKey& key) {
-  if (key.type == KeyType::samples) return py::make_tuple(py::none(), 3);
+  if (key.type == KeyType::samples) return py::make_tuple(py::none(), key.field.columns);
   if (key.rows * key.columns == 1) return py::tuple();
   return key.columns == 1 ? py::tuple(py::make_tuple(key.rows)) : py::tuple(py::make_tuple(key.rows, key.columns));
 }
@@ -34,10 +34,11 @@ py::object value_of(const Settings& settings, const std::string& name) {
   if (key.type == KeyType::flag) return py::bool_(numbers[0] != 0.0);
   if (key.type == KeyType::whole) return py::int_(static_cast<long long>(numbers[0]));
   if (key.type == KeyType::number) return py::float_(numbers[0]);
-  const auto rows = static_cast<py::ssize_t>(key.type == KeyType::samples ? numbers.size() / 3 : 0);
-  std::vector<py::ssize_t> shape = {rows, 3};
-  if (rows == 0) shape = {key.rows};
-  if (rows == 0 && key.columns > 1) shape.push_back(key.columns);
+  std::vector<py::ssize_t> shape = {key.rows};
+  if (key.type == KeyType::samples)
+    shape = {static_cast<py::ssize_t>(numbers.size()) / key.field.columns, key.field.columns};
+  else if (key.columns > 1)
+    shape.push_back(key.columns);
   return py::array_t<double>(shape, numbers.data());
 }
 

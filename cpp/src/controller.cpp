@@ -82,6 +82,8 @@ ControllerGains<Law> controller_gains(const Settings& settings, double period) {
   ticking.uncertainty.mount = settings.uncertainty.mount;
   ticking.simulation = {LoopMode::sampled, period, 1, period, 1, {}};
   ticking.base_motion = {};
+  ticking.target.frame = TargetFrame::base;
+  ticking.target.motion = {};
   ticking.sensors.noise = 0.0;  // of the real encoders, not of those that a scenario simulates
   ticking.sensors.resolution = 0.0;
   if (settings.simulation.mode == LoopMode::continuous) {

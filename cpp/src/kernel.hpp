@@ -7,12 +7,13 @@
 #pragma once
 
 #include "hexservo/laws/list.hpp"
+#include "hexservo/recording.hpp"
 
 #include <array>
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 6;                         ///< changes with everything below
+inline constexpr int kKernelAbi = 7;                         ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 18;         ///< of `Metrics`, in the order of its `visit`
@@ -50,9 +51,8 @@ struct RunRequest {
   int count;                        ///< of scenarios
   const double* const* parameters;  ///< one flattened LoopParameters (flatten.hpp) each
   long long numbers;                ///< of each of them, as a check
-  const double* recorded;           ///< RecordedAcceleration of all of them: samples, their number, their period [s]
-  long long recorded_count;
-  double recorded_period;
+  Recording recorded;               ///< of the base, of all of them
+  Recording recorded_target;        ///< of the target, likewise
   long long steps;
   long long log_every;  ///< steps between two rows of the log; 0: no log
   bool log_end;         ///< also log the last good sample of a run that stops early, off the grid

@@ -193,8 +193,9 @@ struct Probe::Parts {
         home(home_pose(p.hexapod)),
         recorded(p.recorded.samples, p.recorded.samples + (p.recorded.samples ? 3 * p.recorded.count : 0)),
         base(p.mode == LoopMode::sampled ? p.base_motion : BaseMotionParameters<double>{}, p.seed,
-             {recorded.data(), p.recorded.count, p.recorded.period}),
+             {recorded.data(), p.recorded.count, p.recorded.period, p.recorded.attitudes}),
         fuzzy(fuzzy_systems_act<Law>(p.gains)) {
+    base.find_place();
     if constexpr (kHasFuzzySystems<Law>) weights = Law::initial_state(p.gains);
   }
   virtual ~Parts() = default;
@@ -355,6 +356,44 @@ void Probe::base_acceleration(Rows time, Column acceleration) const {
   for (std::size_t i = 0; i < time.size(); ++i) {
     if (time[i] < 0.0) refuse(words("time[", i, "]"), "a time >= 0", words(time[i]));
     put(acceleration, i, parts_->base.acceleration(time[i]));
+  }
+}
+
+void Probe::base_motion(Rows time, const ProbedBase& out) const {
+  require_rows("time", time, 1, time.size());
+  const std::size_t n = time.size();
+  require_room("position", out.position, 3, n);
+  require_room("attitude", out.attitude, 9, n);
+  require_room("rate", out.rate, 3, n);
+  require_room("rate_change", out.rate_change, 3, n);
+  for (std::size_t i = 0; i < n; ++i) {
+    if (time[i] < 0.0) refuse(words("time[", i, "]"), "a time >= 0", words(time[i]));
+    const Turning<double> turning = parts_->base.turning(time[i]);
+    put(out.position, i, parts_->base.place(time[i]));
+    Vector<double, 9> rows;
+    for (int k = 0; k < 9; ++k) rows(k) = turning.R_WB(k / 3, k % 3);
+    put(out.attitude, i, rows);
+    put(out.rate, i, turning.rate_B);
+    put(out.rate_change, i, turning.rate_change_B);
+  }
+}
+
+void Probe::base_wrench(Rows time, Rows position, Rows quaternion, Rows twist, Column wrench) const {
+  require_rows("time", time, 1, time.size());
+  const std::size_t n = time.size();
+  require_rows("position", position, 3, n);
+  require_rows("quaternion", quaternion, 4, n);
+  require_quaternions("quaternion", quaternion, n);
+  require_rows("twist", twist, 6, n);
+  require_room("wrench", wrench, 6, n);
+  const BaseMotion<double>& base = parts_->base;
+  for (std::size_t i = 0; i < n; ++i) {
+    if (time[i] < 0.0) refuse(words("time[", i, "]"), "a time >= 0", words(time[i]));
+    const Matrix3<double> R_BE = rotation_matrix(row<4>(quaternion, i));
+    put(wrench, i,
+        base.turns()
+            ? moving_base_wrench(parts_->plant, row<3>(position, i), R_BE, row<6>(twist, i), base.state(time[i]))
+            : inertial_wrench(parts_->plant, R_BE, base.acceleration(time[i])));
   }
 }
 

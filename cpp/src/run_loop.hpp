@@ -34,7 +34,8 @@ void write_sample(const Sample<S>& sample, int lane, Place&& place) {
 /// @throws std::invalid_argument where scenarios differ in what a pack shares
 template <class S, class Law>
 void read_parameters(LoopParameters<S, Law>& parameters, const RunRequest& request) {
-  parameters.recorded = {request.recorded, request.recorded_count, request.recorded_period};
+  parameters.recorded = request.recorded;
+  parameters.recorded_target = request.recorded_target;
   if constexpr (kLanes<S> == 1) {
     unflatten(parameters, request.parameters[0]);
   } else {

@@ -1,6 +1,7 @@
 #include "run_request.hpp"
 
 #include "flatten.hpp"
+#include "motion.hpp"
 
 namespace hexservo::detail {
 
@@ -24,11 +25,8 @@ RunRequest run_request(const Settings& settings, const SimulationSettings& simul
   request.sampled = simulation.mode == LoopMode::sampled;
   request.numbers = static_cast<long long>(flat_size(settings.law()));
   request.steps = step_count(simulation);
-  if (const auto& samples = settings.base_motion.samples) {
-    request.recorded = samples->data();
-    request.recorded_count = static_cast<long long>(samples->size() / 3);
-    request.recorded_period = settings.base_motion.sample_period;
-  }
+  request.recorded = recording(settings.base_motion);
+  request.recorded_target = recording(settings.target.motion);
   return request;
 }
 

@@ -13,7 +13,6 @@ using detail::words;
 namespace {
 
 using Numbers = std::span<const double>;
-using Samples = std::shared_ptr<const std::vector<double>>;
 
 constexpr double kMostWhole = 1e15;  // a double holds every whole number up to here
 
@@ -193,7 +192,7 @@ const ScenarioKey& scenario_key(LawId law, std::string_view name) {
 
 void set_numbers(Settings& settings, const ScenarioKey& key, Numbers numbers) {
   if (numbers.empty() && !key.optional) refuse(key.name, "a value", "none");
-  if (key.type == KeyType::samples ? numbers.size() % 3 != 0 : !numbers.empty() && !key.takes(numbers.size()))
+  if (key.type == KeyType::samples ? numbers.size() % static_cast<std::size_t>(key.field.columns) != 0 : !numbers.empty() && !key.takes(numbers.size()))
     refuse_count(key, numbers.size());
   at_key(settings, key, [&](auto& member) { numbers.empty() ? clear(key, member) : put(key, member, numbers); });
 }

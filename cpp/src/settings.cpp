@@ -1,5 +1,6 @@
 #include "hexservo/settings.hpp"
 
+#include "motion.hpp"
 #include "walk.hpp"
 
 #include <Eigen/Eigenvalues>
@@ -163,36 +164,6 @@ ActuatorParameters<double> actuator_parameters(const ActuatorSettings& settings,
   return actuators;
 }
 
-/// Motion of the base; only what its kind needs has to fit.
-/// @param step of the integration [s]
-BaseMotionParameters<double> base_motion_parameters(const BaseMotionSettings& motion, double step) {
-  const double fastest = 0.5 / step;  // a sine wave of two steps: the integration would not see more
-  switch (motion.kind) {
-    case BaseMotionKind::sinusoid:
-      if (!(motion.frequency <= fastest))
-        refuse("base_motion.frequency", words("a number from 0 to ", fastest, " Hz (two steps of the integration)"),
-               words(motion.frequency));
-      break;
-    case BaseMotionKind::recorded:
-      if (!motion.samples || motion.samples->size() < 6 || motion.samples->size() % 3 != 0)
-        refuse("base_motion.samples", "two or more samples of three numbers",
-               words(motion.samples ? motion.samples->size() : 0, " numbers"));
-      detail::require_positive("base_motion.sample_period", motion.sample_period);
-      break;
-    case BaseMotionKind::noise:
-      if (!(motion.low_frequency < motion.high_frequency))
-        refuse("base_motion.low_frequency", words("a number from 0 to below high_frequency, ", motion.high_frequency),
-               words(motion.low_frequency));
-      if (!(motion.high_frequency <= fastest))
-        refuse("base_motion.high_frequency", words("at most ", fastest, " Hz (two steps of the integration)"),
-               words(motion.high_frequency));
-      break;
-    case BaseMotionKind::none:
-      break;
-  }
-  return motion;
-}
-
 /// The step and the durations nearest to a pair that makes no grid.
 std::string nearest_grid(double step, double duration) {
   const double ratio = duration / step;
@@ -314,9 +285,7 @@ void prepare_devices(const Settings& settings, SceneParameters<double>& p) {
                                                     p.actuators.delay) +
                        1.0 / (2.0 * kPi * p.actuators.bandwidth);
   p.safe = safe_gains(settings.controller.safe, p.body, delay);
-  p.base_motion = base_motion_parameters(settings.base_motion, p.step / static_cast<double>(p.substeps));
-  if (const auto& samples = settings.base_motion.samples)
-    p.recorded = {samples->data(), static_cast<long long>(samples->size() / 3), settings.base_motion.sample_period};
+  detail::prepare_motions(settings, p);
   p.on_limit = settings.robot.on_limit;
   p.seed = seed_halves(settings.seed);
 }
@@ -343,6 +312,21 @@ void require_view_at_start(const SceneParameters<double>& p) {
   if (!(sigma(5) > kRankDeficient * sigma(0)))
     refuse(key, "a pose that is not singular",
            words("a wrench map with smallest/largest singular value ", sigma(5) / sigma(0)));
+}
+
+/// Image of a target that moves in B where the run starts.
+void require_view_of_moving_target(const SceneParameters<double>& p) {
+  BaseMotion<double> base(p.base_motion, p.seed, p.recorded);
+  const TargetPlace<double, kPoints> target(p.points_B, p.target_frame, p.target_motion, p.recorded_target);
+  if (!target.moves(base)) return;
+  base.find_place();
+  const PlatformCamera<double> camera(p.camera);
+  const Image<double> image = take_image<double, kPoints>(camera, p.start.position, rotation_matrix(p.start.quaternion),
+                                                          target.points(0.0, base));
+  const double error = (p.desired_features - image.features).cwiseAbs().maxCoeff();
+  if (!(image.depth.maxCoeff() < 0.0 && error <= kMaxFeatureError))
+    refuse("target.motion", "base and target that leave the points in front of the camera at the start of the run",
+           words("one ", image.depth.maxCoeff(), " m behind it, features ", error, " px from the goal"));
 }
 
 void validate_payload(const Payload& load) {
@@ -425,6 +409,7 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   else if (is_implicit(p.switching.kind))
     refuse("controller.switching.kind", "sign, tanh or saturation in continuous mode (implicit needs a servo period)",
            "implicit");
+  if (p.mode == LoopMode::sampled) require_view_of_moving_target(p);
   p.metrics = settings.metrics;
   return p;
 }

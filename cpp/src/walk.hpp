@@ -83,9 +83,10 @@ void require_within(const Path& path, const Field& field, const std::optional<T>
 }
 inline void require_within(const Path& path, const Field& field,
                            const std::shared_ptr<const std::vector<double>>& samples) {
+  const auto columns = static_cast<std::size_t>(field.columns);
   for (std::size_t i = 0; samples && i < samples->size(); ++i)
     if (!field.bound.holds((*samples)[i]))
-      refuse_number(words(path.key(field.name), "[", i / 3, "][", i % 3, "]"), field.bound, (*samples)[i]);
+      refuse_number(words(path.key(field.name), "[", i / columns, "][", i % columns, "]"), field.bound, (*samples)[i]);
 }
 template <class T>
   requires(std::is_enum_v<T> || std::is_same_v<T, bool> || std::is_same_v<T, std::uint64_t>)

@@ -166,16 +166,27 @@ TEST_CASE("a pack moves as single ones do, each lane with its own seed and numbe
   constexpr int kWidth = 4;
   using S = Lanes<kWidth>;
   const Eigen::Matrix<double, 3, 3> samples = Matrix3<double>::Identity();
-  for (const BaseMotionKind kind :
-       {BaseMotionKind::none, BaseMotionKind::sinusoid, BaseMotionKind::recorded, BaseMotionKind::noise}) {
+  const Eigen::Matrix<double, 4, 3> attitudes{{1.0, 0.98, 0.95}, {0.0, 0.1, 0.1}, {0.0, 0.1, 0.2}, {0.0, -0.1, 0.1}};
+  using enum BaseMotionKind;
+  for (const auto& [kind, rotation] : {std::pair{none, RotationKind::sinusoid},
+                                       {sinusoid, RotationKind::noise},
+                                       {recorded, RotationKind::none},
+                                       {noise, RotationKind::none},
+                                       {road, RotationKind::none}}) {
     CAPTURE(static_cast<int>(kind));
-    const RecordedAcceleration recorded{samples.data(), 3, 0.5};
+    const Recording recorded{samples.data(), 3, 0.5, attitudes.data()};
     BaseMotionParameters<S> parameters;
     SeedHalves<S> seeds;
     std::vector<BaseMotion<double>> singles;
     for (int lane = 0; lane < kWidth; ++lane) {
       BaseMotionParameters<double> single = kNoise;
       single.kind = kind;
+      single.rotation = {.kind = rotation,
+                         .amplitude = {0.1 * lane, 0.2, -0.1},
+                         .frequency = {1.0, 2.0 + lane, 3.0},
+                         .level = {1e-3, 1e-4 * lane, 1e-3}};
+      single.road.speed = 5.0 + lane;
+      single.road.position = {1.0, 0.5, -0.1 * lane};
       single.amplitude = {0.1 * lane, 1.0, -0.5};
       single.frequency = 1.0 + lane;
       single.level(0) = 0.1 * lane;
@@ -183,14 +194,52 @@ TEST_CASE("a pack moves as single ones do, each lane with its own seed and numbe
       set_lane(parameters, lane, single);
       set_lane(seeds, lane, seed_halves(static_cast<std::uint64_t>(lane)));
       singles.emplace_back(single, seed_halves(static_cast<std::uint64_t>(lane)), recorded);
+      singles.back().find_place();
     }
-    const BaseMotion<S> pack(parameters, seeds, recorded);
-    for (const double t : {0.0, 0.3, 1.1, 100.0}) {
+    BaseMotion<S> pack(parameters, seeds, recorded);
+    pack.find_place();
+    CHECK(pack.turns() == (kind != noise));
+    for (const double t : {0.0, 0.3, 0.9, 100.0}) {
       const long long before = allocations;
-      const Vector3<S> a = pack.acceleration(t);
+      const Vector3<S> a = pack.acceleration(t), place = pack.place(t);
+      const BaseState<S> state = pack.state(t);
       CHECK(allocations == before);
-      for (int lane = 0; lane < kWidth; ++lane)
-        CHECK(distance(lane_of(a, lane), singles[static_cast<std::size_t>(lane)].acceleration(t)) <= 1e-12);
+      for (int lane = 0; lane < kWidth; ++lane) {
+        const BaseMotion<double>& single = singles[static_cast<std::size_t>(lane)];
+        const BaseState<double> expected = single.state(t);
+        const double largest = 1.0 + expected.acceleration_B.norm();
+        CHECK(distance(lane_of(a, lane), single.acceleration(t)) <= 1e-12 * largest);
+        CHECK(distance(lane_of(place, lane), single.place(t)) <= 1e-12);
+        CHECK(distance(lane_of(state.acceleration_B, lane), expected.acceleration_B) <= 1e-12 * largest);
+        CHECK(distance(lane_of(state.turning.R_WB, lane), expected.turning.R_WB) <= 1e-12);
+        CHECK(distance(lane_of(state.turning.rate_B, lane), expected.turning.rate_B) <= 1e-10);
+        CHECK(distance(lane_of(state.turning.rate_change_B, lane), expected.turning.rate_change_B) <= 1e-9 * largest);
+      }
     }
   }
+}
+
+TEST_CASE("the coherence of two tracks is x K_1(x)") {
+  for (double x = 1e-6; x < 60.0; x *= 1.3) {
+    CAPTURE(x);
+    CHECK(std::abs(bessel_coherence(x) - x * std::cyl_bessel_k(1.0, x)) <= 1e-6);
+  }
+}
+
+TEST_CASE("a base that turns by nothing adds the wrench of one that does not turn") {
+  Random random(7603);
+  CAPTURE(random.seed());
+  RigidBody<double> body;
+  body.centre_E = {0.01, -0.02, 0.03};
+  body.off_centre = true;
+  DynamicsError<double> error;
+  error.inertia.diagonal().setConstant(0.1);
+  error.coriolis.setConstant(0.2);
+  error.gravity.setConstant(-0.1);
+  const Plant<double> plant(body, error);
+  const Matrix3<double> R_BE = rotation_matrix<double>(random.matrix<4>(1.0));
+  const Vector3<double> a = random.matrix<3>(3.0), p = random.matrix<3>(0.3);
+  const Vector6<double> twist = random.matrix<6>(2.0);
+  const Vector6<double> expected = inertial_wrench<double>(plant, R_BE, a);
+  CHECK(distance(moving_base_wrench<double>(plant, p, R_BE, twist, {{}, a}), expected) <= 1e-15);
 }

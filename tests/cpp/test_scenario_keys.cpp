@@ -62,7 +62,7 @@ TEST_CASE("what is set is read, in the struct's own member and nowhere else") {
         set_choice(settings, key, key.choices.back());
         CHECK(choice_of(settings, key) == key.choices.back());
       } else {
-        const std::size_t count = key.type == KeyType::samples ? 6 : key.widths().back();
+        const std::size_t count = key.type == KeyType::samples ? 12 : key.widths().back();
         std::vector<double> numbers(count);
         for (std::size_t i = 0; i < count; ++i) numbers[i] = 3.0 + static_cast<double>(i);
         if (key.type == KeyType::flag) numbers[0] = numbers_of(before, key)[0] == 0.0 ? 1.0 : 0.0;

@@ -258,6 +258,24 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
             {"base_motion.kind": "sinusoid"},
         ),
         Fault({"base_motion.level": LogUniform(0.1, 20.0)}, {"base_motion.kind": "noise"}, devices=("ideal", "real")),
+        Fault(
+            {
+                "base_motion.rotation.amplitude": Several(3, EitherSign(0.05, 0.3)),
+                "base_motion.rotation.frequency": LogUniform(0.3, 3.0),
+            },
+            {"base_motion.rotation.kind": "sinusoid"},
+            devices=("ideal", "real"),
+        ),
+    ),
+    "target_motion": (
+        Fault(
+            {
+                "target.motion.amplitude": Several(3, EitherSign(0.01, 0.05)),
+                "target.motion.frequency": LogUniform(0.3, 3.0),
+            },
+            {"target.motion.kind": "sinusoid"},
+            devices=("ideal", "real"),
+        ),
     ),
     "gravity": (
         Fault({"uncertainty.gravity": EitherSign(0.025, 0.075)}, laws=("hybrid", "kelly")),

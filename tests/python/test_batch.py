@@ -70,9 +70,35 @@ SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
     "base_motion.level": [1e-3, 2e-3, 1e-4],
     "base_motion.low_frequency": [1.0, 2.0, 0.0],
     "base_motion.high_frequency": [10.0, 20.0, 30.0],
+    "base_motion.rotation.amplitude": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.01], [0.0, 0.0, 0.02]],
+    "base_motion.rotation.frequency": [1.0, 2.0, 3.0],
+    "base_motion.rotation.phase": [0.5, 1.0, -1.0],
+    "base_motion.rotation.level": [1e-6, 2e-6, 1e-5],
+    "base_motion.rotation.low_frequency": [1.0, 2.0, 0.0],
+    "base_motion.rotation.high_frequency": [10.0, 20.0, 30.0],
+    "base_motion.road.speed": [10.0, 20.0, 5.0],
+    "base_motion.road.wheelbase": [2.7, 3.0, 1.0],
+    "base_motion.road.track": [1.5, 1.7, 0.5],
+    "base_motion.road.suspension": [1.5, 2.0, 1.0],
+    "base_motion.road.damping": [0.3, 0.5, 0.2],
+    "base_motion.road.longest": [100.0, 50.0, 30.0],
+    "base_motion.road.shortest": [0.1, 0.2, 0.5],
+    "base_motion.road.position": [[0.0, 0.0, 0.0], [1.0, 0.0, -0.5], [0.0, 0.5, 0.0]],
+    "target.motion.velocity": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, -0.01]],
+    "target.motion.amplitude": [[1e-3, 0.0, 0.0], [0.0, 2e-3, 0.0], [0.0, 0.0, 1e-3]],
+    "target.motion.frequency": [1.0, 3.0, 0.5],
+    "target.motion.phase": [0.0, 1.0, -0.5],
     "simulation.substeps": [1.0, 2.0, 3.0],
     "controller.safe.damping": [1e-3, 2e-3, 0.0],
     "controller.safe.hold": [1e-2, 2e-2, 0.0],
+}
+MOTION_OF: dict[str, dict[str, Any]] = {  # where keys of other motions act
+    "base_motion.rotation.l": {"base_motion.rotation.kind": "noise"},
+    "base_motion.rotation.h": {"base_motion.rotation.kind": "noise"},
+    "base_motion.rotation.": {"base_motion.rotation.kind": "sinusoid"},
+    "base_motion.road.": {"base_motion.kind": "road"},
+    "target.motion.velocity": {"target.motion.kind": "velocity"},
+    "target.motion.": {"target.motion.kind": "sinusoid"},
 }
 NOISE_OF_THE_BASE = ("base_motion.level", "base_motion.low_frequency", "base_motion.high_frequency")
 
@@ -187,6 +213,7 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         base = base.updated({"robot.payload": {"mass": 6e-3, "position": [0.01, 0.02, -0.01], "inertia": [1e-6] * 3}})
     if key in NOISE_OF_THE_BASE:
         base = base.updated({"base_motion.kind": "noise"})
+    base = base.updated(next((changes for head, changes in MOTION_OF.items() if key.startswith(head)), {}))
     if key.endswith((".fuzzy.table", ".fuzzy.initial_scale", ".fuzzy.leakage")):
         base = base.updated({f"controller.{law}.fuzzy.initial_scale": 1e-4})
     if key == "target.points":  # they hardly tell the pose: undamped, forces of 20 kN and their rounding

@@ -121,6 +121,9 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({"simulation.mode": "sampled"}, {"sensors.resolution": 1e-5}),
     ({"simulation.mode": "sampled"}, {"base_motion.amplitude": [1.0, 0.0, 0.0], "base_motion.frequency": 3.0}),
     ({"simulation.mode": "sampled"}, {"base_motion.level": 1.0, "base_motion.high_frequency": 20.0}),
+    ({"simulation.mode": "sampled"}, {"base_motion.rotation.amplitude": [0.1, 0.0, 0.0], "target.frame": "world"}),
+    ({"simulation.mode": "sampled"}, {"base_motion.rotation.level": 1.0, "base_motion.road.speed": 20.0}),
+    ({"simulation.mode": "sampled"}, {"target.motion.velocity": [0.1, 0.0, 0.0], "target.motion.frequency": 3.0}),
 ]
 
 

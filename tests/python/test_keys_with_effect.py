@@ -50,7 +50,32 @@ SAMPLED: dict[str, Any] = {
     "base_motion.low_frequency": 2.0,
     "base_motion.high_frequency": 20.0,
     "base_motion.samples": [[0.0, 0.0, 0.1], [0.1, 0.0, 0.0]],
+    "base_motion.attitudes": [[1.0, 0.0, 0.0, 0.0], [0.99, 0.1, 0.0, 0.0]],
     "base_motion.sample_period": 0.01,
+    "base_motion.rotation.kind": "sinusoid",
+    "base_motion.rotation.amplitude": [0.01, 0.0, 0.0],
+    "base_motion.rotation.frequency": 3.0,
+    "base_motion.rotation.phase": 0.5,
+    "base_motion.rotation.level": 1e-5,
+    "base_motion.rotation.low_frequency": 2.0,
+    "base_motion.rotation.high_frequency": 20.0,
+    "base_motion.road.roughness": "C",
+    "base_motion.road.speed": 20.0,
+    "base_motion.road.wheelbase": 3.0,
+    "base_motion.road.track": 1.7,
+    "base_motion.road.suspension": 3.0,
+    "base_motion.road.damping": 0.5,
+    "base_motion.road.longest": 50.0,
+    "base_motion.road.shortest": 0.3,
+    "base_motion.road.position": [1.0, 0.0, -0.5],
+    "target.frame": "world",
+    "target.motion.kind": "velocity",
+    "target.motion.velocity": [0.01, 0.0, 0.0],
+    "target.motion.amplitude": [0.01, 0.0, 0.0],
+    "target.motion.frequency": 3.0,
+    "target.motion.phase": 0.5,
+    "target.motion.samples": [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]],
+    "target.motion.sample_period": 0.01,
     "simulation.substeps": 2,
     "controller.safe.damping": 1.0,
     "controller.safe.hold": 10.0,
@@ -59,7 +84,13 @@ SAMPLED: dict[str, Any] = {
 }
 # In continuous mode: what is for people, or is about another key, or is a gain that `others` sees.
 FOR_PEOPLE = {"name", "description", "simulation.log_every"}
-TOGETHER = {"base_motion.samples": {"base_motion.sample_period": 0.01}, "base_motion.sample_period": {}}
+RECORDING, WAY = (
+    tuple(f"{block}.{key}" for key in ("samples", "sample_period")) for block in ("base_motion", "target.motion")
+)
+TOGETHER = {key: keys for keys in (RECORDING, WAY) for key in keys} | {
+    "base_motion.attitudes": (*RECORDING, "base_motion.attitudes")
+}
+READ = {"base_motion.file", "base_motion.frame_of_acceleration", "target.motion.file"}  # into samples
 SENTENCE = "no effect in continuous mode; set simulation.mode: sampled, or drop"
 
 
@@ -164,14 +195,14 @@ def base_for(short: hs.Scenario, key: str) -> hs.Scenario:
 
 
 def test_the_list_above_has_every_key_of_sampled_mode() -> None:
-    assert set(SAMPLED) == set(sampled_keys()) - {"base_motion.file"}  # a file becomes samples
+    assert set(SAMPLED) == set(sampled_keys()) - READ
     for block in ("sensors", "actuators", "base_motion"):
         assert {key for key in leaves() if key.startswith(f"{block}.")} <= set(sampled_keys())
 
 
 @pytest.mark.parametrize("key", leaves())
 def test_a_key_changes_the_continuous_run_or_is_refused(short: hs.Scenario, key: str) -> None:
-    if key in FOR_PEOPLE or key in ("simulation.mode", "base_motion.file"):
+    if key in FOR_PEOPLE or key in {"simulation.mode", *READ}:
         return
     if key not in SAMPLED:
         base = base_for(short, key)
@@ -179,7 +210,7 @@ def test_a_key_changes_the_continuous_run_or_is_refused(short: hs.Scenario, key:
         return
     change = {key: SAMPLED[key]}
     if key in TOGETHER:  # neither goes without the other
-        change = {name: SAMPLED[name] for name in TOGETHER}
+        change = {name: SAMPLED[name] for name in TOGETHER[key]}
     with pytest.raises(hs.ScenarioError) as caught:
         short.updated(change)
     (problem,) = caught.value.problems

@@ -3,12 +3,12 @@
 #pragma once
 
 #include "hexservo/actuators.hpp"
-#include "hexservo/base_motion.hpp"
 #include "hexservo/encoders.hpp"
 #include "hexservo/frames.hpp"
 #include "hexservo/laws/law.hpp"
 #include "hexservo/metrics.hpp"
 #include "hexservo/safe_output.hpp"
+#include "hexservo/target_motion.hpp"
 
 namespace hexservo {
 
@@ -50,10 +50,13 @@ struct SceneParameters {
   ActuatorParameters<S> actuators;      ///< in `sampled` mode
   SafeGains<S> safe;                    ///< in `sampled` mode
   BaseMotionParameters<S> base_motion;  ///< in `sampled` mode
+  TargetFrame target_frame = TargetFrame::base;
+  TargetMotionParameters<S> target_motion;  ///< in `sampled` mode
   LimitPolicy on_limit = LimitPolicy::report;
   SeedHalves<S> seed;
   MetricsSettings<S> metrics;
-  RecordedAcceleration recorded;  ///< of the base; not visited: it is shared, and no number
+  Recording recorded;         ///< of the base; not visited: it is shared, and no number
+  Recording recorded_target;  ///< of the target; likewise
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -86,6 +89,8 @@ struct SceneParameters {
     v(Field{"actuators"}, self.actuators...);
     v(Field{"safe"}, self.safe...);
     v(Field{"base_motion"}, self.base_motion...);
+    v(Field{"target_frame"}, self.target_frame...);
+    v(Field{"target_motion"}, self.target_motion...);
     v(Field{"on_limit"}, self.on_limit...);
     v(Field{"seed"}, self.seed...);
     v(Field{"metrics"}, self.metrics...);

@@ -88,6 +88,7 @@ struct Field {
   Form form = Form::one_or_all;
   bool sampled = false;                ///< acts in `sampled` mode alone
   bool key = true;                     ///< false: prepared from others
+  int columns = 3;                     ///< of samples, which have rows
   bool with_points = true;             ///< false: not used where the target's points are given
   std::span<const UnitOf> units = {};  ///< of a block: where its own do not hold
 
@@ -100,6 +101,7 @@ struct Field {
   constexpr Field entrywise() const { return changed(&Field::form, Form::all); }
   constexpr Field symmetric() const { return changed(&Field::form, Form::symmetric); }
   constexpr Field in_sampled_mode() const { return changed(&Field::sampled, true); }
+  constexpr Field of_columns(int value) const { return changed(&Field::columns, value); }
   constexpr Field prepared() const { return changed(&Field::key, false); }
   constexpr Field without_points() const { return changed(&Field::with_points, false); }
   constexpr Field with_units(std::span<const UnitOf> value) const { return changed(&Field::units, value); }

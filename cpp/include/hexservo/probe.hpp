@@ -60,6 +60,13 @@ struct ProbedStages {
   Column next_features, next_depth, next_position, next_quaternion, next_twist, next_weights{};
 };
 
+/// How the base moves; the memory is the caller's.
+struct ProbedBase {
+  Column position;           ///< n x 3, p_WB [m]; NaN where a sinusoid or noise has a frequency of 0
+  Column attitude;           ///< n x 3 x 3, R_WB
+  Column rate, rate_change;  ///< n x 3 each, Omega and Omega-dot in B [rad/s; rad/s^2]
+};
+
 /// Parts of the loop of one scenario. All functions are const, work row by row, and may run side by side.
 ///
 /// @throws std::invalid_argument("name: expected ..., got ...") where rows are not n of their width, numbers are not
@@ -105,8 +112,14 @@ class Probe {
   /// @param position it is the same at each, but only finite ones are states
   void acceleration(Rows position, Rows quaternion, Rows twist, Rows wrench, Column acceleration) const;
 
-  /// Acceleration of the frame B at times >= 0 [s], n x 3 in B [m/s^2]; zero in continuous mode, whose base stands.
+  /// Acceleration of the frame B at times >= 0 [s], n x 3 in W [m/s^2]; zero in continuous mode, whose base stands.
   void base_acceleration(Rows time, Column acceleration) const;
+
+  /// Where B is in W at times >= 0 [s], and how it turns.
+  void base_motion(Rows time, const ProbedBase& out) const;
+
+  /// What the motion of the base adds to the wrench on the actual platform at times >= 0 [s], n x 6 in B [N; N m].
+  void base_wrench(Rows time, Rows position, Rows quaternion, Rows twist, Column wrench) const;
 
   /// D-bar chi-ddot and C-bar chi-dot of the estimated dynamics (1), n x 6 each [N; N m].
   void estimated_wrenches(Rows quaternion, Rows twist, Rows acceleration, Column inertial, Column coriolis) const;

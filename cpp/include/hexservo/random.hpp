@@ -23,7 +23,9 @@ enum class RandomSource {
   dropout = 2,        ///< which frames never arrive
   latency = 3,        ///< jitter of the latency
   encoder_noise = 4,  ///< noise of the leg length encoders
-  base_motion = 5     ///< phases of band-limited base motion
+  base_motion = 5,    ///< phases of band-limited base motion
+  base_rotation = 6,  ///< those of its rotation
+  road = 7            ///< waves of a road
 };
 
 namespace detail {

@@ -1,6 +1,6 @@
 /// @file
 /// The closed loop as it would be built: a camera with a period and a latency, joint sensors, a servo that ticks,
-/// actuators that hold between two ticks, a base that may move (docs/model.md, section 7).
+/// actuators that hold between two ticks, a base and a target that may move (docs/model.md, section 7).
 ///
 /// `SampledPlant` is everything but the controller: `sense` shows what its sensors give at a tick, `command` takes what
 /// the controller commands, `advance` goes on to the next tick. `SampledLoop<S, Law>` joins it to the controller
@@ -24,13 +24,15 @@ class SampledPlant {
         substeps_(p.substeps),
         depth_error_(p.depth_error),
         stops_where_lost_(p.frames.on_lost == LostFeature::stop),
+        base_(base_motion(p)),
+        target_(p.points_B, p.target_frame, p.target_motion, p.recorded_target),
+        base_moves_(base_.moves()),
+        target_moves_(target_.moves(base_)),
         world_(p),
-        state_(world_.start(p)),
+        state_(start(p)),
         hexapod_(p.hexapod),
         leg_geometry_(p.hexapod),
         holds_leg_forces_(p.actuators.hold == ActuatorHold::leg_forces),
-        base_moves_(p.base_motion.kind != BaseMotionKind::none),
-        base_(p.base_motion, p.seed, p.recorded),
         frames_(p.frames, p.seed, Lens<S>(p.lens)),
         record_(p, state_) {
     sensed_.frame.image = state_.view.image;  // of no consequence until a frame arrives
@@ -90,9 +92,11 @@ class SampledPlant {
       runge_kutta_step(
           h, rate_at(0.0, start),
           [&](double scale, const WorldRate<S, N>& rate) {
+            if (target_moves_) place_target(start_time + scale);
             return rate_at(scale, world_.moved(start, S(scale), rate));
           },
           [&](const std::array<const WorldRate<S, N>*, 4>& rates) {
+            if (target_moves_) place_target(start_time + h);
             next = world_.after(start, h, rates);
             nearest = max(nearest, nearest_depth(next, rates));
           });
@@ -115,6 +119,21 @@ class SampledPlant {
            any(p.bandwidth < S(std::numeric_limits<double>::infinity()));
   }
 
+  template <class Law>
+  static BaseMotion<S> base_motion(const LoopParameters<S, Law, N>& p) {
+    BaseMotion<S> base(p.base_motion, p.seed, p.recorded);
+    if (p.target_frame == TargetFrame::world) base.find_place();
+    return base;
+  }
+
+  template <class Law>
+  WorldState<S, N> start(const LoopParameters<S, Law, N>& p) noexcept {
+    if (target_moves_) place_target(0.0);
+    return world_.start(p);
+  }
+
+  [[gnu::noinline]] void place_target(double time) noexcept { world_.place_target(target_.points(time, base_)); }
+
   Legs<S> legs_at(const Vector3<S>& position, const Matrix3<S>& R_BE) const noexcept {
     return inverse_kinematics(hexapod_, position, R_BE);
   }
@@ -123,7 +142,11 @@ class SampledPlant {
   Vector6<S> acting_wrench(double time, const WorldState<S, N>& state) const noexcept {
     Vector6<S> wrench = wrench_;
     if (holds_leg_forces_) wrench = legs_at(position_of(state.body), state.view.R_BE).wrench(leg_forces_);
-    if (base_moves_) wrench += world_.inertial_wrench(state.view.R_BE, base_.acceleration(time));
+    if (!base_moves_) return wrench;
+    if (base_.turns())
+      wrench += world_.moving_base_wrench(state, base_.state(time));
+    else
+      wrench += world_.inertial_wrench(state.view.R_BE, base_.acceleration(time));
     return wrench;
   }
 
@@ -144,12 +167,14 @@ class SampledPlant {
   long long substeps_;
   Vector<S, N> depth_error_;
   bool stops_where_lost_;
+  BaseMotion<S> base_;
+  TargetPlace<S, N> target_;
+  bool base_moves_, target_moves_;
   World<S, N> world_;
   WorldState<S, N> state_;
   Hexapod<S> hexapod_;
   LegGeometry<S> leg_geometry_;
-  bool holds_leg_forces_, base_moves_;
-  BaseMotion<S> base_;
+  bool holds_leg_forces_;
   std::optional<Encoders<S>> encoders_;    ///< where they are the pose's source
   std::optional<Actuators<S>> actuators_;  ///< where they do anything
   Frames<S, N> frames_;

@@ -13,13 +13,31 @@
 
 namespace hexservo {
 
+/// Rows of numbers, one after the other, or none.
+using Samples = std::shared_ptr<const std::vector<double>>;
+
+/// How the target moves in `sampled` mode.
+struct TargetMotionSettings : TargetMotionParameters<double> {
+  Samples samples;             ///< recorded displacements of the points from their places, in their frame [m]
+  double sample_period = 0.0;  ///< of what is recorded, from t = 0 [s]
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    TargetMotionParameters<double>::visit(v, self...);
+    v(Field{"samples", "m"}.of_batch().of_plant().in_sampled_mode(), self.samples...);
+    v(Field{"sample_period", "s", kPositiveOrZero}.of_batch().of_plant().in_sampled_mode(), self.sample_period...);
+  }
+};
+
 /// Four points to look at, given by their image from home or by their positions, and their desired image.
 struct Target {
+  TargetFrame frame = TargetFrame::base;  ///< in which the points rest, or move
   Vector<double, 2 * kPoints> initial_features = Vector<double, 2 * kPoints>::Zero();  ///< seen from home [px]
   Vector<double, 2 * kPoints> desired_features = Vector<double, 2 * kPoints>::Zero();  ///< xi_d [px]
   Vector<double, kPoints> depth = Vector<double, kPoints>::Constant(0.5);  ///< |Z_i| seen from home [m], 0.5
-  /// In place of the initial features and their depth: a point in each row, in B [m].
+  /// In place of the initial features and their depth: a point in each row, in B or W [m].
   std::optional<Eigen::Matrix<double, kPoints, 3>> points;
+  TargetMotionSettings motion;
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -27,6 +45,8 @@ struct Target {
     v(Field{"desired_features", "px"}.entrywise(), self.desired_features...);
     v(Field{"depth", "m", kPositive}.without_points(), self.depth...);
     v(Field{"points", "m"}.entrywise(), self.points...);
+    v(Field{"frame"}.of_pack().of_plant().in_sampled_mode(), self.frame...);
+    v(Field{"motion"}, self.motion...);
   }
 };
 
@@ -93,13 +113,15 @@ struct ActuatorSettings : ActuatorResponse<double> {
 
 /// How the base moves in `sampled` mode.
 struct BaseMotionSettings : BaseMotionParameters<double> {
-  std::shared_ptr<const std::vector<double>> samples;  ///< recorded a_x, a_y, a_z, one after the other [m/s^2], or none
-  double sample_period = 0.0;                          ///< of what is recorded, from t = 0 [s]
+  Samples samples;             ///< recorded a_x, a_y, a_z in W [m/s^2]
+  Samples attitudes;           ///< recorded quaternions (w, x, y, z) of B in W, of a base that turns
+  double sample_period = 0.0;  ///< of what is recorded, from t = 0 [s]
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     BaseMotionParameters<double>::visit(v, self...);
     v(Field{"samples", "m/s^2"}.of_batch().of_plant().in_sampled_mode(), self.samples...);
+    v(Field{"attitudes", "1"}.of_columns(4).of_batch().of_plant().in_sampled_mode(), self.attitudes...);
     v(Field{"sample_period", "s", kPositiveOrZero}.of_batch().of_plant().in_sampled_mode(), self.sample_period...);
   }
 };

@@ -91,6 +91,9 @@ class World {
     return {body, printed_camera() ? View<S, N>(p.initial_image, rotation_matrix(quaternion_of(body))) : view_of(body)};
   }
 
+  /// Moves the target's points: what is seen from here on, 3xN in B [m].
+  void place_target(const Eigen::Matrix<S, 3, N>& points_B) noexcept { points_B_ = Vectors3<S, N>(points_B); }
+
   /// How a state changes under a wrench in B [N; N m].
   void rate(const WorldState<S, N>& state, const Vector6<S>& wrench, WorldRate<S, N>& out) const noexcept {
     out.body = body_rate(plant_, state.body, state.view.R_BE, wrench);
@@ -106,6 +109,11 @@ class World {
   /// What an acceleration of B [m/s^2] adds to a wrench in B [N; N m].
   Vector6<S> inertial_wrench(const Matrix3<S>& R_BE, const Vector3<S>& acceleration_B) const noexcept {
     return hexservo::inertial_wrench(plant_, R_BE, acceleration_B);
+  }
+
+  /// What a base that turns adds to a wrench in B [N; N m].
+  Vector6<S> moving_base_wrench(const WorldState<S, N>& state, const BaseState<S>& base) const noexcept {
+    return hexservo::moving_base_wrench(plant_, position_of(state.body), state.view.R_BE, twist_of(state.body), base);
   }
 
   /// state + scale rate: a Runge-Kutta stage.

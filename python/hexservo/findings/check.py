@@ -16,6 +16,7 @@ from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import LAWS, Controller, laws_with
+from hexservo.scenario.motion import Road
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
@@ -201,12 +202,16 @@ def _of_adaptive_gain(law: str) -> _Condition:
     return _Condition((f"{block}.gain_far", f"{block}.gain_slope"), adapts, f"only with {block}.adaptive: true")
 
 
-def _of_motion(keys: str, kind: str) -> _Condition:
+def _of_motion(block: str, keys: str, kind: str) -> _Condition:
     return _Condition(
-        tuple(f"base_motion.{key}" for key in keys.split()),
-        lambda scenario: scenario.base_motion.kind == kind,
-        f"only with base_motion.kind: {kind}",
+        tuple(f"{block}.{key}" for key in keys.split()),
+        lambda scenario: value_at(scenario, f"{block}.kind") == kind,
+        f"only with {block}.kind: {kind}",
     )
+
+
+def _has_moving_base(scenario: Scenario) -> bool:
+    return scenario.base_motion.kind != "none" or scenario.base_motion.rotation.kind != "none"
 
 
 _CONDITIONS = (
@@ -239,9 +244,16 @@ _CONDITIONS = (
         lambda scenario: scenario.sensors.pose == "encoders",
         "only with sensors.pose: encoders",
     ),
-    _of_motion("amplitude frequency phase", "sinusoid"),
-    _of_motion("level low_frequency high_frequency", "noise"),
-    _of_motion("samples sample_period", "recorded"),
+    _of_motion("base_motion", "amplitude frequency phase", "sinusoid"),
+    _of_motion("base_motion", "level low_frequency high_frequency", "noise"),
+    _of_motion("base_motion", "samples attitudes sample_period", "recorded"),
+    _of_motion("base_motion", " ".join(f"road.{key}" for key in Road.model_fields), "road"),
+    _of_motion("base_motion.rotation", "amplitude frequency phase", "sinusoid"),
+    _of_motion("base_motion.rotation", "level low_frequency high_frequency", "noise"),
+    _of_motion("target.motion", "velocity", "velocity"),
+    _of_motion("target.motion", "amplitude frequency phase", "sinusoid"),
+    _of_motion("target.motion", "samples sample_period", "recorded"),
+    _Condition(("target.frame",), _has_moving_base, "only where the base moves (base_motion.kind)"),
 )
 
 

@@ -39,7 +39,12 @@ def probe(scenario: Scenario) -> _core.Probe:
     ``acceleration(position, quaternion, twist, wrench)``
         Of the actual plant, (3); the same at every position.
     ``base_acceleration(time)``
-        Of the frame B, (n, 3) [m/s^2], at times (n,) >= 0 [s]; zero in continuous mode, whose base stands.
+        Of the frame B, (n, 3) in W [m/s^2], at times (n,) >= 0 [s]; zero in continuous mode, whose base stands.
+    ``base_motion(time)``
+        Position of B in W (n, 3) [m], attitude R_WB (n, 3, 3), rate (n, 3) [rad/s] and its change (n, 3) [rad/s^2] in
+        B. A sinusoid or noise with a frequency of 0 has no position: NaN.
+    ``base_wrench(time, position, quaternion, twist)``
+        What the motion of the base adds to the wrench on the actual platform, (n, 6) in B [N; N m].
     ``estimated_wrenches(quaternion, twist, acceleration)``
         D-bar chi-ddot (n, 6), C-bar chi-dot (n, 6) and G-bar (6,), (1).
     ``inertia(quaternion)``

@@ -13,7 +13,6 @@ from pydantic import Field, model_validator
 
 from hexservo import _core
 from hexservo.scenario.block import (
-    NOT_NEGATIVE,
     POSITIVE,
     PROBABILITY,
     RELATIVE_ERROR,
@@ -24,13 +23,12 @@ from hexservo.scenario.block import (
 )
 from hexservo.scenario.core_defaults import core_default, from_core
 from hexservo.scenario.laws import Controller
-from hexservo.scenario.recording import read_recording
+from hexservo.scenario.motion import BaseMotion, TargetMotion
 from hexservo.scenario.rules import (
     Angle,
     ArrayRule,
     Choice,
     DisplacementRule,
-    File,
     Flag,
     GravityRule,
     Inertia,
@@ -40,8 +38,6 @@ from hexservo.scenario.rules import (
     Name,
     Number,
     OptionalNumber,
-    SamplePeriod,
-    Samples,
     TrueOr,
     Vector,
     diagonal_if_diagonal,
@@ -52,9 +48,8 @@ from hexservo.scenario.rules import (
     tupled,
 )
 from hexservo.scenario.tag import Tag, TagRule
-from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["Actuators", "BaseMotion", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
+__all__ = ["Actuators", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
 
 _DEFAULT_PRESET = "micro"
 _FOCAL_KEYS = ("focal_length", "pixel_scale")
@@ -253,47 +248,6 @@ class Actuators(Block):
     delay: NumberNotNegative = 0.0  # [s], a whole number of servo periods, at most 8
 
 
-class BaseMotion(Block):
-    """Linear acceleration of the base frame B, in `sampled` mode, which the controller does not measure.
-
-    Only what the kind needs acts; docs/model.md section 7. A recording is given as a CSV file with the columns t, ax,
-    ay, az [s, m/s^2], which is read at once: a scenario holds the samples, and its own ``file`` is null.
-    """
-
-    kind: Annotated[Literal["none", "sinusoid", "recorded", "noise"], Choice()] = "none"
-    amplitude: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m/s^2], of the sinusoid, in B
-    frequency: NumberNotNegative = from_core("base_motion.frequency")  # [Hz]
-    phase: Annotated[float, Angle()] = 0.0  # [rad], of the sinusoid at t = 0
-    # [(m/s^2)^2/Hz], one-sided spectral density of the noise, one for all axes or (3,)
-    level: Annotated[float | Vector, ArrayRule((3,), NOT_NEGATIVE, or_number=True)] = 0.0
-    # [Hz], where the noise begins and ends
-    low_frequency: NumberNotNegative = from_core("base_motion.low_frequency")
-    high_frequency: PositiveNumber = from_core("base_motion.high_frequency")
-    file: Annotated[str | None, File()] = None  # CSV to read, relative to the scenario's file
-    samples: Annotated[Matrix | None, Samples()] = None  # (n, 3) [m/s^2], recorded, in B
-    sample_period: Annotated[float | None, SamplePeriod()] = None  # [s], of the samples, from t = 0
-
-    @model_validator(mode="before")
-    @classmethod
-    def _read(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or not isinstance(data.get("file"), str):
-            return data
-        try:
-            period, samples = read_recording(data["file"])
-        except ScenarioError as error:
-            raise refusal((("file",), str(error))) from None
-        return {**data, "file": None, "samples": samples, "sample_period": period}
-
-    @model_validator(mode="after")
-    def _is_whole(self) -> BaseMotion:
-        if (self.samples is None) != (self.sample_period is None):
-            missing, given = ("sample_period", "samples") if self.samples is not None else ("samples", "sample_period")
-            raise refusal(((missing,), f"expected it beside {given}, got null"))
-        if self.kind == "recorded" and self.samples is None:
-            raise refusal((("file",), 'expected the path of a CSV file for the kind "recorded", got null'))
-        return self
-
-
 class Target(Block):
     """The four points in view of the camera, and their desired image.
 
@@ -310,8 +264,11 @@ class Target(Block):
     desired_pose: Annotated[Vector | None, DisplacementRule()] = None
     # [m], distance |Z| along the optical axis from home: one for all points or (4,); 0.5 if not given
     depth: Annotated[float | Vector | None, ArrayRule((4,), POSITIVE, or_number=True, or_null=True)] = None
-    points: Annotated[Matrix | None, ArrayRule((4, 3), or_null=True)] = None  # (4, 3) [m], in B
+    points: Annotated[Matrix | None, ArrayRule((4, 3), or_null=True)] = None  # (4, 3) [m], in the target's frame
     tag: Annotated[Tag | None, TagRule()] = None
+    # base: the points ride on B; world: they do not, and W is where B rests without motion
+    frame: Annotated[Literal["base", "world"], Choice(), SAMPLED] = "base"
+    motion: Annotated[TargetMotion, SAMPLED] = Field(default_factory=TargetMotion)
 
     @model_validator(mode="before")
     @classmethod

@@ -144,8 +144,10 @@ def keys_below(name: str) -> tuple[str, ...]:
 
 @cache
 def default_of(key: str) -> Any:
-    """Return the default of a dotted key whose blocks have defaults."""
+    """Return the default of a dotted key that has one, or whose blocks have."""
     block, *inner = key.split(".")
+    if Blocks.model_fields[block].is_required():
+        return next(default_of_field(field) for path, field, _ in leaves(Blocks) if path == key)
     value = default_of_field(Blocks.model_fields[block])
     for name in inner:
         value = getattr(value, name)

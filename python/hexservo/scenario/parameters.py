@@ -39,7 +39,7 @@ def core_settings(scenario: Blocks) -> Settings:
     keys, values_of = _walk(law)
     for key, value in zip(keys, values_of(scenario), strict=True):
         in_core = value if type(value) is float else _in_core(key, value)
-        if in_core is not None:  # null is the core's default
+        if in_core is not None or key.none is not None:  # null is the core's default, or stands for a number
             settings[key.name] = in_core
     return settings
 

@@ -1,4 +1,4 @@
-"""A tag and a goal pose, read into the points and the features that follow from them."""
+"""What is read into other keys: a tag, a goal pose, and what an accelerometer on the base recorded."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.scenario.blocks import Blocks, Target
+from hexservo.scenario.motion import BaseMotion
 from hexservo.scenario.parameters import core_settings
 from hexservo.scenario.plain import plain
+from hexservo.scenario.recording import kinematic
 from hexservo.scenario.tag import Tag, corners, normal, rotation_matrix
 
-__all__ = ["read_target"]
+__all__ = ["read_motion", "read_target"]
 
 
 def read_target(scenario: Blocks) -> None:
@@ -30,6 +32,17 @@ def read_target(scenario: Blocks) -> None:
     if target.desired_pose is not None:
         features = _core.project_target(core_settings(scenario), target.desired_pose)
         _replace(scenario, {"desired_pose": None, "desired_features": features})
+
+
+def read_motion(scenario: Blocks) -> None:
+    """Replace the specific forces that a scenario's base recorded by the accelerations of its origin in W."""
+    motion = scenario.base_motion
+    if motion.frame_of_acceleration == "kinematic" or motion.samples is None:
+        return
+    samples = kinematic(motion.samples, motion.attitudes, scenario.robot.gravity)
+    changes = {"frame_of_acceleration": "kinematic", "samples": samples}
+    # blocks are frozen for everyone else
+    scenario.__dict__["base_motion"] = BaseMotion.model_validate(plain({**dict(motion), **changes}))
 
 
 def _require_front(scenario: Blocks, tag: Tag) -> None:

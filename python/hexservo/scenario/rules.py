@@ -260,18 +260,20 @@ class SamplePeriod(Rule):
 
 @dataclass(frozen=True)
 class Samples(Rule):
-    """Rows of three numbers, or null: what was recorded, and no single number that may vary in a batch."""
+    """Rows of so many numbers, or null: what was recorded, and no single number that may vary in a batch."""
+
+    columns: int = 3
 
     @property
     def expected(self) -> str:
-        return f"2 to {MAX_SAMPLES} rows of 3 finite numbers, or null"
+        return f"2 to {MAX_SAMPLES} rows of {self.columns} finite numbers, or null"
 
     def accept(self, value: Any) -> Matrix | None:
         if value is None:
             return None
         if not isinstance(value, list) or not 2 <= len(value) <= MAX_SAMPLES:
             self.refuse(value)
-        return cast("Matrix", _tuples(value, (len(value), 3), Number().accept, self.expected))
+        return cast("Matrix", _tuples(value, (len(value), self.columns), Number().accept, self.expected))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.fitted import with_fitted_gains, without_fitted_gains
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.placing import read_target
+from hexservo.scenario.placing import read_motion, read_target
 from hexservo.scenario.plain import plain, put
 from hexservo.scenario.problems import in_words, listing
 from hexservo.scenario.rules import did_you_mean, is_number, shown_value
@@ -77,6 +77,7 @@ class Scenario(Blocks):
     @model_validator(mode="after")
     def _can_run(self) -> Scenario:
         self._refuse_keys_without_effect()
+        read_motion(self)
         read_target(self)
         core_parameters(self)
         return self
@@ -196,14 +197,21 @@ def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
 
 def _from_document(document: Any, source: str | None, folder: Path | None = None) -> Scenario:
     """Make a scenario; the path of a recording is relative to `folder`, else to the current one."""
-    base_motion = document.get("base_motion") if isinstance(document, dict) else None
-    if folder is not None and isinstance(base_motion, dict) and isinstance(base_motion.get("file"), str):
-        file = str(folder / base_motion["file"])
-        document = {**document, "base_motion": {**base_motion, "file": file}}
+    if folder is not None:
+        document = _in_folder(_in_folder(document, folder, "base_motion"), folder, "target", "motion")
     try:
         return Scenario(**_as_block(document))
     except ScenarioError as error:
         raise ScenarioError(error.problems, source) from None
+
+
+def _in_folder(document: Any, folder: Path, *blocks: str) -> Any:
+    """Make the path of a recording, the key "file" of a block in a block, one from a folder."""
+    if not isinstance(document, dict):
+        return document
+    if blocks:
+        return document | {key: _in_folder(document[key], folder, *blocks[1:]) for key in blocks[:1] if key in document}
+    return document | {"file": str(folder / document["file"])} if isinstance(document.get("file"), str) else document
 
 
 def _as_block(value: Any) -> dict[str, Any]:

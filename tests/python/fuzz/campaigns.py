@@ -247,6 +247,7 @@ def special_files(random: Generator, folder: Path) -> str:
         (hs.load_result, hs.ResultError),
         (hs.load_scenario, hs.ScenarioError),
         (_load_recording, hs.ScenarioError),
+        (_load_way, hs.ScenarioError),
     ):
         assert _refusal(read, path, error), f"{path} was read"
     return kind
@@ -254,6 +255,10 @@ def special_files(random: Generator, folder: Path) -> str:
 
 def _load_recording(path: Path) -> None:
     hs.load_scenario("rough-road").updated({"base_motion": {"kind": "recorded", "file": str(path)}})
+
+
+def _load_way(path: Path) -> None:
+    hs.load_scenario("rough-road").updated({"target.motion": {"kind": "recorded", "file": str(path)}})
 
 
 CAMPAIGNS: dict[str, Trial] = {

@@ -91,7 +91,8 @@ def draw(
     open_keys = [
         key
         for key in rules()
-        if key not in (*GRID, "base_motion.file", "controller.law") and (is_sampled or key not in keys.sampled_keys())
+        if key not in (*GRID, "base_motion.file", "target.motion.file", "controller.law")
+        and (is_sampled or key not in keys.sampled_keys())
     ]
     law = _one(random, LAWS) if random.random() < 0.5 else base.controller.law
     changes["controller.law"] = law
@@ -171,6 +172,12 @@ def _clocks(random: Generator, step: float) -> dict[str, Any]:
     times["base_motion.frequency"] = finest * float(_one(random, [0.0, 0.999, random.random()]))
     times["base_motion.high_frequency"] = finest * float(_one(random, [0.999, random.uniform(0.1, 1)]))
     times["base_motion.low_frequency"] = times["base_motion.high_frequency"] * random.uniform(0, 0.9)
+    times["base_motion.rotation.frequency"] = finest * random.random()
+    times["base_motion.rotation.high_frequency"] = finest * random.uniform(0.1, 1)
+    times["base_motion.rotation.low_frequency"] = times["base_motion.rotation.high_frequency"] * random.uniform(0, 0.9)
+    times["target.motion.frequency"] = finest * random.random()
+    times["base_motion.road.shortest"] = 0.1
+    times["base_motion.road.speed"] = min(30.0, 0.1 * finest) * random.uniform(0.1, 1)
     return times
 
 
@@ -178,12 +185,23 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
     """Give what is in pairs both of them, mostly: the rest of the draws is there to be refused."""
     if random.random() < 0.05:
         return
-    if (changes.get("base_motion.samples") is None) != (changes.get("base_motion.sample_period") is None):
-        changes["base_motion.samples"] = random.normal(size=(int(random.integers(2, 50)), 3)).tolist()
-        changes["base_motion.sample_period"] = 10.0 ** random.uniform(-4, 0)
-    if changes.get("base_motion.kind") == "recorded" and changes.get("base_motion.samples") is None:
-        changes["base_motion.samples"] = random.normal(size=(20, 3)).tolist()
-        changes["base_motion.sample_period"] = 0.01
+    for block, size in (("base_motion", 1.0), ("target.motion", 1e-3)):
+        samples, period = f"{block}.samples", f"{block}.sample_period"
+        if (changes.get(samples) is None) != (changes.get(period) is None):
+            changes[samples] = (size * random.normal(size=(int(random.integers(2, 50)), 3))).tolist()
+            changes[period] = 10.0 ** random.uniform(-4, 0)
+        if changes.get(f"{block}.kind") == "recorded" and changes.get(samples) is None:
+            changes[samples] = (size * random.normal(size=(20, 3))).tolist()
+            changes[period] = 0.01
+    recorded = changes.get("base_motion.samples")
+    if recorded is None:
+        changes.pop("base_motion.frame_of_acceleration", None)
+    if changes.get("base_motion.attitudes") is not None and recorded is None:
+        recorded = changes["base_motion.samples"] = random.normal(size=(20, 3)).tolist()
+        changes["base_motion.sample_period"] = 0.1
+    if changes.get("base_motion.attitudes") is not None:
+        turns = np.cumsum(0.02 * random.normal(size=(len(recorded), 4)), axis=0) + np.array([3.0, 0.0, 0.0, 0.0])
+        changes["base_motion.attitudes"] = (turns / np.linalg.norm(turns, axis=1, keepdims=True)).tolist()
     if changes.get("target.tag") is not None:
         changes |= {"target.initial_features": None, "target.depth": None, "target.points": None}
     elif changes.get("target.points") is not None:
@@ -227,6 +245,9 @@ SMALL = {  # sizes of what is refused, or beyond all reach, as a rule where it i
     "uncertainty.principal_point": 2.0,
     "uncertainty.mount.position": 5e-3,
     "uncertainty.mount.rotation": 0.02,
+    "base_motion.rotation.amplitude": 0.05,
+    "target.motion.velocity": 0.01,
+    "target.motion.amplitude": 1e-3,
     "simulation.start.pose": 3e-3,
     "simulation.start.twist": 0.05,
 }
@@ -249,7 +270,7 @@ def _value(random: Generator, key: str, current: Any) -> Any:
     if isinstance(rule, kinds.SamplePeriod):
         return _one(random, [None, 10.0 ** random.uniform(-4, 0)])
     if isinstance(rule, kinds.Samples):
-        return _one(random, [None, random.normal(size=(int(random.integers(2, 50)), 3)).tolist()])
+        return _one(random, [None, random.normal(size=(int(random.integers(2, 50)), rule.columns)).tolist()])
     if isinstance(rule, kinds.ArrayRule):
         return _array(random, rule, current)
     if isinstance(rule, kinds.Inertia):

@@ -18,7 +18,7 @@ from hexservo.findings.analysis.linear_law import (
     rest_of,
 )
 from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
-from hexservo.findings.analysis.scene import AT_HOME, scene_of
+from hexservo.findings.analysis.scene import AT_HOME, AT_REST, scene_of
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at
@@ -88,7 +88,7 @@ def quiet(scenario: Scenario) -> Scenario:
         "sensors.noise": 0.0,
         "actuators.saturation": False,
         "actuators.quantisation": 0.0,
-        "base_motion.kind": "none",
+        **AT_REST,
         "uncertainty.gravity": 0.0,
         "robot.on_limit": "report",
     }

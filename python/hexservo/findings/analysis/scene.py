@@ -15,13 +15,14 @@ from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.pixels import desired_features, to_features
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["AT_HOME", "WIDER", "Scene", "View", "scene_of"]
+__all__ = ["AT_HOME", "AT_REST", "WIDER", "Scene", "View", "scene_of"]
 
 # Half widths of the region about home that is searched beside the workspace [mean depth; rad].
 WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
 
 # Changes of a scenario whose run starts at home, at rest, whatever start it has.
 AT_HOME = {"simulation.start.pose": [0.0] * 6, "simulation.start.twist": [0.0] * 6}
+AT_REST = dict.fromkeys(("base_motion.kind", "base_motion.rotation.kind", "target.motion.kind"), "none")
 
 _ROUNDING = 1e-9  # of the stroke: a leg at its very end is within
 _NEAR = 0.02  # of the depth of home's nearest point: no search takes a point closer to the camera than this
@@ -78,6 +79,16 @@ class Scene:
             return "The centre of mass is not in the platform's origin, and the moment of its weight is not analysed."
         if not np.array_equal(*level) or not np.array_equal(body.inertia, plant.inertia):
             return "The platform has a payload that the controller does not know, which is not analysed."
+        return ""
+
+    @cached_property
+    def moving_target(self) -> str:
+        """Why what takes the target for fixed in B does not hold; empty where it does."""
+        base, target = self.scenario.base_motion, self.scenario.target
+        if target.motion.kind != "none":
+            return "The target moves, so that no energy belongs to the error of its image."
+        if target.frame == "world" and (base.kind != "none" or base.rotation.kind != "none"):
+            return "The target rests while the base moves, so that no energy belongs to the error of its image."
         return ""
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.rest import RestLaw
-from hexservo.findings.analysis.scene import AT_HOME, Scene
+from hexservo.findings.analysis.scene import AT_HOME, AT_REST, Scene
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array, Mask
@@ -73,7 +73,7 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
     if scenario.simulation.mode == "sampled":
         quiet = dict.fromkeys(("noise", "quantisation", "dropout", "outlier_probability"), 0.0)
         changes |= {f"camera.{key}": value for key, value in quiet.items()}
-        changes |= {"base_motion.kind": "none", "sensors.noise": 0.0}
+        changes |= {**AT_REST, "sensors.noise": 0.0}
     goals = _goals(scene, rest, ends)
     batch = whole(simulate_batch(scenario.updated(changes), {"target.desired_features": goals}, threads=2))
 

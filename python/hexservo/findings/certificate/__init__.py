@@ -96,7 +96,7 @@ def certify(result: Result) -> Certificate:
         except ArithmeticError as error:
             open_questions |= dict.fromkeys(("lyapunov", "assumption"), f"No best weights: {error}.")
     energy: EnergyLedger | None = None
-    if reason := _unusual_body(run):
+    if reason := _not_certified(run):
         open_questions["energy"] = reason
     elif len(run.time) < 2:
         open_questions["energy"] = "The run ended at its first sample: there is nothing to add up."
@@ -116,9 +116,10 @@ def certify(result: Result) -> Certificate:
     )
 
 
-def _unusual_body(run: Replay) -> str:
+def _not_certified(run: Replay) -> str:
     """Return why the terms of the dynamics are not those that are certified; empty if they are."""
-    reason = scene_of(run.scenario).unusual_body
+    scene = scene_of(run.scenario)
+    reason = scene.unusual_body or scene.moving_target
     return f"Not certified: {reason[0].lower()}{reason[1:]}" if reason else ""
 
 
@@ -136,4 +137,4 @@ def _outside_theorem(run: Replay) -> str:
         )
     if len(run.time) < 2:
         return "The run ended at its first sample."
-    return _unusual_body(run)
+    return _not_certified(run)

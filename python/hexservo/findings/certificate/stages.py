@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo.findings.certificate.replay import Plant, Replay, product
+from hexservo.findings.certificate.replay import Plant, Replay
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 
@@ -55,7 +55,7 @@ def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:
         if run.continuous:
             yield _continuous(run, ticks, run.probe, run.step)
         else:
-            yield from _sampled(run, plant, ticks)
+            yield from _sampled(run, ticks)
 
 
 def doubled_stages_of(run: Replay) -> Iterator[Stages]:
@@ -95,13 +95,14 @@ def _continuous(run: Replay, ticks: NDArray[np.intp], probe: _core.Probe, step: 
     )
 
 
-def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp]) -> Iterator[Stages]:
+def _sampled(run: Replay, ticks: NDArray[np.intp]) -> Iterator[Stages]:
     """Move the platform from every tick to the next one under the logged wrench or leg forces."""
     substeps = run.scenario.simulation.substeps
     step = run.step / substeps
     body = (run.position[ticks], run.quaternion[ticks], run.twist[ticks])
     legs = _core.Hexapod(run.settings.robot) if run.scenario.actuators.hold == "leg_forces" else None
-    base_moves = run.scenario.base_motion.kind != "none"
+    motion = run.scenario.base_motion
+    base_moves = motion.kind != "none" or motion.rotation.kind != "none"
     for substep in range(substeps):
         stages: list[dict[str, Array]] = []
         start = ticks * run.step + substep * step  # [s]
@@ -116,8 +117,7 @@ def _sampled(run: Replay, plant: Plant, ticks: NDArray[np.intp]) -> Iterator[Sta
             )
             inertial = np.zeros_like(twist)
             if base_moves:
-                inertial[:, :3] = -run.probe.base_acceleration(start + scale)
-                inertial = product(plant.inertia(quaternion), inertial)
+                inertial = run.probe.base_wrench(start + scale, position, quaternion, twist)
             acceleration = run.probe.acceleration(position, quaternion, twist, wrench + inertial)
             stages.append(
                 {

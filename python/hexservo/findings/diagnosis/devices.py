@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.diagnosis.environment import ideal, ordinary, unknown_payload
+from hexservo.findings.diagnosis.environment import BASE_MOTIONS, ideal, ordinary, unknown_payload
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
@@ -19,8 +19,8 @@ from hexservo.findings.diagnosis.remedies import (
     slower_remedies,
     unequal_depth_remedies,
 )
-from hexservo.scenario.blocks import BaseMotion, Payload
-from hexservo.scenario.keys import value_at
+from hexservo.scenario.blocks import Payload
+from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.parameters import core_parameters, frame_period
 
@@ -55,6 +55,11 @@ def _without(
         return [Removal(words, {key: none})]
 
     return removals
+
+
+def _base_at_rest(case: Case) -> list[Removal]:
+    changes = {key: "none" for key in BASE_MOTIONS if value_at(case.scenario, key) != "none"}
+    return [Removal("a base at rest", changes)] if case.sampled and changes else []
 
 
 # ---- Camera ---------------------------------------------------------------------------------------------------------
@@ -337,8 +342,15 @@ DEVICES: tuple[Cause, ...] = (
         "base_motion",
         "motion of the base",
         "device",
-        _keys(*(f"base_motion.{name}" for name in BaseMotion.model_fields)),
-        _without("base_motion.kind", "none", "a base at rest"),
+        _keys(*keys_below("base_motion"), "target.frame"),
+        _base_at_rest,
+    ),
+    Cause(
+        "target_motion",
+        "motion of the target",
+        "device",
+        _keys(*keys_below("target.motion")),
+        _without("target.motion.kind", "none", "a target at rest"),
     ),
     Cause(
         "gravity",

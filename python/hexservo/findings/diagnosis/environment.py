@@ -19,6 +19,7 @@ from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
 __all__ = [
+    "BASE_MOTIONS",
     "DEVICE_BLOCKS",
     "FINE_STEP",
     "IMAGE_ALONE",
@@ -38,6 +39,7 @@ __all__ = [
     "unusual",
 ]
 
+BASE_MOTIONS = ("base_motion.kind", "base_motion.rotation.kind")
 DEVICE_BLOCKS = ("camera", "sensors", "actuators", "base_motion", "uncertainty")
 FINE_STEP = 1.0e-3  # [s], of an ordinary servo period or integration
 OPTICS = frozenset(
@@ -88,7 +90,7 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
     for block in DEVICE_BLOCKS:
         for key in keys_below(block):
             value, wanted = value_at(scenario, key), default_of(key)
-            if key in _OF_THE_TASK | _KEPT or (block == "base_motion" and key != "base_motion.kind"):  # its own act
+            if key in _OF_THE_TASK | _KEPT or (block == "base_motion" and key not in BASE_MOTIONS):  # its own act
                 continue
             if key == "camera.period" and scenario.simulation.mode == "sampled":
                 value, wanted = frame_period(scenario), scenario.simulation.step
@@ -98,6 +100,8 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
                 wanted = value if value is None or value >= ORDINARY_BANDWIDTH else None
             if value != wanted:
                 changes[key] = wanted
+    if scenario.target.motion.kind != "none":
+        changes["target.motion.kind"] = "none"
     if unknown_payload(scenario):
         changes["robot.payload.known"] = True
     usual = type(scenario.metrics)().dwell

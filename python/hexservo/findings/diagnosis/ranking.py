@@ -226,7 +226,7 @@ def _ordinary_devices(case: Case) -> set[str]:
         found.add("common_depth")
     if np.abs(scenario.uncertainty.gravity).max() <= ORDINARY_WEIGHT and scenario.controller.law not in IMAGE_ALONE:
         found.add("gravity")
-    if base.kind == "sinusoid" and np.abs(base.amplitude).max() <= ORDINARY_BASE:
+    if base.kind == "sinusoid" and base.rotation.kind == "none" and np.abs(base.amplitude).max() <= ORDINARY_BASE:
         found.add("base_motion")
     return found
 
@@ -258,7 +258,8 @@ def _controls(case: Case) -> list[dict[str, Any]]:
     drawn = case.sampled and (
         any(getattr(camera, name) for name in _RANDOM)
         or (scenario.sensors.pose == "encoders" and scenario.sensors.noise > 0.0)
-        or scenario.base_motion.kind == "noise"
+        or scenario.base_motion.kind in ("noise", "road")
+        or scenario.base_motion.rotation.kind == "noise"
     )
     changes: list[dict[str, Any]] = []
     if drawn:
