@@ -362,7 +362,7 @@ int hexservo_scenario_key(const hexservo_scenario* scenario, size_t index, hexse
   *key = {from.name.c_str(), texts.unit.c_str(),    type_of(from.type),   from.rows,  from.columns,
           from.optional,     from.field.sampled,    bound.least,          bound.most, bound.above,
           bound.below,       texts.pointers.size(), texts.pointers.data()};
-  if (from.type == KeyType::samples) key->rows = 0, key->columns = 3;
+  if (from.type == KeyType::samples) key->rows = 0, key->columns = from.field.columns;
   return 1;
 }
 

@@ -192,8 +192,10 @@ const ScenarioKey& scenario_key(LawId law, std::string_view name) {
 
 void set_numbers(Settings& settings, const ScenarioKey& key, Numbers numbers) {
   if (numbers.empty() && !key.optional) refuse(key.name, "a value", "none");
-  if (key.type == KeyType::samples ? numbers.size() % static_cast<std::size_t>(key.field.columns) != 0 : !numbers.empty() && !key.takes(numbers.size()))
-    refuse_count(key, numbers.size());
+  const auto columns = static_cast<std::size_t>(key.field.columns);
+  if (key.type == KeyType::samples && numbers.size() % columns != 0)
+    refuse(key.name, words("rows of ", columns, " numbers"), words(numbers.size(), " numbers"));
+  if (key.type != KeyType::samples && !numbers.empty() && !key.takes(numbers.size())) refuse_count(key, numbers.size());
   at_key(settings, key, [&](auto& member) { numbers.empty() ? clear(key, member) : put(key, member, numbers); });
 }
 

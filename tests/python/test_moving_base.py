@@ -291,7 +291,7 @@ def axes(names: str, rows: Array) -> dict[str, Array]:
 @pytest.fixture(scope="module")
 def ride(sampled: hs.Scenario) -> dict[str, Array]:
     """A second of `SWAY` every 5 ms: times, accelerations in W, attitudes and rates."""
-    time = 5e-3 * np.arange(201)
+    time = np.linspace(0.0, 1.0, 201)
     _, attitude, rate, _, acceleration = motion_of(sampled.updated({"base_motion": SWAY}), time)
     return {"t": time, "a": acceleration, "R": attitude, "w": rate}
 
@@ -314,16 +314,19 @@ def test_a_recording_with_gravity_is_the_kinematic_one(
     )
     assert read.base_motion.frame_of_acceleration == "kinematic"
     assert hs.Scenario.from_yaml(read.to_yaml()) == read
-    np.testing.assert_allclose(read.base_motion.samples, kinematic.base_motion.samples, rtol=0, atol=1e-14)
-    one, other = hs.simulate(read), hs.simulate(kinematic)
+    one, other = (np.array(s.base_motion.samples, dtype=float) for s in (read, kinematic))
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-14)
+    first, plain_run = hs.simulate(read), hs.simulate(kinematic)
     third = hs.simulate(sampled.updated({"base_motion": {"kind": "recorded", "file": vector}}))
-    for run in (one, third):
-        np.testing.assert_allclose(run.position, other.position, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(run.feature_error, other.feature_error, rtol=0, atol=1e-8)
+    for run in (first, third):
+        np.testing.assert_allclose(run.position, plain_run.position, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.feature_error, plain_run.feature_error, rtol=0, atol=1e-8)
     # and near the motion itself, but for 5 ms between samples: (13/s * 5 ms)^2/8 of the acceleration, some 1e-3
     exact = hs.simulate(sampled.updated({"base_motion": SWAY}))
     assert (
-        0.0 < np.abs(exact.position - other.position).max() <= 2e-3 * np.abs(exact.position - exact.position[0]).max()
+        0.0
+        < np.abs(exact.position - plain_run.position).max()
+        <= 2e-3 * np.abs(exact.position - exact.position[0]).max()
     )
 
 
@@ -389,9 +392,9 @@ def seen_by(result: hs.Result, points: Callable[[float], Array]) -> Array:
 def points_of(scenario: hs.Scenario) -> Array:
     """The points as they are given: seen from home."""
     f = scenario.camera.focal_length * scenario.camera.pixel_scale
-    xy = np.reshape(scenario.target.initial_features, (4, 2))
+    xy = np.array(scenario.target.initial_features, dtype=float).reshape(4, 2)
     depth = -np.broadcast_to(np.asarray(scenario.target.depth), 4)[:, None]
-    return np.array(scenario.robot.home_position) + np.hstack([-depth * xy / f, depth])
+    return np.asarray(np.array(scenario.robot.home_position) + np.hstack([-depth * xy / f, depth]))
 
 
 @pytest.mark.parametrize("kind", ["turning", "road"])
@@ -417,7 +420,7 @@ def test_a_target_in_the_world_stays_there(sampled: hs.Scenario, kind: str) -> N
 
 
 def test_targets_move_as_they_are_told(sampled: hs.Scenario, tmp_path: Path) -> None:
-    time = 0.02 * np.arange(21)
+    time = np.linspace(0.0, 0.4, 21)
     way = np.stack([0.01 * np.sin(8 * time), 0.02 * time, -0.01 * time**2], axis=1)
     file = written(tmp_path / "way.csv", {"t": time, **axes("x y z", way)})
     spline = CubicSpline(time, way)
@@ -453,12 +456,13 @@ def test_a_road_has_the_spectrum_of_its_class(sampled: hs.Scenario, roughness: s
     speed, seeds, bands = 12.0, 160, np.array([0.02, 0.05, 0.1, 0.3, 1.0, 3.0])
     road = {"roughness": roughness, "speed": speed, "wheelbase": 1e-3, "track": 1e-3, "suspension": None}
     count, step = 1 << 14, 1.0 / 240.0  # [s]; 68 s, 819 m
+    time = np.linspace(0.0, step * (count - 1), count)
     window = np.hanning(count)
     n = np.fft.rfftfreq(count, step) / speed  # [cycles/m]
     power = np.zeros(len(n))
     for seed in range(seeds):
         scenario = sampled.updated({"base_motion": {"kind": "road", "road": road}, "seed": seed})
-        height = -motion_of(scenario, step * np.arange(count))[0][:, 2]
+        height = -motion_of(scenario, time)[0][:, 2]
         power += 2 * step * speed / np.square(window).sum() * np.abs(np.fft.rfft(window * height)) ** 2 / seeds
     for low, high in itertools.pairwise(bands):
         inside = (n >= low) & (n < high)
@@ -479,7 +483,7 @@ def test_a_vehicle_follows_the_road_through_its_springs(sampled: hs.Scenario) ->
     samples = []
     for seed in range(120):
         scenario = sampled.updated({"base_motion": {"kind": "road", "road": road}, "seed": 1000 + seed})
-        place, attitude, _, _, acceleration = motion_of(scenario, 40.0 + 97.3 * np.arange(8))
+        place, attitude, _, _, acceleration = motion_of(scenario, np.linspace(40.0, 721.1, 8))
         vector = Rotation.from_matrix(attitude).as_rotvec()
         samples.append(np.column_stack([place[:, 2], acceleration[:, 2], vector]))
     variance = np.square(np.concatenate(samples)).mean(axis=0)
@@ -506,9 +510,9 @@ def test_a_vehicle_follows_the_road_through_its_springs(sampled: hs.Scenario) ->
 def test_a_place_on_the_vehicle_is_carried_by_its_rotation(sampled: hs.Scenario) -> None:
     position = np.array([1.2, -0.3, -0.9])
     time = np.linspace(0.0, 2.0, 41)
-    road = {"roughness": "E", "speed": 8.0}
+    road: dict[str, Any] = {"roughness": "E", "speed": 8.0}
     middle = motion_of(sampled.updated({"base_motion": {"kind": "road", "road": road}}), time)
-    road["position"] = position.tolist()  # type: ignore[assignment]
+    road["position"] = position.tolist()
     there = motion_of(sampled.updated({"base_motion": {"kind": "road", "road": road}}), time)
     np.testing.assert_array_equal(there[1], middle[1])
     np.testing.assert_allclose(there[0], middle[0] + middle[1] @ position - position, rtol=0, atol=1e-15)

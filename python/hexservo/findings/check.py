@@ -16,7 +16,7 @@ from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import LAWS, Controller, laws_with
-from hexservo.scenario.motion import Road
+from hexservo.scenario.motion import Road, moves
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
@@ -210,10 +210,6 @@ def _of_motion(block: str, keys: str, kind: str) -> _Condition:
     )
 
 
-def _has_moving_base(scenario: Scenario) -> bool:
-    return scenario.base_motion.kind != "none" or scenario.base_motion.rotation.kind != "none"
-
-
 _CONDITIONS = (
     *map(_of_law, LAWS),
     *map(_of_fuzzy, laws_with("memory")),
@@ -253,7 +249,9 @@ _CONDITIONS = (
     _of_motion("target.motion", "velocity", "velocity"),
     _of_motion("target.motion", "amplitude frequency phase", "sinusoid"),
     _of_motion("target.motion", "samples sample_period", "recorded"),
-    _Condition(("target.frame",), _has_moving_base, "only where the base moves (base_motion.kind)"),
+    _Condition(
+        ("target.frame",), lambda scenario: moves(scenario.base_motion), "only where the base moves (base_motion.kind)"
+    ),
 )
 
 

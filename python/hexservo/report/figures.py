@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hexservo import _core
 from hexservo.report.charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
@@ -21,6 +22,7 @@ from hexservo.run.samples import (
     vertical,
 )
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features
 from hexservo.scenario.rules import TERMS, term_text
@@ -64,6 +66,8 @@ def figures(result: Result) -> list[tuple[str, list[Html]]]:
         ("Motion of the platform", "4", _platform_motion(result)),
         ("Wrench and leg forces", "5", _wrench(result)),
     ]
+    if moves(result.scenario.base_motion):
+        drawn.append(("Motion of the base", "", _base_motion(result)))
     of_paper = _is_of_the_paper(result)
     return [(f"{title} (figure {number})" if of_paper else title, charts) for title, number, charts in drawn]
 
@@ -241,6 +245,23 @@ def _wrench(result: Result) -> list[Html]:
             note=note,
         ),
     ]
+
+
+def _base_motion(result: Result) -> list[Html]:
+    """Draw what moves the base, or its acceleration alone where it does not turn."""
+    probe = _core.Probe(core_parameters(result.scenario))
+    acceleration = _over_time(
+        result,
+        "Acceleration of the base, in the world",
+        "acceleration [m/s²]",
+        probe.base_acceleration(result.time),
+        "xyz",
+    )
+    turns = 1e3 * Rotation.from_matrix(probe.base_motion(result.time)[1]).as_rotvec()
+    if not turns.any():
+        return [acceleration]
+    title = "Attitude of the base in the world: axis times angle"
+    return [acceleration, _over_time(result, title, "rotation vector [mrad]", turns, ["rx", "ry", "rz"])]
 
 
 # ---- Over the time --------------------------------------------------------------------------------------------------

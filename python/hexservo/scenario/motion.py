@@ -24,7 +24,7 @@ from hexservo.scenario.rules import (
 )
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["BaseMotion", "Road", "TargetMotion"]
+__all__ = ["BaseMotion", "Road", "TargetMotion", "moves"]
 
 _ZERO = (0.0, 0.0, 0.0)
 
@@ -100,6 +100,11 @@ class BaseMotion(Block):
         if self.samples is None and self.frame_of_acceleration != "kinematic":
             raise refusal((("frame_of_acceleration",), 'expected "kinematic" without a recording, got another frame'))
         return self
+
+
+def moves(base: BaseMotion) -> bool:
+    """Return whether a base does anything but rest."""
+    return base.kind != "none" or base.rotation.kind != "none"
 
 
 class TargetMotion(Block):

@@ -197,10 +197,12 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
     if recorded is None:
         changes.pop("base_motion.frame_of_acceleration", None)
     if changes.get("base_motion.attitudes") is not None and recorded is None:
-        recorded = changes["base_motion.samples"] = random.normal(size=(20, 3)).tolist()
+        changes["base_motion.samples"] = random.normal(size=(20, 3)).tolist()
         changes["base_motion.sample_period"] = 0.1
     if changes.get("base_motion.attitudes") is not None:
-        turns = np.cumsum(0.02 * random.normal(size=(len(recorded), 4)), axis=0) + np.array([3.0, 0.0, 0.0, 0.0])
+        turns = np.cumsum(0.02 * random.normal(size=(len(changes["base_motion.samples"]), 4)), axis=0) + np.array(
+            [3.0, 0.0, 0.0, 0.0]
+        )
         changes["base_motion.attitudes"] = (turns / np.linalg.norm(turns, axis=1, keepdims=True)).tolist()
     if changes.get("target.tag") is not None:
         changes |= {"target.initial_features": None, "target.depth": None, "target.points": None}

@@ -11,6 +11,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.pixels import desired_features, to_features
 from hexservo.scenario.scenario import Scenario
@@ -87,7 +88,7 @@ class Scene:
         base, target = self.scenario.base_motion, self.scenario.target
         if target.motion.kind != "none":
             return "The target moves, so that no energy belongs to the error of its image."
-        if target.frame == "world" and (base.kind != "none" or base.rotation.kind != "none"):
+        if target.frame == "world" and moves(base):
             return "The target rests while the base moves, so that no energy belongs to the error of its image."
         return ""
 

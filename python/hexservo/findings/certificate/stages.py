@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
 
 __all__ = ["STAGE_WEIGHTS", "Stages", "doubled_stages_of", "stages_of"]
@@ -101,8 +102,7 @@ def _sampled(run: Replay, ticks: NDArray[np.intp]) -> Iterator[Stages]:
     step = run.step / substeps
     body = (run.position[ticks], run.quaternion[ticks], run.twist[ticks])
     legs = _core.Hexapod(run.settings.robot) if run.scenario.actuators.hold == "leg_forces" else None
-    motion = run.scenario.base_motion
-    base_moves = motion.kind != "none" or motion.rotation.kind != "none"
+    base_moves = moves(run.scenario.base_motion)
     for substep in range(substeps):
         stages: list[dict[str, Array]] = []
         start = ticks * run.step + substep * step  # [s]
