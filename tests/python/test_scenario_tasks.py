@@ -159,7 +159,7 @@ SAMPLED = {
     "slow-camera": Sampled(0.594, 0.102),
     "noisy-camera": Sampled(0.518, 0.089),
     "dropouts": Sampled(0.609, 0.253),
-    "rough-road": Sampled(0.575, 0.153),
+    "rough-road": Sampled(0.575, 0.496),
     "saturation": Sampled(0.538, 0.057),
     "real-machine": Sampled(0.579, 0.073),
     "hand-eye": Sampled(0.576, 0.085),
