@@ -23,7 +23,7 @@ from hexservo.run.drawn import drawn_by
 from hexservo.scenario.version import VERSION
 
 if TYPE_CHECKING:
-    from hexservo import plots
+    from hexservo import bridges, plots
     from hexservo.campaigns.engine import campaign
     from hexservo.campaigns.plan import CampaignPlan, campaign_names
     from hexservo.campaigns.rare import RareFailures, estimate_rare_failures
@@ -83,6 +83,7 @@ __all__ = [
     "WorstRun",
     "__version__",
     "analyse",
+    "bridges",
     "c_library",
     "camera_from_opencv",
     "campaign",
@@ -150,8 +151,8 @@ drawn_by(lambda: import_module("hexservo.report.notebook"))
 
 def __getattr__(name: str) -> Any:
     """Import what a public name stands for when it is first used."""
-    if name == "plots":
-        return import_module("hexservo.plots")
+    if name in ("bridges", "plots"):
+        return import_module(f"hexservo.{name}")
     if name not in _PLACES:
         raise AttributeError(f"module 'hexservo' has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(_PLACES[name]), name)

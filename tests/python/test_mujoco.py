@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import hexservo as hs
 from hexservo import _core
-from hexservo.bridges.mjcf import mjcf
+from hexservo.bridges.mujoco_model import mjcf
 from hexservo.cli.commands import app
 from hexservo.scenario.parameters import core_parameters
 

@@ -1,1 +1,22 @@
 """Scenarios in other tools."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hexservo.bridges.mujoco_model import mjcf
+    from hexservo.bridges.state_space import control
+
+__all__ = ["control", "mjcf"]
+
+_PLACES = {"control": "state_space", "mjcf": "mujoco_model"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what a public name stands for when it is first used."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'hexservo.bridges' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"hexservo.bridges.{_PLACES[name]}"), name)
+    return value

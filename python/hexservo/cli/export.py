@@ -70,7 +70,7 @@ def _header(scenario: hs.Scenario, file: str, period: float | None, force: bool)
 
 
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
-    from hexservo.bridges.mjcf import mjcf, write_mjcf
+    from hexservo.bridges.mujoco_model import mjcf, write_mjcf
 
     with _refusals():
         text = mjcf(scenario)

@@ -57,6 +57,8 @@ class SampledLoop:
                                                                     + drive_twist v
         x <- x + T v + T^2/2 a,  v <- v + T a,  a = acceleration (acting wrench)
 
+    Disturbances d are constant and part of the state: `disturbance` is the wrench of each beside the acting one.
+
     f is x at the exposure (n,), and where it has 2n numbers then also the sensors' error there.
     """
 
@@ -74,6 +76,7 @@ class SampledLoop:
     differences: bool = False  # the sensors' rate is the difference of two readings over their time
     actuation: Actuation = field(default_factory=Actuation)
     gain: float = 1.0  # factor on the proportional gains
+    disturbance: Array | None = None  # (n, k) wrench of each of k disturbances; None: k = 0
     _powers: dict[tuple[str, int], Array] = field(default_factory=dict, init=False, repr=False)
 
     # --- the state of a tick: x, v | s | sensors' x, v | commands under way, lag | frame in use -------------------
@@ -92,6 +95,7 @@ class SampledLoop:
             "v_seen": n if self._sensing else 0,
             "commands": n * self.actuation.delay,
             "lag": n if self.actuation.left > 0.0 else 0,
+            "d": 0 if self.disturbance is None else self.disturbance.shape[1],
             "f": self.frame.shape[1],
         }
         ends = np.cumsum([0, *sizes.values()])
@@ -101,6 +105,16 @@ class SampledLoop:
     def size(self) -> int:
         """Size of the state at a tick, without the frames in transit."""
         return int(self._parts["f"].stop)
+
+    @property
+    def disturbed(self) -> slice:
+        """Where the disturbances are in the state."""
+        return self._parts["d"]
+
+    @property
+    def has_devices(self) -> bool:
+        """Whether sensors or actuators do more than give the pose and hold the wrench."""
+        return self._sensing or self.actuation.through_legs
 
     @property
     def few(self) -> int:
@@ -152,6 +166,9 @@ class SampledLoop:
             missing = unit[at["lag"]] - arrived
             acting = arrived + a.left_on_average * missing
             change[at["lag"]] = arrived + a.left * missing
+        if self.disturbance is not None:
+            acting = acting + self.disturbance @ unit[at["d"]]
+            change[at["d"]] = unit[at["d"]]
         state = slice(0, 2 * n)
         if a.held is not None:
             change[state] = a.held[0] @ unit[state] + a.held[1] @ acting

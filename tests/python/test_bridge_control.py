@@ -1,0 +1,124 @@
+"""Plant and loop as systems of python-control: eigenvalues of the analysis, responses of the core."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.findings.analysis.loop_of_scenario import clock_of, loop_at_rest
+
+control = pytest.importorskip("control", reason="python-control is not installed (extra `control`)")
+
+SAMPLED = ("composite-30hz", "slow-camera")
+SETTLED = {"simulation.mode": "sampled", "base_motion.kind": "none"}
+
+
+def law(name: str) -> hs.Scenario:
+    return hs.load_scenario("paper-nominal").updated({"controller.law": name})
+
+
+@pytest.mark.parametrize("name", SAMPLED)
+def test_the_loop_has_the_eigenvalues_of_the_analysis(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    at_rest, loop = loop_at_rest(scenario), hs.bridges.control(scenario)
+    smooth = at_rest.scenario.controller.switching.kind in ("tanh", "saturation")
+    expected = at_rest.smooth if smooth and at_rest.smooth is not None else at_rest.free
+    multipliers = expected.multipliers(clock_of(at_rest.scenario))
+    found = loop.poles()
+    resting = expected.resting.shape[1]
+    assert loop.dt == expected.seconds(clock_of(at_rest.scenario))
+    assert len(found) == len(multipliers) + resting
+    # those that stay belong to 1; all others are the analysis', but for the order and rounding
+    kept = np.delete(found, np.argsort(np.abs(found - 1.0))[:resting])
+    for value in multipliers[np.abs(multipliers) > 0.2]:
+        assert np.abs(kept - value).min() < 1e-9
+    assert max(abs(kept)) == pytest.approx(expected.radius(clock_of(at_rest.scenario)), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["kelly", "computed_torque", "pbvs", "composite"])
+def test_the_continuous_loop_is_the_limit_of_short_ticks(name: str) -> None:
+    """The logarithm of the sampled loop's multipliers over the tick differs in proportion to the tick.
+
+    A double pole, which laws of critical damping have, splits by its root.
+    """
+    differences = []
+    for tick in (1e-4, 5e-5):
+        scenario = law(name).updated({"simulation.step": tick})
+        continuous = np.sort_complex(hs.bridges.control(scenario).poles())
+        sampled = hs.bridges.control(scenario, sampled=True).poles()
+        slow = continuous[np.abs(continuous) < 300.0]
+        rates = np.log(sampled[np.abs(sampled) > 1e-3]) / tick
+        differences.append(max(np.abs(rates - pole).min() / max(1.0, abs(pole)) for pole in slow))
+    assert differences[0] < 2 * 300.0 * 1e-4  # poles up to 300/s, ticks of 0.1 ms
+    assert 1.3 < differences[0] / differences[1] < 2.3 or differences[1] < 1e-6, differences
+
+
+@pytest.mark.parametrize("name", SAMPLED)
+def test_the_plant_under_constant_inputs_is_exact(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    continuous, sampled = (hs.bridges.control(scenario, "plant", sampled=kind) for kind in (False, True))
+    assert (continuous.dt, sampled.dt) == (0, scenario.simulation.step)
+    expected = control.c2d(continuous, scenario.simulation.step, "zoh")
+    np.testing.assert_allclose(sampled.A, expected.A, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(sampled.B, expected.B, rtol=1e-9, atol=1e-14 * np.abs(expected.B).max())
+
+
+def test_signals_have_names() -> None:
+    plant = hs.bridges.control(hs.load_scenario("paper-nominal"), "plant")
+    assert plant.input_labels[:2] == ["wrench_fx", "wrench_fy"]
+    assert plant.input_labels[6:] == [f"base_acceleration_{axis}" for axis in "xyz"]
+    assert plant.output_labels == [f"feature_{i}{a}" for i in range(1, 5) for a in "xy"] + [
+        f"pose_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")
+    ]
+    assert plant.state_labels[0] == "x_x"
+
+
+def test_an_accelerating_base_moves_the_platform_backwards() -> None:
+    plant = hs.bridges.control(hs.load_scenario("paper"), "plant")
+    acceleration = plant.B[6:9, 6:]
+    np.testing.assert_allclose(acceleration, -np.eye(3), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(plant.B[9:, 6:], 0.0, rtol=0, atol=1e-12)
+
+
+def test_the_loop_responds_to_the_base_as_a_run_does() -> None:
+    """A slow acceleration of the base, small enough for the linear loop: the gain of the core's run."""
+    amplitude, frequency, tick = 1e-3, 2.0, 1e-3
+    quiet = law("computed_torque").updated(
+        {
+            **SETTLED,
+            "simulation.step": tick,
+            "simulation.duration": 6.0,
+            "camera.period": tick,
+        }
+    )
+    image = hs.simulate(quiet).feature_error[-1]
+    scenario = quiet.updated(
+        {
+            "base_motion.kind": "sinusoid",
+            "base_motion.amplitude": [amplitude, 0.0, 0.0],
+            "base_motion.frequency": frequency,
+        }
+    )
+    run = hs.simulate(scenario)
+    late = run.time >= 4.0
+    turning = np.exp(-2j * np.pi * frequency * run.time[late])
+    found = 2.0 * ((run.feature_error[late] - image) * turning[:, None])[:-1].mean(axis=0)
+    loop = hs.bridges.control(quiet)
+    response = loop(np.exp(2j * np.pi * frequency * tick))[:8, 6] * amplitude
+    # error is goal minus image, and a sinusoid begins as a sine: its phasor is -j
+    np.testing.assert_allclose(found, 1j * response, rtol=0, atol=0.03 * np.abs(response).max())
+
+
+def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValueError, match="of: expected loop or plant"):
+        hs.bridges.control(law("kelly"), "machine")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="sampled: expected True"):
+        hs.bridges.control(hs.load_scenario("composite-30hz"), sampled=False)
+    with pytest.raises(ValueError, match="Coulomb damping only"):
+        hs.bridges.control(hs.load_scenario("paper"))
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(ImportError, match=r"pip install 'hexservo\[control\]'"):
+        hs.bridges.control(law("kelly"))
