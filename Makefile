@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper test test-all fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper explorer explorer-test test test-all fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -21,13 +21,14 @@ PACKAGE := .venv/.stamp-package
 # Folders are listed too: their time changes when a file is removed.
 SOURCES := CMakeLists.txt pyproject.toml README.md LICENSE \
   $(shell find cpp docs python -name __pycache__ -prune -o -print 2>/dev/null)
-CXX_FILES = $$(find cpp tests/cpp examples benchmarks \( -name '*.cpp' -o -name '*.hpp' \) 2>/dev/null)
+CXX_FILES = $$(find cpp tests/cpp examples explorer benchmarks \( -name '*.cpp' -o -name '*.hpp' \) 2>/dev/null)
 
 help:
 	@cat <<'END'
 	make paper    set up, run the paper's experiment, write out/paper and print the table of results
+	make explorer  build the explorer, a page that runs the core in a browser (needs npm), for hexservo explore
 	make test     set up, run every test and check; the last line is passed or failed
-	make test-all  the same, and slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
+	make test-all  the same, and the explorer's tests (make explorer-test), slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
@@ -41,6 +42,20 @@ help:
 
 paper: setup
 	@hexservo run paper --out out/paper --force
+
+# Compiled by clang of PyPI's ziglang, bundled by esbuild of npm; then the package is installed again, with the page.
+PAGE := python/hexservo/explorer.html
+explorer: $(PACKAGE) $(VENV)
+	@if ! command -v npm >/dev/null; then
+	  echo "The explorer is bundled with npm, which was not found: install the package npm." >&2
+	  exit 1
+	fi
+	python -m pip install --quiet --group explorer
+	python explorer/build.py $(PAGE)
+	$(SETUP) setup
+
+explorer-test: explorer $(ALL_TOOLS) browser-setup
+	@python -m pytest tests/python/test_explorer.py
 
 # A name is added to `failed` and the next check still runs. The set-up is a separate make,
 # so that its failure ends in the same last line.
@@ -76,6 +91,7 @@ test:
 # One after another; the first that fails ends it.
 test-all: test
 	@python -m pytest -m slow
+	$(SETUP) explorer-test
 	$(SETUP) asan
 	$(SETUP) tsan
 	$(SETUP) fuzz

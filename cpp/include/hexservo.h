@@ -75,7 +75,7 @@ typedef enum hexservo_type {
   HEXSERVO_WHOLE = 2,   /**< a whole number */
   HEXSERVO_FLAG = 3,    /**< 1 or 0 */
   HEXSERVO_CHOICE = 4,  /**< one of several names: text alone */
-  HEXSERVO_SAMPLES = 5, /**< rows of three numbers, as many as there are */
+  HEXSERVO_SAMPLES = 5, /**< rows of `columns` numbers, as many as there are */
   HEXSERVO_SEED = 6     /**< a whole number of 64 bits: text alone, for a double does not hold it */
 } hexservo_type;
 
@@ -198,8 +198,10 @@ typedef struct hexservo_scene {
 } hexservo_scene;
 
 HEXSERVO_API void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene);
-/** `hexservo_scenario_points` points of the target, x y z each, in B [m]. */
+/** `hexservo_scenario_points` points of the target where they rest, x y z each, in B [m]. */
 HEXSERVO_API void hexservo_run_target(const hexservo_run* run, double* points);
+/** The goal, x y of each point as features of an ideal pinhole: what errors are counted from [px]. */
+HEXSERVO_API void hexservo_run_goal(const hexservo_run* run, double* features);
 
 /* --- the controller's tick ---------------------------------------------------------------------------------------- */
 

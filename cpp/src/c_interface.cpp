@@ -501,6 +501,8 @@ void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene) {
 
 void hexservo_run_target(const hexservo_run* run, double* points) { put(run->scene().points_B.transpose(), points); }
 
+void hexservo_run_goal(const hexservo_run* run, double* features) { put(run->scene().desired_features, features); }
+
 // --- the controller's tick
 
 hexservo_status hexservo_gains_create(hexservo_scenario* scenario, double period, hexservo_gains** gains) {

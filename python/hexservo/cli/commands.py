@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli import assurance, evidence, export, keys, machine, terminal
+from hexservo.cli import assurance, evidence, explore, export, keys, machine, terminal
 from hexservo.cli.terminal import (
     ENDED_EARLY,
     INTERRUPTED,
@@ -208,6 +208,7 @@ for command in (
     evidence.diagnose,
     assurance.campaign,
     assurance.tune,
+    explore.explore,
     keys.schema,
     machine.new,
     export.export,

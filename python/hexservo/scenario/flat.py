@@ -10,7 +10,7 @@ from hexservo import _core
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["flat", "flat_text"]
+__all__ = ["core_values", "flat", "flat_text", "plain_value"]
 
 
 def flat(scenario: Scenario) -> dict[str, str]:
@@ -27,6 +27,24 @@ def flat(scenario: Scenario) -> dict[str, str]:
     settings = core_parameters(scenario)
     keys = {key.name: _text(key, settings[key.name]) for key in _core.scenario_keys(settings.law)}
     return {"controller.law": settings.law, **keys}
+
+
+def core_values(scenario: Scenario) -> dict[str, Any]:
+    """Return the same keys as data for JSON: numbers, flat lists, null, and text for names and the seed."""
+    settings = core_parameters(scenario)
+    values = {key.name: plain_value(key, settings[key.name]) for key in _core.scenario_keys(settings.law)}
+    return {"controller.law": settings.law, **values}
+
+
+def plain_value(key: _core.ScenarioKey, value: Any) -> Any:
+    """Return the value of a key as data for JSON."""
+    if key.type == "seed":  # which no double holds
+        return str(value)
+    if value is None or (key.none is not None and np.all(value == key.none)):
+        return None
+    if isinstance(value, np.ndarray):
+        return value.ravel().tolist()
+    return int(value) if isinstance(value, bool) else value
 
 
 def flat_text(scenario: Scenario) -> str:

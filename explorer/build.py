@@ -1,0 +1,72 @@
+"""Builds the explorer, one HTML file: ``python explorer/build.py OUT.html``, with hexservo, ziglang and npm."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import data
+import wasm
+
+HERE = Path(__file__).resolve().parent
+MODULES = wasm.OBJECTS / "npm"
+MOST_BYTES = 1_000_000
+
+
+def tools() -> Path:
+    """Install the page's libraries and esbuild below build/, and return their folder."""
+    MODULES.mkdir(parents=True, exist_ok=True)
+    wanted = [HERE / "package.json", HERE / "package-lock.json"]
+    if any(
+        not (MODULES / file.name).exists() or (MODULES / file.name).read_bytes() != file.read_bytes() for file in wanted
+    ):
+        for file in wanted:
+            shutil.copy(file, MODULES)
+        subprocess.run(["npm", "ci", "--silent", "--no-audit", "--no-fund"], cwd=MODULES, check=True)
+    return MODULES / "node_modules"
+
+
+def bundled(name: str, form: str, modules: Path) -> str:
+    """Return a script and all it imports as one."""
+    form_and_rest = [f"--format={form}", "--bundle", "--minify", "--target=es2022", "--legal-comments=none"]
+    command = [str(modules / ".bin" / "esbuild"), str(HERE / "src" / name), *form_and_rest]
+    environment = {**os.environ, "NODE_PATH": str(modules)}
+    done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    return str(done.stdout).replace("</script", "<\\/script")
+
+
+def build(out: Path) -> None:
+    """Compile, bundle, and write the page."""
+    module = wasm.OBJECTS / "hexservo.wasm"
+    wasm.build(module)
+    modules = tools()
+    known = data.data()
+    parts = {
+        "style": (modules / "uplot" / "dist" / "uPlot.min.css").read_text(encoding="utf-8")
+        + (HERE / "src" / "style.css").read_text(encoding="utf-8"),
+        "version": known["version"],
+        "data": json.dumps(known, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
+        "core": base64.b64encode(gzip.compress(module.read_bytes(), 9, mtime=0)).decode(),
+        "worker": bundled("worker.js", "iife", modules),
+        "main": bundled("main.js", "esm", modules),
+    }
+    page = (HERE / "src" / "page.html").read_text(encoding="utf-8")
+    for name, text in parts.items():
+        page = page.replace("{{" + name + "}}", text)
+    size = len(page.encode())
+    if size > MOST_BYTES:
+        raise SystemExit(f"{out}: expected at most {MOST_BYTES} bytes, got {size}")
+    draft = out.with_suffix(".draft")
+    draft.write_text(page, encoding="utf-8")
+    draft.replace(out)
+    print(f"{out}: {size} bytes")
+
+
+if __name__ == "__main__":
+    build(Path(sys.argv[1]).resolve())

@@ -1,0 +1,87 @@
+"""Writes what the page knows of scenarios: ``python explorer/data.py OUT.json``, with hexservo installed.
+
+Keys come from the core's schema, their meaning from docs/model.md, and presets from the packaged scenarios: of each,
+the values by key that differ from the defaults, for each law.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.run.metrics import METRICS
+from hexservo.scenario.flat import core_values, plain_value
+from hexservo.scenario.schema import schema
+
+ROOT = Path(__file__).resolve().parent.parent
+LAWS = tuple(_core.LAW_TRAITS)
+PLAIN = re.compile(r"\[([^\]]+)\]\([^)]*\)|[`*]")  # links and marks of Markdown
+ROW = re.compile(r"^\| (`[^|]+`) \|[^|]*\| (?P<meaning>[^|]+) \|")
+
+
+def meanings() -> dict[str, str]:
+    """Return the meaning of each key, from the tables of docs/model.md; a gain's stands for all laws without a row."""
+    found: dict[str, str] = {}
+    for line in (ROOT / "docs" / "model.md").read_text(encoding="utf-8").splitlines():
+        row = ROW.match(line)
+        if row is None:
+            continue
+        block = ""
+        for name in re.findall(r"`([^`]+)`", row[1]):
+            key = name if "." in name else block + name
+            block = key.rpartition(".")[0] + "." if "." in name else block
+            found.setdefault(key, PLAIN.sub(r"\1", row["meaning"]).strip())
+    return found
+
+
+def preset(name: str, defaults: dict[str, Any]) -> dict[str, Any]:
+    """Return a packaged scenario as what differs from the defaults."""
+    scenario = hs.load_scenario(name)
+    changed = {key: value for key, value in core_values(scenario).items() if value != defaults.get(key)}
+    for law in LAWS:
+        head = f"controller.{law}."
+        if law == scenario.controller.law:
+            continue
+        try:
+            gains = core_values(scenario.updated({"controller.law": law}))
+        except hs.ScenarioError:  # a law that this scenario cannot have: its gains are the defaults
+            continue
+        changed |= {key: value for key, value in gains.items() if key.startswith(head) and value != defaults[key]}
+    return {"name": name, "description": scenario.description, "values": changed}
+
+
+def data() -> dict[str, Any]:
+    """Return everything."""
+    meaning = meanings()
+    keys = []
+    defaults: dict[str, Any] = {"controller.law": LAWS[0]}
+    for law in LAWS:
+        settings = _core.Settings(law)
+        for key in _core.scenario_keys(law):
+            defaults.setdefault(key.name, plain_value(key, settings[key.name]))
+    for entry in schema():
+        name = entry["key"]
+        shared = re.sub(rf"^controller\.(?:{'|'.join(LAWS)})\.", "controller.<law>.", name)
+        leaf = name.rpartition(".")[2]
+        text = meaning.get(name) or meaning.get(shared) or meaning.get(shared.replace("controller.<law>.", "")) or ""
+        keys.append(
+            {key: value for key, value in entry.items() if key not in ("concern", "reach")}
+            | {"default": defaults[name], "meaning": text or leaf.replace("_", " ")}
+        )
+    names = sorted(hs.scenario_names(), key=lambda name: (name != "paper", name))
+    return {
+        "version": hs.__version__,
+        "laws": list(LAWS),
+        "keys": keys,
+        "metrics": [{"name": name, "unit": unit, "meaning": text} for name, (unit, text, *_) in METRICS.items()],
+        "presets": [preset(name, defaults) for name in names],
+    }
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(json.dumps(data(), separators=(",", ":"), allow_nan=False), encoding="utf-8")

@@ -1,0 +1,128 @@
+/** Quantities against time. */
+import uPlot from "uplot";
+import { readable } from "./format.js";
+import { colours, lineColour } from "./view.js";
+
+const AXES = ["x", "y", "z", "about x", "about y", "about z"];
+const legs = (_, i) => `leg ${i + 1}`;
+const names = (list) => (_, i) => list[i];
+
+/** What can be shown: title, quantity, unit, its columns and their names. */
+export const FIGURES = {
+  errors: { title: "Feature errors", quantity: "feature_error", unit: "px", name: (_, i) => `${"xy"[i % 2]}${(i >> 1) + 1}` },
+  forces: { title: "Force beyond the weight", quantity: "wrench", unit: "N", from: 0, to: 3, name: names(AXES), weight: true },
+  moments: { title: "Moment", quantity: "wrench", unit: "N m", from: 3, to: 6, name: names(AXES.map((name) => name.replace("about ", ""))) },
+  legs: { title: "Leg forces", quantity: "leg_forces", unit: "N", name: legs },
+  lengths: { title: "Leg lengths", quantity: "leg_lengths", unit: "m", name: legs },
+  position: { title: "Position", quantity: "position", unit: "m", name: names(AXES), change: true },
+  velocity: { title: "Velocity", quantity: "twist", unit: "m/s", from: 0, to: 3, name: names(AXES) },
+  turning: { title: "Angular velocity", quantity: "twist", unit: "rad/s", from: 3, to: 6, name: names(AXES) },
+  fuzzy: { title: "Output of the fuzzy systems, force", quantity: "fuzzy_output", unit: "N", from: 0, to: 3, name: names(AXES) },
+  depth: { title: "Depths", quantity: "depth", unit: "m", name: (_, i) => `point ${i + 1}` },
+};
+
+export class Chart {
+  /**
+   * @param {HTMLElement} box
+   * @param {string} figure of `FIGURES`
+   * @param {(time: number) => void} pick a time that is pointed at
+   */
+  constructor(box, figure, pick) {
+    this.box = box;
+    this.figure = figure;
+    this.pick = pick;
+    this.now = 0;
+    new ResizeObserver(() => this.plot?.setSize(this.size())).observe(box);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      this.count = -1;
+      if (this.result) this.show(this.result);
+    });
+  }
+
+  size() {
+    return { width: Math.max(this.box.clientWidth, 80), height: Math.max(this.box.clientHeight, 60) };
+  }
+
+  choose(figure) {
+    this.figure = figure;
+    this.count = -1;
+    if (this.result) this.show(this.result);
+  }
+
+  /** @param {object} result of the core, with `weight` (3,) [N in B] and `shown`, the time up to which it is drawn [s] */
+  show(result) {
+    this.result = result;
+    const { quantity, unit, from = 0, to, change, weight } = FIGURES[this.figure];
+    const values = result.samples[quantity];
+    const width = values.length / result.rows;
+    const scale = readable(unit)[1];
+    const columns = [];
+    for (let j = from; j < Math.min(to ?? width, width); ++j) {
+      const column = new Float64Array(result.rows);
+      const zero = change ? values[j] : weight ? result.weight[j] : 0;
+      for (let k = 0; k < result.rows; ++k) column[k] = scale * (values[width * k + j] - zero);
+      columns.push(column);
+    }
+    const data = [result.samples.time, ...columns];
+    if (this.count === columns.length) this.plot.setData(data);
+    else this.build(data);
+  }
+
+  build(data) {
+    this.plot?.destroy();
+    this.count = data.length - 1;
+    const { unit, name } = FIGURES[this.figure];
+    const colour = colours();
+    const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26 };
+    const series = data.slice(1).map((_, i) => ({ label: name(null, i), stroke: lineColour(i), width: 1.4, points: { show: false } }));
+    this.plot = new uPlot(
+      {
+        ...this.size(),
+        padding: [8, 8, 0, 0],
+        cursor: { drag: { x: false, y: false }, points: { show: false }, sync: { key: "time" } },
+        legend: { show: false },
+        scales: { x: { time: false, range: () => [0, this.result.shown] } },
+        axes: [{ ...axis, space: 60 }, { ...axis, size: 46, space: 28, label: readable(unit)[0], labelSize: 14, labelFont: "11px system-ui, sans-serif" }],
+        series: [{}, ...series],
+        hooks: {
+          draw: [(plot) => this.line(plot)],
+          ready: [(plot) => plot.over.addEventListener("click", () => plot.cursor.left >= 0 && this.pick(plot.posToVal(plot.cursor.left, "x")))],
+        },
+      },
+      data,
+      this.box,
+    );
+    this.box.setAttribute("role", "img");
+    this.box.setAttribute("aria-label", `${FIGURES[this.figure].title} against time`);
+    this.legend?.remove();
+    this.legend = document.createElement("div");
+    this.legend.className = "legend";
+    this.legend.append(
+      ...series.map(({ label, stroke }) => {
+        const item = document.createElement("span");
+        item.textContent = label;
+        item.style.setProperty("--colour", stroke);
+        return item;
+      }),
+    );
+    this.box.after(this.legend);
+  }
+
+  /** The time of now. */
+  line(plot) {
+    const x = Math.round(plot.valToPos(this.now, "x", true));
+    plot.ctx.save();
+    plot.ctx.strokeStyle = colours().accent;
+    plot.ctx.lineWidth = 1.5 * devicePixelRatio;
+    plot.ctx.beginPath();
+    plot.ctx.moveTo(x, plot.bbox.top);
+    plot.ctx.lineTo(x, plot.bbox.top + plot.bbox.height);
+    plot.ctx.stroke();
+    plot.ctx.restore();
+  }
+
+  at(time) {
+    this.now = time;
+    this.plot?.redraw(false);
+  }
+}

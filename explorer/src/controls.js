@@ -1,0 +1,271 @@
+/** Sliders for the keys that matter, and the list of all keys. */
+import { readable, rounded, short } from "./format.js";
+import { changed, keyOf, keysOf, parsed, presetValue, same, textOf, valueOf } from "./model.js";
+
+const element = (name, attributes = {}, ...children) => {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (value !== false && value !== null && value !== undefined) made.setAttribute(key, value === true ? "" : value);
+  }
+  made.append(...children);
+  return made;
+};
+export { element };
+
+// --- what sliders there are
+
+const GAIN_DECADES = 1.5;
+
+/** A slider of one number, or of equal entries of an array. */
+function slider(state, key, { label, from = 0, to = undefined, min, max, step = 0, log = false, mark = "" }) {
+  const entry = (value) => (Array.isArray(value) ? value[from] : value);
+  const spec = keyOf[key];
+  const unit = spec.unit.includes(";") ? spec.unit.split(";")[from >= 3 ? 1 : 0].trim() : spec.unit;
+  return {
+    key,
+    id: key + mark,
+    label,
+    unit,
+    min,
+    max,
+    step,
+    log,
+    get: (now) => entry(valueOf(now, key)) ?? 0,
+    reset: entry(presetValue(state.preset, key)) ?? 0,
+    set: (now, number) => {
+      const old = valueOf(now, key);
+      const value = Array.isArray(old) ? old.map((x, i) => (i >= from && i < (to ?? old.length) ? number : x)) : number;
+      return changed(now, key, value);
+    },
+  };
+}
+
+/** Sliders of a gain, on a logarithmic scale about its value in the preset; of six entries one for each half. */
+function gainSliders(state, spec) {
+  const value = presetValue(state.preset, spec.key);
+  const leaf = spec.key.split(".").slice(2).join(" ").replaceAll("_", " ");
+  const one = (number, more) => {
+    const size = Math.abs(number);
+    if (!(size > 0) || !Number.isFinite(size)) return [];
+    const spread = 10 ** GAIN_DECADES;
+    const most = spec.maximum ?? Infinity;
+    return [slider(state, spec.key, { ...more, min: size / spread, max: Math.min(size * spread, most), log: true })];
+  };
+  if (!Array.isArray(value)) return one(value, { label: leaf });
+  if (value.length !== 6) return value.every((x) => x === value[0]) ? one(value[0], { label: leaf }) : [];
+  const halves = [value.slice(0, 3), value.slice(3)];
+  if (!halves.every((half) => half.every((x) => x === half[0]))) return [];
+  return [
+    ...one(value[0], { label: `${leaf}, force`, from: 0, to: 3, mark: "/linear" }),
+    ...one(value[3], { label: `${leaf}, moment`, from: 3, to: 6, mark: "/angular" }),
+  ];
+}
+
+/** All groups of sliders and choices: [title, open, entries]; an entry without `get` is a key with choices. */
+export function groups(state) {
+  const law = valueOf(state, "controller.law");
+  const sampled = valueOf(state, "simulation.mode") === "sampled";
+  const step = valueOf(state, "simulation.step");
+  const has = (key) => keyOf[key] !== undefined;
+  const relative = (key, label, more = {}) => (has(key) ? [slider(state, key, { label, min: -0.5, max: 0.5, step: 0.005, ...more })] : []);
+  const gains = keysOf(law).filter(({ key, type }) => key.startsWith(`controller.${law}.`) && (type === "number" || type === "array"));
+  const main = gains.filter(({ key }) => !key.includes(".fuzzy."));
+  const fuzzy = gains.filter(({ key }) => /fuzzy\.(adaptation|error_scale|rate_scale|leakage|weight_limit)$/.test(key));
+  const choices = (names) => names.filter(has).map((key) => ({ key, choice: true }));
+  const start = ["x", "y", "z"].map((axis, i) => slider(state, "simulation.start.pose", { label: `start ${axis}`, from: i, to: i + 1, min: -0.05, max: 0.05, step: 0.0005, mark: `/${i}` }));
+  const turn = ["x", "y", "z"].map((axis, i) => slider(state, "simulation.start.pose", { label: `start about ${axis}`, from: i + 3, to: i + 4, min: -0.35, max: 0.35, step: 0.0025, mark: `/${i + 3}` }));
+  const scale = Math.max(1, ...[presetValue(state.preset, "robot.platform_radius") ?? 0.1].map((radius) => radius / 0.1));
+  for (const entry of start) Object.assign(entry, { min: entry.min * scale, max: entry.max * scale, step: entry.step * scale });
+  const camera = [
+    slider(state, "camera.period", { label: "frame period", min: 0, max: Math.max(0.1, 50 * step), step }),
+    slider(state, "camera.latency", { label: "latency", min: 0, max: Math.max(0.1, 50 * step), step }),
+    slider(state, "camera.noise", { label: "noise", min: 0, max: 3, step: 0.01 }),
+    slider(state, "camera.dropout", { label: "dropout", min: 0, max: 0.9, step: 0.01 }),
+  ];
+  return [
+    ["Model errors", true, [
+      ...relative("uncertainty.gravity", "mass in gravity"),
+      ...relative("uncertainty.inertia", "inertia"),
+      ...relative("uncertainty.coriolis", "Coriolis terms"),
+      ...relative("uncertainty.depth", "depth", { min: -0.9, max: 0.9 }),
+      ...(sampled ? relative("uncertainty.focal_length", "focal length") : []),
+    ]],
+    [`Gains of ${law.replaceAll("_", " ")}`, true, [
+      ...main.flatMap((spec) => gainSliders(state, spec)),
+      ...choices([`controller.${law}.fuzzy.enabled`, `controller.${law}.adaptive`, `controller.${law}.jacobian_at`]),
+    ]],
+    ["Camera and servo", true, [...choices(["simulation.mode", ...(sampled ? ["camera.prediction"] : [])]), ...(sampled ? camera : [])]],
+    ["Start", false, [...start, ...turn]],
+    ["Fuzzy systems", false, fuzzy.flatMap((spec) => gainSliders(state, spec))],
+    ["Switching, duration", false, [
+      ...choices(["controller.switching.kind"]),
+      ...gainSliders(state, keyOf["controller.switching.width"]),
+      slider(state, "simulation.duration", { label: "duration", min: Math.min(1, presetValue(state.preset, "simulation.duration")), max: Math.max(20, presetValue(state.preset, "simulation.duration")), step: 0.5 }),
+      ...choices(["controller.jacobian"]),
+    ]],
+  ].filter(([, , entries]) => entries.length);
+}
+
+/** Every slider that there is now. */
+export const sliders = (state) => groups(state).flatMap(([, , entries]) => entries.filter((entry) => entry.get));
+
+// --- position of a slider
+
+const FINE = 1000;
+export const toPlace = ({ min, max, log }, value) => (log ? Math.log(value / min) / Math.log(max / min) : (value - min) / (max - min));
+export function fromPlace({ min, max, log, step }, place) {
+  if (log) return rounded(min * (max / min) ** place, 4);
+  const raw = min + place * (max - min);
+  return step ? rounded(Math.round(raw / step) * step) : rounded(raw);
+}
+
+const shown = (entry, value) => {
+  const [name, scale] = entry.unit === "s" && entry.max <= 1 ? ["ms", 1e3] : readable(entry.unit);
+  const unit = name.replaceAll("^2", "²");
+  const space = unit && unit !== "°" ? " " : "";
+  return entry.unit === "1" && entry.min < 0 ? `${short(100 * value, 3)} %` : `${short(value * scale, 3)}${space}${unit}`;
+};
+
+// --- the panel of sliders
+
+export class Controls {
+  /**
+   * @param {HTMLElement} box
+   * @param {(change: (state: object) => object, final: boolean) => void} change
+   */
+  constructor(box, change) {
+    this.box = box;
+    this.change = change;
+    this.open = {};
+  }
+
+  show(state) {
+    const now = groups(state);
+    const shape = JSON.stringify(now.map(([title, , entries]) => [title, entries.map((entry) => [entry.id ?? entry.key, entry.min, entry.max])]));
+    if (shape !== this.shape) this.build(state, now);
+    this.shape = shape;
+    for (const update of this.updates) update(state);
+  }
+
+  build(state, now) {
+    const focus = document.activeElement?.dataset?.id;
+    this.updates = [];
+    this.box.replaceChildren(
+      ...now.map(([title, open, entries]) => {
+        const group = title.startsWith("Gains") ? "Gains" : title;
+        const details = element("details", { open: this.open[group] ?? open, ontoggle: (event) => (this.open[group] = event.target.open) }, element("summary", {}, title));
+        details.append(...entries.map((entry) => (entry.get ? this.slider(entry) : this.choice(entry.key))));
+        return details;
+      }),
+    );
+    if (focus) this.box.querySelector(`[data-id="${CSS.escape(focus)}"]`)?.focus();
+  }
+
+  slider(entry) {
+    const id = `slider-${entry.id}`;
+    const output = element("output", { for: id });
+    const set = (final) => () => this.change((state) => entry.set(state, fromPlace(entry, input.value / FINE)), final);
+    const step = entry.step && !entry.log ? (FINE * entry.step) / (entry.max - entry.min) : 1;
+    const input = element("input", { type: "range", id, min: 0, max: FINE, step, "data-id": entry.id, oninput: set(false), onchange: set(true) });
+    const reset = element("button", { type: "button", class: "reset", title: "back to the preset", "aria-label": `${entry.label}: back to the preset`, onclick: () => this.change((state) => entry.set(state, entry.reset), true) }, "↺");
+    this.updates.push((state) => {
+      const value = entry.get(state);
+      const place = Math.max(0, Math.min(1, toPlace(entry, value)));
+      if (document.activeElement !== input || Math.abs(fromPlace(entry, input.value / FINE) - value) > 1e-9 * Math.abs(value)) input.value = FINE * place;
+      output.textContent = shown(entry, value);
+      input.setAttribute("aria-valuetext", output.textContent);
+      const differs = !same(value, entry.reset);
+      reset.style.visibility = differs ? "visible" : "hidden";
+      row.classList.toggle("changed", differs);
+    });
+    const row = element("div", { class: "slider", title: `${entry.key}: ${keyOf[entry.key].meaning}` }, element("label", { for: id }, entry.label), output, reset, input);
+    return row;
+  }
+
+  choice(key) {
+    const spec = keyOf[key];
+    const id = `choice-${key}`;
+    const label = key.split(".").slice(-1)[0].replaceAll("_", " ");
+    const text = { enabled: "fuzzy systems", kind: "switching" }[label] ?? label;
+    if (spec.type === "flag") {
+      const input = element("input", { type: "checkbox", id, "data-id": key, onchange: () => this.change((state) => changed(state, key, input.checked ? 1 : 0), true) });
+      this.updates.push((state) => (input.checked = valueOf(state, key) !== 0));
+      return element("div", { class: "choice", title: `${key}: ${spec.meaning}` }, element("label", { for: id }, text), input);
+    }
+    const input = element(
+      "select",
+      { id, "data-id": key, onchange: () => this.change((state) => changed(state, key, input.value), true) },
+      ...spec.choices.map((name) => element("option", { value: name }, name.replaceAll("_", " "))),
+    );
+    this.updates.push((state) => (input.value = valueOf(state, key)));
+    return element("div", { class: "choice", title: `${key}: ${spec.meaning}` }, element("label", { for: id }, text), input);
+  }
+}
+
+// --- the list of all keys
+
+const bounds = ({ minimum, maximum, exclusive = [] }) =>
+  [
+    minimum === null || minimum === undefined ? "" : `${exclusive.includes("minimum") ? ">" : "≥"} ${short(minimum)}`,
+    maximum === null || maximum === undefined ? "" : `${exclusive.includes("maximum") ? "<" : "≤"} ${short(maximum)}`,
+  ]
+    .filter(Boolean)
+    .join(", ");
+
+export class KeyList {
+  constructor(box, search, change) {
+    this.box = box;
+    this.search = search;
+    this.change = change;
+    search.addEventListener("input", () => this.filter());
+  }
+
+  show(state) {
+    this.state = state;
+    if (!this.box.closest("details").open) return;
+    const law = valueOf(state, "controller.law");
+    if (law !== this.law) {
+      this.law = law;
+      this.rows = keysOf(law).map((spec) => this.row(spec));
+      this.box.replaceChildren(...this.rows.map(({ row }) => row));
+      this.filter();
+    }
+    const sampled = valueOf(state, "simulation.mode") === "sampled";
+    for (const { spec, row, input } of this.rows) {
+      const value = valueOf(state, spec.key);
+      if (document.activeElement !== input) input.value = spec.type === "flag" ? String(value) : textOf(value);
+      row.classList.toggle("changed", spec.key in state.changes);
+      row.classList.toggle("asleep", spec.mode === "sampled" && !sampled);
+    }
+  }
+
+  row(spec) {
+    const id = `key-${spec.key}`;
+    const set = () => {
+      input.setCustomValidity("");
+      try {
+        const value = parsed(spec.key, input.value);
+        this.change((state) => changed(state, spec.key, value), true);
+      } catch (error) {
+        input.setCustomValidity(error.message);
+        input.reportValidity();
+      }
+    };
+    const names = spec.type === "flag" ? [["1", "yes"], ["0", "no"]] : spec.type === "choice" ? spec.choices.map((name) => [name, name]) : null;
+    const input = names
+      ? element("select", { id, onchange: set }, ...names.map(([value, text]) => element("option", { value }, text)))
+      : element("input", { id, type: "text", inputmode: "text", autocomplete: "off", spellcheck: "false", onchange: set });
+    const about = [spec.unit && spec.unit !== "1" ? `[${spec.unit}]` : "", bounds(spec), spec.optional ? "or none" : "", spec.mode === "sampled" ? "sampled mode" : ""].filter(Boolean).join(" · ");
+    const row = element("div", { class: "key" }, element("label", { for: id }, spec.key), input, element("p", {}, spec.meaning, element("small", {}, about ? ` ${about}` : "")));
+    return { spec, row, input };
+  }
+
+  filter() {
+    const words = this.search.value.toLowerCase().split(/\s+/);
+    for (const { spec, row } of this.rows ?? []) {
+      const text = `${spec.key} ${spec.meaning} ${spec.unit}`.toLowerCase();
+      row.hidden = !words.every((word) => text.includes(word));
+    }
+  }
+}

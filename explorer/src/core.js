@@ -1,0 +1,215 @@
+/**
+ * The core in WebAssembly, through its C interface (cpp/include/hexservo.h).
+ *
+ * A refusal leaves the module as an exception of JavaScript, `Refusal`, and loses some of its memory: after many of
+ * them the next run begins with a new instance.
+ */
+
+/** What the core says about a scenario that cannot run: "key: expected ..., got ...". */
+export class Refusal extends Error {}
+
+/** Names and places of what a sample consists of, in the order of `hexservo_quantity`. */
+export const QUANTITIES = [
+  "time",
+  "feature_error",
+  "depth",
+  "position",
+  "quaternion",
+  "twist",
+  "wrench",
+  "fuzzy_output",
+  "leg_lengths",
+  "leg_forces",
+];
+
+const INTERFACE = 1;
+const MOST_REFUSALS = 300;
+const SCENE = { base_joints: 18, platform_joints: 18, home_position: 3, home_quaternion: 4, camera_position: 3, camera_attitude: 9, focal: 1 };
+const SCENE_BYTES = 8 * Object.values(SCENE).reduce((sum, count) => sum + count, 0);
+const NO_SUCH_CALL = 52;
+
+/** One scenario and its runs. Keys are set with numbers, lists of numbers, null, or text. */
+export class Core {
+  /** @param {WebAssembly.Module} module */
+  constructor(module) {
+    this.module = module;
+    this.start();
+  }
+
+  start() {
+    const system = new Proxy({}, { get: () => () => NO_SUCH_CALL });
+    const refuse = (at, size) => {
+      throw new Refusal(this.read(at, size));
+    };
+    const instance = new WebAssembly.Instance(this.module, { wasi_snapshot_preview1: system, env: system, hexservo: { refuse } });
+    this.c = instance.exports;
+    this.c._initialize();
+    if (this.c.hexservo_interface() !== INTERFACE) throw new Error("hexservo: page and core do not belong together");
+    this.stack = this.c.__stack_pointer.value;
+    this.scratch = this.c.malloc(65536);
+    this.handle = this.c.hexservo_scenario_create();
+    this.refusals = 0;
+    /** @type {Map<string, unknown>} */
+    this.known = new Map();
+    this.defaults = new Map();
+    this.metrics = [];
+    for (let i = 0; i < this.c.hexservo_metric_count(); ++i) this.metrics.push(this.text(this.c.hexservo_metric_name(i)));
+  }
+
+  read(at, size) {
+    return new TextDecoder().decode(new Uint8Array(this.c.memory.buffer, at, size));
+  }
+
+  text(at) {
+    const bytes = new Uint8Array(this.c.memory.buffer, at);
+    return this.read(at, bytes.indexOf(0));
+  }
+
+  doubles(at, count) {
+    return new Float64Array(this.c.memory.buffer, at, count);
+  }
+
+  /** Writes text with its final zero; returns what follows it. */
+  write(text, at) {
+    const bytes = new TextEncoder().encode(text + "\0");
+    new Uint8Array(this.c.memory.buffer, at, bytes.length).set(bytes);
+    return at + bytes.length;
+  }
+
+  /** Calls what may refuse. */
+  guarded(call) {
+    try {
+      return call();
+    } catch (error) {
+      if (!(error instanceof Refusal)) throw error;
+      this.c.__stack_pointer.value = this.stack;
+      this.refusals += 1;
+      throw error;
+    }
+  }
+
+  set(key, value) {
+    const end = this.write(key, this.scratch);
+    const aligned = (end + 7) & ~7;
+    this.guarded(() => {
+      if (typeof value === "string") {
+        this.write(value, aligned);
+        return this.c.hexservo_scenario_set_text(this.handle, this.scratch, aligned);
+      }
+      const numbers = value === null ? [] : [value].flat(2).map(Number);
+      const room = numbers.length > 4096 ? this.c.malloc(8 * numbers.length) : aligned;
+      this.doubles(room, numbers.length).set(numbers);
+      const status = this.c.hexservo_scenario_set_numbers(this.handle, this.scratch, room, numbers.length);
+      if (room !== aligned) this.c.free(room);
+      return status;
+    });
+  }
+
+  /** Text of any key. */
+  get(key) {
+    const end = (this.write(key, this.scratch) + 7) & ~7;
+    this.guarded(() => this.c.hexservo_scenario_get_text(this.handle, this.scratch, end));
+    return this.text(new Uint32Array(this.c.memory.buffer, end, 1)[0]);
+  }
+
+  /** Whether refusals have lost so much memory that `apply` begins with a new instance. */
+  isWorn() {
+    return this.refusals > MOST_REFUSALS;
+  }
+
+  /**
+   * Sets every key of a scenario; those that did not change since the last time are left alone.
+   * @param {Record<string, unknown>} scenario all keys of its law, "controller.law" among them
+   */
+  apply(scenario) {
+    if (this.isWorn()) this.start();
+    if (this.known.get("controller.law") !== scenario["controller.law"]) {
+      this.known.clear();
+      this.set("controller.law", scenario["controller.law"]);
+      this.known.set("controller.law", scenario["controller.law"]);
+    }
+    this.change(scenario);
+  }
+
+  /** Sets some keys of the law that acts. */
+  change(values) {
+    for (const [key, value] of Object.entries(values)) {
+      const text = typeof value === "object" ? JSON.stringify(value) : value;
+      if (this.known.get(key) === text) continue;
+      this.known.delete(key);
+      this.set(key, value);
+      this.known.set(key, text);
+    }
+  }
+
+  /** Starts a run of what was applied; `advance` and `result` belong to it. */
+  begin() {
+    this.end();
+    const place = this.scratch;
+    this.guarded(() => this.c.hexservo_run_create(this.handle, place));
+    this.run = new Uint32Array(this.c.memory.buffer, place, 1)[0];
+  }
+
+  /** Goes on by so many steps, to the end without a number; returns whether the run goes on still. */
+  advance(steps = -1) {
+    this.c.hexservo_run_advance(this.run, BigInt(steps));
+    return this.c.hexservo_run_outcome(this.run) < 0;
+  }
+
+  end() {
+    if (this.run) this.c.hexservo_run_destroy(this.run);
+    this.run = 0;
+  }
+
+  metricsNow() {
+    const numbers = this.doubles(this.c.hexservo_run_metrics(this.run), this.metrics.length);
+    return Object.fromEntries(this.metrics.map((name, i) => [name, numbers[i]]));
+  }
+
+  outcome() {
+    return this.text(this.c.hexservo_outcome_name(this.c.hexservo_run_outcome(this.run)));
+  }
+
+  /** All that is known of a run, copied out of the module. */
+  result() {
+    const { c, run } = this;
+    const rows = c.hexservo_run_rows(run);
+    const samples = {};
+    QUANTITIES.forEach((name, i) => {
+      samples[name] = this.doubles(c.hexservo_run_samples(run, i), rows * c.hexservo_run_width(run, i)).slice();
+    });
+    c.hexservo_run_scene(run, this.scratch);
+    const numbers = this.doubles(this.scratch, SCENE_BYTES / 8);
+    const scene = {};
+    let place = 0;
+    for (const [name, count] of Object.entries(SCENE)) {
+      scene[name] = Array.from(numbers.subarray(place, place + count));
+      place += count;
+    }
+    const points = c.hexservo_scenario_points(this.handle);
+    c.hexservo_run_target(run, this.scratch);
+    scene.target = Array.from(this.doubles(this.scratch, 3 * points));
+    c.hexservo_run_goal(run, this.scratch);
+    scene.goal = Array.from(this.doubles(this.scratch, 2 * points));
+    return {
+      rows,
+      points,
+      samples,
+      scene,
+      metrics: this.metricsNow(),
+      outcome: this.outcome(),
+      detail: this.text(c.hexservo_run_detail(run)),
+      time: c.hexservo_run_time(run),
+    };
+  }
+
+  /** A whole run of a scenario. */
+  simulate(scenario) {
+    this.apply(scenario);
+    this.begin();
+    this.advance();
+    const result = this.result();
+    this.end();
+    return result;
+  }
+}

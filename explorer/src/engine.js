@@ -1,0 +1,100 @@
+/** The workers of the page: one for the run that is shown, more for maps. */
+
+const decoded = async (id) => {
+  const packed = Uint8Array.from(atob(document.getElementById(id).textContent.trim()), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+};
+
+let parts = null;
+const load = () =>
+  (parts ??= (async () => ({
+    module: await WebAssembly.compile(await decoded("core")),
+    script: URL.createObjectURL(new Blob([document.getElementById("worker").textContent], { type: "text/javascript" })),
+  }))());
+
+/** Starts a worker; `answer` gets its messages. */
+async function worker(answer) {
+  const { module, script } = await load();
+  const made = new Worker(script);
+  await new Promise((resolve, reject) => {
+    made.onmessage = resolve;
+    made.onerror = (event) => reject(new Error(event.message));
+    made.postMessage({ module });
+  });
+  made.onmessage = ({ data }) => answer(data);
+  return made;
+}
+
+/** Runs one scenario at a time; while one runs, only the newest request waits. */
+export class Runner {
+  /** @param {(answer: {result?: object, refusal?: string, progress?: number}, tag: unknown) => void} answer */
+  static async make(answer) {
+    const runner = new Runner();
+    runner.id = 0;
+    runner.busy = false;
+    runner.waiting = null;
+    runner.worker = await worker((message) => {
+      if (message.id !== runner.id) return;
+      if (message.progress !== undefined) {
+        runner.slow = true;
+        answer(message);
+        if (runner.waiting) runner.start(...runner.waiting);
+        return;
+      }
+      runner.busy = false;
+      answer(message, runner.tag);
+      if (runner.waiting) runner.start(...runner.waiting);
+    });
+    return runner;
+  }
+
+  /** @param {unknown} tag what the answer is handed over with */
+  run(scenario, tag) {
+    if (this.busy && !this.slow) this.waiting = [scenario, tag];
+    else this.start(scenario, tag);
+  }
+
+  start(scenario, tag) {
+    this.tag = tag;
+    this.waiting = null;
+    this.busy = true;
+    this.slow = false;
+    this.id += 1;
+    this.worker.postMessage({ id: this.id, scenario });
+  }
+}
+
+/** Runs many scenarios that differ in some keys. */
+export class Crew {
+  constructor() {
+    this.workers = [];
+    this.id = 0;
+  }
+
+  /**
+   * @param {object} scenario what they have in common
+   * @param {string[]} names keys that differ
+   * @param {Array<[number, ...unknown[]]>} cells number of each, and its values, the first ones first
+   * @param {(cells: Array<[number, string, object]>, finished: boolean) => void} answer
+   */
+  async map(scenario, names, cells, answer) {
+    const id = ++this.id;
+    const count = Math.max(1, Math.min(8, navigator.hardwareConcurrency ?? 2));
+    while (this.workers.length < count) this.workers.push(await worker((message) => this.answer?.(message)));
+    if (id !== this.id) return;
+    let running = count;
+    this.answer = (message) => {
+      if (message.id !== this.id) return;
+      if (message.refusal) throw new Error(message.refusal);
+      if (message.finished) running -= 1;
+      answer(message.cells, running === 0);
+    };
+    this.workers.forEach((made, k) => made.postMessage({ id, map: { scenario, names, cells: cells.filter((_, i) => i % count === k) } }));
+  }
+
+  stop() {
+    this.id += 1;
+    for (const made of this.workers) made.postMessage({ id: this.id });
+  }
+}

@@ -1,0 +1,303 @@
+/** The page: a state, the run of it, and what is drawn of that. */
+import { Chart, FIGURES } from "./charts.js";
+import { Controls, KeyList, element } from "./controls.js";
+import { Runner } from "./engine.js";
+import { short, withUnit } from "./format.js";
+import { ImageView } from "./image.js";
+import { ParameterMap } from "./map.js";
+import { changed, drawn, fromAddress, full, laws, metrics, presetOf, presets, start, toAddress, toYaml, valueOf } from "./model.js";
+import { Scene } from "./scene.js";
+
+const $ = (id) => document.getElementById(id);
+const SETTLE = 300; // milliseconds of rest after which the address follows
+
+let state = fromAddress(location.hash || start);
+let result = null;
+let reference = null;
+let share = 1; // of the run's time that is shown
+let playing = 0;
+let addressTimer = 0;
+const latencies = []; // from a change to its picture [ms], for the test that measures them
+
+// --- from a change to a picture
+
+function change(how, final = true) {
+  let next;
+  try {
+    next = how(state);
+  } catch (error) {
+    say(error.message);
+    return;
+  }
+  if (next === state) return;
+  const other = next.preset !== state.preset;
+  state = next;
+  run();
+  if (other) compare();
+  refresh();
+  clearTimeout(addressTimer);
+  addressTimer = setTimeout(() => history.replaceState(null, "", toAddress(state)), final ? 0 : SETTLE);
+}
+
+const run = () => runner?.run(drawn(state), { asked: performance.now(), state });
+
+function refresh() {
+  $("preset").value = state.preset;
+  $("law").value = valueOf(state, "controller.law");
+  $("about-preset").textContent = presetOf(state.preset).description;
+  controls.show(state);
+  keyList.show(state);
+  const count = Object.keys(state.changes).length;
+  $("reset").disabled = count === 0;
+  $("reset").textContent = count ? `Reset ${count} ${count === 1 ? "change" : "changes"}` : "No changes";
+}
+
+function answer(message, tag) {
+  if (message.progress !== undefined) {
+    $("busy").hidden = false;
+    $("busy").value = message.progress;
+    return;
+  }
+  $("busy").hidden = true;
+  if (message.refusal) {
+    document.body.classList.add("stale");
+    say(message.known ? message.refusal : `The core failed: ${message.refusal}`);
+    globalThis.explorer.refusal = message.refusal;
+    globalThis.explorer.shown = toAddress(tag.state);
+    return;
+  }
+  globalThis.explorer.refusal = null;
+  document.body.classList.remove("stale");
+  say("");
+  result = message.result;
+  show();
+  latencies.push(performance.now() - tag.asked);
+  globalThis.explorer.shown = toAddress(tag.state);
+}
+
+function say(words) {
+  $("message").textContent = words;
+  $("message").hidden = !words;
+}
+
+function show() {
+  const gravity = [valueOf(state, "robot.gravity")].flat();
+  const down = gravity.length === 3 && gravity.some((g) => g !== 0) ? gravity : [0, 0, 1];
+  const mass = valueOf(state, "robot.mass") + (valueOf(state, "robot.payload.known") ? valueOf(state, "robot.payload.mass") : 0);
+  result.weight = gravity.map((g) => -mass * g);
+  result.shown = shown();
+  image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures() });
+  scene.show(result, down.map((g) => -g));
+  for (const chart of charts) chart.show(result);
+  at(share);
+  verdict();
+  table();
+  if (document.body.dataset.map) map.show(state);
+}
+
+/** Whether the camera's pixels are what its pinhole would have: only then a goal can be dragged to one. */
+const pixelsAreFeatures = () =>
+  valueOf(state, "camera.principal_point") === null && ["brown_conrady", "kannala_brandt"].every((lens) => [valueOf(state, `camera.distortion.${lens}`) ?? 0].flat().every((number) => number === 0));
+
+/** Time up to which charts go [s]: all of it, or three times what settling takes, on a scale of 1, 2, 5. */
+function shown() {
+  const end = result.samples.time[result.rows - 1] || 1;
+  const wanted = 3 * result.metrics.settling_time;
+  if ($("span").value === "all" || !(wanted > 0)) return end;
+  const power = 10 ** Math.floor(Math.log10(wanted));
+  return Math.min(end, [1, 2, 5, 10].find((factor) => factor * power >= wanted) * power);
+}
+
+/** Shows a time of the run, as a share of it. */
+function at(next) {
+  share = next;
+  const row = Math.round(share * (result.rows - 1));
+  const time = result.samples.time[row];
+  image.draw(row);
+  scene.draw(row);
+  for (const chart of charts) chart.at(time);
+  $("time").value = share;
+  $("now").textContent = `${time.toFixed(3)} s`;
+  $("time").setAttribute("aria-valuetext", `${time.toFixed(3)} seconds`);
+}
+
+// --- words and numbers
+
+function ending(outcome, values, time, detail = "") {
+  const band = withUnit(valueOf(state, "metrics.band"), "px");
+  if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}`];
+  if (!Number.isNaN(values.settling_time)) return ["good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}`];
+  return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}`];
+}
+
+function verdict() {
+  const [kind, words] = ending(result.outcome, result.metrics, result.time, result.detail);
+  $("verdict").className = `verdict ${kind}`;
+  $("verdict").textContent = words;
+  const counts = reference && Object.keys(state.changes).length;
+  $("against").textContent = counts ? `Preset: ${ending(reference.outcome, reference.metrics, reference.time)[1].replace(/^./, (letter) => letter.toLowerCase())}` : "";
+  image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
+}
+
+let rows = null;
+function table() {
+  rows ??= metrics.map(({ name, unit, meaning }) => {
+    const cells = [element("td"), element("td")];
+    $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, name.replaceAll("_", " ")), ...cells));
+    return { name, unit, cells };
+  });
+  const differs = Object.keys(state.changes).length > 0 && reference;
+  for (const { name, unit, cells } of rows) {
+    const [value, before] = [result.metrics[name], reference?.metrics[name] ?? NaN];
+    cells[0].textContent = withUnit(value, unit);
+    cells[1].textContent = reference ? withUnit(before, unit) : "";
+    const ratio = value / before;
+    cells[0].className = !differs || Math.abs(ratio - 1) < 0.01 ? "" : ratio < 1 || (Number.isNaN(before) && !Number.isNaN(value)) ? "good" : ratio > 1 || Number.isNaN(value) ? "bad" : "";
+  }
+}
+
+function compare() {
+  reference = null;
+  referee?.run({ ...drawn({ preset: state.preset, changes: {} }), "simulation.log_every": 1e9 });
+}
+
+// --- time
+
+function play() {
+  cancelAnimationFrame(playing);
+  const running = $("play").dataset.on === "yes";
+  $("play").dataset.on = running ? "" : "yes";
+  $("play").textContent = running ? "▶" : "❚❚";
+  $("play").setAttribute("aria-label", running ? "Play" : "Pause");
+  if (running || !result) return;
+  if (share >= 1) share = 0;
+  let before = performance.now();
+  const step = (now) => {
+    const duration = result.samples.time[result.rows - 1] || 1;
+    at(Math.min(1, share + (Number($("speed").value) * (now - before)) / 1000 / duration));
+    before = now;
+    if (share >= 1) play();
+    else if ($("play").dataset.on === "yes") playing = requestAnimationFrame(step);
+  };
+  playing = requestAnimationFrame(step);
+}
+
+const pick = (time) => result && at(Math.max(0, Math.min(1, time / (result.samples.time[result.rows - 1] || 1))));
+
+// --- parts
+
+const image = new ImageView($("image"), (goals, final) => change((now) => changed(now, "target.desired_features", goals), final));
+let held = null;
+const scene = new Scene($("scene"), (shift, phase) => {
+  if (phase === "begin") {
+    held = valueOf(state, "simulation.start.pose");
+    at(0);
+  } else if (phase === "move") {
+    change((now) => changed(now, "simulation.start.pose", held.map((x, i) => (i < 3 ? Math.round(1e5 * (x + shift[i])) / 1e5 : x))), false);
+  } else history.replaceState(null, "", toAddress(state));
+});
+const charts = ["errors", "forces", "moments"].map((figure, i) => {
+  const chart = new Chart($(`chart-${i}`), figure, pick);
+  const select = $(`figure-${i}`);
+  select.append(...Object.entries(FIGURES).map(([name, { title }]) => element("option", { value: name }, title)));
+  select.value = figure;
+  select.addEventListener("change", () => {
+    chart.choose(select.value);
+    if (result) at(share);
+  });
+  return chart;
+});
+const controls = new Controls($("controls"), change);
+const keyList = new KeyList($("keys"), $("search"), change);
+const map = new ParameterMap($("map"), change);
+
+$("preset").append(...presets.map(({ name }) => element("option", { value: name }, name)));
+$("law").append(...laws.map((name) => element("option", { value: name }, name.replaceAll("_", " "))));
+$("preset").addEventListener("change", () => change(() => ({ preset: $("preset").value, changes: {} })));
+$("law").addEventListener("change", () => change((now) => changed(now, "controller.law", $("law").value)));
+$("reset").addEventListener("click", () => change((now) => ({ preset: now.preset, changes: {} })));
+$("time").addEventListener("input", () => result && at(Number($("time").value)));
+$("play").addEventListener("click", play);
+$("span").addEventListener("change", () => result && show());
+$("all-keys").addEventListener("toggle", () => keyList.show(state));
+$("map-section").addEventListener("toggle", () => {
+  document.body.dataset.map = $("map-section").open ? "yes" : "";
+  if ($("map-section").open) map.show(state);
+});
+addEventListener("hashchange", () => {
+  if (toAddress(state) !== location.hash) change(() => fromAddress(location.hash));
+});
+addEventListener("resize", () => result && at(share));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(show));
+matchMedia("print").addEventListener("change", () => result && at(share));
+for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => result && at(share));
+
+// --- out of the page
+
+async function copied(text, button) {
+  const before = button.textContent;
+  try {
+    await navigator.clipboard.writeText(text);
+    button.textContent = "Copied";
+  } catch {
+    button.textContent = "Select and copy";
+    $("yaml").select();
+  }
+  setTimeout(() => (button.textContent = before), 1500);
+}
+
+$("as-yaml").addEventListener("click", () => {
+  $("yaml").value = toYaml(state);
+  $("save").href = URL.createObjectURL(new Blob([$("yaml").value], { type: "application/yaml" }));
+  $("save").download = `${state.preset}-explored.yaml`;
+  $("yaml-box").showModal();
+});
+$("copy").addEventListener("click", () => copied($("yaml").value, $("copy")));
+$("link").addEventListener("click", () => {
+  history.replaceState(null, "", toAddress(state));
+  copied(location.href, $("link"));
+});
+
+// --- start
+
+globalThis.explorer = {
+  get state() {
+    return state;
+  },
+  get result() {
+    return result;
+  },
+  get reference() {
+    return reference;
+  },
+  latencies,
+  refusal: null,
+  shown: null,
+  go: (address) => change(() => fromAddress(address)),
+  full: (address) => full(address ? fromAddress(address) : state),
+  yaml: (address) => toYaml(address ? fromAddress(address) : state),
+  presets: presets.map(({ name }) => name),
+  set: (key, value) => change((now) => changed(now, key, value)),
+};
+
+let runner = null;
+let referee = null;
+refresh();
+try {
+  if (!("DecompressionStream" in globalThis)) throw new Error("it needs a browser of 2023 or newer");
+  [runner, referee] = await Promise.all([
+    Runner.make(answer),
+    Runner.make((message) => {
+      if (!message.result) return;
+      reference = message.result;
+      if (result) {
+        verdict();
+        table();
+      }
+    }),
+  ]);
+  run();
+  compare();
+} catch (error) {
+  say(`The explorer cannot run here: ${error.message}.`);
+}

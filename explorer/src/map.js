@@ -1,0 +1,285 @@
+/** Two keys against each other: a run for every pixel, coarse first. */
+import { element, fromPlace, sliders, toPlace } from "./controls.js";
+import { Crew } from "./engine.js";
+import { readable, short, withUnit } from "./format.js";
+import { drawn, metrics, valueOf } from "./model.js";
+import { cleared, colours, pointIn } from "./view.js";
+
+const SIZE = 64;
+const LEFT = 64, BOTTOM = 34;
+const OUTCOMES = ["completed", "diverged", "behind_camera", "feature_lost", "leg_limit", "singular", "solver_failed", "refused"];
+
+/** Places of a grid, those of a coarse one first, each with the width of what it stands for until finer ones come. */
+export function coarseFirst(size = SIZE) {
+  const order = [];
+  const seen = new Set();
+  for (let step = size / 8; step >= 1; step /= 2)
+    for (let y = 0; y < size; y += step)
+      for (let x = 0; x < size; x += step) {
+        const place = y * size + x;
+        if (!seen.has(place)) order.push(place);
+        seen.add(place);
+      }
+  return order;
+}
+
+/** Dark blue to yellow, as a share of 0 to 1. */
+export function heat(share) {
+  const stops = [[32, 48, 112], [28, 120, 142], [70, 176, 120], [180, 210, 70], [250, 225, 60]];
+  const place = Math.max(0, Math.min(1, share)) * (stops.length - 1);
+  const low = Math.min(Math.floor(place), stops.length - 2);
+  return stops[low].map((c, i) => Math.round(c + (place - low) * (stops[low + 1][i] - c)));
+}
+
+export class ParameterMap {
+  /**
+   * @param {HTMLElement} box of the section
+   * @param {(change: (state: object) => object) => void} take a point that was chosen
+   */
+  constructor(box, take) {
+    this.box = box;
+    this.take = take;
+    this.crew = new Crew();
+    this.canvas = box.querySelector("canvas");
+    this.words = box.querySelector("[data-words]");
+    this.x = box.querySelector("[name=x]");
+    this.y = box.querySelector("[name=y]");
+    this.by = box.querySelector("[name=metric]");
+    this.button = box.querySelector("button");
+    this.by.append(...metrics.map(({ name }) => element("option", { value: name }, name.replaceAll("_", " "))), element("option", { value: "outcome" }, "outcome"));
+    this.button.addEventListener("click", () => (this.running ? this.stop() : this.start()));
+    this.by.addEventListener("change", () => this.draw());
+    for (const select of [this.x, this.y]) select.addEventListener("change", () => this.forget());
+    this.canvas.addEventListener("click", (event) => this.pick(this.cellAt(event)));
+    this.canvas.addEventListener("pointermove", (event) => this.look(this.cellAt(event)));
+    this.canvas.addEventListener("keydown", (event) => this.key(event));
+    this.cursor = [SIZE / 2, SIZE / 2];
+    new ResizeObserver(() => this.draw()).observe(this.canvas);
+  }
+
+  show(state) {
+    this.state = state;
+    const list = sliders(state);
+    const shape = list.map(({ id }) => id).join();
+    if (shape !== this.shape) {
+      this.shape = shape;
+      const gain = list.find(({ log }) => log) ?? list[0];
+      for (const [select, fallback] of [[this.x, gain.id], [this.y, "uncertainty.depth"]]) {
+        const old = select.value;
+        select.replaceChildren(...list.map(({ id, label }) => element("option", { value: id }, label)));
+        select.value = list.some(({ id }) => id === old) ? old : fallback;
+      }
+    }
+    this.draw();
+  }
+
+  forget() {
+    this.stop();
+    this.cells = null;
+    this.draw();
+  }
+
+  stop() {
+    this.crew.stop();
+    this.running = false;
+    this.button.textContent = "Compute the map";
+  }
+
+  start() {
+    const list = sliders(this.state);
+    this.axes = [this.x.value, this.y.value].map((id) => list.find((entry) => entry.id === id));
+    if (this.axes[0].id === this.axes[1].id) {
+      this.words.textContent = "Choose two different keys.";
+      return;
+    }
+    const base = this.state;
+    this.base = base;
+    this.cells = new Array(SIZE * SIZE).fill(null);
+    this.count = 0;
+    this.running = true;
+    this.button.textContent = "Stop";
+    this.began = performance.now();
+    const names = [...new Set(this.axes.map(({ key }) => key))];
+    const cells = coarseFirst().map((place) => {
+      const state = this.at(base, place % SIZE, Math.floor(place / SIZE));
+      return [place, ...names.map((key) => valueOf(state, key))];
+    });
+    this.crew.map(drawn(base), names, cells, (answers, finished) => {
+      for (const [place, outcome, values] of answers) this.cells[place] = { outcome, values };
+      this.count += answers.length;
+      if (finished) {
+        this.running = false;
+        this.seconds = (performance.now() - this.began) / 1000;
+        this.button.textContent = "Compute the map";
+      }
+      this.soon();
+    });
+  }
+
+  /** Draws once for all answers of the next tenth of a second. */
+  soon() {
+    this.timer ??= setTimeout(() => {
+      this.timer = undefined;
+      this.draw();
+    }, 100);
+  }
+
+  /** The state at a cell of the grid; y counts from below. */
+  at(state, x, y) {
+    const [first, second] = this.axes;
+    return second.set(first.set(state, fromPlace(first, x / (SIZE - 1))), fromPlace(second, y / (SIZE - 1)));
+  }
+
+  value(cell) {
+    const by = this.by.value;
+    if (by === "outcome") return cell.outcome === "completed" && Number.isNaN(cell.values.settling_time) ? "not settled" : cell.outcome;
+    return cell.outcome === "completed" ? cell.values[by] : NaN;
+  }
+
+  range() {
+    const numbers = this.cells.filter(Boolean).map((cell) => this.value(cell)).filter((value) => Number.isFinite(value)).sort((a, b) => a - b);
+    if (!numbers.length) return [0, 1, false];
+    const low = numbers[0], high = numbers[Math.floor(0.98 * (numbers.length - 1))];
+    return [low, high, low > 0 && high / low > 30];
+  }
+
+  colour(cell, [low, high, log]) {
+    const value = this.value(cell);
+    if (typeof value === "string") return this.nameColour(value);
+    if (!Number.isFinite(value)) return this.nameColour(cell.outcome === "completed" ? "not settled" : cell.outcome);
+    const share = log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low || 1);
+    return heat(share);
+  }
+
+  nameColour(name) {
+    if (name === "completed") return [56, 150, 90];
+    if (name === "not settled") return [214, 160, 60];
+    const shades = [[150, 40, 50], [120, 60, 130], [60, 70, 150], [180, 90, 40], [90, 90, 90], [40, 110, 120], [70, 70, 78]];
+    return shades[Math.max(0, OUTCOMES.indexOf(name) - 1) % shades.length];
+  }
+
+  draw() {
+    const [c, width, height] = cleared(this.canvas);
+    const colour = colours();
+    const side = [width - LEFT - 8, height - BOTTOM - 8];
+    this.area = [LEFT, 8, ...side];
+    c.strokeStyle = colour.line;
+    c.strokeRect(LEFT - 0.5, 7.5, side[0] + 1, side[1] + 1);
+    c.font = "11px system-ui, sans-serif";
+    c.fillStyle = colour.faint;
+    if (!this.cells) {
+      c.textAlign = "center";
+      c.fillText("64 × 64 runs of this scenario", LEFT + side[0] / 2, 8 + side[1] / 2);
+      if (!this.running) this.words.textContent = "Each pixel will be a run of the scenario above with two keys varied.";
+      return;
+    }
+    const range = this.range();
+    const picture = new ImageData(SIZE, SIZE);
+    let coarse = SIZE / 8;
+    while (coarse > 1 && this.count >= (SIZE / coarse) ** 2 * 4) coarse /= 2;
+    for (let y = 0; y < SIZE; ++y)
+      for (let x = 0; x < SIZE; ++x) {
+        let cell = null;
+        for (let step = 1; step <= SIZE / 8 && !cell; step *= 2) cell = this.cells[(y - (y % step)) * SIZE + x - (x % step)];
+        const at = 4 * ((SIZE - 1 - y) * SIZE + x);
+        picture.data.set(cell ? [...this.colour(cell, range), 255] : [128, 128, 128, 40], at);
+      }
+    const small = (this.small ??= new OffscreenCanvas(SIZE, SIZE));
+    small.getContext("2d").putImageData(picture, 0, 0);
+    c.imageSmoothingEnabled = false;
+    c.drawImage(small, LEFT, 8, ...side);
+    this.labels(c, width, height, colour);
+    this.marks(c, colour);
+    if (this.running) this.words.textContent = `${this.count} of ${SIZE * SIZE} runs`;
+    else this.words.textContent = `${this.count} runs in ${short(this.seconds, 3)} s. ${this.legend(range)} Click a pixel to take its values.`;
+    this.canvas.dataset.done = this.running ? "" : "yes";
+  }
+
+  legend([low, high, log]) {
+    if (this.by.value === "outcome") return "Green: settled; amber: completed, not settled; red and others: ended early.";
+    const unit = metrics.find(({ name }) => name === this.by.value).unit;
+    return `Blue ${withUnit(low, unit, 3)} to yellow ${withUnit(high, unit, 3)}${log ? ", logarithmic" : ""}; amber and red: not settled, or ended early.`;
+  }
+
+  labels(c, width, height, colour) {
+    c.fillStyle = colour.faint;
+    const text = (entry, place) => {
+      const [unit, scale] = readable(entry.unit);
+      return entry.unit === "1" && entry.min < 0 ? `${short(100 * fromPlace(entry, place), 3)} %` : `${short(fromPlace(entry, place) * scale, 3)} ${unit}`.trim();
+    };
+    const [left, top, wide, high] = this.area;
+    for (const share of [0, 0.5, 1]) {
+      c.textAlign = share === 0 ? "left" : share === 1 ? "right" : "center";
+      c.fillText(text(this.axes[0], share), left + share * wide, height - BOTTOM + 8);
+      c.textAlign = "right";
+      c.fillText(text(this.axes[1], share), left - 5, top + (1 - share) * high + (share === 1 ? 9 : share === 0 ? 0 : 4));
+    }
+    c.fillStyle = colour.ink;
+    c.textAlign = "center";
+    c.fillText(this.axes[0].label, left + wide / 2, height - 5);
+    c.save();
+    c.translate(11, top + high / 2);
+    c.rotate(-Math.PI / 2);
+    c.fillText(this.axes[1].label, 0, 0);
+    c.restore();
+  }
+
+  /** Where the sliders are, and the cell of the keyboard. */
+  marks(c, colour) {
+    const [left, top, wide, high] = this.area;
+    const [x, y] = this.axes.map((entry) => toPlace(entry, entry.get(this.state)));
+    const ring = (px, py, size, style) => {
+      c.beginPath();
+      c.arc(px, py, size, 0, 7);
+      c.strokeStyle = "#000a";
+      c.lineWidth = 4;
+      c.stroke();
+      c.strokeStyle = style;
+      c.lineWidth = 2;
+      c.stroke();
+    };
+    if (x >= 0 && x <= 1 && y >= 0 && y <= 1) ring(left + x * wide, top + (1 - y) * high, 6, "#fff");
+    if (document.activeElement === this.canvas) {
+      const size = [wide / SIZE, high / SIZE];
+      c.strokeStyle = colour.accent;
+      c.lineWidth = 2;
+      c.strokeRect(left + this.cursor[0] * size[0], top + (SIZE - 1 - this.cursor[1]) * size[1], ...size);
+    }
+  }
+
+  cellAt(event) {
+    if (!this.area) return null;
+    const [px, py] = pointIn(this.canvas, event);
+    const [left, top, wide, high] = this.area;
+    const x = Math.floor(((px - left) / wide) * SIZE), y = SIZE - 1 - Math.floor(((py - top) / high) * SIZE);
+    return x >= 0 && x < SIZE && y >= 0 && y < SIZE ? [x, y] : null;
+  }
+
+  look(at) {
+    const cell = at && this.cells?.[at[1] * SIZE + at[0]];
+    this.canvas.title = cell ? `${this.by.value === "outcome" ? "" : `${this.by.value.replaceAll("_", " ")} `}${this.told(cell)}` : "";
+  }
+
+  told(cell) {
+    const value = this.value(cell);
+    if (typeof value === "string") return value.replaceAll("_", " ");
+    if (cell.outcome !== "completed") return cell.outcome.replaceAll("_", " ");
+    return withUnit(value, metrics.find(({ name }) => name === this.by.value).unit);
+  }
+
+  pick(at) {
+    if (at && this.cells) this.take((state) => this.at(state, ...at));
+  }
+
+  key(event) {
+    const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+    if (event.key in moves) {
+      this.cursor = this.cursor.map((value, i) => Math.max(0, Math.min(SIZE - 1, value + moves[event.key][i] * (event.shiftKey ? 8 : 1))));
+      const cell = this.cells?.[this.cursor[1] * SIZE + this.cursor[0]];
+      this.draw();
+      if (cell) this.words.textContent = this.told(cell);
+    } else if (event.key === "Enter" || event.key === " ") this.pick(this.cursor);
+    else return;
+    event.preventDefault();
+  }
+}

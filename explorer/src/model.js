@@ -1,0 +1,161 @@
+/**
+ * What is shown: a packaged scenario with changes by dotted key, its address (URL) and its YAML.
+ *
+ * A value is a number, a list of numbers (row by row), null, or text (names, and the seed of 64 bits).
+ */
+
+const data = globalThis.HEXSERVO_DATA ?? JSON.parse(globalThis.document.getElementById("data").textContent);
+
+export const { laws, keys, metrics, presets, version } = data;
+
+/** What `hexservo explore` wrote into the page: a packaged scenario's name, or a scenario as one more preset. */
+const own = JSON.parse(globalThis.document?.getElementById("own").textContent ?? "null");
+if (own?.preset) presets.unshift(own.preset);
+export const start = own ? `#${encodeURIComponent(own.start)}` : "";
+
+export const keyOf = Object.fromEntries(keys.map((key) => [key.key, key]));
+keyOf["controller.law"] = { key: "controller.law", type: "choice", unit: "", choices: laws, default: laws[0], mode: "any", meaning: "control law" };
+
+const lawOfKey = (name) => {
+  const law = name.startsWith("controller.") ? name.split(".")[1] : "";
+  return laws.includes(law) ? law : null;
+};
+
+export const presetOf = (name) => presets.find((preset) => preset.name === name) ?? presets[0];
+
+/** Value of a key where nothing is changed. */
+export const presetValue = (preset, key) => (key in presetOf(preset).values ? presetOf(preset).values[key] : keyOf[key].default);
+
+export const valueOf = (state, key) => (key in state.changes ? state.changes[key] : presetValue(state.preset, key));
+
+/** The keys that a law has. */
+export const keysOf = (law) => keys.filter((key) => (lawOfKey(key.key) ?? law) === law);
+
+/** All keys of the law that acts, as the core takes them. */
+export function full(state) {
+  const law = valueOf(state, "controller.law");
+  const scenario = { "controller.law": law };
+  for (const { key } of keysOf(law)) scenario[key] = valueOf(state, key);
+  return scenario;
+}
+
+export const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+
+/** The state with a key changed; a value that the preset has is no change. */
+export function changed(state, key, value) {
+  const changes = { ...state.changes };
+  if (same(value, presetValue(state.preset, key))) delete changes[key];
+  else changes[key] = value;
+  return { ...state, changes };
+}
+
+// --- text of values
+
+export const textOf = (value) => (value === null ? "none" : [value].flat().join(" "));
+
+/** Reads what a user types; throws a sentence. */
+export function parsed(key, text) {
+  const spec = keyOf[key];
+  const words = text.trim().split(/[\s,;[\]]+/).filter(Boolean);
+  if (spec.type === "choice" || spec.type === "seed") return text.trim();
+  if (spec.optional && (words.length === 0 || /^(none|null)$/.test(words[0]))) return null;
+  const numbers = words.map(Number);
+  if (!numbers.length || numbers.some((number) => Number.isNaN(number))) throw new Error(`${key}: expected numbers, got "${text}"`);
+  return ["number", "whole", "flag"].includes(spec.type) && numbers.length === 1 ? numbers[0] : numbers;
+}
+
+// --- address
+
+export function toAddress(state) {
+  const parts = [encodeURIComponent(state.preset)];
+  for (const [key, value] of Object.entries(state.changes)) parts.push(`${key}=${encodeURIComponent(textOf(value).replaceAll(" ", ","))}`);
+  return `#${parts.join("&")}`;
+}
+
+/** Keys and values that are not known are left out. */
+export function fromAddress(hash) {
+  const [name, ...parts] = hash.replace(/^#/, "").split("&").filter(Boolean);
+  let state = { preset: presetOf(name ? decodeURIComponent(name) : "").name, changes: {} };
+  for (const part of parts) {
+    const place = part.indexOf("=");
+    const key = part.slice(0, place);
+    if (place < 1 || !Object.hasOwn(keyOf, key)) continue;
+    try {
+      state = changed(state, key, parsed(key, decodeURIComponent(part.slice(place + 1)).replaceAll(",", " ")));
+    } catch {
+      continue;
+    }
+  }
+  return state;
+}
+
+// --- YAML
+
+/** A value as a scenario file has it. */
+function yamlValue(spec, value) {
+  if (value === null) return "null";
+  if (spec.type === "flag") return value ? "true" : "false";
+  if (spec.type === "choice") return spec.key === "sensors.pose" && value.startsWith("tru") ? "true" : value;
+  if (spec.type === "seed" || !Array.isArray(value)) return yamlNumber(value);
+  const rows = spec.shape?.length === 2 && value.length > 3 ? spec.shape[1] : 0;
+  const list = (numbers) => `[${numbers.map(yamlNumber).join(", ")}]`;
+  if (!rows) return value.length === 1 ? yamlNumber(value[0]) : list(value);
+  const parts = [];
+  for (let i = 0; i < value.length; i += rows) parts.push(list(value.slice(i, i + rows)));
+  return `[${parts.join(", ")}]`;
+}
+
+const yamlNumber = (number) => String(number);
+
+/**
+ * A scenario file with the same numbers: every key that acts and differs from its default. The name is that of the
+ * preset, marked where something is changed.
+ */
+export function toYaml(state) {
+  const scenario = full(state);
+  const sampled = scenario["simulation.mode"] === "sampled";
+  const points = scenario["target.points"] !== null;
+  const tree = {};
+  const put = (key, text) => {
+    const path = key.split(".");
+    const leaf = path.pop();
+    let place = tree;
+    for (const block of path) place = place[block] ??= {};
+    place[leaf] = text;
+  };
+  for (const key of keysOf(scenario["controller.law"])) {
+    const value = scenario[key.key];
+    const fixed = key.key.startsWith("robot.") || ["target.initial_features", "target.desired_features", "target.depth"].includes(key.key);
+    if (points && (key.key === "target.initial_features" || key.key === "target.depth")) continue;
+    const side = key.key.match(/^robot\.(platform|base)_(radius|angles)$/)?.[1];
+    if (side && scenario[`robot.${side}_joints`] !== null) continue;
+    if (key.mode === "sampled" && !sampled) continue;
+    if (fixed || !same(value, key.default)) put(key.key, yamlValue(key, value));
+  }
+  put("controller.law", scenario["controller.law"]);
+  const name = state.preset + (Object.keys(state.changes).length ? "-changed" : "");
+  const lines = [`# Made with the hexservo explorer ${version}: hexservo run FILE`, `name: ${name}`];
+  const write = (block, depth) => {
+    for (const [key, value] of Object.entries(block)) {
+      if (typeof value === "string") lines.push(`${"  ".repeat(depth)}${key}: ${value}`);
+      else {
+        lines.push(`${"  ".repeat(depth)}${key}:`);
+        write(value, depth + 1);
+      }
+    }
+  };
+  write(tree, 0);
+  return `${lines.join("\n")}\n`;
+}
+
+// --- runs
+
+/** Samples that are drawn, at most. */
+export const MOST_ROWS = 800;
+
+/** The scenario of a run whose samples are drawn. */
+export function drawn(state) {
+  const scenario = full(state);
+  const steps = scenario["simulation.duration"] / scenario["simulation.step"];
+  return { ...scenario, "simulation.log_every": Math.max(1, Math.ceil(steps / MOST_ROWS)) };
+}

@@ -1,0 +1,50 @@
+/** Canvases that are as sharp as the screen, and the colours of the page. */
+
+const COLOURS = ["ink", "faint", "line", "paper", "panel", "accent", "good", "bad", "warn", "c0", "c1", "c2", "c3", "c4", "c5", "c6", "c7"];
+let palette = null;
+
+/** Colours by name, those of light or dark. */
+export function colours() {
+  if (palette) return palette;
+  const style = getComputedStyle(document.documentElement);
+  palette = Object.fromEntries(COLOURS.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+  return palette;
+}
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (palette = null));
+
+/** One colour for each line of a figure. */
+export const lineColour = (i) => colours()[`c${i % 8}`];
+
+/**
+ * Clears a canvas that fills its box.
+ * @returns {[CanvasRenderingContext2D, number, number]} the context in CSS pixels, width and height
+ */
+export function cleared(canvas) {
+  const scale = Math.min(devicePixelRatio || 1, 2);
+  const width = canvas.clientWidth;
+  const height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * scale) || canvas.height !== Math.round(height * scale)) {
+    canvas.width = Math.round(width * scale);
+    canvas.height = Math.round(height * scale);
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(scale, 0, 0, scale, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return [context, width, height];
+}
+
+/** Where a pointer is in a canvas [CSS pixels]. */
+export function pointIn(canvas, event) {
+  const box = canvas.getBoundingClientRect();
+  return [event.clientX - box.left, event.clientY - box.top];
+}
+
+/** Numbers for about `count` ticks between two limits. */
+export function ticks(low, high, count) {
+  const raw = (high - low) / count;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((factor) => factor * power).find((size) => size >= raw * 0.999);
+  const found = [];
+  for (let i = Math.ceil(low / step); i * step <= high + 1e-9 * step; ++i) found.push(i * step);
+  return [found, step];
+}

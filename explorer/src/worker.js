@@ -1,0 +1,83 @@
+/**
+ * Runs scenarios away from the page. Of two requests for a run the newer one counts: the older one is left where it is.
+ *
+ * In: {module}; {id, scenario}: a run; {id, map: {scenario, names, cells: [[index, a, b]...]}}; {id}: stop.
+ * Out: {ready}; {id, result} or {id, refusal}, {id, progress}; {id, cells: [[index, outcome, metrics]...]}.
+ */
+import { Core, Refusal } from "./core.js";
+
+const STEPS = 20000; // between two looks at what else is asked for: some tens of milliseconds
+const PIECE = 40; // milliseconds between two answers of a map
+
+let core = null;
+let newest = 0;
+const pending = [];
+const channel = new MessageChannel();
+channel.port1.onmessage = () => pending.shift()();
+const breath = () =>
+  new Promise((resolve) => {
+    pending.push(resolve);
+    channel.port2.postMessage(0);
+  });
+
+async function run(id, scenario) {
+  core.apply(scenario);
+  core.begin();
+  const steps = scenario["simulation.duration"] / scenario["simulation.step"];
+  let taken = 0;
+  while (core.advance(STEPS)) {
+    taken += STEPS;
+    postMessage({ id, progress: taken / steps });
+    await breath();
+    if (newest !== id) return;
+  }
+  const result = core.result();
+  core.end();
+  postMessage(
+    { id, result },
+    Object.values(result.samples).map((samples) => samples.buffer),
+  );
+}
+
+async function map(id, { scenario, names, cells }) {
+  const base = { ...scenario, "simulation.log_every": 1e9 };
+  core.apply(base);
+  let done = [];
+  let since = performance.now();
+  for (const [index, ...values] of cells) {
+    try {
+      if (core.isWorn()) core.apply(base);
+      core.change(Object.fromEntries(names.map((name, i) => [name, values[i]])));
+      core.begin();
+      core.advance();
+      done.push([index, core.outcome(), core.metricsNow()]);
+      core.end();
+    } catch (error) {
+      if (!(error instanceof Refusal)) throw error;
+      done.push([index, "refused", {}]);
+    }
+    if (performance.now() - since > PIECE) {
+      postMessage({ id, cells: done });
+      done = [];
+      await breath();
+      since = performance.now();
+      if (newest !== id) return;
+    }
+  }
+  postMessage({ id, cells: done, finished: true });
+}
+
+onmessage = async ({ data }) => {
+  if (data.module) {
+    core = new Core(data.module);
+    postMessage({ ready: true });
+    return;
+  }
+  newest = data.id;
+  try {
+    if (data.scenario) await run(data.id, data.scenario);
+    else if (data.map) await map(data.id, data.map);
+  } catch (error) {
+    postMessage({ id: data.id, refusal: error.message, known: error instanceof Refusal });
+  }
+};

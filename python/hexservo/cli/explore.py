@@ -1,0 +1,54 @@
+"""The command ``hexservo explore``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import hexservo as hs
+from hexservo.cli.terminal import BAD_INPUT, SettingsOption, complain, errors_as_messages, load, write
+
+__all__ = ["explore"]
+
+
+def explore(
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO", help='Name of a packaged scenario, path of a YAML file, or "-" for standard input.'
+        ),
+    ] = "paper",
+    settings: SettingsOption = None,
+    out: Annotated[
+        str | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Write the page there.  [default: a new temporary file]"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", "-f", help="Replace the page of an earlier explore.")] = False,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Write the page and open no browser.")] = False,
+) -> None:
+    """Explore a scenario in a browser: sliders, and the run that follows them.
+
+    The page is one HTML file that runs the core itself; it needs no network and no server.
+    """
+    with errors_as_messages():
+        from hexservo.report.explorer import ExplorerError, write_explorer
+
+        packaged = scenario in hs.scenario_names() and not settings
+        chosen = scenario if packaged else load(scenario, settings or [])
+        if out is None:
+            import tempfile
+
+            out = str(Path(tempfile.mkdtemp(prefix="hexservo-")) / "explorer.html")
+        try:
+            write_explorer(chosen, out, force=force)
+        except ExplorerError as error:
+            complain(str(error))
+            raise typer.Exit(BAD_INPUT) from None
+        write(f"{out}: explorer of {scenario}\n")
+        if not no_open:
+            import webbrowser
+
+            if not webbrowser.open(Path(out).resolve().as_uri()):
+                complain("no browser was found: open the file in one", head="Note")

@@ -1,0 +1,385 @@
+"""The explorer in a browser: the core's numbers, what sliders, map, address and file do, phones; and its command."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.cli.commands import app
+from hexservo.report.explorer import ExplorerError, explorer_page, write_explorer
+from hexservo.run.metrics import METRICS
+from hexservo.run.publish import OutputError
+from hexservo.run.variant import load_kernel
+from hexservo.scenario.flat import core_values
+from hexservo.scenario.parameters import core_parameters
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+MOST_ROWS = 800  # that the page draws
+CHROMIUM = shutil.which("chromium")
+PATIENCE = 120e3  # milliseconds: the machine may be busy
+BUILT = (resources.files("hexservo") / "explorer.html").is_file()
+
+built = pytest.mark.skipif(not BUILT, reason="the explorer was not built (make explorer)")
+in_browser = pytest.mark.skipif(
+    not BUILT or CHROMIUM is None, reason="the explorer was not built (make explorer), or chromium is not installed"
+)
+
+# Without switching term, so that nothing amplifies the last digit: the mathematical functions of the browser's module
+# and of the system may differ by one unit there.
+SMOOTH = [
+    ("paper", "computed_torque"),
+    ("paper", "kelly"),
+    ("paper", "pbvs"),
+    ("paper", "resolved_rate"),
+    ("task-general", "pbvs"),
+    ("task-tilt", "computed_torque"),
+    ("task-rotation", "resolved_rate"),
+    ("textbook-general", "kelly"),
+    ("composite-30hz", "pbvs"),
+    ("real-machine", "computed_torque"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=CHROMIUM)
+        yield running
+        running.close()
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("explorer") / "explorer.html"
+    write_explorer("paper", path)
+    return path
+
+
+class Visit:
+    """The page opened from the disk, with everything that went wrong on it or was asked for over the network."""
+
+    def __init__(self, browser: Browser, file: Path, address: str = "", **context: Any) -> None:
+        self.context = browser.new_context(**context)
+        self.context.set_default_timeout(PATIENCE)
+        self.page: Page = self.context.new_page()
+        self.problems: list[str] = []
+        self.page.on("console", lambda message: self.problems.append(message.text))
+        self.page.on("pageerror", lambda error: self.problems.append(str(error)))
+        self.page.on("request", lambda request: self.asked(request.url))
+        self.page.goto(file.as_uri() + address)
+        self.page.wait_for_function("globalThis.explorer?.shown && explorer.reference")
+
+    def asked(self, url: str) -> None:
+        if not url.startswith(("file:", "blob:", "data:")):
+            self.problems.append(f"asked for {url}")
+
+    def go(self, address: str) -> dict[str, Any]:
+        """Show a scenario, and return its end."""
+        self.page.evaluate("address => { explorer.shown = null; explorer.go(address) }", address)
+        self.page.wait_for_function("explorer.shown !== null")
+        return self.end()
+
+    def end(self) -> dict[str, Any]:
+        """How the run that is shown ended; NaN is text in what a browser gives."""
+        found: dict[str, Any] = json.loads(
+            self.page.evaluate(
+                "JSON.stringify({refusal: explorer.refusal, outcome: explorer.result.outcome, metrics: explorer.result"
+                ".metrics, rows: explorer.result.rows}, (key, x) => Number.isNaN(x) ? 'NaN' : x)"
+            )
+        )
+        found["metrics"] = {name: float(value) for name, value in found["metrics"].items()}
+        return found
+
+
+@pytest.fixture
+def visit(browser: Browser, file: Path) -> Iterator[Visit]:
+    visited = Visit(browser, file, viewport={"width": 1280, "height": 900})
+    yield visited
+    visited.context.close()
+    assert visited.problems == []
+
+
+def native(scenario: hs.Scenario) -> tuple[str, dict[str, float]]:
+    """Outcome and metrics of the same arithmetic without a browser."""
+    run = _core.simulate(core_parameters(scenario), load_kernel("baseline"))
+    return run.outcome.name, {name: getattr(run.metrics, name) for name in METRICS}
+
+
+# --- numbers
+
+
+@in_browser
+def test_smooth_runs_have_the_numbers_of_the_package(visit: Visit) -> None:
+    worst = 0.0
+    for name, law in SMOOTH:
+        end = visit.go(f"#{name}&controller.law={law}")
+        scenario = hs.load_scenario(name).updated({"controller.law": law})
+        steps = scenario.simulation.duration / scenario.simulation.step
+        every = math.ceil(steps / MOST_ROWS)
+        run = _core.simulate(
+            core_parameters(scenario.updated({"simulation.log_every": every})), load_kernel("baseline")
+        )
+        assert (end["refusal"], end["outcome"], end["rows"]) == (None, run.outcome.name, len(run.time)), (name, law)
+        for quantity in ("time", "position", "quaternion", "feature_error"):
+            expected = getattr(run, quantity).ravel()
+            found = np.array(visit.page.evaluate(f"Array.from(explorer.result.samples.{quantity})"))
+            difference = float(np.abs(found - expected).max() / np.abs(expected).max())
+            assert difference <= 1e-12, (name, law, quantity)
+            worst = max(worst, difference)
+    print(f"largest difference of a sample, of the largest one of the run: {worst:.1e}")
+
+
+@in_browser
+def test_packaged_scenarios_end_as_in_the_package(visit: Visit) -> None:
+    """Switching terms and noise amplify the last digit: outcomes agree, and metrics as far as variants agree."""
+    for name in hs.scenario_names():
+        scenario = hs.load_scenario(name)
+        if scenario.simulation.duration > 10:
+            continue
+        end = visit.go(f"#{name}")
+        outcome, expected = native(scenario)
+        assert (end["refusal"], end["outcome"]) == (None, outcome), name
+        if outcome != "completed":
+            continue
+        settles, settled = end["metrics"]["settling_time"], expected["settling_time"]
+        assert math.isnan(settles) == math.isnan(settled), name
+        if not math.isnan(settled):
+            assert settles == pytest.approx(settled, rel=0.05, abs=0.02), name
+        assert end["metrics"]["peak_error"] == pytest.approx(expected["peak_error"], rel=0.02), name
+
+
+@in_browser
+def test_a_long_run_leaves_the_page_alive(visit: Visit) -> None:
+    """While a minute is computed, a newer change is answered first."""
+    visit.page.evaluate("explorer.go('#unequal-depth-60s&simulation.duration=600')")
+    visit.page.evaluate("explorer.shown = null; explorer.go('#paper')")
+    visit.page.wait_for_function("explorer.shown === '#paper'")
+    assert visit.end()["metrics"]["settling_time"] == pytest.approx(0.353)
+
+
+# --- scenarios in and out
+
+
+@in_browser
+def test_the_yaml_of_every_preset_is_the_same_scenario(visit: Visit) -> None:
+    for name in hs.scenario_names():
+        full = visit.page.evaluate("address => explorer.full(address)", f"#{name}")
+        assert full == core_values(hs.load_scenario(name)), name
+        again = hs.Scenario.from_yaml(visit.page.evaluate("address => explorer.yaml(address)", f"#{name}"))
+        assert acting(core_values(again)) == acting(full), name
+
+
+def acting(values: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what does not act: keys of the other mode, an image beside points, circles beside joints."""
+    sampled = values["simulation.mode"] == "sampled"
+    asleep = {key.name for key in _core.scenario_keys(values["controller.law"]) if key.sampled and not sampled}
+    if values["target.points"] is not None:
+        asleep |= {"target.initial_features", "target.depth"}
+    for side in ("platform", "base"):
+        if values[f"robot.{side}_joints"] is not None:
+            asleep |= {f"robot.{side}_radius", f"robot.{side}_angles"}
+    return {key: value for key, value in values.items() if key not in asleep}
+
+
+@in_browser
+def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Browser, file: Path) -> None:
+    page = visit.page
+    before = visit.end()
+    slider = page.locator('[data-id="uncertainty.depth"]')
+    page.evaluate("explorer.shown = null")
+    slider.focus()
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_function("explorer.shown !== null && location.hash.includes('depth')")
+    after = visit.end()
+    assert after["metrics"] != before["metrics"]
+    depth = page.evaluate("explorer.state.changes['uncertainty.depth'][0]")
+    assert depth == pytest.approx(0.295)
+    scenario = hs.Scenario.from_yaml(page.evaluate("explorer.yaml()"))
+    assert scenario.uncertainty.depth == depth
+    assert native(scenario)[1]["settling_time"] == pytest.approx(after["metrics"]["settling_time"], abs=0.02)
+    again = Visit(browser, file, "#" + page.url.partition("#")[2])
+    assert again.end()["metrics"] == after["metrics"]
+    assert again.problems == []
+    again.context.close()
+    page.click("#reset")
+    page.wait_for_function("explorer.shown === '#paper'")
+    assert visit.end()["metrics"] == before["metrics"]
+
+
+@in_browser
+def test_an_address_with_what_is_unknown_is_read_as_far_as_it_goes(visit: Visit) -> None:
+    end = visit.go("#nosuch&nokey=3&uncertainty.depth=abc&uncertainty.gravity=0.01&constructor=1")
+    assert end["refusal"] is None
+    assert visit.page.evaluate("explorer.state") == {"preset": "paper", "changes": {"uncertainty.gravity": 0.01}} or (
+        visit.page.evaluate("Object.keys(explorer.state.changes)") == ["uncertainty.gravity"]
+    )
+
+
+@in_browser
+def test_what_the_core_refuses_is_shown_in_its_words(visit: Visit) -> None:
+    end = visit.go("#paper&controller.switching.kind=implicit")
+    with pytest.raises(hs.ScenarioError) as error:
+        hs.load_scenario("paper").updated({"controller.switching.kind": "implicit"})
+    assert end["refusal"] in str(error.value)
+    assert visit.page.locator("#message").inner_text() == end["refusal"]
+    assert visit.go("#paper")["refusal"] is None
+    assert visit.page.locator("#message").is_hidden()
+
+
+@in_browser
+def test_a_goal_and_the_platform_can_be_dragged(visit: Visit) -> None:
+    page = visit.page
+    page.locator("#image").focus()
+    page.keyboard.press("2")
+    page.evaluate("explorer.shown = null")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("explorer.shown !== null")
+    goals = np.asarray(hs.load_scenario("paper").target.desired_features, dtype=float)
+    goals[2] += 1
+    np.testing.assert_allclose(page.evaluate("explorer.state.changes['target.desired_features']"), goals, atol=0.051)
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    # where the platform is: the page's own hit test changes the pointer there
+    found = None
+    for y in range(20, int(box["height"]), 8):
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + y)
+        if page.evaluate("document.getElementById('scene').style.cursor") == "move":
+            found = y
+            break
+    assert found is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + found + 3)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] / 2 + 12, box["y"] + found + 3, steps=3)
+    page.mouse.up()
+    page.wait_for_function("explorer.state.changes['simulation.start.pose'] !== undefined")
+    start = page.evaluate("explorer.state.changes['simulation.start.pose']")
+    assert 0 < np.linalg.norm(start[:3]) < 0.1
+
+
+@in_browser
+def test_a_map_has_the_numbers_of_single_runs(visit: Visit) -> None:
+    page = visit.page
+    visit.go("#task-tilt&controller.law=pbvs&simulation.duration=0.2&metrics.rms_start=0.1&metrics.dwell=0.01")
+    page.click("#map-section summary")
+    page.select_option("#map [name=x]", "uncertainty.depth")
+    page.select_option("#map [name=y]", "uncertainty.inertia")
+    page.select_option("#map [name=metric]", "final_error")
+    page.click("#map button")
+    page.wait_for_function("document.querySelector('#map canvas').dataset.done === 'yes'", timeout=5 * PATIENCE)
+    box = page.locator("#map canvas").bounding_box()
+    assert box is not None
+    page.evaluate("explorer.shown = null")
+    page.locator("#map canvas").click(position={"x": box["width"] / 2, "y": box["height"] / 3})
+    page.wait_for_function("explorer.shown !== null")
+    changes = page.evaluate("explorer.state.changes")
+    assert {"uncertainty.depth", "uncertainty.inertia"} & set(changes)
+    told = page.locator("#map [data-words]").inner_text()
+    assert told.startswith("4096 runs in ")
+    outcome, expected = native(hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")))
+    end = visit.end()
+    assert (outcome, end["metrics"]["final_error"]) == ("completed", pytest.approx(expected["final_error"], rel=1e-9))
+
+
+# --- people and devices
+
+
+@in_browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Browser, file: Path, scheme: Any) -> None:
+    visit = Visit(
+        browser, file, viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True, color_scheme=scheme
+    )
+    page = visit.page
+    for section in ("#map-section", "#all-keys"):
+        page.locator(f"{section} > summary").tap()
+    page.locator("#search").fill("latency")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert page.locator(".key:visible").count() == 2
+    unnamed = page.evaluate(
+        "[...document.querySelectorAll('input, select, textarea, canvas, button')].filter(e => !(e.labels?.length || "
+        "e.parentElement.closest('[role=img]') || "
+        "e.getAttribute('aria-label') || e.textContent.trim())).map(e => e.outerHTML.slice(0, 100))"
+    )
+    assert unnamed == []
+    page.select_option("#preset", "composite-30hz")
+    page.wait_for_function("explorer.shown === '#composite-30hz'")
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+def test_the_picture_follows_a_slider_within_a_frame_or_some(visit: Visit) -> None:
+    """Measured from the change to the drawn picture, and printed; a busy machine takes longer, so 60 frames pass."""
+    page = visit.page
+    session = page.context.new_cdp_session(page)
+    for rate in (1, 4):
+        session.send("Emulation.setCPUThrottlingRate", {"rate": rate})
+        times = page.evaluate(
+            """async () => {
+              const slider = document.querySelector('[data-id="uncertainty.depth"]');
+              for (let i = 0; i < 80; ++i) {
+                if (i === 20) explorer.latencies.length = 0;
+                const count = explorer.latencies.length;
+                slider.value = 500 + 3 * i;
+                slider.dispatchEvent(new Event('input', {bubbles: true}));
+                while (explorer.latencies.length === count) await new Promise(done => setTimeout(done, 1));
+                await new Promise(requestAnimationFrame);
+              }
+              return explorer.latencies;
+            }"""
+        )
+        quantiles = np.quantile(times, [0.0, 0.5, 0.95, 1.0])
+        print(f"slow-down {rate}: least, median, 95 %, most of {len(times)}: {np.round(quantiles, 1)} ms")
+        assert quantiles[1] <= 60 * 16.7 * rate
+
+
+# --- the command
+
+
+@built
+def test_the_command_writes_a_page_and_never_over_another_file(tmp_path: Path) -> None:
+    runner = CliRunner()
+    out = tmp_path / "page.html"
+    assert runner.invoke(app, ["explore", "paper-gravity", "--out", str(out), "--no-open"]).exit_code == 0
+    assert '"start": "paper-gravity"' in out.read_text(encoding="utf-8")
+    assert len(out.read_bytes()) <= 1_000_000
+    assert runner.invoke(app, ["explore", "--out", str(out), "--no-open"]).exit_code == 2
+    assert runner.invoke(app, ["explore", "--out", str(out), "--no-open", "--force"]).exit_code == 0
+    out.write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError):
+        write_explorer("paper", out, force=True)
+    assert out.read_text(encoding="utf-8") == "mine"
+
+
+@in_browser
+def test_a_scenario_of_a_file_is_one_more_preset(browser: Browser, tmp_path: Path) -> None:
+    scenario = hs.load_scenario("task-tilt").updated({"description": "</script>", "uncertainty.gravity": 0.02})
+    write_explorer(scenario, tmp_path / "page.html")
+    visit = Visit(browser, tmp_path / "page.html")
+    assert visit.page.evaluate("explorer.full()") == core_values(scenario)
+    assert visit.problems == []
+    visit.context.close()
+
+
+@pytest.mark.skipif(BUILT, reason="the explorer was built")
+def test_without_the_page_the_command_explains_how_to_get_it(tmp_path: Path) -> None:
+    with pytest.raises(ExplorerError, match="make explorer"):
+        explorer_page()
+    result = CliRunner().invoke(app, ["explore", "--out", str(tmp_path / "page.html"), "--no-open"])
+    assert result.exit_code == 2
+    assert not list(tmp_path.iterdir())
