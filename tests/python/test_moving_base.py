@@ -375,6 +375,18 @@ def test_bad_recordings_are_refused(sampled: hs.Scenario, tmp_path: Path, text: 
     assert sentence in str(caught.value)
 
 
+def test_a_bad_way_of_a_target_is_refused(sampled: hs.Scenario, tmp_path: Path) -> None:
+    for text, sentence in (
+        ("t,x,y\n0,0,0\n", "line 1: expected the names of the columns t, x, y, z, got 3 fields without z"),
+        ("a,b\n0,0\n", "line 1: expected the names of the columns t, x, y, z, got 2 fields"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0,0\n3,0,0,0\n", "line 3: expected t = 1.5 (samples every 1.5 s"),
+    ):
+        (tmp_path / "bad.csv").write_text(text)
+        with pytest.raises(hs.ScenarioError) as caught:
+            sampled.updated({"target.motion": {"kind": "recorded", "file": str(tmp_path / "bad.csv")}})
+        assert sentence in str(caught.value)
+
+
 # ---- Targets --------------------------------------------------------------------------------------------------------
 
 
@@ -586,6 +598,25 @@ def test_continuous_mode_refuses_motion(paper: hs.Scenario) -> None:
     for key, value in (("target.frame", "world"), ("target.motion.kind", "velocity"), ("base_motion.kind", "road")):
         with pytest.raises(hs.ScenarioError, match=f"{key}: has no effect in continuous mode"):
             paper.updated({key: value})
+
+
+def test_analyses_state_that_they_take_the_base_at_rest(sampled: hs.Scenario) -> None:
+    words = "Base and target are taken at rest"
+    for changes, stated in (({"base_motion": SWAY}, True), ({"target.motion.kind": "velocity"}, True), ({}, False)):
+        (section,) = hs.analyse(sampled.updated(changes), ["conditioning"]).sections()
+        assert any(words in sentence for sentence in section.sentences) == stated
+
+
+def test_a_diagnosis_names_the_motion_that_makes_a_run_fail(sampled: hs.Scenario) -> None:
+    rolling = {"kind": "sinusoid", "amplitude": [0.3, 0.2, 0.0], "frequency": 1.5}
+    away = {"kind": "velocity", "velocity": [0.05, 0.0, 0.0]}
+    for changes, cause in (
+        ({"base_motion.rotation": rolling}, "base_motion"),
+        ({"target.motion": away}, "target_motion"),
+        ({"base_motion.rotation": {**rolling, "amplitude": [0.03, 0.02, 0.0]}, "target.frame": "world"}, "base_motion"),
+    ):
+        result = hs.simulate(sampled.updated({**changes, "simulation": {"duration": 2.0, "substeps": 1}}))
+        assert hs.diagnose(result).causes[0].cause == cause
 
 
 def test_a_moving_target_has_no_certificate(sampled: hs.Scenario) -> None:

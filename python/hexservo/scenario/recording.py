@@ -208,8 +208,8 @@ def _columns(
     got = "1 other field" if len(names) == 1 else f"{len(names)} fields"
     missing = ", ".join(name for name in required if name not in names)
     without = f" without {missing}" if missing and set(names) & set(required) else ""
-    more = f" (and, if it turns, {', '.join(extras[0])} or {' or '.join(', '.join(e) for e in extras[1:])})"
-    wanted = f"{', '.join(required)}{more if extras and not missing else ''}"
+    more = f" (and, if it turns, {' or '.join(', '.join(extra) for extra in extras)})" if extras and not missing else ""
+    wanted = f"{', '.join(required)}{more}"
     raise _LineError(line, f"expected the names of the columns {wanted}, got {got}{without}")
 
 

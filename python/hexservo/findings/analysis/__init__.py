@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from typing import Any, TypeVar
@@ -13,6 +13,7 @@ import numpy as np
 from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
+from hexservo.scenario.motion import moves
 from hexservo.scenario.pixels import on_pinhole
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
@@ -20,6 +21,9 @@ from hexservo.scenario.wording import wrong_type
 __all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
 
 _Found = TypeVar("_Found")
+
+_WITH_MOTION = ("largest_start",)  # whose runs are those of the scenario
+_AT_REST = "Base and target are taken at rest; in this scenario they move."
 
 # name -> (module of this package, its subject). A module has analyse(scenario), which returns a `Part`; the module
 # beside it, with _words after its name, has section(part).
@@ -60,7 +64,11 @@ class Analysis(Findings):
 
     def _section(self, name: str, part: Any) -> Section:
         found: Section | NotComputed = _computed(self.scenario, name, part.section)
-        return found.section() if isinstance(found, NotComputed) else found
+        section = found.section() if isinstance(found, NotComputed) else found
+        moving = moves(self.scenario.base_motion) or self.scenario.target.motion.kind != "none"
+        if not moving or name in _WITH_MOTION:
+            return section
+        return replace(section, sentences=(*section.sentences, _AT_REST))
 
     def to_dict(self) -> dict[str, Any]:
         """Return all numbers for strict JSON, by part, in SI units and pixels."""
