@@ -106,6 +106,9 @@ void bind_batch(py::module_& m) {
       .value("leg_limit", StopCause::leg_limit)
       .value("singular", StopCause::singular)
       .value("solver_failed", StopCause::solver_failed)
+      .value("leg_speed", StopCause::leg_speed)
+      .value("base_joint", StopCause::base_joint)
+      .value("platform_joint", StopCause::platform_joint)
       .finalize();
 
   py::class_<BatchResult>(m, "BatchResult", "What a batch gives back; arrays share its memory. The scenario is axis 0.")

@@ -1,6 +1,6 @@
 #include "bindings.hpp"
 
-#include "hexservo/hexapod.hpp"
+#include "hexservo/leg_limits.hpp"
 
 #include <pybind11/native_enum.h>
 
@@ -35,7 +35,10 @@ void bind_hexapod(py::module_& m) {
                      "(3,) of the platform without payload, in E [m]")
       .def_readwrite("stroke", &RobotParameters::stroke, "leg travel about its middle, each way [m]")
       .def_readwrite("stroke_centre", &RobotParameters::stroke_centre, "middle of the travel, from the home length [m]")
-      .def_readwrite("force_limit", &RobotParameters::force_limit, "of each leg, each way [N]");
+      .def_readwrite("force_limit", &RobotParameters::force_limit, "of each leg, each way [N]")
+      .def_readwrite("speed_limit", &RobotParameters::speed_limit, "of each leg, each way [m/s]; infinity: none")
+      .def_readwrite("joint_limit", &RobotParameters::joint_limit,
+                     "(2,) tilt of a leg from its direction at home, seen from base and platform [rad], or None");
 
   m.def("robot_preset", &robot_preset, py::arg("name"), "Preset of that name; ValueError lists the known ones.");
   py::tuple presets(kRobotPresets.size());
@@ -79,6 +82,13 @@ void bind_hexapod(py::module_& m) {
             return legs_at(h, p, q).lengths;
           },
           py::arg("position"), py::arg("quaternion"), "Inverse kinematics: (6,) [m].")
+      .def(
+          "leg_tilts",
+          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
+            return leg_tilts(h, checked_pose(p, q));
+          },
+          py::arg("position"), py::arg("quaternion"),
+          "(2, 6) angles between the legs and their directions at home, seen from base and platform [rad].")
       .def(
           "wrench_map",
           [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {

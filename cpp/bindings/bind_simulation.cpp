@@ -56,14 +56,17 @@ void bind_simulation(py::module_& m) {
   py::native_enum<LimitEvent::Kind>(m, "LimitKind", "enum.Enum")
       .value("stroke", LimitEvent::Kind::stroke)
       .value("force", LimitEvent::Kind::force)
+      .value("speed", LimitEvent::Kind::speed)
+      .value("base_joint", LimitEvent::Kind::base_joint)
+      .value("platform_joint", LimitEvent::Kind::platform_joint)
       .finalize();
 
   py::class_<LimitEvent>(m, "LimitEvent", "A leg beyond one of its limits.")
       .def_readonly("kind", &LimitEvent::kind)
       .def_readonly("leg", &LimitEvent::leg, "0 to 5")
       .def_readonly("first_time", &LimitEvent::first_time, "[s]")
-      .def_readonly("peak", &LimitEvent::peak, "largest excursion [m] or force [N] of the run")
-      .def_readonly("limit", &LimitEvent::limit, "[m] or [N]");
+      .def_readonly("peak", &LimitEvent::peak, "largest excursion [m], force [N], speed [m/s] or tilt [rad] of the run")
+      .def_readonly("limit", &LimitEvent::limit, "likewise");
 
   using M = Metrics<double>;
   py::class_<M>(m, "Metrics", "Metrics of a run, streamed at every step.")
@@ -84,7 +87,10 @@ void bind_simulation(py::module_& m) {
       .def_readonly("peak_feature_distance", &M::peak_feature_distance, "from the image centre [px]")
       .def_readonly("peak_line_deviation", &M::peak_line_deviation, "[px]")
       .def_readonly("effort", &M::effort, "[N^2 s]")
-      .def_readonly("chatter", &M::chatter, "[N/s], NaN for a single sample");
+      .def_readonly("chatter", &M::chatter, "[N/s], NaN for a single sample")
+      .def_readonly("peak_leg_speed", &M::peak_leg_speed, "[m/s], NaN without a limit")
+      .def_readonly("peak_base_joint", &M::peak_base_joint, "[rad], NaN without a limit")
+      .def_readonly("peak_platform_joint", &M::peak_platform_joint, "[rad], NaN without a limit");
 
   py::class_<Trajectory>(m, "Trajectory", "Logged samples of a run; arrays share its memory.")
       .def_property_readonly("time", &rows<&Trajectory::time, 1>, "(n,) [s]")

@@ -96,8 +96,15 @@ Hexapod<double> make_hexapod(const RobotParameters& robot) {
   hexapod.home_quaternion = home.quaternion;
   hexapod.stroke = robot.stroke;
   hexapod.force_limit = robot.force_limit;
-  hexapod.home_lengths =
-      inverse_kinematics<double>(hexapod, home.position, rotation_matrix<double>(home.quaternion)).lengths;
+  hexapod.speed_limit = robot.speed_limit;
+  for (int side = 0; side < 2; ++side)
+    hexapod.joint_chords(side) =
+        robot.joint_limit ? 2.0 * std::sin(0.5 * (*robot.joint_limit)(side)) : std::numeric_limits<double>::infinity();
+  const Matrix3<double> home_R_BE = rotation_matrix<double>(home.quaternion);
+  const Legs<double> home_legs = inverse_kinematics<double>(hexapod, home.position, home_R_BE);
+  hexapod.home_lengths = home_legs.lengths;
+  hexapod.home_directions_B = home_legs.directions_B;
+  hexapod.home_directions_E = home_R_BE.transpose() * home_legs.directions_B;
   hexapod.mid_lengths = hexapod.home_lengths.array() + robot.stroke_centre;
   require_distinct_legs(hexapod, robot);
   if (!(std::abs(robot.stroke_centre) <= robot.stroke))

@@ -16,7 +16,7 @@ namespace hexservo {
 inline constexpr int kKernelAbi = 7;                         ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
-inline constexpr int kMetricNumbers = 18;         ///< of `Metrics`, in the order of its `visit`
+inline constexpr int kMetricNumbers = 21;         ///< of `Metrics`, in the order of its `visit`
 inline constexpr int kWeightNumbers = 6 * 7 * 7;  ///< axis, term of u, term of u-dot
 inline constexpr int kQuantities = 9;             ///< of `Sample`, in the order of its `visit`
 inline constexpr int kSampleNumbers = 49;         ///< all of them
@@ -32,16 +32,19 @@ struct RunAnswer {
   double* weight_rows;                       ///< in: a row takes `kWeightNumbers`; null: not asked for
                                              ///< asked for, it has room for one row beyond `rows`
 
-  double sample[kSampleNumbers];                ///< the last good one
-  double metrics[kMetricNumbers];               ///< of the whole run
-  double stroke_first_time[6], stroke_peak[6];  ///< per leg, infinity: never passed [s]; [m]
-  double force_first_time[6], force_peak[6];    ///< [s]; [N]
-  double end_time;                              ///< of the last good sample [s]
-  long long steps;                              ///< steps taken; the one that failed counts
-  long long rows;                               ///< of the log
-  int cause;                                    ///< StopCause as a number
-  int limit_leg;                                ///< leg that ended the run, 0 to 5; -1: none did
-  bool interrupted;                             ///< stopped on request before its end
+  double sample[kSampleNumbers];                                ///< the last good one
+  double metrics[kMetricNumbers];                               ///< of the whole run
+  double stroke_first_time[6], stroke_peak[6];                  ///< per leg, infinity: never passed [s]; [m]
+  double force_first_time[6], force_peak[6];                    ///< [s]; [N]
+  double speed_first_time[6], speed_peak[6];                    ///< [s]; [m/s]
+  double base_joint_first_time[6], base_joint_peak[6];          ///< [s]; chord of the tilt [1]
+  double platform_joint_first_time[6], platform_joint_peak[6];  ///< likewise
+  double end_time;                                              ///< of the last good sample [s]
+  long long steps;                                              ///< steps taken; the one that failed counts
+  long long rows;                                               ///< of the log
+  int cause;                                                    ///< StopCause as a number
+  int limit_leg;                                                ///< leg that ended the run, 0 to 5; -1: none did
+  bool interrupted;                                             ///< stopped on request before its end
 };
 
 /// Scenarios that run together, at most one per lane.

@@ -121,10 +121,15 @@ void answer(const LoopRecord<S>& record, const LawState& law_state, const S& ste
   const Metrics<S> metrics = record.metrics().metrics();
   next = a.metrics;
   Metrics<S>::visit([&](const char*, const S& value) { *next++ = of_lane(value, lane); }, metrics);
-  write(record.metrics().stroke().first_time, lane, a.stroke_first_time);
-  write(record.metrics().stroke().peak, lane, a.stroke_peak);
-  write(record.metrics().force().first_time, lane, a.force_first_time);
-  write(record.metrics().force().peak, lane, a.force_peak);
+  const auto limit = [lane](const LegLimitMonitor<S>& monitor, double* first_time, double* peak) {
+    write(monitor.first_time, lane, first_time);
+    write(monitor.peak, lane, peak);
+  };
+  limit(record.metrics().stroke(), a.stroke_first_time, a.stroke_peak);
+  limit(record.metrics().force(), a.force_first_time, a.force_peak);
+  limit(record.metrics().speed(), a.speed_first_time, a.speed_peak);
+  limit(record.metrics().base_joint(), a.base_joint_first_time, a.base_joint_peak);
+  limit(record.metrics().platform_joint(), a.platform_joint_first_time, a.platform_joint_peak);
   if (a.weights != nullptr) write_weights(law_state, lane, a.weights);
   a.end_time = of_lane(record.sample_time(), lane);
   a.steps = static_cast<long long>(of_lane(steps, lane));

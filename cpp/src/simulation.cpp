@@ -50,6 +50,12 @@ std::string describe(StopCause cause, double time, int leg) {
       return "a frame did not show every target point" + at;
     case StopCause::leg_limit:
       return words("leg ", leg + 1, " passed its stroke", at);
+    case StopCause::leg_speed:
+      return words("leg ", leg + 1, " passed its speed limit", at);
+    case StopCause::base_joint:
+      return words("the base joint of leg ", leg + 1, " passed its limit", at);
+    case StopCause::platform_joint:
+      return words("the platform joint of leg ", leg + 1, " passed its limit", at);
     case StopCause::solver_failed:
       return "the leg lengths that the encoders gave belong to no pose near the one before" + at;
     case StopCause::singular:

@@ -49,6 +49,14 @@ void add_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const do
       events.push_back({kind, static_cast<int>(leg), first_time[leg], peak[leg], limit});
 }
 
+/// The same where tilts are given by their chords.
+void add_tilt_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, const double (&first_time)[6],
+                     const double (&chord)[6], double limit) {
+  double peak[6];
+  for (std::size_t leg = 0; leg < 6; ++leg) peak[leg] = angle_of_chord(chord[leg]);
+  add_events(events, kind, first_time, peak, angle_of_chord(limit));
+}
+
 }  // namespace
 
 std::size_t sample_count(const SimulationSettings& simulation, bool log_weights) {
@@ -91,6 +99,11 @@ Trajectory TrajectoryLog::finish(double step, const Hexapod<double>& hexapod) {
   Metrics<double>::visit([&metric](const char*, double& value) { value = *metric++; }, log.metrics);
   add_events(log.events, LimitEvent::Kind::stroke, answer_.stroke_first_time, answer_.stroke_peak, hexapod.stroke);
   add_events(log.events, LimitEvent::Kind::force, answer_.force_first_time, answer_.force_peak, hexapod.force_limit);
+  add_events(log.events, LimitEvent::Kind::speed, answer_.speed_first_time, answer_.speed_peak, hexapod.speed_limit);
+  add_tilt_events(log.events, LimitEvent::Kind::base_joint, answer_.base_joint_first_time, answer_.base_joint_peak,
+                  hexapod.joint_chords(0));
+  add_tilt_events(log.events, LimitEvent::Kind::platform_joint, answer_.platform_joint_first_time,
+                  answer_.platform_joint_peak, hexapod.joint_chords(1));
   std::stable_sort(log.events.begin(), log.events.end(),
                    [](const LimitEvent& a, const LimitEvent& b) { return a.first_time < b.first_time; });
   return std::move(log);

@@ -40,6 +40,9 @@ class StopCause(enum.Enum):
     leg_limit = 6
     singular = 7
     solver_failed = 8
+    leg_speed = 9
+    base_joint = 10
+    platform_joint = 11
 
 class CameraConvention(enum.Enum):
     __pybind11_native_enum__: object
@@ -56,6 +59,9 @@ class LimitKind(enum.Enum):
     __pybind11_native_enum__: object
     stroke = 0
     force = 1
+    speed = 2
+    base_joint = 3
+    platform_joint = 4
 
 class Outcome(enum.Enum):
     __pybind11_native_enum__: object
@@ -107,6 +113,8 @@ class RobotParameters(metaclass=_PybindType):
     stroke: float
     stroke_centre: float
     force_limit: float
+    speed_limit: float
+    joint_limit: _Array | None
 
 class ForwardKinematics(metaclass=_PybindType):
     """Pose found from leg lengths."""
@@ -140,6 +148,7 @@ class Hexapod(metaclass=_PybindType):
     @property
     def base_joints(self) -> _Array: ...
     def leg_lengths(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
+    def leg_tilts(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
     def wrench_map(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
     def leg_forces(self, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike) -> _Array: ...
     def singular_values(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
@@ -320,6 +329,12 @@ class Metrics(metaclass=_PybindType):
     def effort(self) -> float: ...
     @property
     def chatter(self) -> float: ...
+    @property
+    def peak_leg_speed(self) -> float: ...
+    @property
+    def peak_base_joint(self) -> float: ...
+    @property
+    def peak_platform_joint(self) -> float: ...
 
 class SampledObservation(metaclass=_PybindType):
     """What a controller sees at a tick."""

@@ -152,6 +152,9 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
     if key.endswith("_joints"):
         joints = np.array(value)
         return [np.stack([joints, joints + 1e-3 * np.eye(6, 3), 1.01 * joints])]
+    if key in ("robot.speed_limit", "robot.joint_limit"):
+        rows = np.array([[0.05, 0.05], [0.01, 0.02], [0.003, 0.1]])
+        return [rows[:, 0] if key == "robot.speed_limit" else rows]
     if key == "robot.centre_of_mass":
         return [np.array([[0.0, 0.0, 0.0], [0.01, -0.02, 0.005], [0.0, 0.01, 0.0]])]
     arrays = []
@@ -240,7 +243,8 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
             [*batch.metrics.values(), *(values.reshape(3, -1) for values in batch.samples.values())]
         )
         # a run that never comes within the band has no stay there
-        without_effect = {"simulation.log_every", "robot.stroke", "robot.force_limit", "metrics.dwell"}
+        without_effect = {"simulation.log_every", "metrics.dwell"}
+        without_effect |= {f"robot.{name}" for name in ("stroke", "force_limit", "speed_limit", "joint_limit")}
         if "fuzzy" not in type(getattr(base.controller, law)).model_fields:
             without_effect.add("controller.switching.width")
         assert np.array_equal(everything[0], everything[1], equal_nan=True) == (key in without_effect), key

@@ -127,6 +127,8 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "robot.preset": {"robot": {**scenario.to_mapping()["robot"], "preset": None, "mass": 0.2}},
         "robot.stroke": {key: 1e-9},
         "robot.force_limit": {key: 1e-6},
+        "robot.speed_limit": {key: 1e-6},
+        "robot.joint_limit": {key: [1e-6, 1e-6]},
         "camera.convention": {key: "as_printed"},
         "camera.focal_pixels": {"camera": {"focal_length": None, "pixel_scale": None, "focal_pixels": 700.0}},
         "camera.principal_point": {key: [5.0, -3.0]},

@@ -48,7 +48,7 @@ struct BatchResult {
   std::vector<std::int8_t> limit_leg;  ///< n, leg that ended a run, 0 to 5; -1: none did
   Buffer end_time;                     ///< n, of the last good sample; NaN where interrupted [s]
   Buffer stop_time;                    ///< n, of the step at which the run stopped; NaN where interrupted [s]
-  Buffer metrics;                      ///< 18 x n, in the order of `Metrics`; NaN where interrupted
+  Buffer metrics;                      ///< 21 x n, in the order of `Metrics`; NaN where interrupted
   Buffer time;                         ///< m, of the trajectories [s]
   /// In the order of `Sample`: n x k, or n x m x k with NaN where a run had stopped; NaN where interrupted.
   std::array<Buffer, 9> samples;

@@ -25,7 +25,7 @@ inline Vector6<double> degrees(double a, double b, double c, double d, double e,
   return (Vector6<double>() << a, b, c, d, e, f).finished() * EIGEN_PI / 180.0;
 }
 
-/// What a leg beyond its stroke means, in `sampled` mode.
+/// What a leg beyond its stroke, its speed limit or its joint limit means, in `sampled` mode.
 enum class LimitPolicy {
   report,  ///< an event, with time and peak
   stop     ///< the end of the run, with `Outcome::leg_limit`
@@ -67,9 +67,12 @@ struct RobotParameters {
   Payload payload;
   /// The centre of mass may be elsewhere than in E's origin: where a batch varies it, in all its scenarios.
   bool off_centre = false;
-  double stroke = 0.017;       ///< leg travel about its middle, each way [m], 0.017
-  double stroke_centre = 0.0;  ///< middle of the travel, from the home length [m], 0
-  double force_limit = 1.0;    ///< of each leg, each way [N], 1
+  double stroke = 0.017;                                         ///< leg travel about its middle, each way [m], 0.017
+  double stroke_centre = 0.0;                                    ///< middle of the travel, from the home length [m], 0
+  double force_limit = 1.0;                                      ///< of each leg, each way [N], 1
+  double speed_limit = std::numeric_limits<double>::infinity();  ///< of each leg, each way [m/s], infinity (none)
+  /// Largest angle between a leg and its direction at home, seen from the base and from the platform [rad], none.
+  std::optional<Vector2<double>> joint_limit;
   LimitPolicy on_limit = LimitPolicy::report;
 
   template <class V, class... Self>
@@ -90,6 +93,8 @@ struct RobotParameters {
     v(Field{"stroke", "m", kPositive}.of_legs(), self.stroke...);
     v(Field{"stroke_centre", "m"}.of_legs(), self.stroke_centre...);
     v(Field{"force_limit", "N", kPositive}.of_legs(), self.force_limit...);
+    v(Field{"speed_limit", "m/s", kPositiveOrNone}.of_legs().of_plant(), self.speed_limit...);
+    v(Field{"joint_limit", "rad", kTilt}.entrywise().of_legs().of_plant(), self.joint_limit...);
     v(Field{"on_limit"}.of_pack().of_plant().in_sampled_mode(), self.on_limit...);
   }
 };
@@ -113,6 +118,10 @@ struct Hexapod {
   Vector6<S> mid_lengths;         ///< leg lengths in the middle of their travel [m]
   S stroke;                       ///< allowed |l - middle| [m]
   S force_limit;                  ///< allowed |leg force| [N]
+  S speed_limit;                  ///< allowed |leg rate| [m/s]; infinity: any
+  Vector2<S> joint_chords;        ///< allowed |c_i - c_i at home|, in B and in E [1]; infinity: any
+  Matrix36<S> home_directions_B;  ///< c_i at home [1]
+  Matrix36<S> home_directions_E;  ///< the same in E
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -125,6 +134,10 @@ struct Hexapod {
     v(Field{"mid_lengths", "m"}, self.mid_lengths...);
     v(Field{"stroke", "m"}, self.stroke...);
     v(Field{"force_limit", "N"}, self.force_limit...);
+    v(Field{"speed_limit", "m/s"}, self.speed_limit...);
+    v(Field{"joint_chords", "1"}, self.joint_chords...);
+    v(Field{"home_directions_B", "1"}, self.home_directions_B...);
+    v(Field{"home_directions_E", "1"}, self.home_directions_E...);
   }
 };
 

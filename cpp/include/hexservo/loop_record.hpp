@@ -94,7 +94,7 @@ class LoopRecord {
     }
     const Mask<S> regular = !singular;  // leg forces of a singular pose have no meaning
     stop(StopCause::not_finite, (!(is_finite(wrench) & is_finite(fuzzy_output) & is_finite(leg_forces))) & regular);
-    if (stops_at_limit_) stop_at_limit(lengths);
+    if (stops_at_limit_) stop_at_limit(state.body, lengths);
     stop(StopCause::singular, singular);
     stop(StopCause::solver_failed, unsensed);
     const Mask<S> good = running();
@@ -112,18 +112,29 @@ class LoopRecord {
   }
 
  private:
-  /// Stops lanes with a leg beyond its stroke; of several legs the one that is farthest beyond is named.
-  void stop_at_limit(const Vector6<S>& lengths) noexcept {
+  /// Stops lanes with a leg beyond its stroke, its speed limit or its joint limit.
+  void stop_at_limit(const BodyMotion<S>& body, const Vector6<S>& lengths) noexcept {
+    stop_beyond(StopCause::leg_limit, lengths - mid_lengths_, stroke_);
+    const LegWatch<S>& watch = metrics_->watch();
+    if (!watch.acts()) return;
+    const LegMotion<S> motion = watch.at(position_of(body), quaternion_of(body), twist_of(body));
+    stop_beyond(StopCause::leg_speed, motion.speeds, watch.speed_limit());
+    stop_beyond(StopCause::base_joint, motion.base_chords, watch.base_chord());
+    stop_beyond(StopCause::platform_joint, motion.platform_chords, watch.platform_chord());
+  }
+
+  /// Stops lanes with a leg beyond a limit; of several legs the one that is farthest beyond is named.
+  void stop_beyond(StopCause cause, const Vector6<S>& values, const S& limit) noexcept {
     using std::abs;
-    S farthest = stroke_, leg(-1.0);
+    S farthest = limit, leg(-1.0);
     for (int i = 0; i < 6; ++i) {
-      const S travel = abs(lengths(i) - mid_lengths_(i));
-      leg = select(travel > farthest, S(static_cast<double>(i)), leg);
-      farthest = max(farthest, travel);
+      const S value = abs(values(i));
+      leg = select(value > farthest, S(static_cast<double>(i)), leg);
+      farthest = max(farthest, value);
     }
     const Mask<S> beyond = leg >= S(0.0);
     limit_leg_ = select(beyond & running(), leg, limit_leg_);
-    stop(StopCause::leg_limit, beyond);
+    stop(cause, beyond);
   }
 
   LegGeometry<S> legs_;

@@ -3,7 +3,7 @@
 /// way. Definitions: docs/model.md, section 8.
 #pragma once
 
-#include "hexservo/hexapod.hpp"
+#include "hexservo/leg_limits.hpp"
 
 namespace hexservo {
 
@@ -72,6 +72,9 @@ struct Metrics {
   S peak_line_deviation{0.0};    ///< max distance of a feature from the line through its start and goal [px]
   S effort{0.0};                 ///< integral of |w|^2, w = tau - G with moments divided by the platform radius [N^2 s]
   S chatter{0.0};  ///< total variation of w, summed over its components, per second [N/s]; NaN for a single sample
+  S peak_leg_speed{0.0};       ///< max |l-dot_i| [m/s]; NaN without a speed limit
+  S peak_base_joint{0.0};      ///< max tilt of a leg seen from the base [rad]; NaN without a limit of it
+  S peak_platform_joint{0.0};  ///< the same seen from the platform
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -93,6 +96,9 @@ struct Metrics {
     v("peak_line_deviation", self.peak_line_deviation...);
     v("effort", self.effort...);
     v("chatter", self.chatter...);
+    v("peak_leg_speed", self.peak_leg_speed...);
+    v("peak_base_joint", self.peak_base_joint...);
+    v("peak_platform_joint", self.peak_platform_joint...);
   }
 };
 
@@ -235,7 +241,7 @@ class ControlCost {
 template <class S>
 struct LegLimitMonitor {
   Vector6<S> first_time = Vector6<S>::Constant(S(std::numeric_limits<double>::infinity()));  ///< [s]
-  Vector6<S> peak = Vector6<S>::Zero();                                                      ///< [m] or [N]
+  Vector6<S> peak = Vector6<S>::Zero();                                                      ///< in the limit's unit
 
   void add(double time, const Vector6<S>& values, const S& limit, const Mask<S>& active) {
     add(time, values, limit, detail::TakeWhere<Mask<S>>{active});
@@ -299,7 +305,8 @@ class MetricsAccumulator {
         start_quaternion_(first.quaternion),
         features_(settings.band, desired_features, first.feature_error),
         settling_(settings.band, settings.dwell),
-        cost_(hexapod.platform_radius) {}
+        cost_(hexapod.platform_radius),
+        watch_(hexapod) {}
 
   void add(double time, const Sample<S, N>& sample, const Mask<S>& active) {
     add(time, sample, detail::TakeWhere<Mask<S>>{active});
@@ -326,11 +333,20 @@ class MetricsAccumulator {
     m.peak_leg_excursion = largest_abs(stroke_.peak);
     features_.write(m);
     cost_.write(m);
+    const S none(std::numeric_limits<double>::infinity());
+    m.peak_leg_speed = select(watch_.speed_limit() < none, largest_abs(speed_.peak), nan);
+    m.peak_base_joint = select(watch_.base_chord() < none, tilt(largest_abs(base_joint_.peak)), nan);
+    m.peak_platform_joint = select(watch_.platform_chord() < none, tilt(largest_abs(platform_joint_.peak)), nan);
     return m;
   }
 
   const LegLimitMonitor<S>& stroke() const { return stroke_; }
   const LegLimitMonitor<S>& force() const { return force_; }
+  /// Of the limits that few robots have; tilts by their chords, see `LegWatch`.
+  const LegLimitMonitor<S>& speed() const { return speed_; }
+  const LegLimitMonitor<S>& base_joint() const { return base_joint_; }
+  const LegLimitMonitor<S>& platform_joint() const { return platform_joint_; }
+  const LegWatch<S>& watch() const { return watch_; }
 
  private:
   template <class Take>
@@ -363,7 +379,19 @@ class MetricsAccumulator {
     cost_.add(time, control, take);
     stroke_.add(time, sample.leg_lengths - hexapod_.mid_lengths, hexapod_.stroke, take);
     force_.add(time, sample.leg_forces, hexapod_.force_limit, take);
+    if (watch_.acts()) add_motion(time, sample, take);
   }
+
+  template <class Take>
+  [[gnu::noinline]] void add_motion(double time, const Sample<S, N>& sample, const Take& take) {
+    const LegMotion<S> motion = watch_.at(sample.position, sample.quaternion, sample.twist);
+    speed_.add(time, motion.speeds, watch_.speed_limit(), take);
+    base_joint_.add(time, motion.base_chords, watch_.base_chord(), take);
+    platform_joint_.add(time, motion.platform_chords, watch_.platform_chord(), take);
+  }
+
+  /// Angle between two directions [rad] by their chord.
+  static S tilt(const S& chord) { return rotation_angle(min(S(S(0.5) * chord), S(1.0))); }
 
   static double rotation_angle(double half_sine) { return 2.0 * std::asin(half_sine); }
   template <int W>
@@ -385,6 +413,8 @@ class MetricsAccumulator {
       angular_speed_squared_{0.0};
   S peak_control_force_{0.0}, peak_control_moment_{0.0};
   LegLimitMonitor<S> stroke_, force_;
+  LegWatch<S> watch_;
+  LegLimitMonitor<S> speed_, base_joint_, platform_joint_;
 };
 
 }  // namespace hexservo

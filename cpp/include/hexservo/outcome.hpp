@@ -26,7 +26,10 @@ enum class StopCause {
   feature_lost,
   leg_limit,
   singular,
-  solver_failed
+  solver_failed,
+  leg_speed,      ///< a leg beyond its speed limit
+  base_joint,     ///< a leg that tilts too far at the base
+  platform_joint  ///< or at the platform
 };
 
 /// The outcome that a cause stands for.
@@ -41,6 +44,9 @@ constexpr Outcome outcome_of(StopCause cause) {
     case StopCause::feature_lost:
       return Outcome::feature_lost;
     case StopCause::leg_limit:
+    case StopCause::leg_speed:
+    case StopCause::base_joint:
+    case StopCause::platform_joint:
       return Outcome::leg_limit;
     case StopCause::singular:
       return Outcome::singular;

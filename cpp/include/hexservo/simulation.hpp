@@ -18,12 +18,12 @@ const Kernel& built_in_kernel() noexcept;
 
 /// A leg beyond one of its limits, reported and not enforced.
 struct LimitEvent {
-  enum class Kind { stroke, force };
+  enum class Kind { stroke, force, speed, base_joint, platform_joint };
   Kind kind;
   int leg;            ///< 0 to 5
   double first_time;  ///< [s]
-  double peak;        ///< largest |l - home length| [m] or |force| [N] of the run
-  double limit;       ///< [m] or [N]
+  double peak;        ///< of the run: |l - middle of the travel| [m], |force| [N], |rate| [m/s] or tilt [rad]
+  double limit;       ///< likewise
 };
 
 /// One logged quantity, row after row.

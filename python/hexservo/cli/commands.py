@@ -349,7 +349,7 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
 def _metrics_table(result: hs.Result) -> RenderableType:
     from rich.table import Table
 
-    from hexservo.run.metrics import readable
+    from hexservo.run.metrics import readable, shown_metrics
 
     with_meanings = terminal.width() >= _WIDTH_FOR_MEANINGS
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
@@ -358,7 +358,7 @@ def _metrics_table(result: hs.Result) -> RenderableType:
     table.add_column(overflow="fold")
     if with_meanings:
         table.add_column(overflow="fold", style="dim")
-    for name, value in hs.metrics(result).items():
+    for name, value in shown_metrics(result).items():
         meaning = hs.METRICS[name][1]
         table.add_row(name.replace("_", " "), *readable(name, value), *([meaning] if with_meanings else []))
     return table

@@ -56,11 +56,10 @@ def _metrics_json(result: Result) -> str:
                 "kind": event.kind,
                 "leg": event.leg,
                 "time": {"value": event.time, "unit": "s"},
-                "peak": {"value": event.peak, "unit": unit},
-                "limit": {"value": event.limit, "unit": unit},
+                "peak": {"value": event.peak, "unit": event.unit},
+                "limit": {"value": event.limit, "unit": event.unit},
             }
             for event in result.events
-            for unit in ["m" if event.kind == "stroke" else "N"]
         ],
         "metrics": {
             name: {"value": value, "unit": METRICS[name][0], "meaning": METRICS[name][1]}

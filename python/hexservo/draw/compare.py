@@ -125,7 +125,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         0.1 / PAGE,
         0.05 / height,
         f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled. "
-        f"!: a leg exceeded its stroke or force limit.{_floor_words(comparison)}",
+        f"!: a leg exceeded this limit.{_floor_words(comparison)}",
         fontsize=7,
         color=GREY,
         va="bottom",

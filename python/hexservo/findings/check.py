@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo.findings.analysis.linear_law import NoRestError, linear_law, linear_plant
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
-from hexservo.findings.analysis.reach import LegMargin, reach_of_start_and_goal
+from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
 from hexservo.scenario.block import SAMPLED_MODE
@@ -30,9 +30,9 @@ def unlikely(scenario: Scenario) -> list[str]:
     """Return a sentence for each legal but probably unintended setting.
 
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
-    goal with stroke and image, and in sampled mode the servo period with the loop of the gains, linearised at home with
-    the switching term as in `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Does not
-    simulate.
+    goal with stroke, joint limits and image, the start's twist with the speed limit, and in sampled mode the servo
+    period with the loop of the gains, linearised at home with the switching term as in `linear_law`; gains with
+    duration, servo rate, delays and forces (`of_gains`). Does not simulate.
     """
     scene = scene_of(scenario)
     try:
@@ -80,18 +80,27 @@ def _of_legs(scene: Scene) -> Iterator[str]:
 def _of_goal(scene: Scene) -> Iterator[str]:
     reach = reach_of_start_and_goal(scene.scenario)
     if not reach.start.within:
-        yield f"simulation.start.pose: the start is out of reach: {_beyond(reach.start)}"
+        yield f"simulation.start.pose: the start is out of reach: {reach.start.beyond}"
+    speed = _start_speed(scene)
+    limit = scene.scenario.robot.speed_limit
+    if limit is not None and speed > limit:
+        yield (
+            f"robot.speed_limit: {quantity(limit, 'm/s')} is less than the {quantity(speed, 'm/s')} of a leg at the "
+            "start (simulation.start.twist)"
+        )
     if reach.residual > scene.band:
         yield (
             "target.desired_features: no pose with these features was found; the best one leaves "
             f"{number(reach.residual)} px"
         )
     elif reach.goal_within is False and reach.nearest is not None:
-        yield f"target.desired_features: the goal is out of reach: {_beyond(reach.nearest)}"
+        yield f"target.desired_features: the goal is out of reach: {reach.nearest.beyond}"
 
 
-def _beyond(margin: LegMargin) -> str:
-    return f"leg {margin.leg} would be {quantity(-margin.margin, 'm')} beyond its stroke"
+def _start_speed(scene: Scene) -> float:
+    """Return the largest leg rate at the start [m/s]."""
+    wrench_map = np.array(scene.hexapod.wrench_map(scene.start.position, scene.start.quaternion))
+    return float(np.abs(wrench_map.T @ scene.settings["simulation.start.twist"]).max())
 
 
 def _of_image(scenario: Scenario) -> Iterator[str]:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_pixels
@@ -23,9 +24,10 @@ class Reachability:
     """Whether the legs take the platform to a pose, what limits them there, and the nearest pose that they reach."""
 
     within: bool
-    limit: Literal["stroke", "singularity"]  # that binds, or is nearest
+    limit: Literal["stroke", "base_joint", "platform_joint", "singularity"]  # that binds, or is nearest
     leg: int  # nearest to its limit or farthest beyond it, 1 to 6
-    margin: float  # remaining travel of that leg [m]; negative beyond the stroke
+    # what is left of that leg's limit [m], of a joint [rad]; negative beyond it; of a singularity: of the nearest limit
+    margin: float
     singularity: float  # smallest singular value of H there, moments divided by r_p [1]
     pose: Array  # (6,) that was asked for, displacement from home in B [m; rad]
     nearest: Array  # (6,) nearest pose within reach that was found, likewise; `pose` where that is within
@@ -34,11 +36,18 @@ class Reachability:
     def __str__(self) -> str:
         """Return one sentence."""
         if self.within:
-            return f"within reach: leg {self.leg} has {1e3 * self.margin:.3g} mm of its travel left"
+            left = (
+                f"leg {self.leg} has {1e3 * self.margin:.3g} mm of its travel left"
+                if self.limit == "stroke"
+                else f"the {_joint(self.limit)} of leg {self.leg} has {1e3 * self.margin:.3g} mrad left"
+            )
+            return f"within reach: {left}"
         why = (
-            f"leg {self.leg} would be {-1e3 * self.margin:.3g} mm beyond its stroke"
+            "a singular pose lies between home and there"
+            if self.limit == "singularity"
+            else f"leg {self.leg} would be {-1e3 * self.margin:.3g} mm beyond its stroke"
             if self.limit == "stroke"
-            else "a singular pose lies between home and there"
+            else f"the {_joint(self.limit)} of leg {self.leg} would be {-1e3 * self.margin:.3g} mrad beyond its limit"
         )
         return f"out of reach: {why}; the nearest pose within is {1e3 * self.distance:.3g} mm away"
 
@@ -76,9 +85,10 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
 def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
     """Return whether the legs of a scenario's robot reach a pose, and the nearest pose that they do.
 
-    A pose is within reach where every leg is within its stroke and the wrench map has the orientation of home (the sign
-    of its determinant). The nearest one is a local minimum of sqrt(|shift|^2 + (r_p |turn|)^2), found by sequential
-    quadratic programming from the last reachable pose on the straight way from home; it may miss a nearer one.
+    A pose is within reach where every leg is within its stroke and its joint limits and the wrench map has the
+    orientation of home (the sign of its determinant). The nearest one is a local minimum of
+    sqrt(|shift|^2 + (r_p |turn|)^2), found by sequential quadratic programming from the last reachable pose on the
+    straight way from home; it may miss a nearer one.
 
     Parameters
     ----------
@@ -95,21 +105,23 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
     wanted = _displacements(pose, ())
     scene = scene_of(scenario)
     there = scene.home.moved(wanted)
-    travel = scene.leg_travel(there)
-    leg = int(np.abs(travel).argmax())
-    margin = float(scene.stroke - abs(travel[leg]))
+    nearest = nearest_limit(scene, there)
     within = bool(scene.reachable(there.rows)[0])
     found = wanted if within else _nearest(scene, wanted)
     return Reachability(
         within=within,
-        limit="singularity" if not within and margin >= 0 else "stroke",
-        leg=leg + 1,
-        margin=margin,
+        limit="singularity" if not within and nearest.within else nearest.limit,
+        leg=nearest.leg,
+        margin=nearest.margin,
         singularity=float(scene.hexapod.singular_values(there.position, there.quaternion)[-1]),
         pose=wanted,
         nearest=found,
         distance=_distance(scene, wanted, found),
     )
+
+
+def _joint(limit: str) -> str:
+    return limit.replace("_", " ")
 
 
 def _displacements(pose: ArrayLike, lead: tuple[object, ...]) -> Array:
@@ -129,7 +141,7 @@ def _distance(scene: Scene, one: Array, other: Array) -> float:
 
 
 def _nearest(scene: Scene, wanted: Array) -> Array:
-    """Minimise the distance to a pose within the legs' stroke, on home's side of the singular poses."""
+    """Minimise the distance to a pose within the legs' limits, on home's side of the singular poses."""
     from scipy.optimize import minimize
 
     metric = np.repeat([1.0, scene.platform_radius], 3)  # [m; m/rad]
@@ -142,9 +154,11 @@ def _nearest(scene: Scene, wanted: Array) -> Array:
         between = target.displacement_from(scene.home.moved(x / metric * scene.stroke))
         return float(((between * metric / scene.stroke) ** 2).sum())
 
-    def room(x: Array) -> Array:  # (12,), in units of the stroke
-        travel = scene.leg_travel(scene.home.moved(x / metric * scene.stroke)) / scene.stroke
-        return np.concatenate([1.0 - travel, 1.0 + travel])
+    def room(x: Array) -> Array:  # (12,), in units of the stroke; tilts, if limited, in squares, which are smooth
+        pose = scene.home.moved(x / metric * scene.stroke)
+        travel = scene.leg_travel(pose) / scene.stroke
+        tilts = np.empty(0) if scene.joint_limit is None else scene.limits_used(pose)[1:].ravel() ** 2
+        return np.concatenate([1.0 - travel, 1.0 + travel, 1.0 - tilts])
 
     best = minimize(
         away,

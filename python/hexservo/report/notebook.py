@@ -24,7 +24,7 @@ from hexservo.report.html import Html, element, paragraphs
 from hexservo.run.batch import BatchResult
 from hexservo.run.comparison import COLUMNS, Comparison, metric_text
 from hexservo.run.display import batch_text, comparison_text
-from hexservo.run.metrics import METRICS, metrics, readable
+from hexservo.run.metrics import METRICS, readable, shown_metrics
 from hexservo.run.result import Result
 from hexservo.run.summary import summary_sentences
 
@@ -70,7 +70,8 @@ def html_of(shown: object) -> str:
 def _result_html(result: Result) -> str:
     """Return a run's summary, metrics and figures 2(b) and 3."""
     rows = [
-        (name, " ".join(readable(name, value)).strip(), METRICS[name][1]) for name, value in metrics(result).items()
+        (name, " ".join(readable(name, value)).strip(), METRICS[name][1])
+        for name, value in shown_metrics(result).items()
     ]
     return _page(
         element("strong", f'Result of "{result.scenario.name}"'),
@@ -113,7 +114,7 @@ def _comparison_html(comparison: Comparison) -> str:
     ]
     return _page(
         element("strong", comparison_text(comparison).split("\n")[0]),
-        table_html(Table("Laws by scenarios", heads, rows, "!: a leg exceeded its stroke or force limit.")),
+        table_html(Table("Laws by scenarios", heads, rows, "!: a leg exceeded this limit.")),
         _picture(comparison.figure(), "Errors over time, settling times, residuals and efforts"),
     )
 

@@ -20,7 +20,7 @@ from hexservo.report.html import TITLE, Html, element, json_script, paragraphs
 from hexservo.report.scene import SpaceView, scene
 from hexservo.report.still import VIEW, still
 from hexservo.run.machine import versions
-from hexservo.run.metrics import METRICS, metrics, readable
+from hexservo.run.metrics import METRICS, readable, shown_metrics
 from hexservo.run.summary import summary_sentences
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def _anchor(group: Group, section: Section) -> str:
 def _metrics(result: Result) -> Html:
     rows = [
         (name.replace("_", " "), " ".join(readable(name, value)).strip(), METRICS[name][1])
-        for name, value in metrics(result).items()
+        for name, value in shown_metrics(result).items()
     ]
     columns = (Column("metric"), Column("value"), Column("meaning"))
     return table_html(Table("Computed at every step of the run", columns, rows, page=_METRICS_PAGE))

@@ -42,6 +42,9 @@ _LOGS = {
     "trajectory": _core.BatchLog.trajectory,
 }
 _OUTCOMES = np.array([outcome.name for outcome in sorted(_core.Outcome, key=lambda outcome: outcome.value)])
+_LEG_CAUSES = tuple(
+    getattr(_core.StopCause, name) for name in ("leg_limit", "leg_speed", "base_joint", "platform_joint")
+)
 _CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda cause: cause.value)])
 _MAX_THREADS = 1024
 
@@ -348,7 +351,7 @@ def _enter(found: BatchResult, index: int, run: _core.Trajectory, scenario: Scen
     cause, leg = next(
         (cause, leg)
         for cause in _core.StopCause
-        for leg in (range(6) if cause == _core.StopCause.leg_limit else [-1])
+        for leg in (range(6) if cause in _LEG_CAUSES else [-1])
         if _core.describe(cause, stop, leg) == run.detail
     )
     found.cause[index], found.limit_leg[index] = cause.name, leg + 1

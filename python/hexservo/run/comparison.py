@@ -16,6 +16,7 @@ import numpy as np
 from hexservo.run.display import comparison_text
 from hexservo.run.drawn import figure_of, html_of, image_of
 from hexservo.run.files import write_folder
+from hexservo.run.leg_limits import leg_limits
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
@@ -59,10 +60,10 @@ class ComparisonRow:
 
     @property
     def passed_limits(self) -> tuple[str, ...]:
-        """The limits of the legs that were exceeded: "stroke", "force"."""
-        robot = self.scenario.robot
-        peaks = {"stroke": ("peak_leg_excursion", robot.stroke), "force": ("peak_leg_force", robot.force_limit)}
-        return tuple(what for what, (name, limit) in peaks.items() if self.metrics.get(name, math.nan) > limit)
+        """The limits of the legs that were exceeded: "stroke", "force", "speed", "base_joint", "platform_joint"."""
+        return tuple(
+            limit.kind for limit in leg_limits(self.scenario) if self.metrics.get(limit.metric, math.nan) > limit.value
+        )
 
     @property
     def why(self) -> str:
@@ -76,11 +77,7 @@ class ComparisonRow:
             sentence = f"within {measured.band:g} px at the end, but for less than {measured.dwell:g} s"
         else:
             sentence = f"{self.metrics['final_error']:.4g} px from the goal at the end, above {measured.band:g} px"
-        robot = self.scenario.robot
-        excess = {
-            "stroke": f"a leg exceeded its stroke of {robot.stroke * 1e3:.4g} mm",
-            "force": f"a leg exceeded its force limit of {robot.force_limit:.4g} N",
-        }
+        excess = {limit.kind: f"{limit.exceeded} of {limit.text}" for limit in leg_limits(self.scenario)}
         return "; ".join([sentence, *(excess[what] for what in self.passed_limits)])
 
 

@@ -9,7 +9,7 @@ from hexservo.scenario.wording import number
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["METRICS", "metrics", "readable"]
+__all__ = ["METRICS", "metrics", "readable", "readable_unit", "shown_metrics"]
 
 # name -> (unit, what it is)
 METRICS: dict[str, tuple[str, str]] = {
@@ -31,7 +31,11 @@ METRICS: dict[str, tuple[str, str]] = {
     "peak_line_deviation": ("px", "largest distance of a feature from its straight way"),
     "effort": ("N^2 s", "integral of the squared wrench beyond the estimated weight"),
     "chatter": ("N/s", "total variation of that wrench per second"),
+    "peak_leg_speed": ("m/s", "largest speed of a leg, where robot.speed_limit is given"),
+    "peak_base_joint": ("rad", "largest tilt of a leg at the base from home, where robot.joint_limit is given"),
+    "peak_platform_joint": ("rad", "largest tilt of a leg at the platform from home, where robot.joint_limit is given"),
 }
+_OF_LIMITS = ("peak_leg_speed", "peak_base_joint", "peak_platform_joint")  # NaN without their limit
 
 # Unit of a metric -> the unit people read, and how many of it make one.
 _READABLE_UNITS = {
@@ -49,14 +53,26 @@ def metrics(result: Result) -> dict[str, float]:
 
     The core streams them at every step, so they do not depend on ``simulation.log_every``. NaN stands where a number
     has no meaning (docs/model.md section 8): ``settling_time`` of a run that is not settled, ``rms_error`` of one that
-    ends before ``metrics.rms_start``, ``chatter`` of one that ends where it starts.
+    ends before ``metrics.rms_start``, ``chatter`` of one that ends where it starts, peaks of a speed or a joint that
+    the robot does not limit.
     """
     return dict(result.streamed_metrics)
+
+
+def shown_metrics(result: Result) -> dict[str, float]:
+    """Return the metrics of a run without those of limits that its robot does not have."""
+    found = metrics(result)
+    return {name: value for name, value in found.items() if name not in _OF_LIMITS or value == value}
 
 
 def readable(name: str, value: float) -> tuple[str, str]:
     """Return the text of a metric and its display unit (mm for m, and so on)."""
     if value != value:
         return "never" if name == "settling_time" else "none", ""  # NaN: docs/model.md section 8
-    unit, scale = _READABLE_UNITS.get(METRICS[name][0], (METRICS[name][0], 1.0))
+    unit, scale = readable_unit(METRICS[name][0])
     return f"{number(value * scale, 4)}", unit
+
+
+def readable_unit(unit: str) -> tuple[str, float]:
+    """Return the unit that people read in place of an SI unit, and how many of it make one."""
+    return _READABLE_UNITS.get(unit, (unit, 1.0))

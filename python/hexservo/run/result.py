@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from hexservo.run.display import result_text
 from hexservo.run.drawn import html_of
+from hexservo.run.metrics import readable_unit
 from hexservo.run.saving import save_result, saved_attributes
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import desired_features, to_pixels
@@ -31,7 +32,16 @@ Outcome: TypeAlias = Literal[
     "solver_failed",
     "interrupted",
 ]
-LimitKind: TypeAlias = Literal["stroke", "force"]
+LimitKind: TypeAlias = Literal["stroke", "force", "speed", "base_joint", "platform_joint"]
+
+# kind -> unit, what a leg exceeds
+_LIMITS: dict[str, tuple[str, str]] = {
+    "stroke": ("m", "leg {} exceeded its stroke"),
+    "force": ("N", "leg {} exceeded its force limit"),
+    "speed": ("m/s", "leg {} exceeded its speed limit"),
+    "base_joint": ("rad", "the base joint of leg {} exceeded its limit"),
+    "platform_joint": ("rad", "the platform joint of leg {} exceeded its limit"),
+}
 
 _FEATURES = ["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"]
 _AXES = ["x", "y", "z"]
@@ -61,15 +71,20 @@ class LimitEvent:
     kind: LimitKind
     leg: int  # 1 to 6; column leg - 1 of the arrays
     time: float  # when it first exceeded the limit [s]
-    peak: float  # largest |length - home length| [m] or |force| [N] of the run
-    limit: float  # [m] or [N]
+    peak: float  # of the run: largest |length - home length| [m], |force| [N], |rate| [m/s] or tilt [rad]
+    limit: float  # in the same unit
+
+    @property
+    def unit(self) -> str:
+        """SI unit of peak and limit."""
+        return _LIMITS[self.kind][0]
 
     def __str__(self) -> str:
         """Return the event as a sentence."""
-        scale, unit, what = (1e3, "mm", "its stroke") if self.kind == "stroke" else (1.0, "N", "its force limit")
+        unit, scale = readable_unit(self.unit)
+        what = _LIMITS[self.kind][1].format(self.leg)
         return (
-            f"leg {self.leg} exceeded {what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s "
-            f"(peak {self.peak * scale:.4g} {unit})"
+            f"{what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s (peak {self.peak * scale:.4g} {unit})"
         )
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["check_saved", "result_bytes", "save_result", "saved_attributes"]
 
 HISTORY = "weight_history"  # the only array that a result may lack
-EVENT_HEAD = "kind leg time peak limit"  # of the table of events; seconds, and metres (stroke) or newtons (force)
+EVENT_HEAD = "kind leg time peak limit"  # of the table of events; seconds, and the unit of the kind
 
 
 def saved_attributes(result: Result) -> dict[str, Any]:

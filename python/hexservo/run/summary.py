@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hexservo.run.leg_limits import leg_limits
 from hexservo.run.metrics import metrics, readable
 from hexservo.scenario.wording import number
 
@@ -55,19 +56,15 @@ def _residual(result: Result) -> str:
 
 
 def _legs(result: Result) -> list[str]:
-    """Compare the largest travel and force of a leg with what is allowed."""
-    values, robot = metrics(result), result.scenario.robot
+    """Compare the peaks of the legs with what is allowed."""
+    values = metrics(result)
     sentences = []
-    for name, limit, unit, scale, what in (
-        ("peak_leg_excursion", robot.stroke, "mm", 1e3, "travel"),
-        ("peak_leg_force", robot.force_limit, "N", 1.0, "force"),
-    ):
-        found, shown = readable(name, values[name])
-        share = values[name] / limit
+    for limit in leg_limits(result.scenario):
+        found, shown = readable(limit.metric, values[limit.metric])
+        share = values[limit.metric] / limit.value
         if share <= 1:
             verdict = f"{1 - share:.0%} of it is left"
         else:
             verdict = f"that is {share - 1:.0%} too much" if share < 3 else f"that is {number(share)} times as much"
-        allowed = f"{number(limit * scale, 4)} {unit}"
-        sentences.append(f"The largest {what} of a leg is {found} {shown} of the {allowed} allowed; {verdict}.")
+        sentences.append(f"The largest {limit.of_leg} is {found} {shown} of the {limit.text} allowed; {verdict}.")
     return sentences

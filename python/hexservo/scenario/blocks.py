@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from hexservo import _core
 from hexservo.scenario.block import (
+    HALF_TURN,
     POSITIVE,
     PROBABILITY,
     RELATIVE_ERROR,
@@ -112,7 +113,10 @@ class Robot(Block):
     stroke: PositiveNumber
     stroke_centre: Annotated[float, Number()] = 0.0  # [m], middle of the travel, from the home length
     force_limit: PositiveNumber  # [N], magnitude of each leg's force
-    # in sampled mode: what a leg beyond its stroke means, an event or the end of the run
+    speed_limit: Annotated[float | None, OptionalNumber(above=0)] = None  # [m/s], magnitude of each leg's rate
+    # (2,) [rad], largest angle between a leg and its direction at home, seen from the base and from the platform
+    joint_limit: Annotated[Vector | None, ArrayRule((2,), HALF_TURN, or_null=True)] = None
+    # in sampled mode: what a leg beyond its stroke, speed limit or joint limit means, an event or the end of the run
     on_limit: Annotated[Literal["report", "stop"], Choice(), SAMPLED] = "report"
 
     @model_validator(mode="before")
@@ -388,6 +392,6 @@ def preset_values(preset: str) -> dict[str, Any]:
     values = {
         key: map_lists(tupled(getattr(robot, key)), list)
         for key in Robot.model_fields
-        if key not in ("preset", "inertia", "payload", "on_limit")
+        if key not in ("preset", "inertia", "payload", "speed_limit", "joint_limit", "on_limit")
     }
     return {**values, "inertia": map_lists(diagonal_if_diagonal(tupled(robot.inertia)), list)}

@@ -38,6 +38,9 @@ def check(result: hs.Result) -> None:
         assert result.end_time < simulation.duration
     metrics = hs.metrics(result)
     may_be_nan = {"settling_time", "rms_error", *(("chatter",) if result.end_time == 0 else ())}  # a rate needs a time
+    robot = result.scenario.robot
+    may_be_nan |= {"peak_leg_speed"} if robot.speed_limit is None else set()
+    may_be_nan |= {"peak_base_joint", "peak_platform_joint"} if robot.joint_limit is None else set()
     for name, value in metrics.items():
         assert math.isfinite(value) or (math.isnan(value) and name in may_be_nan), (name, value)
     assert metrics["final_error"] == np.abs(result.feature_error[-1]).max()

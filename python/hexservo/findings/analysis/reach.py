@@ -3,35 +3,49 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
-from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import quantity
 
-__all__ = ["LegMargin", "StartAndGoal", "leg_margin", "reach_of_start_and_goal"]
+__all__ = ["LegLimitKind", "LegMargin", "StartAndGoal", "leg_margin", "nearest_limit", "reach_of_start_and_goal"]
+
+LegLimitKind: TypeAlias = Literal["stroke", "base_joint", "platform_joint"]
+LEG_LIMITS: tuple[LegLimitKind, ...] = ("stroke", "base_joint", "platform_joint")  # rows of `Scene.limits_used`
 
 
 @dataclass(frozen=True)
 class LegMargin:
-    """The leg that is nearest to the end of its stroke at a pose, or farthest beyond it."""
+    """The leg that is nearest to one of its limits at a pose, or farthest beyond it."""
 
     leg: int  # 1 to 6
     travel: float  # of that leg from its length at home [m], positive where it is longer
-    margin: float  # stroke - |travel| [m]; negative: beyond the stroke
+    margin: float  # limit - |value| [m], of a joint [rad]; negative: beyond the limit
+    limit: LegLimitKind = "stroke"
 
     @property
     def within(self) -> bool:
-        """Whether all legs are within their stroke."""
+        """Whether all legs are within their limits."""
         return self.margin >= 0.0
+
+    @property
+    def beyond(self) -> str:
+        """What is wrong where it is not within, as a clause."""
+        if self.limit == "stroke":
+            return f"leg {self.leg} would be {quantity(-self.margin, 'm')} beyond its stroke"
+        side = self.limit.removesuffix("_joint")
+        return f"the {side} joint of leg {self.leg} would be {quantity(-self.margin, 'rad')} beyond its limit"
 
 
 @dataclass(frozen=True)
 class StartAndGoal:
-    """Margins of the legs' stroke at the start and at the goal of a scenario."""
+    """Margins of the legs at the start and at the goal of a scenario."""
 
     start: LegMargin
     goal: LegMargin | None  # at the pose of least image error; None: a camera as printed has no goal pose
@@ -53,8 +67,19 @@ def leg_margin(travel: Array, stroke: float) -> LegMargin:
     return LegMargin(leg + 1, float(travel[leg]), float(stroke - abs(travel[leg])))
 
 
+def nearest_limit(scene: Scene, pose: Poses) -> LegMargin:
+    """Return the limit of which a leg uses the largest share at one pose, with what is left of it."""
+    used = scene.limits_used(pose)
+    row, leg = np.unravel_index(int(used.argmax()), used.shape)
+    travel = scene.leg_travel(pose)
+    if row == 0 or scene.joint_limit is None:
+        return leg_margin(travel, scene.stroke)
+    limit = float(scene.joint_limit[row - 1])
+    return LegMargin(int(leg) + 1, float(travel[leg]), float(limit * (1.0 - used[row, leg])), LEG_LIMITS[row])
+
+
 def reach_of_start_and_goal(scenario: Scenario) -> StartAndGoal:
-    """Compare the leg lengths at the start and at the goal of a scenario with the stroke.
+    """Compare the legs at the start and at the goal of a scenario with their stroke and joint limits.
 
     Nothing is run. Poses of the goal image are found by a local search (`find_goals`), so that a pose may be missed.
 
@@ -76,7 +101,7 @@ def reach_of_start_and_goal(scenario: Scenario) -> StartAndGoal:
     scene = scene_of(scenario)
 
     def at(pose: Poses) -> LegMargin:
-        return leg_margin(scene.leg_travel(pose), scene.stroke)
+        return nearest_limit(scene, pose)
 
     goals = find_goals(scene)
     if goals is None:

@@ -65,6 +65,7 @@ class Scene:
         self.desired: Array = desired_features(scenario)  # (8,) [px]
         self.platform_radius: float = self.hexapod.platform_radius  # [m]
         self.stroke: float = self.settings["robot.stroke"]  # [m]
+        self.joint_limit: Array | None = self.settings["robot.joint_limit"]  # (2,) [rad], at base and platform
         self.band: float = self.settings["metrics.band"]  # [px], of settling
         from_home = np.abs(self._image_of_home()[1])
         self.depth = float(from_home.mean())  # [m], of home
@@ -166,14 +167,33 @@ class Scene:
         """Return the remaining travel of the leg nearest to its limit, (...) [m]; negative beyond it."""
         return np.asarray(self.stroke - np.abs(self.leg_travel(poses)).max(axis=-1))
 
+    def leg_tilts(self, poses: Poses) -> Array:
+        """Return the angles of the legs from their directions at home, (..., 2, 6) [rad], in B and in E."""
+        pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
+        return np.asarray([self.hexapod.leg_tilts(*pose) for pose in pairs]).reshape(*poses.shape, 2, 6)
+
+    def limits_used(self, poses: Poses) -> Array:
+        """Return which share of its limits each leg uses, (..., k, 6): of the stroke, and of the tilt at both joints.
+
+        Three rows where the robot has joint limits, otherwise one; above 1 is out of reach.
+        """
+        travel = np.abs(self.leg_travel(poses))[..., None, :] / self.stroke
+        if self.joint_limit is None:
+            return np.asarray(travel)
+        return np.concatenate([travel, self.leg_tilts(poses) / self.joint_limit[:, None]], axis=-2)
+
     def reachable(self, poses: Poses) -> Mask:
-        """Return which poses (n,) are within the stroke and on home's side of the singular ones (the sign of det H)."""
+        """Return which poses (n,) the legs reach.
+
+        They are within the stroke and the joint limits, and on home's side of the singular ones (the sign of det H).
+        """
 
         def side(of: Poses) -> Array:
             pairs = zip(of.position, of.quaternion, strict=True)
             return np.asarray(np.sign(np.linalg.det([self.hexapod.wrench_map(*pose) for pose in pairs])))
 
-        return np.asarray((self.stroke_left(poses) >= -_ROUNDING * self.stroke) & (side(poses) == side(self.home.rows)))
+        within = self.limits_used(poses).max(axis=(-2, -1)) <= 1.0 + _ROUNDING
+        return np.asarray(within & (side(poses) == side(self.home.rows)))
 
     def spread(self, count: int, seed: int) -> Poses:
         """Draw poses, at most `count`, that see all points, even over `WIDER` about home, within the stroke or not."""

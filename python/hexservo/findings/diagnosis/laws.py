@@ -316,7 +316,7 @@ TASKS: tuple[Cause, ...] = (
         "leg_limits",
         "limits of the legs",
         "task",
-        frozenset({"robot.stroke", "robot.on_limit"}),
+        frozenset({"robot.stroke", "robot.speed_limit", "robot.joint_limit", "robot.on_limit"}),
         _leg_limits,
         leg_limits_remedies,
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -104,9 +105,25 @@ def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list
 
 
 def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Use longer legs."""
-    stroke = rounded_up(1.05 * record.metrics["peak_leg_excursion"])
-    return [Removal(f"legs with a stroke of {stroke * 1e3:.3g} mm", {"robot.stroke": stroke})]
+    """Use legs with larger limits, of those that end or fail the run."""
+    robot, peaks = case.scenario.robot, record.metrics
+    changes: dict[str, Any] = {}
+    words = []
+    if peaks["peak_leg_excursion"] > robot.stroke or robot.on_limit == "report":
+        stroke = changes["robot.stroke"] = rounded_up(1.05 * peaks["peak_leg_excursion"])
+        words.append(f"a stroke of {stroke * 1e3:.3g} mm")
+    if robot.on_limit == "stop" and robot.speed_limit is not None and peaks["peak_leg_speed"] > robot.speed_limit:
+        speed = changes["robot.speed_limit"] = rounded_up(1.05 * peaks["peak_leg_speed"])
+        words.append(f"a speed limit of {speed * 1e3:.3g} mm/s")
+    if robot.on_limit == "stop" and robot.joint_limit is not None:
+        tilts = [peaks["peak_base_joint"], peaks["peak_platform_joint"]]
+        wider = [
+            min(max(own, rounded_up(1.05 * tilt)), math.pi) for own, tilt in zip(robot.joint_limit, tilts, strict=True)
+        ]
+        if any(tilt > own for own, tilt in zip(robot.joint_limit, tilts, strict=True)):
+            changes["robot.joint_limit"] = wider
+            words.append(f"joint limits of {' and '.join(f'{tilt * 1e3:.3g}' for tilt in wider)} mrad")
+    return [Removal(f"legs with {' and '.join(words)}", changes)] if words else []
 
 
 def rounded_up(number: float) -> float:

@@ -1,0 +1,213 @@
+"""Speed and joint limits of the legs: events, metrics, the end of a run, reach, check and diagnosis.
+
+Rates and angles are computed from the logged poses, with SciPy's rotations and the joints of the geometry.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.findings.check import unlikely
+from hexservo.findings.diagnosis.causes import CAUSES
+from hexservo.findings.diagnosis.ranking import make_cases
+from hexservo.findings.diagnosis.runs import record_of
+from hexservo.scenario.parameters import core_parameters
+
+Array = NDArray[np.float64]
+KINDS = ("speed", "base_joint", "platform_joint")
+JOINTS = (0.09, 0.12)  # [rad], at base and platform
+METRICS = ("peak_leg_speed", "peak_base_joint", "peak_platform_joint")
+
+
+def peaks(result: hs.Result) -> dict[str, Array]:
+    """Kind -> (n, 6): leg rates [m/s] by H^T, and angles from home [rad], of the samples of a run."""
+    hexapod = _core.Hexapod(core_parameters(result.scenario).robot)
+
+    def directions(position: Array, quaternion: Array) -> tuple[Array, Array, Array]:
+        turn = Rotation.from_quat(np.roll(quaternion, -1))
+        arms = turn.apply(hexapod.platform_joints)
+        legs = position + arms - hexapod.base_joints
+        legs /= np.linalg.norm(legs, axis=1)[:, None]
+        return legs, turn.inv().apply(legs), arms
+
+    def angles(a: Array, b: Array) -> Array:
+        return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
+
+    home = directions(hexapod.home_position, hexapod.home_quaternion)
+    rows: dict[str, list[Array]] = {kind: [] for kind in KINDS}
+    for position, quaternion, twist in zip(result.position, result.quaternion, result.twist, strict=True):
+        in_base, in_platform, arms = directions(position, quaternion)
+        rows["speed"].append(np.abs((in_base * (twist[:3] + np.cross(twist[3:], arms))).sum(axis=1)))
+        rows["base_joint"].append(angles(in_base, home[0]))
+        rows["platform_joint"].append(angles(in_platform, home[1]))
+    return {kind: np.array(values) for kind, values in rows.items()}
+
+
+@pytest.fixture(scope="module")
+def short(paper: hs.Scenario) -> hs.Scenario:
+    return paper.updated({"simulation.duration": 1.0, "robot.home_attitude": [0.05, -0.1, 0.3]})
+
+
+@pytest.fixture(scope="module")
+def free(short: hs.Scenario) -> dict[str, Array]:
+    """The motion is that of the legs without limits."""
+    return peaks(hs.simulate(short))
+
+
+def limited(free: dict[str, Array], share: float) -> dict[str, Any]:
+    largest = {kind: share * float(values.max()) for kind, values in free.items()}
+    return {
+        "robot.speed_limit": largest["speed"],
+        "robot.joint_limit": [largest["base_joint"], largest["platform_joint"]],
+    }
+
+
+def test_events_and_metrics_are_those_of_the_samples(short: hs.Scenario, free: dict[str, Array]) -> None:
+    scenario = short.updated(limited(free, 0.7))
+    result = hs.simulate(scenario)
+    reference = hs.simulate(short)
+    np.testing.assert_array_equal(result.position, reference.position)  # limits are reported, not enforced
+    assert [event.kind for event in result.events if event.kind not in KINDS] == [e.kind for e in reference.events]
+    base, platform = scenario.robot.joint_limit or (0.0, 0.0)
+    limits = {"speed": scenario.robot.speed_limit or 0.0, "base_joint": base, "platform_joint": platform}
+    for kind, metric in zip(KINDS, METRICS, strict=True):
+        values = free[kind]
+        # a chord of unit vectors loses nothing near home: a dozen roundings of numbers below 1
+        assert hs.metrics(result)[metric] == pytest.approx(values.max(), rel=1e-12, abs=1e-14)
+        found = {event.leg: event for event in result.events if event.kind == kind}
+        beyond = {leg + 1 for leg in range(6) if values[:, leg].max() > limits[kind]}
+        assert found.keys() == beyond
+        assert beyond
+        for leg, event in found.items():
+            assert event.time == result.time[np.argmax(values[:, leg - 1] > limits[kind])]
+            assert event.peak == pytest.approx(values[:, leg - 1].max(), rel=1e-12, abs=1e-14)
+            assert event.limit == pytest.approx(limits[kind], rel=1e-15)
+
+
+def test_without_a_limit_there_is_neither_event_nor_metric(short: hs.Scenario, free: dict[str, Array]) -> None:
+    result = hs.simulate(short)
+    assert not [event for event in result.events if event.kind in KINDS]
+    assert all(math.isnan(hs.metrics(result)[name]) for name in METRICS)
+    wide = hs.simulate(short.updated({**limited(free, 1.0 + 1e-9), "robot.joint_limit": [math.pi, math.pi]}))
+    assert not [event for event in wide.events if event.kind in KINDS]
+    assert hs.metrics(wide)["peak_leg_speed"] == pytest.approx(free["speed"].max(), rel=1e-12)
+
+
+def test_lanes_of_a_batch_have_the_metrics_of_single_runs(short: hs.Scenario, free: dict[str, Array]) -> None:
+    speed = float(free["speed"].max())
+    batch = hs.simulate_batch(short, {"robot.speed_limit": [speed, 0.5 * speed, 0.1 * speed]})
+    np.testing.assert_allclose(batch.metrics["peak_leg_speed"], speed, rtol=1e-9)
+    assert np.isnan(batch.metrics["peak_base_joint"]).all()
+
+
+@pytest.fixture(scope="module")
+def machine() -> hs.Scenario:
+    return hs.load_scenario("real-machine").updated({"simulation.duration": 0.4})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_stop_ends_a_run_at_the_first_tick_beyond(machine: hs.Scenario, kind: str) -> None:
+    values = peaks(hs.simulate(machine))[kind]
+    limit = 0.6 * float(values.max())
+    key = {"robot.speed_limit": limit} if kind == "speed" else {"robot.joint_limit": [limit, math.pi]}
+    key = {"robot.joint_limit": [math.pi, limit]} if kind == "platform_joint" else key
+    result = hs.simulate(machine.updated({**key, "robot.on_limit": "stop"}))
+    first = int(np.argmax((values > limit).any(axis=1)))
+    assert first > 1
+    leg = int(values[first].argmax()) + 1
+    words = {
+        "speed": f"leg {leg} passed its speed limit",
+        "base_joint": f"the base joint of leg {leg} passed its limit",
+        "platform_joint": f"the platform joint of leg {leg} passed its limit",
+    }
+    assert result.outcome == "leg_limit"
+    assert result.detail.startswith(words[kind])
+    assert len(result.time) == first  # the last good sample is the one before
+    batch = hs.simulate_batch(machine.updated({**key, "robot.on_limit": "stop"}), {"seed": [machine.seed] * 2})
+    assert list(batch.outcome) == ["leg_limit"] * 2
+    assert list(batch.limit_leg) == [leg] * 2
+    assert batch.detail(1) == result.detail
+
+
+def test_reachable_counts_joint_limits(paper: hs.Scenario) -> None:
+    """Against a search on a grid: margins, the limit that binds, and a nearest pose that no grid pose beats."""
+    scenario = paper.updated({"robot.joint_limit": list(JOINTS)})
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    random = np.random.default_rng(4)
+
+    def used(pose: Array) -> Array:
+        turn = Rotation.from_rotvec(pose[3:])
+        legs = hexapod.home_position + pose[:3] + turn.apply(hexapod.platform_joints) - hexapod.base_joints
+        home = hexapod.home_position + hexapod.platform_joints - hexapod.base_joints
+        travel = np.abs(np.linalg.norm(legs, axis=1) - np.linalg.norm(home, axis=1)) / scenario.robot.stroke
+        cosines = [(legs * home).sum(axis=1), (turn.inv().apply(legs) * home).sum(axis=1)]
+        lengths = np.linalg.norm(legs, axis=1) * np.linalg.norm(home, axis=1)
+        tilts = [np.arccos(np.minimum(c / lengths, 1.0)) / j for c, j in zip(cosines, JOINTS, strict=True)]
+        return np.array([travel, *tilts])
+
+    kinds = set()
+    for _ in range(40):
+        pose = random.normal(size=6) * np.array([6e-3, 6e-3, 6e-3, 0.06, 0.06, 0.06])
+        found, shares = hs.reachable(scenario, pose), used(pose)
+        row, leg = np.unravel_index(int(shares.argmax()), shares.shape)
+        assert found.within == (shares.max() <= 1.0)
+        limit = (scenario.robot.stroke, *JOINTS)[row]
+        assert found.limit == ("stroke", "base_joint", "platform_joint")[row]
+        assert found.leg == leg + 1
+        assert found.margin == pytest.approx(limit * (1.0 - shares[row, leg]), abs=1e-9)
+        kinds.add((found.limit, found.within))
+        assert used(found.nearest).max() <= 1.0 + 1e-8
+        if not found.within:
+            metric = np.repeat([1.0, hexapod.platform_radius], 3)
+            near = found.nearest + random.normal(size=(300, 6)) * 0.03 * found.distance / metric
+            better = [p for p in near if np.linalg.norm((p - pose) * metric) < (1.0 - 1e-3) * found.distance]
+            assert all(used(p).max() > 1.0 for p in better)
+    assert {kind for kind, _ in kinds} == {"stroke", "base_joint", "platform_joint"}
+    assert {within for _, within in kinds} == {True, False}
+    assert "base joint of leg" in str(hs.reachable(scenario, [0.03, 0.0, 0.0, 0.0, 0.0, 0.0]))
+
+
+def test_check_finds_goals_and_starts_beyond(paper: hs.Scenario) -> None:
+    assert not unlikely(paper)
+    (beyond,) = unlikely(paper.updated({"robot.joint_limit": [0.01, 1.0]}))
+    assert beyond.startswith("target.desired_features: the goal is out of reach: the base joint of leg ")
+    moving = {"robot.speed_limit": 0.01, "simulation.start.twist": [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]}
+    (fast,) = unlikely(paper.updated(moving))
+    assert fast.startswith("robot.speed_limit: 10 mm/s is less than the ")
+
+
+def test_a_run_that_stops_at_a_limit_has_a_removal_and_a_remedy(machine: hs.Scenario) -> None:
+    cause = next(cause for cause in CAUSES if cause.key == "leg_limits")
+    speed = 0.5 * float(peaks(hs.simulate(machine))["speed"].max())
+    scenario = machine.updated({"robot.speed_limit": speed, "robot.on_limit": "stop"})
+    assert hs.simulate(scenario).outcome == "leg_limit"
+    (case,) = make_cases([scenario])
+    (removal,) = cause.removals(case)
+    run = hs.simulate(scenario.updated(removal.changes))
+    assert run.outcome == "completed"
+    (remedy,) = cause.remedies(case, removal, record_of(run))
+    assert set(remedy.changes) == {"robot.speed_limit"}
+    assert hs.simulate(scenario.updated(remedy.changes)).outcome == "completed"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"robot.speed_limit": 0.0}, "robot.speed_limit: expected a number > 0 or null, got 0"),
+        ({"robot.joint_limit": [0.1]}, "robot.joint_limit: expected 2 numbers > 0 and <= 3.14159"),
+        ({"robot.joint_limit": [0.1, 30.0]}, "robot.joint_limit[1]: expected a number > 0 and <= 3.14159, got 30"),
+        ({"robot.joint_limit": [0.0, 0.1]}, "robot.joint_limit[0]: expected a number > 0 and <= 3.14159, got 0"),
+    ],
+)
+def test_limits_that_are_none_are_refused(paper: hs.Scenario, changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(hs.ScenarioError) as error:
+        paper.updated(changes)
+    assert words in str(error.value)
