@@ -78,7 +78,7 @@ def nearest_limit(scene: Scene, pose: Poses) -> LegMargin:
     return LegMargin(int(leg) + 1, float(travel[leg]), float(limit * (1.0 - used[row, leg])), LEG_LIMITS[row])
 
 
-def reach_of_start_and_goal(scenario: Scenario) -> StartAndGoal:
+def reach_of_start_and_goal(scenario: Scenario, *, joints: bool = True) -> StartAndGoal:
     """Compare the legs at the start and at the goal of a scenario with their stroke and joint limits.
 
     Nothing is run. Poses of the goal image are found by a local search (`find_goals`), so that a pose may be missed.
@@ -87,6 +87,8 @@ def reach_of_start_and_goal(scenario: Scenario) -> StartAndGoal:
     ----------
     scenario
         In either mode, with any law; the law's gains do not enter.
+    joints
+        Whether joint limits count beside the stroke.
 
     Returns
     -------
@@ -101,7 +103,7 @@ def reach_of_start_and_goal(scenario: Scenario) -> StartAndGoal:
     scene = scene_of(scenario)
 
     def at(pose: Poses) -> LegMargin:
-        return nearest_limit(scene, pose)
+        return nearest_limit(scene, pose) if joints else leg_margin(scene.leg_travel(pose), scene.stroke)
 
     goals = find_goals(scene)
     if goals is None:

@@ -48,7 +48,7 @@ def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
     """
     if scenario.camera.convention != "eye_in_hand" or (goal is not None and goal.leg_travel <= scenario.robot.stroke):
         return None
-    found = reach_of_start_and_goal(scenario)
+    found = reach_of_start_and_goal(scenario, joints=False)  # beyond a joint limit a run is no failure
     if found.goal is None or found.nearest is None:
         return None
     travel = min(abs(found.goal.travel), abs(found.nearest.travel))
