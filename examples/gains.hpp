@@ -29,6 +29,7 @@ inline hexservo::Settings settings() {
   s.robot.base_angles << -0.17453292519943295, 0.17453292519943295, 1.9198621771937625, 2.2689280275926285, 4.014257279586958, 4.363323129985823;  // [rad]
   s.robot.home_position << 0.0, 0.0, -0.15;  // [m]
   s.robot.home_attitude << 0.0, 0.0, 0.0;  // [rad]
+  s.robot.legs = hexservo::LegKind::prismatic;
   s.robot.gravity << 0.0, 0.0, 9.8;  // [m/s^2]
   s.robot.mass = 0.06;  // [kg]
   s.robot.inertia <<  // [kg m^2]

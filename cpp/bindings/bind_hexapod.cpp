@@ -17,6 +17,14 @@ Legs<double> legs_at(const Hexapod<double>& hexapod, const Vector3<double>& posi
 }  // namespace
 
 void bind_hexapod(py::module_& m) {
+  py::class_<CrankParameters>(m, "CrankParameters", "Cranks of rotary legs, docs/model.md section 2.")
+      .def(py::init<>())
+      .def_readwrite("length", &CrankParameters::length, "[m], 0: none")
+      .def_readwrite("rod", &CrankParameters::rod, "[m], 0: none")
+      .def_readwrite("axes", &CrankParameters::axes, "(6, 3) unit vectors in B, or None")
+      .def_readwrite("zero", &CrankParameters::zero, "(6, 3) unit vectors in B, or None")
+      .def_readwrite("branch", &CrankParameters::branch, "(6,) 1 or -1, or None");
+
   py::class_<RobotParameters>(m, "RobotParameters",
                               "A robot as a user describes it, docs/model.md section 2; default: micro.")
       .def(py::init<>())
@@ -28,6 +36,18 @@ void bind_hexapod(py::module_& m) {
       .def_readwrite("base_joints", &RobotParameters::base_joints, "(6, 3) in B, or None: on a circle [m]")
       .def_readwrite("home_position", &RobotParameters::home_position, "(3,) in B [m]")
       .def_readwrite("home_attitude", &RobotParameters::home_attitude, "(3,) rotation vector of E in B at home [rad]")
+      .def_property(
+          "legs", [](const RobotParameters& r) { return text(kNamesOf<LegKind>[static_cast<std::size_t>(r.legs)]); },
+          [](RobotParameters& r, const std::string& name) {
+            for (std::size_t kind = 0; kind < kNamesOf<LegKind>.size(); ++kind)
+              if (kNamesOf<LegKind>[kind] == name) {
+                r.legs = static_cast<LegKind>(kind);
+                return;
+              }
+            throw std::invalid_argument("legs: expected prismatic or rotary, got \"" + name + "\"");
+          },
+          "prismatic or rotary")
+      .def_readwrite("cranks", &RobotParameters::cranks, "of rotary legs")
       .def_readwrite("gravity", &RobotParameters::gravity, "(3,) acceleration in B [m/s^2]")
       .def_readwrite("mass", &RobotParameters::mass, "[kg]")
       .def_readwrite("inertia", &RobotParameters::inertia, "(3, 3) about E's origin, in E [kg m^2]")
@@ -81,7 +101,8 @@ void bind_hexapod(py::module_& m) {
           [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
             return legs_at(h, p, q).lengths;
           },
-          py::arg("position"), py::arg("quaternion"), "Inverse kinematics: (6,) [m].")
+          py::arg("position"), py::arg("quaternion"),
+          "Inverse kinematics: (6,) lengths [m], or crank angles [rad], NaN where a crank does not close.")
       .def(
           "leg_tilts",
           [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
@@ -95,7 +116,8 @@ void bind_hexapod(py::module_& m) {
             return legs_at(h, p, q).wrench_map();
           },
           py::arg("position"), py::arg("quaternion"),
-          "H, (6, 6): leg forces [N] to wrench about E's origin in B [N; N m]; H^T: twist to leg rates.")
+          "H, (6, 6): leg forces [N] to wrench about E's origin in B [N; N m]; H^T: twist to leg rates. Of rotary legs "
+          "H W^-1: torques [N m] to wrench.")
       .def(
           "leg_forces",
           [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q,
@@ -112,12 +134,12 @@ void bind_hexapod(py::module_& m) {
           [](const Hexapod<double>& h, const Vector6<double>& lengths, const Vector3<double>& p,
              const Vector4<double>& q) {
             require_finite("lengths", lengths);
-            if (!(lengths.minCoeff() > 0.0))
+            if (!h.rotary && !(lengths.minCoeff() > 0.0))
               throw std::invalid_argument("lengths: expected numbers > 0, got " + std::to_string(lengths.minCoeff()));
             return forward_kinematics(h, lengths, checked_pose(p, q));
           },
           py::arg("lengths"), py::arg("start_position"), py::arg("start_quaternion"),
-          "Pose near the start with these leg lengths (6,) [m], by Newton's method.")
+          "Pose near the start with these leg lengths (6,) [m], or crank angles [rad], by Newton's method.")
       .def(
           "singular_values",
           [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
@@ -125,7 +147,22 @@ void bind_hexapod(py::module_& m) {
           },
           py::arg("position"), py::arg("quaternion"),
           "(6,) of H with moments divided by the platform radius, largest first [1]; the last is the distance to "
-          "singularity.");
+          "singularity. Of rotary legs H is that of the rods; 0 where a crank does not close.")
+      .def_readonly("rotary", &Hexapod<double>::rotary, "whether the legs have cranks")
+      .def(
+          "lever_arms",
+          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
+            return lever_arms(h, checked_pose(p, q));
+          },
+          py::arg("position"), py::arg("quaternion"),
+          "(6,) w_i of rotary legs [m], 0 where crank and rod are in line, NaN where a crank does not close; else 1.")
+      .def(
+          "leg_feet",
+          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
+            return Eigen::Matrix<double, 6, 3>(leg_feet(h, checked_pose(p, q)).transpose());
+          },
+          py::arg("position"), py::arg("quaternion"),
+          "(6, 3) ends of the cranks in B [m]; of prismatic legs the base joints.");
 }
 
 }  // namespace hexservo::bindings

@@ -11,6 +11,7 @@ using detail::words;
 
 namespace {
 
+constexpr double kUnit = 1e-6;           // what a unit vector's length, or a right angle's cosine, may be off
 constexpr double kSingularRatio = 1e-9;  // sigma_min/sigma_max of H below which a geometry cannot hold a platform
 
 /// A few poses around home without symmetry: a geometry that is singular at all of them is singular everywhere.
@@ -52,7 +53,7 @@ std::string joints_key(const RobotParameters& robot) {
 void require_distinct_legs(const Hexapod<double>& hexapod, const RobotParameters& robot) {
   const double base_radius = robot.base_joints ? spread(hexapod.base_joints_B) : robot.base_radius;
   for (int i = 0; i < 6; ++i) {
-    if (!(hexapod.home_lengths(i) > 1e-9 * hexapod.platform_radius))
+    if (!hexapod.rotary && !(hexapod.home_lengths(i) > 1e-9 * hexapod.platform_radius))
       refuse("robot.home_position", "legs of some length at home",
              words("a length of ", hexapod.home_lengths(i), " m for leg ", i + 1));
     for (int k = 0; k < i; ++k) {
@@ -62,6 +63,81 @@ void require_distinct_legs(const Hexapod<double>& hexapod, const RobotParameters
         refuse(joints_key(robot), "six different legs", words("legs ", k + 1, " and ", i + 1, " that coincide"));
     }
   }
+}
+
+/// Unit vectors of a user, exactly of length 1.
+Matrix36<double> unit_vectors(const std::string& key, const std::optional<Joints>& rows) {
+  if (!rows) refuse(key, "six unit vectors for rotary legs", "null");
+  Matrix36<double> columns = rows->transpose();
+  for (int i = 0; i < 6; ++i) {
+    const double length = columns.col(i).norm();
+    if (!(std::abs(length - 1.0) <= kUnit))
+      refuse(words(key, "[", i, "]"), "a unit vector", words("one of length ", length));
+    columns.col(i) /= length;
+  }
+  return columns;
+}
+
+/// Cranks as a user describes them; their angles count from `zero` until those of home are known.
+Cranks<double> described_cranks(const RobotParameters& robot) {
+  const CrankParameters& given = robot.cranks;
+  if (!(given.length > 0.0)) refuse("robot.cranks.length", "a number > 0 for rotary legs", "null");
+  if (!(given.rod > 0.0)) refuse("robot.cranks.rod", "a number > 0 for rotary legs", "null");
+  Cranks<double> cranks{given.length,
+                        given.rod,
+                        unit_vectors("robot.cranks.axes", given.axes),
+                        unit_vectors("robot.cranks.zero", given.zero),
+                        Vector6<double>::Ones(),
+                        Vector6<double>::Zero()};
+  if (!given.branch) refuse("robot.cranks.branch", "six numbers, each 1 or -1, for rotary legs", "null");
+  cranks.branch = *given.branch;
+  for (int i = 0; i < 6; ++i) {
+    if (std::abs(cranks.branch(i)) != 1.0)
+      refuse(words("robot.cranks.branch[", i, "]"), "1 or -1", words(cranks.branch(i)));
+    const double along = cranks.axes_B.col(i).dot(cranks.home_B.col(i));
+    if (!(std::abs(along) <= kUnit))
+      refuse(words("robot.cranks.zero[", i, "]"), words("a vector at right angles to robot.cranks.axes[", i, "]"),
+             words("one with the scalar product ", along));
+    cranks.home_B.col(i) = (cranks.home_B.col(i) - along * cranks.axes_B.col(i)).normalized();
+  }
+  return cranks;
+}
+
+/// Counts the angles of cranks from home; `hexapod` has its joints and cranks with angles from `zero`.
+void count_from_home(Hexapod<double>& hexapod, const Pose<double>& home) {
+  const Matrix3<double> R_BE = rotation_matrix(home.quaternion);
+  Cranks<double>& cranks = hexapod.cranks;
+  const Vector6<double> angles = inverse_kinematics<double>(hexapod, home.position, R_BE).lengths;
+  for (int i = 0; i < 6; ++i) {
+    if (!std::isfinite(angles(i))) {
+      const double distance =
+          (home.position + R_BE * hexapod.platform_joints_E.col(i) - hexapod.base_joints_B.col(i)).norm();
+      refuse("robot.cranks", "cranks and rods that close at home, and are not in line there",
+             words("a crank of ", cranks.length, " m and a rod of ", cranks.rod, " m for leg ", i + 1,
+                   ", whose platform joint is ", distance, " m from the crank's centre"));
+    }
+    const Vector3<double> zero = cranks.home_B.col(i);
+    cranks.home_B.col(i) = std::cos(angles(i)) * zero + std::sin(angles(i)) * cranks.axes_B.col(i).cross(zero);
+  }
+  cranks.home_angles = angles;
+}
+
+/// Cranks of legs that have some, and no others.
+void place_cranks(const RobotParameters& robot, Hexapod<double>& hexapod, const Pose<double>& home) {
+  hexapod.rotary = robot.legs == LegKind::rotary;
+  const CrankParameters& given = robot.cranks;
+  if (hexapod.rotary) {
+    hexapod.cranks = described_cranks(robot);
+    count_from_home(hexapod, home);
+    if (!(robot.stroke + std::abs(robot.stroke_centre) <= EIGEN_PI))
+      refuse("robot.stroke", "angles within pi of home [rad] for rotary legs",
+             words(robot.stroke + std::abs(robot.stroke_centre)));
+    return;
+  }
+  if (given.length != 0.0 || given.rod != 0.0 || given.axes || given.zero || given.branch)
+    refuse("robot.cranks", "null for prismatic legs, or robot.legs: rotary", "cranks");
+  hexapod.cranks = {
+      0.0, 0.0, Matrix36<double>::Zero(), Matrix36<double>::Zero(), Vector6<double>::Zero(), Vector6<double>::Zero()};
 }
 
 }  // namespace
@@ -100,11 +176,15 @@ Hexapod<double> make_hexapod(const RobotParameters& robot) {
   for (int side = 0; side < 2; ++side)
     hexapod.joint_chords(side) =
         robot.joint_limit ? 2.0 * std::sin(0.5 * (*robot.joint_limit)(side)) : std::numeric_limits<double>::infinity();
+  place_cranks(robot, hexapod, home);
   const Matrix3<double> home_R_BE = rotation_matrix<double>(home.quaternion);
   const Legs<double> home_legs = inverse_kinematics<double>(hexapod, home.position, home_R_BE);
   hexapod.home_lengths = home_legs.lengths;
   hexapod.home_directions_B = home_legs.directions_B;
-  hexapod.home_directions_E = home_R_BE.transpose() * home_legs.directions_B;
+  if (hexapod.rotary)
+    for (int i = 0; i < 6; ++i)
+      hexapod.home_directions_B.col(i) = rod_direction<double>(home_legs.directions_B.col(i), hexapod.cranks.branch(i));
+  hexapod.home_directions_E = home_R_BE.transpose() * hexapod.home_directions_B;
   hexapod.mid_lengths = hexapod.home_lengths.array() + robot.stroke_centre;
   require_distinct_legs(hexapod, robot);
   if (!(std::abs(robot.stroke_centre) <= robot.stroke))
@@ -127,9 +207,28 @@ Hexapod<double> make_hexapod(const RobotParameters& robot) {
 }
 
 Vector6<double> wrench_map_singular_values(const Hexapod<double>& hexapod, const Pose<double>& pose) {
-  Matrix6<double> H = inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion)).wrench_map();
+  Legs<double> legs = inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
+  if (hexapod.rotary) legs.directions_B.colwise().normalize();  // their signs leave singular values as they are
+  Matrix6<double> H = legs.wrench_map();
+  if (!H.allFinite()) return Vector6<double>::Zero();  // a crank that does not close
   H.bottomRows<3>() /= hexapod.platform_radius;
   return Eigen::JacobiSVD<Matrix6<double>>(H).singularValues();
+}
+
+Vector6<double> lever_arms(const Hexapod<double>& hexapod, const Pose<double>& pose) {
+  if (!hexapod.rotary) return Vector6<double>::Ones();
+  const Legs<double> legs = inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
+  return -hexapod.cranks.branch.cwiseQuotient(legs.directions_B.colwise().norm().transpose());
+}
+
+Matrix36<double> leg_feet(const Hexapod<double>& hexapod, const Pose<double>& pose) {
+  if (!hexapod.rotary) return hexapod.base_joints_B;
+  const Legs<double> legs = inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
+  Matrix36<double> feet;
+  for (int i = 0; i < 6; ++i)
+    feet.col(i) = pose.position + legs.arms_B.col(i) -
+                  hexapod.cranks.rod * rod_direction<double>(legs.directions_B.col(i), hexapod.cranks.branch(i));
+  return feet;
 }
 
 }  // namespace hexservo

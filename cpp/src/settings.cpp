@@ -308,6 +308,8 @@ void require_view_at_start(const SceneParameters<double>& p) {
   if (!(error <= kMaxFeatureError))
     refuse(key, words("a pose that shows the features within ", kMaxFeatureError, " px of the goal"),
            words(error, " px"));
+  if (!lever_arms(p.hexapod, p.start).allFinite())
+    refuse(key, "a pose where every crank reaches its platform joint (robot.cranks)", "one beyond");
   const Vector6<double> sigma = wrench_map_singular_values(p.hexapod, p.start);
   if (!(sigma(5) > kRankDeficient * sigma(0)))
     refuse(key, "a pose that is not singular",

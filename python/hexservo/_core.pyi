@@ -94,6 +94,16 @@ class DynamicsError(metaclass=_PybindType):
     coriolis: _Array
     gravity: _Array
 
+class CrankParameters(metaclass=_PybindType):
+    """Cranks of rotary legs."""
+
+    def __init__(self) -> None: ...
+    length: float
+    rod: float
+    axes: _Array | None
+    zero: _Array | None
+    branch: _Array | None
+
 class RobotParameters(metaclass=_PybindType):
     """A robot as a user describes it."""
 
@@ -106,6 +116,8 @@ class RobotParameters(metaclass=_PybindType):
     base_joints: _Array | None
     home_position: _Array
     home_attitude: _Array
+    legs: str
+    cranks: CrankParameters
     gravity: _Array
     mass: float
     inertia: _Array
@@ -148,6 +160,10 @@ class Hexapod(metaclass=_PybindType):
     @property
     def base_joints(self) -> _Array: ...
     def leg_lengths(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
+    @property
+    def rotary(self) -> bool: ...
+    def lever_arms(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
+    def leg_feet(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
     def leg_tilts(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
     def wrench_map(self, position: ArrayLike, quaternion: ArrayLike) -> _Array: ...
     def leg_forces(self, position: ArrayLike, quaternion: ArrayLike, wrench: ArrayLike) -> _Array: ...

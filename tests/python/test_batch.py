@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
+import rotary_machine
 from hexservo import _core
 from hexservo.run.batch import Log
 from hexservo.scenario.keys import numeric_keys
@@ -137,6 +139,19 @@ def calibrated(sampled: hs.Scenario, key: str) -> hs.Scenario:
 # ---- Every key ------------------------------------------------------------------------------------------------------
 
 
+def crank_rows(name: str) -> NDArray[np.float64]:
+    """Three rows for a key of rotary legs."""
+    if name in ("length", "rod"):
+        return {"length": rotary_machine.CRANK, "rod": rotary_machine.ROD}[name] * np.array([1.0, 1.01, 0.98])
+    if name == "branch":
+        other = rotary_machine.BRANCH * [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+        return np.stack([rotary_machine.BRANCH, other, rotary_machine.BRANCH])
+    own, about = rotary_machine.AXES, rotary_machine.ZERO
+    own, about = (about, own) if name == "zero" else (own, about)
+    turns = [Rotation.from_rotvec(angle * about) for angle in (0.0, 0.01, -0.02)]
+    return np.stack([turn.apply(own) for turn in turns])
+
+
 def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
     """Three rows for a key, in each form that it may have: what the scenario has, and two others."""
     value: Any = scenario
@@ -155,6 +170,8 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
     if key in ("robot.speed_limit", "robot.joint_limit"):
         rows = np.array([[0.05, 0.05], [0.01, 0.02], [0.003, 0.1]])
         return [rows[:, 0] if key == "robot.speed_limit" else rows]
+    if key.startswith("robot.cranks."):
+        return [crank_rows(key.rpartition(".")[2])]
     if key == "robot.centre_of_mass":
         return [np.array([[0.0, 0.0, 0.0], [0.01, -0.02, 0.005], [0.0, 0.01, 0.0]])]
     arrays = []
@@ -208,6 +225,8 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         hexapod = _core.Hexapod(core_parameters(base).robot)
         circle = {f"robot.{side}_radius": None, f"robot.{side}_angles": None}
         base = base.updated({**circle, key: getattr(hexapod, f"{side}_joints")})
+    if key.startswith("robot.cranks."):
+        base = base.updated({"robot": rotary_machine.robot()})
     if key in CALIBRATED:
         base = calibrated(base, key)
     if key == "robot.centre_of_mass":  # an inertia that a body with all of these has

@@ -30,7 +30,7 @@ EIGEN = next((path for path in map(Path, ("/usr/include/eigen3", "/usr/local/inc
 # What the header has to bring to C++: everything but the plant's errors and the run's grid.
 SHARED = [
     *(f"robot.{name}" for name in ("platform_radius", "base_radius", "platform_angles", "base_angles")),
-    *(f"robot.{name}" for name in ("home_position", "home_attitude", "gravity")),
+    *(f"robot.{name}" for name in ("home_position", "home_attitude", "legs", "gravity")),
     *(f"robot.{name}" for name in ("mass", "inertia", "stroke", "stroke_centre", "force_limit", "centre_of_mass")),
     *(f"robot.payload.{name}" for name in ("mass", "position", "inertia", "known")),
     *("camera.focal_length", "camera.pixel_scale", "camera.mount.position", "camera.mount.rotation"),

@@ -7,8 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
+import rotary_machine
 from hexservo import _core
 from hexservo.scenario.blocks import Camera
 from hexservo.scenario.keys import all_paths, numeric_keys, sampled_keys, value_at
@@ -119,6 +122,10 @@ def _joints(scenario: hs.Scenario) -> tuple[Any, Any]:
     return hexapod.platform_joints, hexapod.base_joints
 
 
+def turned(vectors: NDArray[np.float64], about: NDArray[np.float64]) -> Any:
+    return Rotation.from_rotvec(0.1 * about).apply(vectors).tolist()
+
+
 def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
     """Another value of a key that acts in continuous mode, as changes."""
     value = value_at(scenario, key)
@@ -127,6 +134,11 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "robot.preset": {"robot": {**scenario.to_mapping()["robot"], "preset": None, "mass": 0.2}},
         "robot.stroke": {key: 1e-9},
         "robot.force_limit": {key: 1e-6},
+        "robot.legs": {"robot": rotary_machine.robot()},
+        "robot.cranks.branch": {key: (rotary_machine.BRANCH * [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0]).tolist()},
+        "robot.cranks.axes": {key: turned(rotary_machine.AXES, rotary_machine.ZERO)},
+        "robot.cranks.zero": {key: turned(rotary_machine.ZERO, rotary_machine.AXES)},
+        "robot.cranks.length": {key: 1.01 * rotary_machine.CRANK},
         "robot.speed_limit": {key: 1e-6},
         "robot.joint_limit": {key: [1e-6, 1e-6]},
         "camera.convention": {key: "as_printed"},
@@ -193,6 +205,8 @@ def base_for(short: hs.Scenario, key: str) -> hs.Scenario:
         changes["simulation.duration"] = 0.45  # it comes within the band at 0.35 s
     if key == "uncertainty.coriolis":
         changes["uncertainty.depth"] = [0.3, 0.2, 0.1, 0.25]
+    if key.startswith("robot.cranks."):
+        changes["robot"] = rotary_machine.robot()
     return short.updated(changes)
 
 

@@ -179,7 +179,10 @@ def test_public_names_are_listed_once_and_there() -> None:
             and node.targets[0].id == "_MODULES"
         )
     )
-    assert typed == {(module, name) for module, names in table.items() for name in names} | {("bridges", ""), ("plots", "")}
+    assert typed == {(module, name) for module, names in table.items() for name in names} | {
+        ("bridges", ""),
+        ("plots", ""),
+    }
     assert set(hs.__all__) == {name for _, name in typed if name} | {"bridges", "plots", "__version__"}
     assert all(getattr(hs, name) is not None for name in hs.__all__)
     with pytest.raises(AttributeError, match="no attribute 'simulat'"):

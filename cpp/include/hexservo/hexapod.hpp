@@ -7,6 +7,10 @@
 /// | s_i = x_p + R p_i - b_i  | leg vector      | from base joint to platform joint, in B [m]                 |
 /// | l_i = |s_i|, c_i         | lengths, directions_B            | leg lengths [m], unit vectors              |
 /// | H                        | wrench map      | 6x6, leg forces [N] to wrench in B; H^T: twist to leg rates |
+///
+/// A leg has a coordinate and an effort: its length and its force, or of a rotary leg the angle of its crank and the
+/// torque there. With the lever arm w_i of a crank, W = diag(w_i), rates are W^-1 H^T chi-dot and the wrench is
+/// H W^-1 m: c_i/w_i takes the place of c_i, and everything that is made of directions and lengths holds for both.
 #pragma once
 
 #include "hexservo/cholesky.hpp"
@@ -50,6 +54,30 @@ struct Payload {
   }
 };
 
+/// What drives a leg.
+enum class LegKind {
+  prismatic,  ///< its length
+  rotary      ///< a crank at the base, with a rod of fixed length to the platform
+};
+
+/// The cranks of rotary legs, whose centres are the base joints: none where the legs are prismatic.
+struct CrankParameters {
+  double length = 0.0;         ///< r, from a crank's centre to its rod [m]
+  double rod = 0.0;            ///< d, length of the rods [m]
+  std::optional<Joints> axes;  ///< a_i, of rotation, unit vectors in B [1], one in each row
+  std::optional<Joints> zero;  ///< e_i, of the crank at angle 0, unit vectors in B [1], at right angles to a_i
+  std::optional<Vector6<double>> branch;  ///< sigma_i, +1 or -1: which of the two angles of a pose [1]
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"length", "m", kPositiveOrZero}.of_legs(), self.length...);
+    v(Field{"rod", "m", kPositiveOrZero}.of_legs(), self.rod...);
+    v(Field{"axes", "1"}.entrywise().of_legs(), self.axes...);
+    v(Field{"zero", "1"}.entrywise().of_legs(), self.zero...);
+    v(Field{"branch", "1", kSign}.entrywise().of_legs(), self.branch...);
+  }
+};
+
 /// A robot as a user describes it: leg geometry, mass properties and limits. The defaults are the preset `micro`.
 struct RobotParameters {
   double platform_radius = 0.1;                                           ///< r_p [m], 0.1 (paper)
@@ -60,8 +88,10 @@ struct RobotParameters {
   std::optional<Joints> base_joints;                                   ///< b_i in B [m], likewise
   Vector3<double> home_position = {0.0, 0.0, -0.15};                   ///< p_BE at home [m], (0, 0, -0.15)
   Vector3<double> home_attitude = {0.0, 0.0, 0.0};                     ///< rotation vector of R_BE at home [rad], 0
-  Vector3<double> gravity = RigidBody<double>{}.gravity;               ///< g in B [m/s^2], (0, 0, 9.8)
-  double mass = RigidBody<double>{}.mass;                              ///< platform with camera [kg], 0.06 (paper)
+  LegKind legs = LegKind::prismatic;
+  CrankParameters cranks;
+  Vector3<double> gravity = RigidBody<double>{}.gravity;     ///< g in B [m/s^2], (0, 0, 9.8)
+  double mass = RigidBody<double>{}.mass;                    ///< platform with camera [kg], 0.06 (paper)
   Matrix3<double> inertia = RigidBody<double>{}.inertia_E;   ///< about E's origin, in E [kg m^2], diag(1.5, 1.5, 3) e-4
   Vector3<double> centre_of_mass = Vector3<double>::Zero();  ///< of the platform without payload, in E [m], 0 (paper)
   Payload payload;
@@ -85,6 +115,8 @@ struct RobotParameters {
     v(Field{"base_joints", "m"}.entrywise().of_legs(), self.base_joints...);
     v(Field{"home_position", "m"}.entrywise().of_legs(), self.home_position...);
     v(Field{"home_attitude", "rad", kAngle}.entrywise().of_legs(), self.home_attitude...);
+    v(Field{"legs"}.of_batch(), self.legs...);
+    v(Field{"cranks"}, self.cranks...);
     v(Field{"gravity", "m/s^2"}.entrywise(), self.gravity...);
     v(Field{"mass", "kg", kPositive}, self.mass...);
     v(Field{"inertia", "kg m^2"}.symmetric(), self.inertia...);
@@ -106,7 +138,29 @@ inline constexpr std::array<std::string_view, 2> kRobotPresets = {"micro", "cubi
 /// @throws std::invalid_argument for another name
 RobotParameters robot_preset(std::string_view name);
 
-/// Leg geometry and limits, ready for the loop.
+/// Cranks and rods of rotary legs, ready for their inverse kinematics.
+template <class S>
+struct Cranks {
+  S length;                ///< r [m]
+  S rod;                   ///< d [m]
+  Matrix36<S> axes_B;      ///< a_i, one column per leg [1]
+  Matrix36<S> home_B;      ///< direction of the crank at home [1]
+  Vector6<S> branch;       ///< sigma_i
+  Vector6<S> home_angles;  ///< theta_i at home, within +-pi [rad]; angles are counted within +-pi of them
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"length", "m"}, self.length...);
+    v(Field{"rod", "m"}, self.rod...);
+    v(Field{"axes_B", "1"}, self.axes_B...);
+    v(Field{"home_B", "1"}, self.home_B...);
+    v(Field{"branch", "1"}, self.branch...);
+    v(Field{"home_angles", "rad"}, self.home_angles...);
+  }
+};
+
+/// Leg geometry and limits, ready for the loop. Of rotary legs coordinates are angles [rad] in place of lengths [m],
+/// efforts torques [N m] in place of forces [N].
 template <class S>
 struct Hexapod {
   Matrix36<S> platform_joints_E;  ///< p_i, one column per leg, in E [m]
@@ -122,6 +176,8 @@ struct Hexapod {
   Vector2<S> joint_chords;        ///< allowed |c_i - c_i at home|, in B and in E [1]; infinity: any
   Matrix36<S> home_directions_B;  ///< c_i at home [1]
   Matrix36<S> home_directions_E;  ///< the same in E
+  bool rotary = false;            ///< whether the legs have cranks
+  Cranks<S> cranks;               ///< zeros where they have none
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -138,6 +194,8 @@ struct Hexapod {
     v(Field{"joint_chords", "1"}, self.joint_chords...);
     v(Field{"home_directions_B", "1"}, self.home_directions_B...);
     v(Field{"home_directions_E", "1"}, self.home_directions_E...);
+    v(Field{"rotary"}, self.rotary...);
+    v(Field{"cranks"}, self.cranks...);
   }
 };
 
@@ -152,8 +210,16 @@ Pose<S> home_pose(const Hexapod<S>& hexapod) {
 /// r_p of joints that are given one by one is the RMS distance of the platform's from their mean.
 /// @throws std::invalid_argument naming the scenario key: radii, stroke or force limit not positive, coinciding joints,
 /// a leg of no length, or a geometry whose wrench map is singular at home or at generic poses (sigma_min/sigma_max
-/// below 1e-9), such as regular hexagons joined in cyclic order or a platform similar to its base
+/// below 1e-9), such as regular hexagons joined in cyclic order or a platform similar to its base; cranks of prismatic
+/// legs; of rotary legs cranks that are not whole, do not close at home or are in line with their rod there
 Hexapod<double> make_hexapod(const RobotParameters& robot);
+
+/// c of a rotary leg from c/w, whose sign is -sigma.
+template <class S>
+Vector3<S> rod_direction(const Vector3<S>& direction_over_arm, const S& branch) {
+  using std::sqrt;
+  return (-branch / sqrt(dot<S>(direction_over_arm, direction_over_arm))) * direction_over_arm;
+}
 
 /// One number for each leg, side by side.
 template <class S>
@@ -165,10 +231,15 @@ struct LegGeometry {
   explicit LegGeometry(const Hexapod<S>& hexapod)
       : platform_joints_E(hexapod.platform_joints_E),
         base_joints_B(hexapod.base_joints_B),
-        inverse_radius(S(1.0) / hexapod.platform_radius) {}
+        inverse_radius(S(1.0) / hexapod.platform_radius),
+        rotary(hexapod.rotary) {
+    if (rotary) cranks = hexapod.cranks;
+  }
 
   Vectors3<S, 6> platform_joints_E, base_joints_B;  ///< p_i, b_i [m]
   S inverse_radius;                                 ///< 1/r_p [1/m]
+  bool rotary;                                      ///< whether the legs have cranks
+  Cranks<S> cranks;                                 ///< of rotary legs; others have no use for it
 };
 
 /// The rows of H, each with one number per leg.
@@ -178,8 +249,8 @@ using WrenchMapRows = std::array<LegVector<S>, 6>;
 /// The legs at one pose, side by side.
 template <class S>
 struct LegsSideBySide {
-  LegVector<S> lengths;         ///< l_i [m]
-  Vectors3<S, 6> directions_B;  ///< c_i, from base to platform [1]
+  LegVector<S> lengths;         ///< l_i [m], or theta_i [rad]
+  Vectors3<S, 6> directions_B;  ///< c_i, from base to platform [1], or c_i/w_i [1/m]
   Vectors3<S, 6> arms_B;        ///< R p_i, from E's origin to the platform joints, in B [m]
 
   /// H (see `Legs::wrench_map`), with zeros beyond the legs.
@@ -201,8 +272,8 @@ struct LegsSideBySide {
 /// The legs at one pose.
 template <class S>
 struct Legs {
-  Vector6<S> lengths;        ///< l_i [m]
-  Matrix36<S> directions_B;  ///< c_i, from base to platform, one column per leg [1]
+  Vector6<S> lengths;        ///< l_i [m], or theta_i [rad]
+  Matrix36<S> directions_B;  ///< c_i, from base to platform, one column per leg [1], or c_i/w_i [1/m]
   Matrix36<S> arms_B;        ///< R p_i, from E's origin to the platform joints, in B [m]
 
   LegsSideBySide<S> side_by_side() const {
@@ -210,7 +281,7 @@ struct Legs {
   }
 
   /// H: leg forces [N], positive where they push, to the wrench [N; N m] about E's origin, in B. H^T: twist to leg
-  /// rates.
+  /// rates. Of rotary legs H W^-1, of torques [N m].
   /// @param moment_scale factor of the moments, 1; 1/r_p makes them comparable with forces
   Matrix6<S> wrench_map(const S& moment_scale = S(1.0)) const {
     const WrenchMapRows<S> rows = side_by_side().wrench_map(moment_scale);
@@ -242,14 +313,53 @@ struct Legs {
   }
 };
 
+/// Inverse kinematics of rotary legs, u_i = x_p + R p_i - b_i (docs/model.md, section 2):
+///
+///     A = 2 r u.h,  B = 2 r u.(a x h),  C = |u|^2 + r^2 - d^2,  D = sqrt(A^2 + B^2 - C^2)
+///     theta = theta_home + atan2(B C + sigma A D, A C - sigma B D)
+///     w = c.(a x k) = -sigma D/(2 d)
+///
+/// with h the crank's direction at home, k the crank and c = (u - k)/d the rod. NaN where the crank does not close.
+template <class S>
+[[gnu::noinline, gnu::cold]] LegsSideBySide<S> rotary_inverse_kinematics(const LegGeometry<S>& geometry,
+                                                                         const Vector3<S>& p_BE,
+                                                                         const Matrix3<S>& R_BE) {
+  using std::atan2;
+  using std::sqrt;
+  const Cranks<S>& cranks = geometry.cranks;
+  const Matrix36<S> joints_E = geometry.platform_joints_E.matrix(), centres_B = geometry.base_joints_B.matrix();
+  Vector6<S> angles;
+  Matrix36<S> directions, arms;
+  for (int i = 0; i < 6; ++i) {
+    const Vector3<S> arm = rotate<S>(R_BE, joints_E.col(i)), u = p_BE + arm - centres_B.col(i);
+    const Vector3<S> home = cranks.home_B.col(i), across = cross<S>(cranks.axes_B.col(i), home);
+    const S twice = S(2.0) * cranks.length, sign = cranks.branch(i);
+    const S a = twice * dot<S>(u, home), b = twice * dot<S>(u, across);
+    const S c = dot<S>(u, u) + cranks.length * cranks.length - cranks.rod * cranks.rod;
+    const S reach = a * a + b * b, root = sqrt(S(reach - c * c));
+    const S cosine = (a * c - sign * b * root) / reach, sine = (b * c + sign * a * root) / reach;
+    const S scale = S(-2.0) * sign / root;  // of a rod as long as d: 1/(d w)
+    for (int k = 0; k < 3; ++k)
+      directions(k, i) = scale * (u(k) - cranks.length * (cosine * home(k) + sine * across(k)));
+    angles(i) = cranks.home_angles(i) + atan2(sine, cosine);
+    arms.col(i) = arm;
+  }
+  return {LegVector<S>(angles), Vectors3<S, 6>(directions), Vectors3<S, 6>(arms)};
+}
+
 /// Inverse kinematics: s_i = x_p + R p_i - b_i (docs/model.md, section 2).
 template <class S>
 LegsSideBySide<S> inverse_kinematics(const LegGeometry<S>& geometry, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
   using std::sqrt;
   using R = typename LegVector<S>::Register;
+  LegsSideBySide<S> legs;
+  if (geometry.rotary) [[unlikely]] {
+    const LegsSideBySide<S> rotary = rotary_inverse_kinematics(geometry, p_BE, R_BE);
+    legs = rotary;
+    return legs;
+  }
   const Vector3<R> position = broadcast<R>(p_BE);
   const Matrix3<R> attitude = broadcast<R>(R_BE);
-  LegsSideBySide<S> legs;
   for (std::size_t r = 0; r < LegVector<S>::registers; ++r) {
     const Vector3<R> arm = rotate<R>(attitude, geometry.platform_joints_E.part(r));
     const Vector3<R> base = geometry.base_joints_B.part(r);
@@ -343,6 +453,33 @@ struct ForwardKinematics {
 inline constexpr double kKinematicsTolerance = 1e-12;  ///< residual of a converged forward kinematics [m]
 inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds from anywhere, the same for every lane
 
+/// A pose after a small displacement (m; rad, in B): q <- normalised (1, d_theta/2) (x) q, to second order.
+template <class S>
+Pose<S> stepped(const Pose<S>& pose, const Vector6<S>& d) {
+  using std::sqrt;
+  Pose<S> next;
+  next.position = pose.position + d.template head<3>();
+  next.quaternion = pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>());
+  next.quaternion /= sqrt(next.quaternion.squaredNorm());
+  return next;
+}
+
+/// What of a Newton step rotary legs follow: it is halved until the cranks close and their angles come nearer.
+template <class S>
+[[gnu::noinline, gnu::cold]] S followed_share(const Hexapod<S>& hexapod, const Pose<S>& pose, const Vector6<S>& d,
+                                              const Vector6<S>& angles) {
+  constexpr int kHalvings = 10;
+  const auto distance = [&](const S& share) {
+    const Pose<S> next = stepped(pose, Vector6<S>(share * d));
+    return S(
+        (inverse_kinematics(hexapod, next.position, rotation_matrix(next.quaternion)).lengths - angles).squaredNorm());
+  };
+  const S before = distance(S(0.0));
+  S share(1.0);
+  for (int i = 0; i < kHalvings; ++i) share = select(distance(share) <= before, share, S(S(0.5) * share));
+  return share;
+}
+
 /// Forward kinematics by Newton's method on l(pose) = lengths from a start pose; steps are limited to r_p and 0.5 rad.
 ///
 /// A hexapod has up to 40 poses for the same lengths; Newton finds one near `start`. A fixed number of rounds bounds
@@ -376,12 +513,8 @@ ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6
     const S size = max(S(sqrt(d.template head<3>().squaredNorm()) / hexapod.platform_radius),
                        S(sqrt(d.template tail<3>().squaredNorm()) / S(kMaxRotation)));
     d *= select(size > S(1.0), S(S(1.0) / size), S(1.0));
-
-    // q <- normalised (1, d_theta/2) (x) q, the rotation by d_theta to second order
-    Pose<S> next;
-    next.position = result.pose.position + d.template head<3>();
-    next.quaternion = result.pose.quaternion + quaternion_rate<S>(result.pose.quaternion, d.template tail<3>());
-    next.quaternion /= sqrt(next.quaternion.squaredNorm());
+    if (hexapod.rotary) d *= followed_share(hexapod, result.pose, d, lengths);
+    const Pose<S> next = stepped(result.pose, d);
     result.pose.position = select(result.singular, result.pose.position, next.position);
     result.pose.quaternion = select(result.singular, result.pose.quaternion, next.quaternion);
   }
@@ -397,6 +530,14 @@ inline KinematicsStatus status(const ForwardKinematics<double>& result) {
 }
 
 /// Singular values of H with the moments divided by r_p, largest first [1]; the last is the distance to singularity.
+/// Of rotary legs H is that of the rods; a crank in line with its rod is another singularity, see `lever_arms`.
 Vector6<double> wrench_map_singular_values(const Hexapod<double>& hexapod, const Pose<double>& pose);
+
+/// w_i [m] of rotary legs: their torque over the force of the rod, 0 where crank and rod are in line; of others 1.
+/// NaN where a crank does not close.
+Vector6<double> lever_arms(const Hexapod<double>& hexapod, const Pose<double>& pose);
+
+/// Where the rods of rotary legs begin, b_i + k_i, one column per leg, in B [m]; of prismatic legs the base joints.
+Matrix36<double> leg_feet(const Hexapod<double>& hexapod, const Pose<double>& pose);
 
 }  // namespace hexservo

@@ -272,6 +272,12 @@ Lanes<W> atan(Lanes<W> x) {
   return detail::map_lanes(x, [](double v) { return std::atan(v); });
 }
 template <int W>
+Lanes<W> atan2(Lanes<W> y, Lanes<W> x) {
+  Lanes<W> out;
+  for (int i = 0; i < W; ++i) out.set(i, std::atan2(y[i], x[i]));
+  return out;
+}
+template <int W>
 Lanes<W> exp(Lanes<W> x) {
   return detail::map_lanes(x, [](double v) { return std::exp(v); });
 }

@@ -3,10 +3,11 @@
 /// (docs/model.md, section 2). Where a robot has neither nothing is computed.
 ///
 /// The tilt of a leg is the angle between its direction and the one at home, as the base sees them (c_i in B) and as
-/// the platform does (R^T c_i). It is compared by its chord |c - c_home| = 2 sin(angle/2), which keeps its digits where
-/// the angle is small.
+/// the platform does (R^T c_i); a crank carries the base's joint of its rod with it. It is compared by its chord |c -
+/// c_home| = 2 sin(angle/2), which keeps its digits where the angle is small.
 #pragma once
 
+#include "hexservo/elementary.hpp"
 #include "hexservo/hexapod.hpp"
 
 #include <algorithm>
@@ -54,9 +55,13 @@ class LegWatch {
     const Vector6<S> rates = legs.rates(twist);
     LegMotion<S> motion;
     for (int i = 0; i < 6; ++i) {
-      const Vector3<S> c = legs.directions_B.col(i);
+      Vector3<S> c = legs.directions_B.col(i), home = directions_B_.col(i);
+      if (legs_.rotary) {
+        c = rod_direction<S>(c, legs_.cranks.branch(i));
+        home = turned(home, legs_.cranks.axes_B.col(i), S(legs.lengths(i) - legs_.cranks.home_angles(i)));
+      }
       motion.speeds(i) = abs(rates(i));
-      motion.base_chords(i) = distance(c, directions_B_.col(i));
+      motion.base_chords(i) = distance(c, home);
       motion.platform_chords(i) = distance(rotate_back(R_BE, c), directions_E_.col(i));
     }
     return motion;
@@ -64,6 +69,16 @@ class LegWatch {
 
  private:
   static S none() { return S(std::numeric_limits<double>::infinity()); }
+  /// A vector after a rotation about a unit vector.
+  static Vector3<S> turned(const Vector3<S>& v, const Vector3<S>& axis, const S& angle) {
+    const S turns = S(1.0 / 6.283185307179586) * angle;
+    const S sine = sine_of_turns(turns), cosine = sine_of_turns(S(turns + S(0.25)));
+    const S along = (S(1.0) - cosine) * dot<S>(axis, v);
+    const Vector3<S> across = cross<S>(axis, v);
+    return Vector3<S>(cosine * v(0) + sine * across(0) + along * axis(0),
+                      cosine * v(1) + sine * across(1) + along * axis(1),
+                      cosine * v(2) + sine * across(2) + along * axis(2));
+  }
   static S distance(const Vector3<S>& a, const Vector3<S>& b) {
     using std::sqrt;
     const Vector3<S> between = a - b;

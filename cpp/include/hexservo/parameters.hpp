@@ -51,6 +51,7 @@ inline constexpr Bound kRelativeError = {.least = -1.0, .most = 1.0, .above = tr
 inline constexpr Bound kAngle = {.least = -6.283185307179586, .most = 6.283185307179586};
 /// An angle between two directions [rad].
 inline constexpr Bound kTilt = {.least = 0.0, .most = 3.141592653589793, .above = true};
+inline constexpr Bound kSign = {.least = -1.0, .most = 1.0};
 inline constexpr Bound kProbability = {.least = 0.0, .most = 1.0};
 
 /// What a key of a batch changes besides the numbers of one lane.

@@ -60,7 +60,7 @@ def mjcf(scenario: Scenario) -> str:
     ValueError
         For rotary legs, for a camera ``as_printed``, and for what the core refuses.
     """
-    if getattr(scenario.robot, "legs", "prismatic") == "rotary":
+    if scenario.robot.legs == "rotary":
         raise ValueError("robot.legs: expected prismatic for MJCF, got rotary; cranks are not exported")
     scene = scene_of(scenario)
     if not scene.has_points:

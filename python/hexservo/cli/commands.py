@@ -360,7 +360,8 @@ def _metrics_table(result: hs.Result) -> RenderableType:
         table.add_column(overflow="fold", style="dim")
     for name, value in shown_metrics(result).items():
         meaning = hs.METRICS[name][1]
-        table.add_row(name.replace("_", " "), *readable(name, value), *([meaning] if with_meanings else []))
+        shown = readable(name, value, result.scenario.robot)
+        table.add_row(name.replace("_", " "), *shown, *([meaning] if with_meanings else []))
     return table
 
 

@@ -42,7 +42,7 @@ def _write_files(result: Result, folder: Path) -> None:
 
 def _metrics_json(result: Result) -> str:
     """Return outcome, events and metrics as strict JSON: numbers that are not finite are null."""
-    from hexservo.run.metrics import METRICS, metrics
+    from hexservo.run.metrics import METRICS, metric_unit, metrics
     from hexservo.scenario.version import VERSION
 
     content: dict[str, Any] = {
@@ -62,7 +62,7 @@ def _metrics_json(result: Result) -> str:
             for event in result.events
         ],
         "metrics": {
-            name: {"value": value, "unit": METRICS[name][0], "meaning": METRICS[name][1]}
+            name: {"value": value, "unit": metric_unit(name, result.scenario.robot), "meaning": METRICS[name][1]}
             for name, value in metrics(result).items()
         },
     }

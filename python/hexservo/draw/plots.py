@@ -66,6 +66,7 @@ from hexservo.run.samples import mean_samples as _mean_samples
 from hexservo.run.samples import parts as _parts
 from hexservo.run.samples import turns_from_home as _turns_from_home
 from hexservo.run.samples import vertical as _vertical
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features
 from hexservo.scenario.rules import TERMS, term_text
@@ -372,7 +373,7 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     describe(rows[0], "force [N]", "Horizontal force, in B")
     describe(rows[1], "force [N]", f"Vertical force, in B ({_vertical(result)})")
     describe(rows[2], "moment [mN m]", "Moment, in B", time=True)
-    describe(legs, "leg force [N]", "Leg forces (positive: pushing)", time=True)
+    describe(legs, *leg_units(result.scenario.robot).efforts, time=True)
     if mean > 1 and given is None:
         period = 1e3 * mean * float(np.median(np.diff(result.time)))
         samples = Line2D([], [], color=GREY, linewidth=THIN, alpha=FAINT)

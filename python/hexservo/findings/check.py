@@ -53,11 +53,11 @@ def _of_legs(scene: Scene) -> Iterator[str]:
     share = 1.0 - np.array(scene.settings["uncertainty.gravity"])
     weight = share * scene.settings.plant_body.weight(scene.home.quaternion)
     forces = scene.hexapod.leg_forces(scene.home.position, scene.home.quaternion, weight)
-    leg = int(np.abs(forces).argmax())
+    leg, unit = int(np.abs(forces).argmax()), scene.units.effort
     if abs(forces[leg]) > robot.force_limit:
         yield (
-            f"robot.force_limit: {number(robot.force_limit)} N is less than the {number(abs(forces[leg]))} N that leg "
-            f"{leg + 1} needs to carry the platform's weight at home"
+            f"robot.force_limit: {number(robot.force_limit)} {unit} is less than the {number(abs(forces[leg]))} {unit} "
+            f"that leg {leg + 1} needs to carry the platform's weight at home"
         )
     z_down = robot.gravity[2] >= 0
     upward = -1.0 if z_down else 1.0
@@ -70,7 +70,7 @@ def _of_legs(scene: Scene) -> Iterator[str]:
             f"that looks up at it, since z points {'down' if z_down else 'up'}; above the base z is {above}"
         )
     shortest = float(np.min(scene.hexapod.home_lengths))
-    if robot.stroke > shortest:
+    if robot.stroke > shortest and not scene.hexapod.rotary:
         yield (
             f"robot.stroke: {quantity(robot.stroke, 'm')} either way is longer than a leg, of "
             f"{quantity(shortest, 'm')} at home"
@@ -82,10 +82,10 @@ def _of_goal(scene: Scene) -> Iterator[str]:
     if not reach.start.within:
         yield f"simulation.start.pose: the start is out of reach: {reach.start.beyond}"
     speed = _start_speed(scene)
-    limit = scene.scenario.robot.speed_limit
+    limit, rate = scene.scenario.robot.speed_limit, scene.units.rate
     if limit is not None and speed > limit:
         yield (
-            f"robot.speed_limit: {quantity(limit, 'm/s')} is less than the {quantity(speed, 'm/s')} of a leg at the "
+            f"robot.speed_limit: {quantity(limit, rate)} is less than the {quantity(speed, rate)} of a leg at the "
             "start (simulation.start.twist)"
         )
     if reach.residual > scene.band:

@@ -98,14 +98,15 @@ def _of_forces(scene: Scene, key: str, bandwidth: float) -> Iterator[str]:
     weight, law = start_forces(scene)
     limit = scene.scenario.robot.force_limit
     if np.abs(weight).max() > limit:
-        yield f"{key} fits no better than any other: the legs' {quantity(limit, 'N')} do not carry the weight"
+        available = quantity(limit, scene.units.effort)
+        yield f"{key} fits no better than any other: the legs' {available} do not carry the weight"
         return
     share = (limit - np.sign(law) * weight) / np.maximum(np.abs(law), 1e-300)
     leg = int(share.argmin())
     if share[leg] < 1.0:
-        needed = abs(weight[leg] + law[leg])
+        needed, unit = abs(weight[leg] + law[leg]), scene.units.effort
         yield (
-            f"{key} needs {quantity(needed, 'N')} of leg {leg + 1} at the start, which has {quantity(limit, 'N')}: "
+            f"{key} needs {quantity(needed, unit)} of leg {leg + 1} at the start, which has {quantity(limit, unit)}: "
             f"enough for {number(bandwidth * math.sqrt(share[leg]))} Hz"
         )
 

@@ -16,6 +16,7 @@ from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Reachability", "project", "reachable"]
 
+_FAR = 10.0  # strokes: what stands for a crank that does not close
 _ON_THE_EDGE = 1e-9  # of the stroke: a nearest pose may be so far beyond it
 
 
@@ -26,18 +27,21 @@ class Reachability:
     within: bool
     limit: Literal["stroke", "base_joint", "platform_joint", "singularity"]  # that binds, or is nearest
     leg: int  # nearest to its limit or farthest beyond it, 1 to 6
-    # what is left of that leg's limit [m], of a joint [rad]; negative beyond it; of a singularity: of the nearest limit
+    # what is left of that leg's limit [m], of a joint or a crank [rad]; negative beyond it, -infinity where the crank
+    # does not close; of a singularity: of the nearest limit
     margin: float
     singularity: float  # smallest singular value of H there, moments divided by r_p [1]
+    lever_arm: float  # smallest |w_i|/r of rotary legs there, 0 where crank and rod are in line; 1 of prismatic legs
     pose: Array  # (6,) that was asked for, displacement from home in B [m; rad]
     nearest: Array  # (6,) nearest pose within reach that was found, likewise; `pose` where that is within
     distance: float  # sqrt(|shift|^2 + (r_p |turn|)^2) from `pose` to `nearest` [m]
+    unit: str = "mm"  # of a leg's travel in the sentence: a thousandth of the margin's
 
     def __str__(self) -> str:
         """Return one sentence."""
         if self.within:
             left = (
-                f"leg {self.leg} has {1e3 * self.margin:.3g} mm of its travel left"
+                f"leg {self.leg} has {1e3 * self.margin:.3g} {self.unit} of its travel left"
                 if self.limit == "stroke"
                 else f"the {_joint(self.limit)} of leg {self.leg} has {1e3 * self.margin:.3g} mrad left"
             )
@@ -45,7 +49,9 @@ class Reachability:
         why = (
             "a singular pose lies between home and there"
             if self.limit == "singularity"
-            else f"leg {self.leg} would be {-1e3 * self.margin:.3g} mm beyond its stroke"
+            else f"leg {self.leg} does not reach it"
+            if np.isinf(self.margin)
+            else f"leg {self.leg} would be {-1e3 * self.margin:.3g} {self.unit} beyond its stroke"
             if self.limit == "stroke"
             else f"the {_joint(self.limit)} of leg {self.leg} would be {-1e3 * self.margin:.3g} mrad beyond its limit"
         )
@@ -114,6 +120,8 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
         leg=nearest.leg,
         margin=nearest.margin,
         singularity=float(scene.hexapod.singular_values(there.position, there.quaternion)[-1]),
+        lever_arm=float(scene.lever_arms(there).min()),
+        unit=scene.units.small,
         pose=wanted,
         nearest=found,
         distance=_distance(scene, wanted, found),
@@ -151,24 +159,24 @@ def _nearest(scene: Scene, wanted: Array) -> Array:
     target = scene.home.moved(wanted)
 
     def away(x: Array) -> float:  # in units of the stroke, squared
-        between = target.displacement_from(scene.home.moved(x / metric * scene.stroke))
-        return float(((between * metric / scene.stroke) ** 2).sum())
+        between = target.displacement_from(scene.home.moved(x / metric * scene.stroke_length))
+        return float(((between * metric / scene.stroke_length) ** 2).sum())
 
     def room(x: Array) -> Array:  # (12,), in units of the stroke; tilts, if limited, in squares, which are smooth
-        pose = scene.home.moved(x / metric * scene.stroke)
-        travel = scene.leg_travel(pose) / scene.stroke
+        pose = scene.home.moved(x / metric * scene.stroke_length)
+        travel = np.minimum(scene.leg_travel(pose) / scene.stroke, _FAR)
         tilts = np.empty(0) if scene.joint_limit is None else scene.limits_used(pose)[1:].ravel() ** 2
         return np.concatenate([1.0 - travel, 1.0 + travel, 1.0 - tilts])
 
     best = minimize(
         away,
-        start * metric / scene.stroke,
+        start * metric / scene.stroke_length,
         method="SLSQP",
         constraints=[{"type": "ineq", "fun": room}],
         options={"maxiter": 200, "ftol": 1e-12},
     )
     # A step of the search ends beyond the border by its tolerance: back towards home until it is within.
-    found = np.asarray(best.x) / metric * scene.stroke
+    found = np.asarray(best.x) / metric * scene.stroke_length
     for share in (1.0, *(1.0 - np.geomspace(_ON_THE_EDGE, 0.5, 40))):
         if scene.reachable(scene.home.moved(share * found).rows)[0]:
             nearer = _distance(scene, wanted, share * found) < _distance(scene, wanted, start)

@@ -22,6 +22,7 @@ from hexservo.run.samples import (
     vertical,
 )
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features
@@ -218,6 +219,7 @@ def _wrench(result: Result) -> list[Html]:
         period = 1e3 * count * float(np.median(np.diff(result.time)))
         note = f"Thin lines are samples, thick lines their mean over {period:.3g} ms."
     wrench = result.wrench
+    label, title = leg_units(result.scenario.robot).efforts
     level = [_level(weight)]
     return [
         _over_time(result, "Horizontal force, in B", "force [N]", wrench[:, :2], ["fx", "fy"], count, note=note),
@@ -236,8 +238,8 @@ def _wrench(result: Result) -> list[Html]:
         _over_time(result, "Moment, in B", "moment [mN m]", 1e3 * wrench[:, 3:], ["mx", "my", "mz"], count, note=note),
         _over_time(
             result,
-            "Leg forces (positive: pushing)",
-            "leg force [N]",
+            title,
+            label,
             result.leg_forces,
             [f"leg {leg}" for leg in range(1, 7)],
             count,

@@ -70,7 +70,7 @@ def html_of(shown: object) -> str:
 def _result_html(result: Result) -> str:
     """Return a run's summary, metrics and figures 2(b) and 3."""
     rows = [
-        (name, " ".join(readable(name, value)).strip(), METRICS[name][1])
+        (name, " ".join(readable(name, value, result.scenario.robot)).strip(), METRICS[name][1])
         for name, value in shown_metrics(result).items()
     ]
     return _page(
@@ -88,7 +88,9 @@ def _batch_html(batch: BatchResult) -> str:
     for name, values in batch.metrics.items():
         known = values[np.isfinite(values)]
         spread = [float(known.min()), float(np.median(known)), float(known.max())] if len(known) else [math.nan] * 3
-        shown = [" ".join(readable(name, value)).strip() if value == value else "–" for value in spread]
+        shown = [
+            " ".join(readable(name, value, batch.scenario.robot)).strip() if value == value else "–" for value in spread
+        ]
         rows.append([name, *shown, len(known)])
     columns = (Column("metric"), Column("smallest"), Column("median"), Column("largest"), Column("runs"))
     head, *lines = batch_text(batch).split("\n")

@@ -177,7 +177,7 @@ def _anchor(group: Group, section: Section) -> str:
 
 def _metrics(result: Result) -> Html:
     rows = [
-        (name.replace("_", " "), " ".join(readable(name, value)).strip(), METRICS[name][1])
+        (name.replace("_", " "), " ".join(readable(name, value, result.scenario.robot)).strip(), METRICS[name][1])
         for name, value in shown_metrics(result).items()
     ]
     columns = (Column("metric"), Column("value"), Column("meaning"))

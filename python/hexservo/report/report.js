@@ -128,6 +128,7 @@
     for (const name of ["time", "position", "rotation", "joints", "image", "displacement", "turn", "error"]) {
       runs[name] = numbers(scene[name]);
     }
+    if (scene.feet) runs.feet = numbers(scene.feet);
     const POINTS = ["blue", "vermilion", "green", "black"];
     const GAP = [null, null, null];
 
@@ -146,13 +147,17 @@
       return runs.image.subarray(at, at + 3);
     };
 
+    /** The end of a crank, where there are cranks. */
+    const rodFoot = (frame, leg) =>
+      (runs.feet ? [[...runs.feet.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)]] : []);
+
     /** What moves: the coordinates of each trace at an instant. */
     function moving(frame) {
       const camera = placed(frame, [0, 0, 0]);
       const joints = [0, 1, 2, 3, 4, 5].map((leg) => [...runs.joints.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)]);
       const corners = scene.corners.map((corner) => placed(frame, corner));
       const traces = [
-        scene.base.flatMap((foot, leg) => [foot, joints[leg], GAP]),
+        scene.base.flatMap((foot, leg) => [foot, ...rodFoot(frame, leg), joints[leg], GAP]),
         [camera, ...joints],
         [...joints, joints[0]],
         [...corners.flatMap((corner) => [camera, corner, GAP]), ...corners, corners[0]],

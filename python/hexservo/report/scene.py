@@ -35,6 +35,7 @@ class SpaceView:
     rotation: Array  # (k, 3, 3), transforms E-coordinates into B-coordinates
     joints: Array  # (k, 6, 3), of the platform
     base: Array  # (6, 3), joints of the base
+    feet: Array | None  # (k, 6, 3), ends of the cranks, where the rods begin; None: prismatic legs
     camera: Array  # (3,), of C's origin in E [m]
     axes: Array  # (3, 3), transforms C-coordinates into E-coordinates
     targets: Array | None  # (4, 3); None where the plant has no points
@@ -57,6 +58,7 @@ class SpaceView:
         plane = np.concatenate([self.placed(frame, self.corners) for frame in range(len(self.time))])
         everything = [self.base, self.joints.reshape(-1, 3), self.position, plane]
         everything += [] if self.targets is None else [self.targets]
+        everything += [] if self.feet is None else [self.feet.reshape(-1, 3)]
         places = np.concatenate(everything)
         return places.min(axis=0), places.max(axis=0)
 
@@ -74,6 +76,7 @@ class SpaceView:
             "turn": encoded(1e3 * self.turn.ravel()),
             "error": encoded(self.error),
             "base": self.base.tolist(),
+            "feet": None if self.feet is None else encoded(self.feet.ravel()),
             "camera": self.camera.tolist(),
             "axes": self.axes.tolist(),
             "targets": None if self.targets is None else self.targets.tolist(),
@@ -91,8 +94,9 @@ def scene(result: Result) -> SpaceView:
     hexapod = _core.Hexapod(settings.robot)
     chosen = _instants(result)
     position, quaternion = result.position[chosen], result.quaternion[chosen]
-    joints = np.array([_platform_joints(hexapod, *pose) for pose in zip(position, quaternion, strict=True)])
     rotation = _rotations(quaternion)
+    joints = position[:, None, :] + hexapod.platform_joints @ np.swapaxes(rotation, 1, 2)
+    feet = [hexapod.leg_feet(*pose) for pose in zip(position, quaternion, strict=True)] if hexapod.rotary else None
     features = result.features[chosen].reshape(-1, 4, 2)
     goals = desired_features(result.scenario).reshape(4, 2)
     distance = _IMAGE_DISTANCE * float(np.abs(result.depth[0]).mean())
@@ -110,6 +114,7 @@ def scene(result: Result) -> SpaceView:
         rotation=rotation,
         joints=joints,
         base=np.asarray(hexapod.base_joints),
+        feet=None if feet is None else np.array(feet),
         camera=camera,
         axes=np.column_stack(axes) - camera[:, None],
         targets=_core.lift(settings.camera, *start) if has_points else None,
@@ -131,12 +136,6 @@ def _instants(result: Result) -> NDArray[np.intp]:
         for part, count in zip(parts(result), _FRAMES, strict=False)
     ]
     return np.unique(np.concatenate(chosen))
-
-
-def _platform_joints(hexapod: _core.Hexapod, position: Array, quaternion: Array) -> Array:
-    """Compute the platform joints: from the base, the leg length along the leg direction in the wrench map."""
-    directions = np.asarray(hexapod.wrench_map(position, quaternion))[:3]
-    return np.asarray(hexapod.base_joints + (directions * hexapod.leg_lengths(position, quaternion)).T)
 
 
 def _rotations(quaternion: Array) -> Array:

@@ -36,7 +36,8 @@ def still(scene: SpaceView) -> Html:
         return np.asarray(_seen(points, scene.z_down) * scale + offset)
 
     shapes = [_polygon(at(scene.base), "base")]
-    shapes += [_line(at(np.stack([foot, head])), "leg") for foot, head in zip(scene.base, joints, strict=True)]
+    ways = [scene.base, joints] if scene.feet is None else [scene.base, scene.feet[last], joints]
+    shapes += [_line(at(np.stack(leg)), "leg") for leg in zip(*ways, strict=True)]
     shapes += [_line(at(np.stack([camera, corner])), "frustum") for corner in corners]
     shapes += [_polygon(at(joints), "platform"), _polygon(at(corners), "image")]
     image = np.array([scene.placed(last, frame) for frame in scene.image])  # (k, 4, 3)

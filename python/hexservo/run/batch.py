@@ -17,7 +17,7 @@ from hexservo import _core
 from hexservo.run.custom_controller import OwnController, function_name, run_with
 from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
-from hexservo.run.metrics import METRICS
+from hexservo.run.metrics import METRICS, metric_unit
 from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.result import QUANTITIES, TERMS, WRENCH
 from hexservo.run.variant import chosen_kernel
@@ -110,10 +110,11 @@ class BatchResult:
             columns |= columns_of(key, np.broadcast_to(values, (len(self), *values.shape[1:])))
         columns |= {name: getattr(self, name) for name in ("outcome", "cause", "limit_leg", "end_time", "stop_time")}
         table = pd.DataFrame({**columns, **self.metrics}, index=pd.RangeIndex(len(self), name="scenario"))
+        units = {name: metric_unit(name, self.scenario.robot) for name in self.metrics}
         table.attrs = {
             "scenario": self.scenario.name,
             "controller": self.controller or self.scenario.controller.law,
-            "units": {"end_time": "s", "stop_time": "s", **{name: METRICS[name][0] for name in self.metrics}},
+            "units": {"end_time": "s", "stop_time": "s", **units},
         }
         return table
 
@@ -131,7 +132,7 @@ class BatchResult:
             "end_time": ("scenario", self.end_time, {"units": "s", "long_name": "time of the last good sample"}),
         }
         for name, values in self.metrics.items():
-            unit, meaning = METRICS[name]
+            unit, meaning = metric_unit(name, self.scenario.robot), METRICS[name][1]
             data[f"metric_{name}"] = ("scenario", values, {"units": unit, "long_name": meaning})
         for key, values in self.variations.items():
             whole = np.broadcast_to(values, (len(self), *values.shape[1:]))

@@ -13,6 +13,7 @@ from hexservo import _core
 from hexservo.run.controller import controller_arguments
 from hexservo.run.files import write_file
 from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
@@ -78,12 +79,15 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
         "  hexservo::Settings s = hexservo::Settings::of<Law>();",
         "  hexservo::GainsOf<Law>& gains = s.gains<Law>();",
     ]
-    has_points = settings["target.points"] is not None
+    has_points, prismatic = settings["target.points"] is not None, settings["robot.legs"] == "prismatic"
     for key in _core.scenario_keys(settings.law):
         acts = not key.sampled or settings["simulation.mode"] == SAMPLED_MODE or key.name.startswith("controller.safe.")
-        if key.concern == "controller" and acts and not (has_points and key.name in _SEEN_FROM_HOME):
+        unused = (has_points and key.name in _SEEN_FROM_HOME) or (prismatic and key.name.startswith("robot.cranks."))
+        if key.concern == "controller" and acts and not unused:
             member = key.name.replace(f"controller.{law.name}.", "gains.", 1)
-            lines += _assignment(member if member.startswith("gains.") else f"s.{member}", key, settings[key.name])
+            member = member if member.startswith("gains.") else f"s.{member}"
+            unit = unit_of(scenario.robot, key.name, key.unit)
+            lines += _assignment(member, key, unit, settings[key.name])
     lines += [
         "  return s;",
         "}",
@@ -98,13 +102,13 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _assignment(member: str, key: _core.ScenarioKey, value: Any) -> Iterator[str]:
+def _assignment(member: str, key: _core.ScenarioKey, unit: str, value: Any) -> Iterator[str]:
     """Set a member from the value of its key."""
     if value is None:  # the core's default, or derived by it
         return
     if isinstance(value, np.ndarray):
         name = f"{member}.emplace()" if key.wrapped else member
-        yield from _matrix(name, np.atleast_2d(value), key.unit)
+        yield from _matrix(name, np.atleast_2d(value), unit)
         return
     if key.type == "choice":
         text = f"{key.choice_type}::{value}"
@@ -112,7 +116,7 @@ def _assignment(member: str, key: _core.ScenarioKey, value: Any) -> Iterator[str
         text = "true" if value else "false"
     else:
         text = _number(value)
-    yield f"  {member} = {text};" + (f"  // [{key.unit}]" if key.unit else "")
+    yield f"  {member} = {text};" + (f"  // [{unit}]" if unit else "")
 
 
 def _matrix(name: str, rows: Any, unit: str) -> Iterator[str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hexservo.run.metrics import METRICS, readable_unit
+from hexservo.run.metrics import metric_unit, readable_unit
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
@@ -20,11 +21,12 @@ class LegLimit:
     value: float  # in the metric's unit
     of_leg: str  # what is limited
     exceeded: str  # the excess, as a clause
+    unit: str  # SI unit of the value
 
     @property
     def text(self) -> str:
         """The limit in the unit that people read."""
-        unit, scale = readable_unit(METRICS[self.metric][0])
+        unit, scale = readable_unit(self.unit)
         return f"{number(self.value * scale, 4)} {unit}"
 
 
@@ -32,9 +34,10 @@ def leg_limits(scenario: Scenario) -> tuple[LegLimit, ...]:
     """Return the limits that the robot of a scenario has, in the order of the kinds of `LimitEvent`."""
     robot = scenario.robot
     base, platform = robot.joint_limit or (None, None)
+    effort = leg_units(robot).effort_name
     rows = (
         ("stroke", "peak_leg_excursion", robot.stroke, "travel of a leg", "a leg exceeded its stroke"),
-        ("force", "peak_leg_force", robot.force_limit, "force of a leg", "a leg exceeded its force limit"),
+        ("force", "peak_leg_force", robot.force_limit, f"{effort} of a leg", f"a leg exceeded its {effort} limit"),
         ("speed", "peak_leg_speed", robot.speed_limit, "speed of a leg", "a leg exceeded its speed limit"),
         ("base_joint", "peak_base_joint", base, "tilt of a leg at the base", "a base joint exceeded its limit"),
         (
@@ -46,7 +49,7 @@ def leg_limits(scenario: Scenario) -> tuple[LegLimit, ...]:
         ),
     )
     return tuple(
-        LegLimit(kind, metric, value, of_leg, exceeded)
+        LegLimit(kind, metric, value, of_leg, exceeded, metric_unit(metric, robot))
         for kind, metric, value, of_leg, exceeded in rows
         if value is not None
     )

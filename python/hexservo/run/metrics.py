@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
+    from hexservo.scenario.blocks import Robot
 
-__all__ = ["METRICS", "metrics", "readable", "readable_unit", "shown_metrics"]
+__all__ = ["METRICS", "metric_unit", "metrics", "readable", "readable_unit", "shown_metrics"]
 
-# name -> (unit, what it is)
+# name -> (unit, what it is); of rotary legs rad and N m stand for m and N: `metric_unit`
 METRICS: dict[str, tuple[str, str]] = {
     "settling_time": ("s", "last time any feature error exceeds the settling band"),
     "final_error": ("px", "largest feature error at the end"),
@@ -65,11 +67,16 @@ def shown_metrics(result: Result) -> dict[str, float]:
     return {name: value for name, value in found.items() if name not in _OF_LIMITS or value == value}
 
 
-def readable(name: str, value: float) -> tuple[str, str]:
-    """Return the text of a metric and its display unit (mm for m, and so on)."""
+def metric_unit(name: str, robot: Robot) -> str:
+    """Return the unit of a metric for a robot: rotary legs have angles and torques."""
+    return unit_of(robot, name, METRICS[name][0])
+
+
+def readable(name: str, value: float, robot: Robot) -> tuple[str, str]:
+    """Return the text of a robot's metric and its display unit (mm for m, and so on)."""
     if value != value:
         return "never" if name == "settling_time" else "none", ""  # NaN: docs/model.md section 8
-    unit, scale = readable_unit(METRICS[name][0])
+    unit, scale = readable_unit(metric_unit(name, robot))
     return f"{number(value * scale, 4)}", unit
 
 

@@ -11,6 +11,7 @@ from hexservo.run.drawn import html_of
 from hexservo.run.metrics import readable_unit
 from hexservo.run.saving import save_result, saved_attributes
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.version import VERSION
 
@@ -64,6 +65,12 @@ QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
 }
 
 
+def leg_words(result: Result, name: str, meaning: str) -> str:
+    """Return the meaning of a quantity for the legs that a robot has."""
+    rotary = {"leg_lengths": "angles of the cranks", "leg_forces": "torques of the cranks"}
+    return rotary.get(name, meaning) if result.scenario.robot.legs == "rotary" else meaning
+
+
 @dataclass(frozen=True)
 class LimitEvent:
     """A leg beyond one of its limits; continuous runs report this and continue."""
@@ -73,16 +80,20 @@ class LimitEvent:
     time: float  # when it first exceeded the limit [s]
     peak: float  # of the run: largest |length - home length| [m], |force| [N], |rate| [m/s] or tilt [rad]
     limit: float  # in the same unit
+    # of a rotary leg: angle [rad], torque [N m] and rate [rad/s] in place of the first three
+    rotary: bool = field(default=False, repr=False)
 
     @property
     def unit(self) -> str:
         """SI unit of peak and limit."""
-        return _LIMITS[self.kind][0]
+        unit = _LIMITS[self.kind][0]
+        return {"m": "rad", "N": "N m", "m/s": "rad/s"}.get(unit, unit) if self.rotary else unit
 
     def __str__(self) -> str:
         """Return the event as a sentence."""
         unit, scale = readable_unit(self.unit)
         what = _LIMITS[self.kind][1].format(self.leg)
+        what = what.replace("force", "torque") if self.rotary else what
         return (
             f"{what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s (peak {self.peak * scale:.4g} {unit})"
         )
@@ -109,8 +120,8 @@ class Result:
     twist: Array  # (n, 6) [m/s, rad/s], in B
     wrench: Array  # (n, 6) [N, N m], in B
     fuzzy_output: Array  # (n, 6) [N, N m]
-    leg_lengths: Array  # (n, 6) [m]
-    leg_forces: Array  # (n, 6) [N]
+    leg_lengths: Array  # (n, 6) [m]; of rotary legs crank angles [rad]
+    leg_forces: Array  # (n, 6) [N]; of rotary legs torques [N m]
     # (6, 7, 7) [N, N m], row: term of u, column: term of its rate; after the last step, which is one beyond the last
     # sample where leg_limit, singular or solver_failed ended the run (docs/model.md, section 8)
     fuzzy_weights: Array
@@ -168,7 +179,8 @@ class Result:
 
         columns: dict[str, Array] = {}
         units: dict[str, str] = {}
-        for name, (_, labels, unit, _meaning) in QUANTITIES.items():
+        for name, (_, labels, plain, _meaning) in QUANTITIES.items():
+            unit = unit_of(self.scenario.robot, name, plain)
             of_force, _, of_moment = unit.partition("; ")
             for number, label in enumerate(labels):
                 column = f"{name}_{label}"
@@ -198,7 +210,7 @@ class Result:
                 getattr(self, name),
                 dims=("time", dimension),
                 coords={"time": self.time, dimension: labels},
-                attrs={"units": unit, "long_name": meaning},
+                attrs={"units": unit_of(self.scenario.robot, name, unit), "long_name": leg_words(self, name, meaning)},
             )
             for name, (dimension, labels, unit, meaning) in QUANTITIES.items()
         }

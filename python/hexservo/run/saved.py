@@ -102,7 +102,7 @@ def _result(arrays: Mapping[str, Array], attributes: Mapping[str, Any], place: s
         outcome=cast("Outcome", texts["outcome"]),
         end_time=numbers["end_time"],
         detail=texts["detail"],
-        events=_events(texts["event_table"], place),
+        events=_events(texts["event_table"], place, scenario.robot.legs == "rotary"),
         **arrays,
         streamed_metrics={name: numbers[f"metric_{name}"] for name in METRICS},
         version=texts["hexservo_version"],
@@ -129,7 +129,7 @@ def _check_arrays(arrays: Mapping[str, Array], place: str) -> None:
         refuse_changed(place, "variable depth, which is not negative")
 
 
-def _events(table: str, place: str) -> tuple[LimitEvent, ...]:
+def _events(table: str, place: str, rotary: bool) -> tuple[LimitEvent, ...]:
     head, *rows = table.split("\n")
     try:
         if head != EVENT_HEAD:
@@ -139,7 +139,8 @@ def _events(table: str, place: str) -> tuple[LimitEvent, ...]:
             kind, leg, time, peak, limit = row.split(" ")
             if kind not in get_args(LimitKind) or leg not in tuple("123456"):
                 raise ValueError(row)
-            events.append(LimitEvent(cast("LimitKind", kind), int(leg), float(time), float(peak), float(limit)))
+            numbers = float(time), float(peak), float(limit)
+            events.append(LimitEvent(cast("LimitKind", kind), int(leg), *numbers, rotary))
     except ValueError:
         refuse_changed(place, "attribute event_table")
     return tuple(events)

@@ -62,7 +62,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         outcome=cast("Outcome", run.outcome.name),
         end_time=run.end_time,
         detail=run.detail,
-        events=tuple(_limit_event(event) for event in run.events),
+        events=tuple(_limit_event(event, scenario.robot.legs == "rotary") for event in run.events),
         time=run.time,
         feature_error=run.feature_error,
         depth=run.depth,
@@ -79,6 +79,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     )
 
 
-def _limit_event(event: _core.LimitEvent) -> LimitEvent:
+def _limit_event(event: _core.LimitEvent, rotary: bool) -> LimitEvent:
     """Count legs from 1, as the paper does."""
-    return LimitEvent(cast("LimitKind", event.kind.name), event.leg + 1, event.first_time, event.peak, event.limit)
+    kind = cast("LimitKind", event.kind.name)
+    return LimitEvent(kind, event.leg + 1, event.first_time, event.peak, event.limit, rotary)

@@ -60,7 +60,7 @@ def _legs(result: Result) -> list[str]:
     values = metrics(result)
     sentences = []
     for limit in leg_limits(result.scenario):
-        found, shown = readable(limit.metric, values[limit.metric])
+        found, shown = readable(limit.metric, values[limit.metric], result.scenario.robot)
         share = values[limit.metric] / limit.value
         if share <= 1:
             verdict = f"{1 - share:.0%} of it is left"

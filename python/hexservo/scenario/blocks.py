@@ -68,6 +68,17 @@ class Payload(Block):
     known: Annotated[bool, Flag()] = True  # to the controller
 
 
+class Cranks(Block):
+    """Cranks of rotary legs, whose centres are the base joints; docs/model.md section 2. All null: prismatic legs."""
+
+    length: Annotated[float | None, OptionalNumber(above=0)] = None  # [m], from the centre to the rod
+    rod: Annotated[float | None, OptionalNumber(above=0)] = None  # [m], length of the rods
+    axes: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3), of rotation, unit vectors in B
+    zero: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3), direction at angle 0, likewise
+    # (6,), 1 or -1: which of the two angles that a pose has
+    branch: Annotated[Vector | None, ArrayRule((6,), Number(at_least=-1, at_most=1), or_null=True)] = None
+
+
 def _travel(stroke: Any, centre: Any) -> dict[str, float]:
     """Return stroke and its middle where the stroke is given as the shortest and the longest travel."""
     if not isinstance(stroke, list) or len(stroke) != 2 or not all(map(is_number, stroke)):
@@ -104,16 +115,22 @@ class Robot(Block):
     base_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in B
     home_position: Annotated[Vector, ArrayRule((3,))]  # (3,) [m], of E's origin in B; z points down
     home_attitude: Annotated[Vector, ArrayRule((3,), Angle())] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector, in B
+    # prismatic: leg lengths are driven; rotary: cranks with rods; then coordinates of the legs are angles [rad] and
+    # efforts torques [N m], here, in sensors and in actuators
+    legs: Annotated[Literal["prismatic", "rotary"], Choice()] = "prismatic"
+    cranks: Cranks = Field(default_factory=Cranks)
     gravity: Annotated[Vector, GravityRule()] = from_core("robot.gravity")  # (3,) [m/s^2], in B; a number: along +z
     mass: PositiveNumber  # [kg], of the platform
     inertia: Annotated[Vector | Matrix, Inertia()]  # (3,) diagonal or (3, 3) [kg m^2], in E about its origin
     centre_of_mass: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of the platform, in E
     payload: Payload = Field(default_factory=Payload)
-    # [m], each leg's travel either way from its middle; [shortest, longest] from the home length is read as both
+    # [m] or [rad], each leg's travel either way from its middle; [shortest, longest], from home, is read as both
     stroke: PositiveNumber
-    stroke_centre: Annotated[float, Number()] = 0.0  # [m], middle of the travel, from the home length
-    force_limit: PositiveNumber  # [N], magnitude of each leg's force
-    speed_limit: Annotated[float | None, OptionalNumber(above=0)] = None  # [m/s], magnitude of each leg's rate
+    stroke_centre: Annotated[float, Number()] = 0.0  # [m] or [rad], middle of the travel, from the home length
+    force_limit: PositiveNumber  # [N] or [N m], magnitude of each leg's effort
+    speed_limit: Annotated[float | None, OptionalNumber(above=0)] = (
+        None  # [m/s] or [rad/s], magnitude of each leg's rate
+    )
     # (2,) [rad], largest angle between a leg and its direction at home, seen from the base and from the platform
     joint_limit: Annotated[Vector | None, ArrayRule((2,), HALF_TURN, or_null=True)] = None
     # in sampled mode: what a leg beyond its stroke, speed limit or joint limit means, an event or the end of the run
@@ -392,6 +409,6 @@ def preset_values(preset: str) -> dict[str, Any]:
     values = {
         key: map_lists(tupled(getattr(robot, key)), list)
         for key in Robot.model_fields
-        if key not in ("preset", "inertia", "payload", "speed_limit", "joint_limit", "on_limit")
+        if key not in ("preset", "inertia", "payload", "legs", "cranks", "speed_limit", "joint_limit", "on_limit")
     }
     return {**values, "inertia": map_lists(diagonal_if_diagonal(tupled(robot.inertia)), list)}

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.random import Generator
 
 import hexservo as hs
+import rotary_machine
 from hexservo.scenario import keys
 from hexservo.scenario import rules as kinds
 from hexservo.scenario.laws import LAWS
@@ -222,6 +223,11 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
     for side in ("platform", "base"):
         if changes.get(f"robot.{side}_joints") is not None:
             changes |= {f"robot.{side}_radius": None, f"robot.{side}_angles": None}
+    if any(key.startswith(("robot.legs", "robot.cranks.")) for key in changes):
+        for key in [key for key in changes if key.startswith("robot.")]:
+            del changes[key]
+        changes["robot"] = rotary_machine.robot()
+        changes["robot"]["cranks"]["length"] *= random.uniform(0.9, 1.1)
     if any(key.startswith("robot.payload.") for key in changes) and changes.get("robot.payload.mass", 0.0) == 0.0:
         changes["robot.payload.mass"] = 0.01
     if "robot.centre_of_mass" in changes:

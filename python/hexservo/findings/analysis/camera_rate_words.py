@@ -14,6 +14,7 @@ from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
 from hexservo.findings.analysis.words import number
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict
+from hexservo.scenario.leg_units import leg_units
 
 __all__ = ["section"]
 
@@ -65,6 +66,10 @@ def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Verdict:
 def _stroke(result: CameraRate) -> float:
     """Return the stroke of the legs [m]."""
     return float(result.scenario.robot.stroke)
+
+
+def _leg_unit(result: CameraRate) -> str:
+    return leg_units(result.scenario.robot).small
 
 
 def _ms(seconds: float) -> str:
@@ -194,7 +199,7 @@ def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
         return ["No run from a small start checks this: the law refuses the image of rest as a goal."]
     ends = " and ".join(
         f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, legs "
-        f"{number(1e3 * run.travel)} mm)"
+        f"{number(1e3 * run.travel)} {_leg_unit(result)})"
         for run in result.starts
     )
     longest = max(run.duration for run in result.starts)
@@ -229,16 +234,19 @@ def _about_learned(result: CameraRate, tick: float) -> list[str]:
 
 def _about_stroke(result: CameraRate, tick: float) -> list[str]:
     """Describe the limits of period and latency due to the stroke, which is not in the linear loop."""
-    stroke = f"their stroke of {number(1e3 * _stroke(result))} mm"
+    unit = _leg_unit(result)
+    stroke = f"their stroke of {number(1e3 * _stroke(result))} {unit}"
     found = []
     for key, border in result.stroke.items():
-        travel = "ends early" if np.isinf(border.travel) else f"takes a leg {number(1e3 * border.travel)} mm from home"
+        travel = (
+            "ends early" if np.isinf(border.travel) else f"takes a leg {number(1e3 * border.travel)} {unit} from home"
+        )
         if border.within is None:
             found.append(f"With the scenario's own {key} the task {travel}, beyond {stroke}.")
         elif border.beyond is None:
             found.append(
                 f"In runs of the task at each {key} tried, up to {_ms(border.largest * tick)}, the legs stay within "
-                f"{stroke} (at most {number(1e3 * border.travel)} mm)."
+                f"{stroke} (at most {number(1e3 * border.travel)} {unit})."
             )
         else:
             found.append(

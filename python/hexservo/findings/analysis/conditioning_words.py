@@ -33,7 +33,7 @@ def section(found: Conditioning) -> Section:
 def _verdict(found: Conditioning, sights: list[Sight]) -> Verdict:
     if found.goals is not None and found.goals.best.largest_residual > found.scene.band:
         return "bad"
-    uncertain = found.noise * max(sight.worst for sight in sights) > _GRIP * found.scene.stroke
+    uncertain = found.noise * max(sight.worst for sight in sights) > _GRIP * found.scene.stroke_length
     return "warning" if uncertain else "good"
 
 

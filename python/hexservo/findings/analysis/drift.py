@@ -98,6 +98,7 @@ class Drift(Part):
     leaks: bool = False  # the weights that integrate
     grid: Array | None = None  # (n,) sizes
     curves: dict[str, Array] | None = None  # (n,) smallest eigenvalue over all patterns, by place and prior
+    leg_unit: str = "mm"  # a thousandth of the unit of leg travel
 
 
 def analyse(scenario: Scenario) -> Drift:
@@ -333,4 +334,5 @@ class _Worker:
             self.integrates and bool(np.any(self.gains.fuzzy.leakage)),
             grid,
             curves,
+            leg_unit=self.rest.units.small,
         )

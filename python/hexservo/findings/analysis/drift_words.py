@@ -88,9 +88,11 @@ def _end_words(found: Drift, pattern: Pattern) -> str:
     away = 1e3 * np.linalg.norm(pattern.end[:3])
     text = (
         f" and {pattern.end_time_constant:.3g} s at its end, {away:.3g} mm from home, with "
-        f"{pattern.end_error:.3g} px and {1e3 * pattern.end_travel:.3g} mm of leg travel"
+        f"{pattern.end_error:.3g} px and {1e3 * pattern.end_travel:.3g} {found.leg_unit} of leg travel"
     )
-    return text + (f", beyond the stroke of {1e3 * found.stroke:.3g} mm" if _beyond(found, pattern) else "")
+    return text + (
+        f", beyond the stroke of {1e3 * found.stroke:.3g} {found.leg_unit}" if _beyond(found, pattern) else ""
+    )
 
 
 def _items(found: Drift) -> list[Item]:
@@ -117,7 +119,7 @@ def _items(found: Drift) -> list[Item]:
         Column("time constant, end", "s", ".3g"),
         Column("end of the drift, from home", "mm", ".3g"),
         Column("image error there", "px", ".2g"),
-        Column("leg travel there", "mm", ".3g"),
+        Column("leg travel there", found.leg_unit, ".3g"),
         Column("direction"),
     ]
     sizes: list[list[Cell]] = [

@@ -61,6 +61,7 @@ class Equilibria(Part):
     gravity_stiffness: float | None = None  # [N/m], of the image part along z at the goal without that error
     band: float = 0.0  # [px], of settling
     barrier: tuple[Array, Array] | None = None  # the way from a false one to the goal [1], image error on it [px]
+    leg_unit: str = "mm"  # a thousandth of the unit of leg travel
 
     @property
     def goals(self) -> tuple[Equilibrium, ...]:
@@ -116,6 +117,7 @@ def analyse(scenario: Scenario) -> Equilibria:
         float(gravity[2]),
         goal_stiffness,
         rest.band,
+        leg_unit=rest.units.small,
     )
     return replace(result, barrier=_barrier(level, result))
 

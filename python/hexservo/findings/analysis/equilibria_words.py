@@ -38,9 +38,9 @@ def _sentences(result: Equilibria) -> list[str]:
     words = []
     goal = result.goals[0] if result.goals else None
     searched = (
-        f"{result.starts_within} starts within the stroke of {1e3 * result.stroke:.3g} mm and {result.starts_wider} in "
-        f"a wider region ({1e3 * WIDER[0] * result.depth:.3g} mm either way, 180 deg about z, {WIDER[3]:g} rad "
-        "about x and y)"
+        f"{result.starts_within} starts within the stroke of {1e3 * result.stroke:.3g} {result.leg_unit} and "
+        f"{result.starts_wider} in a wider region ({1e3 * WIDER[0] * result.depth:.3g} mm either way, 180 deg about z, "
+        f"{WIDER[3]:g} rad about x and y)"
     )
     if goal is not None and goal.stability == "oscillating":
         words.append(
@@ -143,7 +143,7 @@ def _items(result: Equilibria) -> list[Item]:
         Column("image error", "px", ".3g"),
         Column("position from home", "mm"),
         Column("rotation vector from home", "mrad"),
-        Column("largest leg travel", "mm", ".3g"),
+        Column("largest leg travel", result.leg_unit, ".3g"),
         Column("reachable"),
         Column("smallest eigenvalue", "1/s^2", ".3g"),
         Column("slowest mode", "1/s", ".3g"),

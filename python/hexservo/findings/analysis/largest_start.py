@@ -118,6 +118,7 @@ class LargestStart(Part):
     band: float = 0.0  # [px], of settling
     dwell: float = 0.0  # [s], how long a run must have been within the band at its end
     assumed: str = ""  # what the runs with camera times assume beside the scenario
+    leg_unit: str = "mm"  # a thousandth of the unit of leg travel
 
     @property
     def own(self) -> Direction | None:
@@ -164,6 +165,7 @@ def analyse(scenario: Scenario) -> LargestStart:
         measured.band,
         measured.dwell,
         assumed,
+        scene.units.small,
     )
 
 

@@ -107,7 +107,8 @@ def _failure(found: LargestStart, direction: Direction) -> str:
     """Return what happens at the smallest size that fails, in a longer run too."""
     if direction.fails_at in direction.beyond:
         travel = 1e3 * direction.beyond[direction.fails_at]
-        return f"takes a leg {number(travel)} mm from its length at home, beyond its stroke"
+        at_home = "length" if found.leg_unit == "mm" else "angle"
+        return f"takes a leg {number(travel)} {found.leg_unit} from its {at_home} at home, beyond its stroke"
     if direction.settles_later is None:
         return "does not"
     later = f"within {found.longer:g} s"
@@ -128,18 +129,18 @@ def _timing_words(found: LargestStart) -> list[str]:
             else:
                 parts.append(
                     f"a {t.what} of {1e3 * t.settles_to:.4g} ms settles {held} and {1e3 * t.fails_at:.4g} ms "
-                    + _timing_failure(t)
+                    + _timing_failure(t, found.leg_unit)
                 )
         how = "without prediction" if prediction == "none" else "with prediction by the encoders"
         words.append(f"The task itself, {found.assumed}{how}: {'; '.join(parts)}.")
     return words
 
 
-def _timing_failure(timing: Timing) -> str:
+def _timing_failure(timing: Timing, unit: str) -> str:
     """Return by what the smallest time fails that does."""
     if timing.fails_at not in timing.beyond:
         return "does not settle"
-    return f"takes a leg {number(1e3 * timing.beyond[timing.fails_at])} mm from home, beyond its stroke"
+    return f"takes a leg {number(1e3 * timing.beyond[timing.fails_at])} {unit} from home, beyond its stroke"
 
 
 def _items(found: LargestStart) -> list[Item]:

@@ -25,9 +25,10 @@ class LegMargin:
     """The leg that is nearest to one of its limits at a pose, or farthest beyond it."""
 
     leg: int  # 1 to 6
-    travel: float  # of that leg from its length at home [m], positive where it is longer
-    margin: float  # limit - |value| [m], of a joint [rad]; negative: beyond the limit
+    travel: float  # of that leg from its length at home [m], positive where it is longer; of a crank [rad]
+    margin: float  # limit - |value| [m], of a joint or a crank [rad]; negative: beyond the limit
     limit: LegLimitKind = "stroke"
+    unit: str = "m"  # of travel
 
     @property
     def within(self) -> bool:
@@ -38,7 +39,9 @@ class LegMargin:
     def beyond(self) -> str:
         """What is wrong where it is not within, as a clause."""
         if self.limit == "stroke":
-            return f"leg {self.leg} would be {quantity(-self.margin, 'm')} beyond its stroke"
+            if np.isinf(self.margin):
+                return f"leg {self.leg} does not reach it"
+            return f"leg {self.leg} would be {quantity(-self.margin, self.unit)} beyond its stroke"
         side = self.limit.removesuffix("_joint")
         return f"the {side} joint of leg {self.leg} would be {quantity(-self.margin, 'rad')} beyond its limit"
 
@@ -61,10 +64,10 @@ class StartAndGoal:
         return self.goal.within or self.nearest.within
 
 
-def leg_margin(travel: Array, stroke: float) -> LegMargin:
-    """Return the leg nearest to its limit, of travels (6,) from the lengths at home [m]."""
+def leg_margin(travel: Array, stroke: float, unit: str = "m") -> LegMargin:
+    """Return the leg nearest to its limit, of travels (6,) from the lengths at home, in `unit`."""
     leg = int(np.abs(travel).argmax())
-    return LegMargin(leg + 1, float(travel[leg]), float(stroke - abs(travel[leg])))
+    return LegMargin(leg + 1, float(travel[leg]), float(stroke - abs(travel[leg])), unit=unit)
 
 
 def nearest_limit(scene: Scene, pose: Poses) -> LegMargin:
@@ -73,7 +76,7 @@ def nearest_limit(scene: Scene, pose: Poses) -> LegMargin:
     row, leg = np.unravel_index(int(used.argmax()), used.shape)
     travel = scene.leg_travel(pose)
     if row == 0 or scene.joint_limit is None:
-        return leg_margin(travel, scene.stroke)
+        return leg_margin(travel, scene.stroke, scene.units.coordinate)
     limit = float(scene.joint_limit[row - 1])
     return LegMargin(int(leg) + 1, float(travel[leg]), float(limit * (1.0 - used[row, leg])), LEG_LIMITS[row])
 
@@ -101,9 +104,10 @@ def reach_of_start_and_goal(scenario: Scenario, *, joints: bool = True) -> Start
         For a scenario that the core refuses.
     """
     scene = scene_of(scenario)
+    unit = scene.units.coordinate
 
     def at(pose: Poses) -> LegMargin:
-        return nearest_limit(scene, pose) if joints else leg_margin(scene.leg_travel(pose), scene.stroke)
+        return nearest_limit(scene, pose) if joints else leg_margin(scene.leg_travel(pose), scene.stroke, unit)
 
     goals = find_goals(scene)
     if goals is None:

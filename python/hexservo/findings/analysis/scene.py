@@ -11,6 +11,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.pixels import desired_features, to_features
@@ -64,7 +65,9 @@ class Scene:
         self.start = self.home.moved(np.array(self.settings["simulation.start.pose"]))
         self.desired: Array = desired_features(scenario)  # (8,) [px]
         self.platform_radius: float = self.hexapod.platform_radius  # [m]
-        self.stroke: float = self.settings["robot.stroke"]  # [m]
+        self.stroke: float = self.settings["robot.stroke"]  # [m], of rotary legs [rad]
+        self.stroke_length = stroke_length(scenario.robot)  # [m], about how far the stroke moves a platform joint
+        self.units = leg_units(scenario.robot)
         self.joint_limit: Array | None = self.settings["robot.joint_limit"]  # (2,) [rad], at base and platform
         self.band: float = self.settings["metrics.band"]  # [px], of settling
         from_home = np.abs(self._image_of_home()[1])
@@ -158,10 +161,19 @@ class Scene:
         return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=-1))
 
     def leg_travel(self, poses: Poses) -> Array:
-        """Return how much longer each leg is than in the middle of its travel, (..., 6) [m]; that is home as a rule."""
+        """Return how much longer each leg is than in the middle of its travel, (..., 6) [m]; that is home as a rule.
+
+        Of rotary legs angles [rad], infinite where a crank does not close.
+        """
         pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
         found = np.asarray([self.hexapod.leg_lengths(*pose) for pose in pairs]) - self.hexapod.mid_lengths
-        return found.reshape(*poses.shape, 6)
+        return np.where(np.isnan(found), np.inf, found).reshape(*poses.shape, 6)
+
+    def lever_arms(self, poses: Poses) -> Array:
+        """Return how far rotary legs are from having crank and rod in line, (..., 6): |w_i|/r, 0 where they are."""
+        pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
+        found = np.abs([self.hexapod.lever_arms(*pose) for pose in pairs]) / (self.scenario.robot.cranks.length or 1.0)
+        return np.nan_to_num(found).reshape(*poses.shape, 6)
 
     def stroke_left(self, poses: Poses) -> Array:
         """Return the remaining travel of the leg nearest to its limit, (...) [m]; negative beyond it."""
@@ -170,7 +182,8 @@ class Scene:
     def leg_tilts(self, poses: Poses) -> Array:
         """Return the angles of the legs from their directions at home, (..., 2, 6) [rad], in B and in E."""
         pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
-        return np.asarray([self.hexapod.leg_tilts(*pose) for pose in pairs]).reshape(*poses.shape, 2, 6)
+        found = np.asarray([self.hexapod.leg_tilts(*pose) for pose in pairs]).reshape(*poses.shape, 2, 6)
+        return np.where(np.isnan(found), np.inf, found)  # a crank that does not close
 
     def limits_used(self, poses: Poses) -> Array:
         """Return which share of its limits each leg uses, (..., k, 6): of the stroke, and of the tilt at both joints.
@@ -190,7 +203,8 @@ class Scene:
 
         def side(of: Poses) -> Array:
             pairs = zip(of.position, of.quaternion, strict=True)
-            return np.asarray(np.sign(np.linalg.det([self.hexapod.wrench_map(*pose) for pose in pairs])))
+            maps = np.asarray([self.hexapod.wrench_map(*pose) for pose in pairs])
+            return np.asarray(np.sign(np.linalg.det(np.nan_to_num(maps))))
 
         within = self.limits_used(poses).max(axis=(-2, -1)) <= 1.0 + _ROUNDING
         return np.asarray(within & (side(poses) == side(self.home.rows)))

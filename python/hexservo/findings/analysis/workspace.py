@@ -17,6 +17,7 @@ __all__ = ["RANDOM", "WAY", "Reach", "Workspace", "WorkspacePose", "analyse", "r
 
 RANDOM = 100  # directions of the random reach, and poses of a neighbourhood
 _ROUNDS = 2000  # of the march to a limit, at most
+_CRANK_STEPS, _CRANK_ROUNDS = 200, 20000  # of the same with cranks: steps in a stroke, and at most
 _TOLERANCE = 1e-9  # of the stroke: where the march ends
 WAY = 51  # poses on the straight way to the goal
 _GRID = 41  # of the map, each way
@@ -37,8 +38,9 @@ class WorkspacePose:
 
     name: str
     pose: Poses
-    travel: Array  # (6,) [m], longer than at home
+    travel: Array  # (6,) [m], longer than at home; of rotary legs angles [rad], as all travel here
     singularity: float  # smallest singular value of H, moments divided by r_p
+    lever_arm: float  # smallest |w|/r of rotary legs, 0 where crank and rod are in line; 1 of prismatic ones
     forces: Array  # (6,) [N], that hold the estimated weight; infinite at a singular pose
     actual_forces: Array  # (6,) [N], that hold the actual weight
 
@@ -57,6 +59,7 @@ class Workspace(Part):
     least_turn: Reach
     way_margin: Array  # (51,) [m], stroke that is left on the straight way from home to `goal`; empty without one
     neighbourhood_singularity: float  # smallest of random poses around the goal, or home, within the stroke
+    neighbourhood_lever_arm: float  # the same
     neighbourhood_force: float  # [N], largest leg force that holds the actual weight there
     map_x: Array  # (41,) [m], from home
     map_y: Array  # (41,)
@@ -66,12 +69,12 @@ class Workspace(Part):
 
     @property
     def stroke(self) -> float:
-        """Travel of a leg each way [m]."""
+        """Travel of a leg each way [m], of rotary legs [rad]."""
         return self.scene.stroke
 
     @property
     def force_limit(self) -> float:
-        """Largest leg force [N]."""
+        """Largest leg force [N], of rotary legs torque [N m]."""
         return float(self.scene.settings["robot.force_limit"])
 
 
@@ -103,6 +106,7 @@ def analyse(scenario: Scenario) -> Workspace:
         least_turn=min(turns, key=lambda end: end.distance),
         way_margin=np.empty(0) if goals is None else _way_margin(scene, goals.best.view.pose),
         neighbourhood_singularity=min([place.singularity for place in near], default=centre.singularity),
+        neighbourhood_lever_arm=min([place.lever_arm for place in near], default=centre.lever_arm),
         neighbourhood_force=max(float(np.abs(place.actual_forces).max()) for place in [*near, centre]),
         map_x=x,
         map_y=y,
@@ -114,7 +118,8 @@ def reach(scene: Scene, direction: Array) -> Reach:
     """Move from home along a direction until a leg is at the end of its stroke.
 
     A leg changes its length by no more than the platform joints move, so that the remaining stroke bounds how far
-    the next step may go without passing a limit: the march never steps over one.
+    the next step may go without passing a limit: the march never steps over one. The angle of a crank has no such bound
+    near its reach: there the march takes steps of 1/200 of the stroke, and halves the one that passed a limit.
 
     Parameters
     ----------
@@ -130,6 +135,8 @@ def _reaches(scene: Scene, directions: Array) -> list[Reach]:
     """Return `reach` of all directions (n, 6), which march side by side."""
     turning = np.linalg.norm(directions[:, 3:], axis=1)
     speed = np.linalg.norm(directions[:, :3], axis=1) + scene.platform_radius * turning
+    if scene.hexapod.rotary:
+        return [_crank_reach(scene, *pair) for pair in zip(directions, turning, speed, strict=True)]
     distance, leg = np.zeros(len(directions)), np.zeros(len(directions), dtype=int)
     marching = np.arange(len(directions))
     # Below the rounding of a length the march does not come any nearer.
@@ -148,6 +155,28 @@ def _reaches(scene: Scene, directions: Array) -> list[Reach]:
     return [Reach(*end) for end in zip(directions, distance.tolist(), leg.tolist(), strict=True)]
 
 
+def _crank_reach(scene: Scene, direction: Array, turning: float, speed: float) -> Reach:
+    """Return `reach` of rotary legs along one direction (6,); the last step is halved until rounding ends it."""
+    step = scene.stroke_length / _CRANK_STEPS / speed
+    most = min(np.pi / turning if turning else np.inf, _CRANK_ROUNDS * step)
+
+    def travel(distance: Array) -> Array:
+        return np.abs(scene.leg_travel(scene.home.moved(distance[:, None] * direction)))
+
+    for first in np.arange(0.0, most, _CRANK_STEPS * step):
+        distances = first + step * np.arange(1, _CRANK_STEPS + 1)
+        beyond = (travel(distances) > scene.stroke).any(axis=1)
+        if not beyond.any():
+            continue
+        high = float(distances[np.argmax(beyond)])
+        low = high - step
+        while high - low > _TOLERANCE * scene.stroke_length / speed:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if (travel(np.array([middle])) > scene.stroke).any() else (middle, high)
+        return Reach(direction, low, int(travel(np.array([high]))[0].argmax()) + 1)
+    return Reach(direction, np.inf, 0)
+
+
 def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
     weight = np.array(scene.body.weight(pose.quaternion))
     actual = (1.0 - scene.settings["uncertainty.gravity"]) * scene.settings.plant_body.weight(pose.quaternion)
@@ -164,6 +193,7 @@ def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
         pose=pose,
         travel=scene.leg_travel(pose),
         singularity=float(np.min(legs.singular_values(*at))),
+        lever_arm=float(scene.lever_arms(pose).min()),
         forces=forces(weight),
         actual_forces=forces(actual),
     )
@@ -174,7 +204,7 @@ def _neighbourhood(scene: Scene, centre: Poses, random: np.random.Generator) -> 
 
     They are shifted by up to half a stroke and turned by as much at the platform joints; no more than a quarter of r_p.
     """
-    size = min(0.5 * scene.stroke, 0.25 * scene.platform_radius)
+    size = min(0.5 * scene.stroke_length, 0.25 * scene.platform_radius)
     ways = np.empty((RANDOM, 6))
     for way in ways:
         way[:] = random.normal(size=6)
@@ -192,7 +222,7 @@ def _way_margin(scene: Scene, goal: Poses) -> Array:
 def _margin_map(scene: Scene, centre: Poses) -> tuple[Array, Array, Array]:
     """Return x and y from home [m] and the remaining stroke [m], over the reach of the stroke and the goal."""
     home = scene.home.position
-    half = max(2.0 * scene.stroke, 1.2 * float(np.abs((centre.position - home)[:2]).max()))
+    half = max(2.0 * scene.stroke_length, 1.2 * float(np.abs((centre.position - home)[:2]).max()))
     ticks = np.linspace(-half, half, _GRID)
     x, y = np.meshgrid(home[0] + ticks, home[1] + ticks)
     places = np.stack([x, y, np.full(x.shape, centre.position[2])], axis=-1)

@@ -56,11 +56,19 @@ def _sentences(found: Workspace) -> list[str]:
         + f", and at least {number(found.neighbourhood_singularity)} at random poses around the {places[-1].name} "
         "within the stroke."
     )
+    if found.scene.hexapod.rotary:
+        words.append(
+            "The distance to cranks in line with their rods (smallest lever arm of a rod, relative to the crank) is "
+            + " and ".join(f"{number(place.lever_arm)} at the {place.name}" for place in places)
+            + f", and at least {number(found.neighbourhood_lever_arm)} at random poses around the {places[-1].name} "
+            "within the stroke."
+        )
+    effort = found.scene.units.effort
     heaviest = max(_places(found), key=lambda place: float(np.abs(place.actual_forces).max()))
     words.append(
-        f"Holding the platform takes up to {number(float(np.abs(heaviest.actual_forces).max()))} N in a leg at the "
-        f"{heaviest.name}, and up to {number(found.neighbourhood_force)} N around the {places[-1].name}, of "
-        f"{number(found.force_limit)} N allowed; this is without motion."
+        f"Holding the platform takes up to {number(float(np.abs(heaviest.actual_forces).max()))} {effort} in a leg at "
+        f"the {heaviest.name}, and up to {number(found.neighbourhood_force)} {effort} around the {places[-1].name}, of "
+        f"{number(found.force_limit)} {effort} allowed; this is without motion."
     )
     if _overloaded(found):  # what decides the verdict comes first
         words.insert(0, words.pop())
@@ -77,38 +85,39 @@ def _overloaded(found: Workspace) -> bool:
 def _of_goal(found: Workspace) -> str:
     assert found.goal is not None
     assert found.nearest is not None
-    text = ""
+    text, units = "", found.scene.units
     for place, name in (
         (found.goal, "At the goal"),
         (found.nearest, f"at the nearest pose with this image within {TOLERANCE} px"),
     ):
         leg = _leg(found, place)
         text += (
-            f"{name} leg {leg.leg} is {number(1e3 * abs(leg.travel))} mm from its length at home, "
+            f"{name} leg {leg.leg} is {number(1e3 * abs(leg.travel))} {units.small} from its {units.name} at home, "
             + (
-                f"with {number(1e3 * leg.margin)} mm of stroke left"
+                f"with {number(1e3 * leg.margin)} {units.small} of stroke left"
                 if leg.within
-                else f"{number(-1e3 * leg.margin)} mm beyond its stroke"
+                else f"{number(-1e3 * leg.margin)} {units.small} beyond its stroke"
             )
             + "; "
         )
     least = float(found.way_margin.min())
     if least >= 0:
-        return text + f"on the straight path to the goal {number(1e3 * least)} mm are left everywhere."
+        return text + f"on the straight path to the goal {number(1e3 * least)} {units.small} are left everywhere."
     first = int(np.flatnonzero(found.way_margin < 0)[0])
     return text + f"the straight path to the goal leaves the stroke after {100 * first / (WAY - 1):.0f} % of it."
 
 
 def _places_table(found: Workspace) -> Table:
+    units = found.scene.units
     return Table(
         title="The legs at the start and at the goal",
         columns=(
             Column("at"),
-            *(Column(f"leg {leg}", "mm", ".2f") for leg in range(1, 7)),
-            Column("stroke left", "mm", ".2f"),
+            *(Column(f"leg {leg}", units.small, ".2f") for leg in range(1, 7)),
+            Column("stroke left", units.small, ".2f"),
             Column("distance to singularity", format=".3f"),
-            Column("largest leg force", "N", ".3g"),
-            Column("largest leg force, actual weight", "N", ".3g"),
+            Column(f"largest leg {units.effort_name}", units.effort, ".3g"),
+            Column(f"largest leg {units.effort_name}, actual weight", units.effort, ".3g"),
         ),
         rows=[
             (
@@ -121,8 +130,8 @@ def _places_table(found: Workspace) -> Table:
             )
             for place in _places(found)
         ],
-        note=f"Travel of the legs from their lengths at home; {number(1e3 * found.stroke)} mm are allowed each way. "
-        "Forces hold the weight, estimated and actual, without motion.",
+        note=f"Travel of the legs from their {units.name}s at home; {number(1e3 * found.stroke)} {units.small} are "
+        f"allowed each way. {units.effort_name.capitalize()}s hold the weight, estimated and actual, without motion.",
         page=PAGE,
     )
 
@@ -163,7 +172,7 @@ def _map(found: Workspace) -> HeatMap:
         title=f"Remaining stroke, at the height and attitude of the {where}",
         x_label="translation along x from home [mm]",
         y_label="translation along y from home [mm]",
-        z_label="stroke left [mm]",
+        z_label=f"stroke left [{found.scene.units.small}]",
         x=1e3 * found.map_x,
         y=1e3 * found.map_y,
         z=1e3 * found.map_margin,
@@ -185,6 +194,7 @@ def _data(found: Workspace) -> dict[str, object]:
                 "leg_travel": place.travel,
                 "stroke_left": _margin(found, place),
                 "singularity": place.singularity,
+                **({"lever_arm": place.lever_arm} if found.scene.hexapod.rotary else {}),
                 "leg_forces": place.forces,
                 "actual_leg_forces": place.actual_forces,
             }

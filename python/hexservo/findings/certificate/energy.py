@@ -12,6 +12,7 @@ from hexservo.findings.certificate.stages import STAGE_WEIGHTS, Stages, doubled_
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import laws_with
+from hexservo.scenario.leg_units import stroke_length
 from hexservo.scenario.wording import number
 
 __all__ = ["EnergyLedger", "energy_ledger"]
@@ -117,7 +118,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
         tolerance=tolerance + _ROUNDING * (turnover + float(energy.max())),
         turnover=turnover,
         mismatch=mismatch,
-        negligible=NEGLIGIBLE * float(np.linalg.norm(terms.gravity[:3])) * run.settings["robot.stroke"],
+        negligible=NEGLIGIBLE * float(np.linalg.norm(terms.gravity[:3])) * stroke_length(run.scenario.robot),
         tossed=tossed,
         crossings=int(np.count_nonzero((run.twist[1:] * run.twist[:-1] < 0).any(axis=1))),
         remarks=(*terms.remarks, run.remark),

@@ -21,6 +21,10 @@ IN_COMMON: dict[str, str] = {
     "robot.base_joints": "as platform_radius",
     "robot.home_position": "as platform_radius: leg travel is counted from home",
     "robot.home_attitude": "as home_position",
+    "robot.legs": "as platform_radius",
+    **dict.fromkeys(
+        (f"robot.cranks.{name}" for name in ("length", "rod", "axes", "zero", "branch")), "as platform_radius"
+    ),
     "robot.gravity": "gravity: the law feeds the weight forward, and only its error counts",
     "robot.centre_of_mass": "gravity: known to the controller, as the mass is",
     "robot.mass": "gains: they are high or low for a mass",

@@ -15,6 +15,7 @@ from hexservo.findings.diagnosis.criterion import Judgement, Record
 from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
 from hexservo.findings.diagnosis.model import Case
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.wording import number
@@ -54,7 +55,9 @@ def _coarse_step(case: Case, record: Record, judgement: Judgement) -> Signature:
 def _saturation(case: Case, record: Record, judgement: Judgement) -> Signature:
     limit = case.scenario.robot.force_limit
     share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
-    sentence = f"A leg is at its force limit of {number(limit, 4)} N for {share:.0%} of the time."
+    units = leg_units(case.scenario.robot)
+    limited = f"{units.effort_name} limit of {number(limit, 4)} {units.effort}"
+    sentence = f"A leg is at its {limited} for {share:.0%} of the time."
     return Signature(min(1.0, share / 0.2), sentence)
 
 
@@ -104,7 +107,7 @@ def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signatur
         1.0,
         f"The image is within {number(2.0 * case.scenario.metrics.band)} px at the end while the platform moves by "
         f"{number(record.metrics['peak_displacement'] * 1e3)} mm; its fastest leg still moves at "
-        f"{number(record.drift * 1e3, 2)} mm/s.",
+        f"{number(record.drift * 1e3, 2)} {leg_units(case.scenario.robot).small}/s.",
     )
 
 
@@ -131,15 +134,16 @@ def _spring(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 def _stiction(case: Case, record: Record, judgement: Judgement) -> Signature:
     last = record.time >= (1.0 - _TAIL) * record.end_time
+    unit = leg_units(case.scenario.robot).coordinate
     travel = float(np.ptp(record.samples["leg_lengths"][last], axis=0).max())
     if judgement.early or judgement.error <= 1.0 or travel > _AT_REST * case.scenario.robot.stroke:
         return Signature(
-            0.0, f"The platform does not rest: its legs move {number(travel * 1e3, 2)} mm in the last quarter."
+            0.0, f"The platform does not rest: its legs move {number(travel * 1e3, 2)} m{unit} in the last quarter."
         )
     return Signature(
         1.0,
         f"The platform rests with {number(judgement.error * case.scenario.metrics.band)} px left: its legs move "
-        f"{travel * 1e6:.2g} um in the last quarter.",
+        f"{travel * 1e6:.2g} u{unit} in the last quarter.",
     )
 
 
@@ -165,16 +169,16 @@ def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
     sentence += (
         f", and the noise of {number(noise)} px is {number(wander * 1e3)} mm." if noise else "; there is no noise."
     )
-    return Signature(min(1.0, wander / (_WANDER * case.scenario.robot.stroke)), sentence)
+    return Signature(min(1.0, wander / (_WANDER * stroke_length(case.scenario.robot))), sentence)
 
 
 def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
-    stroke = case.scenario.robot.stroke
+    stroke, units = case.scenario.robot.stroke, leg_units(case.scenario.robot)
     if case.goal is None:
         return Signature(None, "")
     sentence = (
-        f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} mm from its length at home; its stroke is "
-        f"{number(stroke * 1e3)} mm."
+        f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} {units.small} from its {units.name} at home; its "
+        f"stroke is {number(stroke * 1e3)} {units.small}."
     )
     return Signature(1.0 if case.goal.leg_travel > stroke else 0.0, sentence)
 

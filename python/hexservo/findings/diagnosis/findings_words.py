@@ -9,6 +9,7 @@ from hexservo.findings.diagnosis.findings import Diagnosis
 from hexservo.findings.diagnosis.goal import Obstacle
 from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence, spelt
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.wording import number
 
 __all__ = ["section"]
@@ -34,7 +35,7 @@ def section(found: Diagnosis) -> Section:
     if found.named:
         sentences += found.named[0].evidence[1:]
     sentences += _sureness(found)
-    sentences += [remedy_sentence(finding) for finding in found.causes if finding.remedy is not None]
+    sentences += [remedy_sentence(finding, _unit(found)) for finding in found.causes if finding.remedy is not None]
     return Section(
         "diagnosis", "Diagnosis", [*sentences, *found.warnings], (_table(found), *_curves(found)), "bad", data
     )
@@ -43,7 +44,8 @@ def section(found: Diagnosis) -> Section:
 def _verdict(found: Diagnosis) -> str:
     assert found.judgement is not None
     assert found.record is not None
-    was = ends(found.record.outcome, found.judgement.error * found.band, found.leg_travel, found.record.drift)
+    unit = _unit(found)
+    was = ends(found.record.outcome, found.judgement.error * found.band, found.leg_travel, found.record.drift, unit)
     first = found.causes[0] if found.causes else None
     if found.obstacle is not None:
         return _of_obstacle(found, found.obstacle)
@@ -51,8 +53,8 @@ def _verdict(found: Diagnosis) -> str:
         if found.too_short:
             return f"The run is too short: with simulation.duration={found.too_short:g} it passes."
         return (
-            f"The most likely cause is {first.title}: with {first.without.words} the run {how(first.without)}; the "
-            f"original run {was}."
+            f"The most likely cause is {first.title}: with {first.without.words} the run "
+            f"{how(first.without, unit)}; the original run {was}."
         )
     if first is not None and first.without is None:
         return (
@@ -67,8 +69,13 @@ def _verdict(found: Diagnosis) -> str:
         )
     words = f"Not explained: it {was}, and none of the {len(found.causes)} causes that were tried explains it."
     if first is not None and first.without is not None and first.cure:
-        words += f" The most effective change was {first.without.words}: the run then {how(first.without)}."
+        words += f" The most effective change was {first.without.words}: the run then {how(first.without, unit)}."
     return words
+
+
+def _unit(found: Diagnosis) -> str:
+    """Return the unit of leg travel in sentences: mm, or mrad of cranks."""
+    return leg_units(found.result.scenario.robot).small
 
 
 def _of_obstacle(found: Diagnosis, obstacle: Obstacle) -> str:
@@ -78,10 +85,10 @@ def _of_obstacle(found: Diagnosis, obstacle: Obstacle) -> str:
             f"The goal cannot be reached: no pose was found whose image is the goal; the best one leaves "
             f"{number(obstacle.residual)} px."
         )
-    beyond = (obstacle.leg_travel - robot.stroke) * 1e3
+    beyond, unit = (obstacle.leg_travel - robot.stroke) * 1e3, _unit(found)
     return (
-        f"The goal cannot be reached: at the nearest pose with that image a leg is {number(beyond)} mm beyond its "
-        f"stroke of {number(robot.stroke * 1e3)} mm; nothing else matters until that is changed."
+        f"The goal cannot be reached: at the nearest pose with that image a leg is {number(beyond)} {unit} beyond its "
+        f"stroke of {number(robot.stroke * 1e3)} {unit}; nothing else matters until that is changed."
     )
 
 
@@ -120,7 +127,7 @@ def _table(found: Diagnosis) -> Table:
         Column("what was changed"),
         Column("outcome"),
         Column("remaining error", "px"),
-        Column("leg travel", "mm", ".3g"),
+        Column("leg travel", _unit(found), ".3g"),
         Column("fails alone"),
     )
     rows: list[tuple[str | float | None, ...]] = [

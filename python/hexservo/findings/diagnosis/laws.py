@@ -202,7 +202,9 @@ def _exact(case: Case) -> dict[str, Any]:
 
 
 def _leg_limits(case: Case) -> list[Removal]:
-    changes: dict[str, Any] = {"robot.stroke": 1e3 * case.scenario.robot.stroke}
+    robot = case.scenario.robot
+    most = math.inf if robot.legs == "prismatic" else math.pi - abs(robot.stroke_centre)  # as far as a crank goes
+    changes: dict[str, Any] = {"robot.stroke": min(1e3 * robot.stroke, most)}
     if case.scenario.robot.on_limit != "report":
         changes["robot.on_limit"] = "report"
     return [Removal("legs of any length", changes, stroke_counts=False)]

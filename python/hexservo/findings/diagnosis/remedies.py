@@ -12,6 +12,7 @@ from hexservo.findings.diagnosis.environment import unknown_payload
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.scenario.laws import laws_with
+from hexservo.scenario.leg_units import leg_units
 
 __all__ = [
     "gravity_remedies",
@@ -85,8 +86,11 @@ def _integrating_law(case: Case, virtue: str) -> list[Removal]:
 
 def saturation_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Use stronger legs."""
+    units = leg_units(case.scenario.robot)
     needed = rounded_up(1.1 * record.metrics["peak_leg_force"])
-    return [Removal(f"legs with a force limit of {needed:g} N", {"robot.force_limit": needed})]
+    return [
+        Removal(f"legs with a {units.effort_name} limit of {needed:g} {units.effort}", {"robot.force_limit": needed})
+    ]
 
 
 def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
@@ -107,14 +111,15 @@ def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list
 def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Use legs with larger limits, of those that end or fail the run."""
     robot, peaks = case.scenario.robot, record.metrics
+    unit = leg_units(robot).small
     changes: dict[str, Any] = {}
     words = []
     if peaks["peak_leg_excursion"] > robot.stroke or robot.on_limit == "report":
         stroke = changes["robot.stroke"] = rounded_up(1.05 * peaks["peak_leg_excursion"])
-        words.append(f"a stroke of {stroke * 1e3:.3g} mm")
+        words.append(f"a stroke of {stroke * 1e3:.3g} {unit}")
     if robot.on_limit == "stop" and robot.speed_limit is not None and peaks["peak_leg_speed"] > robot.speed_limit:
         speed = changes["robot.speed_limit"] = rounded_up(1.05 * peaks["peak_leg_speed"])
-        words.append(f"a speed limit of {speed * 1e3:.3g} mm/s")
+        words.append(f"a speed limit of {speed * 1e3:.3g} {unit}/s")
     if robot.on_limit == "stop" and robot.joint_limit is not None:
         tilts = [peaks["peak_base_joint"], peaks["peak_platform_joint"]]
         wider = [

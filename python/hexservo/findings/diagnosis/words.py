@@ -8,6 +8,7 @@ from typing import Any
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo.findings.diagnosis.findings import Finding, Remedy
 from hexservo.run.result import Result
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.wording import number
 
 __all__ = ["criteria_met", "ends", "how", "joined", "misses", "remedy_sentence", "spelt", "warnings_of"]
@@ -22,9 +23,11 @@ def joined(parts: Sequence[str]) -> str:
     return "; ".join(parts)
 
 
-def how(run: Remedy) -> str:
+def how(run: Remedy, unit: str) -> str:
     """Return the outcome of a run as a clause."""
-    return f"{'passes' if run.works else 'still fails'}: it {ends(run.outcome, run.error, run.leg_travel, run.drift)}"
+    return f"{'passes' if run.works else 'still fails'}: it " + ends(
+        run.outcome, run.error, run.leg_travel, run.drift, unit
+    )
 
 
 def spelt(outcome: str) -> str:
@@ -32,26 +35,25 @@ def spelt(outcome: str) -> str:
     return outcome.replace("_", " ")
 
 
-def ends(outcome: str, error: float, leg_travel: float, drift: float) -> str:
+def ends(outcome: str, error: float, leg_travel: float, drift: float, unit: str) -> str:
     """Return how a run ended."""
     if outcome != "completed":
         return f"ends early ({spelt(outcome)})"
-    words = f"ends with {number(error)} px left and {number(leg_travel * 1e3)} mm of leg travel"
-    return words + (f", and still drifts at {number(drift * 1e3, 2)} mm/s" if drift > _SHOWN_DRIFT else "")
+    words = f"ends with {number(error)} px left and {number(leg_travel * 1e3)} {unit} of leg travel"
+    return words + (f", and still drifts at {number(drift * 1e3, 2)} {unit}/s" if drift > _SHOWN_DRIFT else "")
 
 
 def misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
     """Return a clause for each criterion that was not met."""
     if judgement.early:
         return (result.detail.rstrip("."),)
-    stroke = result.scenario.robot.stroke
+    stroke, unit = result.scenario.robot.stroke, leg_units(result.scenario.robot).small
     allowed = stroke / DRIFT_TIME * 1e3
     clauses = {_not_settled(result, judgement): 0.0 if judgement.settled else judgement.error}
     clauses |= {
-        f"a leg goes {number(judgement.stroke * stroke * 1e3)} mm, beyond its stroke of {number(stroke * 1e3)} mm": (
-            judgement.stroke
-        ),
-        f"a leg still moves at {number(record.drift * 1e3, 2)} mm/s at the end, above {allowed:.2g} mm/s": (
+        f"a leg goes {number(judgement.stroke * stroke * 1e3)} {unit}, beyond its stroke of "
+        f"{number(stroke * 1e3)} {unit}": (judgement.stroke),
+        f"a leg still moves at {number(record.drift * 1e3, 2)} {unit}/s at the end, above {allowed:.2g} {unit}/s": (
             judgement.drift
         ),
     }
@@ -69,12 +71,13 @@ def _not_settled(result: Result, judgement: Judgement) -> str:
 def criteria_met(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
     """Return a clause per criterion of a run that passes, with its margin."""
     metrics, stroke = result.scenario.metrics, result.scenario.robot.stroke
+    unit = leg_units(result.scenario.robot).small
     allowed = stroke / DRIFT_TIME * 1e3
     return (
         f"it is settled, with {number(judgement.error * metrics.band)} px of the band of {number(metrics.band)} px "
         f"in the last {number(metrics.dwell)} s",
-        f"the legs use {judgement.stroke:.0%} of their stroke of {number(stroke * 1e3, 4)} mm",
-        f"they drift at {number(record.drift * 1e3, 2)} mm/s, where {allowed:.2g} mm/s are allowed",
+        f"the legs use {judgement.stroke:.0%} of their stroke of {number(stroke * 1e3, 4)} {unit}",
+        f"they drift at {number(record.drift * 1e3, 2)} {unit}/s, where {allowed:.2g} {unit}/s are allowed",
     )
 
 
@@ -100,12 +103,12 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
     return tuple(found)
 
 
-def remedy_sentence(finding: Finding) -> str:
+def remedy_sentence(finding: Finding, unit: str) -> str:
     """Return the remedy against a cause, and the outcome of the run with it."""
     remedy = finding.remedy
     assert remedy is not None
     keys = ", ".join(f"{key}={_value(value)}" for key, value in remedy.changes.items())
-    outcome = how(remedy)
+    outcome = how(remedy, unit)
     if finding.without is not None and remedy.changes == finding.without.changes:
         return f"Against {finding.title}: {remedy.words} ({keys}); that run {outcome}."
     return f"Against {finding.title}: {remedy.words} ({keys}). Tried: the run {outcome}."
