@@ -318,6 +318,7 @@ void require_view_at_start(const SceneParameters<double>& p) {
 
 /// Image of a target that moves in B where the run starts.
 void require_view_of_moving_target(const SceneParameters<double>& p) {
+  if (p.target_motion.kind == TargetMotionKind::none && p.target_frame == TargetFrame::base) return;
   BaseMotion<double> base(p.base_motion, p.seed, p.recorded);
   const TargetPlace<double, kPoints> target(p.points_B, p.target_frame, p.target_motion, p.recorded_target);
   if (!target.moves(base)) return;

@@ -3,7 +3,7 @@
 ///
 /// | symbol     | meaning                                                                     | unit        |
 /// | ---------- | --------------------------------------------------------------------------- | ----------- |
-/// | B          | inertial base frame, origin at the centre of the base joints, z points down |             |
+/// | B          | base frame, origin at the centre of the base joints, z points down          |             |
 /// | E          | platform frame = camera frame, the camera looks along -Z_E                  |             |
 /// | R_BE       | turns E-coordinates into B-coordinates                                      | 1           |
 /// | p_BE       | position of E's origin in B (the paper's x_p)                               | m           |
