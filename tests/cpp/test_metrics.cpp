@@ -337,7 +337,9 @@ TEST_CASE("samples that are known to be finite give the same metrics and limits,
     finite.add_finite(static_cast<double>(i) * 1e-3, samples[i]);
   }
   const Metrics<double> a = any.metrics(), b = finite.metrics();
-  const auto same = [](double x, double y) { return x == y || (std::isnan(x) && std::isnan(y)); };  // no such limit: NaN
+  const auto same = [](double x, double y) {
+    return x == y || (std::isnan(x) && std::isnan(y));
+  };  // no such limit: NaN
   Metrics<double>::visit([&](const char*, double x, double y) { CHECK(same(x, y)); }, a, b);
   CHECK(any.stroke().peak == finite.stroke().peak);
   CHECK(any.stroke().first_time == finite.stroke().first_time);
