@@ -261,7 +261,7 @@ def test_a_principal_point_off_the_centre_moves_the_frustum() -> None:
         | changes
     )
     model = mujoco_model(scenario, 1e-3)
-    data, scene, camera = mujoco.MjData(model), mujoco.MjvScene(model, 10), mujoco.MjvCamera()
+    data, scene, camera = mujoco.MjData(model), mujoco.MjvScene(model, 100), mujoco.MjvCamera()
     mujoco.mj_forward(model, data)
     camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
     every = mujoco.mjtCatBit.mjCAT_ALL

@@ -6,12 +6,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hexservo.bridges.environment import gymnasium
     from hexservo.bridges.mujoco_model import mjcf
     from hexservo.bridges.state_space import control
 
-__all__ = ["control", "mjcf"]
+__all__ = ["control", "gymnasium", "mjcf"]
 
-_PLACES = {"control": "state_space", "mjcf": "mujoco_model"}
+_PLACES = {"control": "state_space", "gymnasium": "environment", "mjcf": "mujoco_model"}
 
 
 def __getattr__(name: str) -> Any:

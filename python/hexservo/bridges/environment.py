@@ -1,0 +1,333 @@
+"""Scenarios as Gymnasium environments (docs/bridges.md)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexservo import _core
+from hexservo.bridges.extras import extra
+from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import desired_features
+from hexservo.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+    from gymnasium import vector as _vector
+else:
+    gym = extra("gymnasium", "gymnasium")
+    _vector = gym.vector
+
+__all__ = ["HexapodEnv", "HexapodVectorEnv", "gymnasium"]
+
+_FAILURE = 10.0  # cost of a second that a failed run is short of its duration, in those of a second with error e_0
+_SHARE = 0.1  # of a twist error that the velocity servo takes away in a tick
+_TWIST_SCALE = np.repeat([0.1, 0.5], 3)  # [m/s; rad/s]
+_MODES = {"next_step": "NEXT_STEP", "same_step": "SAME_STEP", "disabled": "DISABLED"}
+
+
+class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
+    """Runs of one scenario side by side as a Gymnasium vector environment; `gymnasium` describes it."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        action: Literal["wrench", "twist"] = "wrench",
+        action_scale: ArrayLike | None = None,
+        start_spread: ArrayLike = 0.0,
+        autoreset: Literal["next_step", "same_step", "disabled"] = "next_step",
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs: expected at least 1, got {num_envs}")
+        if action not in ("wrench", "twist"):
+            raise ValueError(f"action: expected wrench or twist, got {action!r}")
+        if autoreset not in _MODES:
+            raise ValueError(f"autoreset: expected one of {', '.join(_MODES)}, got {autoreset!r}")
+        steps = max(1, round(scenario.simulation.duration / scenario.simulation.step))
+        self.scenario = scenario.updated({"simulation.mode": "sampled", "simulation.log_every": steps})
+        self.num_envs = num_envs
+        scene = scene_of(self.scenario)
+        self._settings = core_parameters(self.scenario)
+        self._start: Array = np.array(self._settings["simulation.start.pose"])
+        self._spread = _six("start_spread", start_spread)
+        self._desired = desired_features(self.scenario)
+        self._tick, self._duration = self.scenario.simulation.step, self.scenario.simulation.duration
+        error = scene.desired - scene.image(scene.home)[0] if scene.has_points else np.ones(1)
+        self._error_unit = float(np.sqrt(np.mean(error**2))) or 1.0
+        self._stiffness = _damping(scene, self._tick) if action == "twist" else None
+        if action_scale is None:
+            action_scale = _TWIST_SCALE if action == "twist" else _wrench_scale(scene)
+        self.action_scale = _six("action_scale", action_scale)
+        self._mode = autoreset
+        mode = _vector.AutoresetMode[_MODES[autoreset]]
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self.render_mode = None
+        size = len(self._desired) + 13
+        self.single_observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (6,), np.float32)
+        batched = _vector.utils.batch_space
+        self.observation_space = batched(self.single_observation_space, num_envs)
+        self.action_space = batched(self.single_action_space, num_envs)
+        self._runs = _Runs(num_envs, steps)
+        self._generators: list[np.random.Generator] = []
+        self._seen: Array = np.zeros((num_envs, len(self._desired)))  # newest features that were usable
+        self._states: dict[str, NDArray[Any]] = {}
+        self._over: Mask = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start all episodes again, or those of ``options["reset_mask"]``.
+
+        Parameters
+        ----------
+        seed
+            Of all random numbers, those of environment i from seed + i, or one per environment.
+        options
+            ``reset_mask``: (num_envs,) of bool.
+        """
+        seeds = [seed] * self.num_envs if seed is None or isinstance(seed, int) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed: expected one number or {self.num_envs}, got {len(seeds)}")
+        if isinstance(seed, int):
+            seeds = [seed + index for index in range(self.num_envs)]
+        if not self._generators:
+            self._generators = [np.random.default_rng(each) for each in seeds]
+        mask = np.ones(self.num_envs, dtype=bool)
+        if options is not None and "reset_mask" in options:
+            mask = np.asarray(options["reset_mask"], dtype=bool)
+            if mask.shape != (self.num_envs,):
+                raise ValueError(f"reset_mask: expected shape ({self.num_envs},), got {mask.shape}")
+            if not self._states and not mask.all():
+                raise ValueError("reset_mask: expected all environments at the first reset")
+        for index in np.flatnonzero(mask):
+            if seeds[index] is not None:
+                self._generators[index] = np.random.default_rng(seeds[index])
+        self._begin(mask)
+        return self._observed(), self._info()
+
+    def step(self, actions: ArrayLike) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+        """Take one servo tick with (num_envs, 6) actions.
+
+        Returns
+        -------
+        tuple
+            Observations, rewards, terminated, truncated, and infos with ``time`` [s].
+        """
+        if not self._states:
+            raise gym.error.ResetNeeded("call reset before step")
+        wanted = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0) * self.action_scale
+        if self._stiffness is not None:
+            wanted = self._stiffness * (wanted - self._states["twist"])
+        before = self._over
+        error = np.sqrt(np.mean((self._desired - self._seen) ** 2, axis=1)) / self._error_unit
+        self._runs.command(wanted)
+        self._read()
+        over = ~np.asarray(self._states["running"])
+        truncated = over & np.asarray(self._states["at_end"]) & ~before
+        terminated = over & ~truncated & ~before
+        left = np.maximum(self._duration - self._states["time"], 0.0)
+        rewards = np.where(before, 0.0, -self._tick * error - np.where(terminated, _FAILURE * left, 0.0))
+        self._over = terminated | truncated
+        info: dict[str, Any] = {}
+        if self._mode == "next_step" and before.any():
+            self._begin(before)
+        elif self._mode == "same_step" and self._over.any():
+            over = self._over
+            info = self._final(over)
+            self._begin(over)
+        elif self._mode == "disabled":
+            self._over = self._over | before
+        return self._observed(), rewards, terminated, truncated, {**self._info(), **info}
+
+    def _begin(self, mask: Mask) -> None:
+        for index in np.flatnonzero(mask):
+            random = self._generators[index]
+            self._settings["seed"] = int(random.integers(2**63))
+            self._settings["simulation.start.pose"] = self._start + self._spread * random.uniform(-1.0, 1.0, 6)
+            self._runs.start(int(index), self._settings)
+            self._seen[index] = self._desired  # where a target is never seen the error is 0
+        self._over = self._over & ~mask
+        self._read()
+
+    def _read(self) -> None:
+        self._states = self._runs.states()
+        features = self._states["features"]
+        self._seen = np.where(np.isnan(features), self._seen, features)
+
+    def _observed(self) -> Array:
+        quaternion = self._states["quaternion"]
+        sign = np.where(quaternion[:, :1] < 0.0, -1.0, 1.0)
+        parts = [self._desired - self._seen, self._states["position"], sign * quaternion, self._states["twist"]]
+        return np.concatenate(parts, axis=1)
+
+    def _info(self) -> dict[str, Any]:
+        every = np.ones(self.num_envs, dtype=bool)
+        return {
+            "time": self._states["time"],
+            "_time": every,
+        }
+
+    def _final(self, over: Mask) -> dict[str, Any]:
+        observations = np.full(self.num_envs, None, dtype=object)
+        observed, states = self._observed(), self._info()
+        for index in np.flatnonzero(over):
+            observations[index] = observed[index]
+        final = {name: (values.copy() if not name.startswith("_") else over) for name, values in states.items()}
+        return {"final_obs": observations, "_final_obs": over, "final_info": final, "_final_info": over}
+
+
+class _Runs:
+    """Plants side by side, commanded together; those that have ended stay."""
+
+    def __init__(self, count: int, steps: int) -> None:
+        self._runs: list[_core.SampledRun | None] = [None] * count
+        self._seen: list[Any] = [None] * count
+        self._steps = steps
+
+    def start(self, index: int, settings: _core.Settings) -> None:
+        """Start a run, and take it to the tick of its first image, until which the safe output acts."""
+        run = _core.SampledRun(settings)
+        seen = run.observe()
+        while run.running and seen.tick < self._steps and np.isnan(seen.features).any():
+            run.command(np.zeros(6))
+            seen = run.observe()
+        self._runs[index], self._seen[index], self._weight = run, seen, settings.body.weight
+
+    def command(self, wrenches: Array) -> None:
+        """Command wrenches (n, 6) beyond the estimated weight [N; N m], and go on to the next tick."""
+        if wrenches.shape != (len(self._runs), 6):
+            raise ValueError(f"actions: expected shape ({len(self._runs)}, 6), got {wrenches.shape}")
+        if not np.isfinite(wrenches).all():
+            raise ValueError("actions: expected finite numbers, got NaN or infinity")
+        for index, (run, seen) in enumerate(zip(self._runs, self._seen, strict=True)):
+            if run is not None and run.running and seen.tick < self._steps:
+                run.command(self._weight(seen.quaternion) + wrenches[index])
+                self._seen[index] = run.observe()
+
+    def states(self) -> dict[str, NDArray[Any]]:
+        """Return what the sensors give, a row per run, and whether runs go on."""
+        ticks = np.array([seen.tick for seen in self._seen])
+        names = ("features", "position", "quaternion", "twist", "time")
+        states = {name: np.array([getattr(seen, name) for seen in self._seen]) for name in names}
+        running = np.array([run is not None and run.running for run in self._runs])
+        at_end = ticks >= self._steps
+        return {**states, "running": running & ~at_end, "at_end": at_end & running}
+
+
+class HexapodEnv(gym.Env):  # type: ignore[misc]
+    """One run of a scenario as a Gymnasium environment; `gymnasium` describes it."""
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own form)
+
+    def __init__(self, scenario: Scenario, **options: Any) -> None:
+        self._one = HexapodVectorEnv(scenario, 1, autoreset="disabled", **options)
+        self.observation_space = self._one.single_observation_space
+        self.action_space = self._one.single_action_space
+        self.render_mode = None
+
+    @property
+    def action_scale(self) -> Array:
+        """What an action of 1 is, (6,) [N; N m] or [m/s; rad/s]."""
+        return self._one.action_scale
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Start an episode."""
+        super().reset(seed=seed)
+        observed, info = self._one.reset(seed=int(self.np_random.integers(2**31)))
+        return observed[0], _first(info)
+
+    def step(self, action: ArrayLike) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Take one servo tick with six numbers."""
+        observed, rewards, terminated, truncated, info = self._one.step(np.asarray(action)[None])
+        return observed[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(info)
+
+
+def gymnasium(
+    scenario: Scenario,
+    num_envs: int | None = None,
+    *,
+    action: Literal["wrench", "twist"] = "wrench",
+    action_scale: ArrayLike | None = None,
+    start_spread: ArrayLike = 0.0,
+    autoreset: Literal["next_step", "same_step", "disabled"] = "next_step",
+) -> Any:
+    """Return a scenario's plant as a Gymnasium environment: plant, camera, sensors and actuators, without its law.
+
+    A step is one servo tick (``simulation.step``) in sampled mode; an episode that lasts ``simulation.duration`` is
+    truncated, and one that ends as a run does (divergence, a target behind the camera, a lost feature or a leg limit
+    where they stop runs) is terminated. Plants are those of `hexservo.simulate` with a custom controller, bit for bit.
+
+    Parameters
+    ----------
+    scenario
+        Its law does not act.
+    num_envs
+        Number of environments of a vector environment, which run on one thread; None: a single environment.
+    action
+        Six numbers from -1 to 1, times `action_scale`; larger ones are clipped. "wrench": what acts beyond the
+        estimated weight [N; N m], in B. "twist": a velocity in B [m/s; rad/s] for a servo that takes away a tenth of
+        the difference from the measured twist in a tick.
+    action_scale
+        (6,) or one number. None: the largest wrench of the legs at home, along each axis, or 0.1 m/s and 0.5 rad/s.
+    start_spread
+        (6,) or one number [m; rad]: an episode starts at the scenario's start plus a displacement in B, uniform
+        within plus and minus it.
+    autoreset
+        Gymnasium's `AutoresetMode` of the vector environment.
+
+    Returns
+    -------
+    HexapodVectorEnv or HexapodEnv
+        Observation, as the controller's sensors give it: desired minus seen features (8,) [px], the newest that are
+        usable; position (3,) in B [m]; quaternion (4,) with w >= 0; twist (6,) in B [m/s; rad/s]. Reward:
+        ``-T_c e/e_0`` with the servo period, the RMS of the seen feature error at the action and that at home; an
+        episode that fails costs 10 for each second that is left. Infos: ``time`` [s].
+
+    Raises
+    ------
+    ImportError
+        Without Gymnasium; the extra ``gymnasium`` installs it.
+    ValueError
+        For values that are not as above, and what the core refuses.
+    """
+    if num_envs is None:
+        return HexapodEnv(scenario, action=action, action_scale=action_scale, start_spread=start_spread)
+    return HexapodVectorEnv(
+        scenario,
+        num_envs,
+        action=action,
+        action_scale=action_scale,
+        start_spread=start_spread,
+        autoreset=autoreset,
+    )
+
+
+def _first(info: dict[str, Any]) -> dict[str, Any]:
+    return {name: values[0] for name, values in info.items() if not name.startswith("_")}
+
+
+def _six(name: str, numbers: ArrayLike) -> Array:
+    try:
+        found = np.broadcast_to(np.asarray(numbers, dtype=float), (6,)).copy()
+    except (TypeError, ValueError):
+        found = np.array([np.nan])
+    if not np.isfinite(found).all() or (found < 0.0).any():
+        raise ValueError(f"{name}: expected one or 6 finite numbers that are not negative, got {numbers!r}")
+    return found
+
+
+def _wrench_scale(scene: Scene) -> Array:
+    force = float(scene.settings["robot.force_limit"])
+    return np.asarray(np.abs(scene.hexapod.wrench_map(scene.home.position, scene.home.quaternion)).sum(axis=1) * force)
+
+
+def _damping(scene: Scene, tick: float) -> Array:
+    """Return the wrench per twist error of the velocity servo, (6,) [N s/m; N m s/rad]."""
+    return np.asarray(np.diag(scene.probe.inertia(scene.home.quaternion[None])[0]) * _SHARE / tick)

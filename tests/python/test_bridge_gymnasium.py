@@ -1,0 +1,189 @@
+"""Gymnasium environments: the plants of hexservo bit for bit, Gymnasium's checkers, its three modes of reset."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import has_pixels
+
+gym = pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra `gymnasium`)")
+
+SHORT = {"simulation.mode": "sampled", "simulation.duration": 0.05}
+SPREAD = [1e-3] * 3 + [1e-2] * 3
+
+
+@pytest.fixture
+def scenario() -> hs.Scenario:
+    return hs.load_scenario("paper-nominal").updated(SHORT)
+
+
+@pytest.mark.parametrize("name", ["paper-nominal", "real-machine", "slow-camera"])
+def test_a_step_is_a_tick_of_a_run_with_a_custom_controller(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The observation after each action is what a custom controller sees."""
+    monkeypatch.setenv("HEXSERVO_VARIANT", "baseline")
+    scenario = hs.load_scenario(name).updated({**SHORT, "simulation.duration": 0.3})  # cameras are late
+    body, desired = core_parameters(scenario).body, core_parameters(scenario)["target.desired_features"]
+    env = hs.bridges.gymnasium(scenario, 2)
+    random = np.random.default_rng(3)
+    actions = random.uniform(-1e-2, 1e-2, (50, 6))
+    observed, _ = env.reset(seed=11)
+    # the episode's seed is the first number of its generator
+    seed = int(np.random.default_rng(11).integers(2**63))
+    seen: list[np.ndarray[Any, Any]] = []
+    waited = []
+
+    def controller(o: hs.Observation) -> Any:
+        if not seen and np.isnan(o.features).any():
+            waited.append(o.tick)
+            return np.zeros(6)
+        at = o.tick - len(waited)
+        seen.append(
+            np.concatenate(
+                [desired.ravel() - o.features, o.position, o.quaternion * (1 if o.quaternion[0] >= 0 else -1), o.twist]
+            )
+        )
+        if at >= len(actions):
+            return np.zeros(6)
+        return body.weight(o.quaternion) + np.float32(actions[at]) * env.action_scale
+
+    hs.simulate(scenario.updated({"seed": seed}), controller=controller)
+    rows = [observed[0]]
+    for action in actions:
+        both = np.tile(action.astype(np.float32), (2, 1))
+        observed, _, terminated, truncated, _ = env.step(both)
+        rows.append(observed[0])
+        if terminated.any() or truncated.any():
+            break
+    assert len(rows) > 20
+    if not has_pixels(scenario.camera):
+        np.testing.assert_array_equal(np.array(rows), np.array(seen)[: len(rows)])
+
+
+@pytest.mark.parametrize("action", ["wrench", "twist"])
+def test_the_checker_of_gymnasium_passes(scenario: hs.Scenario, action: Any) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    env = hs.bridges.gymnasium(scenario, action=action, start_spread=SPREAD)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*infinity.*")  # errors and poses have no bounds
+        warnings.filterwarnings("ignore", message=".*no spec.*|.*not have a spec.*")
+        check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("autoreset", ["next_step", "same_step", "disabled"])
+def test_the_vector_environment_keeps_the_rules_of_gymnasium(scenario: hs.Scenario, autoreset: Any) -> None:
+    env = hs.bridges.gymnasium(scenario, 3, autoreset=autoreset, start_spread=SPREAD)
+    assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode[autoreset.upper()]
+    observed, _ = env.reset(seed=5)
+    assert observed in env.observation_space
+    assert env.observation_space.shape == (3, 21)
+    zero = np.zeros((3, 6), np.float32)
+    ticks = round(scenario.simulation.duration / scenario.simulation.step)
+    for tick in range(1, ticks + 1):
+        last = observed
+        observed, rewards, terminated, truncated, info = env.step(zero)
+        assert observed in env.observation_space
+        assert rewards.shape == terminated.shape == truncated.shape == (3,)
+        assert not terminated.any()
+        assert truncated.all() == (tick == ticks)
+        assert (rewards < 0).all()
+    if autoreset == "same_step":
+        assert info["_final_obs"].all()
+        assert info["final_info"]["time"] == pytest.approx(scenario.simulation.duration)
+        assert np.abs(info["final_obs"][0] - last[0]).max() < np.abs(observed[0] - last[0]).max()
+        assert (info["time"] == 0).all()
+        return
+    assert info["time"] == pytest.approx(scenario.simulation.duration)
+    if autoreset == "next_step":
+        observed, rewards, terminated, truncated, info = env.step(zero + 1)
+        assert (rewards == 0).all()
+        assert not (terminated | truncated).any()
+    else:
+        before = env.step(zero)
+        assert (before[1] == 0).all()
+        observed, info = env.reset(options={"reset_mask": np.array([True, False, True])})
+        assert info["time"] == pytest.approx([0, scenario.simulation.duration, 0])
+        return
+    assert (info["time"] == 0).all()
+
+
+def test_seeds_repeat_episodes_and_differ_from_each_other(scenario: hs.Scenario) -> None:
+    env = hs.bridges.gymnasium(scenario, 4, start_spread=SPREAD)
+    first, _ = env.reset(seed=7)
+    second, _ = env.reset()
+    again, _ = env.reset(seed=7)
+    np.testing.assert_array_equal(first, again)
+    assert len({row.tobytes() for row in np.vstack([first, second])}) == 8
+    shifted, _ = env.reset(seed=[8, 7, 9, 10])
+    np.testing.assert_array_equal(shifted[1], first[0])
+    np.testing.assert_array_equal(shifted[0], first[1])
+
+
+def test_a_failed_run_terminates_its_episode_alone_and_costs_what_is_left(scenario: hs.Scenario) -> None:
+    # A thousand times the largest wrench of the legs throws the target out of view; the others hold.
+    env = hs.bridges.gymnasium(scenario, 2, action_scale=1e3, autoreset="disabled")
+    env.reset(seed=1)
+    actions = np.array([[1.0] * 6, [0.0] * 6], np.float32)
+    for _ in range(40):
+        _, rewards, terminated, _, info = env.step(actions)
+        if terminated.any():
+            break
+    assert terminated.tolist() == [True, False]
+    left = scenario.simulation.duration - info["time"]
+    assert rewards[0] < -10 * left[0] < rewards[1] < 0
+
+
+def test_twists_are_followed(scenario: hs.Scenario) -> None:
+    """A tenth of the difference is taken away in a tick: after 50 ticks 0.9^50 of it, 5e-3, is left."""
+    env = hs.bridges.gymnasium(scenario, 1, action="twist")
+    env.reset(seed=0)
+    wanted = np.array([[0.2, -0.1, 0.1, 0.05, 0.1, -0.1]], np.float32)
+    for _ in range(50):
+        observed, *_ = env.step(wanted)
+    # what couples the axes of rotation is of second order in the rates
+    np.testing.assert_allclose(observed[0, -6:] / env.action_scale, wanted[0], rtol=0, atol=0.01 * 0.2 + 5e-3 * 0.2)
+
+
+def test_statistics_of_gymnasium_wrap_it(scenario: hs.Scenario) -> None:
+    env = gym.wrappers.vector.RecordEpisodeStatistics(hs.bridges.gymnasium(scenario, 2))
+    env.reset(seed=0)
+    ticks = round(scenario.simulation.duration / scenario.simulation.step)
+    for _ in range(ticks):
+        *_, info = env.step(env.action_space.sample() * 0)
+    assert info["episode"]["l"].tolist() == [ticks, ticks]
+    assert (info["episode"]["r"] < 0).all()
+
+
+def test_refusals(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    for options, text in (
+        ({"action": "force"}, "action: expected wrench or twist"),
+        ({"autoreset": "later"}, "autoreset: expected one of next_step, same_step, disabled"),
+        ({"start_spread": -1.0}, "start_spread: expected one or 6 finite numbers"),
+        ({"action_scale": [1.0, 2.0]}, "action_scale: expected one or 6"),
+        ({"num_envs": 0}, "num_envs: expected at least 1"),
+    ):
+        given: dict[str, Any] = {"num_envs": 1, **options}
+        with pytest.raises(ValueError, match=text):
+            hs.bridges.gymnasium(scenario, **given)
+    env = hs.bridges.gymnasium(scenario, 2)
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(np.zeros((2, 6)))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"actions: expected shape \(2, 6\)"):
+        env.step(np.zeros((3, 6)))
+    with pytest.raises(ValueError, match="actions: expected finite numbers"):
+        env.step(np.full((2, 6), np.nan))
+    with pytest.raises(ValueError, match="seed: expected one number or 2"):
+        env.reset(seed=[1, 2, 3])
+    monkeypatch.delitem(sys.modules, "hexservo.bridges.environment")
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delattr(hs.bridges, "gymnasium")
+    with pytest.raises(ImportError, match=r"pip install 'hexservo\[gymnasium\]'"):
+        hs.bridges.gymnasium(scenario)
