@@ -149,6 +149,7 @@ function table() {
   const differs = Object.keys(state.changes).length > 0 && reference;
   for (const { name, unit, cells } of rows) {
     const [value, before] = [result.metrics[name], reference?.metrics[name] ?? NaN];
+    cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
     cells[0].textContent = withUnit(value, unit);
     cells[1].textContent = reference ? withUnit(before, unit) : "";
     const ratio = value / before;
