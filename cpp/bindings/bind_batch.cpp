@@ -44,7 +44,7 @@ py::dict samples(const py::object& self) {
   const auto& result = self.cast<const BatchResult&>();
   py::dict out;
   for (std::size_t q = 0; q < kNames.size(); ++q) {
-    Shape shape = {signed_size(result.count), py::ssize_t{kSampleWidths[q]}};
+    Shape shape = {signed_size(result.count), py::ssize_t{sample_width(q, result.points)}};
     if (result.rows > 0) shape.insert(shape.begin() + 1, signed_size(result.rows));
     const Buffer& values = result.samples[q];
     if (!values.empty()) out[kNames[q]] = shared(self, values.data(), values.size(), std::move(shape));

@@ -4,11 +4,29 @@
 
 #include <pybind11/native_enum.h>
 
+#include <algorithm>
+
 namespace hexservo::bindings {
 
 namespace {
 
 using Pixels = Eigen::Matrix<double, Eigen::Dynamic, 2>;
+using Numbers = Eigen::VectorXd;
+
+/// Calls `function` with the first of every `kPoints` points, and how many of them there are.
+template <class F>
+void for_blocks(Eigen::Index points, F&& function) {
+  for (Eigen::Index first = 0; first < points; first += kPoints)
+    function(first, std::min<Eigen::Index>(kPoints, points - first));
+}
+
+void require_image(const Numbers& features, const Numbers& depth) {
+  require_finite("features", features);
+  require_finite("depth", depth);
+  if (features.size() != 2 * depth.size())
+    throw std::invalid_argument("depth: expected " + std::to_string(features.size() / 2) +
+                                " numbers, one for two of the features, got " + std::to_string(depth.size()));
+}
 
 }  // namespace
 
@@ -63,50 +81,66 @@ void bind_camera(py::module_& m) {
   m.def(
       "take_image",
       [](const Camera& camera, const Vector3<double>& position, const Vector4<double>& quaternion,
-         const Eigen::Matrix<double, kPoints, 3>& points) {
+         const Eigen::Matrix<double, Eigen::Dynamic, 3>& points) {
         require_finite("points", points);
         const Pose<double> pose = checked_pose(position, quaternion);
         const PlatformCamera<double> mounted(camera.parameters());
-        const Image<double> image =
-            take_image<double, kPoints>(mounted, pose.position, rotation_matrix(pose.quaternion), points.transpose());
-        return py::make_tuple(image.features, image.depth);
+        const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
+        Numbers features(2 * points.rows()), depth(points.rows());
+        for_blocks(points.rows(), [&](Eigen::Index first, Eigen::Index count) {
+          Eigen::Matrix<double, 3, kPoints> block;
+          for (int i = 0; i < kPoints; ++i)
+            block.col(i) = points.row(first + std::min<Eigen::Index>(i, count - 1)).transpose();
+          const Image<double> image = take_image<double, kPoints>(mounted, pose.position, R_BE, block);
+          features.segment(2 * first, 2 * count) = image.features.head(2 * count);
+          depth.segment(first, count) = image.depth.head(count);
+        });
+        return py::make_tuple(features, depth);
       },
       py::arg("camera"), py::arg("position"), py::arg("quaternion"), py::arg("points"),
-      "(4): features (8,) [px] and depth Z (4,) [m], negative in front, of points (4, 3) in B [m].");
+      "(4): features (2 p,) [px] and depth Z (p,) [m], negative in front, of points (p, 3) in B [m].");
 
   m.def(
       "lift",
       [](const Camera& camera, const Vector3<double>& position, const Vector4<double>& quaternion,
-         const Vector<double, 2 * kPoints>& features, const Vector<double, kPoints>& depth) {
-        require_finite("features", features);
-        require_finite("depth", depth);
+         const Numbers& features, const Numbers& depth) {
+        require_image(features, depth);
         const Pose<double> pose = checked_pose(position, quaternion);
         const PlatformCamera<double> mounted(camera.parameters());
         const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
-        Eigen::Matrix<double, kPoints, 3> points;
-        for (int i = 0; i < kPoints; ++i)
+        Eigen::Matrix<double, Eigen::Dynamic, 3> points(depth.size(), 3);
+        for (Eigen::Index i = 0; i < depth.size(); ++i)
           points.row(i) = lift<double>(mounted, pose.position, R_BE, features.segment<2>(2 * i), depth(i)).transpose();
         return points;
       },
       py::arg("camera"), py::arg("position"), py::arg("quaternion"), py::arg("features"), py::arg("depth"),
-      "Inverse of take_image: points (4, 3) in B [m].");
+      "Inverse of take_image: points (p, 3) in B [m].");
 
   m.def(
       "image_jacobian",
-      [](const Camera& camera, const Vector<double, 2 * kPoints>& features, const Vector<double, kPoints>& depth,
-         const Vector4<double>& quaternion, CameraConvention convention) {
-        require_finite("features", features);
-        require_finite("depth", depth);
+      [](const Camera& camera, const Numbers& features, const Numbers& depth, const Vector4<double>& quaternion,
+         CameraConvention convention) {
+        require_image(features, depth);
         if ((depth.array() == 0.0).any())
           throw std::invalid_argument("depth: expected numbers that are not zero, got zero");
         const Matrix3<double> R_BE = rotation_matrix(checked_pose(Vector3<double>::Zero(), quaternion).quaternion);
-        const Image<double> image{features, depth};
         const PlatformCamera<double> mounted(camera.parameters());
-        return ImageJacobian<double>(mounted, plant_sign(convention), image, R_BE).matrix();
+        Eigen::Matrix<double, Eigen::Dynamic, 6> J(features.size(), 6);
+        for_blocks(depth.size(), [&](Eigen::Index first, Eigen::Index count) {
+          Image<double> image;
+          for (int i = 0; i < kPoints; ++i) {
+            const Eigen::Index at = first + std::min<Eigen::Index>(i, count - 1);
+            image.features.segment<2>(2 * i) = features.segment<2>(2 * at);
+            image.depth(i) = depth(at);
+          }
+          J.middleRows(2 * first, 2 * count) =
+              ImageJacobian<double>(mounted, plant_sign(convention), image, R_BE).matrix().topRows(2 * count);
+        });
+        return J;
       },
       py::arg("camera"), py::arg("features"), py::arg("depth"), py::arg("quaternion"),
       py::arg("convention") = CameraConvention::eye_in_hand,
-      "J of (12), (8, 6): twist in B (m/s; rad/s) to image velocity [px/s].");
+      "J of (12), (2 p, 6): twist in B (m/s; rad/s) to image velocity [px/s], for features (2 p,) and depth (p,).");
 }
 
 }  // namespace hexservo::bindings

@@ -4,9 +4,9 @@
 
 #include <pybind11/native_enum.h>
 
+#include <memory>
 #include <span>
 #include <utility>
-#include <variant>
 #include <vector>
 
 namespace hexservo::bindings {
@@ -21,65 +21,98 @@ py::object without_mask(const py::object& value) {
   return value.attr("astype")("float64").attr("filled")(std::numeric_limits<double>::quiet_NaN());
 }
 
-/// A vector of N numbers, of any values; ValueError where there are not N, or where they are no numbers.
-template <int N>
-Vector<double, N> numbers(const char* name, const py::object& value) {
+/// `count` numbers of any values at the beginning of `to`; ValueError where there are others.
+void take_numbers(const char* name, const py::object& value, py::ssize_t count, double* to) {
   const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(without_mask(value));
   const auto refuse = [&](const std::string& got) {
-    throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(N) + " numbers, got " + got);
+    throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(count) + " numbers, got " + got);
   };
   if (!array) {
     PyErr_Clear();
     refuse("something else (" + std::string(py::str(py::type::of(value).attr("__name__"))) + ")");
   }
-  if (array.ndim() != 1 || array.shape(0) != N) refuse("shape " + std::string(py::str(array.attr("shape"))));
-  return Eigen::Map<const Vector<double, N>>(array.data());
+  if (array.ndim() != 1 || array.shape(0) != count) refuse("shape " + std::string(py::str(array.attr("shape"))));
+  std::copy_n(array.data(), count, to);
 }
 
-/// Gains of a law with the state that belongs to them.
-template <class Law>
-struct LawController {
-  ControllerGains<Law> gains;
-  ControllerState<Law> state;
+/// A vector of N numbers whose first ones are given, or N unknown numbers for None.
+template <int N>
+Vector<double, N> numbers_or_none(const char* name, const py::object& value, py::ssize_t count = N) {
+  Vector<double, N> numbers = Vector<double, N>::Constant(std::numeric_limits<double>::quiet_NaN());
+  if (!value.is_none()) take_numbers(name, value, count, numbers.data());
+  return numbers;
+}
 
-  LawController(const Settings& settings, double period)
-      : gains(controller_gains<Law>(settings, period)), state(initial_state(gains)) {}
-};
-
-/// The controller of any law.
-struct Controller {
-  using OfLaw = Laws::Map<std::variant, LawController>;
-
-  OfLaw of_law;
+/// The controller of any law and any number of points, with its state.
+class Controller {
+ public:
+  using Input = ControllerInputOf<kMostPoints>;
 
   Controller(const Settings& settings, double period)
-      : of_law(with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) -> OfLaw {
-          return LawController<Law>(settings, period);
+      : points_(settings.target.count()),
+        of_loop_(with_loop(settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) {
+          return std::unique_ptr<OfAny>(std::make_unique<Of<Law, N>>(settings, period));
         })) {}
 
-  template <class F>
-  auto visit(F&& function) {
-    return std::visit(std::forward<F>(function), of_law);
-  }
-};
+  int points() const { return points_; }
+  ControllerOutput step(const Input& input) { return of_loop_->step(input); }
+  void reset() { of_loop_->reset(); }
+  std::vector<double> state() const { return of_loop_->state(); }
+  void restore(std::span<const double> numbers) { of_loop_->restore(numbers); }
+  double period() const { return of_loop_->period(); }
+  py::array_t<double> weights() const { return of_loop_->weights(); }
 
-/// The same, or N unknown numbers for None.
-template <int N>
-Vector<double, N> numbers_or_none(const char* name, const py::object& value) {
-  if (value.is_none()) return Vector<double, N>::Constant(std::numeric_limits<double>::quiet_NaN());
-  return numbers<N>(name, value);
-}
+ private:
+  struct OfAny {
+    virtual ~OfAny() = default;
+    virtual ControllerOutput step(const Input& input) = 0;
+    virtual void reset() = 0;
+    virtual std::vector<double> state() const = 0;
+    virtual void restore(std::span<const double> numbers) = 0;
+    virtual double period() const = 0;
+    virtual py::array_t<double> weights() const = 0;
+  };
+
+  template <class Law, int N>
+  struct Of final : OfAny {
+    Of(const Settings& settings, double period)
+        : gains(controller_gains<Law, N>(settings, period)), now(initial_state(gains)) {}
+
+    ControllerOutput step(const Input& input) override {
+      return hexservo::step(
+          gains, now,
+          {input.now,
+           {input.frame.exposure, {input.frame.image.features.head<2 * N>(), input.frame.image.depth.head<N>()}},
+           input.pose,
+           input.twist,
+           input.joints});
+    }
+    void reset() override { now = initial_state(gains); }
+    std::vector<double> state() const override { return stored(now); }
+    void restore(std::span<const double> numbers) override { hexservo::restore(now, numbers); }
+    double period() const override { return gains.period; }
+    py::array_t<double> weights() const override { return weight_array(now.law); }
+
+    ControllerGains<Law, N> gains;
+    ControllerState<Law, N> now;
+  };
+
+  int points_;
+  std::unique_ptr<OfAny> of_loop_;
+};
 
 py::tuple step_once(Controller& controller, const py::object& features, const py::object& depth,
                     const py::object& position, const py::object& quaternion, const py::object& twist,
                     const py::object& leg_lengths, const py::object& leg_rates, double exposure, double now) {
-  const ControllerInput input{
+  const Controller::Input input{
       now,
-      {exposure, {numbers_or_none<2 * kPoints>("features", features), numbers_or_none<kPoints>("depth", depth)}},
+      {exposure,
+       {numbers_or_none<2 * kMostPoints>("features", features, 2 * controller.points()),
+        numbers_or_none<kMostPoints>("depth", depth, controller.points())}},
       {numbers_or_none<3>("position", position), numbers_or_none<4>("quaternion", quaternion)},
       numbers_or_none<6>("twist", twist),
       {numbers_or_none<6>("leg_lengths", leg_lengths), numbers_or_none<6>("leg_rates", leg_rates)}};
-  const ControllerOutput out = controller.visit([&](auto& c) { return step(c.gains, c.state, input); });
+  const ControllerOutput out = controller.step(input);
   return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.status, out.saturated);
 }
 
@@ -100,13 +133,11 @@ void bind_controller(py::module_& m) {
            py::arg("twist"), py::arg("leg_lengths") = py::none(), py::arg("leg_rates") = py::none(),
            py::arg("exposure") = 0.0, py::arg("now") = 0.0,
            "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input, whether it is saturated.")
-      .def(
-          "reset", [](Controller& self) { self.visit([](auto& c) { c.state = initial_state(c.gains); }); },
-          "Back to the state before the first tick.")
+      .def("reset", &Controller::reset, "Back to the state before the first tick.")
       .def(
           "state",
           [](Controller& self) {
-            const std::vector<double> numbers = self.visit([](auto& c) { return stored(c.state); });
+            const std::vector<double> numbers = self.state();
             return py::array_t<double>(static_cast<py::ssize_t>(numbers.size()), numbers.data());
           },
           "(n,) every number that is kept from tick to tick; n depends on law, camera and period.")
@@ -119,15 +150,11 @@ void bind_controller(py::module_& m) {
               throw std::invalid_argument("state: expected a vector of numbers, got something else");
             }
             const std::span<const double> numbers(array.data(), static_cast<std::size_t>(array.size()));
-            self.visit([&](auto& c) { restore(c.state, numbers); });
+            self.restore(numbers);
           },
           py::arg("state"), "Continues from what `state` gave; ValueError for a state of another controller.")
-      .def_property_readonly(
-          "period", [](Controller& self) { return self.visit([](auto& c) { return c.gains.period; }); }, "[s]")
-      .def_property_readonly(
-          "fuzzy_weights",
-          [](Controller& self) { return self.visit([](auto& c) { return weight_array(c.state.law); }); },
-          "(6, 7, 7) [N; N m]");
+      .def_property_readonly("period", &Controller::period, "[s]")
+      .def_property_readonly("fuzzy_weights", &Controller::weights, "(6, 7, 7) [N; N m]");
 }
 
 }  // namespace hexservo::bindings

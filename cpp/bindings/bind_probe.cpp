@@ -14,9 +14,13 @@ namespace {
 using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
 using Shape = std::vector<py::ssize_t>;
 
-const Shape kEight = {2 * kPoints}, kFour = {kPoints}, kThree = {3}, kThreeByThree = {3, 3}, kSix = {6},
-            kWeightShape = {6, kTerms, kTerms};
-const Shape kMembershipShape = {6, kTerms}, kJacobianShape = {2 * kPoints, 6}, kInertiaShape = {6, 6};
+const Shape kFour = {4}, kThree = {3}, kThreeByThree = {3, 3}, kSix = {6}, kWeightShape = {6, kTerms, kTerms};
+const Shape kMembershipShape = {6, kTerms}, kInertiaShape = {6, 6};
+
+/// Shapes of what there is for each point of the target: features and depths.
+Shape two_each(const Probe& probe) { return {2 * probe.points()}; }
+Shape one_each(const Probe& probe) { return {probe.points()}; }
+
 constexpr auto kStages = static_cast<py::ssize_t>(kRungeKuttaWeights.size());
 
 /// A shape as Python writes it; the first extent may be unknown.
@@ -107,10 +111,10 @@ struct States {
   Given features, depth, position, quaternion, twist;
   std::optional<Given> weights;
 
-  States(const py::object& f, const py::object& z, const py::object& p, const py::object& q, const py::object& v,
-         const py::object& w)
-      : features("features", f, kEight),
-        depth("depth", z, kFour, count()),
+  States(const Probe& probe, const py::object& f, const py::object& z, const py::object& p, const py::object& q,
+         const py::object& v, const py::object& w)
+      : features("features", f, two_each(probe)),
+        depth("depth", z, one_each(probe), count()),
         position("position", p, kThree, count()),
         quaternion("quaternion", q, kFour, count()),
         twist("twist", v, kSix, count()) {
@@ -126,7 +130,7 @@ struct States {
 
 py::tuple image(const Probe& probe, const py::object& p, const py::object& q) {
   const Given position("position", p, kThree), quaternion("quaternion", q, kFour, position.count());
-  Made features(position.count(), kEight), depth(position.count(), kFour);
+  Made features(position.count(), two_each(probe)), depth(position.count(), one_each(probe));
   {
     const Column to_features = features.column(), to_depth = depth.column();
     const py::gil_scoped_release no_gil;
@@ -172,9 +176,9 @@ py::array_t<double> base_wrench(const Probe& probe, const py::object& t, const p
 
 py::array_t<double> image_jacobian(const Probe& probe, const py::object& f, const py::object& z, const py::object& q,
                                    bool controller) {
-  const Given features("features", f, kEight), depth("depth", z, kFour, features.count()),
+  const Given features("features", f, two_each(probe)), depth("depth", z, one_each(probe), features.count()),
       quaternion("quaternion", q, kFour, features.count());
-  Made jacobian(features.count(), kJacobianShape);
+  Made jacobian(features.count(), {2 * probe.points(), 6});
   {
     const Column to = jacobian.column();
     const py::gil_scoped_release no_gil;
@@ -184,15 +188,15 @@ py::array_t<double> image_jacobian(const Probe& probe, const py::object& f, cons
 }
 
 py::array_t<double> measured_depth(const Probe& probe, const py::object& z) {
-  const Given depth("depth", z, kFour);
-  Made measured(depth.count(), kFour);
+  const Given depth("depth", z, one_each(probe));
+  Made measured(depth.count(), one_each(probe));
   probe.measured_depth(depth.rows(), measured.column());
   return measured.array();
 }
 
 LawProbe law(const Probe& probe, const py::object& f, const py::object& z, const py::object& p, const py::object& q,
              const py::object& v, const py::object& w) {
-  const States states(f, z, p, q, v, w);
+  const States states(probe, f, z, p, q, v, w);
   const py::ssize_t n = states.count();
   Made wrench(n, kSix), fuzzy_output(n, kSix);
   std::optional<Made> error, rate, adaptation, pose_error;
@@ -261,11 +265,13 @@ py::array_t<double> inertia(const Probe& probe, const py::object& q) {
 
 StageProbe stages(const Probe& probe, const py::object& f, const py::object& z, const py::object& p,
                   const py::object& q, const py::object& v, const py::object& w) {
-  const States states(f, z, p, q, v, w);
+  const States states(probe, f, z, p, q, v, w);
   const py::ssize_t n = states.count();
-  Made features(n, staged(kEight)), depth(n, staged(kFour)), position(n, staged(kThree)), quaternion(n, staged(kFour));
+  Made features(n, staged(two_each(probe))), depth(n, staged(one_each(probe))), position(n, staged(kThree)),
+      quaternion(n, staged(kFour));
   Made twist(n, staged(kSix)), wrench(n, staged(kSix)), fuzzy_output(n, staged(kSix)), rate(n, staged(kSix));
-  Made next_features(n, kEight), next_depth(n, kFour), next_position(n, kThree), next_quaternion(n, kFour);
+  Made next_features(n, two_each(probe)), next_depth(n, one_each(probe)), next_position(n, kThree),
+      next_quaternion(n, kFour);
   Made next_twist(n, kSix);
   std::optional<Made> next_weights;
   if (probe.has_fuzzy_systems()) next_weights.emplace(n, kWeightShape);
@@ -337,16 +343,16 @@ void bind_probe(py::module_& m) {
                     "by name, (n, 6) in B [N; N m]: `LawTraits.parts`, which sum to the wrench together with G-bar");
 
   py::class_<StageProbe>(m, "StageProbe", "The four Runge-Kutta stages of n steps, and the states after them.")
-      .def_readonly("features", &StageProbe::features, "(n, 4, 8) true [px]")
-      .def_readonly("depth", &StageProbe::depth, "(n, 4, 4) true Z [m]")
+      .def_readonly("features", &StageProbe::features, "(n, 4, 2 p) of p points, true [px]")
+      .def_readonly("depth", &StageProbe::depth, "(n, 4, p) true Z [m]")
       .def_readonly("position", &StageProbe::position, "(n, 4, 3) in B [m]")
       .def_readonly("quaternion", &StageProbe::quaternion, "(n, 4, 4) w x y z, not normalised inside the step")
       .def_readonly("twist", &StageProbe::twist, "(n, 4, 6) in B [m/s; rad/s]")
       .def_readonly("wrench", &StageProbe::wrench, "(n, 4, 6) in B [N; N m]")
       .def_readonly("fuzzy_output", &StageProbe::fuzzy_output, "(n, 4, 6) [N; N m]")
       .def_readonly("acceleration", &StageProbe::acceleration, "(n, 4, 6) in B [m/s^2; rad/s^2]")
-      .def_readonly("next_features", &StageProbe::next_features, "(n, 8) [px]; NaN behind the camera, as all of next")
-      .def_readonly("next_depth", &StageProbe::next_depth, "(n, 4) [m]")
+      .def_readonly("next_features", &StageProbe::next_features, "(n, 2 p) [px]; NaN behind the camera, as all of next")
+      .def_readonly("next_depth", &StageProbe::next_depth, "(n, p) [m]")
       .def_readonly("next_position", &StageProbe::next_position, "(n, 3) [m]")
       .def_readonly("next_quaternion", &StageProbe::next_quaternion, "(n, 4) w x y z")
       .def_readonly("next_twist", &StageProbe::next_twist, "(n, 6) [m/s; rad/s]")
@@ -357,7 +363,7 @@ void bind_probe(py::module_& m) {
   probe.def(py::init<const Settings&>(), py::arg("settings"));
   const auto features = py::arg("features"), depth = py::arg("depth"), position = py::arg("position"),
              quaternion = py::arg("quaternion"), twist = py::arg("twist");
-  probe
+  probe.def_property_readonly("points", &Probe::points, "p, of the target")
       .def_property_readonly("has_fuzzy_systems", &Probe::has_fuzzy_systems,
                              "Whether the law has fuzzy systems that act.")
       .def_property_readonly(
@@ -368,17 +374,17 @@ void bind_probe(py::module_& m) {
           },
           "(6, 7, 7) omega(0) [N; N m]; None where no fuzzy systems act")
       .def("image", &image, position, quaternion,
-           "(4): true features (n, 8) [px] and Z (n, 4) [m]; features are NaN for a point that is not in front. "
+           "(4): true features (n, 2 p) [px] and Z (n, p) [m]; features are NaN for a point that is not in front. "
            "ValueError for a camera as_printed.")
       .def("goal_minima", &goal_minima,
            "Poses from which the true points look nearest to the desired features, position (m, 3) [m] and quaternion "
            "(m, 4): minima of the image error found from home. ValueError for a camera as_printed.")
       .def("image_jacobian", &image_jacobian, features, depth, quaternion, py::arg("controller") = false,
-           "J of (12), (n, 8, 6): twist in B (m/s; rad/s) to feature rates [px/s], with the depths as given and the "
+           "J of (12), (n, 2 p, 6): twist in B (m/s; rad/s) to feature rates [px/s], with the depths as given and the "
            "plant's sign, or the controller's.")
-      .def("measured_depth", &measured_depth, depth, "Z-hat (n, 4) of the controller for true Z (n, 4) [m].")
+      .def("measured_depth", &measured_depth, depth, "Z-hat (n, p) of the controller for true Z (n, p) [m].")
       .def("law", &law, features, depth, position, quaternion, twist, py::arg("weights") = py::none(),
-           "Output of the law: depth (n, 4) as the controller estimates it [m], weights (n, 6, 7, 7) [N; N m] or the "
+           "Output of the law: depth (n, p) as the controller estimates it [m], weights (n, 6, 7, 7) [N; N m] or the "
            "scenario's initial ones.")
       .def("acceleration", &acceleration, position, quaternion, twist, py::arg("wrench"),
            "chi-ddot (n, 6) of the actual plant, (3) [m/s^2; rad/s^2]; it is the same at every position.")
@@ -395,7 +401,7 @@ void bind_probe(py::module_& m) {
            "D-bar chi-ddot (n, 6), C-bar chi-dot (n, 6) and G-bar (6,) of (1), in B [N; N m].")
       .def("inertia", &inertia, quaternion, "D-bar of (1), (n, 6, 6): acceleration in B to wrench.")
       .def("stages", &stages, features, depth, position, quaternion, twist, py::arg("weights") = py::none(),
-           "A Runge-Kutta step of the loop in continuous mode from each state; depth (n, 4) is the true one [m].")
+           "A Runge-Kutta step of the loop in continuous mode from each state; depth (n, p) is the true one [m].")
       .def_static("moved", &move<false>, position, quaternion, twist, py::arg("stage_quaternion"),
                   py::arg("stage_twist"), py::arg("stage_acceleration"), py::arg("scale"),
                   "Start + scale [s] times the rate of a stage: position, quaternion (not normalised), twist.")

@@ -12,6 +12,7 @@ namespace {
 /// One column per number of a tick, by name.
 py::dict recorded_ticks(const Settings& settings) {
   const std::vector<RecordedTick> ticks = record_ticks(settings);
+  const py::ssize_t points = settings.target.count();
   const auto rows = static_cast<py::ssize_t>(ticks.size());
   py::dict columns;
   const auto put = [&](const char* name, py::ssize_t width, auto&& values_of) {
@@ -27,8 +28,8 @@ py::dict recorded_ticks(const Settings& settings) {
   using T = const RecordedTick&;
   put("now", 1, [](T t) { return One(t.input.now); });
   put("exposure", 1, [](T t) { return One(t.input.frame.exposure); });
-  put("features", 2 * kPoints, [](T t) { return t.input.frame.image.features; });
-  put("depth", kPoints, [](T t) { return t.input.frame.image.depth; });
+  put("features", 2 * points, [](T t) { return t.input.frame.image.features; });
+  put("depth", points, [](T t) { return t.input.frame.image.depth; });
   put("position", 3, [](T t) { return t.input.pose.position; });
   put("quaternion", 4, [](T t) { return t.input.pose.quaternion; });
   put("twist", 6, [](T t) { return t.input.twist; });
@@ -54,14 +55,14 @@ void bind_sampled_run(py::module_& m) {
       .def_readonly("time", &Seen::time, "[s]")
       .def_readonly("exposure", &Seen::exposure, "time at which the newest frame was taken [s]; NaN before the first")
       .def_property_readonly(
-          "features", [](const Seen& s) { return s.sensed.image.features; }, "(8,) [px]; NaN before all were seen")
+          "features", [](const Seen& s) { return s.features; }, "(2 p,) of p points [px]; NaN before all were seen")
       .def_property_readonly(
-          "depth", [](const Seen& s) { return s.sensed.image.depth; }, "(4,) estimated Z [m]; NaN before all were seen")
+          "depth", [](const Seen& s) { return s.depth; }, "(p,) estimated Z [m]; NaN before all were seen")
       .def_property_readonly(
-          "position", [](const Seen& s) { return s.sensed.pose.position; }, "(3,) in B [m]")
+          "position", [](const Seen& s) { return s.pose.position; }, "(3,) in B [m]")
       .def_property_readonly(
-          "quaternion", [](const Seen& s) { return s.sensed.pose.quaternion; }, "(4,) w x y z")
-      .def_property_readonly("twist", [](const Seen& s) { return s.sensed.twist; }, "(6,) in B [m/s; rad/s]");
+          "quaternion", [](const Seen& s) { return s.pose.quaternion; }, "(4,) w x y z")
+      .def_property_readonly("twist", [](const Seen& s) { return s.twist; }, "(6,) in B [m/s; rad/s]");
 
   py::class_<SampledRun> run(m, "SampledRun", "A run in sampled mode, commanded tick by tick.");
   run.def(py::init<const Settings&>(), py::arg("settings"));

@@ -34,11 +34,10 @@ py::object value_of(const Settings& settings, const std::string& name) {
   if (key.type == KeyType::flag) return py::bool_(numbers[0] != 0.0);
   if (key.type == KeyType::whole) return py::int_(static_cast<long long>(numbers[0]));
   if (key.type == KeyType::number) return py::float_(numbers[0]);
-  std::vector<py::ssize_t> shape = {key.rows};
-  if (key.type == KeyType::samples)
-    shape = {static_cast<py::ssize_t>(numbers.size()) / key.field.columns, key.field.columns};
-  else if (key.columns > 1)
-    shape.push_back(key.columns);
+  const bool rows = key.type == KeyType::samples;
+  const py::ssize_t columns = rows ? key.field.columns : key.columns;
+  std::vector<py::ssize_t> shape = {static_cast<py::ssize_t>(numbers.size()) / columns};
+  if (rows || columns > 1) shape.push_back(columns);
   return py::array_t<double>(shape, numbers.data());
 }
 
@@ -73,7 +72,10 @@ void bind_keys(py::module_& m) {
           [](const K& k) { return std::isnan(k.field.bound.none) ? std::nullopt : std::optional(k.field.bound.none); },
           "the number that stands for none, or None")
       .def_readonly("wrapped", &K::wrapped, "held in a std::optional")
-      .def_property_readonly("widths", &K::widths, "numbers that it takes, row by row")
+      .def_readonly("per_point", &K::per_point,
+                    "numbers of each point, of which shape and widths are those of four; or 0")
+      .def_property_readonly(
+          "widths", [](const K& k) { return k.widths(); }, "numbers that it takes, row by row")
       .def_property_readonly("varies", &K::varies, "scenarios of a batch may differ in it")
       .def_property_readonly(
           "least", [](const K& k) { return finite(k.field.bound.least); }, "of each number, or None")
@@ -151,6 +153,10 @@ void bind_settings(py::module_& m) {
       .def_property_readonly(
           "robot", [](const Settings& s) { return s.robot; }, "a copy")
       .def_property_readonly(
+          "points", [](const Settings& s) { return s.target.count(); }, "p, of the target")
+      .def_property_readonly(
+          "places", [](const Settings& s) { return s.target.places(); }, "for points, of the loop that takes them")
+      .def_property_readonly(
           "body", [](const Settings& s) { return estimated_body(s.robot); }, "mass properties as estimated, a copy")
       .def_property_readonly(
           "plant_body", [](const Settings& s) { return plant_body(s.robot); },
@@ -169,7 +175,8 @@ void bind_settings(py::module_& m) {
           "ValueError('key: expected ..., got ...') for the first thing that is wrong.");
 
   m.def("project_target", &project_target, py::arg("settings"), py::arg("displacement"),
-        "(8,) image of the target from a displacement of home (6,), in B [m; rad]; the goal's image is not used. "
+        "(2 p,) image of the target's p points from a displacement of home (6,), in B [m; rad]; the goal's image is "
+        "not used. "
         "ValueError where a point is not in front of the camera.");
   m.def(
       "step_count",

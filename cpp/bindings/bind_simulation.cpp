@@ -20,6 +20,14 @@ py::array_t<double> rows(const py::object& self) {
   return py::array_t<double>({n, static_cast<py::ssize_t>(width)}, values.data(), self);
 }
 
+/// The same with numbers of each point.
+template <Member column, int each>
+py::array_t<double> point_rows(const py::object& self) {
+  const auto& log = self.cast<const Trajectory&>();
+  const auto width = static_cast<py::ssize_t>(each * log.points), n = static_cast<py::ssize_t>(log.time.size());
+  return py::array_t<double>({n, width}, (log.*column).data(), self);
+}
+
 }  // namespace
 
 bool interrupt_requested() {
@@ -94,8 +102,9 @@ void bind_simulation(py::module_& m) {
 
   py::class_<Trajectory>(m, "Trajectory", "Logged samples of a run; arrays share its memory.")
       .def_property_readonly("time", &rows<&Trajectory::time, 1>, "(n,) [s]")
-      .def_property_readonly("feature_error", &rows<&Trajectory::feature_error, 8>, "(n, 8) true [px]")
-      .def_property_readonly("depth", &rows<&Trajectory::depth, 4>, "(n, 4) true [m]")
+      .def_property_readonly("feature_error", &point_rows<&Trajectory::feature_error, 2>,
+                             "(n, 2 p) of p points, true [px]")
+      .def_property_readonly("depth", &point_rows<&Trajectory::depth, 1>, "(n, p) true [m]")
       .def_property_readonly("position", &rows<&Trajectory::position, 3>, "(n, 3) in B [m]")
       .def_property_readonly("quaternion", &rows<&Trajectory::quaternion, 4>, "(n, 4) w x y z")
       .def_property_readonly("twist", &rows<&Trajectory::twist, 6>, "(n, 6) in B [m/s; rad/s]")

@@ -33,6 +33,9 @@ class Scenarios {
     base_.robot.off_centre |= std::ranges::any_of(items_, [](const Item& item) {
       return item.key->name == "robot.centre_of_mass" || item.key->name.starts_with("robot.payload.");
     });
+    base_.target.weighted |= std::ranges::any_of(items_, [](const Item& item) {
+      return item.key->name == "target.weights" && std::ranges::any_of(item.values, [](double w) { return w != 1.0; });
+    });
   }
 
   std::size_t count() const { return count_; }
@@ -77,9 +80,10 @@ class Scenarios {
     if (key == keys.end() || !key->varies()) refuse(variation.key, "a key that holds numbers", "one that does not");
     if (std::ranges::any_of(items_, [&](const Item& item) { return item.key == &*key; }))
       refuse(variation.key, "each key once", "a duplicate key");
-    if (!key->takes(variation.width)) {
+    const std::vector<std::size_t> widths = key->widths(base_.target.count());
+    if (std::ranges::find(widths, variation.width) == widths.end()) {
       std::string expected;
-      for (const std::size_t width : key->widths()) expected += words(expected.empty() ? "" : " or ", width);
+      for (const std::size_t width : widths) expected += words(expected.empty() ? "" : " or ", width);
       refuse(variation.key, expected + " per scenario", words(variation.width));
     }
     const std::size_t rows = variation.values.size() / variation.width;
@@ -153,8 +157,8 @@ void require_one_grid(const std::vector<Group>& groups) {
   }
 }
 
-void require_memory(std::size_t count, std::size_t rows, BatchLog log) {
-  const double per_scenario = 3.0 + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * kSampleNumbers +
+void require_memory(std::size_t count, std::size_t rows, int points, BatchLog log) {
+  const double per_scenario = 3.0 + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * sample_numbers(points) +
                                            (log == BatchLog::metrics ? 0.0 : kWeightNumbers));
   const double bytes = per_scenario * static_cast<double>(count);
   if (bytes <= kMaxBatchBytes) return;
@@ -168,9 +172,10 @@ void require_memory(std::size_t count, std::size_t rows, BatchLog log) {
                " GiB"));
 }
 
-BatchResult allocate(std::size_t count, std::size_t rows, BatchLog log) {
+BatchResult allocate(std::size_t count, std::size_t rows, int points, BatchLog log) {
   BatchResult result;
   result.count = count;
+  result.points = points;
   result.outcome.assign(count, static_cast<std::uint8_t>(Outcome::interrupted));
   result.cause.assign(count, static_cast<std::uint8_t>(StopCause::none));
   result.limit_leg.assign(count, std::int8_t{-1});
@@ -182,7 +187,7 @@ BatchResult allocate(std::size_t count, std::size_t rows, BatchLog log) {
   if (log == BatchLog::metrics) return result;
   result.rows = log == BatchLog::trajectory ? rows : 0;
   for (std::size_t q = 0; q < result.samples.size(); ++q)
-    result.samples[q] = Buffer(count * rows * static_cast<std::size_t>(kSampleWidths[q]));
+    result.samples[q] = Buffer(count * rows * static_cast<std::size_t>(sample_width(q, points)));
   result.fuzzy_weights = Buffer(count * kWeightNumbers);
   return result;
 }
@@ -192,7 +197,7 @@ class Batch {
  public:
   Batch(const Scenarios& scenarios, const BatchOptions& options, const Kernel& kernel)
       : scenarios_(scenarios), options_(options), kernel_(kernel) {
-    numbers_ = detail::flat_size(scenarios.base().law());
+    numbers_ = detail::flat_size(scenarios.base());
     const double bytes = static_cast<double>(scenarios.count()) * static_cast<double>(numbers_) * 8.0;
     if (scenarios.same_legs()) legs_ = make_hexapod(scenarios.base().robot);
     if (bytes <= kMaxPreparedBytes) prepared_ = Buffer(scenarios.count() * numbers_);
@@ -232,8 +237,9 @@ class Batch {
     const std::size_t rows = options_.log == BatchLog::metrics       ? 0
                              : options_.log == BatchLog::last_sample ? 1
                                                                      : grid_rows(groups.front().grid);
-    require_memory(scenarios_.count(), rows, options_.log);
-    BatchResult result = allocate(scenarios_.count(), rows, options_.log);
+    const int points = scenarios_.base().target.count();
+    require_memory(scenarios_.count(), rows, points, options_.log);
+    BatchResult result = allocate(scenarios_.count(), rows, points, options_.log);
     if (options_.log == BatchLog::trajectory) result.time = grid_times(groups.front().grid, rows);
 
     std::vector<Pack> packs;
@@ -332,11 +338,12 @@ class Batch {
     for (std::size_t m = 0; m < kMetricNumbers; ++m) result.metrics[m * result.count + i] = answer.metrics[m];
     const double* sample = answer.sample;
     for (std::size_t q = 0; options_.log == BatchLog::last_sample && q < result.samples.size(); ++q) {
-      std::copy_n(sample, kSampleWidths[q], answer.columns[q]);
-      sample += kSampleWidths[q];
+      std::copy_n(sample, sample_width(q, result.points), answer.columns[q]);
+      sample += sample_width(q, result.points);
     }
     for (std::size_t q = 0; options_.log == BatchLog::trajectory && q < result.samples.size(); ++q)
-      std::fill(answer.columns[q] + answer.rows * kSampleWidths[q], answer.columns[q] + stride(result, q), kNaN);
+      std::fill(answer.columns[q] + answer.rows * sample_width(q, result.points), answer.columns[q] + stride(result, q),
+                kNaN);
   }
 
   /// Nothing of a run that did not end stays.
@@ -361,7 +368,7 @@ class Batch {
 
   /// Numbers of quantity `q` per scenario.
   std::size_t stride(const BatchResult& result, std::size_t q) const {
-    return std::max<std::size_t>(result.rows, 1) * static_cast<std::size_t>(kSampleWidths[q]);
+    return std::max<std::size_t>(result.rows, 1) * static_cast<std::size_t>(sample_width(q, result.points));
   }
 
   static Buffer grid_times(const Grid& grid, std::size_t rows) {
@@ -397,7 +404,8 @@ BatchResult simulate_batch(const Settings& base, std::span<const Variation> vari
                            const BatchOptions& options, const Kernel& kernel) {
   if (options.threads < 1) refuse("threads", "a whole number >= 1", words(options.threads));
   const Scenarios scenarios(base, variations, count);
-  require_memory(count, options.log == BatchLog::metrics ? 0 : 1, options.log);  // before anything takes long
+  require_memory(count, options.log == BatchLog::metrics ? 0 : 1, base.target.count(),
+                 options.log);  // before anything takes long
   Batch batch(scenarios, options, kernel);
   batch.check();
   return batch.run();

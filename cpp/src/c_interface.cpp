@@ -208,8 +208,9 @@ T* made(Arguments&&... arguments) noexcept {
 /// A run of any law, step by step.
 struct hexservo_run {
   explicit hexservo_run(const Settings& given)
-      : settings(given), log(settings.simulation), steps(step_count(settings.simulation)) {
+      : settings(given), log(settings.simulation, settings.target.count()), steps(step_count(settings.simulation)) {
     request.count = 1;
+    request.points = settings.target.count();
     request.steps = steps;
     request.log_every = settings.simulation.log_every;
     request.log_end = true;
@@ -222,7 +223,10 @@ struct hexservo_run {
   /// Takes `count` steps at most, and answers.
   /// @return whether it goes on
   virtual bool advance(long long count) = 0;
-  virtual const SceneParameters<double>& scene() const = 0;
+  virtual const Hexapod<double>& hexapod() const = 0;
+  virtual const CameraParameters<double>& camera() const = 0;
+  virtual void write_points(double* to) const = 0;
+  virtual void write_goal(double* to) const = 0;
 
   Settings settings;  ///< a recorded base motion is shared with the loop
   detail::TrajectoryLog log;
@@ -233,16 +237,16 @@ struct hexservo_run {
 
 namespace {
 
-template <template <class, class, int> class Loop, class Law>
+template <template <class, class, int> class Loop, class Law, int N>
 struct RunOf final : hexservo_run {
-  RunOf(const Settings& given, const LoopParameters<double, Law>& p)
+  RunOf(const Settings& given, const LoopParameters<double, Law, N>& p)
       : hexservo_run(given), parameters(p), loop(parameters), rows(request, loop.record(), loop.law_state()) {
     detail::answer(loop.record(), loop.law_state(), taken, false, 0, request);
   }
 
   bool advance(long long count) override {
     const FlushSubnormals flush;
-    const LoopRecord<double>& record = loop.record();
+    const LoopRecord<double, N>& record = loop.record();
     for (; count > 0 && loop.steps() < steps && record.running(); --count) {
       loop.advance();
       taken = static_cast<double>(loop.steps());
@@ -254,29 +258,36 @@ struct RunOf final : hexservo_run {
     return false;
   }
 
-  const SceneParameters<double>& scene() const override { return parameters; }
+  const Hexapod<double>& hexapod() const override { return parameters.hexapod; }
+  const CameraParameters<double>& camera() const override { return parameters.camera; }
+  void write_points(double* to) const override { std::copy_n(parameters.points_B.data(), 3 * parameters.points, to); }
+  void write_goal(double* to) const override {
+    std::copy_n(parameters.desired_features.data(), 2 * parameters.points, to);
+  }
 
-  LoopParameters<double, Law> parameters;
-  Loop<double, Law, kPoints> loop;
-  detail::Log<double, typename Law::template State<double>> rows;
+  LoopParameters<double, Law, N> parameters;
+  Loop<double, Law, N> loop;
+  detail::Log<double, typename Law::template State<double>, N> rows;
   double taken = 0.0;
 };
 
 std::unique_ptr<hexservo_run> started(Settings settings) {
-  return with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) -> std::unique_ptr<hexservo_run> {
-    // A recorded base motion lives as long as the settings that the run keeps.
-    const LoopParameters<double, Law> parameters = loop_parameters<Law>(settings);
-    const FlushSubnormals flush;
-    if (settings.simulation.mode == LoopMode::sampled)
-      return std::make_unique<RunOf<SampledLoop, Law>>(settings, parameters);
-    return std::make_unique<RunOf<ClosedLoop, Law>>(settings, parameters);
-  });
+  return with_loop(
+      settings,
+      [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<hexservo_run> {
+        // A recorded base motion lives as long as the settings that the run keeps.
+        const LoopParameters<double, Law, N> parameters = loop_parameters<Law, N>(settings);
+        const FlushSubnormals flush;
+        if (settings.simulation.mode == LoopMode::sampled)
+          return std::make_unique<RunOf<SampledLoop, Law, N>>(settings, parameters);
+        return std::make_unique<RunOf<ClosedLoop, Law, N>>(settings, parameters);
+      });
 }
 
 /// Turns the answer of a run that has ended into its result; without memory for words, into one without any.
 void finish(hexservo_run& run) noexcept {
   try {
-    run.result = run.log.finish(run.settings.simulation.step, run.scene().hexapod);
+    run.result = run.log.finish(run.settings.simulation.step, run.hexapod());
   } catch (...) {
     run.result.emplace().outcome = outcome_of(static_cast<StopCause>(run.request.answers->cause));
   }
@@ -286,12 +297,15 @@ const RunAnswer& answer_of(const hexservo_run& run) { return *run.request.answer
 
 }  // namespace
 
-/// Gains of any law.
+/// Gains of any law and any number of points.
 struct hexservo_gains {
+  explicit hexservo_gains(int count) : points(count) {}
   virtual ~hexservo_gains() = default;
   virtual hexservo_state* state() const = 0;
   virtual double period() const noexcept = 0;
-  virtual ControllerOutput tick(hexservo_state& state, const ControllerInput& input) const noexcept = 0;
+  virtual ControllerOutput tick(hexservo_state& state, const ControllerInputOf<kMostPoints>& input) const noexcept = 0;
+
+  int points;  ///< of the target
 };
 
 /// State of any law.
@@ -301,28 +315,35 @@ struct hexservo_state {
 
 namespace {
 
-template <class Law>
+template <class Law, int N>
 struct StateOf final : hexservo_state {
-  explicit StateOf(const ControllerGains<Law>& gains) : state(initial_state(gains)) {}
-  ControllerState<Law> state;
+  explicit StateOf(const ControllerGains<Law, N>& gains) : state(initial_state(gains)) {}
+  ControllerState<Law, N> state;
 };
 
-template <class Law>
+template <class Law, int N>
 struct GainsFor final : hexservo_gains {
-  GainsFor(const Settings& settings, double period) : gains(controller_gains<Law>(settings, period)) {}
-  hexservo_state* state() const override { return made<StateOf<Law>>(gains); }
+  GainsFor(const Settings& settings, double period)
+      : hexservo_gains(settings.target.count()), gains(controller_gains<Law, N>(settings, period)) {}
+  hexservo_state* state() const override { return made<StateOf<Law, N>>(gains); }
   double period() const noexcept override { return gains.period; }
-  ControllerOutput tick(hexservo_state& state, const ControllerInput& input) const noexcept override {
-    return step(gains, static_cast<StateOf<Law>&>(state).state, input);
+  ControllerOutput tick(hexservo_state& state, const ControllerInputOf<kMostPoints>& input) const noexcept override {
+    return step(gains, static_cast<StateOf<Law, N>&>(state).state,
+                {input.now,
+                 {input.frame.exposure, {input.frame.image.features.head<2 * N>(), input.frame.image.depth.head<N>()}},
+                 input.pose,
+                 input.twist,
+                 input.joints});
   }
-  ControllerGains<Law> gains;
+  ControllerGains<Law, N> gains;
 };
 
-/// N numbers from where they are, or N unknown ones.
+/// N numbers, the first of them from where they are; unknown where there are none.
 template <int N>
-Vector<double, N> read(const double* from) noexcept {
-  if (from == nullptr) return Vector<double, N>::Constant(std::numeric_limits<double>::quiet_NaN());
-  return Eigen::Map<const Vector<double, N>>(from);
+Vector<double, N> read(const double* from, int count = N) noexcept {
+  Vector<double, N> numbers = Vector<double, N>::Constant(std::numeric_limits<double>::quiet_NaN());
+  if (from != nullptr) std::copy_n(from, count, numbers.data());
+  return numbers;
 }
 
 }  // namespace
@@ -363,10 +384,13 @@ int hexservo_scenario_key(const hexservo_scenario* scenario, size_t index, hexse
           from.optional,     from.field.sampled,    bound.least,          bound.most, bound.above,
           bound.below,       texts.pointers.size(), texts.pointers.data()};
   if (from.type == KeyType::samples) key->rows = 0, key->columns = from.field.columns;
+  if (from.per_point > 0) key->rows = from.per_point * scenario->settings.target.count() / from.columns;
   return 1;
 }
 
-size_t hexservo_scenario_points(const hexservo_scenario* /*scenario*/) { return kPoints; }
+size_t hexservo_scenario_points(const hexservo_scenario* scenario) {
+  return static_cast<size_t>(scenario->settings.target.count());
+}
 
 hexservo_status hexservo_scenario_set_numbers(hexservo_scenario* scenario, const char* key, const double* numbers,
                                               size_t count) {
@@ -406,9 +430,10 @@ hexservo_status hexservo_scenario_get_text(hexservo_scenario* scenario, const ch
 
 hexservo_status hexservo_scenario_validate(hexservo_scenario* scenario) {
   return guarded(*scenario, [&] {
-    with_law(scenario->settings.law(),
-             [&]<class Law>(std::type_identity<Law>) { loop_parameters<Law>(scenario->settings); });
-    detail::sample_count(scenario->settings.simulation);
+    with_loop(scenario->settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) {
+      loop_parameters<Law, N>(scenario->settings);
+    });
+    detail::sample_count(scenario->settings.simulation, scenario->settings.target.count());
   });
 }
 
@@ -461,17 +486,17 @@ double hexservo_run_time(const hexservo_run* run) { return answer_of(*run).end_t
 
 size_t hexservo_run_rows(const hexservo_run* run) { return static_cast<size_t>(answer_of(*run).rows); }
 
-size_t hexservo_run_width(const hexservo_run* /*run*/, hexservo_quantity quantity) {
+size_t hexservo_run_width(const hexservo_run* run, hexservo_quantity quantity) {
   if (quantity == HEXSERVO_TIME) return 1;
   const auto index = static_cast<size_t>(quantity) - 1;
-  return index < kSampleWidths.size() ? static_cast<size_t>(kSampleWidths[index]) : 0;
+  return index < kQuantities ? static_cast<size_t>(sample_width(index, run->settings.target.count())) : 0;
 }
 
 const double* hexservo_run_samples(const hexservo_run* run, hexservo_quantity quantity) {
   const RunAnswer& answer = answer_of(*run);
   if (quantity == HEXSERVO_TIME) return answer.time;
   const auto index = static_cast<size_t>(quantity) - 1;
-  return index < kSampleWidths.size() ? answer.columns[index] : nullptr;
+  return index < kQuantities ? answer.columns[index] : nullptr;
 }
 
 size_t hexservo_metric_count(void) { return kMetricNumbers; }
@@ -486,22 +511,22 @@ const char* hexservo_metric_name(size_t index) {
 const double* hexservo_run_metrics(const hexservo_run* run) { return answer_of(*run).metrics; }
 
 void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene) {
-  const SceneParameters<double>& p = run->scene();
-  const PlatformCamera<double> mounted(p.camera);
+  const Hexapod<double>& hexapod = run->hexapod();
+  const PlatformCamera<double> mounted(run->camera());
   const CameraView<double> camera(mounted);
   const Matrix3<double> identity = Matrix3<double>::Identity();
-  put(p.hexapod.base_joints_B.transpose(), scene->base_joints[0]);
-  put(p.hexapod.platform_joints_E.transpose(), scene->platform_joints[0]);
-  put(p.hexapod.home_position, scene->home_position);
-  put(p.hexapod.home_quaternion, scene->home_quaternion);
+  put(hexapod.base_joints_B.transpose(), scene->base_joints[0]);
+  put(hexapod.platform_joints_E.transpose(), scene->platform_joints[0]);
+  put(hexapod.home_position, scene->home_position);
+  put(hexapod.home_quaternion, scene->home_quaternion);
   put(camera.centre(Vector3<double>::Zero(), identity), scene->camera_position);
   put(camera.attitude(identity), scene->camera_attitude[0]);
-  scene->focal = p.camera.focal;
+  scene->focal = mounted.focal;
 }
 
-void hexservo_run_target(const hexservo_run* run, double* points) { put(run->scene().points_B.transpose(), points); }
+void hexservo_run_target(const hexservo_run* run, double* points) { run->write_points(points); }
 
-void hexservo_run_goal(const hexservo_run* run, double* features) { put(run->scene().desired_features, features); }
+void hexservo_run_goal(const hexservo_run* run, double* features) { run->write_goal(features); }
 
 // --- the controller's tick
 
@@ -510,9 +535,10 @@ hexservo_status hexservo_gains_create(hexservo_scenario* scenario, double period
   return guarded(*scenario, [&] {
     const Settings& settings = scenario->settings;
     const double chosen = period == 0.0 ? settings.simulation.step : period;
-    *gains = with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) -> hexservo_gains* {
-      return new GainsFor<Law>(settings, chosen);
-    });
+    *gains = with_loop(
+        settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_gains* {
+          return new GainsFor<Law, N>(settings, chosen);
+        });
   });
 }
 
@@ -520,7 +546,7 @@ void hexservo_gains_destroy(hexservo_gains* gains) { delete gains; }
 
 double hexservo_gains_period(const hexservo_gains* gains) { return gains->period(); }
 
-size_t hexservo_gains_points(const hexservo_gains* /*gains*/) { return kPoints; }
+size_t hexservo_gains_points(const hexservo_gains* gains) { return static_cast<size_t>(gains->points); }
 
 hexservo_state* hexservo_state_create(const hexservo_gains* gains) { return gains->state(); }
 
@@ -537,11 +563,13 @@ void hexservo_input_clear(hexservo_input* input) {
 
 void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hexservo_input* input,
                    hexservo_output* output) {
-  const ControllerInput taken{input->now,
-                              {input->exposure, {read<2 * kPoints>(input->features), read<kPoints>(input->depth)}},
-                              {read<3>(input->position), read<4>(input->quaternion)},
-                              read<6>(input->twist),
-                              {read<6>(input->leg_lengths), read<6>(input->leg_rates)}};
+  const ControllerInputOf<kMostPoints> taken{
+      input->now,
+      {input->exposure,
+       {read<2 * kMostPoints>(input->features, 2 * gains->points), read<kMostPoints>(input->depth, gains->points)}},
+      {read<3>(input->position), read<4>(input->quaternion)},
+      read<6>(input->twist),
+      {read<6>(input->leg_lengths), read<6>(input->leg_rates)}};
   const ControllerOutput out = gains->tick(*state, taken);
   put(out.wrench, output->wrench);
   put(out.leg_forces, output->leg_forces);

@@ -15,7 +15,8 @@ double in_ticks(double time, double period) noexcept {
   return std::abs(ticks - whole) <= kTickTolerance ? whole : ticks;
 }
 
-SensorInput<double> in_ticks(const ControllerInput& input, double period) noexcept {
+template <int N>
+SensorInput<double, N> in_ticks(const ControllerInputOf<N>& input, double period) noexcept {
   return {in_ticks(input.now, period),
           {in_ticks(input.frame.exposure, period), input.frame.image},
           input.pose,
@@ -70,8 +71,8 @@ struct NumberReader {
 
 }  // namespace
 
-template <class Law>
-ControllerGains<Law> controller_gains(const Settings& settings, double period) {
+template <class Law, int N>
+ControllerGains<Law, N> controller_gains(const Settings& settings, double period) {
   if (!(period > 0.0 && period <= kMaxServoPeriod))
     detail::refuse("period", detail::words("a time above 0 and up to ", kMaxServoPeriod, " s"), detail::words(period));
   Settings ticking = settings;  // on the tick's own grid, and without what belongs to the plant
@@ -91,7 +92,7 @@ ControllerGains<Law> controller_gains(const Settings& settings, double period) {
     ticking.sensors = {};
     ticking.actuators = {};
   }
-  return servo_gains(loop_parameters<Law>(ticking));
+  return servo_gains(loop_parameters<Law, N>(ticking));
 }
 
 template <int alignment>
@@ -99,9 +100,9 @@ void library_was_built_with_other_instruction_set_flags() noexcept {}
 
 template void library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>() noexcept;
 
-template <class Law>
-ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
-                      const ControllerInput& input) noexcept {
+template <class Law, int N>
+ControllerOutput step(const ControllerGains<Law, N>& gains, ControllerState<Law, N>& state,
+                      const std::type_identity_t<ControllerInputOf<N>>& input) noexcept {
   const FlushSubnormals flush;
   ServoTick<double, Law> tick;
   evaluate(gains, state, in_ticks(input, gains.period), tick);
@@ -109,31 +110,34 @@ ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& s
   return detail::output_of(tick, state.perception.now());
 }
 
-template <class Law>
-std::vector<double> stored(ControllerState<Law> state) {
+template <class Law, int N>
+std::vector<double> stored(ControllerState<Law, N> state) {
   std::vector<double> numbers;
   NumberWriter write{numbers};
   state.for_each_member(write);
   return numbers;
 }
 
-template <class Law>
-void restore(ControllerState<Law>& state, std::span<const double> numbers) {
-  const std::size_t expected = stored<Law>(state).size();
+template <class Law, int N>
+void restore(ControllerState<Law, N>& state, std::span<const double> numbers) {
+  const std::size_t expected = stored<Law, N>(state).size();
   if (numbers.size() != expected)
     detail::refuse("state", detail::words(expected, " numbers, those of this scenario and period"),
                    detail::words(numbers.size()));
-  ControllerState<Law> restored = state;
+  ControllerState<Law, N> restored = state;
   restored.for_each_member(NumberReader{numbers.data()});
   state = std::move(restored);
 }
 
-#define HEXSERVO_HERE(Law)                                                      \
-  template ControllerGains<Law> controller_gains<Law>(const Settings&, double); \
-  template std::vector<double> stored(ControllerState<Law>);                    \
-  template void restore(ControllerState<Law>&, std::span<const double>);        \
-  template ControllerOutput step(const ControllerGains<Law>&, ControllerState<Law>&, const ControllerInput&) noexcept;
+#define HEXSERVO_OF(Law, N)                                                                              \
+  template ControllerGains<Law, (N)> controller_gains<Law, (N)>(const Settings&, double);                \
+  template std::vector<double> stored<Law, (N)>(ControllerState<Law, (N)>);                              \
+  template void restore<Law, (N)>(ControllerState<Law, (N)>&, std::span<const double>);                  \
+  template ControllerOutput step<Law, (N)>(const ControllerGains<Law, (N)>&, ControllerState<Law, (N)>&, \
+                                           const ControllerInputOf<(N)>&) noexcept;
+#define HEXSERVO_HERE(Law) HEXSERVO_OF(Law, kPoints) HEXSERVO_OF(Law, kMostPoints)
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
+#undef HEXSERVO_OF
 
 }  // namespace hexservo

@@ -6,7 +6,8 @@
 
 namespace hexservo::detail {
 
-inline InputStatus status_of(const Perceived<double>& seen, bool acts) noexcept {
+template <int N>
+InputStatus status_of(const Perceived<double, N>& seen, bool acts) noexcept {
   if (acts) return InputStatus::valid;
   if (!(seen.joints && seen.usable)) return InputStatus::unusable;
   if (!seen.complete) return InputStatus::missing_image;
@@ -14,8 +15,8 @@ inline InputStatus status_of(const Perceived<double>& seen, bool acts) noexcept 
   return seen.lost ? InputStatus::lost_feature : InputStatus::unusable;
 }
 
-template <class Law>
-ControllerOutput output_of(const ServoTick<double, Law>& tick, const Perceived<double>& seen) noexcept {
+template <class Law, int N>
+ControllerOutput output_of(const ServoTick<double, Law>& tick, const Perceived<double, N>& seen) noexcept {
   return {tick.command.wrench, tick.command.leg_forces, tick.law.fuzzy_output, status_of(seen, tick.command.acts),
           tick.command.saturated};
 }

@@ -1,6 +1,7 @@
 #include "kernel.hpp"
 
 #include "hexservo/subnormals.hpp"
+#include "hexservo/types.hpp"
 #include "kernel_lanes.hpp"
 
 #include <algorithm>
@@ -15,9 +16,17 @@ namespace hexservo {
 
 namespace {
 
-template <class S, class Law>
+template <class S, class Law, int N>
 RunStatus run_mode(const RunRequest& request) {
-  return request.sampled ? detail::run_sampled<S, Law>(request) : detail::run_continuous<S, Law>(request);
+  return request.sampled ? detail::run_sampled<S, Law, N>(request) : detail::run_continuous<S, Law, N>(request);
+}
+
+template <class S, class Law>
+RunStatus run_places(const RunRequest& request) {
+  if (request.points < kLeastPoints || request.points > request.places) return RunStatus::unknown_places;
+  if (request.places == kPoints) return run_mode<S, Law, kPoints>(request);
+  if (request.places == kMostPoints) return run_mode<Lanes<detail::kWidth>, Law, kMostPoints>(request);
+  return RunStatus::unknown_places;
 }
 
 template <class S>
@@ -26,7 +35,7 @@ RunStatus run_law(const RunRequest& request) noexcept {
   switch (request.law) {
 #define HEXSERVO_CASE(Law) \
   case LawId::Law:         \
-    return run_mode<S, Law>(request);
+    return run_places<S, Law>(request);
     HEXSERVO_FOR_EACH_LAW(HEXSERVO_CASE)
 #undef HEXSERVO_CASE
   }

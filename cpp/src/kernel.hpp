@@ -13,26 +13,36 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 8;                         ///< changes with everything below
+inline constexpr int kKernelAbi = 9;                         ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 21;         ///< of `Metrics`, in the order of its `visit`
 inline constexpr int kWeightNumbers = 6 * 7 * 7;  ///< axis, term of u, term of u-dot
 inline constexpr int kQuantities = 9;             ///< of `Sample`, in the order of its `visit`
-inline constexpr int kSampleNumbers = 49;         ///< all of them
 inline constexpr long long kQuestionEvery = 256;  ///< steps between two looks at `RunRequest::stop`
-/// Numbers of each quantity of a sample.
-inline constexpr std::array<int, kQuantities> kSampleWidths = {8, 4, 3, 4, 6, 6, 6, 6, 6};
+
+/// Numbers of a quantity of a sample of `points` points.
+constexpr int sample_width(std::size_t quantity, int points) {
+  constexpr std::array<int, kQuantities> kWidths = {2, 1, 3, 4, 6, 6, 6, 6, 6};  // of the first two for each point
+  return quantity < 2 ? kWidths[quantity] * points : kWidths[quantity];
+}
+/// All of them.
+constexpr int sample_numbers(int points) {
+  int sum = 0;
+  for (std::size_t quantity = 0; quantity < kQuantities; ++quantity) sum += sample_width(quantity, points);
+  return sum;
+}
+inline constexpr int kMostSampleNumbers = sample_numbers(16);
 
 /// What a run gives back, for one scenario; the pointers are the caller's.
 struct RunAnswer {
   double* time;                              ///< in: a row of the log takes one [s]; null: not asked for
-  std::array<double*, kQuantities> columns;  ///< in: a row takes `kSampleWidths`; null: not asked for
+  std::array<double*, kQuantities> columns;  ///< in: a row takes `sample_width`; null: not asked for
   double* weights;                           ///< in: `kWeightNumbers` at the end; null: not asked for
   double* weight_rows;                       ///< in: a row takes `kWeightNumbers`; null: not asked for
                                              ///< asked for, it has room for one row beyond `rows`
 
-  double sample[kSampleNumbers];                                ///< the last good one
+  double sample[kMostSampleNumbers];                            ///< the last good one
   double metrics[kMetricNumbers];                               ///< of the whole run
   double stroke_first_time[6], stroke_peak[6];                  ///< per leg, infinity: never passed [s]; [m]
   double force_first_time[6], force_peak[6];                    ///< [s]; [N]
@@ -50,6 +60,8 @@ struct RunAnswer {
 /// Scenarios that run together, at most one per lane.
 struct RunRequest {
   LawId law;                        ///< laws/list.hpp
+  int points;                       ///< of the target
+  int places;                       ///< for points that the loop is compiled for, which hold them
   bool sampled;                     ///< mode of the scenarios
   int count;                        ///< of scenarios
   const double* const* parameters;  ///< one flattened LoopParameters (flatten.hpp) each
@@ -65,7 +77,7 @@ struct RunRequest {
   RunAnswer* answers;  ///< `count` of them
 };
 
-enum class RunStatus : int { done, unknown_law, other_layout, not_uniform };
+enum class RunStatus : int { done, unknown_law, other_layout, not_uniform, unknown_places };
 
 /// One instruction set's run loop.
 struct Kernel {

@@ -16,9 +16,9 @@ inline constexpr int kWidth = HEXSERVO_KERNEL_LANES;
 
 /// Run all lanes to their end, each stopping by itself; defined in run_loop.hpp, compiled in a file per law and mode
 /// (kernel_law.cpp.in).
-template <class S, class Law>
+template <class S, class Law, int N>
 RunStatus run_continuous(const RunRequest& request);
-template <class S, class Law>
+template <class S, class Law, int N>
 RunStatus run_sampled(const RunRequest& request);
 
 }  // namespace hexservo::detail

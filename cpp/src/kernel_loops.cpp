@@ -3,11 +3,11 @@
 
 namespace hexservo::detail {
 
-#define HEXSERVO_HERE(Law)                                                  \
-  template RunStatus run_continuous<double, Law>(const RunRequest&);        \
-  template RunStatus run_continuous<Lanes<kWidth>, Law>(const RunRequest&); \
-  template RunStatus run_sampled<double, Law>(const RunRequest&);           \
-  template RunStatus run_sampled<Lanes<kWidth>, Law>(const RunRequest&);
+#define HEXSERVO_HERE(Law)                                                           \
+  template RunStatus run_continuous<double, Law, kPoints>(const RunRequest&);        \
+  template RunStatus run_continuous<Lanes<kWidth>, Law, kPoints>(const RunRequest&); \
+  template RunStatus run_sampled<double, Law, kPoints>(const RunRequest&);           \
+  template RunStatus run_sampled<Lanes<kWidth>, Law, kPoints>(const RunRequest&);
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
 

@@ -139,7 +139,8 @@ Recording recording(const TargetMotionSettings& motion) {
   return {motion.samples->data(), static_cast<long long>(motion.samples->size() / 3), motion.sample_period};
 }
 
-void prepare_motions(const Settings& settings, SceneParameters<double>& p) {
+template <int N>
+void prepare_motions(const Settings& settings, SceneParameters<double, N>& p) {
   const double fastest = 0.5 * static_cast<double>(p.substeps) / p.step;  // the integration would not see more
   require_base(settings.base_motion, fastest, settings.simulation.duration,
                settings.target.frame == TargetFrame::world);
@@ -150,5 +151,8 @@ void prepare_motions(const Settings& settings, SceneParameters<double>& p) {
   p.recorded = recording(settings.base_motion);
   p.recorded_target = recording(settings.target.motion);
 }
+
+template void prepare_motions(const Settings&, SceneParameters<double, kPoints>&);
+template void prepare_motions(const Settings&, SceneParameters<double, kMostPoints>&);
 
 }  // namespace hexservo::detail

@@ -14,6 +14,7 @@ Recording recording(const TargetMotionSettings& motion);
 /// Validates and copies the motions; of each only what its kind needs has to fit.
 /// @param p with the step, the substeps and the camera's convention of the scenario
 /// @throws std::invalid_argument naming the scenario key
-void prepare_motions(const Settings& settings, SceneParameters<double>& p);
+template <int N>
+void prepare_motions(const Settings& settings, SceneParameters<double, N>& p);
 
 }  // namespace hexservo::detail

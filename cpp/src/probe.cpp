@@ -14,7 +14,6 @@ using detail::words;
 
 namespace {
 
-constexpr int kFeatures = 2 * kPoints;
 constexpr double kMinQuaternion = 1e-150, kMaxQuaternion = 1e150;
 constexpr int kMemberships = kAxes * kTerms;
 constexpr std::size_t kStages = kRungeKuttaWeights.size();
@@ -57,22 +56,41 @@ void require_quaternions(const char* name, Rows values, std::size_t n) {
   }
 }
 
-void require_depths(Rows values, std::size_t n) {
-  require_rows("depth", values, kPoints, n);
+void require_depths(Rows values, int points, std::size_t n) {
+  require_rows("depth", values, points, n);
   for (std::size_t i = 0; i < values.size(); ++i)
     if (!(values[i] < 0.0))
-      refuse(words("depth[", i / kPoints, "]"), "numbers < 0, in front of the camera", words(values[i]));
+      refuse(words("depth[", i / static_cast<std::size_t>(points), "]"), "numbers < 0, in front of the camera",
+             words(values[i]));
 }
 
-void require_room(const char* name, Column values, std::size_t width, std::size_t n) {
-  if (values.size() != n * width)
-    refuse(name, words("room for ", n * width, " numbers"), words("room for ", values.size()));
+void require_room(const char* name, Column values, int width, std::size_t n) {
+  const std::size_t numbers = n * static_cast<std::size_t>(width);
+  if (values.size() != numbers)
+    refuse(name, words("room for ", numbers, " numbers"), words("room for ", values.size()));
 }
 
 /// Row i of k numbers.
 template <int k>
 Vector<double, k> row(Rows values, std::size_t i) {
   return Eigen::Map<const Vector<double, k>>(values.data() + static_cast<std::size_t>(k) * i);
+}
+
+/// K numbers of each point of row i, in N places.
+template <int K, int N>
+Vector<double, K * N> points_row(Rows values, std::size_t i, int points) {
+  Vector<double, K * N> numbers;
+  const std::size_t width = static_cast<std::size_t>(K * points);
+  std::copy_n(values.data() + width * i, width, numbers.data());
+  fill_places<K>(numbers, points);
+  return numbers;
+}
+
+/// The same, written.
+template <int K, int M>
+void put_points(Column column, std::size_t i, const Vector<double, M>& numbers, int points) {
+  const std::size_t width = static_cast<std::size_t>(K * points);
+  std::copy_n(numbers.data(), width, column.data() + width * i);
 }
 
 template <class Derived>
@@ -151,10 +169,10 @@ struct ProbeListener {
 };
 
 /// Checks states, and gives their number.
-std::size_t require_states(const ProbeStates& states, bool fuzzy) {
-  const std::size_t n = row_count("features", states.features, kFeatures);
-  require_rows("features", states.features, kFeatures, n);
-  require_depths(states.depth, n);
+std::size_t require_states(const ProbeStates& states, int points, bool fuzzy) {
+  const std::size_t n = row_count("features", states.features, 2 * points);
+  require_rows("features", states.features, 2 * points, n);
+  require_depths(states.depth, points, n);
   require_rows("position", states.position, 3, n);
   require_quaternions("quaternion", states.quaternion, n);
   require_rows("twist", states.twist, 6, n);
@@ -177,20 +195,13 @@ auto known(bool where, const Eigen::MatrixBase<Derived>& numbers) {
 // ---- What depends on the law ----------------------------------------------------------------------------------------
 
 struct Probe::Parts {
-  template <class Law>
-  explicit Parts(const LoopParameters<double, Law>& p)
+  template <class Law, int N>
+  explicit Parts(const LoopParameters<double, Law, N>& p)
       : traits(Law::traits),
+        points(p.points),
         estimate(p.body),
         plant(p.plant_body, p.dynamics_error),
-        camera(p.camera),
-        assumed_camera(p.assumed_camera),
-        plant_sign(hexservo::plant_sign(p.convention)),
-        controller_sign(hexservo::controller_sign(p.convention, p.jacobian)),
         projects(p.convention == CameraConvention::eye_in_hand),
-        points_B(p.points_B),
-        depth_error(p.depth_error),
-        desired_features(p.desired_features),
-        home(home_pose(p.hexapod)),
         recorded(p.recorded.samples, p.recorded.samples + (p.recorded.samples ? 3 * p.recorded.count : 0)),
         base(p.mode == LoopMode::sampled ? p.base_motion : BaseMotionParameters<double>{}, p.seed,
              {recorded.data(), p.recorded.count, p.recorded.period, p.recorded.attitudes}),
@@ -200,34 +211,98 @@ struct Probe::Parts {
   }
   virtual ~Parts() = default;
 
+  virtual std::vector<GoalMinimum> goal_minima() const = 0;
+  virtual void image(Rows position, Rows quaternion, std::size_t n, Column features, Column depth) const = 0;
+  virtual void image_jacobian(Rows features, Rows depth, Rows quaternion, std::size_t n, bool controller,
+                              Column jacobian) const = 0;
+  virtual void measured_depth(Rows depth, std::size_t n, Column measured) const = 0;
   virtual void law(const ProbeStates& states, std::size_t n, const ProbedLaw& out) const = 0;
   virtual void stages(const ProbeStates& states, std::size_t n, const ProbedStages& out) const = 0;
 
   const LawTraits& traits;
+  int points;                  ///< of the target
   RigidBody<double> estimate;  ///< of the platform
   Plant<double> plant;
-  PlatformCamera<double> camera, assumed_camera;
-  double plant_sign, controller_sign;
-  bool projects;  ///< whether the camera has points
-  Vectors3<double, kPoints> points_B;
-  Vector<double, kPoints> depth_error;
-  Vector<double, kFeatures> desired_features;
-  Pose<double> home;
+  bool projects;                 ///< whether the camera has points
   std::vector<double> recorded;  ///< samples of the base's acceleration, to which `base` refers
   BaseMotion<double> base;
   bool fuzzy;                         ///< whether fuzzy systems act
   FuzzyWeights<double> weights = {};  ///< initial ones
 };
 
-template <class Law>
-struct Probe::PartsOf final : Probe::Parts {
+/// What depends on the places for points, and on no law.
+template <int N>
+struct Probe::Scene : Probe::Parts {
+  template <class Law>
+  explicit Scene(const LoopParameters<double, Law, N>& p)
+      : Parts(p),
+        camera(p.camera),
+        assumed_camera(p.assumed_camera),
+        plant_sign(hexservo::plant_sign(p.convention)),
+        controller_sign(hexservo::controller_sign(p.convention, p.jacobian)),
+        points_B(p.points_B),
+        depth_error(p.depth_error),
+        desired_features(p.desired_features),
+        point_weights(p.weights),
+        home(home_pose(p.hexapod)) {}
+
+  std::vector<GoalMinimum> goal_minima() const override {
+    return hexservo::goal_minima<N>(camera, points_B.matrix(), desired_features, home, point_weights);
+  }
+
+  void image(Rows position, Rows quaternion, std::size_t n, Column features, Column depth) const override {
+    for (std::size_t i = 0; i < n; ++i) {
+      Vector<double, N> inverse_depth;
+      Image<double, N> seen;
+      take_image<double, N>(camera, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)), points_B, seen,
+                            inverse_depth);
+      for (int point = 0; point < N; ++point)
+        if (!(seen.depth(point) < 0.0)) seen.features.template segment<2>(2 * point).setConstant(kNaN);
+      put_points<2>(features, i, seen.features, points);
+      put_points<1>(depth, i, seen.depth, points);
+    }
+  }
+
+  void image_jacobian(Rows features, Rows depth, Rows quaternion, std::size_t n, bool controller,
+                      Column jacobian) const override {
+    const double sign = controller ? controller_sign : plant_sign;
+    const PlatformCamera<double>& taken = controller ? assumed_camera : camera;
+    const auto numbers = static_cast<std::size_t>(2 * points * 6);
+    for (std::size_t i = 0; i < n; ++i) {
+      const Image<double, N> image{points_row<2, N>(features, i, points), points_row<1, N>(depth, i, points)};
+      const Matrix3<double> R_BE = rotation_matrix(row<4>(quaternion, i));
+      const Eigen::Matrix<double, 2 * N, 6, Eigen::RowMajor> J =
+          ImageJacobian<double, N>(taken, sign, image, R_BE).matrix();
+      std::copy_n(J.data(), numbers, jacobian.data() + numbers * i);
+    }
+  }
+
+  void measured_depth(Rows depth, std::size_t n, Column measured) const override {
+    for (std::size_t i = 0; i < n; ++i) {
+      const Image<double, N> image{Vector<double, 2 * N>::Zero(), points_row<1, N>(depth, i, points)};
+      put_points<1>(measured, i, measured_image(image, depth_error).depth, points);
+    }
+  }
+
+  PlatformCamera<double> camera, assumed_camera;
+  double plant_sign, controller_sign;
+  Vectors3<double, N> points_B;
+  Vector<double, N> depth_error;
+  Vector<double, 2 * N> desired_features;
+  PointWeights<double, N> point_weights;
+  Pose<double> home;
+};
+
+template <class Law, int N>
+struct Probe::PartsOf final : Probe::Scene<N> {
+  using Probe::Parts::points;
   using State = typename Law::template State<double>;
   using Stage = typename Law::template Stage<double>;
-  using Equations = LoopEquations<double, Law>;
+  using Equations = LoopEquations<double, Law, N>;
   using Instant = typename Equations::Instant;
 
-  explicit PartsOf(LoopParameters<double, Law> parameters)
-      : Parts(parameters),
+  explicit PartsOf(LoopParameters<double, Law, N> parameters)
+      : Probe::Scene<N>(parameters),
         mode(parameters.mode),
         step(parameters.step),
         initial(Law::initial_state(parameters.gains)),
@@ -245,10 +320,10 @@ struct Probe::PartsOf final : Probe::Parts {
       const State state = state_at(states, i);
       const Pose<double> pose{row<3>(states.position, i), row<4>(states.quaternion, i)};
       const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
-      const Vector<double, kFeatures> features = row<kFeatures>(states.features, i);
-      const Vector<double, kPoints> inverse_depth = row<kPoints>(states.depth, i).cwiseInverse();
+      const Vector<double, 2 * N> features = points_row<2, N>(states.features, i, points);
+      const Vector<double, N> inverse_depth = points_row<1, N>(states.depth, i, points).cwiseInverse();
       const Vector6<double> twist = row<6>(states.twist, i);
-      equations.evaluate(Stage{&state}, LawInput<double>{features, inverse_depth, R_BE, twist, pose}, now,
+      equations.evaluate(Stage{&state}, LawInput<double, N>{features, inverse_depth, R_BE, twist, pose}, now,
                          ProbeListener{out, i});
       put(out.wrench, i, now.wrench);
       if (!out.fuzzy_output.empty()) put(out.fuzzy_output, i, now.fuzzy_output);
@@ -265,22 +340,23 @@ struct Probe::PartsOf final : Probe::Parts {
       refuse("simulation.mode", "continuous for the stages of a step, which hold the law", "sampled");
     for (std::size_t i = 0; i < n; ++i) {
       State law_state = state_at(states, i);
-      const Image<double> image{row<kFeatures>(states.features, i), row<kPoints>(states.depth, i)};
+      const Image<double, N> image{points_row<2, N>(states.features, i, points),
+                                   points_row<1, N>(states.depth, i, points)};
       const BodyMotion<double> body = body_at({states.position, states.quaternion, states.twist}, i);
-      const WorldState<double> start{body, View<double>(image, rotation_matrix(quaternion_of(body)))};
+      const WorldState<double, N> start{body, View<double, N>(image, rotation_matrix(quaternion_of(body)))};
       Instant first;
       equations.evaluate(start, Stage{&law_state}, first);
       std::size_t place = kStages * i;
       bool seen = put_stage(start, first, true, place, out);
       const auto derivative_at = [&](double scale, const Instant& before) {
         Instant now;
-        const WorldState<double> state = equations.stage(start, law_state, scale, before, now);
+        const WorldState<double, N> state = equations.stage(start, law_state, scale, before, now);
         seen = put_stage(state, now, seen, ++place, out);
         return now;
       };
       runge_kutta_step(step, first, derivative_at, [&](const typename Equations::Instants& k) {
         double nearest;
-        const WorldState<double> next = equations.after(start, step, k, nearest);
+        const WorldState<double, N> next = equations.after(start, step, k, nearest);
         equations.advance(law_state, step, k, true);
         put_next(next, law_state, nearest < 0.0, i, out);
       });
@@ -289,14 +365,14 @@ struct Probe::PartsOf final : Probe::Parts {
 
   /// @param reached whether the stages before have all points in front of the camera: otherwise there is no such stage
   /// @return the same with this one; what follows from a point behind the camera means nothing
-  static bool put_stage(const WorldState<double>& state, const Instant& now, bool reached, std::size_t place,
-                        const ProbedStages& out) {
+  bool put_stage(const WorldState<double, N>& state, const Instant& now, bool reached, std::size_t place,
+                 const ProbedStages& out) const {
     const bool seen = reached && now.world.nearest_depth < 0.0;
-    put(out.depth, place, known(reached, state.view.image.depth));
+    put_points<1>(out.depth, place, known(reached, state.view.image.depth), points);
     put(out.position, place, known(reached, position_of(state.body)));
     put(out.quaternion, place, known(reached, quaternion_of(state.body)));
     put(out.twist, place, known(reached, twist_of(state.body)));
-    put(out.features, place, known(seen, state.view.image.features));
+    put_points<2>(out.features, place, known(seen, state.view.image.features), points);
     put(out.wrench, place, known(seen, now.law.wrench));
     put(out.fuzzy_output, place, known(seen, now.law.fuzzy_output));
     put(out.acceleration, place, known(seen, now.world.body.twist.vector()));
@@ -304,10 +380,10 @@ struct Probe::PartsOf final : Probe::Parts {
   }
 
   /// @param seen whether the points stay in front of the camera on the way: otherwise a loop ends here
-  static void put_next(const WorldState<double>& next, const State& law_state, bool seen, std::size_t i,
-                       const ProbedStages& out) {
-    put(out.next_features, i, known(seen, next.view.image.features));
-    put(out.next_depth, i, known(seen, next.view.image.depth));
+  void put_next(const WorldState<double, N>& next, const State& law_state, bool seen, std::size_t i,
+                const ProbedStages& out) const {
+    put_points<2>(out.next_features, i, known(seen, next.view.image.features), points);
+    put_points<1>(out.next_depth, i, known(seen, next.view.image.depth), points);
     put(out.next_position, i, known(seen, position_of(next.body)));
     put(out.next_quaternion, i, known(seen, quaternion_of(next.body)));
     put(out.next_twist, i, known(seen, twist_of(next.body)));
@@ -326,8 +402,8 @@ struct Probe::PartsOf final : Probe::Parts {
 // ---- The face -------------------------------------------------------------------------------------------------------
 
 Probe::Probe(const Settings& settings)
-    : parts_(with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) -> std::unique_ptr<const Parts> {
-        return std::make_unique<PartsOf<Law>>(loop_parameters<Law>(settings));
+    : parts_(with_loop(settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) {
+        return std::unique_ptr<const Parts>(std::make_unique<PartsOf<Law, N>>(loop_parameters<Law, N>(settings)));
       })) {}
 
 Probe::Probe(Probe&&) noexcept = default;
@@ -335,6 +411,7 @@ Probe& Probe::operator=(Probe&&) noexcept = default;
 Probe::~Probe() = default;
 
 const LawTraits& Probe::traits() const noexcept { return parts_->traits; }
+int Probe::points() const noexcept { return parts_->points; }
 bool Probe::has_fuzzy_systems() const noexcept { return parts_->fuzzy; }
 const FuzzyWeights<double>& Probe::initial_weights() const noexcept { return parts_->weights; }
 Vector6<double> Probe::gravity() const noexcept { return gravity_wrench(parts_->estimate); }
@@ -346,8 +423,7 @@ void Probe::require_points() const {
 
 std::vector<GoalMinimum> Probe::goal_minima() const {
   require_points();
-  const Vectors3<double, kPoints>& points = parts_->points_B;
-  return hexservo::goal_minima(parts_->camera, points.matrix(), parts_->desired_features, parts_->home);
+  return parts_->goal_minima();
 }
 
 void Probe::base_acceleration(Rows time, Column acceleration) const {
@@ -402,47 +478,30 @@ void Probe::image(Rows position, Rows quaternion, Column features, Column depth)
   const std::size_t n = row_count("position", position, 3);
   require_rows("position", position, 3, n);
   require_quaternions("quaternion", quaternion, n);
-  require_room("features", features, kFeatures, n);
-  require_room("depth", depth, kPoints, n);
-  for (std::size_t i = 0; i < n; ++i) {
-    Vector<double, kPoints> inverse_depth;
-    Image<double> seen;
-    take_image<double, kPoints>(parts_->camera, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)),
-                                parts_->points_B, seen, inverse_depth);
-    for (int point = 0; point < kPoints; ++point)
-      if (!(seen.depth(point) < 0.0)) seen.features.segment<2>(2 * point).setConstant(kNaN);
-    put(features, i, seen.features);
-    put(depth, i, seen.depth);
-  }
+  require_room("features", features, 2 * parts_->points, n);
+  require_room("depth", depth, parts_->points, n);
+  parts_->image(position, quaternion, n, features, depth);
 }
 
 void Probe::image_jacobian(Rows features, Rows depth, Rows quaternion, bool controller, Column jacobian) const {
-  const std::size_t n = row_count("features", features, kFeatures);
-  require_rows("features", features, kFeatures, n);
-  require_depths(depth, n);
+  const int width = 2 * parts_->points;
+  const std::size_t n = row_count("features", features, width);
+  require_rows("features", features, width, n);
+  require_depths(depth, parts_->points, n);
   require_quaternions("quaternion", quaternion, n);
-  require_room("jacobian", jacobian, kFeatures * 6, n);
-  const double sign = controller ? parts_->controller_sign : parts_->plant_sign;
-  const PlatformCamera<double>& camera = controller ? parts_->assumed_camera : parts_->camera;
-  for (std::size_t i = 0; i < n; ++i) {
-    const Image<double> image{row<kFeatures>(features, i), row<kPoints>(depth, i)};
-    const Matrix3<double> R_BE = rotation_matrix(row<4>(quaternion, i));
-    put_matrix(jacobian, i, ImageJacobian<double>(camera, sign, image, R_BE).matrix());
-  }
+  require_room("jacobian", jacobian, width * 6, n);
+  parts_->image_jacobian(features, depth, quaternion, n, controller, jacobian);
 }
 
 void Probe::measured_depth(Rows depth, Column measured) const {
-  const std::size_t n = row_count("depth", depth, kPoints);
-  require_depths(depth, n);
-  require_room("measured", measured, kPoints, n);
-  for (std::size_t i = 0; i < n; ++i) {
-    const Image<double> image{Vector<double, kFeatures>::Zero(), row<kPoints>(depth, i)};
-    put(measured, i, measured_image(image, parts_->depth_error).depth);
-  }
+  const std::size_t n = row_count("depth", depth, parts_->points);
+  require_depths(depth, parts_->points, n);
+  require_room("measured", measured, parts_->points, n);
+  parts_->measured_depth(depth, n, measured);
 }
 
 void Probe::law(const ProbeStates& states, const ProbedLaw& out) const {
-  const std::size_t n = require_states(states, parts_->fuzzy);
+  const std::size_t n = require_states(states, parts_->points, parts_->fuzzy);
   require_room("wrench", out.wrench, 6, n);
   if (!out.fuzzy_output.empty()) require_room("fuzzy_output", out.fuzzy_output, 6, n);
   if (!parts_->fuzzy && !(out.error_memberships.empty() && out.rate_memberships.empty() && out.adaptation.empty()))
@@ -502,15 +561,15 @@ void Probe::inertia(Rows quaternion, Column inertia) const {
 }
 
 void Probe::stages(const ProbeStates& states, const ProbedStages& out) const {
-  const std::size_t n = require_states(states, parts_->fuzzy);
-  require_room("features", out.features, kFeatures, kStages * n);
-  require_room("depth", out.depth, kPoints, kStages * n);
+  const std::size_t n = require_states(states, parts_->points, parts_->fuzzy);
+  require_room("features", out.features, 2 * parts_->points, kStages * n);
+  require_room("depth", out.depth, parts_->points, kStages * n);
   require_body_room(out.position, out.quaternion, out.twist, kStages * n);
   require_room("wrench", out.wrench, 6, kStages * n);
   require_room("fuzzy_output", out.fuzzy_output, 6, kStages * n);
   require_room("acceleration", out.acceleration, 6, kStages * n);
-  require_room("next_features", out.next_features, kFeatures, n);
-  require_room("next_depth", out.next_depth, kPoints, n);
+  require_room("next_features", out.next_features, 2 * parts_->points, n);
+  require_room("next_depth", out.next_depth, parts_->points, n);
   require_body_room(out.next_position, out.next_quaternion, out.next_twist, n);
   if (!parts_->fuzzy && !out.next_weights.empty())
     refuse("next_weights", "none, since no fuzzy systems act", "room for some");

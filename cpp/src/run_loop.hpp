@@ -23,23 +23,30 @@ void write(const Vector<S, N>& values, int lane, double* to) {
   for (int i = 0; i < N; ++i) to[i] = of_lane(values(i), lane);
 }
 
-/// Writes each quantity of one lane's sample to its own place.
-template <class S, class Place>
-void write_sample(const Sample<S>& sample, int lane, Place&& place) {
+/// Writes each quantity of one lane's sample to its own place; what lies behind the points of the target is left out.
+template <class S, int N, class Place>
+void write_sample(const Sample<S, N>& sample, int points, int lane, Place&& place) {
   std::size_t quantity = 0;
-  Sample<S>::visit([&](const char*, const auto& values) { write(values, lane, place(quantity++)); }, sample);
+  Sample<S, N>::visit(
+      [&]<int M>(const char*, const Vector<S, M>& values) {
+        double* to = place(quantity);
+        const int count = N == kPoints ? M : sample_width(quantity, points);
+        for (int i = 0; i < count; ++i) to[i] = of_lane(values(i), lane);
+        ++quantity;
+      },
+      sample);
 }
 
 /// The parameters of all lanes; those without a scenario repeat the last one.
 /// @throws std::invalid_argument where scenarios differ in what a pack shares
-template <class S, class Law>
-void read_parameters(LoopParameters<S, Law>& parameters, const RunRequest& request) {
+template <class S, class Law, int N>
+void read_parameters(LoopParameters<S, Law, N>& parameters, const RunRequest& request) {
   parameters.recorded = request.recorded;
   parameters.recorded_target = request.recorded_target;
   if constexpr (kLanes<S> == 1) {
     unflatten(parameters, request.parameters[0]);
   } else {
-    LoopParameters<double, Law> scenario;
+    LoopParameters<double, Law, N> scenario;
     for (int lane = 0; lane < kLanes<S>; ++lane) {
       unflatten(scenario, request.parameters[std::min(lane, request.count - 1)]);
       set_lane(parameters, lane, scenario);
@@ -48,11 +55,11 @@ void read_parameters(LoopParameters<S, Law>& parameters, const RunRequest& reque
 }
 
 /// Rows of the logs of all lanes; a lane that has stopped adds none.
-template <class S, class LawState>
+template <class S, class LawState, int N = kPoints>
 class Log {
  public:
   /// @param record, law_state of the loop, which must outlive this
-  Log(const RunRequest& request, const LoopRecord<S>& record, const LawState& law_state)
+  Log(const RunRequest& request, const LoopRecord<S, N>& record, const LawState& law_state)
       : request_(request), record_(record), law_state_(law_state) {
     for (int lane = 0; lane < request.count; ++lane) {
       answer(lane).rows = 0;
@@ -95,27 +102,28 @@ class Log {
     RunAnswer& a = answer(lane);
     const double time = of_lane(record_.sample_time(), lane);
     if (a.time != nullptr) a.time[a.rows] = time;
-    write_sample(record_.sample(), lane,
-                 [&a](std::size_t quantity) { return a.columns[quantity] + a.rows * kSampleWidths[quantity]; });
+    write_sample(record_.sample(), request_.points, lane, [&](std::size_t quantity) {
+      return a.columns[quantity] + a.rows * sample_width(quantity, request_.points);
+    });
     last_time_[static_cast<std::size_t>(lane)] = time;
     ++a.rows;
   }
 
   const RunRequest& request_;
-  const LoopRecord<S>& record_;
+  const LoopRecord<S, N>& record_;
   const LawState& law_state_;
   bool has_weights_ = false;
   std::array<double, static_cast<std::size_t>(kLanes<S>)> last_time_{};
 };
 
-template <class S, class LawState>
-void answer(const LoopRecord<S>& record, const LawState& law_state, const S& steps, bool stopped, int lane,
+template <class S, class LawState, int N>
+void answer(const LoopRecord<S, N>& record, const LawState& law_state, const S& steps, bool stopped, int lane,
             const RunRequest& request) {
   RunAnswer& a = request.answers[lane];
   double* next = a.sample;
-  write_sample(record.sample(), lane, [&next](std::size_t quantity) {
+  write_sample(record.sample(), request.points, lane, [&](std::size_t quantity) {
     double* place = next;
-    next += kSampleWidths[quantity];
+    next += sample_width(quantity, request.points);
     return place;
   });
   const Metrics<S> metrics = record.metrics().metrics();
@@ -150,10 +158,10 @@ inline bool is_stopped(const RunRequest& request, long long steps) {
 }
 
 /// The one run loop: all lanes to their end, each stopping by itself.
-template <class Loop, class S, class Law>
+template <class Loop, class S, class Law, int N>
 RunStatus run(const RunRequest& request) {
-  LoopParameters<S, Law> parameters;
-  if (request.numbers != flat_size(LoopParameters<double, Law>{})) return RunStatus::other_layout;
+  LoopParameters<S, Law, N> parameters;
+  if (request.numbers != flat_size(LoopParameters<double, Law, N>{})) return RunStatus::other_layout;
   try {
     read_parameters(parameters, request);
   } catch (const std::invalid_argument&) {
@@ -161,9 +169,9 @@ RunStatus run(const RunRequest& request) {
   }
 
   Loop loop(parameters);
-  const LoopRecord<S>& record = loop.record();
+  const LoopRecord<S, N>& record = loop.record();
   const bool logging = request.log_every > 0;
-  std::optional<Log<S, typename Loop::LawState>> log;
+  std::optional<Log<S, typename Loop::LawState, N>> log;
   if (logging) log.emplace(request, record, loop.law_state());
   S steps(0.0);  // that each lane has taken
   bool stopped = false;
@@ -193,14 +201,14 @@ RunStatus run(const RunRequest& request) {
   return RunStatus::done;
 }
 
-template <class S, class Law>
+template <class S, class Law, int N>
 RunStatus run_continuous(const RunRequest& request) {
-  return run<ClosedLoop<S, Law>, S, Law>(request);
+  return run<ClosedLoop<S, Law, N>, S, Law, N>(request);
 }
 
-template <class S, class Law>
+template <class S, class Law, int N>
 RunStatus run_sampled(const RunRequest& request) {
-  return run<SampledLoop<S, Law>, S, Law>(request);
+  return run<SampledLoop<S, Law, N>, S, Law, N>(request);
 }
 
 }  // namespace hexservo::detail

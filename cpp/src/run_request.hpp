@@ -16,8 +16,8 @@ struct Prepared {
   bool fuzzy;  ///< whether fuzzy systems act
 };
 
-/// How many numbers a scenario of a law takes on its way to a kernel.
-std::size_t flat_size(LawId law);
+/// How many numbers a scenario takes on its way to a kernel.
+std::size_t flat_size(const Settings& settings);
 
 /// Validates a scenario, and writes its `flat_size` numbers.
 /// @param legs as `loop_parameters` takes them
@@ -26,7 +26,7 @@ std::size_t flat_size(LawId law);
 Prepared prepare(const Settings& settings, const Hexapod<double>* legs, double* to);
 
 /// A request without its scenarios, log and questions.
-/// @param settings their law and recorded base motion, which must outlive the request
+/// @param settings their law, places of points and recorded base motion, which must outlive the request
 /// @param simulation the mode and steps that they share
 RunRequest run_request(const Settings& settings, const SimulationSettings& simulation);
 

@@ -8,31 +8,93 @@ namespace hexservo {
 
 using detail::refuse;
 
+/// A run of any number of points.
 struct SampledRun::Books {
+  virtual ~Books() = default;
+  virtual bool running() const noexcept = 0;
+  virtual SampledObservation observe() const = 0;
+  virtual void command(const Vector6<double>& wrench) = 0;
+  virtual void command_legs(const Vector6<double>& leg_forces) = 0;
+  virtual Trajectory finish() = 0;
+};
+
+template <int N>
+struct SampledRun::BooksOf final : Books {
   template <class Law>
-  Books(const LoopParameters<double, Law>& parameters, std::shared_ptr<const Settings> settings)
+  BooksOf(const LoopParameters<double, Law, N>& parameters, std::shared_ptr<const Settings> settings)
       : kept(settings),
         hexapod(parameters.hexapod),
         step(parameters.step),
         plant(parameters),
-        log(settings->simulation) {
+        log(settings->simulation, parameters.points) {
     request.count = 1;
+    request.points = parameters.points;
     request.steps = step_count(settings->simulation);
     request.log_every = settings->simulation.log_every;
     request.answers = &log.answer();
   }
 
   /// Until all ticks are commanded, the last one included.
-  bool running() const noexcept { return !complete && plant.record().running(); }
+  bool running() const noexcept override { return !complete && plant.record().running(); }
+
+  SampledObservation observe() const override {
+    const auto& seen = plant.observe();
+    const double unknown = std::numeric_limits<double>::quiet_NaN();
+    SampledObservation observation{plant.plant().ticks(),
+                                   plant.plant().time(),
+                                   seen.newest * step,
+                                   seen.image.features.head(2 * request.points),
+                                   seen.image.depth.head(request.points),
+                                   seen.pose,
+                                   seen.twist};
+    if (!(seen.newest >= 0.0)) observation.exposure = unknown;
+    if (!seen.ready()) {
+      observation.features.setConstant(unknown);
+      observation.depth.setConstant(unknown);
+    }
+    return observation;
+  }
+
+  void command(const Vector6<double>& wrench) override {
+    if (!running()) throw std::logic_error("the run has ended: expected no further command");
+    detail::require_finite("wrench", wrench);
+    const FlushSubnormals flush;
+    plant.command(wrench);
+    const long long tick = plant.plant().ticks();
+    if (!rows)
+      rows.emplace(request, plant.record(), no_weights);
+    else if (tick % request.log_every == 0)
+      rows->add();
+    if (tick == request.steps)
+      complete = true;
+    else if (plant.record().running())
+      plant.advance();
+  }
+
+  void command_legs(const Vector6<double>& leg_forces) override {
+    detail::require_finite("leg_forces", leg_forces);
+    const auto& seen = plant.observe();
+    command(inverse_kinematics(hexapod, seen.pose.position, seen.R_BE).wrench(leg_forces));
+  }
+
+  Trajectory finish() override {
+    if (!rows) {  // nothing was commanded: the platform at its start
+      plant.command(Vector6<double>::Zero());
+      rows.emplace(request, plant.record(), no_weights);
+    }
+    detail::answer(plant.record(), no_weights, static_cast<double>(plant.plant().ticks()), !complete, 0, request);
+    rows->end(0);
+    return log.finish(step, hexapod);
+  }
 
   std::shared_ptr<const Settings> kept;  ///< a recorded base motion is shared, not copied
   Hexapod<double> hexapod;
   double step;
-  CommandedPlant<double> plant;
+  CommandedPlant<double, N> plant;
   detail::TrajectoryLog log;
   RunRequest request{};
   NoState<double> no_weights;  ///< the scenario's law does not act
-  std::optional<detail::Log<double, NoState<double>>> rows;
+  std::optional<detail::Log<double, NoState<double>, N>> rows;
   bool complete = false;
 };
 
@@ -40,9 +102,10 @@ SampledRun::SampledRun(const Settings& settings) {
   if (settings.simulation.mode != LoopMode::sampled)
     refuse("simulation.mode", "sampled for a custom controller", "continuous");
   auto kept = std::make_shared<const Settings>(settings);
-  books_ = with_law(kept->law(), [&]<class Law>(std::type_identity<Law>) {
-    return std::make_unique<Books>(loop_parameters<Law>(*kept), kept);
-  });
+  books_ = with_loop(
+      *kept, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<Books> {
+        return std::make_unique<BooksOf<N>>(loop_parameters<Law, N>(*kept), kept);
+      });
 }
 
 SampledRun::SampledRun(SampledRun&&) noexcept = default;
@@ -50,54 +113,9 @@ SampledRun& SampledRun::operator=(SampledRun&&) noexcept = default;
 SampledRun::~SampledRun() = default;
 
 bool SampledRun::running() const noexcept { return books_->running(); }
-
-SampledObservation SampledRun::observe() const {
-  const SampledPlant<double>& plant = books_->plant.plant();
-  const auto& seen = books_->plant.observe();
-  SampledObservation observation{
-      plant.ticks(), plant.time(), seen.newest * books_->step, {seen.image, seen.pose, seen.twist}};
-  const double unknown = std::numeric_limits<double>::quiet_NaN();
-  if (!(seen.newest >= 0.0)) observation.exposure = unknown;
-  if (!seen.ready()) {
-    observation.sensed.image.features.setConstant(unknown);
-    observation.sensed.image.depth.setConstant(unknown);
-  }
-  return observation;
-}
-
-void SampledRun::command(const Vector6<double>& wrench) {
-  if (!running()) throw std::logic_error("the run has ended: expected no further command");
-  detail::require_finite("wrench", wrench);
-  Books& b = *books_;
-  const FlushSubnormals flush;
-  b.plant.command(wrench);
-  const long long tick = b.plant.plant().ticks();
-  if (!b.rows)
-    b.rows.emplace(b.request, b.plant.record(), b.no_weights);
-  else if (tick % b.request.log_every == 0)
-    b.rows->add();
-  if (tick == b.request.steps)
-    b.complete = true;
-  else if (b.plant.record().running())
-    b.plant.advance();
-}
-
-void SampledRun::command_legs(const Vector6<double>& leg_forces) {
-  detail::require_finite("leg_forces", leg_forces);
-  const auto& seen = books_->plant.observe();
-  command(inverse_kinematics(books_->hexapod, seen.pose.position, seen.R_BE).wrench(leg_forces));
-}
-
-Trajectory SampledRun::finish() {
-  Books& b = *books_;
-  if (!b.rows) {  // nothing was commanded: the platform at its start
-    b.plant.command(Vector6<double>::Zero());
-    b.rows.emplace(b.request, b.plant.record(), b.no_weights);
-  }
-  detail::answer(b.plant.record(), b.no_weights, static_cast<double>(b.plant.plant().ticks()), !b.complete, 0,
-                 b.request);
-  b.rows->end(0);
-  return b.log.finish(b.step, b.hexapod);
-}
+SampledObservation SampledRun::observe() const { return books_->observe(); }
+void SampledRun::command(const Vector6<double>& wrench) { books_->command(wrench); }
+void SampledRun::command_legs(const Vector6<double>& leg_forces) { books_->command_legs(leg_forces); }
+Trajectory SampledRun::finish() { return books_->finish(); }
 
 }  // namespace hexservo

@@ -44,8 +44,13 @@ void describe(ScenarioKey& key) {
     key.choice_type = kTypeOf<Member>;
   } else {
     key.type = KeyType::array;
-    key.rows = Member::RowsAtCompileTime;
     key.columns = Member::ColsAtCompileTime;
+    if constexpr (Member::RowsAtCompileTime == Eigen::Dynamic) {
+      key.per_point = Member::MaxSizeAtCompileTime / kMostPoints;
+      key.rows = kPoints * key.per_point / key.columns;
+    } else {
+      key.rows = Member::RowsAtCompileTime;
+    }
   }
 }
 
@@ -59,14 +64,23 @@ void at_key(S& settings, const ScenarioKey& key, F&& f) {
 }
 
 [[noreturn]] void refuse_count(const ScenarioKey& key, std::size_t count) {
+  if (key.per_point > 0)
+    refuse(key.name,
+           words(key.widths().size() > 1 ? "1 or " : "", key.per_point, " for each of ", kLeastPoints, " to ",
+                 kMostPoints, " points"),
+           words(count, count == 1 ? " number" : " numbers"));
   std::string expected;
   for (const std::size_t width : key.widths()) expected += words(expected.empty() ? "" : " or ", width);
   refuse(key.name, words(expected, expected == "1" ? " number" : " numbers"), words(count));
 }
 
-template <int R, int C>
-void put(const ScenarioKey& key, Eigen::Matrix<double, R, C>& to, Numbers from) {
-  if (from.size() == static_cast<std::size_t>(R * C)) {
+template <int R, int C, int options, int max_rows>
+void put(const ScenarioKey& key, Eigen::Matrix<double, R, C, options, max_rows, C>& to, Numbers from) {
+  if constexpr (R == Eigen::Dynamic) {  // one number stands for all points, however many there are
+    to.resize(static_cast<Eigen::Index>(from.size()) / C, C);
+    for (Eigen::Index row = 0; row < to.rows(); ++row)
+      for (int column = 0; column < C; ++column) to(row, column) = from[static_cast<std::size_t>(row * C + column)];
+  } else if (from.size() == static_cast<std::size_t>(R * C)) {
     for (int row = 0; row < R; ++row)
       for (int column = 0; column < C; ++column) to(row, column) = from[static_cast<std::size_t>(row * C + column)];
   } else if (key.field.form == Form::symmetric) {
@@ -110,10 +124,10 @@ void clear(const ScenarioKey& key, T& to) {
     to.setConstant(key.field.bound.none);
 }
 
-template <int R, int C>
-std::vector<double> get(const Eigen::Matrix<double, R, C>& from) {
+template <int R, int C, int options, int max_rows>
+std::vector<double> get(const Eigen::Matrix<double, R, C, options, max_rows, C>& from) {
   std::vector<double> numbers;
-  for (int row = 0; row < R; ++row)
+  for (Eigen::Index row = 0; row < from.rows(); ++row)
     for (int column = 0; column < C; ++column) numbers.push_back(from(row, column));
   return numbers;
 }
@@ -158,12 +172,15 @@ LawId law_named(std::string_view name) {
 }
 
 bool ScenarioKey::takes(std::size_t width) const {
-  const std::vector<std::size_t> all = widths();
-  return std::ranges::find(all, width) != all.end();
+  for (int points = kLeastPoints; points <= (per_point > 0 ? kMostPoints : kLeastPoints); ++points) {
+    const std::vector<std::size_t> all = widths(points);
+    if (std::ranges::find(all, width) != all.end()) return true;
+  }
+  return false;
 }
 
-std::vector<std::size_t> ScenarioKey::widths() const {
-  const auto all = static_cast<std::size_t>(rows * columns);
+std::vector<std::size_t> ScenarioKey::widths(int points) const {
+  const auto all = static_cast<std::size_t>(per_point > 0 ? per_point * points : rows * columns);
   if (all == 1 || field.form == Form::all) return {all};
   return {field.form == Form::symmetric ? static_cast<std::size_t>(rows) : 1, all};
 }
@@ -217,6 +234,8 @@ void set_choice(Settings& settings, const ScenarioKey& key, std::string_view nam
 std::vector<double> numbers_of(const Settings& settings, const ScenarioKey& key) {
   std::vector<double> numbers;
   at_key(settings, key, [&](const auto& member) { numbers = get(member); });
+  if (key.per_point > 0 && numbers.size() == 1)  // for all points
+    numbers.resize(static_cast<std::size_t>(key.per_point * settings.target.count()), numbers[0]);
   return numbers;
 }
 

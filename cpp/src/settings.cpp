@@ -13,7 +13,7 @@ using detail::words;
 
 namespace {
 
-using Features = Vector<double, 2 * kPoints>;
+using Features = OfPoints<double, kAnyPoints, 2>;
 
 constexpr double kCoincident = 1e-6;     // features closer than this are one [px]
 constexpr double kRankDeficient = 1e-9;  // sigma_min/sigma_max of the image Jacobian with lengths in units of the depth
@@ -23,20 +23,29 @@ constexpr double kPi = 3.14159265358979323846;
 constexpr double kMaxSteps = 1e9;  // a run of hours on one core: surely a slip
 
 void require_apart(const std::string& key, const Features& features) {
-  for (int i = 0; i < kPoints; ++i)
+  for (int i = 0; 2 * i < features.size(); ++i)
     for (int k = 0; k < i; ++k)
       if ((features.segment<2>(2 * i) - features.segment<2>(2 * k)).norm() < kCoincident)
-        refuse(key, "four different features", words("features ", k + 1, " and ", i + 1, " at the same place"));
+        refuse(key, words(features.size() / 2, " different features"),
+               words("features ", k + 1, " and ", i + 1, " at the same place"));
 }
 
-/// Four features on one line, for example, leave a direction that is not observable.
-void require_full_rank(const std::string& key, double f, const Image<double>& image) {
+/// Features on one line, for example, leave a direction that is not observable; only points that count are asked for.
+template <int N>
+void require_full_rank(const std::string& key, double f, const Image<double, N>& image,
+                       const Vector<double, N>& weights) {
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
-  Eigen::Matrix<double, 2 * kPoints, 6> J = ImageJacobian<double>(f, -1.0, image, R_BE).matrix();
-  J.leftCols<3>() *= image.depth.cwiseAbs().mean();
+  Eigen::Matrix<double, 2 * N, 6> J = ImageJacobian<double, N>(f, -1.0, image, R_BE).matrix();
+  if constexpr (N == kPoints) {
+    J.template leftCols<3>() *= image.depth.cwiseAbs().mean();
+  } else {
+    J.template leftCols<3>() *= image.depth.cwiseAbs().dot(weights) / weights.sum();
+    for (int i = 0; i < N; ++i)
+      if (weights(i) == 0.0) J.template middleRows<2>(2 * i).setZero();
+  }
   if (!J.allFinite())  // of such a matrix the decomposition computes nothing, and returns what the memory held
     refuse(key, "features and depths with a finite image Jacobian", "one that overflows");
-  const auto sigma = Eigen::JacobiSVD<Eigen::Matrix<double, 2 * kPoints, 6>>(J).singularValues();
+  const auto sigma = Eigen::JacobiSVD<Eigen::Matrix<double, 2 * N, 6>>(J).singularValues();
   if (!(sigma(5) > kRankDeficient * sigma(0)))
     refuse(key, "features that determine the pose (not all on one line)",
            words("an image Jacobian with smallest/largest singular value ", sigma(5) / sigma(0)));
@@ -44,27 +53,88 @@ void require_full_rank(const std::string& key, double f, const Image<double>& im
 
 /// What a camera's pinhole would have in place of pixels.
 Features rectified(const std::string& key, const LensParameters<double>& lens, const Features& pixels) {
-  const Features features = Lens<double>(lens).features(pixels);
-  for (int i = 0; i < 2 * kPoints; ++i)
+  const Lens<double> pinhole(lens);
+  Features features = pixels;
+  for (int i = 0; pinhole.converts() && i < features.size(); i += 2)
+    features.segment<2>(i) = pinhole.feature(Vector2<double>(pixels.segment<2>(i)));
+  for (int i = 0; i < features.size(); ++i)
     if (!std::isfinite(features(i)))
       refuse(words(key, "[", i, "]"), "a pixel that the camera's lens shows (camera.distortion)",
              words("(", pixels(i - i % 2), ", ", pixels(i - i % 2 + 1), ") px"));
   return features;
 }
 
+/// Numbers of n points in N places, the first point's in those behind them.
+/// @param numbers K of each point, or one number for all
+template <int N, int K>
+Vector<double, K * N> in_places(const OfPoints<double, kAnyPoints, K>& numbers, int points) {
+  Vector<double, K * N> out;
+  if (numbers.size() == 1) return Vector<double, K * N>::Constant(numbers(0));
+  out.head(K * points) = numbers;
+  fill_places<K>(out, points);
+  return out;
+}
+
+/// Those of the points alone.
+template <int M>
+Features of_points(const Vector<double, M>& numbers, int points) {
+  return numbers.head(2 * points);
+}
+
+/// Checks how many numbers there are for each point.
+/// @param each numbers of a point; @param one whether a single number stands for all
+void require_count(const std::string& key, Eigen::Index size, int points, int each, bool one) {
+  if (size == each * points || (one && size == 1)) return;
+  refuse(key,
+         words(one ? "1 or " : "", each * points, " numbers for the ", points, " points of target.desired_features"),
+         words(size));
+}
+
+/// How many points there are, and whether all that is given for each of them fits.
+void require_counts(const Settings& settings) {
+  const Target& target = settings.target;
+  const int points = target.count();
+  if (target.desired_features.size() % 2 != 0 || points < kLeastPoints || points > kMostPoints)
+    refuse("target.desired_features", words("two numbers for each of ", kLeastPoints, " to ", kMostPoints, " points"),
+           words(target.desired_features.size(), " numbers"));
+  if (target.points) {
+    if (target.points->rows() != points)
+      refuse("target.points", words(points, " points, as target.desired_features has"), words(target.points->rows()));
+  } else {
+    require_count("target.initial_features", target.initial_features.size(), points, 2, false);
+    require_count("target.depth", target.depth.size(), points, 1, true);
+  }
+  require_count("target.weights", target.weights.size(), points, 1, true);
+  require_count("uncertainty.depth", settings.uncertainty.depth.size(), points, 1, true);
+}
+
+/// w_i of N places, 0 behind the points.
+/// @throws std::invalid_argument where fewer points count than a law needs
+template <int N>
+Vector<double, N> place_weights(const Target& target) {
+  Vector<double, N> weights = in_places<N, 1>(target.weights, target.count());
+  for (int i = target.count(); i < N; ++i) weights(i) = 0.0;
+  const auto counted = (weights.array() > 0.0).count();
+  if (counted < kLeastPoints)
+    refuse("target.weights", words("at least ", kLeastPoints, " points that count"),
+           words(counted, counted == 1 ? " number > 0" : " numbers > 0"));
+  return weights;
+}
+
 /// Initial image and, for a camera that projects, the points in B.
+template <int N>
 void place_target(const Target& target, CameraConvention convention, const CameraView<double>& camera,
-                  const LensParameters<double>& lens, const Pose<double>& home, Image<double>& image,
-                  Eigen::Matrix<double, 3, kPoints>& points_B) {
+                  const LensParameters<double>& lens, const Pose<double>& home, Image<double, N>& image,
+                  Eigen::Matrix<double, 3, N>& points_B) {
   const Matrix3<double> R_BE = rotation_matrix(home.quaternion);
   if (target.points) {
     if (convention == CameraConvention::as_printed)
       refuse("target.points", "initial_features and depth, since a camera as_printed integrates them and has no points",
              "points");
-    points_B = target.points->transpose();
-    image = take_image<double, kPoints>(camera, home.position, R_BE, points_B);
+    for (int i = 0; i < N; ++i) points_B.col(i) = target.points->row(i < target.count() ? i : 0).transpose();
+    image = take_image<double, N>(camera, home.position, R_BE, points_B);
     const Vector3<double> at = camera.centre(home.position, R_BE), along = -camera.attitude(R_BE).col(2);
-    for (int i = 0; i < kPoints; ++i)
+    for (int i = 0; i < target.count(); ++i)
       if (!(image.depth(i) < 0.0))
         refuse(words("target.points[", i, "]"),
                words("a point in front of the camera, which at home is at (", at(0), ", ", at(1), ", ", at(2),
@@ -72,9 +142,11 @@ void place_target(const Target& target, CameraConvention convention, const Camer
                      ") of the base frame (camera.mount, camera.axes)"),
                words("one ", image.depth(i), " m behind it"));
   } else {
-    image = {rectified("target.initial_features", lens, target.initial_features), -target.depth};
-    for (int i = 0; i < kPoints; ++i)
-      points_B.col(i) = lift<double>(camera, home.position, R_BE, image.features.segment<2>(2 * i), image.depth(i));
+    image = {in_places<N, 2>(rectified("target.initial_features", lens, target.initial_features), target.count()),
+             -in_places<N, 1>(target.depth, target.count())};
+    for (int i = 0; i < N; ++i)
+      points_B.col(i) =
+          lift<double>(camera, home.position, R_BE, image.features.template segment<2>(2 * i), image.depth(i));
   }
 }
 
@@ -175,10 +247,10 @@ std::string nearest_grid(double step, double duration) {
 }
 
 /// Why a run would stop before its first step.
-template <class Law>
-StopCause cause_at_start(const LoopParameters<double, Law>& p) {
-  const double cause = p.mode == LoopMode::sampled ? SampledLoop<double, Law>(p).record().cause()
-                                                   : ClosedLoop<double, Law>(p).record().cause();
+template <class Law, int N>
+StopCause cause_at_start(const LoopParameters<double, Law, N>& p) {
+  const double cause = p.mode == LoopMode::sampled ? SampledLoop<double, Law, N>(p).record().cause()
+                                                   : ClosedLoop<double, Law, N>(p).record().cause();
   return static_cast<StopCause>(static_cast<int>(cause));
 }
 
@@ -238,40 +310,60 @@ RigidBody<double> estimated_body(const RobotParameters& robot) { return body_of(
 
 RigidBody<double> plant_body(const RobotParameters& robot) { return body_of(robot, true); }
 
-Vector<double, 2 * kPoints> project_target(const Settings& settings, const Vector6<double>& displacement) {
-  require_acting_bounds(settings);
+namespace {
+
+template <int N>
+Features project_target_in(const Settings& settings, const Vector6<double>& displacement) {
   const Hexapod<double> hexapod = make_hexapod(settings.robot);
   const PlatformCamera<double> camera(settings.camera.parameters());
-  Image<double> image;
-  Eigen::Matrix<double, 3, kPoints> points_B;
-  place_target(settings.target, settings.camera.convention, camera, settings.camera.lens(), home_pose(hexapod), image,
-               points_B);
+  Image<double, N> image;
+  Eigen::Matrix<double, 3, N> points_B;
+  place_target<N>(settings.target, settings.camera.convention, camera, settings.camera.lens(), home_pose(hexapod),
+                  image, points_B);
   if (settings.camera.convention == CameraConvention::as_printed)
     refuse("target.desired_pose", "desired_features, since a camera as_printed has no points", "a pose");
   detail::require_finite("target.desired_pose", displacement);
   const Pose<double> pose = moved(home_pose(hexapod), displacement);
-  image = take_image<double, kPoints>(camera, pose.position, rotation_matrix(pose.quaternion), points_B);
+  image = take_image<double, N>(camera, pose.position, rotation_matrix(pose.quaternion), points_B);
   if (!(image.depth.maxCoeff() < 0.0))
     refuse("target.desired_pose", "a pose from which every point is in front of the camera",
            words("one with a point ", image.depth.maxCoeff(), " m behind it"));
-  return Lens<double>(settings.camera.lens()).pixels(image.features);
+  return of_points<2 * N>(Lens<double>(settings.camera.lens()).pixels(image.features), settings.target.count());
+}
+
+}  // namespace
+
+Features project_target(const Settings& settings, const Vector6<double>& displacement) {
+  require_counts(settings);
+  require_acting_bounds(settings);
+  return with_places(settings.target.places(), [&]<int N>(std::integral_constant<int, N>) {
+    return project_target_in<N>(settings, displacement);
+  });
 }
 
 namespace {
 
 /// The controller's goal: where the assumed points give the desired features.
-Pose<double> believed_goal(const SceneParameters<double>& p, std::string_view law) {
+template <int N>
+Pose<double> believed_goal(const SceneParameters<double, N>& p, std::string_view law) {
+  if (const auto counted = (p.weights.head(p.points).array() > 0.0).count(); counted < kPoints)
+    refuse("target.weights",
+           words("at least ", kPoints, " points that count for the law ", law,
+                 " with these gains, which needs the pose of the goal: three points have several"),
+           words(counted));
   if (p.convention == CameraConvention::as_printed)
     refuse("camera.convention",
            words("eye_in_hand for the law ", law,
                  " with these gains, since a camera as_printed has no points and so no pose of the goal"),
            "as_printed");
   const PlatformCamera<double> camera(p.assumed_camera);
-  return goal_pose(camera, believed_points(p), p.assumed_desired, home_pose(p.hexapod));
+  return goal_pose<N>(camera, believed_points(p), p.assumed_desired, home_pose(p.hexapod),
+                      PointWeights<double, N>(p.weights));
 }
 
 /// Devices of the sampled loop.
-void prepare_devices(const Settings& settings, SceneParameters<double>& p) {
+template <int N>
+void prepare_devices(const Settings& settings, SceneParameters<double, N>& p) {
   p.frames = frame_settings(settings.camera, p.step);
   if (p.convention == CameraConvention::as_printed &&
       (p.frames.prediction != Prediction::none || p.frames.on_lost == LostFeature::predict))
@@ -291,7 +383,8 @@ void prepare_devices(const Settings& settings, SceneParameters<double>& p) {
 }
 
 /// Image of the target where the run starts.
-void require_view_at_start(const SceneParameters<double>& p) {
+template <int N>
+void require_view_at_start(const SceneParameters<double, N>& p) {
   const Pose<double> home = home_pose(p.hexapod);
   const std::string key = "simulation.start.pose";
   if (p.start.position == home.position && p.start.quaternion == home.quaternion) return;
@@ -299,8 +392,8 @@ void require_view_at_start(const SceneParameters<double>& p) {
     refuse(key, "zeros, since a camera as_printed has no points that it could see from elsewhere than from home",
            "other numbers");
   const PlatformCamera<double> camera(p.camera);
-  const Image<double> image =
-      take_image<double, kPoints>(camera, p.start.position, rotation_matrix(p.start.quaternion), p.points_B);
+  const Image<double, N> image =
+      take_image<double, N>(camera, p.start.position, rotation_matrix(p.start.quaternion), p.points_B);
   if (!(image.depth.maxCoeff() < 0.0))
     refuse(key, "a pose from which every point is in front of the camera",
            words("one with a point ", image.depth.maxCoeff(), " m behind it"));
@@ -317,15 +410,16 @@ void require_view_at_start(const SceneParameters<double>& p) {
 }
 
 /// Image of a target that moves in B where the run starts.
-void require_view_of_moving_target(const SceneParameters<double>& p) {
+template <int N>
+void require_view_of_moving_target(const SceneParameters<double, N>& p) {
   if (p.target_motion.kind == TargetMotionKind::none && p.target_frame == TargetFrame::base) return;
   BaseMotion<double> base(p.base_motion, p.seed, p.recorded);
-  const TargetPlace<double, kPoints> target(p.points_B, p.target_frame, p.target_motion, p.recorded_target);
+  const TargetPlace<double, N> target(p.points_B, p.target_frame, p.target_motion, p.recorded_target);
   if (!target.moves(base)) return;
   base.find_place();
   const PlatformCamera<double> camera(p.camera);
-  const Image<double> image = take_image<double, kPoints>(camera, p.start.position, rotation_matrix(p.start.quaternion),
-                                                          target.points(0.0, base));
+  const Image<double, N> image =
+      take_image<double, N>(camera, p.start.position, rotation_matrix(p.start.quaternion), target.points(0.0, base));
   const double error = (p.desired_features - image.features).cwiseAbs().maxCoeff();
   if (!(image.depth.maxCoeff() < 0.0 && error <= kMaxFeatureError))
     refuse("target.motion", "base and target that leave the points in front of the camera at the start of the run",
@@ -346,7 +440,8 @@ void validate_payload(const Payload& load) {
 }
 
 /// The true camera and the one that the controller assumes.
-void place_cameras(const Settings& settings, SceneParameters<double>& p) {
+template <int N>
+void place_cameras(const Settings& settings, SceneParameters<double, N>& p) {
   for (const auto& [key, mount] :
        {std::pair{"camera.mount", &settings.camera.mount}, std::pair{"uncertainty.mount", &settings.uncertainty.mount}})
     if (p.convention == CameraConvention::as_printed && !mount->is_none())
@@ -363,9 +458,17 @@ void place_cameras(const Settings& settings, SceneParameters<double>& p) {
 }
 
 /// All that no law enters.
-SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod<double>* legs) {
-  SceneParameters<double> p;
+template <int N>
+SceneParameters<double, N> scene_parameters(const Settings& settings, const Hexapod<double>* legs) {
+  SceneParameters<double, N> p;
+  require_counts(settings);
+  const Target& target = settings.target;
+  if (N < target.places())
+    refuse("target", words("one with ", N, " points that count 1 each, for which this controller is compiled"),
+           words("one with ", target.count(), " points, or with other weights"));
+  p.points = target.count();
   require_acting_bounds(settings);
+  p.weights = place_weights<N>(target);
   step_count(settings.simulation);
   p.hexapod = legs != nullptr ? *legs : make_hexapod(settings.robot);
   p.body = estimated_body(settings.robot);
@@ -379,23 +482,25 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   p.jacobian = settings.controller.jacobian;
 
   const PlatformCamera<double> camera(p.camera);
-  place_target(settings.target, p.convention, camera, p.lens, home_pose(p.hexapod), p.initial_image, p.points_B);
-  p.desired_features = rectified("target.desired_features", p.lens, settings.target.desired_features);
-  const std::string source = settings.target.points ? "target.points" : "target.initial_features";
+  place_target<N>(target, p.convention, camera, p.lens, home_pose(p.hexapod), p.initial_image, p.points_B);
+  p.desired_features = in_places<N, 2>(rectified("target.desired_features", p.lens, target.desired_features), p.points);
+  const std::string source = target.points ? "target.points" : "target.initial_features";
   for (const auto& [key, image] :
-       {std::pair{source, p.initial_image},
-        std::pair{std::string("target.desired_features"), Image<double>{p.desired_features, p.initial_image.depth}}}) {
-    require_apart(key, image.features);
-    require_full_rank(key, p.camera.focal, image);
+       {std::pair{source, p.initial_image}, std::pair{std::string("target.desired_features"),
+                                                      Image<double, N>{p.desired_features, p.initial_image.depth}}}) {
+    require_apart(key, of_points(image.features, p.points));
+    require_full_rank<N>(key, p.camera.focal, image, p.weights);
     const double error = (p.desired_features - image.features).cwiseAbs().maxCoeff();
     if (!(error <= kMaxFeatureError))
       refuse(key, words("features within ", kMaxFeatureError, " px of the goal"), words(error, " px"));
   }
-  const Features start =
-      settings.target.points ? Lens<double>(p.lens).pixels(p.initial_image.features) : settings.target.initial_features;
-  p.assumed_initial = rectified(source, p.assumed_lens, start);
-  p.assumed_desired = rectified("target.desired_features", p.assumed_lens, settings.target.desired_features);
-  p.depth_error = settings.uncertainty.depth;
+  const Features start = target.points
+                             ? of_points<2 * N>(Lens<double>(p.lens).pixels(p.initial_image.features), p.points)
+                             : target.initial_features;
+  p.assumed_initial = in_places<N, 2>(rectified(source, p.assumed_lens, start), p.points);
+  p.assumed_desired =
+      in_places<N, 2>(rectified("target.desired_features", p.assumed_lens, target.desired_features), p.points);
+  p.depth_error = in_places<N, 1>(settings.uncertainty.depth, p.points);
   p.switching = settings.controller.switching;
   p.goal = home_pose(p.hexapod);
   p.start = moved(p.goal, settings.simulation.start.pose);
@@ -417,16 +522,38 @@ SceneParameters<double> scene_parameters(const Settings& settings, const Hexapod
   return p;
 }
 
+/// Gains for N places from those of any number of points; the weights go into those of the image's coordinates.
+/// @param key that the gains' keys begin with, "controller.kelly."
+template <int N, class To, class From>
+To gains_in_places(const std::string& key, const From& from, const Vector<double, N>& weights, int points) {
+  To to;
+  To::visit(
+      [&](const Field& field, auto& here, const auto& there) {
+        if constexpr (std::is_same_v<std::remove_cvref_t<decltype(there)>, Features>) {
+          require_count(key + std::string(field.name), there.size(), points, 2, true);
+          here = in_places<N, 2>(there, points);
+          if constexpr (N != kPoints)
+            for (int k = 0; k < 2 * N; ++k) here(k) *= weights(k / 2);
+        } else {
+          here = there;
+        }
+      },
+      to, from);
+  return to;
+}
+
 }  // namespace
 
-template <class Law>
-LoopParameters<double, Law> loop_parameters(const Settings& settings, const Hexapod<double>* legs) {
+template <class Law, int N>
+LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const Hexapod<double>* legs) {
   static_assert(Law::traits.memory() == kHasFuzzySystems<Law>);
   const std::string block = words("controller.", Law::traits.name);
-  LoopParameters<double, Law> p{scene_parameters(settings, legs), settings.gains<Law>()};
-  if constexpr (requires { validate(p.gains, block + "."); }) validate(p.gains, block + ".");
+  LoopParameters<double, Law, N> p{scene_parameters<N>(settings, legs), {}};
+  const GainsOf<Law>& gains = settings.gains<Law>();
+  p.gains = gains_in_places<N, typename Law::template Gains<double, N>>(block + ".", gains, p.weights, p.points);
+  if constexpr (requires { validate(gains, block + "."); }) validate(gains, block + ".");
   if constexpr (Law::traits.points)
-    if (p.gains.needs_goal()) p.goal = believed_goal(p, Law::traits.name);
+    if (gains.needs_goal()) p.goal = believed_goal(p, Law::traits.name);
   if constexpr (kHasFuzzySystems<Law>) {
     validate(p.gains.fuzzy, block + ".fuzzy.");
     require_resolved(p.gains.fuzzy, block + ".fuzzy.", p.step);
@@ -439,9 +566,11 @@ LoopParameters<double, Law> loop_parameters(const Settings& settings, const Hexa
   return p;
 }
 
-#define HEXSERVO_HERE(Law) \
-  template LoopParameters<double, Law> loop_parameters<Law>(const Settings&, const Hexapod<double>*);
+#define HEXSERVO_OF(Law, N) \
+  template LoopParameters<double, Law, (N)> loop_parameters<Law, (N)>(const Settings&, const Hexapod<double>*);
+#define HEXSERVO_HERE(Law) HEXSERVO_OF(Law, kPoints) HEXSERVO_OF(Law, kMostPoints)
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
+#undef HEXSERVO_OF
 
 }  // namespace hexservo

@@ -67,15 +67,17 @@ std::string describe(StopCause cause, double time, int leg) {
 }
 
 void check_settings(const Settings& settings) {
-  with_law(settings.law(), [&]<class Law>(std::type_identity<Law>) { loop_parameters<Law>(settings); });
-  detail::sample_count(settings.simulation);
+  with_loop(settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) {
+    loop_parameters<Law, N>(settings);
+  });
+  detail::sample_count(settings.simulation, settings.target.count());
 }
 
 Trajectory simulate(const Settings& settings, const std::function<bool()>& stop_requested, const Kernel& kernel,
                     bool log_weights) {
-  std::vector<double> numbers(detail::flat_size(settings.law()));
+  std::vector<double> numbers(detail::flat_size(settings));
   const detail::Prepared prepared = detail::prepare(settings, nullptr, numbers.data());
-  detail::TrajectoryLog log(settings.simulation, log_weights && prepared.fuzzy);
+  detail::TrajectoryLog log(settings.simulation, settings.target.count(), log_weights && prepared.fuzzy);
   const double* scenario = numbers.data();
   Question question{stop_requested, nullptr};
   RunRequest request = detail::run_request(settings, settings.simulation);

@@ -15,12 +15,12 @@ constexpr double kGoalShare = 4.0;     // minima with squared residuals within i
 constexpr double kExactGoal = 1e-12;   // squared residuals below it are rounding [px^2]
 
 /// Where a search begins: home, and home turned, moved and tilted, with the camera still facing the points.
-std::vector<Pose<double>> goal_starts(const CameraView<double>& camera,
-                                      const Eigen::Matrix<double, 3, kPoints>& points_B, const Pose<double>& home) {
+std::vector<Pose<double>> goal_starts(const CameraView<double>& camera, const Vector3<double>& centroid,
+                                      const Pose<double>& home) {
   using Turn = Eigen::AngleAxisd;
   const Matrix3<double> R_BE = rotation_matrix(home.quaternion), R_BC = camera.attitude(R_BE);
   const Vector3<double> centre = camera.centre(home.position, R_BE), arm = centre - home.position;
-  const Vector3<double> centroid = points_B.rowwise().mean(), sight = centroid - centre;
+  const Vector3<double> sight = centroid - centre;
   const Vector4<double>& q = home.quaternion;
   const Eigen::Quaterniond attitude(q(0), q(1), q(2), q(3));
   std::vector<Pose<double>> starts;
@@ -45,38 +45,46 @@ std::vector<Pose<double>> goal_starts(const CameraView<double>& camera,
 
 }  // namespace
 
-std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera,
-                                     const Eigen::Matrix<double, 3, kPoints>& points_B,
-                                     const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
-  using Fit = PoseFit<double, kPoints>;
-  const Vectors3<double, kPoints> points(points_B);
+template <int N>
+std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_B,
+                                     const Vector<double, 2 * N>& desired_features, const Pose<double>& home,
+                                     const PointWeights<double, N>& weights) {
+  using Fit = PoseFit<double, N>;
+  const Vectors3<double, N> points(points_B);
+  Vector3<double> centroid = Vector3<double>::Zero();
+  if constexpr (N == kPoints)
+    centroid = points_B.rowwise().mean();
+  else
+    for (int i = 0; i < N; ++i) centroid += weights.share(i) * points_B.col(i);
   const PosePrior<double> none{home, Vector6<double>::Zero()};
   std::vector<GoalMinimum> found;
   double least = std::numeric_limits<double>::infinity();
   const auto keep = [&](const Fit& fit) {
-    const ImageJacobian<double> J(camera, -1.0, fit.features, fit.inverse_depth, fit.R_BE);
-    const Cholesky<double, 6> solver(J.normal_matrix());
-    const Vector<double, 2 * kPoints> residual = desired_features - fit.features;
-    const Vector6<double> gradient = J.pull(residual);
+    const ImageJacobian<double, N> J(camera, -1.0, fit.features, fit.inverse_depth, fit.R_BE);
+    const Cholesky<double, 6> solver(J.normal_matrix(weights));
+    const Vector<double, 2 * N> residual = desired_features - fit.features;
+    const Vector6<double> gradient = J.pull(weights.times(residual));
     if (!std::isfinite(fit.squared_residual) || solver.failed() ||
         !(gradient.dot(solver.solve(gradient)) <= kGoalMinimum))
       return;
-    found.push_back({fit.pose, fit.squared_residual, residual.cwiseAbs().maxCoeff()});
+    found.push_back({fit.pose, fit.squared_residual, weights.largest(residual)});
     least = std::min(least, fit.squared_residual);
   };
-  for (const Pose<double>& start : goal_starts(camera, points_B, home)) {
-    const Fit fit = fit_pose<double, kPoints>(camera, points, desired_features, none, start, kGoalRounds);
+  for (const Pose<double>& start : goal_starts(camera, centroid, home)) {
+    const Fit fit = fit_pose<double, N>(camera, points, desired_features, none, start, kGoalRounds, weights);
     keep(fit);
     if (least <= kExactGoal) break;
-    keep(fit_pose<double, kPoints>(camera, points, desired_features, none,
-                                   mirrored_pose<double, kPoints>(camera, points_B, fit.pose), kGoalRounds));
+    keep(fit_pose<double, N>(camera, points, desired_features, none,
+                             mirrored_pose<double, N>(camera, points_B, fit.pose, weights), kGoalRounds, weights));
   }
   return found;
 }
 
-Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, kPoints>& points_B,
-                       const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home) {
-  const std::vector<GoalMinimum> found = goal_minima(camera, points_B, desired_features, home);
+template <int N>
+Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_B,
+                       const Vector<double, 2 * N>& desired_features, const Pose<double>& home,
+                       const PointWeights<double, N>& weights) {
+  const std::vector<GoalMinimum> found = goal_minima<N>(camera, points_B, desired_features, home, weights);
   if (found.empty())
     detail::refuse("target.desired_features",
                    "features that determine a pose where the controller assumes the points (not all on one line)",
@@ -103,5 +111,16 @@ Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<dou
                    detail::words("a residual of ", goal->largest_residual, " px at the best pose found"));
   return goal->pose;
 }
+
+#define HEXSERVO_HERE(N)                                                                                          \
+  template std::vector<GoalMinimum> goal_minima<N>(const CameraView<double>&, const Eigen::Matrix<double, 3, N>&, \
+                                                   const Vector<double, 2 * (N)>&, const Pose<double>&,           \
+                                                   const PointWeights<double, N>&);                               \
+  template Pose<double> goal_pose<N>(const CameraView<double>&, const Eigen::Matrix<double, 3, N>&,               \
+                                     const Vector<double, 2 * (N)>&, const Pose<double>&,                         \
+                                     const PointWeights<double, N>&);
+HEXSERVO_HERE(kPoints)
+HEXSERVO_HERE(kMostPoints)
+#undef HEXSERVO_HERE
 
 }  // namespace hexservo

@@ -95,21 +95,22 @@ class Scheduling {
 };
 
 /// What the sensors gave in a run, and the wrench that answered it.
+template <int N>
 struct Recording {
-  std::vector<ControllerInput> inputs;
+  std::vector<ControllerInputOf<N>> inputs;
   std::vector<Vector6<double>> wrenches;
 };
 
-template <class Law>
-Recording record(const Settings& settings) {
-  const LoopParameters<double, Law> parameters = loop_parameters<Law>(settings);
+template <class Law, int N>
+Recording<N> record(const Settings& settings) {
+  const LoopParameters<double, Law, N> parameters = loop_parameters<Law, N>(settings);
   const long long steps = step_count(settings.simulation);
   if (steps > kMaxRecorded)
     refuse("simulation.duration", words("a run of at most ", kMaxRecorded, " steps to replay"), words(steps, " steps"));
-  Recording recording;
+  Recording<N> recording;
   recording.inputs.reserve(static_cast<std::size_t>(steps));
   recording.wrenches.reserve(static_cast<std::size_t>(steps));
-  ClosedLoop<double, Law> loop(parameters);
+  ClosedLoop<double, Law, N> loop(parameters);
   for (long long i = 0; i < steps && loop.record().running(); ++i) {
     recording.inputs.push_back(input_of(loop.time(), loop.observe()));
     recording.wrenches.push_back(loop.record().sample().wrench);
@@ -120,10 +121,10 @@ Recording record(const Settings& settings) {
 }
 
 /// Replays a recording endlessly, and watches the answers between the ticks.
-template <class Law>
+template <class Law, int N>
 class Replay {
  public:
-  Replay(const ControllerGains<Law>& gains, const Recording& recording, TickTimes& times)
+  Replay(const ControllerGains<Law, N>& gains, const Recording<N>& recording, TickTimes& times)
       : gains_(gains), recording_(recording), times_(times), state_(initial_state(gains)) {
     for (std::size_t i = 0; i < recording.inputs.size(); ++i) {  // warms up, and is what later replays must repeat
       tick();
@@ -149,11 +150,11 @@ class Replay {
   }
 
  private:
-  const ControllerGains<Law>& gains_;
-  const Recording& recording_;
+  const ControllerGains<Law, N>& gains_;
+  const Recording<N>& recording_;
   TickTimes& times_;
-  ControllerState<Law> state_;
-  const ControllerState<Law> start_ = state_;
+  ControllerState<Law, N> state_;
+  const ControllerState<Law, N> start_ = state_;
   ControllerOutput output_{};
   std::size_t next_ = 0;
   Vector6<double> sum_ = Vector6<double>::Zero();  ///< of a replay's outputs, always in the same order
@@ -161,8 +162,8 @@ class Replay {
 };
 
 /// One tick after another.
-template <class Law>
-void run_free(Replay<Law>& replay, const TickBenchmarkOptions& options, TickTimes& times) {
+template <class Law, int N>
+void run_free(Replay<Law, N>& replay, const TickBenchmarkOptions& options, TickTimes& times) {
   while (times.periods < options.periods) {
     if (times.periods % kTicksBetweenQuestions == 0 && options.stop_requested && options.stop_requested()) {
       times.interrupted = true;
@@ -178,8 +179,8 @@ void run_free(Replay<Law>& replay, const TickBenchmarkOptions& options, TickTime
 }
 
 /// A tick per period of an absolute clock.
-template <class Law>
-void run_paced(Replay<Law>& replay, const TickBenchmarkOptions& options, TickTimes& times) {
+template <class Law, int N>
+void run_paced(Replay<Law, N>& replay, const TickBenchmarkOptions& options, TickTimes& times) {
   const long long begin = now() + kTimeToFirstTick;
   const auto time_of = [&](long long period) {
     return begin + std::llround(static_cast<double>(period) * (static_cast<double>(kSecond) / options.rate));
@@ -211,10 +212,10 @@ void run_paced(Replay<Law>& replay, const TickBenchmarkOptions& options, TickTim
   }
 }
 
-template <class Law>
+template <class Law, int N>
 TickTimes time_ticks_of(const Settings& settings, const TickBenchmarkOptions& options) {
-  const ControllerGains<Law> gains = controller_gains<Law>(settings);
-  const Recording recording = record<Law>(settings);
+  const ControllerGains<Law, N> gains = controller_gains<Law, N>(settings);
+  const Recording<N> recording = record<Law, N>(settings);
   TickTimes times;
   // Written once here, so that no tick meets a page that is not there yet.
   times.latency.assign(static_cast<std::size_t>(options.periods), 1);
@@ -226,7 +227,7 @@ TickTimes time_ticks_of(const Settings& settings, const TickBenchmarkOptions& op
   const Scheduling scheduling(options.realtime, times);
   const FlushSubnormals flush;  // as a thread that ticks would: a tick then only looks whether it is set
   times.clock_cost = clock_cost();
-  Replay<Law> replay(gains, recording, times);
+  Replay<Law, N> replay(gains, recording, times);
   options.rate > 0.0 ? run_paced(replay, options, times) : run_free(replay, options, times);
   return times;
 }
@@ -238,8 +239,9 @@ TickTimes time_ticks(const Settings& settings, const TickBenchmarkOptions& optio
     refuse("ticks", words("a whole number from 1 to ", kMaxTimedPeriods), words(options.periods));
   if (!(options.rate >= 0.0 && options.rate <= kMaxTickRate))
     refuse("rate", words("0 or a rate of up to ", kMaxTickRate, " Hz"), words(options.rate));
-  return with_law(settings.law(),
-                  [&]<class Law>(std::type_identity<Law>) { return time_ticks_of<Law>(settings, options); });
+  return with_loop(settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) {
+    return time_ticks_of<Law, N>(settings, options);
+  });
 }
 
 }  // namespace hexservo

@@ -10,8 +10,9 @@ namespace hexservo::detail {
 namespace {
 
 /// Per row of a log.
-std::size_t logged_numbers(bool log_weights) {
-  return std::size_t{1 + kSampleNumbers} + (log_weights ? std::size_t{kWeightNumbers} : std::size_t{0});
+std::size_t logged_numbers(int points, bool log_weights) {
+  return static_cast<std::size_t>(1 + sample_numbers(points)) +
+         (log_weights ? std::size_t{kWeightNumbers} : std::size_t{0});
 }
 
 /// The columns of a log, in the order of `Sample::visit`.
@@ -22,13 +23,13 @@ std::array<Column*, kQuantities> columns_of(Trajectory& log) {
 
 /// Lays out the columns for `samples` rows, one after another.
 void allocate(Trajectory& log, std::size_t samples, bool log_weights) {
-  log.block = Buffer(samples * logged_numbers(log_weights));
+  log.block = Buffer(samples * logged_numbers(log.points, log_weights));
   double* next = log.block.data();
   log.time = {next, samples};
   next += samples;
   const auto columns = columns_of(log);
   for (std::size_t i = 0; i < columns.size(); ++i) {
-    *columns[i] = {next, samples * static_cast<std::size_t>(kSampleWidths[i])};
+    *columns[i] = {next, samples * static_cast<std::size_t>(sample_width(i, log.points))};
     next += columns[i]->size();
   }
   if (log_weights) log.weight_history = {next, samples * kWeightNumbers};
@@ -38,7 +39,7 @@ void shorten(Trajectory& log, std::size_t rows) {
   log.time = log.time.first(rows);
   const auto columns = columns_of(log);
   for (std::size_t i = 0; i < columns.size(); ++i)
-    *columns[i] = columns[i]->first(rows * static_cast<std::size_t>(kSampleWidths[i]));
+    *columns[i] = columns[i]->first(rows * static_cast<std::size_t>(sample_width(i, log.points)));
   if (!log.weight_history.empty()) log.weight_history = log.weight_history.first(rows * kWeightNumbers);
 }
 
@@ -59,11 +60,11 @@ void add_tilt_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, con
 
 }  // namespace
 
-std::size_t sample_count(const SimulationSettings& simulation, bool log_weights) {
+std::size_t sample_count(const SimulationSettings& simulation, int points, bool log_weights) {
   const auto every = static_cast<double>(simulation.log_every);
   const double samples =
       std::floor(static_cast<double>(step_count(simulation)) / every) + 2.0;  // the first, and the last good one
-  const double bytes = samples * static_cast<double>(logged_numbers(log_weights) * sizeof(double));
+  const double bytes = samples * static_cast<double>(logged_numbers(points, log_weights) * sizeof(double));
   if (bytes > kMaxLogBytes)
     refuse("simulation.log_every",
            words("a log of at most ", kMaxLogBytes / (1 << 30), " GiB (log_every of ",
@@ -72,8 +73,9 @@ std::size_t sample_count(const SimulationSettings& simulation, bool log_weights)
   return static_cast<std::size_t>(samples);
 }
 
-TrajectoryLog::TrajectoryLog(const SimulationSettings& simulation, bool log_weights) {
-  allocate(trajectory_, sample_count(simulation, log_weights), log_weights);
+TrajectoryLog::TrajectoryLog(const SimulationSettings& simulation, int points, bool log_weights) {
+  trajectory_.points = points;
+  allocate(trajectory_, sample_count(simulation, points, log_weights), log_weights);
   answer_.time = trajectory_.time.data();
   const auto columns = columns_of(trajectory_);
   for (std::size_t i = 0; i < columns.size(); ++i) answer_.columns[i] = columns[i]->data();

@@ -8,15 +8,16 @@
 namespace hexservo::detail {
 
 /// Samples that a run logs at most.
+/// @param points of the target
 /// @param log_weights whether the weights of the fuzzy systems are in each
 /// @throws std::invalid_argument where their log would not fit into `kMaxLogBytes`
-std::size_t sample_count(const SimulationSettings& simulation, bool log_weights = false);
+std::size_t sample_count(const SimulationSettings& simulation, int points, bool log_weights = false);
 
 /// Where a run writes, and what is made of that. The answer refers to the log's memory: it stays where it is made.
 class TrajectoryLog {
  public:
   /// @throws std::invalid_argument as `sample_count`
-  explicit TrajectoryLog(const SimulationSettings& simulation, bool log_weights = false);
+  TrajectoryLog(const SimulationSettings& simulation, int points, bool log_weights = false);
 
   TrajectoryLog(const TrajectoryLog&) = delete;
   TrajectoryLog& operator=(const TrajectoryLog&) = delete;

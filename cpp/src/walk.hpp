@@ -69,9 +69,10 @@ inline void require_within(const Path& path, const Field& field, long long value
     refuse(path.key(field.name), expected(field.bound, true), words(value));
 }
 /// Names the first entry that is out of bounds, counted from 0: [row] of a vector, [row][column] of a matrix.
-template <int R, int C>
-void require_within(const Path& path, const Field& field, const Eigen::Matrix<double, R, C>& value) {
-  for (int row = 0; row < R; ++row)
+template <int R, int C, int options, int max_rows>
+void require_within(const Path& path, const Field& field,
+                    const Eigen::Matrix<double, R, C, options, max_rows, C>& value) {
+  for (Eigen::Index row = 0; row < value.rows(); ++row)
     for (int column = 0; column < C; ++column)
       if (!field.bound.holds(value(row, column)))
         refuse_number(words(path.key(field.name), "[", row, "]", C > 1 ? words("[", column, "]") : ""), field.bound,

@@ -351,7 +351,7 @@ TEST_CASE_TEMPLATE(
 
 TEST_CASE_TEMPLATE("gains that make no sense are refused, with the key and the place", Law, Kelly, ResolvedRate, Pbvs,
                    ComputedTorque) {
-  using Gains = typename Law::template Gains<double>;
+  using Gains = GainsOf<Law>;
   const std::string head = "controller." + std::string(Law::traits.name) + ".";
   CHECK(refusal([] { validate_gains<Law>({}); }) == "(accepted)");
   std::size_t count = 0;
@@ -377,7 +377,7 @@ TEST_CASE_TEMPLATE("gains that make no sense are refused, with the key and the p
 }
 
 TEST_CASE("an adaptive gain that grows with the distance is refused; gain_far has no effect on a constant one") {
-  ResolvedRateGains<double> gains;
+  GainsOf<ResolvedRate> gains;
   gains.gain_far = 2.0 * gains.gain;
   CHECK(refusal([&] { validate_gains<ResolvedRate>(gains); }) == "(accepted)");
   gains.adaptive = true;

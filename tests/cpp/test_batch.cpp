@@ -105,7 +105,7 @@ void check_same(const BatchResult& batch, std::size_t i, const Trajectory& singl
   }
   const auto columns = columns_of(single);
   for (std::size_t q = 0; q < columns.size(); ++q) {
-    const auto width = static_cast<std::size_t>(kSampleWidths[q]);
+    const auto width = static_cast<std::size_t>(sample_width(q, kPoints));
     const auto expected = columns[q].last(width);
     const double scale = std::abs(*std::ranges::max_element(columns[q], {}, [](double x) { return std::abs(x); }));
     for (std::size_t k = 0; k < width; ++k)
@@ -159,8 +159,8 @@ TEST_CASE("flattening keeps every number, flag and mode") {
   // fuzzy on or off (4). Sampled: mode, substeps (2), frames (5), pose source, encoders (3), actuators (3), base,
   // limits (2). Whether the centre of mass is off E's origin, as estimated and as it is (2).
   // Lenses, the true one and the controller's (2). Rotation of the base, road, frame and motion of the target (4).
-  // Whether legs have cranks (1).
-  CHECK(modes == 4 + 2 + 5 + 3 + 3 + 2 + 2 + 2 + 4 + 1);
+  // Whether legs have cranks (1). How many points there are (1).
+  CHECK(modes == 4 + 2 + 5 + 3 + 3 + 2 + 2 + 2 + 4 + 1 + 1);
 }
 
 TEST_CASE("every lane is the single run, to rounding, on the smooth loop; short packs too") {
@@ -240,7 +240,7 @@ TEST_CASE_TEMPLATE("each key that may vary changes the settings, and none is the
     const bool gain = key.name.starts_with("controller." + std::string(Law::traits.name) + ".");
     Settings settings = smooth_run<Law>(0.5);
     const Settings before = settings;
-    std::vector<double> numbers(key.widths().front());
+    std::vector<double> numbers(key.per_point > 0 ? key.widths().back() : key.widths().front());
     for (std::size_t i = 0; i < numbers.size(); ++i) numbers[i] = (gain ? 2.5 : 2.0) + static_cast<double>(i);
     if (key.name == "metrics.band") numbers[0] = 3.0;
     set_numbers(settings, key, numbers);

@@ -424,12 +424,12 @@ TEST_CASE("a pack evaluates the law as double does, lane by lane, and a lane wit
 }
 
 TEST_CASE("gains of `composite` that make no sense are refused, with the key and the place") {
-  const auto verdict = [](const std::function<void(CompositeGains<double>&)>& change) {
-    CompositeGains<double> gains;
+  const auto verdict = [](const std::function<void(GainsOf<Composite>&)>& change) {
+    GainsOf<Composite> gains;
     change(gains);
     return refusal([&] { validate_gains<Composite>(gains); });
   };
-  using Gains = CompositeGains<double>;
+  using Gains = GainsOf<Composite>;
   CHECK(verdict([](Gains&) {}) == "(accepted)");
   CHECK(verdict([](Gains& g) {
           g.kp.setZero();
@@ -528,7 +528,7 @@ namespace {
 /// The law without its prior's expectation: M stays in the inverse, M (chi_ref - chi) is zero.
 struct WithoutExpectation : Composite {
   template <class S, int N>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& constants, const Stage<S>& weights,
                        const LawInput<S, N>& input, Evaluation<S>& out) noexcept {
     const LawInput<S, N> at_reference{input.features, input.inverse_depth, input.R_BE, input.twist, task.reference};
     Composite::evaluate(task, constants, weights, at_reference, out);

@@ -179,8 +179,7 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
         task.desired_features = settings.target.desired_features;
         task.gravity_wrench = gravity_wrench(RigidBody<double>{});
         task.switching = settings.controller.switching;
-        const auto law =
-            evaluate_hybrid<double>(task, settings.gains<Hybrid>(), weights, {input.frame.image, R_BE, input.twist});
+        const auto law = evaluate_hybrid<double>(task, gains.law, weights, {input.frame.image, R_BE, input.twist});
         const ControllerOutput out = step(gains, state, input);
         REQUIRE_FALSE(out.invalid_input());
         REQUIRE(relative_distance(out.wrench, law.wrench) <= 100.0 * kEpsilon);

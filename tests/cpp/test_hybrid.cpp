@@ -270,20 +270,19 @@ TEST_CASE("a pack evaluates each lane as double does") {
 }
 
 TEST_CASE("gains that make no sense are refused, with the key and the place") {
-  const auto verdict = [](const std::function<void(HybridGains<double>&)>& change) {
-    HybridGains<double> gains;
+  const auto verdict = [](const std::function<void(GainsOf<Hybrid>&)>& change) {
+    GainsOf<Hybrid> gains;
     change(gains);
     return refusal([&] { validate_gains<Hybrid>(gains); });
   };
-  CHECK(verdict([](HybridGains<double>&) {}) == "(accepted)");
-  CHECK(verdict([](HybridGains<double>& g) { g.kv.setZero(); }) == "(accepted)");
+  CHECK(verdict([](GainsOf<Hybrid>&) {}) == "(accepted)");
+  CHECK(verdict([](GainsOf<Hybrid>& g) { g.kv.setZero(); }) == "(accepted)");
   for (const double bad : {kNaN, kInfinity, 0.0, -1e-6})
     for (int i = 0; i < 8; ++i)
-      CHECK(is_about(verdict([&](HybridGains<double>& g) { g.kp(i) = bad; }),
+      CHECK(is_about(verdict([&](GainsOf<Hybrid>& g) { g.kp(i) = bad; }),
                      "controller.hybrid.kp[" + std::to_string(i) + "]"));
   for (const double bad : {kNaN, kInfinity, -1e-6})
     for (int j = 0; j < 6; ++j)
-      CHECK(is_about(verdict([&](HybridGains<double>& g) { g.kv(j) = bad; }), "controller.hybrid.kv"));
-  CHECK(is_about(verdict([](HybridGains<double>& g) { g.fuzzy.bell_width = 0.0; }),
-                 "controller.hybrid.fuzzy.bell_width"));
+      CHECK(is_about(verdict([&](GainsOf<Hybrid>& g) { g.kv(j) = bad; }), "controller.hybrid.kv"));
+  CHECK(is_about(verdict([](GainsOf<Hybrid>& g) { g.fuzzy.bell_width = 0.0; }), "controller.hybrid.fuzzy.bell_width"));
 }

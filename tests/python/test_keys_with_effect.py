@@ -154,6 +154,14 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "robot.payload.inertia": {"robot.payload": {"mass": 0.01, "inertia": [1e-5] * 3}},
         "robot.payload.known": {"robot.payload": {"mass": 0.01, "known": False}},
         "target.desired_pose": {"target": {"desired_features": None, "desired_pose": [1e-3] * 3 + [1e-2] * 3}},
+        "target.weights": {key: 2.0},
+        "target.grid": {
+            "target": {
+                "initial_features": None,
+                "depth": None,
+                "grid": {"rows": 2, "columns": 2, "spacing": 0.1, "pose": [0.0, 0.0, -0.65, 0.0, 0.0, 0.0]},
+            }
+        },
         "target.tag": {
             "target": {"initial_features": None, "depth": None, "tag": {"size": 0.1, "pose": [0, 0, -0.65, 0, 0, 0]}}
         },

@@ -20,12 +20,13 @@ from hexservo.run import variant
 from hexservo.run.export import gains_header
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
+from points import scattered, with_points
 
 ROOT = Path(__file__).resolve().parents[2]
 GIVEN = {
     "now": 1,
     "exposure": 1,
-    "features": 8,
+    "features": 8,  # of four points
     "depth": 4,
     "position": 3,
     "quaternion": 4,
@@ -41,20 +42,20 @@ PROGRAM = """
 #include <cstring>
 #include <vector>
 
-template <class Gains>
-int replay(const Gains& gains) {
+template <class Law, int N>
+int replay(const hexservo::ServoGains<double, Law, N>& gains) {
   auto state = hexservo::initial_state(gains);
-  double row[39];
-  while (std::fread(row, sizeof row, 1, stdin) == 1) {
-    hexservo::ControllerInput input;
+  std::vector<double> row(27 + 3 * gains.points);
+  while (std::fread(row.data(), row.size() * sizeof(double), 1, stdin) == 1) {
+    hexservo::ControllerInputOf<N> input;
     input.now = row[0];
     input.frame.exposure = row[1];
-    const double* from = row + 2;
-    const auto take = [&from](auto& to) {
+    const double* from = row.data() + 2;
+    const auto take = [&from](auto&& to) {
       for (Eigen::Index i = 0; i < to.size(); ++i) to(i) = *from++;
     };
-    take(input.frame.image.features);
-    take(input.frame.image.depth);
+    take(input.frame.image.features.head(2 * gains.points));
+    take(input.frame.image.depth.head(gains.points));
     take(input.pose.position);
     take(input.pose.quaternion);
     take(input.twist);
@@ -87,6 +88,12 @@ def sampled_scenarios() -> Iterator[hs.Scenario]:
         for law in LAWS:
             with contextlib.suppress(hs.ScenarioError):  # a law may have no pose of the goal
                 yield scenario.updated({"name": f"{name}-{law}", "controller.law": law})
+    for count in (3, 5, 8, 16):
+        for law in LAWS:
+            if count > 3 or law != "pbvs":
+                changes = {"name": f"points-{count}-{law}", "controller.law": law, "simulation.duration": 0.1}
+                changes["metrics.rms_start"] = 0.0
+                yield with_points(hs.load_scenario("real-machine"), scattered(count), **changes)
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +124,8 @@ def compiled(folder: Path, library: Path, source: str, *headers: tuple[str, str]
 
 
 def rows(ticks: dict[str, NDArray[np.float64]], columns: dict[str, int]) -> NDArray[np.float64]:
+    if "features" in columns:
+        columns = {**columns, "features": ticks["features"].shape[1], "depth": ticks["features"].shape[1] // 2}
     assert {name: ticks[name].shape[1] for name in columns} == columns
     return np.hstack([ticks[name] for name in columns])
 

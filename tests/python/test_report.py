@@ -213,7 +213,7 @@ def test_charts_show_the_samples_of_the_run(text: str, result: hs.Result) -> Non
     assert weight == pytest.approx(-9.8 * 0.06)
     table = charts["Output term of each rule"]["data"][0]
     assert table["text"][0] == ["NB", "NB", "NB", "NB", "NM", "NS", "ZE"]
-    ends = charts["Paths of the four features"]["data"][5]
+    ends = charts["Paths of the features"]["data"][5]
     np.testing.assert_allclose(numbers(ends["x"]), result.features[-1, ::2], rtol=1e-6)
 
 
@@ -290,7 +290,7 @@ def test_only_the_paper_s_scenario_has_the_numbers_of_its_figures(text: str) -> 
 def test_the_chart_of_the_image_has_its_shape_and_its_border() -> None:
     run = hs.simulate(hs.load_scenario("real-machine").updated({"simulation.duration": 0.1}))
     charts = specs(page(run))
-    layout = charts["Paths of the four features"]["layout"]
+    layout = charts["Paths of the features"]["layout"]
     (border,) = layout["shapes"]
     assert [border[side] for side in ("x0", "x1", "y0", "y1")] == [-320, 320, -240, 240]
     assert layout["aspect"] == pytest.approx(480 / 640)
@@ -302,7 +302,7 @@ def test_the_chart_of_the_image_has_its_shape_and_its_border() -> None:
     assert np.ptp(magnified["xaxis"]["range"]) < 0.4 * np.ptp(layout["xaxis"]["range"])
     assert "Camera image (640 x 480 px, y up)" in words_of(page(run))
     plain = specs(page(hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.1}))))
-    assert "shapes" not in plain["Paths of the four features"]["layout"]
+    assert "shapes" not in plain["Paths of the features"]["layout"]
     assert "The same paths, magnified" not in plain
 
 

@@ -192,14 +192,14 @@ REFUSED: list[tuple[str, Any, str]] = [
         "Eye_in_hand",
         'one of "eye_in_hand", "as_printed", got "Eye_in_hand"; did you mean "eye_in_hand"?',
     ),
-    ("target.initial_features", [1] * 7, "expected 8 finite numbers, got a list of 7"),
-    ("target.initial_features", {"x": 1}, "expected 8 finite numbers, got a block with the keys x"),
-    ("target.desired_features", None, "expected 8 finite numbers, got null"),
+    ("target.initial_features", [1] * 7, "expected 2 finite numbers for each of 3 to 16 points, got a list of 7"),
+    ("target.initial_features", {"x": 1}, "expected 2 finite numbers for each of 3 to 16 points, got a block with"),
+    ("target.desired_features", None, "expected 2 finite numbers for each point, got null"),
     ("target.desired_features[3]", [1, 2, 3, None, 5, 6, 7, 8], "expected a finite number, got null"),
     ("target.depth", 0, "expected a number > 0, got 0"),
-    ("target.depth", [0.5] * 3, "expected a number > 0 or 4 of them, got a list of 3"),
+    ("target.depth", [0.5] * 3, "expected 4 numbers for the 4 points of initial_features, got a list of 3"),
     ("target.depth[2]", [0.5, 0.5, -0.5, 0.5], "expected a number > 0, got -0.5"),
-    ("target.depth", "0.5", 'expected a number > 0 or 4 of them, got "0.5"'),
+    ("target.depth", "0.5", 'expected a number > 0, or one for each of 3 to 16 points, got "0.5"'),
     ("uncertainty.inertia", 1, "expected a number > -1 and < 1, got 1"),
     ("uncertainty.inertia[5][0]", [[0] * 6] * 5 + [[NAN] + [0] * 5], "expected a finite number, got nan"),
     ("uncertainty.inertia", [0] * 6, "expected a number > -1 and < 1 or 6x6 of them, got [0, 0, 0, 0, 0, 0]"),
@@ -209,7 +209,7 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("uncertainty.coriolis", [[0] * 6] * 5, "expected a number > -1 and < 1 or 6x6 of them, got a list of 5"),
     ("uncertainty.gravity", [0] * 5, "expected a number > -1 and < 1 or 6 of them, got a list of 5"),
     ("uncertainty.gravity", NAN, "expected a finite number, got nan"),
-    ("uncertainty.depth", [0.1] * 8, "expected a number > -1 and < 1 or 4 of them, got a list of 8"),
+    ("uncertainty.depth", [0.1] * 8, "expected a number or 4 for the 4 points of target.initial_features, got"),
     ("uncertainty.depth", None, "got null"),
     (
         "controller.law",
@@ -230,8 +230,8 @@ REFUSED: list[tuple[str, Any, str]] = [
     ),
     ("controller.switching.width", 0, "expected a number > 0, got 0"),
     ("controller.hybrid.kp", 0, "expected a number > 0, got 0"),
-    ("controller.hybrid.kp", [1e-6] * 6, "expected a number > 0 or 8 of them, got a list of 6"),
-    ("controller.hybrid.kp", "1e-6", "expected a number > 0 or 8 of them"),
+    ("controller.hybrid.kp", [1e-6] * 6, "expected a number or 8 for the 4 points of target.initial_features, got"),
+    ("controller.hybrid.kp", "1e-6", "expected a number > 0, or 2 numbers > 0 for each of 3 to 16 points"),
     ("controller.hybrid.kv[0]", [-1, 0, 0, 0, 0, 0], "expected a number >= 0, got -1"),
     ("controller.hybrid.kv", [1e-3] * 8, "expected a number >= 0 or 6 of them, got a list of 8"),
     ("controller.hybrid.fuzzy.enabled", 1, "expected true or false, got 1"),
@@ -362,7 +362,7 @@ def test_missing_keys_are_named() -> None:
     assert lines[2].startswith("robot: missing keys: platform_radius (a number > 0 or null), base_radius")
     assert "mass" not in lines[2].partition("home_position")[2].partition("inertia")[0]
     assert lines[2].endswith("a preset would fill them in")
-    assert lines[3] == "target: missing key: desired_features (8 finite numbers)"
+    assert lines[3] == "target: missing key: desired_features (2 finite numbers for each of 3 to 16 points)"
     assert len(lines) == 4
 
 
@@ -394,7 +394,8 @@ def test_endless_data_is_refused() -> None:
 @pytest.mark.parametrize("value", [object(), {1, 2}, b"1", 1j, lambda: 1])
 def test_foreign_objects_are_refused(value: Any) -> None:
     (line,) = refusal({"controller.hybrid.kp": value})
-    assert line == f"controller.hybrid.kp: expected a number > 0 or 8 of them, got a Python {type(value).__name__}"
+    expected = "a number > 0, or 2 numbers > 0 for each of 3 to 16 points"
+    assert line == f"controller.hybrid.kp: expected {expected}, got a Python {type(value).__name__}"
 
 
 def test_the_maths_has_its_say() -> None:
@@ -442,7 +443,7 @@ def test_a_run_of_too_many_steps_is_refused() -> None:
 
 def test_a_target_has_one_form(paper: hs.Scenario) -> None:
     (both,) = refusal({"target.points": POINTS})
-    assert both.startswith("target: expected either initial_features (8 numbers, px) with depth (m), points")
+    assert both.startswith("target: expected either initial_features (2 numbers per point, px) with depth (m), points")
     assert "got initial_features and points; leave one out or set it to null" in both
     (neither,) = refusal({"target.initial_features": None})
     assert neither.endswith("got none of them")

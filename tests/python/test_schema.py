@@ -29,6 +29,7 @@ OF_PYTHON = {
     "controller.law",
     "target.desired_pose",
     "target.tag",
+    "target.grid",
     *(f"controller.{law}.auto.{key}" for law in LAWS for key in ("bandwidth", "damping")),
 }
 FIELDS: dict[str, tuple[FieldInfo, bool]] = {path: (field, sampled) for path, field, sampled in leaves(Blocks)}

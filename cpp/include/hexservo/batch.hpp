@@ -43,6 +43,7 @@ struct BatchOptions {
 struct BatchResult {
   std::size_t count = 0;               ///< n
   std::size_t rows = 0;                ///< m, samples of each trajectory
+  int points = kPoints;                ///< of the target
   std::vector<std::uint8_t> outcome;   ///< n, Outcome
   std::vector<std::uint8_t> cause;     ///< n, StopCause
   std::vector<std::int8_t> limit_leg;  ///< n, leg that ended a run, 0 to 5; -1: none did

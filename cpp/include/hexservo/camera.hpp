@@ -264,6 +264,77 @@ void add_point_wrench(const S& f, const S& inverse_f, const S& x, const S& y, co
   moment(2) += x * fy - y * fx;
 }
 
+/// What each of N places counts in sums over an image: w_i >= 0 of a point, and 0 where there is none.
+///
+/// The weights act as if the noise of point i had 1/w_i times the variance of one that counts 1.
+template <class S, int N>
+class PointWeights {
+ public:
+  PointWeights() : weight_(Vector<S, N>::Ones()) { prepare(); }
+  explicit PointWeights(const Vector<S, N>& weight) : weight_(weight) { prepare(); }
+
+  /// w_i times the two coordinates of each point.
+  Vector<S, 2 * N> times(const Vector<S, 2 * N>& image) const { return weights_.cwiseProduct(image); }
+  /// Their square roots times the same: squares and products of two such vectors are weighted sums.
+  Vector<S, 2 * N> root_times(const Vector<S, 2 * N>& image) const { return roots_.cwiseProduct(image); }
+  /// w_i times a row.
+  template <class Row>
+  Row of_row(int i, const Row& row) const {
+    return weight_(i) * row;
+  }
+  /// Weighted mean of one number of each point, w_i x_i summed over the sum of w_i.
+  S share(int i) const { return weight_(i) * inverse_sum_; }
+  /// Largest absolute coordinate of the points that count.
+  S largest(const Vector<S, 2 * N>& image) const {
+    using std::abs;
+    S result(0.0);
+    for (int k = 0; k < 2 * N; ++k) result = max(result, select(weights_(k) > S(0.0), S(abs(image(k))), S(0.0)));
+    return result;
+  }
+  /// 1/(2 n - 6) for the n points that count: over the degrees of freedom that a pose leaves; at least one.
+  const S& per_freedom() const { return per_freedom_; }
+
+ private:
+  void prepare() {
+    using std::sqrt;
+    S sum(0.0), counted(0.0);
+    for (int i = 0; i < N; ++i) {
+      sum += weight_(i);
+      counted += select(weight_(i) > S(0.0), S(1.0), S(0.0));
+      for (int k = 2 * i; k < 2 * i + 2; ++k) {
+        weights_(k) = weight_(i);
+        roots_(k) = sqrt(weight_(i));
+      }
+    }
+    inverse_sum_ = S(1.0) / sum;
+    per_freedom_ = S(1.0) / larger(S(S(2.0) * counted - S(6.0)), S(1.0));
+  }
+
+  Vector<S, N> weight_;
+  Vector<S, 2 * N> weights_, roots_;
+  S inverse_sum_, per_freedom_;
+};
+
+/// The paper's four points count 1 each, which takes no operation; other weights take more places.
+template <class S>
+class PointWeights<S, kPoints> {
+ public:
+  static constexpr int N = kPoints;
+
+  PointWeights() = default;
+  explicit PointWeights(const Vector<S, N>& /*weight*/) {}
+
+  const Vector<S, 2 * N>& times(const Vector<S, 2 * N>& image) const { return image; }
+  const Vector<S, 2 * N>& root_times(const Vector<S, 2 * N>& image) const { return image; }
+  template <class Row>
+  const Row& of_row(int /*i*/, const Row& row) const {
+    return row;
+  }
+  S share(int /*i*/) const { return S(1.0 / N); }
+  S largest(const Vector<S, 2 * N>& image) const { return largest_abs<S, 2 * N, 1>(image); }
+  S per_freedom() const { return S(1.0 / (2 * N - 6)); }
+};
+
 /// J = sign J_im(xi, Z) blkdiag(R^T, R^T) of (12): twist in B to image velocity; applied point by point. Through a
 /// mount the twist at E becomes that of the camera first, v_C = v + w x (R r).
 ///
@@ -340,12 +411,13 @@ class ImageJacobian {
     return J;
   }
 
-  /// J^T J, 6 x 6: information in the image about a displacement in B [px^2/m^2 ... px^2/rad^2]; J is not formed.
-  Matrix6<S> normal_matrix() const {
+  /// J^T W J, 6 x 6: information in the image about a displacement in B [px^2/m^2 ... px^2/rad^2]; J is not formed.
+  Matrix6<S> normal_matrix(const PointWeights<S, N>& weights = {}) const {
     Matrix6<S> sum = Matrix6<S>::Zero();
     for (int i = 0; i < N; ++i) {
       const Vector6<S> x = row(i, S(1.0), S(0.0)), y = row(i, S(0.0), S(1.0));
-      for (int column = 0; column < 6; ++column) sum.col(column) += x * x(column) + y * y(column);
+      const Vector6<S>&wx = weights.of_row(i, x), &wy = weights.of_row(i, y);
+      for (int column = 0; column < 6; ++column) sum.col(column) += wx * x(column) + wy * y(column);
     }
     return sum;
   }

@@ -80,7 +80,7 @@ class LoopEquations {
 
  private:
   ControlTask<S, N> task_;
-  typename Law::template Constants<S> law_;
+  typename Law::template Constants<S, N> law_;
   World<S, N> world_;
   Vector<S, N> inverse_depth_share_;
 };

@@ -17,27 +17,33 @@
 namespace hexservo {
 
 /// What the controller of one robot needs, prepared and validated by `controller_gains`.
-template <class Law>
-using ControllerGains = ServoGains<double, Law>;
+/// @tparam N places for points, one of `kPlaces`: four points that count 1 each have the smaller controller, and
+/// all other targets the larger one (`Target::places`)
+template <class Law, int N = kPoints>
+using ControllerGains = ServoGains<double, Law, N>;
 
 /// What changes from tick to tick: the law's weights, poses and images that are kept, the pose at which it brakes.
-template <class Law>
-using ControllerState = ServoState<double, Law>;
+template <class Law, int N = kPoints>
+using ControllerState = ServoState<double, Law, N>;
 
 /// A frame of the camera.
-struct CameraFrame {
+template <int N>
+struct CameraFrameOf {
   /// When it was exposed, by the clock of `ControllerInput::now` [s]; NaN: no frame arrived since the last tick. Of two
   /// frames the one that was exposed later counts, whichever arrives first.
   double exposure = std::numeric_limits<double>::quiet_NaN();
   /// Measured pixels of the points as the scenario's camera counts them, NaN for a point that the frame does not show,
-  /// and depths Z-hat at the exposure, negative in front of the camera [m]. The tick rectifies them.
-  Image<double> image;
+  /// and depths Z-hat at the exposure, negative in front of the camera [m]. The tick rectifies them. Places behind the
+  /// target's points are not looked at.
+  Image<double, N> image;
 };
+using CameraFrame = CameraFrameOf<kPoints>;
 
 /// What the sensors give at a tick; a number that is not known is NaN.
-struct ControllerInput {
+template <int N>
+struct ControllerInputOf {
   double now = 0.0;  ///< time of the tick, by a clock that never goes back and started within days [s]
-  CameraFrame frame;
+  CameraFrameOf<N> frame;
   /// Where `sensors.pose` is true: pose from the leg lengths, in B; the quaternion need not be of unit length.
   Pose<double> pose;
   Vector6<double> twist = Vector6<double>::Constant(std::numeric_limits<double>::quiet_NaN());  ///< [m/s; rad/s]
@@ -45,11 +51,14 @@ struct ControllerInput {
   /// rates [m/s] where `sensors.rate` is true, otherwise differences of the lengths are taken.
   LegReading<double> joints;
 };
+using ControllerInput = ControllerInputOf<kPoints>;
 
 /// An input of sensors without delay: image, pose and twist are those of the tick.
-inline ControllerInput input_of(double now, const Measurement<double>& seen) {
+template <int N>
+ControllerInputOf<N> input_of(double now, const Measurement<double, N>& seen) {
   return {now, {now, seen.image}, seen.pose, seen.twist, {}};
 }
+inline ControllerInput input_of(double now, const Measurement<double>& seen) { return input_of<kPoints>(now, seen); }
 
 /// Whether the law acts at a tick, and if not, why; the first that applies.
 enum class InputStatus {
@@ -82,12 +91,12 @@ inline constexpr double kMaxServoPeriod = 1.0;  ///< longest time between two ti
 /// `continuous` mode has a frame and a pose at every tick.
 /// @param period T_c, time between two ticks [s]; the camera's times have to be whole numbers of it
 /// @throws std::invalid_argument as `loop_parameters`, or for a period that is not within 0 and `kMaxServoPeriod`
-template <class Law>
-ControllerGains<Law> controller_gains(const Settings& settings, double period);
+template <class Law, int N = kPoints>
+ControllerGains<Law, N> controller_gains(const Settings& settings, double period);
 /// The same with the scenario's own period.
-template <class Law>
-ControllerGains<Law> controller_gains(const Settings& settings) {
-  return controller_gains<Law>(settings, settings.simulation.step);
+template <class Law, int N = kPoints>
+ControllerGains<Law, N> controller_gains(const Settings& settings) {
+  return controller_gains<Law, N>(settings, settings.simulation.step);
 }
 
 /// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
@@ -96,10 +105,10 @@ template <int alignment>
 void library_was_built_with_other_instruction_set_flags() noexcept;
 
 /// State before the first tick; takes the memory that the ticks need.
-template <class Law>
-ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
+template <class Law, int N>
+ControllerState<Law, N> initial_state(const ControllerGains<Law, N>& gains) {
   library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
-  return ControllerState<Law>(gains);
+  return ControllerState<Law, N>(gains);
 }
 
 /// One tick of (14), (15) with (13); the weights then advance by forward Euler over the period, (22).
@@ -108,27 +117,29 @@ ControllerState<Law> initial_state(const ControllerGains<Law>& gains) {
 /// (`kMaxFeatureError`, `kMaxTwist`), a quaternion without a length, leg lengths that belong to no pose near the one
 /// before, a point that is not in front of the camera, a frame from the future, a singular pose, or forces that
 /// overflow make the output safe: see `ControllerOutput::status`.
-template <class Law>
-ControllerOutput step(const ControllerGains<Law>& gains, ControllerState<Law>& state,
-                      const ControllerInput& input) noexcept;
+template <class Law, int N>
+ControllerOutput step(const ControllerGains<Law, N>& gains, ControllerState<Law, N>& state,
+                      const std::type_identity_t<ControllerInputOf<N>>& input) noexcept;
 
 /// All numbers of a state, to store it: its size depends on law and camera alone.
-template <class Law>
-std::vector<double> stored(ControllerState<Law> state);
+template <class Law, int N>
+std::vector<double> stored(ControllerState<Law, N> state);
 
 /// Continues from a state that was stored by a controller of the same scenario and period.
 /// @param state of the same gains; unchanged where this throws
 /// @throws std::invalid_argument for another number of numbers than `stored` gives, or one that no state has
-template <class Law>
-void restore(ControllerState<Law>& state, std::span<const double> numbers);
+template <class Law, int N>
+void restore(ControllerState<Law, N>& state, std::span<const double> numbers);
 
-#define HEXSERVO_ELSEWHERE(Law)                                                             \
-  extern template ControllerGains<Law> controller_gains<Law>(const Settings&, double);      \
-  extern template std::vector<double> stored(ControllerState<Law>);                         \
-  extern template void restore(ControllerState<Law>&, std::span<const double>);             \
-  extern template ControllerOutput step(const ControllerGains<Law>&, ControllerState<Law>&, \
-                                        const ControllerInput&) noexcept;
+#define HEXSERVO_OF(Law, N)                                                                                     \
+  extern template ControllerGains<Law, (N)> controller_gains<Law, (N)>(const Settings&, double);                \
+  extern template std::vector<double> stored<Law, (N)>(ControllerState<Law, (N)>);                              \
+  extern template void restore<Law, (N)>(ControllerState<Law, (N)>&, std::span<const double>);                  \
+  extern template ControllerOutput step<Law, (N)>(const ControllerGains<Law, (N)>&, ControllerState<Law, (N)>&, \
+                                                  const ControllerInputOf<(N)>&) noexcept;
+#define HEXSERVO_ELSEWHERE(Law) HEXSERVO_OF(Law, kPoints) HEXSERVO_OF(Law, kMostPoints)
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
 #undef HEXSERVO_ELSEWHERE
+#undef HEXSERVO_OF
 
 }  // namespace hexservo

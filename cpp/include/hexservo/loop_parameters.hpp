@@ -37,9 +37,11 @@ struct SceneParameters {
   Vector<S, 2 * N> assumed_initial;   ///< what the controller's camera makes of the pixels of the initial image [px]
   Vector<S, 2 * N> assumed_desired;   ///< and of those of the desired one [px]
   Vector<S, N> depth_error;           ///< delta_Z,i [1]
-  Pose<S> start;                      ///< of a run
-  Vector6<S> start_twist;             ///< likewise, in B [m/s; rad/s]
-  Pose<S> goal;                       ///< where the assumed points give xi_d; home for laws that do not use it
+  Vector<S, N> weights = Vector<S, N>::Ones();  ///< w_i; 0 in the places beyond the points
+  int points = N;                               ///< of the target; the first one is in the places beyond them
+  Pose<S> start;                                ///< of a run
+  Vector6<S> start_twist;                       ///< likewise, in B [m/s; rad/s]
+  Pose<S> goal;  ///< where the assumed points give xi_d; home for laws that do not use it
   Switching<S> switching;
   LoopMode mode = LoopMode::continuous;
   double step = 1e-3;       ///< h of the Runge-Kutta method; in `sampled` mode the servo period T_c [s]
@@ -76,6 +78,8 @@ struct SceneParameters {
     v(Field{"assumed_initial"}, self.assumed_initial...);
     v(Field{"assumed_desired"}, self.assumed_desired...);
     v(Field{"depth_error"}, self.depth_error...);
+    v(Field{"weights"}, self.weights...);
+    v(Field{"points"}, self.points...);
     v(Field{"start"}, self.start...);
     v(Field{"start_twist"}, self.start_twist...);
     v(Field{"goal"}, self.goal...);
@@ -100,7 +104,7 @@ struct SceneParameters {
 /// All numbers of one scenario, or of one per lane.
 template <class S, class Law, int N = kPoints>
 struct LoopParameters : SceneParameters<S, N> {
-  typename Law::template Gains<S> gains;
+  typename Law::template Gains<S, N> gains;  ///< those of the image's coordinates have the weights in them
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -129,7 +133,8 @@ ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
           home,
           p.body,
           S(p.step),
-          target_model<S, N>(camera, believed_points<S, N>(p), p.goal)};
+          target_model<S, N>(camera, believed_points<S, N>(p), p.goal),
+          PointWeights<S, N>(p.weights)};
 }
 
 }  // namespace hexservo

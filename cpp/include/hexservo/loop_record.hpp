@@ -26,7 +26,7 @@ class LoopRecord {
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);
     sample_.feature_error = desired_features_ - start.view.image.features;
-    metrics_.emplace(p.metrics, p.hexapod, p.body, desired_features_, sample_);
+    metrics_.emplace(p.metrics, p.hexapod, p.body, desired_features_, sample_, p.points);
   }
 
   /// Lanes that go on.

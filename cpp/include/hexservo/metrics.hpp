@@ -296,8 +296,9 @@ template <class S, int N = kPoints>
 class MetricsAccumulator {
  public:
   MetricsAccumulator(const MetricsSettings<S>& settings, const Hexapod<S>& hexapod, const RigidBody<S>& body,
-                     const Vector<S, 2 * N>& desired_features, const Sample<S, N>& first)
-      : rms_start_(settings.rms_start),
+                     const Vector<S, 2 * N>& desired_features, const Sample<S, N>& first, int points = N)
+      : points_(points),
+        rms_start_(settings.rms_start),
         hexapod_(hexapod),
         body_(body),
         gravity_wrench_(gravity_wrench(body)),
@@ -359,8 +360,8 @@ class MetricsAccumulator {
     keep(final_error_, error);
     peak(peak_error_, error);
     if (time >= rms_start_ * (1.0 - 1e-12)) {
-      keep(square_sum_, square_sum_ + sample.feature_error.squaredNorm());
-      keep(square_count_, square_count_ + S(2.0 * N));
+      keep(square_sum_, square_sum_ + squares(sample.feature_error));
+      keep(square_count_, square_count_ + S(2.0 * (N == kPoints ? N : points_)));
     }
 
     peak(peak_displacement_squared_, (sample.position - start_position_).squaredNorm());
@@ -393,12 +394,21 @@ class MetricsAccumulator {
   /// Angle between two directions [rad] by their chord.
   static S tilt(const S& chord) { return rotation_angle(min(S(S(0.5) * chord), S(1.0))); }
 
+  /// Sum over the target's points.
+  S squares(const Vector<S, 2 * N>& error) const {
+    if constexpr (N == kPoints) return error.squaredNorm();
+    S sum(0.0);
+    for (int i = 0; i < 2 * points_; ++i) sum += error(i) * error(i);
+    return sum;
+  }
+
   static double rotation_angle(double half_sine) { return 2.0 * std::asin(half_sine); }
   template <int W>
   static Lanes<W> rotation_angle(Lanes<W> half_sine) {
     return detail::map_lanes(half_sine, [](double v) { return rotation_angle(v); });
   }
 
+  int points_;  ///< of the target
   double rms_start_;
   Hexapod<S> hexapod_;
   RigidBody<S> body_;  ///< as estimated

@@ -43,7 +43,8 @@ struct Sensing {
   FrameSettings<S> frames;
   PoseSource pose_source;
   EncoderParameters<S> encoders;
-  double period;  ///< T_c, time between two ticks [s]
+  double period;   ///< T_c, time between two ticks [s]
+  int points = N;  ///< of the target; what a frame shows in the places beyond them is not looked at
 };
 
 /// How far a time may be off a tick, or an age off its limit, and still be at it: rounding [ticks].
@@ -298,10 +299,17 @@ class Perception {
 
   /// Takes over a frame that is newer than the one before, or the same again.
   void receive(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
-    if (!sensing.lens.converts()) return receive(sensing, input, input.frame);
-    Frame<S, N> rectified = input.frame;  // a pixel that no ray has is not shown
-    rectified.image.features = sensing.lens.features(input.frame.image.features);
-    receive(sensing, input, rectified);
+    if constexpr (N == kPoints) {
+      if (!sensing.lens.converts()) return receive(sensing, input, input.frame);
+    }
+    Frame<S, N> prepared = input.frame;
+    if constexpr (N != kPoints) {
+      fill_places<2>(prepared.image.features, sensing.points);
+      fill_places<1>(prepared.image.depth, sensing.points);
+    }
+    if (sensing.lens.converts())  // a pixel that no ray has is not shown
+      prepared.image.features = sensing.lens.features(Vector<S, 2 * N>(prepared.image.features));
+    receive(sensing, input, prepared);
   }
   /// @param frame of the input, with features of the pinhole
   void receive(const Sensing<S, N>& sensing, const SensorInput<S, N>& input, const Frame<S, N>& frame) noexcept {

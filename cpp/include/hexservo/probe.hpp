@@ -26,8 +26,8 @@ using Rows = std::span<const double>;
 
 /// States at which a loop is looked at.
 struct ProbeStates {
-  Rows features;  ///< n x 8 [px]
-  Rows depth;  ///< n x 4, negative in front of the camera; the controller's for `law`, the true ones for `stages` [m]
+  Rows features;  ///< n x 2 p, of p points [px]
+  Rows depth;  ///< n x p, negative in front of the camera; the controller's for `law`, the true ones for `stages` [m]
   Rows position;    ///< n x 3, p_BE [m]
   Rows quaternion;  ///< n x 4, (w, x, y, z) of any length but zero, 1e-150 to 1e150, used as it stands
   Rows twist;       ///< n x 6, in B [m/s; rad/s]
@@ -53,10 +53,10 @@ struct ProbedLaw {
 /// From the first stage on that has a point behind the camera, features, wrench, fuzzy_output and acceleration are NaN,
 /// since the law does not see them; in the stages after it so are depth and body, which follow from that wrench.
 struct ProbedStages {
-  Column features, depth, position, quaternion, twist;  ///< n x 4 x 8, 4, 3, 4, 6; true, the quaternion of any length
+  Column features, depth, position, quaternion, twist;  ///< n x 4 x 2 p, p, 3, 4, 6; true, the quaternion of any length
   Column wrench, fuzzy_output;                          ///< n x 4 x 6, in B [N; N m]
   Column acceleration;                                  ///< n x 4 x 6, in B [m/s^2; rad/s^2]
-  /// n x 8, 4, 3, 4, 6 and 6 x 7 x 7; NaN where a point comes behind the camera on the way.
+  /// n x 2 p, p, 3, 4, 6 and 6 x 7 x 7; NaN where a point comes behind the camera on the way.
   Column next_features, next_depth, next_position, next_quaternion, next_twist, next_weights{};
 };
 
@@ -81,14 +81,16 @@ class Probe {
 
   /// Of the law.
   const LawTraits& traits() const noexcept;
+  /// p, of the target.
+  int points() const noexcept;
   /// Whether the law has fuzzy systems that act: otherwise it has neither weights nor memberships.
   bool has_fuzzy_systems() const noexcept;
   /// omega(0); of no meaning without fuzzy systems [N; N m].
   const FuzzyWeights<double>& initial_weights() const noexcept;
 
   /// Image of the target, (4).
-  /// @param features n x 8 [px]; NaN for a point that is not in front of the camera
-  /// @param depth n x 4, true Z_i [m]
+  /// @param features n x 2 p [px]; NaN for a point that is not in front of the camera
+  /// @param depth n x p, true Z_i [m]
   /// @throws std::invalid_argument also for a camera `as_printed`, which has no points
   void image(Rows position, Rows quaternion, Column features, Column depth) const;
 
@@ -99,10 +101,10 @@ class Probe {
   /// J of (12): twist in B (m/s; rad/s) to feature rates [px/s].
   /// @param depth as the Jacobian shall take it: the true ones, or the controller's [m]
   /// @param controller the controller's sign and camera instead of the plant's
-  /// @param jacobian n x 8 x 6
+  /// @param jacobian n x 2 p x 6
   void image_jacobian(Rows features, Rows depth, Rows quaternion, bool controller, Column jacobian) const;
 
-  /// Z-hat of the controller for true Z, n x 4 [m].
+  /// Z-hat of the controller for true Z, n x p [m].
   void measured_depth(Rows depth, Column measured) const;
 
   /// The law at one instant each; in `sampled` mode as at a servo tick, without sensors, frames and actuators.
@@ -162,7 +164,9 @@ class Probe {
   void require_points() const;
 
   struct Parts;
-  template <class Law>
+  template <int N>
+  struct Scene;
+  template <class Law, int N>
   struct PartsOf;
   std::unique_ptr<const Parts> parts_;
 };

@@ -11,10 +11,13 @@ namespace hexservo {
 
 /// What a controller sees at a tick.
 struct SampledObservation {
-  long long tick;              ///< k
-  double time;                 ///< k T_c [s]
-  double exposure;             ///< time at which the newest frame was taken; NaN before the first [s]
-  Measurement<double> sensed;  ///< features and depths are NaN where a law may not act on them
+  long long tick;                            ///< k
+  double time;                               ///< k T_c [s]
+  double exposure;                           ///< time at which the newest frame was taken; NaN before the first [s]
+  OfPoints<double, kAnyPoints, 2> features;  ///< measured; NaN where a law may not act on them [px]
+  OfPoints<double, kAnyPoints> depth;        ///< Z-hat, negative in front of the camera; NaN likewise [m]
+  Pose<double> pose;                         ///< from the joint sensors, in B
+  Vector6<double> twist;                     ///< from the joint sensors, in B [m/s; rad/s]
 };
 
 /// Plant, sensors and actuators of a scenario, with its log; the scenario's own law does not act.
@@ -45,6 +48,8 @@ class SampledRun {
 
  private:
   struct Books;
+  template <int N>
+  struct BooksOf;
   std::unique_ptr<Books> books_;
 };
 

@@ -28,17 +28,19 @@ struct ScenarioKey {
   std::string_view unit;  ///< "px"; of angles and what is linear beside them "N; N m"; empty: none
   Field field;            ///< bound, reach, and when and whom it concerns
   KeyType type;
-  bool optional = false;  ///< may be none: null in a scenario
-  bool wrapped = false;   ///< its member is a std::optional
-  int rows = 1, columns = 1;
+  bool optional = false;      ///< may be none: null in a scenario
+  bool wrapped = false;       ///< its member is a std::optional
+  int rows = 1, columns = 1;  ///< of an array; of one that has numbers of each point they are those of four points
+  int per_point = 0;          ///< numbers of each point; 0: their count does not depend on the target
   std::span<const std::string_view> choices = {};
   std::string_view choice_type = {};  ///< of C++
   std::size_t place = 0;              ///< among all keys of its law
 
-  /// Whether it takes that many doubles: one number, each entry, or of a symmetric matrix its diagonal.
+  /// Whether it takes that many doubles: one number, each entry, or of a symmetric matrix its diagonal; numbers of each
+  /// point for any number of points that a target may have.
   bool takes(std::size_t width) const;
-  /// The same, as a list.
-  std::vector<std::size_t> widths() const;
+  /// The same for a target of `points` points, as a list.
+  std::vector<std::size_t> widths(int points = kPoints) const;
   /// Whether scenarios of a batch may differ in it: what holds numbers.
   bool varies() const;
 };

@@ -14,7 +14,7 @@ namespace hexservo {
 template <class S, class Law, int N = kPoints>
 struct ServoGains : SafetyGains<S, N> {
   ControlTask<S, N> task;
-  typename Law::template Constants<S> law;
+  typename Law::template Constants<S, N> law;
   typename Law::template State<S> initial_law_state;
 };
 
@@ -44,7 +44,7 @@ struct ServoTick {
 template <class S, class Law, int N>
 SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
   return {{p.hexapod, LegGeometry<S>(p.hexapod), p.assumed_camera, Lens<S>(p.assumed_lens), p.assumed_desired, p.frames,
-           p.pose_source, p.encoders, p.step},
+           p.pose_source, p.encoders, p.step, p.points},
           p.body,
           p.safe,
           p.actuators.saturation ? p.hexapod.force_limit : S(std::numeric_limits<double>::infinity())};
@@ -53,7 +53,8 @@ SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
 /// The controller of a scenario.
 template <class S, class Law, int N>
 ServoGains<S, Law, N> servo_gains(const LoopParameters<S, Law, N>& p) {
-  return {safety_gains(p), control_task(p), typename Law::template Constants<S>(p.gains), Law::initial_state(p.gains)};
+  return {safety_gains(p), control_task(p), typename Law::template Constants<S, N>(p.gains),
+          Law::initial_state(p.gains)};
 }
 
 /// Takes over what the sensors gave, evaluates the law, and decides on a command.

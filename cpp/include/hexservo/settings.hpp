@@ -29,15 +29,34 @@ struct TargetMotionSettings : TargetMotionParameters<double> {
   }
 };
 
-/// Four points to look at, given by their image from home or by their positions, and their desired image.
+/// Points in B or W, one in each row [m].
+using PointRows = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::ColMajor, kMostPoints, 3>;
+
+/// Three to sixteen points to look at, given by their image from home or by their positions, and their desired image.
+///
+/// What there is for each point has as many numbers as points are desired, or one number for all of them where an entry
+/// may stand for all: depth, weights.
 struct Target {
   TargetFrame frame = TargetFrame::base;  ///< in which the points rest, or move
-  Vector<double, 2 * kPoints> initial_features = Vector<double, 2 * kPoints>::Zero();  ///< seen from home [px]
-  Vector<double, 2 * kPoints> desired_features = Vector<double, 2 * kPoints>::Zero();  ///< xi_d [px]
-  Vector<double, kPoints> depth = Vector<double, kPoints>::Constant(0.5);  ///< |Z_i| seen from home [m], 0.5
+  OfPoints<double, kAnyPoints, 2> initial_features = for_all_points<double, kAnyPoints, 2>(0.0);  ///< from home [px]
+  OfPoints<double, kAnyPoints, 2> desired_features = for_all_points<double, kAnyPoints, 2>(0.0);  ///< xi_d [px]
+  OfPoints<double, kAnyPoints> depth = for_all_points<double, kAnyPoints>(0.5);  ///< |Z_i| seen from home [m], 0.5
   /// In place of the initial features and their depth: a point in each row, in B or W [m].
-  std::optional<Eigen::Matrix<double, kPoints, 3>> points;
+  std::optional<PointRows> points;
   TargetMotionSettings motion;
+  /// w_i, what each point counts in the controller's sums over the image [1], 1; as 1/w_i times the variance of its
+  /// noise.
+  OfPoints<double, kAnyPoints> weights = OfPoints<double, kAnyPoints>::Ones(1);
+  bool weighted = false;  ///< prepare for other weights than 1 even where there are none; no key
+
+  /// n, how many there are.
+  int count() const { return static_cast<int>(desired_features.size()) / 2; }
+
+  /// Number of points that a loop has to be compiled for, one of `kPlaces`. Four points that count 1 have the
+  /// smaller loops.
+  int places() const {
+    return count() == kPoints && !weighted && (weights.array() == 1.0).all() ? kPoints : kMostPoints;
+  }
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -45,6 +64,7 @@ struct Target {
     v(Field{"desired_features", "px"}.entrywise(), self.desired_features...);
     v(Field{"depth", "m", kPositive}.without_points(), self.depth...);
     v(Field{"points", "m"}.entrywise(), self.points...);
+    v(Field{"weights", "1", kNotNegative}, self.weights...);
     v(Field{"frame"}.of_pack().of_plant().in_sampled_mode(), self.frame...);
     v(Field{"motion"}, self.motion...);
   }
@@ -52,9 +72,9 @@ struct Target {
 
 /// Errors between estimates and plant, relative but for the mount, docs/model.md, sections 3 and 4.
 struct Uncertainty : DynamicsError<double> {
-  Vector<double, kPoints> depth = Vector<double, kPoints>::Zero();  ///< delta_Z,i [1], 0
-  double focal_length = 0.0;                                        ///< of the controller's camera [1], 0
-  Vector2<double> principal_point = Vector2<double>::Zero();        ///< what that of its camera is off [px], 0
+  OfPoints<double, kAnyPoints> depth = for_all_points<double, kAnyPoints>(0.0);  ///< delta_Z,i, or one for all [1], 0
+  double focal_length = 0.0;                                                     ///< of the controller's camera [1], 0
+  Vector2<double> principal_point = Vector2<double>::Zero();  ///< what that of its camera is off [px], 0
   Mount mount;  ///< what the controller's mount is off: position in E, rotation vector in C, `assumed_mount`
 
   template <class V, class... Self>
@@ -265,24 +285,35 @@ RigidBody<double> estimated_body(const RobotParameters& robot);
 /// What the platform carries, known or not, but for the relative errors of its dynamics.
 RigidBody<double> plant_body(const RobotParameters& robot);
 
-/// Image of the target from a displacement (m; rad) of home, as of `moved` [px]; the goal's image is not used.
+/// Image of the target from a displacement (m; rad) of home, as of `moved`, 2 n [px]; the goal's image is not used.
 /// @throws std::invalid_argument naming the scenario key: robot, camera or target that are wrong, a camera
 /// `as_printed`, a displacement that is not finite, or that has a point behind the camera
-Vector<double, 2 * kPoints> project_target(const Settings& settings, const Vector6<double>& displacement);
+OfPoints<double, kAnyPoints, 2> project_target(const Settings& settings, const Vector6<double>& displacement);
 
 /// Validates a scenario and prepares it for the loop of its law: joints, target points, initial image.
 /// @tparam Law the one that acts
+/// @tparam N one of `kPlaces`, which must hold the target: `Target::places`, or `kMostPoints` for any
 /// @param legs what `make_hexapod` made of `settings.robot`, where the caller has it: most of the work is there
 /// @throws std::invalid_argument("key: expected ..., got ...") for the first thing that is wrong
-template <class Law>
-LoopParameters<double, Law> loop_parameters(const Settings& settings, const Hexapod<double>* legs = nullptr);
+template <class Law, int N = kPoints>
+LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const Hexapod<double>* legs = nullptr);
+
+/// Calls `function` with std::type_identity of a scenario's law and std::integral_constant of its `places`.
+template <class F>
+decltype(auto) with_loop(const Settings& settings, F&& function) {
+  return with_law(settings.law(), [&]<class Law>(std::type_identity<Law> law) -> decltype(auto) {
+    return with_places(settings.target.places(), [&](auto places) -> decltype(auto) { return function(law, places); });
+  });
+}
 
 // One translation unit compiles the loops of each law.
-#define HEXSERVO_ELSEWHERE(Law)                   \
-  extern template class ClosedLoop<double, Law>;  \
-  extern template class SampledLoop<double, Law>; \
-  extern template LoopParameters<double, Law> loop_parameters<Law>(const Settings&, const Hexapod<double>*);
+#define HEXSERVO_OF(Law, N)                            \
+  extern template class ClosedLoop<double, Law, (N)>;  \
+  extern template class SampledLoop<double, Law, (N)>; \
+  extern template LoopParameters<double, Law, (N)> loop_parameters<Law, (N)>(const Settings&, const Hexapod<double>*);
+#define HEXSERVO_ELSEWHERE(Law) HEXSERVO_OF(Law, kPoints) HEXSERVO_OF(Law, kMostPoints)
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
 #undef HEXSERVO_ELSEWHERE
+#undef HEXSERVO_OF
 
 }  // namespace hexservo

@@ -35,9 +35,10 @@ using Column = std::span<double>;
 /// a wrench that is not finite end a run, `fuzzy_weights` are one step ahead of the last row.
 struct Trajectory {
   Buffer block;
+  int points = kPoints;                ///< p, of the target
   Column time;                         ///< [s]
-  Column feature_error;                ///< n x 8, xi_d - xi, true [px]
-  Column depth;                        ///< n x 4, true Z_i [m]
+  Column feature_error;                ///< n x 2 p, xi_d - xi, true [px]
+  Column depth;                        ///< n x p, true Z_i [m]
   Column position;                     ///< n x 3, p_BE [m]
   Column quaternion;                   ///< n x 4, (w, x, y, z)
   Column twist;                        ///< n x 6, in B [m/s; rad/s]

@@ -1,6 +1,6 @@
 /// @file
-/// The controller's target model: where its points are in B, the pose estimated from four features, and the pose of
-/// the goal (docs/model.md, section 5).
+/// The controller's target model: where its points are in B, the pose estimated from features, and the pose of the
+/// goal (docs/model.md, section 5).
 #pragma once
 
 #include "hexservo/camera.hpp"
@@ -95,9 +95,9 @@ struct PoseFit {
   Matrix3<S> R_BE;             ///< of `pose`
   Vector<S, 2 * N> features;   ///< xi(pose) [px]
   Vector<S, N> inverse_depth;  ///< 1/Z_i [1/m]
-  S squared_residual;          ///< |xi - xi(pose)|^2 [px^2]; infinite where a point is not in front of the camera
-  Vector6<S> prior_error;      ///< e of the prior [m; rad]
-  S cost;                      ///< squared_residual + e^T M e [px^2]
+  S squared_residual;      ///< |xi - xi(pose)|^2, weighed [px^2]; infinite where a point is not in front of the camera
+  Vector6<S> prior_error;  ///< e of the prior [m; rad]
+  S cost;                  ///< squared_residual + e^T M e [px^2]
 
   /// Takes over another fit in the lanes of `where`.
   void replace(const Mask<S>& where, const PoseFit& other) {
@@ -115,7 +115,8 @@ struct PoseFit {
 /// The fit of one pose; NaN where a number is.
 template <class S, int N>
 PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
-                       const PosePrior<S>& prior, const Pose<S>& pose) noexcept {
+                       const PosePrior<S>& prior, const Pose<S>& pose,
+                       const PointWeights<S, N>& weights = {}) noexcept {
   PoseFit<S, N> fit;
   fit.pose = pose;
   fit.R_BE = rotation_matrix(pose.quaternion);
@@ -124,7 +125,8 @@ PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points
   S nearest = image.depth(0);
   for (int i = 1; i < N; ++i) nearest = max(nearest, image.depth(i));
   fit.features = image.features;
-  fit.squared_residual = select(nearest < S(0.0), S((measured - image.features).squaredNorm()),
+  const Vector<S, 2 * N> residual = measured - image.features;
+  fit.squared_residual = select(nearest < S(0.0), S(weights.root_times(residual).squaredNorm()),
                                 S(std::numeric_limits<double>::infinity()));
   fit.prior_error = prior.error(pose);
   fit.cost = fit.squared_residual + fit.prior_error.dot(prior.weight.cwiseProduct(fit.prior_error));
@@ -200,8 +202,8 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
 }
 
 /// Levenberg-Marquardt on the reprojection error: the pose from which known points look as measured, in the least
-/// squares, weighed against a prior: the minimum of C = |xi - xi(pose)|^2 + e^T M e. Never worse than its start, but
-/// for `kResidualRounding`.
+/// squares, weighed against a prior: the minimum of C = |xi - xi(pose)|^2 + e^T M e, with the points' weights W. Never
+/// worse than its start, but for `kResidualRounding`.
 ///
 /// Each round solves (A + mu diag(A)) d = J^T (xi - xi(pose)) + M e, A = J^T J + M, for a small displacement d in B and
 /// shortens it to `kPoseStep`. Where it is positive definite, Newton's matrix takes the place of A: it has the
@@ -215,33 +217,36 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
 /// @param start its quaternion need not be of unit length
 template <class S, int N>
 PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
-                       const PosePrior<S>& prior, const Pose<S>& start, int rounds) noexcept {
+                       const PosePrior<S>& prior, const Pose<S>& start, int rounds,
+                       const PointWeights<S, N>& weights = {}) noexcept {
   using std::abs;
   using std::sqrt;
-  PoseFit<S, N> best = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(start, Vector6<S>::Zero()));
+  PoseFit<S, N> best =
+      pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(start, Vector6<S>::Zero()), weights);
   S mu(kPoseDamping), growth(2.0);
   for (int round = 0; round < rounds; ++round) {
     const ImageJacobian<S, N> J(camera, S(-1.0), best.features, best.inverse_depth, best.R_BE);
     const Vector<S, 2 * N> residual = measured - best.features;
-    const Vector6<S> gradient = J.pull(residual) + prior.gradient(best.prior_error);
-    Matrix6<S> A = J.normal_matrix();
+    const Vector6<S> gradient = J.pull(weights.times(residual)) + prior.gradient(best.prior_error);
+    Matrix6<S> A = J.normal_matrix(weights);
     A.diagonal() += prior.weight;
     const Vector6<S> damping = mu * A.diagonal();
     A.diagonal() += damping;
     const Cholesky<S, 6> gauss(A);
-    A -= feature_curvature<S, N>(camera, best, residual);
+    A -= feature_curvature<S, N>(camera, best, weights.times(residual));
     const Cholesky<S, 6> newton(A);
     Vector6<S> d = select(newton.failed(), gauss.solve(gradient), newton.solve(gradient));
 
     S mean_depth(0.0);
-    for (int i = 0; i < N; ++i) mean_depth += S(1.0 / N) / abs(best.inverse_depth(i));
+    for (int i = 0; i < N; ++i) mean_depth += weights.share(i) / abs(best.inverse_depth(i));
     const S length = max(S(sqrt(S(d.template head<3>().squaredNorm())) / mean_depth),
                          S(sqrt(S(d.template tail<3>().squaredNorm()))));
     d *= select(length > S(kPoseStep), S(S(kPoseStep) / length), S(1.0));
-    const PoseFit<S, N> full = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(best.pose, d));
-    const Vector<S, 2 * N> Jd = J.push(d);
-    const S t = quartic_line_search<S, 2 * N>(residual, Jd, S(2.0) * (full.features - best.features - Jd));
-    PoseFit<S, N> next = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(best.pose, t * d));
+    const PoseFit<S, N> full = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(best.pose, d), weights);
+    const Vector<S, 2 * N> Jd = J.push(d), bend = S(2.0) * (full.features - best.features - Jd);
+    const S t =
+        quartic_line_search<S, 2 * N>(weights.root_times(residual), weights.root_times(Jd), weights.root_times(bend));
+    PoseFit<S, N> next = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(best.pose, t * d), weights);
     const S expected = larger(S(d.dot(damping.cwiseProduct(d) + gradient)), S(1e-300));
     const Mask<S> rounding = expected * expected < S(kResidualRounding * kResidualRounding) *
                                                        (best.cost + S(kResidualRounding * kResidualRounding));
@@ -260,20 +265,30 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
 /// The other pose of a planar target: the points turned about their centroid until their plane is mirrored about the
 /// line of sight to it. To first order in their extent over their distance the image is the same.
 ///
-/// The plane is that of the largest of their triangles; NaN where they lie on a line.
+/// The plane is that of the largest of their triangles (of many points: of those with their centroid and the point that
+/// is farthest from it); NaN where they lie on a line.
 template <class S, int N>
-Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B,
-                      const Pose<S>& pose) noexcept {
+Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pose,
+                      const PointWeights<S, N>& weights = {}) noexcept {
   using std::sqrt;
   Vector3<S> centroid = Vector3<S>::Zero(), normal = Vector3<S>::Zero();
-  for (int i = 0; i < N; ++i) centroid += S(1.0 / N) * points_B.col(i);
-  for (int i = 0; i < N; ++i)
-    for (int j = 0; j < i; ++j)
-      for (int k = 0; k < j; ++k) {
-        const Vector3<S> area =
-            cross<S>(Vector3<S>(points_B.col(j) - points_B.col(i)), Vector3<S>(points_B.col(k) - points_B.col(i)));
-        normal = select(area.squaredNorm() > normal.squaredNorm(), area, normal);
-      }
+  for (int i = 0; i < N; ++i) centroid += weights.share(i) * points_B.col(i);
+  const auto keep_larger = [&normal](const Vector3<S>& a, const Vector3<S>& b) {
+    const Vector3<S> area = cross<S>(a, b);
+    normal = select(area.squaredNorm() > normal.squaredNorm(), area, normal);
+  };
+  if constexpr (N == kPoints) {
+    for (int i = 0; i < N; ++i)
+      for (int j = 0; j < i; ++j)
+        for (int k = 0; k < j; ++k) keep_larger(points_B.col(j) - points_B.col(i), points_B.col(k) - points_B.col(i));
+  } else {
+    Vector3<S> longest = Vector3<S>::Zero();
+    for (int i = 0; i < N; ++i) {
+      const Vector3<S> arm = points_B.col(i) - centroid;
+      longest = select(arm.squaredNorm() > longest.squaredNorm(), arm, longest);
+    }
+    for (int i = 0; i < N; ++i) keep_larger(longest, points_B.col(i) - centroid);
+  }
   normal /= sqrt(S(normal.squaredNorm()));
   Vector3<S> arm = Vector3<S>::Zero();  // from E's origin to C's, in B
   if (camera.placement != nullptr) arm = rotate<S>(rotation_matrix(pose.quaternion), camera.placement->p_EC);
@@ -294,19 +309,20 @@ Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>&
 }
 
 /// sigma^2 of the features as their fit shows it: the part of the residual that no displacement explains, which a prior
-/// does not change to first order, over its 2 N - 6 degrees of freedom [px^2].
+/// does not change to first order, over the 2 n - 6 degrees of freedom of the n points that count [px^2].
 ///
 /// All of the residual counts where the image does not determine the pose.
 /// @param measured features that were fitted [px]
 template <class S, int N>
-S unexplained_variance(const CameraView<S>& camera, const PoseFit<S, N>& fit,
-                       const Vector<S, 2 * N>& measured) noexcept {
+S unexplained_variance(const CameraView<S>& camera, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& measured,
+                       const PointWeights<S, N>& weights = {}) noexcept {
   const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
   const Vector<S, 2 * N> residual = measured - fit.features;
-  const Cholesky<S, 6> solver(J.normal_matrix());
+  const Cholesky<S, 6> solver(J.normal_matrix(weights));
   // The vector first: a difference of squares would carry the rounding of the larger, explained part.
-  const Vector<S, 2 * N> rest = residual - J.push(solver.solve(J.pull(residual)));
-  return select(solver.failed(), residual, rest).squaredNorm() * S(1.0 / (2 * N - 6));
+  const Vector<S, 2 * N> rest = residual - J.push(solver.solve(J.pull(weights.times(residual))));
+  const Vector<S, 2 * N> unexplained = select(solver.failed(), residual, rest);
+  return weights.root_times(unexplained).squaredNorm() * weights.per_freedom();
 }
 
 /// Share of a prior's weight for a measured variance: s/(s + sigma_0^2) of its excess s over `kExactImage` squared,
@@ -346,27 +362,30 @@ struct PoseEstimate {
 /// @param features measured [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param joints pose of the joint sensors: start, and centre of the prior; its quaternion need not be of unit length
 /// @param prior_weight diagonal of M under noise [px^2/m^2; px^2/rad^2]; 0: the image alone
+/// @param weights what each point counts
 template <class S, int N>
 PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B,
-                              const Vector<S, 2 * N>& features, const Pose<S>& joints,
-                              const Vector6<S>& prior_weight) noexcept {
+                              const Vector<S, 2 * N>& features, const Pose<S>& joints, const Vector6<S>& prior_weight,
+                              const PointWeights<S, N>& weights = {}) noexcept {
   const Vectors3<S, N> points(points_B);
   PosePrior<S> prior{displaced<S>(joints, Vector6<S>::Zero()), prior_weight};
-  PoseFit<S, N> fit = fit_pose<S, N>(camera, points, features, prior, joints, kPoseRounds);
+  PoseFit<S, N> fit = fit_pose<S, N>(camera, points, features, prior, joints, kPoseRounds, weights);
   const PoseFit<S, N> mirror =
-      fit_pose<S, N>(camera, points, features, prior, mirrored_pose<S, N>(camera, points_B, fit.pose), kMirrorRounds);
+      fit_pose<S, N>(camera, points, features, prior, mirrored_pose<S, N>(camera, points_B, fit.pose, weights),
+                     kMirrorRounds, weights);
   PoseEstimate<S> estimate;
   estimate.mirrored = mirror.cost < S(kMirrorShare) * fit.cost;
   fit.replace(estimate.mirrored, mirror);
-  estimate.prior_share = prior_share(unexplained_variance<S, N>(camera, fit, features));
+  estimate.prior_share = prior_share(unexplained_variance<S, N>(camera, fit, features, weights));
   prior.weight *= estimate.prior_share;
-  fit = fit_pose<S, N>(camera, points, features, prior, fit.pose, kPolishRounds);
+  fit = fit_pose<S, N>(camera, points, features, prior, fit.pose, kPolishRounds, weights);
 
   const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
-  Matrix6<S> A = J.normal_matrix();
+  Matrix6<S> A = J.normal_matrix(weights);
   A.diagonal() += prior.weight;
   const Cholesky<S, 6> solver(A);
-  const Vector6<S> gradient = J.pull(Vector<S, 2 * N>(features - fit.features)) + prior.gradient(fit.prior_error);
+  const Vector<S, 2 * N> residual = features - fit.features;
+  const Vector6<S> gradient = J.pull(weights.times(residual)) + prior.gradient(fit.prior_error);
   estimate.pose = fit.pose;
   estimate.squared_residual = fit.squared_residual;
   estimate.decrement = gradient.dot(solver.solve(gradient));
@@ -384,9 +403,10 @@ struct GoalMinimum {
 /// Those found by `fit_pose` from home, from home turned about the optical axis, moved along it and tilted, and from
 /// the mirror image of each pose that it finds, in this order; the search ends at the first that shows the desired
 /// features to (1e-6 px)^2. Empty where the features determine no pose.
-std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera,
-                                     const Eigen::Matrix<double, 3, kPoints>& points_B,
-                                     const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home);
+template <int N = kPoints>
+std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_B,
+                                     const Vector<double, 2 * N>& desired_features, const Pose<double>& home,
+                                     const PointWeights<double, N>& weights = {});
 
 /// The goal is refused where no pose gives the desired features within this, in every coordinate [px].
 inline constexpr double kGoalResidual = 1.0;
@@ -397,7 +417,9 @@ inline constexpr double kGoalResidual = 1.0;
 /// home is the goal.
 /// @throws std::invalid_argument where the largest residual of a coordinate is beyond `kGoalResidual`, or the features
 /// do not determine a pose
-Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, kPoints>& points_B,
-                       const Vector<double, 2 * kPoints>& desired_features, const Pose<double>& home);
+template <int N = kPoints>
+Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_B,
+                       const Vector<double, 2 * N>& desired_features, const Pose<double>& home,
+                       const PointWeights<double, N>& weights = {});
 
 }  // namespace hexservo

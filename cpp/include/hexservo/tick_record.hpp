@@ -11,7 +11,7 @@ namespace hexservo {
 
 /// One tick of a simulated run.
 struct RecordedTick {
-  ControllerInput input;
+  ControllerInputOf<kMostPoints> input;  ///< places behind the target's points hold its first one
   ControllerOutput output;
 };
 

@@ -22,6 +22,9 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <array>
+#include <type_traits>
+
 namespace hexservo {
 
 template <class S, int N>
@@ -52,8 +55,42 @@ Vector6<S> linear_angular(double linear, double angular) {
   return six;
 }
 
-/// Number of feature points of the paper, and the only one that is instantiated for now.
+/// Number of feature points of the paper.
 inline constexpr int kPoints = 4;
+/// Fewest and most points of a target.
+inline constexpr int kLeastPoints = 3, kMostPoints = 16;
+/// Stands for a number of points that is known when a program runs.
+inline constexpr int kAnyPoints = 0;
+
+/// K numbers of each point, one point after the other.
+template <class S, int N, int K = 1>
+using OfPoints = std::conditional_t<N == kAnyPoints, Eigen::Matrix<S, Eigen::Dynamic, 1, 0, K * kMostPoints, 1>,
+                                    Eigen::Matrix<S, K * N, 1>>;
+
+/// The same numbers for every point; where their count is not fixed they are those of four points.
+template <class S, int N, int K = 1>
+OfPoints<S, N, K> for_all_points(double value) {
+  return OfPoints<S, N, K>::Constant(K * (N == kAnyPoints ? kPoints : N), S(value));
+}
+
+/// Numbers of points that loops are compiled for. A target with fewer points has its first one in the places that are
+/// left, with a weight of 0: the largest error, the nearest point, the oldest image are then those of the points.
+inline constexpr std::array kPlaces = {kPoints, kMostPoints};
+
+/// Calls `function` with a std::integral_constant of one of `kPlaces`, and gives what it gives.
+template <class F>
+decltype(auto) with_places(int places, F&& function) {
+  if (places == kPoints) return function(std::integral_constant<int, kPoints>{});
+  return function(std::integral_constant<int, kMostPoints>{});
+}
+
+/// The first point in all places behind the points of a target.
+/// @param numbers K of each of N places
+/// @param points n of the target
+template <int K, class S, int M>
+void fill_places(Eigen::Matrix<S, M, 1>& numbers, int points) {
+  for (int i = K * points; i < M; ++i) numbers(i) = numbers(i % K);
+}
 
 /// [a]x, so that [a]x b = a x b.
 template <class S>

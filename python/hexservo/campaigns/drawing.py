@@ -139,7 +139,7 @@ class Drawing:
         return any(one.variation.kind == SEED for one in self._keys)
 
     def variations(self, numbers: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return what `simulate_batch` varies: `numbers`, with points (n, 4, 3) [m] for displacements of the target."""
+        """Return what `simulate_batch` varies: `numbers`, with points (n, p, 3) [m] for displacements of the target."""
         found = {name: values for name, values in numbers.items() if name not in PLACED}
         if self._points is not None:
             found["target.points"] = _displaced(self._points, *(numbers.get(name) for name in PLACED))
@@ -147,7 +147,7 @@ class Drawing:
 
 
 def points_of(scenario: Scenario) -> Array:
-    """Return the target's points in B, (4, 3) [m]."""
+    """Return the target's points in B, (p, 3) [m]."""
     from hexservo.findings.analysis.scene import scene_of
 
     return scene_of(scenario).points
@@ -185,7 +185,7 @@ def _shape(scenario: Scenario, name: str, variation: Variation) -> tuple[int, ..
     """Return the shape in which a key varies: a number where it takes one and nothing asks for entries."""
     if name in PLACED:
         return (3,)
-    shapes = numeric_keys(scenario.controller.law)[name].shapes
+    shapes = numeric_keys(scenario.controller.law, scenario.target.count)[name].shapes
     present = np.shape(value_at(scenario, name))
     if variation.symmetric:
         return max(shapes, key=len)

@@ -199,7 +199,7 @@ def _unfit(scenario: Scenario, key: str, variation: Variation) -> str:
     if key in PLACED:
         return _unfit_place(scenario, variation)
     try:
-        rule = known_key(key, scenario.controller.law)
+        rule = known_key(key, scenario.controller.law, scenario.target.count)
     except ValueError as error:
         return str(error).partition(": ")[2]
     if variation.kind == SEED:
@@ -229,7 +229,7 @@ def _unfit_variable(scenario: Scenario, key: str, variable: Variable, vary: Mapp
         return "expected a key that vary does not have, got one that it has"
     if problem := _unfit(scenario, key, variable.variation):
         return problem
-    shapes = known_key(key, scenario.controller.law).shapes
+    shapes = known_key(key, scenario.controller.law, scenario.target.count).shapes
     if variable.groups == (0,):
         return "" if () in shapes else "expected groups: the key takes an array alone"
     entries = max(shapes, key=len)

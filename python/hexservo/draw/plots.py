@@ -60,7 +60,7 @@ from hexservo.draw.style import (
     write_figures,
 )
 from hexservo.run.metrics import metrics
-from hexservo.run.samples import ImageView, image_views
+from hexservo.run.samples import ImageView, feature_names, image_views
 from hexservo.run.samples import extreme_samples as _extreme_samples
 from hexservo.run.samples import mean_samples as _mean_samples
 from hexservo.run.samples import parts as _parts
@@ -80,8 +80,8 @@ if TYPE_CHECKING:
 __all__ = ["control_wrench", "feature_errors", "feature_paths", "paper_figures", "platform_motion", "rule_table"]
 
 _AXES_INKS = (Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT))
-_POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK)
-_FEATURE_INKS = tuple(Ink(colour, dashes) for colour in _POINT_COLOURS for dashes in ("-", DASHED))
+_POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE)
+_MOST_LABELS = 14  # of lines beside the feature errors: as many as stand apart
 _LEG_INKS = (
     Ink(BLACK),
     Ink(ORANGE),
@@ -91,7 +91,6 @@ _LEG_INKS = (
     Ink(PURPLE, DASH_DOT),
 )
 
-_FEATURE_NAMES = ("x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄")
 _START: dict[str, Any] = {"marker": "o", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.1}
 _END: dict[str, Any] = {"marker": "o", "markersize": 3.2, "markeredgewidth": 0}
 _GOAL: dict[str, Any] = {"marker": "s", "markersize": 7, "markerfacecolor": "none", "markeredgewidth": 0.9}
@@ -189,10 +188,15 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
         The new figure, or `ax`.
     """
     band = result.scenario.metrics.band
+    points = result.scenario.target.count
+    names, inks = (
+        feature_names(points),
+        [Ink(_point_colour(n), style) for n in range(points) for style in ("-", DASHED)],
+    )
     if ax is not None:
         (panel,) = whole_run(ax, result, [result.feature_error])
         draw_band(ax, band)
-        fill_panels([panel], result, result.feature_error, _FEATURE_NAMES, _FEATURE_INKS)
+        fill_panels([panel], result, result.feature_error, names, inks)
         describe([panel], "feature error [px]", f"Feature errors (shaded: ±{band:g} px)", time=True)
         note_outcome(ax, result)
         return ax
@@ -209,12 +213,13 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
         axes = axes_at(figure, left, 0.48, width, 1.72)
         draw_band(axes, band)
         errors = result.feature_error[part]
-        draw_lines(axes, result.time[part], errors, _FEATURE_NAMES, _FEATURE_INKS)
+        draw_lines(axes, result.time[part], errors, names, inks)
         set_limits(axes, result.time[part], errors)
         describe([Panel(axes, part, fixed=True)], "feature error [px]", title, time=True)
-    label_ends(axes, dict(zip(_FEATURE_NAMES, errors[-1], strict=True)), _FEATURE_INKS)
-    solid, dashed = (Line2D([], [], color=GREY, linestyle=ink.dashes) for ink in _FEATURE_INKS[:2])
-    draw_legend(figure, {"x₁ to x₄": solid, "y₁ to y₄": dashed})
+    if len(names) <= _MOST_LABELS:
+        label_ends(axes, dict(zip(names, errors[-1], strict=True)), inks)
+    solid, dashed = (Line2D([], [], color=GREY, linestyle=ink.dashes) for ink in inks[:2])
+    draw_legend(figure, {f"{names[0]} to {names[-2]}": solid, f"{names[1]} to {names[-1]}": dashed})
     note_outcome(figure, result)
     return figure
 
@@ -229,7 +234,7 @@ def feature_paths(result: Result, *, ax: Axes) -> Axes: ...
 
 @styled
 def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
-    """Draw the paths of the four features in the image plane in px, axes equal, figure 3.
+    """Draw the paths of the features in the image plane in px, axes equal, figure 3.
 
     The arrow is the initial direction of each feature. y points up, as in (4), looking along the optical axis.
     If ``camera.image_size`` is given, the axes have the aspect ratio and the border of the image; if the paths take a
@@ -425,6 +430,11 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
 # ---- The image ------------------------------------------------------------------------------------------------------
 
 
+def _point_colour(number: int) -> str:
+    """Return the colour of a point, counted from 0; where there are more points than colours, they repeat."""
+    return _POINT_COLOURS[number % len(_POINT_COLOURS)]
+
+
 def _path_marks() -> list[Line2D]:
     return [
         Line2D([], [], linestyle="", color=GREY, label=name, **{"markerfacecolor": GREY, **mark})
@@ -433,9 +443,9 @@ def _path_marks() -> list[Line2D]:
 
 
 def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = True) -> None:
-    """Draw border, paths, starts, ends and goals of the four features, and on request their arrows and names."""
-    features = result.features.reshape(-1, 4, 2)
-    goals = desired_features(result.scenario).reshape(4, 2)
+    """Draw border, paths, starts, ends and goals of the features, and on request their arrows and names."""
+    features = result.features.reshape(len(result.time), -1, 2)
+    goals = desired_features(result.scenario).reshape(-1, 2)
     axes.set_xlim(*view.limits[0])
     axes.set_ylim(*view.limits[1])
     axes.set_aspect("equal", adjustable="box")
@@ -455,7 +465,8 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
         )
     half = float(view.half.min())
     corner_of = farther_apart(features[0], features[-1], 0.16 * half)
-    for number, path, goal, colour in zip(range(1, 5), features.swapaxes(0, 1), goals, _POINT_COLOURS, strict=True):
+    for number, (path, goal) in enumerate(zip(features.swapaxes(0, 1), goals, strict=True), start=1):
+        colour = _point_colour(number - 1)
         kept = np.union1d(_extreme_samples(path[:, 0]), _extreme_samples(path[:, 1]))
         axes.plot(path[kept, 0], path[kept, 1], color=colour, linewidth=0.8, gid=f"path {number}")
         for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):

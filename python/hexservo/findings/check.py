@@ -23,6 +23,7 @@ from hexservo.scenario.wording import number, quantity
 
 __all__ = ["keys_without_effect", "unlikely"]
 
+_FEWEST = 3  # points that a law can regulate
 _TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
 
@@ -42,6 +43,7 @@ def unlikely(scenario: Scenario) -> list[str]:
     return [
         *_of_legs(scene),
         *_of_goal(scene),
+        *_of_points(scene),
         *_of_image(scenario),
         *_of_period(scenario, fastest),
         *of_gains(scene, fastest),
@@ -95,6 +97,16 @@ def _of_goal(scene: Scene) -> Iterator[str]:
         )
     elif reach.goal_within is False and reach.nearest is not None:
         yield f"target.desired_features: the goal is out of reach: {reach.nearest.beyond}"
+
+
+def _of_points(scene: Scene) -> Iterator[str]:
+    counted = int((scene.settings["target.weights"] > 0.0).sum())
+    if counted == _FEWEST:
+        word = "points" if counted == scene.scenario.target.count else "points that count"
+        yield (
+            f"target: {counted} {word} look alike from up to four poses: the law may settle at a pose that is not "
+            "the goal, with the same image"
+        )
 
 
 def _start_speed(scene: Scene) -> float:

@@ -14,6 +14,7 @@ from hexservo.report.html import Html
 from hexservo.run.samples import (
     ImageView,
     extreme_samples,
+    feature_names,
     image_views,
     mean_samples,
     moving_mean,
@@ -40,9 +41,7 @@ class _Ink(NamedTuple):
     dash: str = "solid"
 
 
-_POINT_COLOURS = ("@blue", "@vermilion", "@green", "@black")
-_FEATURES = tuple(_Ink(colour, dash) for colour in _POINT_COLOURS for dash in ("solid", "dash"))
-_FEATURE_NAMES = ("x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄")
+_POINT_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange")  # repeated for more points
 _AXES = (_Ink("@blue"), _Ink("@vermilion", "dash"), _Ink("@green", "dashdot"))
 _LEGS = (
     _Ink("@black"),
@@ -53,7 +52,7 @@ _LEGS = (
     _Ink("@purple", "dashdot"),
 )
 _DIVERGING = [[0, "#2d004b"], [0.25, "#998ec3"], [0.5, "#f7f7f7"], [0.75, "#f1a340"], [1, "#7f3b08"]]
-_PATHS = "Paths of the four features"
+_PATHS = "Paths of the features"
 _FIRST_SHARE, _GAP = 0.62, 0.025  # of the width: the panel of the transient, and between the two
 
 
@@ -125,11 +124,12 @@ def _rule_table(result: Result) -> Html | None:
 def _feature_errors(result: Result) -> list[Html]:
     shown = parts(result)
     titles = ["Feature errors"] if len(shown) == 1 else ["Until the run has settled", "The rest, magnified"]
-    charts, band = [], result.scenario.metrics.band
+    charts, band, points = [], result.scenario.metrics.band, result.scenario.target.count
     for part, title in zip(shown, titles, strict=True):
         time, errors = result.time[part], result.feature_error[part]
         low, high = _range(errors)
-        data = _lines(time, errors, _FEATURE_NAMES, _FEATURES, tolerance=TOLERANCE * (high - low))
+        inks = [_Ink(colour, dash) for colour in _point_colours(points) for dash in ("solid", "dash")]
+        data = _lines(time, errors, feature_names(points), inks, tolerance=TOLERANCE * (high - low))
         within = low >= -band and high <= band
         note = f"All values are within ±{band:g} px." if within else f"Shaded: ±{band:g} px."
         layout = axes("time [s]", "feature error [px]", shapes=[] if within else [_band(band)])
@@ -139,6 +139,10 @@ def _feature_errors(result: Result) -> list[Html]:
     return charts
 
 
+def _point_colours(points: int) -> list[str]:
+    return [_POINT_COLOURS[number % len(_POINT_COLOURS)] for number in range(points)]
+
+
 def _feature_paths(result: Result) -> list[Html]:
     views = image_views(result)
     titles = (_PATHS, "The same paths, magnified")
@@ -146,10 +150,11 @@ def _feature_paths(result: Result) -> list[Html]:
 
 
 def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Html:
-    features = result.features.reshape(-1, 4, 2)
-    goals = desired_features(result.scenario).reshape(4, 2)
+    features = result.features.reshape(len(result.time), -1, 2)
+    goals = desired_features(result.scenario).reshape(-1, 2)
+    colours = _point_colours(len(goals))
     data = []
-    for number, colour in enumerate(_POINT_COLOURS):
+    for number, colour in enumerate(colours):
         path = features[:, number]
         kept = np.union1d(extreme_samples(path[:, 0]), extreme_samples(path[:, 1]))
         data.append(
@@ -175,7 +180,7 @@ def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Htm
                 "x": encoded(places[:, 0]),
                 "y": encoded(places[:, 1]),
                 "name": name,
-                "marker": {"color": list(_POINT_COLOURS), "symbol": symbol, "size": size, "line": {"width": 1.5}},
+                "marker": {"color": colours, "symbol": symbol, "size": size, "line": {"width": 1.5}},
                 "hovertemplate": "x %{x:.4g} px, y %{y:.4g} px",
             }
         )

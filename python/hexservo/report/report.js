@@ -129,7 +129,8 @@
       runs[name] = numbers(scene[name]);
     }
     if (scene.feet) runs.feet = numbers(scene.feet);
-    const POINTS = ["blue", "vermilion", "green", "black"];
+    const COLOURS = ["blue", "vermilion", "green", "black", "purple", "orange"];
+    const POINTS = scene.goals.map((_, point) => COLOURS[point % COLOURS.length]);
     const GAP = [null, null, null];
 
     /** Puts a point of C into B at an instant. */
@@ -143,7 +144,7 @@
       x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]),
     });
     const imagePoint = (frame, point) => {
-      const at = 12 * frame + 3 * point;
+      const at = 3 * (POINTS.length * frame + point);
       return runs.image.subarray(at, at + 3);
     };
 
@@ -162,9 +163,9 @@
         [...joints, joints[0]],
         [...corners.flatMap((corner) => [camera, corner, GAP]), ...corners, corners[0]],
         scene.goals.map((goal) => placed(frame, goal)),
-        [0, 1, 2, 3].map((point) => (isNaN(imagePoint(frame, point)[0]) ? GAP : placed(frame, imagePoint(frame, point)))),
+        POINTS.map((_, point) => (isNaN(imagePoint(frame, point)[0]) ? GAP : placed(frame, imagePoint(frame, point)))),
       ];
-      for (let point = 0; point < 4; point += 1) {
+      for (let point = 0; point < POINTS.length; point += 1) {
         const path = [];
         for (let past = 0; past <= frame; past += 1) {
           const place = imagePoint(past, point);
@@ -177,11 +178,11 @@
     }
 
     function traces(colours, frame) {
-      const four = POINTS.map((name) => colours[name]);
+      const each = POINTS.map((name) => colours[name]);
       const line = (color, width, more = {}) => ({ type: "scatter3d", mode: "lines", line: { color, width, ...more }, hoverinfo: "skip" });
       const dots = (color, size, symbol, name) => ({
         type: "scatter3d", mode: "markers", marker: { color, size, symbol, line: { width: 0 } }, name,
-        text: [1, 2, 3, 4].map((point) => `${name} ${point}`), hoverinfo: "text",
+        text: POINTS.map((_, point) => `${name} ${point + 1}`), hoverinfo: "text",
       });
       const moved = [
         line(colours.muted, 9),
@@ -191,12 +192,12 @@
         },
         line(colours.blue, 4),
         line(colours.muted, 2),
-        dots(four, 5, "square-open", "goal"),
-        dots(four, 4, "circle", "feature"),
+        dots(each, 5, "square-open", "goal"),
+        dots(each, 4, "circle", "feature"),
       ];
-      for (let point = 0; point < 4; point += 1) {
-        moved.push(line(four[point], 5));
-        if (scene.targets) moved.push(line(four[point], 1.5));
+      for (let point = 0; point < POINTS.length; point += 1) {
+        moved.push(line(each[point], 5));
+        if (scene.targets) moved.push(line(each[point], 1.5));
       }
       const places = moving(frame);
       const still = [{ ...line(colours.muted, 3), ...coordinates([...scene.base, scene.base[0]]) }];
@@ -204,7 +205,7 @@
         type: "mesh3d", color: colours.soft, opacity: 0.6, hoverinfo: "skip", ...coordinates(scene.base),
         i: [0, 0, 0, 0], j: [1, 2, 3, 4], k: [2, 3, 4, 5],
       });
-      if (scene.targets) still.push({ ...dots(four, 6, "circle", "target"), ...coordinates(scene.targets) });
+      if (scene.targets) still.push({ ...dots(each, 6, "circle", "target"), ...coordinates(scene.targets) });
       return [...moved.map((trace, number) => ({ ...trace, ...places[number] })), ...still].map((trace) => ({ ...trace, showlegend: false }));
     }
 

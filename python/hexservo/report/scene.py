@@ -38,10 +38,10 @@ class SpaceView:
     feet: Array | None  # (k, 6, 3), ends of the cranks, where the rods begin; None: prismatic legs
     camera: Array  # (3,), of C's origin in E [m]
     axes: Array  # (3, 3), transforms C-coordinates into E-coordinates
-    targets: Array | None  # (4, 3); None where the plant has no points
+    targets: Array | None  # (p, 3); None where the plant has no points
     corners: Array  # (4, 3) in C, of the image plane, in cyclic order
-    image: Array  # (k, 4, 3) in C, features on the image plane; NaN beyond its widest
-    goals: Array  # (4, 3) in C
+    image: Array  # (k, p, 3) in C, features on the image plane; NaN beyond its widest
+    goals: Array  # (p, 3) in C
     displacement: Array  # (k, 3) [m], from home
     turn: Array  # (k, 3) [rad], rotation vector
     error: Array  # (k,) [px], largest feature error
@@ -97,8 +97,8 @@ def scene(result: Result) -> SpaceView:
     rotation = _rotations(quaternion)
     joints = position[:, None, :] + hexapod.platform_joints @ np.swapaxes(rotation, 1, 2)
     feet = [hexapod.leg_feet(*pose) for pose in zip(position, quaternion, strict=True)] if hexapod.rotary else None
-    features = result.features[chosen].reshape(-1, 4, 2)
-    goals = desired_features(result.scenario).reshape(4, 2)
+    features = result.features[chosen].reshape(len(chosen), -1, 2)
+    goals = desired_features(result.scenario).reshape(-1, 2)
     distance = _IMAGE_DISTANCE * float(np.abs(result.depth[0]).mean())
     pixel = distance / settings.camera.focal_pixels  # [m], as it appears on the plane
     half = _half_size(result, features, goals) * pixel

@@ -17,7 +17,7 @@ VIEW = (1.42, -1.75, 1.15)
 
 _HEIGHT = 560.0  # of the picture
 _MARGIN = 26.0
-_POINTS = ("blue", "vermilion", "green", "black")
+_POINTS = ("blue", "vermilion", "green", "black", "purple", "orange")  # repeated for more points
 
 
 def still(scene: SpaceView) -> Html:
@@ -40,9 +40,10 @@ def still(scene: SpaceView) -> Html:
     shapes += [_line(at(np.stack(leg)), "leg") for leg in zip(*ways, strict=True)]
     shapes += [_line(at(np.stack([camera, corner])), "frustum") for corner in corners]
     shapes += [_polygon(at(joints), "platform"), _polygon(at(corners), "image")]
-    image = np.array([scene.placed(last, frame) for frame in scene.image])  # (k, 4, 3)
+    image = np.array([scene.placed(last, frame) for frame in scene.image])  # (k, p, 3)
     goals = scene.placed(last, scene.goals)
-    for number, colour in enumerate(_POINTS):
+    for number in range(len(goals)):
+        colour = _POINTS[number % len(_POINTS)]
         path = image[np.isfinite(image[:, number]).all(axis=1), number]
         if scene.targets is not None and len(path):
             shapes.append(_line(at(np.stack([camera, scene.targets[number]])), f"ray {colour}"))

@@ -19,7 +19,7 @@ from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
 from hexservo.run.metrics import METRICS, metric_unit
 from hexservo.run.progress import ProgressCallback, progress_bar
-from hexservo.run.result import QUANTITIES, TERMS, WRENCH
+from hexservo.run.result import TERMS, WRENCH, quantities
 from hexservo.run.variant import chosen_kernel
 from hexservo.run.variations import checked_variations, columns_of, fitted_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array
@@ -148,7 +148,7 @@ class BatchResult:
                 data[name] = (["scenario", "wrench_component", "error_term", "rate_term"], values, attributes)
                 coords |= {"wrench_component": WRENCH, "error_term": TERMS, "rate_term": TERMS}
             else:
-                dimension, labels, unit, meaning = QUANTITIES[name]
+                dimension, labels, unit, meaning = quantities(self.scenario.target.count)[name]
                 data[name] = (["scenario", *middle, dimension], values, {"units": unit, "long_name": meaning})
                 coords[dimension] = labels
         return xarray.Dataset(
@@ -198,8 +198,8 @@ def simulate_batch(
     variations
         Values by dotted key, ``{"uncertainty.depth": array}``; every key that holds numbers may vary, of the gains
         those of the scenario's law, in SI units and pixels. Axis 0 is the scenario, the others are the key's own shape:
-        (8,) on ``controller.hybrid.kp`` are eight scenarios, (n, 8) are n scenarios of eight gains. A length of 1 holds
-        for all: (1, 8). Seeds are whole numbers of 64 bits; as floats, up to 2^53.
+        (8,) on ``controller.hybrid.kp`` are eight scenarios, (n, 8) are n scenarios of eight gains of four points. A
+        length of 1 holds for all: (1, 8). Seeds are whole numbers of 64 bits; as floats, up to 2^53.
     log
         What is kept beside outcome, times and metrics: "final", the last good sample and the fuzzy weights; "metrics",
         nothing; "trajectory", every ``simulation.log_every``-th sample, on one time grid, and the final weights.
@@ -297,7 +297,7 @@ def _run_custom(
     middle = () if time is None else (len(time),)
     shapes: dict[str, tuple[int, ...]] = {}
     if log != "metrics":
-        shapes = {name: (*middle, len(labels)) for name, (_, labels, _, _) in QUANTITIES.items()}
+        shapes = {name: (*middle, len(labels)) for name, (_, labels, _, _) in quantities(scenario.target.count).items()}
         shapes["fuzzy_weights"] = (6, 7, 7)
     size = 8 * count * (sum(math.prod(shape) for shape in shapes.values()) + len(METRICS))
     if size > _MAX_BYTES:

@@ -127,10 +127,10 @@ class Controller:
         Parameters
         ----------
         features
-            (8,), measured (x1, y1, ..., x4, y4) from the image centre [px], NaN for a point that the frame does not
-            show. None: no frame arrived since the last tick, and the one before is used, or predicted.
+            (2p,) of p points, measured (x1, y1, ..., xp, yp) from the image centre [px], NaN for a point that the frame
+            does not show. None: no frame arrived since the last tick, and the one before is used, or predicted.
         depth
-            (4,), measured z of the points in E at the exposure, negative in front of the camera [m].
+            (p,), measured z of the points in E at the exposure, negative in front of the camera [m].
         position
             (3,), of E's origin, in B [m]. Not used where ``sensors.pose`` is ``encoders``.
         quaternion

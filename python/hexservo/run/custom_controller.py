@@ -30,9 +30,9 @@ class Observation(NamedTuple):
     exposure: float
     """Time at which the newest frame was taken [s]; NaN before the first one has arrived."""
     features: Array
-    """(8,), as the newest frame or the prediction has them [px]; NaN until every point has been seen once."""
+    """(2p,), as the newest frame or the prediction has them [px]; NaN until every point has been seen once."""
     depth: Array
-    """(4,), estimates of Z, negative in front of the camera [m]; NaN as the features."""
+    """(p,), estimates of Z, negative in front of the camera [m]; NaN as the features."""
     position: Array
     """(3,), of E's origin in B, by the joint sensors [m]."""
     quaternion: Array

@@ -21,6 +21,8 @@ __all__ = ["gains_header", "write_header"]
 
 _SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 
+_FOUR = 4  # points: what controllers and arrays of the core are for by default
+
 _TITLE = "// hexservo gains, format 1"
 """First line of every exported header, which distinguishes it from other files."""
 
@@ -51,6 +53,7 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     period = _core.Controller(settings, period).period  # the core's own check
     settings["simulation.step"] = period
     law = _core.LAW_TRAITS[settings.law]
+    places = "" if settings.places == _FOUR else f", {settings.places}"
     namespace = _namespace(scenario.name)
     lines = [
         _TITLE,
@@ -83,6 +86,7 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     for key in _core.scenario_keys(settings.law):
         acts = not key.sampled or settings["simulation.mode"] == SAMPLED_MODE or key.name.startswith("controller.safe.")
         unused = (has_points and key.name in _SEEN_FROM_HOME) or (prismatic and key.name.startswith("robot.cranks."))
+        unused = unused or (key.name == "target.weights" and bool(np.all(settings[key.name] == 1.0)))  # the default
         if key.concern == "controller" and acts and not unused:
             member = key.name.replace(f"controller.{law.name}.", "gains.", 1)
             member = member if member.startswith("gains.") else f"s.{member}"
@@ -92,14 +96,23 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
         "  return s;",
         "}",
         "",
-        "/// What `hexservo::step` needs.",
-        "inline hexservo::ControllerGains<Law> controller_gains() {",
-        "  return hexservo::controller_gains<Law>(settings(), period);",
+        *_places_in_words(settings),
+        f"inline hexservo::ControllerGains<Law{places}> controller_gains() {{",
+        f"  return hexservo::controller_gains<Law{places}>(settings(), period);",
         "}",
         "",
         f"}}  // namespace {namespace}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _places_in_words(settings: _core.Settings) -> list[str]:
+    if settings.places == _FOUR:
+        return ["/// What `hexservo::step` needs."]
+    return [
+        "/// What `hexservo::step` needs.",
+        f"/// Of the {settings.places} places of a frame the first {settings.points} are the points, the others idle.",
+    ]
 
 
 def _assignment(member: str, key: _core.ScenarioKey, unit: str, value: Any) -> Iterator[str]:
@@ -108,6 +121,10 @@ def _assignment(member: str, key: _core.ScenarioKey, unit: str, value: Any) -> I
         return
     if isinstance(value, np.ndarray):
         name = f"{member}.emplace()" if key.wrapped else member
+        if key.per_point and key.wrapped:
+            name = f"{member}.emplace({', '.join(map(str, value.shape))})"
+        elif key.name == "target.weights" or (key.per_point and len(value) != _FOUR * key.per_point):
+            yield f"  {member}.resize({len(value)});"
         yield from _matrix(name, np.atleast_2d(value), unit)
         return
     if key.type == "choice":

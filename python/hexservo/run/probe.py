@@ -16,10 +16,10 @@ __all__ = ["probe"]
 def probe(scenario: Scenario) -> _core.Probe:
     """Return the parts of a scenario's loop, to be evaluated at n states at once (docs/model.md, sections 3 to 7).
 
-    Arrays hold one state per row: features (n, 8) [px], depth (n, 4) [m] and negative in front of the camera, position
-    (n, 3) in B [m], quaternion (n, 4) w x y z of any length but zero (1e-150 to 1e150), twist, wrench and acceleration
-    (n, 6) in B [m/s; rad/s], [N; N m], [m/s^2; rad/s^2], weights (n, 6, 7, 7) [N; N m] with row: term of u, column:
-    term of u-dot. Quaternions are used as they stand: inside a Runge-Kutta step they are not normalised.
+    Arrays hold one state per row: features (n, 2p) [px] of p points, depth (n, p) [m] and negative in front of the
+    camera, position (n, 3) in B [m], quaternion (n, 4) w x y z of any length but zero (1e-150 to 1e150), twist, wrench
+    and acceleration (n, 6) in B [m/s; rad/s], [N; N m], [m/s^2; rad/s^2], weights (n, 6, 7, 7) [N; N m] with row: term
+    of u, column: term of u-dot. Quaternions are used as they stand: inside a Runge-Kutta step they are not normalised.
 
     ``image(position, quaternion)``
         True features and Z, (4). Features are NaN for a point that is not in front of the camera.
@@ -27,9 +27,9 @@ def probe(scenario: Scenario) -> _core.Probe:
         Poses from which the true points look nearest to the desired features, position (m, 3) and quaternion (m, 4):
         local minima of the image error found from home, the first that shows the goal last.
     ``image_jacobian(features, depth, quaternion, controller=False)``
-        (n, 8, 6), (12): twist to feature rates, with the depths as given and the plant's sign or the controller's.
+        (n, 2p, 6), (12): twist to feature rates, with the depths as given and the plant's sign or the controller's.
     ``measured_depth(depth)``
-        The controller's depths (n, 4) for the true ones.
+        The controller's depths (n, p) for the true ones.
     ``law(features, depth, position, quaternion, twist, weights=None)``
         Wrench, its parts by name (those of ``_core.LAW_TRAITS[law].parts``, which sum to it with G-bar), the pose error
         that the law regulates, fuzzy output, normalised memberships and adaptation; `depth` is the controller's. The

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from hexservo.run.display import result_text
@@ -44,17 +45,16 @@ _LIMITS: dict[str, tuple[str, str]] = {
     "platform_joint": ("rad", "the platform joint of leg {} exceeded its limit"),
 }
 
-_FEATURES = ["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"]
 _AXES = ["x", "y", "z"]
 TERMS = ["NB", "NM", "NS", "ZE", "PS", "PM", "PB"]
 _LEGS = [1, 2, 3, 4, 5, 6]
 _TWIST = ["vx", "vy", "vz", "wx", "wy", "wz"]
 WRENCH = ["fx", "fy", "fz", "mx", "my", "mz"]
 
-# name -> (second dimension, its labels, unit, what it is); the first dimension is time
-QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
-    "feature_error": ("feature", _FEATURES, "px", "desired minus true feature coordinates"),
-    "depth": ("point", [1, 2, 3, 4], "m", "true Z of the points in the camera frame E, negative in front"),
+Quantity: TypeAlias = tuple[str, list[str] | list[int], str, str]
+"""Second dimension, its labels, unit, what it is; the first dimension is time."""
+
+_OF_PLATFORM: dict[str, Quantity] = {
     "position": ("axis", _AXES, "m", "platform position in the base frame B"),
     "quaternion": ("quaternion_component", ["w", "x", "y", "z"], "1", "platform attitude in the base frame B"),
     "twist": ("twist_component", _TWIST, "m/s; rad/s", "platform velocity and angular velocity in B"),
@@ -63,6 +63,18 @@ QUANTITIES: dict[str, tuple[str, list[str] | list[int], str, str]] = {
     "leg_lengths": ("leg", _LEGS, "m", "leg lengths"),
     "leg_forces": ("leg", _LEGS, "N", "leg forces, positive where they push the platform away from the base"),
 }
+
+
+@cache
+def quantities(points: int) -> dict[str, Quantity]:
+    """Return what a sample of a run with so many points holds, by name (not to be changed)."""
+    numbers = range(1, points + 1)
+    features = [f"{axis}{number}" for number in numbers for axis in "xy"]
+    return {
+        "feature_error": ("feature", features, "px", "desired minus true feature coordinates"),
+        "depth": ("point", list(numbers), "m", "true Z of the points in the camera frame E, negative in front"),
+        **_OF_PLATFORM,
+    }
 
 
 def leg_words(result: Result, name: str, meaning: str) -> str:
@@ -113,8 +125,8 @@ class Result:
     detail: str  # one sentence: how the run ended
     events: tuple[LimitEvent, ...]  # exceeded limits, by time
     time: Array  # (n,) [s]
-    feature_error: Array  # (n, 8) [px], desired minus true (x1, y1, ..., x4, y4)
-    depth: Array  # (n, 4) [m], true Z of the points in E, negative in front of the camera
+    feature_error: Array  # (n, 2p) [px] of p points, desired minus true (x1, y1, ..., xp, yp)
+    depth: Array  # (n, p) [m], true Z of the points in E, negative in front of the camera
     position: Array  # (n, 3) [m], in B
     quaternion: Array  # (n, 4) w x y z
     twist: Array  # (n, 6) [m/s, rad/s], in B
@@ -139,12 +151,12 @@ class Result:
 
     @property
     def features(self) -> Array:
-        """True features of the camera's pinhole, (n, 8) [px]; `pixels` are those of its image."""
+        """True features of the camera's pinhole, (n, 2p) [px]; `pixels` are those of its image."""
         return desired_features(self.scenario) - self.feature_error
 
     @property
     def pixels(self) -> Array:
-        """True pixels of the points, (n, 8) [px], as the scenario's camera counts them, without noise.
+        """True pixels of the points, (n, 2p) [px], as the scenario's camera counts them, without noise.
 
         They differ from `features` where the camera has a lens, a principal point or axes of OpenCV; NaN where the
         lens does not show a point.
@@ -179,7 +191,7 @@ class Result:
 
         columns: dict[str, Array] = {}
         units: dict[str, str] = {}
-        for name, (_, labels, plain, _meaning) in QUANTITIES.items():
+        for name, (_, labels, plain, _meaning) in quantities(self.scenario.target.count).items():
             unit = unit_of(self.scenario.robot, name, plain)
             of_force, _, of_moment = unit.partition("; ")
             for number, label in enumerate(labels):
@@ -212,7 +224,7 @@ class Result:
                 coords={"time": self.time, dimension: labels},
                 attrs={"units": unit_of(self.scenario.robot, name, unit), "long_name": leg_words(self, name, meaning)},
             )
-            for name, (dimension, labels, unit, meaning) in QUANTITIES.items()
+            for name, (dimension, labels, unit, meaning) in quantities(self.scenario.target.count).items()
         }
         data["fuzzy_weights"] = xarray.DataArray(
             self.fuzzy_weights,

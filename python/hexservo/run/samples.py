@@ -121,6 +121,12 @@ def moving_mean(values: Array, count: int) -> Array:
     return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
 
 
+def feature_names(points: int) -> tuple[str, ...]:
+    """Return the names of the image coordinates of so many points, x₁, y₁, x₂, ..."""
+    digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+    return tuple(axis + str(number).translate(digits) for number in range(1, points + 1) for axis in "xy")
+
+
 @dataclass(frozen=True, eq=False)
 class ImageView:
     """The part of the image plane that axes show."""
@@ -141,7 +147,7 @@ def image_views(result: Result) -> list[ImageView]:
     An image whose pixels differ from features counts as none. Paths that leave the image widen that view in both
     directions alike. Where they take a small part of it, a second view of the same shape magnifies them.
     """
-    goals = desired_features(result.scenario).reshape(4, 2)
+    goals = desired_features(result.scenario).reshape(-1, 2)
     places = np.concatenate([result.features.reshape(-1, 2), goals])
     low, high = places.min(axis=0), places.max(axis=0)
     middle, extent = (low + high) / 2, (high - low) / 2

@@ -10,7 +10,7 @@ from typing import Any, cast, get_args
 import numpy as np
 
 from hexservo.run.metrics import METRICS
-from hexservo.run.result import QUANTITIES, LimitEvent, LimitKind, Outcome, Result
+from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
 from hexservo.run.saving import EVENT_HEAD, HISTORY
 from hexservo.run.sealed import ResultError, line_of, refuse_changed, sealed_blocks, shown_path
 from hexservo.scenario.arrays import Array
@@ -65,7 +65,7 @@ def _parsed(content: bytes, place: str) -> tuple[dict[str, Array], dict[str, Any
         with h5py.File(io.BytesIO(content), "r") as file:  # netCDF's own library has trouble closing damaged files
             attributes = {name: _plain(file.attrs[name]) for name in (*_TEXTS, *_NUMBERS) if name in file.attrs}
             arrays = {}
-            for name in _array_shapes(HISTORY in file):
+            for name in _array_shapes(0, HISTORY in file):
                 data = file[name]
                 if data.dtype != np.float64 or data.nbytes > len(content):  # more than was written
                     refuse_changed(place, f"variable {name}")
@@ -96,6 +96,8 @@ def _result(arrays: Mapping[str, Array], attributes: Mapping[str, Any], place: s
         scenario = Scenario.from_yaml(texts["scenario"])
     except ScenarioError as error:
         raise ResultError(f"{place}: its scenario: {line_of(error)}") from None
+    if arrays["depth"].shape[1] != scenario.target.count:
+        refuse_changed(place, "variable depth, which has another number of points than the scenario")
     return Result(
         scenario=scenario,
         controller=texts["controller"],
@@ -115,7 +117,8 @@ def _check_arrays(arrays: Mapping[str, Array], place: str) -> None:
     count = len(time) if time.ndim else 0
     if count == 0:
         refuse_changed(place, "variable time, which has no sample")
-    for name, shape in _array_shapes(HISTORY in arrays).items():
+    points = arrays["depth"].shape[-1] if arrays["depth"].ndim else 0  # as the scenario has: checked with it
+    for name, shape in _array_shapes(points, HISTORY in arrays).items():
         expected = (count, *shape[1:]) if shape[0] < 0 else shape
         if arrays[name].shape != expected:
             refuse_changed(place, f"variable {name}: shape {arrays[name].shape} where {expected} is expected")
@@ -149,9 +152,9 @@ def _events(table: str, place: str, rotary: bool) -> tuple[LimitEvent, ...]:
 # ---- Parts ----------------------------------------------------------------------------------------------------------
 
 
-def _array_shapes(with_history: bool) -> dict[str, tuple[int, ...]]:
+def _array_shapes(points: int, with_history: bool) -> dict[str, tuple[int, ...]]:
     """Return the arrays of a result with their shapes; -1 stands for the number of samples."""
-    widths = {name: (-1, len(labels)) for name, (_, labels, _, _) in QUANTITIES.items()}
+    widths = {name: (-1, len(labels)) for name, (_, labels, _, _) in quantities(points).items()}
     history: dict[str, tuple[int, ...]] = {HISTORY: (-1, 6, 7, 7)} if with_history else {}
     return {"time": (-1,), **widths, "fuzzy_weights": (6, 7, 7), **history}
 

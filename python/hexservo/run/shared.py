@@ -23,7 +23,7 @@ def numbers_of(scenario: Scenario) -> dict[str, Any]:
 
     Gains are among them, so what they were fitted to is not.
     """
-    keys = acting_keys(scenario.controller.law, scenario.simulation.mode)
+    keys = acting_keys(scenario.controller.law, scenario.simulation.mode, scenario.target.count)
     mapping = scenario.to_mapping()
     numbers = {}
     for key, rule in keys.items():

@@ -35,7 +35,8 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
     if not variations:
         raise ValueError("variations: expected at least one key, got none")
     law = scenario.controller.law
-    arrays = {key: _array(key, known_key(key, law), values) for key, values in variations.items()}
+    points = scenario.target.count
+    arrays = {key: _array(key, known_key(key, law, points), values) for key, values in variations.items()}
     idle = [key for key in arrays if key in sampled_keys()] if scenario.simulation.mode == "continuous" else []
     if idle:
         raise ScenarioError(without_effect(idle))
@@ -95,8 +96,8 @@ def fitted_variations(scenario: Scenario, arrays: Mapping[str, NDArray[Any]]) ->
     return {**others, **{head + key: found[key] for key in left}}
 
 
-def known_key(key: object, law: str) -> NumericKey:
-    known = numeric_keys(law)
+def known_key(key: object, law: str, points: int = 4) -> NumericKey:
+    known = numeric_keys(law, points)
     if isinstance(key, str) and key in known:
         return known[key]
     if any(key in numeric_keys(other) for other in LAWS):

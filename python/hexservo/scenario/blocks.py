@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from hexservo import _core
 from hexservo.scenario.block import (
     HALF_TURN,
+    NOT_NEGATIVE,
     POSITIVE,
     PROBABILITY,
     RELATIVE_ERROR,
@@ -39,6 +40,7 @@ from hexservo.scenario.rules import (
     Name,
     Number,
     OptionalNumber,
+    PointsRule,
     TrueOr,
     Vector,
     diagonal_if_diagonal,
@@ -48,7 +50,7 @@ from hexservo.scenario.rules import (
     shown_value,
     tupled,
 )
-from hexservo.scenario.tag import Tag, TagRule
+from hexservo.scenario.tag import CORNERS, Grid, GridRule, Tag, TagRule, require_counts
 
 __all__ = ["Actuators", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
 
@@ -270,32 +272,45 @@ class Actuators(Block):
 
 
 class Target(Block):
-    """The four points in view of the camera, and their desired image.
+    """The 3 to 16 points in view of the camera, and their desired image.
 
-    The points are given by their image from the home pose and their depth, by their place in B, or as the corners of a
-    square tag; the desired image by its features, or as the image of the points from a pose. Features are
-    ordered (x1, y1, ..., x4, y4), in pixels. Tag and pose are read at once: a scenario holds the points and the
-    features that follow from them, and its own ``tag`` and ``desired_pose`` are null.
+    The points are given by their image from the home pose and their depth, by their place in B, as the corners of a
+    square tag, or as those of a grid; the desired image by its features, or as the image of the points from a pose.
+    Features are ordered (x1, y1, ..., xn, yn), in pixels. Tag, grid and pose are read at once: a scenario holds the
+    points and the features that follow from them, and its own ``tag``, ``grid`` and ``desired_pose`` are null.
     """
 
-    initial_features: Annotated[Vector | None, ArrayRule((8,), or_null=True)] = None  # (8,) [px], seen from home
-    # (8,) [px]; null only until a desired pose has been read
-    desired_features: Annotated[Vector, ArrayRule((8,), or_null=True)]
+    initial_features: Annotated[Vector | None, PointsRule((8,), or_null=True, each=2)] = None  # (2n,) [px], from home
+    # (2n,) [px]; null only until a desired pose has been read
+    desired_features: Annotated[Vector, PointsRule((8,), or_null=True, each=2)]
     # (6,) [m; rad], displacement from home, in B: difference of the positions, rotation vector
     desired_pose: Annotated[Vector | None, DisplacementRule()] = None
-    # [m], distance |Z| along the optical axis from home: one for all points or (4,); 0.5 if not given
-    depth: Annotated[float | Vector | None, ArrayRule((4,), POSITIVE, or_number=True, or_null=True)] = None
-    points: Annotated[Matrix | None, ArrayRule((4, 3), or_null=True)] = None  # (4, 3) [m], in the target's frame
+    # [m], distance |Z| along the optical axis from home: one for all points or (n,); 0.5 if not given
+    depth: Annotated[float | Vector | None, PointsRule((4,), POSITIVE, or_number=True, or_null=True)] = None
+    # (n, 3) [m], in the target's frame
+    points: Annotated[Matrix | None, PointsRule((4, 3), or_null=True, each=3, rows=True)] = None
     tag: Annotated[Tag | None, TagRule()] = None
+    grid: Annotated[Grid | None, GridRule()] = None
+    # w, what each point counts in the controller's sums over the image [1]: one for all points or (n,)
+    weights: Annotated[float | Vector, PointsRule((4,), NOT_NEGATIVE, or_number=True)] = 1.0
     # base: the points ride on B; world: they do not, and W is where B rests without motion
     frame: Annotated[Literal["base", "world"], Choice(), SAMPLED] = "base"
     motion: Annotated[TargetMotion, SAMPLED] = Field(default_factory=TargetMotion)
+
+    @property
+    def count(self) -> int:
+        """How many points there are."""
+        for numbers, each in ((self.points, 1), (self.initial_features, 2), (self.desired_features, 2)):
+            if numbers is not None:
+                return len(numbers) // each
+        return self.grid[0] * self.grid[1] if self.grid is not None else len(CORNERS)
 
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
+        require_counts(data)
         if data.get("initial_features") is not None and data.get("points") is None:
             data = {**data, "depth": DEFAULT_DEPTH if data.get("depth") is None else data["depth"]}
         return data if data.get("desired_pose") is None else {"desired_features": None, **data}
@@ -303,10 +318,10 @@ class Target(Block):
     @model_validator(mode="after")
     def _has_one_form(self) -> Target:
         forms = (
-            "expected either initial_features (8 numbers, px) with depth (m), points (4x3 numbers, m, in B), "
-            "or tag (size, pose)"
+            "expected either initial_features (2 numbers per point, px) with depth (m), points (3 numbers per point, "
+            "m, in B), tag (size, pose), or grid (rows, columns, spacing, pose)"
         )
-        given = [key for key in ("initial_features", "points", "tag") if getattr(self, key) is not None]
+        given = [key for key in ("initial_features", "points", "tag", "grid") if getattr(self, key) is not None]
         if not given:
             raise refusal(((), f"{forms}, got none of them"))
         if len(given) > 1:
@@ -316,7 +331,9 @@ class Target(Block):
             raise refusal((("depth",), f"expected no depth beside {given[0]}, got {depth}"))
         goals = [key for key in ("desired_features", "desired_pose") if getattr(self, key) is not None]
         if not goals:
-            raise refusal((("desired_features",), "expected 8 finite numbers, got null; or desired_pose"))
+            raise refusal(
+                (("desired_features",), "expected 2 finite numbers for each point, got null; or desired_pose")
+            )
         if len(goals) > 1:
             raise refusal((("desired_pose",), "expected null beside desired_features, got both; leave one out"))
         return self
@@ -332,8 +349,8 @@ class Uncertainty(Block):
     inertia: Annotated[float | Matrix, ArrayRule((6, 6), RELATIVE_ERROR, or_number=True)] = 0.0
     coriolis: Annotated[float | Matrix, ArrayRule((6, 6), RELATIVE_ERROR, or_number=True)] = 0.0
     gravity: Annotated[float | Vector, ArrayRule((6,), RELATIVE_ERROR, or_number=True)] = 0.0
-    depth: Annotated[float | Vector, ArrayRule((4,), RELATIVE_ERROR, or_number=True)] = (
-        0.0  # one for all points or (4,)
+    depth: Annotated[float | Vector, PointsRule((4,), RELATIVE_ERROR, or_number=True)] = (
+        0.0  # one for all points or (n,)
     )
     # relative, of the controller's camera
     focal_length: Annotated[float, RELATIVE_ERROR, SAMPLED] = 0.0

@@ -93,6 +93,7 @@ def machine_of(scenario: Blocks) -> Machine:
     quaternion, depth, displacement = _goal(scenario, settings, probe)
     desired = settings.camera.features(settings["target.desired_features"].reshape(-1, 2)).ravel()
     jacobian = probe.image_jacobian(desired[None], depth, quaternion)[0]
+    jacobian = jacobian * np.sqrt(np.repeat(settings["target.weights"], 2))[:, None]  # as the points count
     inertia = probe.inertia(quaternion)[0]
     sight = np.sqrt((jacobian.reshape(-1, 2, 3) ** 2).sum(axis=(0, 2)) / len(desired))
     points = len(desired) // 2

@@ -16,7 +16,7 @@ from hexservo.scenario.arrays import Mask
 from hexservo.scenario.block import SAMPLED, SAMPLED_MODE
 from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.rules import ArrayRule, Inertia, Integer, Number, Rule, TableRule
+from hexservo.scenario.rules import ArrayRule, Inertia, Integer, Number, PointsRule, Rule, TableRule
 
 __all__ = [
     "NumericKey",
@@ -72,10 +72,11 @@ class NumericKey:
 
 
 @cache
-def numeric_keys(law: str) -> dict[str, NumericKey]:
+def numeric_keys(law: str, points: int = 4) -> dict[str, NumericKey]:
     """Return the numeric dotted keys, in the order of a scenario file (do not modify).
 
-    The gains of other laws than `law` have no effect and are not among them.
+    The gains of other laws than `law` have no effect and are not among them. The shapes are those of a target of so
+    many points.
     """
     keys = {}
     others = tuple(f"controller.{name}." for name in LAWS if name != law)
@@ -86,6 +87,9 @@ def numeric_keys(law: str) -> dict[str, NumericKey]:
             keys[path] = NumericKey(((),), rule)
         elif isinstance(rule, Integer):
             keys[path] = NumericKey(((),), Number(at_least=rule.at_least, at_most=rule.at_most), whole=True)
+        elif isinstance(rule, PointsRule):
+            shape = rule.shape_for(points)
+            keys[path] = NumericKey(((), shape) if rule.or_number else (shape,), rule.element)
         elif isinstance(rule, ArrayRule):
             keys[path] = NumericKey(((), rule.shape) if rule.or_number else (rule.shape,), rule.element)
         elif isinstance(rule, Inertia):
@@ -110,9 +114,9 @@ def sampled_keys() -> dict[str, Any]:
 
 
 @cache
-def acting_keys(law: str, mode: str) -> dict[str, NumericKey]:
+def acting_keys(law: str, mode: str, points: int = 4) -> dict[str, NumericKey]:
     """Return the `numeric_keys` that act in a mode, which a batch of such scenarios may vary."""
-    keys = numeric_keys(law)
+    keys = numeric_keys(law, points)
     return keys if mode == SAMPLED_MODE else {key: rule for key, rule in keys.items() if key not in sampled_keys()}
 
 

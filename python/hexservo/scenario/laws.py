@@ -17,6 +17,7 @@ from hexservo.scenario.rules import (
     Matrix,
     Number,
     OptionalNumber,
+    PointsRule,
     TableRule,
     Vector,
     map_lists,
@@ -45,7 +46,7 @@ LAWS: tuple[str, ...] = tuple(_core.LAW_TRAITS)
 GENERAL_LAW = "composite"  # what a new machine begins with: it integrates, and its prior bounds the drift
 THEOREM_LAW = next(law for law, traits in _core.LAW_TRAITS.items() if traits.theorem)  # the paper's
 SixNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)]
-EightNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((8,), NOT_NEGATIVE, or_number=True)]
+TwoOfEachPoint: TypeAlias = Annotated[float | Vector, PointsRule((8,), NOT_NEGATIVE, or_number=True, each=2)]
 
 
 def laws_with(*traits: str) -> tuple[str, ...]:
@@ -131,7 +132,9 @@ class Hybrid(Block):
 
     auto: Auto = Field(default_factory=Auto)
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
-    kp: Annotated[float | Vector, ArrayRule((8,), POSITIVE, or_number=True)] = from_core("controller.hybrid.kp")
+    kp: Annotated[float | Vector, PointsRule((8,), POSITIVE, or_number=True, each=2)] = from_core(
+        "controller.hybrid.kp"
+    )
     # K_v, diagonal, [N] x3, [N m] x3; 0 takes the switching term, the law's only damping, away
     kv: SixNotNegative = from_core("controller.hybrid.kv")
     fuzzy: Fuzzy = Field(default_factory=Fuzzy)
@@ -152,7 +155,7 @@ class Composite(Block):
 
     auto: Auto = Field(default_factory=Auto)
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
-    kp: EightNotNegative = from_core("controller.composite.kp")
+    kp: TwoOfEachPoint = from_core("controller.composite.kp")
     # K_v, diagonal, [N] x3, [N m] x3
     kv: SixNotNegative = from_core("controller.composite.kv")
     # K_t, diagonal, stiffness against the pose error [N/m] x3, [N m/rad] x3
@@ -178,7 +181,7 @@ class Kelly(Block):
 
     auto: Auto = Field(default_factory=Auto)
     # K_p, diagonal, one entry per feature coordinate [N m/px^2]
-    kp: EightNotNegative = from_core("controller.kelly.kp")
+    kp: TwoOfEachPoint = from_core("controller.kelly.kp")
     # K_d, diagonal, viscous damping [N s/m] x3, [N m s/rad] x3
     kd: SixNotNegative = from_core("controller.kelly.kd")
 

@@ -7,6 +7,8 @@ from operator import attrgetter
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hexservo import _core
 
 if TYPE_CHECKING:
@@ -65,7 +67,10 @@ def _in_core(key: _core.ScenarioKey, value: Any) -> Any:
 
 
 def gains_of(settings: Settings) -> Any:
-    """Return a copy of the gains of the settings' law: one attribute for each key, those of a block in its own."""
+    """Return a copy of the gains of the settings' law: one attribute for each key, those of a block in its own.
+
+    Gains of image coordinates are multiplied by the weights of their points, as they act.
+    """
     gains = SimpleNamespace()
     head = f"controller.{settings.law}."
     for key in _keys(settings.law):
@@ -74,7 +79,8 @@ def gains_of(settings: Settings) -> Any:
             place = gains
             for block in blocks:
                 place = vars(place).setdefault(block, SimpleNamespace())
-            setattr(place, name, settings[key.name])
+            value = settings[key.name]
+            setattr(place, name, value * np.repeat(settings["target.weights"], 2) if key.per_point == 2 else value)
     return gains
 
 

@@ -53,7 +53,7 @@ def to_pixels(scenario: Blocks, features: Any) -> Array:
 
 
 def desired_features(scenario: Blocks) -> Array:
-    """Return the desired features of the pinhole, (8,) [px]: what samples and metrics are measured against."""
+    """Return the desired features of the pinhole, (2p,) [px]: what samples and metrics are measured against."""
     return to_features(scenario, scenario.target.desired_features)
 
 

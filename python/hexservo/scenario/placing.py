@@ -1,4 +1,4 @@
-"""What is read into other keys: a tag, a goal pose, and what an accelerometer on the base recorded."""
+"""What is read into other keys: a tag, a grid, a goal pose, and what an accelerometer on the base recorded."""
 
 from __future__ import annotations
 
@@ -12,25 +12,31 @@ from hexservo.scenario.motion import BaseMotion
 from hexservo.scenario.parameters import core_settings
 from hexservo.scenario.plain import plain
 from hexservo.scenario.recording import kinematic
-from hexservo.scenario.tag import Tag, corners, normal, rotation_matrix
+from hexservo.scenario.rules import Vector
+from hexservo.scenario.tag import corners, nodes, normal, rotation_matrix
 
 __all__ = ["read_motion", "read_target"]
 
 
 def read_target(scenario: Blocks) -> None:
-    """Replace tag and desired pose of a scenario that is being made by points and desired features.
+    """Replace tag, grid and desired pose of a scenario that is being made by points and desired features.
 
     Raises
     ------
     ValueError
-        For a tag seen from behind, and for what the core refuses of robot, camera and target.
+        For a tag or a grid seen from behind, and for what the core refuses of robot, camera and target.
     """
     target = scenario.target
     if target.tag is not None:
-        _require_front(scenario, target.tag)
+        _require_front(scenario, "tag", target.tag[1])
         target = _replace(scenario, {"tag": None, "points": corners(target.tag)})
+    if target.grid is not None:
+        _require_front(scenario, "grid", target.grid[3])
+        target = _replace(scenario, {"grid": None, "points": nodes(target.grid)})
     if target.desired_pose is not None:
-        features = _core.project_target(core_settings(scenario), target.desired_pose)
+        settings = core_settings(scenario)
+        settings["target.desired_features"] = np.zeros(2 * target.count)  # as many as there will be
+        features = _core.project_target(settings, target.desired_pose)
         _replace(scenario, {"desired_pose": None, "desired_features": features})
 
 
@@ -45,8 +51,8 @@ def read_motion(scenario: Blocks) -> None:
     scenario.__dict__["base_motion"] = BaseMotion.model_validate(plain({**dict(motion), **changes}))
 
 
-def _require_front(scenario: Blocks, tag: Tag) -> None:
-    """Refuse a tag whose back the camera has before it, at home or at the desired pose."""
+def _require_front(scenario: Blocks, kind: str, pose: Vector) -> None:
+    """Refuse a tag or a grid whose back the camera has before it, at home or at the desired pose."""
     robot = scenario.robot
     home = rotation_matrix(robot.home_attitude)
     places = {"home": (np.zeros(3), np.eye(3))}
@@ -54,9 +60,9 @@ def _require_front(scenario: Blocks, tag: Tag) -> None:
         places["target.desired_pose"] = (np.array(goal[:3]), rotation_matrix(goal[3:]))
     for name, (shift, turn) in places.items():
         camera = np.array(robot.home_position) + shift + turn @ home @ np.array(scenario.camera.mount.position)
-        if not float(np.array(normal(tag)) @ (camera - np.array(tag[1][:3]))) > 0.0:
+        if not float(np.array(normal(pose)) @ (camera - np.array(pose[:3]))) > 0.0:
             raise ValueError(
-                "target.tag.pose: expected a tag whose front, where its z axis points, is before the camera at "
+                f"target.{kind}.pose: expected a {kind} whose front, where its z axis points, is before the camera at "
                 f"{name}, got one with its back to it"
             )
 

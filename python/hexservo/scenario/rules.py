@@ -20,6 +20,8 @@ __all__ = ["Matrix", "Vector"]
 
 Vector: TypeAlias = tuple[float, ...]
 Matrix: TypeAlias = tuple[Vector, ...]
+LEAST_POINTS, MOST_POINTS = 3, 16  # of a target
+_POINTS = f"{LEAST_POINTS} to {MOST_POINTS}"
 TERMS = dict(zip(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"), _core.TERM_CENTRES, strict=True))
 
 
@@ -135,6 +137,37 @@ class ArrayRule(Rule):
                 return self.element.accept(value)
             self.refuse(value)
         numbers = _tuples(value, self.shape, self.element.accept, self.expected)
+        return cast("float | Vector | Matrix", collapsed(numbers) if self.or_number else numbers)
+
+
+@dataclass(frozen=True)
+class PointsRule(ArrayRule):
+    """Numbers of each point of a target, a row of three or some in one list; for 3 to 16 points."""
+
+    each: int = 1  # numbers of a point
+    rows: bool = False  # those of a point stand in a list of themselves
+
+    @property
+    def expected(self) -> str:
+        number = self.element.expected
+        if self.rows:
+            return f"{_POINTS} points of {self.each} finite numbers"
+        several = f"{self.element.several(str(self.each))} for each of {_POINTS} points"
+        if not self.or_number:
+            return several
+        return f"{number}, or {several if self.each > 1 else f'one for each of {_POINTS} points'}"
+
+    def shape_for(self, points: int) -> tuple[int, ...]:
+        """Return the shape of the numbers of so many points."""
+        return (points, self.each) if self.rows else (self.each * points,)
+
+    def accept(self, value: Any) -> float | Vector | Matrix | None:
+        if not isinstance(value, list):
+            return super().accept(value)
+        points, rest = divmod(len(value), 1 if self.rows else self.each)
+        if rest or not LEAST_POINTS <= points <= MOST_POINTS:
+            raise refusal(((), f"expected {self.expected}, got a list of {len(value)}"))
+        numbers = _tuples(value, self.shape_for(points), self.element.accept, self.expected)
         return cast("float | Vector | Matrix", collapsed(numbers) if self.or_number else numbers)
 
 

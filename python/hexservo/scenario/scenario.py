@@ -25,6 +25,7 @@ from hexservo.scenario.placing import read_motion, read_target
 from hexservo.scenario.plain import plain, put
 from hexservo.scenario.problems import in_words, listing
 from hexservo.scenario.rules import did_you_mean, is_number, shown_value
+from hexservo.scenario.tag import require_counts_elsewhere
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
 
 __all__ = ["Scenario", "load_scenario", "scenario_names"]
@@ -59,6 +60,7 @@ class Scenario(Blocks):
         """
         if not isinstance(data, dict):
             return data
+        require_counts_elsewhere(data)
         data = with_fitted_gains(data)
         camera, simulation = data.get("camera", {}), data.get("simulation", {})
         if not isinstance(camera, dict) or not isinstance(simulation, dict):

@@ -16,7 +16,7 @@ from hexservo.scenario import keys
 from hexservo.scenario import rules as kinds
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.plain import plain as as_plain
-from hexservo.scenario.tag import TagRule
+from hexservo.scenario.tag import GridRule, TagRule
 
 __all__ = ["Drawn", "draw", "inclusive_bounds", "rules"]
 
@@ -205,7 +205,7 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
             [3.0, 0.0, 0.0, 0.0]
         )
         changes["base_motion.attitudes"] = (turns / np.linalg.norm(turns, axis=1, keepdims=True)).tolist()
-    if changes.get("target.tag") is not None:
+    if changes.get("target.tag") is not None or changes.get("target.grid") is not None:
         changes |= {"target.initial_features": None, "target.depth": None, "target.points": None}
     elif changes.get("target.points") is not None:
         changes |= {"target.initial_features": None, "target.depth": None}
@@ -218,6 +218,9 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
     if changes.get("camera.principal_point") is not None:
         changes |= {"camera.principal_point": [320.0, 240.0], "camera.image_size": [640.0, 480.0]}
         changes["simulation.mode"] = "sampled"
+    if changes.get("target.grid") is not None:  # whose points are others than those of the goal image
+        changes |= {"target.tag": None, "target.desired_pose": [0.003] * 3 + [0.02] * 3}
+        changes |= {"target.weights": 1.0, "uncertainty.depth": 0.1}
     if changes.get("target.desired_pose") is not None:
         changes["target.desired_features"] = None
     for side in ("platform", "base"):
@@ -303,6 +306,10 @@ def _value(random: Generator, key: str, current: Any) -> Any:
     if isinstance(rule, TagRule):
         pose = [*(0.05 * random.normal(size=2)), -0.65, *(0.5 * random.normal(size=3))]
         return _one(random, [None, {"size": 10.0 ** random.uniform(-3, 0), "pose": [float(x) for x in pose]}])
+    if isinstance(rule, GridRule):
+        pose = [*(0.05 * random.normal(size=2)), -0.65, *(0.5 * random.normal(size=3))]
+        shape = {"rows": 2, "columns": int(random.integers(2, 9)), "spacing": 10.0 ** random.uniform(-3, -1)}
+        return _one(random, [None, {**shape, "pose": [float(x) for x in pose]}])
     raise NotImplementedError(f"the fuzzer has no values of a {type(rule).__name__}")
 
 

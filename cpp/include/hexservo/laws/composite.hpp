@@ -36,8 +36,8 @@ inline constexpr std::array<UnitOf, 2> kPoseErrorUnits{{{"error_scale", "1/m; 1/
 /// Gains of the law `composite`.
 template <class S, int N = kPoints>
 struct CompositeGains {
-  Vector<S, 2 * N> kp = Vector<S, 2 * N>::Constant(S(1e-9));  ///< diagonal of K_p [N m/px^2], 1e-9
-  Vector6<S> kv = linear_angular<S>(2e-3, 1e-4);              ///< diagonal of K_v [N; N m], 2e-3 x3, 1e-4 x3
+  OfPoints<S, N, 2> kp = for_all_points<S, N, 2>(1e-9);  ///< diagonal of K_p [N m/px^2], 1e-9
+  Vector6<S> kv = linear_angular<S>(2e-3, 1e-4);         ///< diagonal of K_v [N; N m], 2e-3 x3, 1e-4 x3
   Vector6<S> kt{S(6.0),   S(6.0),   S(6.0),
                 S(0.015), S(0.015), S(0.03)};  ///< diagonal of K_t [N/m; N m/rad], 6 x3, 0.015 x2, 0.03
   Vector6<S> kd{S(1.2),  S(1.2),  S(1.2),
@@ -71,12 +71,12 @@ struct Composite : FuzzyLaw<CompositeGains> {
   /// tau = J^T K_p xi-tilde + K_t e - K_d chi-dot - K_v sw(chi-dot) + G - tau_f.
   /// @param out what the law gives; filled in place, since the basis is 84 numbers
   template <class S, int N, class Listener = NoListener>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& constants, const Stage<S>& weights,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
-    const Vector6<S> pose_error =
-        most_probable_pose_error(J, feature_error, constants.prior, pose_difference(task.reference, input.pose));
+    const Vector6<S> pose_error = most_probable_pose_error(J, feature_error, constants.prior,
+                                                           pose_difference(task.reference, input.pose), task.weights);
     if (constants.systems.enabled) {
       const FuzzySystems<S>& systems = constants.systems;
       // The goal stands still: the pose error's rate is minus the twist.

@@ -34,12 +34,12 @@ struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
 
   /// tau = D (K_p e - K_d chi-dot) + C chi-dot + G with the estimates of (1), and e as in `composite`.
   template <class S, int N, class Listener = NoListener>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
-    const Vector6<S> pose_error =
-        most_probable_pose_error(J, feature_error, gains.prior, pose_difference(task.reference, input.pose));
+    const Vector6<S> pose_error = most_probable_pose_error(J, feature_error, gains.prior,
+                                                           pose_difference(task.reference, input.pose), task.weights);
     const Vector6<S> wanted = gains.kp.cwiseProduct(pose_error) - gains.kd.cwiseProduct(input.twist);  // chi-ddot
     if (task.body.off_centre) return off_centre<S, N>(task, gains, input, pose_error, wanted, out, listener);
     out.wrench = task.gravity_wrench;
@@ -66,7 +66,7 @@ struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
  private:
   /// The same where all entries of D and C act.
   template <class S, int N, class Listener>
-  static void off_centre(const ControlTask<S, N>& task, const Constants<S>& gains, const LawInput<S, N>& input,
+  static void off_centre(const ControlTask<S, N>& task, const Constants<S, N>& gains, const LawInput<S, N>& input,
                          const Vector6<S>& pose_error, const Vector6<S>& wanted, Evaluation<S>& out,
                          const Listener& listener) noexcept {
     const Matrix6<S> D = mass_matrix(task.body, input.R_BE), C = coriolis_matrix(task.body, input.R_BE, input.twist);

@@ -11,13 +11,13 @@ namespace hexservo {
 /// @tparam G gains with a member `fuzzy`
 template <template <class, int> class G>
 struct FuzzyLaw {
-  template <class S>
-  using Gains = G<S, kPoints>;
+  template <class S, int N = kPoints>
+  using Gains = G<S, N>;
 
   /// The same gains, prepared for evaluation.
-  template <class S>
-  struct Constants : Gains<S> {
-    explicit Constants(const Gains<S>& gains) : Gains<S>(gains), systems(gains.fuzzy) {}
+  template <class S, int N = kPoints>
+  struct Constants : Gains<S, N> {
+    explicit Constants(const Gains<S, N>& gains) : Gains<S, N>(gains), systems(gains.fuzzy) {}
 
     FuzzySystems<S> systems;
   };
@@ -37,13 +37,13 @@ struct FuzzyLaw {
     Vector6<S> wrench;        ///< tau, in B [N; N m]
   };
 
-  template <class S>
-  static State<S> initial_state(const Gains<S>& gains) {
+  template <class S, int N>
+  static State<S> initial_state(const G<S, N>& gains) {
     return initial_weights(gains.fuzzy);
   }
 
-  template <class S, std::size_t K>
-  static void advance(const Constants<S>& constants, State<S>& state, const std::array<const Rate<S>*, K>& rates,
+  template <class S, int N, std::size_t K>
+  static void advance(const Constants<S, N>& constants, State<S>& state, const std::array<const Rate<S>*, K>& rates,
                       const std::array<S, K>& scales, const Mask<S>& active) noexcept {
     advance_systems(constants.systems, state, rates, scales, active);
   }

@@ -17,8 +17,8 @@ namespace hexservo {
 /// Gains of the law `hybrid`.
 template <class S, int N = kPoints>
 struct HybridGains {
-  Vector<S, 2 * N> kp = Vector<S, 2 * N>::Constant(S(1e-6));  ///< diagonal of K_p [N m/px^2], 1e-6
-  Vector6<S> kv = linear_angular<S>(2e-3, 1e-4);              ///< diagonal of K_v [N; N m], 2e-3 x3, 1e-4 x3
+  OfPoints<S, N, 2> kp = for_all_points<S, N, 2>(1e-6);  ///< diagonal of K_p [N m/px^2], 1e-6
+  Vector6<S> kv = linear_angular<S>(2e-3, 1e-4);         ///< diagonal of K_v [N; N m], 2e-3 x3, 1e-4 x3
   FuzzyGains<S> fuzzy;
 
   template <class V, class... Self>
@@ -40,7 +40,7 @@ struct Hybrid : FuzzyLaw<HybridGains> {
   /// (14), (15) with (13) and (22): tau = g - K_v sgn(chi-dot) + G - tau_f.
   /// @param out what the law gives; filled in place, since the basis is 84 numbers
   template <class S, int N, class Listener = NoListener>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& constants, const Stage<S>& weights,
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& constants, const Stage<S>& weights,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
     const Pairs<S, N> kp(constants.kp);

@@ -10,7 +10,7 @@ namespace hexservo {
 /// Gains of the law `kelly`.
 template <class S, int N = kPoints>
 struct KellyGains {
-  Vector<S, 2 * N> kp = Vector<S, 2 * N>::Constant(S(1e-6));  ///< diagonal of K_p [N m/px^2], 1e-6
+  OfPoints<S, N, 2> kp = for_all_points<S, N, 2>(1e-6);  ///< diagonal of K_p [N m/px^2], 1e-6
   Vector6<S> kd{S(1.2),   S(1.2),   S(1.2),
                 S(0.024), S(0.024), S(0.048)};  ///< diagonal of K_d [N s/m; N m s/rad], 1.2 x3, 0.024 x2, 0.048
 
@@ -28,7 +28,7 @@ struct Kelly : StatelessLaw<KellyGains> {
 
   /// tau = J^T K_p xi-tilde - K_d chi-dot + G.
   template <class S, int N, class Listener = NoListener>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;

@@ -177,8 +177,8 @@ template <class Law>
 inline constexpr bool kHasFuzzySystems = requires(const typename Law::template Gains<double>& gains) { gains.fuzzy; };
 
 /// Whether it has some that act with these gains.
-template <class Law>
-bool fuzzy_systems_act(const typename Law::template Gains<double>& gains) noexcept {
+template <class Law, class Gains>
+bool fuzzy_systems_act([[maybe_unused]] const Gains& gains) noexcept {
   if constexpr (kHasFuzzySystems<Law>) return gains.fuzzy.enabled;
   return false;
 }
@@ -194,7 +194,8 @@ struct ControlTask {
   Pose<S> reference;  ///< chi_ref, the pose that the prior of `composite` expects: home
   RigidBody<S> body;  ///< as estimated
   S period;           ///< T_c, time between two evaluations; used by the implicit switching functions alone [s]
-  TargetModel<S, N> target{};  ///< what the controller takes the target for
+  TargetModel<S, N> target{};       ///< what the controller takes the target for
+  PointWeights<S, N> weights = {};  ///< what its points count
 
   /// Adds to a wrench in B what G of (1) has beside `gravity_wrench` where the centre of mass is off E's origin, its
   /// moment at an attitude [N m].

@@ -27,9 +27,9 @@ constexpr const LawTraits& law_traits(LawId law) { return kLawTraits[static_cast
 /// @throws std::invalid_argument for a name that no law has
 LawId law_named(std::string_view name);
 
-/// Gains of a law as a user gives them.
+/// Gains of a law as a user gives them, for any number of points.
 template <class Law>
-using GainsOf = typename Law::template Gains<double>;
+using GainsOf = typename Law::template Gains<double, kAnyPoints>;
 
 /// Gains of one of the laws; their type is that of the law.
 using LawGains = Laws::Map<std::variant, GainsOf>;

@@ -1,5 +1,5 @@
 /// @file
-/// Position-based visual servoing: a pose from the four features and assumed points, then a Cartesian law
+/// Position-based visual servoing: a pose from the features and assumed points, then a Cartesian law
 /// (docs/model.md, section 5).
 #pragma once
 
@@ -39,10 +39,10 @@ struct Pbvs : StatelessLaw<PbvsGains> {
   /// the pose of the joint sensors and, with M > 0, weighed against it as far as the image is noisy. NaN where there is
   /// no estimate.
   template <class S, int N, class Listener = NoListener>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const PoseEstimate<S> estimate =
-        estimate_pose<S, N>(task.camera, task.target.points_B, input.features, input.pose, gains.prior);
+        estimate_pose<S, N>(task.camera, task.target.points_B, input.features, input.pose, gains.prior, task.weights);
     const Vector6<S> error =
         select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
     out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;

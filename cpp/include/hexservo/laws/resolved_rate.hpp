@@ -46,7 +46,7 @@ struct ResolvedRateGains {
 /// Checks how gains go together.
 /// @param key what the scenario's keys start with, "controller.resolved_rate."
 /// @throws std::invalid_argument naming the scenario key
-void validate(const ResolvedRateGains<double>& gains, const std::string& key);
+void validate(const ResolvedRateGains<double, kAnyPoints>& gains, const std::string& key);
 
 /// lambda(x) = (lambda_0 - lambda_inf) exp(-s_0 x/(lambda_0 - lambda_inf)) + lambda_inf [1/s], or lambda.
 /// @param x largest |xi-tilde_i| [px]
@@ -71,10 +71,10 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
                                        .points = true,
                                        .depth = true};
 
-  /// v* = lambda (J^T J + M)^-1 J^T xi-tilde, tau = K_i (v* - chi-dot) + G. NaN where J^T J + M is not positive
-  /// definite.
+  /// v* = lambda (J^T W J + M)^-1 J^T W xi-tilde, tau = K_i (v* - chi-dot) + G. NaN where J^T W J + M is not
+  /// positive definite.
   template <class S, int N, class Listener = NoListener>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S>& gains, const Stage<S>& /*stage*/,
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
     const Eigen::Matrix<S, 2 * N, 6> J = jacobian(gains.jacobian_at, task, input);
@@ -82,11 +82,12 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
     Vector6<S> pulled = Vector6<S>::Zero();
     for (int row = 0; row < 2 * N; ++row)
       for (int j = 0; j < 6; ++j) {
-        pulled(j) += J(row, j) * feature_error(row);
-        for (int i = 0; i < 6; ++i) information(i, j) += J(row, i) * J(row, j);
+        const S& Jw = task.weights.of_row(row / 2, J(row, j));
+        pulled(j) += Jw * feature_error(row);
+        for (int i = 0; i < 6; ++i) information(i, j) += J(row, i) * Jw;
       }
     for (int j = 0; j < 6; ++j) information(j, j) += gains.damping(j);
-    const S lambda = velocity_gain(gains, largest_abs<S, 2 * N, 1>(feature_error));
+    const S lambda = velocity_gain(gains, task.weights.largest(feature_error));
     const Vector6<S> pose_error = solve_normal_equations<S>(information, pulled);
     const Vector6<S> velocity = lambda * pose_error;
     out.wrench = gains.ki.cwiseProduct(velocity - input.twist) + task.gravity_wrench;

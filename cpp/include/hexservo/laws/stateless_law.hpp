@@ -22,13 +22,13 @@ struct NoStage {
 /// Base of a law that remembers nothing.
 template <template <class, int> class G>
 struct StatelessLaw {
-  template <class S>
-  using Gains = G<S, kPoints>;
+  template <class S, int N = kPoints>
+  using Gains = G<S, N>;
 
   /// The same gains, prepared for evaluation.
-  template <class S>
-  struct Constants : Gains<S> {
-    explicit Constants(const Gains<S>& gains) : Gains<S>(gains) {}
+  template <class S, int N = kPoints>
+  struct Constants : Gains<S, N> {
+    explicit Constants(const Gains<S, N>& gains) : Gains<S, N>(gains) {}
   };
 
   template <class S>
@@ -46,13 +46,13 @@ struct StatelessLaw {
     Vector6<S> wrench;                             ///< tau, in B [N; N m]
   };
 
-  template <class S>
-  static State<S> initial_state(const Gains<S>& /*gains*/) {
+  template <class S, int N>
+  static State<S> initial_state(const G<S, N>& /*gains*/) {
     return {};
   }
 
-  template <class S, std::size_t K>
-  static void advance(const Constants<S>& /*constants*/, State<S>& /*state*/,
+  template <class S, int N, std::size_t K>
+  static void advance(const Constants<S, N>& /*constants*/, State<S>& /*state*/,
                       const std::array<const Rate<S>*, K>& /*rates*/, const std::array<S, K>& /*scales*/,
                       const Mask<S>& /*active*/) noexcept {}
 };

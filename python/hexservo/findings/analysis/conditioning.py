@@ -63,7 +63,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Conditioning(Part):
-    """Pose observability from the image of four points, and placements with better observability."""
+    """Pose observability from the image of the points, and placements with better observability."""
 
     scene: Scene
     start: Sight

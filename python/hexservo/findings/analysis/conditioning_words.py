@@ -6,7 +6,15 @@ import numpy as np
 
 from hexservo.findings.analysis.conditioning import Conditioning, Sight
 from hexservo.findings.analysis.goal import TOLERANCE
-from hexservo.findings.analysis.placement import DEPTH_SHARE, Placement, image_radius, in_circle, place
+from hexservo.findings.analysis.placement import (
+    DEPTH_SHARE,
+    Placement,
+    corner_angles,
+    image_radius,
+    in_circle,
+    place,
+    shape_name,
+)
 from hexservo.findings.analysis.words import displacement_words, motion_in_words, number, numbers
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
 from hexservo.scenario.arrays import Array
@@ -64,7 +72,7 @@ def _sentences(found: Conditioning, sights: list[Sight]) -> list[str]:
     cheap = found.placements[1]
     words.append(
         f"Within {image_radius(found.scene):.0f} px of the image centre and {DEPTH_SHARE:.0%} of the depth, other "
-        f"placements of the four points make the worst direction {_times(own.worst / best.worst)} "
+        f"placements of the points make the worst direction {_times(own.worst / best.worst)} "
         f"({number(1e3 * own.worst)} mm per px originally, {number(1e3 * best.worst)} mm with the best found); "
         + (
             f"one point off the plane alone makes it {_times(own.worst / cheap.worst)}."
@@ -109,11 +117,13 @@ def _goal_in_words(found: Conditioning) -> str:
 def _curves(found: Conditioning) -> Curves:
     """Draw the worst direction over the size of a square, in a plane and with one corner off it."""
     length = found.start.length
-    own = float(np.hypot(*found.start.view.features.reshape(4, 2).T).max())
+    own = float(np.hypot(*found.start.view.features.reshape(-1, 2).T).max())
     radii = np.geomspace(min(20.0, own), max(image_radius(found.scene), own), 30)
-    plane = np.full(4, -length)
-    near = plane * np.array([1 - DEPTH_SHARE, 1, 1, 1])
-    corners = np.pi * np.array([1, 3, 5, 7]) / 4
+    count = len(found.start.view.depth)
+    plane = np.full(count, -length)
+    near = plane.copy()
+    near[0] *= 1 - DEPTH_SHARE
+    corners = np.pi * np.array([1, 3, 5, 7]) / 4 if count == 4 else corner_angles(count)
 
     def worst(depth: Array) -> Array:
         return np.array([1e3 * place(found.scene, "", in_circle(r, corners), depth, length).worst for r in radii])
@@ -124,12 +134,12 @@ def _curves(found: Conditioning) -> Curves:
         x_label="largest distance of a feature from the image centre [px]",
         y_label="worst direction, rotations scaled by the depth [mm per px of noise]",
         lines=(
-            Line("a square in a plane", radii, worst(plane)),
+            Line(f"{shape_name(count)} in a plane", radii, worst(plane)),
             Line(f"one corner {DEPTH_SHARE:.0%} of the depth nearer", radii, worst(near), "dashed"),
             Line("as they are", np.array([own]), np.array([1e3 * found.placements[0].worst]), "points"),
             Line(
                 "best found",
-                np.array([float(np.hypot(*best.features.reshape(4, 2).T).max())]),
+                np.array([float(np.hypot(*best.features.reshape(-1, 2).T).max())]),
                 np.array([1e3 * best.worst]),
                 "points",
             ),
@@ -237,7 +247,7 @@ def _directions_table(sights: list[Sight]) -> Table:
 def _placement_table(placements: tuple[Placement, ...]) -> Table:
     own = placements[0]
     return Table(
-        title="Other placements of the four points, from home",
+        title="Other placements of the points, from home",
         columns=(
             Column("points"),
             *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
@@ -252,7 +262,7 @@ def _placement_table(placements: tuple[Placement, ...]) -> Table:
         note="The best found: "
         + "; ".join(
             f"({x:.0f}, {y:.0f}) px at {-z:.4g} m"
-            for (x, y), z in zip(placements[-1].features.reshape(4, 2) + 0.0, placements[-1].depth, strict=True)
+            for (x, y), z in zip(placements[-1].features.reshape(-1, 2) + 0.0, placements[-1].depth, strict=True)
         )
         + ". Moved points need a new goal image.",
         page=PAGE,

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest, not_analysed
@@ -23,7 +22,8 @@ LARGEST = 0.95  # that is searched; at 1 an assumed depth is zero
 GRID = 20  # sizes up to it before the bisection, so that a border that is not the only one is found
 _ROUNDS = 20  # of bisection
 _CREEP_ROUNDS = 30  # of the search for the end of the drift
-_SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=4)))  # (16, 4)
+_POINTS = 4  # whose patterns are analysed
+_SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=_POINTS)))  # (16, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Pattern:
     """Depth errors of one size with one sign per point."""
 
     signs: str  # such as (+,-,-,+)
-    errors: Array  # (4,) delta_Z
+    errors: Array  # (p,) delta_Z
     start: float  # smallest real part of an eigenvalue of the loop matrix at the start [1]
     goal: float  # the same at the goal; NaN where there is no goal pose
     direction: Array  # (6,) [m; rad], in B: the one that belongs to `start`
@@ -110,7 +110,7 @@ def analyse(scenario: Scenario) -> Drift:
         For a scenario that the core refuses.
     """
     law = scenario.controller.law
-    if reason := not_analysed(scenario, _not_for(scenario.controller.traits)):
+    if reason := not_analysed(scenario, _not_for(scenario)):
         return Drift(law, reason)
     if getattr(scenario.controller.gains, "jacobian_at", "current") != "current":
         return Drift(law, f"{law} with a Jacobian of the goal: not analysed, since no depth of an image enters.")
@@ -119,8 +119,11 @@ def analyse(scenario: Scenario) -> Drift:
     return _Worker(scenario).drift()
 
 
-def _not_for(law: _core.LawTraits) -> str:
-    """Return why a law is not analysed; empty for one with a pose error by (J-hat^T J-hat + M)^-1."""
+def _not_for(scenario: Scenario) -> str:
+    """Return why a scenario is not analysed; empty with a pose error by (J-hat^T W J-hat + M)^-1 of four points."""
+    law = scenario.controller.traits
+    if scenario.target.count != _POINTS:
+        return f"its patterns of depth errors are those of four points, and the target has {scenario.target.count}"
     if not law.pose_error:
         return "it forms no pose error; for its image part under unequal depth errors see equilibria"
     return "" if law.inverse else "it estimates the pose by iteration from assumed target points"
@@ -129,13 +132,13 @@ def _not_for(law: _core.LawTraits) -> str:
 def loop_matrix(known: Array, true: Array, inverse: Array, expected: Array) -> Array:
     """Return the matrix E of de = -E dchi, (..., 6, 6), dimensionless per pair of like units.
 
-    E = (J-hat^T J-hat + M)^-1 (J-hat^T J + M_e), where M_e is the part of the prior M that is also expected: M for
+    E = (J-hat^T W J-hat + M)^-1 (J-hat^T W J + M_e), where M_e is the part of the prior M that is also expected: M for
     `composite` and `computed_torque`, 0 for a damping that is in the inverse alone.
 
     Parameters
     ----------
     known, true
-        J-hat and J (..., 8, 6): twist in B (m/s; rad/s) to feature rates [px/s].
+        sqrt(W) J-hat and sqrt(W) J (..., 2p, 6): twist in B (m/s; rad/s) to feature rates [px/s].
     inverse, expected
         Diagonals of M and M_e, (6,) [px^2/m^2; px^2/rad^2].
 
@@ -160,7 +163,11 @@ class _Worker:
         self.goal = None if goals is None else goals.shown_at
         places = [self.rest.home] if self.goal is None else [self.rest.home, self.goal]
         self.places = [(pose, *self.rest.image(pose)) for pose in places]
-        self.true = [self.rest.jacobian(features, depth, pose.quaternion) for pose, features, depth in self.places]
+        root = np.sqrt(np.repeat(self.rest.settings["target.weights"], 2))
+        self.root: Array = root[:, None]  # of what each coordinate counts
+        self.true = [
+            self.root * self.rest.jacobian(features, depth, pose.quaternion) for pose, features, depth in self.places
+        ]
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
         self.drive, self.driven_by = self._drive()
@@ -183,11 +190,11 @@ class _Worker:
         return self.traits.memory and bool(self.gains.fuzzy.enabled)
 
     def known(self, place: int, errors: Array) -> Array:
-        """Return J-hat (n, 8, 6) at a place for depth errors (n, 4): the core's J at Z-hat = (1 + delta) Z, (9)."""
+        """Return J-hat (n, 2p, 6) at a place for depth errors (n, p): the core's J at Z-hat = (1 + delta) Z, (9)."""
         pose, features, depth = self.places[place]
         count = len(errors)
         attitudes = pose.repeated(count).quaternion
-        return self.rest.jacobian(np.tile(features, (count, 1)), (1.0 + errors) * depth, attitudes)
+        return self.root * self.rest.jacobian(np.tile(features, (count, 1)), (1.0 + errors) * depth, attitudes)
 
     def smallest(self, place: int, errors: Array, inverse: Array, expected: Array) -> Array:
         """Return the smallest real part of an eigenvalue of the loop matrix, (n,)."""
@@ -195,7 +202,7 @@ class _Worker:
         return np.asarray(np.linalg.eigvals(matrix).real.min(axis=1))
 
     def patterns(self, errors: Array) -> tuple[Pattern, ...]:
-        """Describe depth errors (n, 4)."""
+        """Describe depth errors (n, p)."""
         matrix = loop_matrix(self.known(0, errors), self.true[0], self.inverse, self.expected)
         unit = self.rest.unit
         values, vectors = np.linalg.eig(matrix * unit / unit[:, None])

@@ -26,7 +26,7 @@ class GoalPose:
 
     view: View
     displacement: Array  # (6,) from home [m; rad]: difference of the positions, rotation vector, both in B
-    residual: Array  # (8,) [px], desired minus seen
+    residual: Array  # (2p,) [px], desired minus seen
 
     @property
     def largest_residual(self) -> float:
@@ -92,7 +92,7 @@ def nearest_images(scene: Scene, starts: Poses, weights: Array | None = None, ro
     Minimises sum_k w_k (xi_d - xi)_k^2 [px^2]. A step that would raise it, or take a point behind the camera, is
     refused and shortened. What a start reaches is a local minimum, or where the rounds end.
     """
-    root = np.ones(8) if weights is None else np.sqrt(weights / weights.max())
+    root = np.ones(len(scene.desired)) if weights is None else np.sqrt(weights / weights.max())
     poses, damping = starts, np.full(len(starts), 1e-2)
     features, depth = scene.image(poses)
     error = root * (scene.desired - features)
@@ -101,7 +101,7 @@ def nearest_images(scene: Scene, starts: Poses, weights: Array | None = None, ro
         seen = np.isfinite(cost)
         if not seen.any():
             break
-        slope = np.zeros((len(poses), 8, 6))
+        slope = np.zeros((*features.shape, 6))
         slope[seen] = scene.jacobian(features[seen], depth[seen], poses.quaternion[seen]) * root[:, None] * scene.unit
         normal = slope.transpose(0, 2, 1) @ slope
         largest = np.maximum(np.einsum("nii->ni", normal).max(axis=1), 1e-300)
@@ -137,10 +137,10 @@ def _nearest(scene: Scene, best: GoalPose) -> GoalPose:
     if unit <= 1e-12 * scene.depth:  # home shows the goal image
         return best
 
-    def room(x: Array) -> Array:  # (16,), in units of what is allowed
+    def room(x: Array) -> Array:  # (4p,), in units of what is allowed
         features, _ = scene.image(scene.home.moved(unit * x / metric))
         # a large one where a point is behind the camera, which no search steps to
-        error = scene.desired - features if np.isfinite(features).all() else np.full(8, _UNSEEN)
+        error = scene.desired - features if np.isfinite(features).all() else np.full(len(scene.desired), _UNSEEN)
         return 1.0 - np.concatenate([error, -error]) / allowed
 
     def room_slope(x: Array) -> Array:

@@ -99,7 +99,7 @@ class _Tick:
         self.probe = _core.Probe(settings)
 
     def _believed(self, pose: Poses) -> Array:
-        """Back-project the image of a pose with the controller's depths and camera: the assumed points, (4, 3)."""
+        """Back-project the image of a pose with the controller's depths and camera: the assumed points, (p, 3)."""
         features, depth = _core.take_image(self.camera, pose.position, pose.quaternion, self.points)
         return _core.lift(self.assumed_camera, pose.position, pose.quaternion, features, depth * self.depth_scale)
 

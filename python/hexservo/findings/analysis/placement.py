@@ -1,4 +1,4 @@
-"""Placements of the four features with better pose observability (docs/analysis/conditioning.md)."""
+"""Placements of the features with better pose observability (docs/analysis/conditioning.md)."""
 
 from __future__ import annotations
 
@@ -9,23 +9,32 @@ import numpy as np
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
 
-__all__ = ["DEPTH_SHARE", "Placement", "image_radius", "in_circle", "place", "placements"]
+__all__ = [
+    "DEPTH_SHARE",
+    "Placement",
+    "corner_angles",
+    "image_radius",
+    "in_circle",
+    "place",
+    "placements",
+    "shape_name",
+]
 
 RADIUS = 240.0  # [px], half the height of a picture of 640 x 480, where the scenario names no size
 BORDER = 0.95  # share of half the picture that is used, where the scenario names its size
 DEPTH_SHARE = 0.1  # of the depth: how far a point may be off the plane, either way
 _SHARPNESS = 16  # exponent of the smooth maximum that the search minimises
 _NUDGE = 1e-7  # of the search's variables, for its slope
-_ANGLES = np.pi * np.array([1, 3, -1, -3]) / 4  # of a square's corners
+_SQUARE = np.pi * np.array([1, 3, -1, -3]) / 4  # angles of its corners
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Four features from home, and the pose observability from one image of them."""
+    """Features from home, and the pose observability from one image of them."""
 
     name: str
-    features: Array  # (8,) [px]
-    depth: Array  # (4,) [m], negative
+    features: Array  # (2p,) of p points [px]
+    depth: Array  # (p,) [m], negative
     # (6,) [m; rad] per px: standard deviations of the pose from one image whose coordinates have a noise of 1 px
     pose_sigma: Array
     worst: float  # [m/px], of the least observable direction, rotations scaled by the target's mean depth
@@ -40,16 +49,16 @@ def image_radius(scene: Scene) -> float:
     size = scene.scenario.camera.image_size
     if size is not None:
         return BORDER * 0.5 * float(min(size))
-    return max(RADIUS, float(np.hypot(*scene.view(scene.home).features.reshape(4, 2).T).max()))
+    return max(RADIUS, float(np.hypot(*scene.view(scene.home).features.reshape(-1, 2).T).max()))
 
 
 def in_circle(radius: Array | float, angles: Array) -> Array:
-    """Return features (8,) [px] at these distances from the image centre [px] and angles (4,) [rad]."""
+    """Return features (2p,) [px] at these distances from the image centre [px] and angles (p,) [rad]."""
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles)]).ravel()
 
 
 def place(scene: Scene, name: str, features: Array, depth: Array, length: float) -> Placement:
-    """Return the pose observability from four features at home: least squares on the core's image Jacobian there.
+    """Return the pose observability from features at home: least squares on the core's image Jacobian there.
 
     Parameters
     ----------
@@ -58,9 +67,9 @@ def place(scene: Scene, name: str, features: Array, depth: Array, length: float)
     name
         As text.
     features
-        (8,) [px].
+        (2p,) [px].
     depth
-        (4,) [m], negative.
+        (p,) [m], negative.
     length
         Of what turns are multiplied by in `Placement.worst` [m].
     """
@@ -81,38 +90,49 @@ def placements(scene: Scene) -> tuple[Placement, ...]:
     own = scene.view(scene.home)
     length = own.mean_depth
     radius = image_radius(scene)
-    size = float(np.hypot(*own.features.reshape(4, 2).T).max())
-    plane = np.full(4, -length)
-    near = plane * np.array([1 - DEPTH_SHARE, 1, 1, 1])
+    size = float(np.hypot(*own.features.reshape(-1, 2).T).max())
+    count = len(own.depth)
+    plane, angles, shape = np.full(count, -length), corner_angles(count), shape_name(count)
+    near = plane * _but(0, count, 1 - DEPTH_SHARE)
     off = f"{DEPTH_SHARE:.0%} of the depth"
 
     def judged(name: str, features: Array, depth: Array) -> Placement:
         return place(scene, name, features, depth, length)
 
     raised = [
-        judged(f"original, point {point + 1} {off} {word}", own.features, own.depth * _but(point, 1 + sign))
-        for point in range(4)
+        judged(f"original, point {point + 1} {off} {word}", own.features, own.depth * _but(point, count, 1 + sign))
+        for point in range(count)
         for sign, word in ((-DEPTH_SHARE, "nearer"), (DEPTH_SHARE, "farther"))
     ]
     tested = [
         judged("as they are", own.features, own.depth),
         min(raised, key=lambda found: found.worst),
-        judged(f"a square of the same size ({size:.0f} px), in a plane", in_circle(size, _ANGLES), plane),
-        judged(f"a square in the circle of {radius:.0f} px, in a plane", in_circle(radius, _ANGLES), plane),
-        judged(f"the same, one point {off} nearer", in_circle(radius, _ANGLES), near),
+        judged(f"{shape} of the same size ({size:.0f} px), in a plane", in_circle(size, angles), plane),
+        judged(f"{shape} in the circle of {radius:.0f} px, in a plane", in_circle(radius, angles), plane),
+        judged(f"the same, one point {off} nearer", in_circle(radius, angles), near),
     ]
     best = _search(scene, radius, length, tested)
     return (*tested, judged(f"best found in the circle, within {off} of the plane", *best))
 
 
-def _but(point: int, factor: float) -> Array:
-    factors = np.ones(4)
+def corner_angles(count: int) -> Array:
+    """Return the angles (count,) [rad] of the corners of a regular polygon."""
+    return _SQUARE if count == len(_SQUARE) else 2 * np.pi * np.arange(count) / count
+
+
+def shape_name(count: int) -> str:
+    """Return what that polygon is called, with its article."""
+    return {3: "a triangle", 4: "a square"}.get(count, f"a regular polygon of {count} points")
+
+
+def _but(point: int, count: int, factor: float) -> Array:
+    factors = np.ones(count)
     factors[point] = factor
     return factors
 
 
 def _scaled(scene: Scene, features: Array, depth: Array, length: float) -> Array:
-    """Return the image Jacobian at home with rotations scaled by a length, (8, 6) [px/m]."""
+    """Return the image Jacobian at home with rotations scaled by a length, (2p, 6) [px/m]."""
     return np.asarray(scene.jacobian(features, depth, scene.home.quaternion) / np.repeat([1.0, length], 3))
 
 
@@ -120,13 +140,14 @@ def _search(scene: Scene, radius: float, length: float, tested: list[Placement])
     """Minimise the worst direction; the result is never worse than the placements tested within the bounds."""
     from scipy.optimize import minimize
 
-    scale = np.repeat([radius, 1.0, length], 4)
+    count = len(tested[0].depth)
+    scale = np.repeat([radius, 1.0, length], count)
 
     def features_and_depth(x: Array) -> tuple[Array, Array]:
-        out, angles, depth = (x * scale).reshape(3, 4)
+        out, angles, depth = (x * scale).reshape(3, count)
         return in_circle(out, angles), -depth
 
-    def costs(points: Array) -> Array:  # (k,) of (k, 12): log of a smooth maximum of what 1 px is in each direction
+    def costs(points: Array) -> Array:  # (k,) of (k, 3p): log of a smooth maximum of what 1 px is in each direction
         stack = np.stack([_scaled(scene, *features_and_depth(x), length) for x in points])
         values = np.linalg.svd(stack, compute_uv=False)
         values = np.maximum(values, 1e-12 * values[:, :1])
@@ -135,15 +156,15 @@ def _search(scene: Scene, radius: float, length: float, tested: list[Placement])
         return np.asarray(smooth - np.log(least))
 
     def cost_and_slope(x: Array) -> tuple[float, Array]:  # forward differences, all in one stack
-        found = costs(x + np.vstack([np.zeros(12), _NUDGE * np.eye(12)]))
+        found = costs(x + np.vstack([np.zeros(3 * count), _NUDGE * np.eye(3 * count)]))
         return float(found[0]), (found[1:] - found[0]) / _NUDGE
 
     low, high = 1 - DEPTH_SHARE, 1 + DEPTH_SHARE
-    bounds = [(0.0, 1.0)] * 4 + [(None, None)] * 4 + [(low, high)] * 4
-    third = 2 * np.pi / 3
-    starts = (  # a square with corners off the plane in turn; a triangle around a nearer point, a little uneven
-        np.concatenate([np.ones(4), _ANGLES, [low, high, low, high]]),
-        np.concatenate([[1, 1, 1, 0.1], [0.1, third, 2 * third, 0.2], [high, high, high, low]]),
+    bounds = [(0.0, 1.0)] * count + [(None, None)] * count + [(low, high)] * count
+    around = 2 * np.pi / (count - 1) * np.arange(count - 1)
+    starts = (  # corners off the plane in turn; a polygon around a nearer point, a little uneven
+        np.concatenate([np.ones(count), corner_angles(count), np.resize([low, high], count)]),
+        np.concatenate([[*np.ones(count - 1), 0.1], [0.1, *around[1:], 0.2], [*np.full(count - 1, high), low]]),
     )
     found = [
         minimize(

@@ -49,7 +49,7 @@ class Rest(Scene):
         self.gravity_error: Array = np.asarray(share * self.weight)  # delta_G G-bar, (6,) [N; N m]
 
     def aimed_at(self, desired: Array) -> Rest:
-        """Return a copy with another goal image, (8,) [px]."""
+        """Return a copy with another goal image, (2p,) [px]."""
         other = copy(self)
         self.settings["target.desired_features"] = desired
         other.probe = _core.Probe(self.settings)  # takes what it needs
@@ -75,11 +75,11 @@ class Rest(Scene):
         if seen.any():
             there = poses.rows[seen]
             speed = np.zeros((len(there), 6)) if twist is None else twist.reshape(-1, 6)[seen]
-            believed = depth.reshape(-1, 4)[seen]
+            believed = depth.reshape(-1, depth.shape[-1])[seen]
             if not exact_depth:
                 believed = self.probe.measured_depth(believed)
             at = (there.position, there.quaternion, speed)
-            result[seen] = wanted(self.probe.law(features.reshape(-1, 8)[seen], believed, *at))
+            result[seen] = wanted(self.probe.law(features.reshape(-1, features.shape[-1])[seen], believed, *at))
         return result.reshape(*poses.shape, 6)
 
     def wrench(self, poses: Poses, twist: Array | None = None) -> Array:
@@ -195,14 +195,14 @@ class RestLaw:
         self._exact_depth = exact_depth
 
     def aimed_at(self, desired: Array) -> RestLaw:
-        """Return a copy with another goal image, (8,) [px]."""
+        """Return a copy with another goal image, (2p,) [px]."""
         other = copy(self)
         other._rest = self._rest.aimed_at(desired)
         return other
 
     @property
     def desired(self) -> Array:
-        """The goal image, (8,) [px]."""
+        """The goal image, (2p,) [px]."""
         return self._rest.desired
 
     @property

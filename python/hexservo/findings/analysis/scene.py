@@ -35,9 +35,9 @@ class View:
     """Image from a pose, with the true image Jacobian there; NaN where not all points are in view."""
 
     pose: Poses
-    features: Array  # (8,) [px]
-    depth: Array  # (4,) [m], negative in front of the camera
-    jacobian: Array  # (8, 6), twist in B to feature rates [px/s per m/s; px/s per rad/s]
+    features: Array  # (2p,) of p points [px]
+    depth: Array  # (p,) [m], negative in front of the camera
+    jacobian: Array  # (2p, 6), twist in B to feature rates [px/s per m/s; px/s per rad/s]
 
     @property
     def mean_depth(self) -> float:
@@ -63,7 +63,7 @@ class Scene:
         self.home = Poses(np.array(self.hexapod.home_position), np.array(self.hexapod.home_quaternion))
         # where a run starts: home, unless the scenario has another start
         self.start = self.home.moved(np.array(self.settings["simulation.start.pose"]))
-        self.desired: Array = desired_features(scenario)  # (8,) [px]
+        self.desired: Array = desired_features(scenario)  # (2p,) [px]
         self.platform_radius: float = self.hexapod.platform_radius  # [m]
         self.stroke: float = self.settings["robot.stroke"]  # [m], of rotary legs [rad]
         self.stroke_length = stroke_length(scenario.robot)  # [m], about how far the stroke moves a platform joint
@@ -103,7 +103,7 @@ class Scene:
 
     @cached_property
     def points(self) -> Array:
-        """The target's points in B, (4, 3) [m]."""
+        """The target's points in B, (p, 3) [m]."""
         points: Array | None = self.settings["target.points"]
         if points is not None:
             return points
@@ -111,7 +111,7 @@ class Scene:
 
     @property
     def _initial(self) -> Array:
-        """The features of the target from home where the scenario has them, (8,) [px]."""
+        """The features of the target from home where the scenario has them, (2p,) [px]."""
         return to_features(self.scenario, self.settings["target.initial_features"])
 
     @cached_property
@@ -120,18 +120,18 @@ class Scene:
         return self.settings.body
 
     def points_seen_as(self, features: Array, depth: Array) -> Array:
-        """Return points in B, (4, 3) [m], with this image from home: features (8,) [px], depth (4,) [m], negative."""
+        """Return points in B, (p, 3) [m], with this image from home: features (2p,) [px], depth (p,) [m], negative."""
         return _core.lift(self.camera, self.home.position, self.home.quaternion, features, depth)
 
     def _image_of_home(self) -> tuple[Array, Array]:
-        """Return the true features (8,) [px] and Z (4,) [m] at the start."""
+        """Return the true features (2p,) [px] and Z (p,) [m] at the start."""
         if self.has_points:
             features, depth = self.probe.image(self.home.rows.position, self.home.rows.quaternion)
             return features[0], depth[0]
         return self._initial, -self.settings["target.depth"]
 
     def image(self, poses: Poses) -> tuple[Array, Array]:
-        """Return the true features (..., 8) [px] and Z (..., 4) [m]; NaN where a point is not well in front.
+        """Return the true features (..., 2p) [px] and Z (..., p) [m]; NaN where a point is not well in front.
 
         Raises
         ------
@@ -142,19 +142,21 @@ class Scene:
         features, depth = self.probe.image(rows.position, rows.quaternion)
         seen = np.asarray((depth < -self._nearest).all(axis=1) & np.isfinite(features).all(axis=1))
         features, depth = np.where(seen[:, None], features, np.nan), np.where(seen[:, None], depth, np.nan)
-        return features.reshape(*poses.shape, 8), depth.reshape(*poses.shape, 4)
+        return features.reshape(*poses.shape, features.shape[-1]), depth.reshape(*poses.shape, depth.shape[-1])
 
     def view(self, pose: Poses) -> View:
         """Return the view from one pose; the camera has points, or the pose is home."""
         features, depth = self.image(pose) if self.has_points else self._image_of_home()
         seen = np.isfinite(features).all()
-        jacobian = self.jacobian(features, depth, pose.quaternion) if seen else np.full((8, 6), np.nan)
+        jacobian = self.jacobian(features, depth, pose.quaternion) if seen else np.full((*features.shape, 6), np.nan)
         return View(pose, features, depth, jacobian)
 
     def jacobian(self, features: Array, depth: Array, quaternion: Array) -> Array:
-        """Return the true image Jacobian (..., 8, 6), with the plant's sign, of images in view; depths as given."""
-        found = self.probe.image_jacobian(features.reshape(-1, 8), depth.reshape(-1, 4), quaternion.reshape(-1, 4))
-        return found.reshape(*features.shape[:-1], 8, 6)
+        """Return the true image Jacobian (..., 2p, 6), with the plant's sign, of images in view; depths as given."""
+        found = self.probe.image_jacobian(
+            features.reshape(-1, features.shape[-1]), depth.reshape(-1, depth.shape[-1]), quaternion.reshape(-1, 4)
+        )
+        return found.reshape(*features.shape, 6)
 
     def residual(self, poses: Poses) -> Array:
         """Return the largest |xi_d - xi|, (...) [px]; NaN where a point is not seen."""

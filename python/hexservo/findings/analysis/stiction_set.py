@@ -30,7 +30,7 @@ class RestSet:
     """
 
     view: View
-    error: Array  # (8,) [px], desired minus seen, at the pose
+    error: Array  # (2p,) [px], desired minus seen, at the pose
     wrench: Array  # w, (6,) [N; N m]
     stiffness: Array  # A, (6, 6) [N/m ... N m/rad]
     low: Array  # (6,) [N; N m]
@@ -132,7 +132,7 @@ class RestSet:
         return tight[0] | tight[1], tight[2] | tight[3], tight[4] | tight[5]
 
     def image_error(self, displacement: Array) -> Array:
-        """Return the linearised image error at a displacement, (8,) [px]."""
+        """Return the linearised image error at a displacement, (2p,) [px]."""
         return np.asarray(self.error - self.view.jacobian @ displacement)
 
 
@@ -167,7 +167,7 @@ def extremes(rest: RestSet) -> Extremes | None:
     if ends is None:
         return None
     errors = rest.error - ends @ jacobian.T
-    of_features = np.concatenate([ends[:8], ends[len(ways) : len(ways) + 8]])
+    of_features = np.concatenate([ends[: len(jacobian)], ends[len(ways) : len(ways) + len(jacobian)]])
     largest = np.abs(rest.error - of_features @ jacobian.T).max(axis=1)
     rms = _climb(rest, ends[np.square(errors).sum(axis=1).argmax()], -jacobian, rest.error)
     turn = _climb(rest, ends[np.square(ends @ across).sum(axis=1).argmax()], across, np.zeros(6))

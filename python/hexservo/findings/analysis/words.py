@@ -64,7 +64,7 @@ def motion_in_words(jacobian: Array, motion: Array) -> str:
     Parameters
     ----------
     jacobian
-        (8, 6), of the image [px/m; px/rad].
+        (2p, 6), of the image [px/m; px/rad].
     motion
         (6,), shift [m] and rotation vector [rad], both in B.
     """

@@ -37,9 +37,9 @@ class Replay:
     scenario: Scenario  # of the result
     own: bool  # a controller that is a function of its user's, which cannot be run again
     time: Array  # (n,) [s]
-    features: Array  # (n, 8) [px]
-    feature_error: Array  # (n, 8) [px]
-    depth: Array  # (n, 4) [m]
+    features: Array  # (n, 2p) [px]
+    feature_error: Array  # (n, 2p) [px]
+    depth: Array  # (n, p) [m]
     position: Array  # (n, 3) [m]
     quaternion: Array  # (n, 4)
     twist: Array  # (n, 6) [m/s; rad/s]

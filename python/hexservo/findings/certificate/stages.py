@@ -28,8 +28,8 @@ class Stages:
 
     tick: NDArray[np.intp]  # (m,) sample at or before the start of each
     step: float  # [s]
-    features: Array | None  # (m, 4, 8) [px]; None for a camera that has no points in sampled mode
-    depth: Array | None  # (m, 4, 4) true ones [m]
+    features: Array | None  # (m, 4, 2p) [px]; None for a camera that has no points in sampled mode
+    depth: Array | None  # (m, 4, p) true ones [m]
     position: Array  # (m, 4, 3) [m]
     quaternion: Array  # (m, 4, 4), of any length
     twist: Array  # (m, 4, 6) [m/s; rad/s]

@@ -206,7 +206,9 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     law = scenario.controller.law
     block, default = scenario.controller.gains, getattr(type(scenario.controller)(), law)
     stiffness = "kt" if hasattr(block, "kt") else "kp"
-    own = np.broadcast_to(np.asarray(getattr(block, stiffness), dtype=float), 6 if stiffness == "kt" else 8)
+    own = np.broadcast_to(
+        np.asarray(getattr(block, stiffness), dtype=float), 6 if stiffness == "kt" else 2 * scenario.target.count
+    )
     usual = np.broadcast_to(np.asarray(getattr(default, stiffness), dtype=float), own.shape)
     ratio = float(np.exp(np.mean(np.log(np.maximum(own, 1e-12 * usual) / usual))))
     value: Any = block

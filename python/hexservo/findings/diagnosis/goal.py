@@ -38,7 +38,7 @@ class Obstacle:
     kind: Literal["stroke", "image"]  # legs do not reach a pose that shows it; no pose shows it
     leg_travel: float  # of the leg that would have to go farthest [m]
     residual: float  # largest error of a feature at the best pose [px]
-    nearest_image: Array  # (8,) [px], what the best pose shows
+    nearest_image: Array  # (2p,) [px], what the best pose shows
 
 
 def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
@@ -83,14 +83,22 @@ def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array) -> flo
 
 
 def seen_from_home(scenario: Scenario) -> tuple[_core.Camera, Array, Array]:
-    """Return the camera, and its features (8,) [px] and depths (4,) [m] at the start."""
+    """Return the camera, and its features (2p,) [px] and depths (p,) [m] at the start."""
     scene = scene_of(scenario)
     home = scene.view(scene.home)
     return scene.camera, home.features, home.depth
 
 
+def _on_square(count: int) -> Array:
+    """Return points along the border of a square with a half side of 1, (2 count,): of four points its corners."""
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    side, share = np.divmod(np.arange(count) * (4.0 / count), 1.0)
+    first = side.astype(int)
+    return np.asarray(corners[first] + share[:, None] * (corners[first + 1] - corners[first])).ravel()
+
+
 def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float]:
-    """Replace the target by a square about the optical axis of home, with the goal at the same pose.
+    """Replace the target by points on a square about the optical axis of home, with the goal at the same pose.
 
     The border of the image, where it has one, is as far out as before in parts of the target's farthest feature.
 
@@ -101,16 +109,15 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
     """
     camera, features, depth = seen_from_home(scenario)
     distance = float(np.abs(depth).mean())
-    corners = np.array([-1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     home = scene_of(scenario).home
-    start, start_depth = camera.focal_pixels * _SPREAD * corners, np.full(4, -distance)
+    start, start_depth = camera.focal_pixels * _SPREAD * _on_square(len(depth)), np.full(len(depth), -distance)
     points = _core.lift(camera, home.position, home.quaternion, start, start_depth)
     end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
     gain = pixels_per_metre(camera, start, start_depth) / pixels_per_metre(camera, features, depth)
     changes: dict[str, Any] = {"target.desired_features": to_pixels(scenario, end).tolist()}
     if scenario.camera.image_size is not None:  # features that leave the image do so as before
-        before = np.abs(np.concatenate([features, desired_features(scenario)]).reshape(8, 2)).max(0)
-        after = np.abs(np.concatenate([start, end]).reshape(8, 2)).max(0)
+        before = np.abs(np.concatenate([features, desired_features(scenario)]).reshape(-1, 2)).max(0)
+        after = np.abs(np.concatenate([start, end]).reshape(-1, 2)).max(0)
         changes["camera.image_size"] = (np.asarray(scenario.camera.image_size) * after / before).tolist()
     if scenario.target.points is not None:
         changes["target.points"] = points.tolist()

@@ -174,7 +174,8 @@ def _poor_image(case: Case) -> list[Removal]:
     changes, gain = spread_target(case.scenario, case.goal)
     if gain < _RICHER:
         return []
-    words = f"four features on a square, with the least observable direction {gain:.3g} times better"
+    count = "four" if case.scenario.target.count == 4 else case.scenario.target.count
+    words = f"{count} features on a square, with the least observable direction {gain:.3g} times better"
     return [Removal(words, changes)]
 
 

@@ -65,6 +65,7 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
         keys = acting_keys(
             run.changes.get("controller.law", scenario.controller.law),
             run.changes.get("simulation.mode", scenario.simulation.mode),
+            scenario.target.count,
         )
         numbers = {name: values for name, values in own.items() if name in keys}
         for name, value in run.changes.items():
