@@ -1,6 +1,7 @@
 /// @file
 /// Limits of the legs that few machines state: their speed, and how far they tilt at their joints
-/// (docs/model.md, section 2). Where a robot has neither nothing is computed.
+/// (docs/model.md, section 2); their first passing and peak are metrics (docs/model.md, section 8). Where a robot has
+/// neither nothing is computed.
 ///
 /// The tilt of a leg is the angle between its direction and the one at home, as the base sees them (c_i in B) and as
 /// the platform does (R^T c_i); a crank carries the base's joint of its rod with it. It is compared by its chord |c -
