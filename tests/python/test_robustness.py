@@ -184,7 +184,7 @@ def test_features_do_not_coincide() -> None:
         for key, features in (("initial_features", initial), ("desired_features", desired)):
             same = features.copy()
             same[2 * second : 2 * second + 2] = same[2 * first : 2 * first + 2]
-            assert "four different features" in refused({f"target.{key}": same}, f"target.{key}")
+            assert "4 different features" in refused({f"target.{key}": same}, f"target.{key}")
     # Two points on one ray from the camera's home look alike.
     centre = np.array(PAPER.robot.home_position)
     refused(with_point(3, centre + 1.5 * (POINTS[0] - centre)), "target.points")

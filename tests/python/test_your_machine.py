@@ -70,7 +70,7 @@ def test_the_commands_run_in_an_empty_folder(tmp_path: Path) -> None:
 def test_the_gains_of_the_page_are_those_of_the_machine() -> None:
     from hexservo.scenario.yaml import load_yaml
 
-    (block,) = blocks("yaml")
+    (block,) = [block for block in blocks("yaml") if "bandwidth" in block]
     document = load_yaml(block)
     assert isinstance(document, dict)
     machine = hs.load_scenario("pi-h824").updated({"controller.composite.auto.bandwidth": 9.0})

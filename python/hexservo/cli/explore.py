@@ -28,7 +28,7 @@ def explore(
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace the page of an earlier explore.")] = False,
     no_open: Annotated[bool, typer.Option("--no-open", help="Write the page and open no browser.")] = False,
 ) -> None:
-    """Explore a scenario in a browser: sliders, and the run that follows them.
+    """Explore a scenario with sliders in a browser.
 
     The page is one HTML file that runs the core itself; it needs no network and no server.
     """

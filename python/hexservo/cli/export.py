@@ -33,7 +33,7 @@ def export(
     settings: SettingsOption = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace the file of an earlier export.")] = False,
 ) -> None:
-    """Write a scenario for another program: a C++ header of its gains, or its machine as a MuJoCo model.
+    """Write gains as a C++ header, or the machine for MuJoCo.
 
     A robot's control program includes the header, calls its controller_gains() once and hexservo::step every period.
     """

@@ -221,6 +221,8 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
     if changes.get("target.grid") is not None:  # whose points are others than those of the goal image
         changes |= {"target.tag": None, "target.desired_pose": [0.003] * 3 + [0.02] * 3}
         changes |= {"target.weights": 1.0, "uncertainty.depth": 0.1}
+    if changes.get("target.weights") == 0.0:  # of one point: some have to count
+        changes["target.weights"] = [0.0, *[1.0] * (len(base.target.desired_features) // 2 - 1)]
     if changes.get("target.desired_pose") is not None:
         changes["target.desired_features"] = None
     for side in ("platform", "base"):
@@ -229,8 +231,11 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
     if any(key.startswith(("robot.legs", "robot.cranks.")) for key in changes):
         for key in [key for key in changes if key.startswith("robot.")]:
             del changes[key]
-        changes["robot"] = rotary_machine.robot()
-        changes["robot"]["cranks"]["length"] *= random.uniform(0.9, 1.1)
+        machine = rotary_machine.robot()
+        cranks = machine.pop("cranks")
+        changes |= {f"robot.{key}": value for key, value in machine.items()}
+        changes |= {f"robot.cranks.{key}": value for key, value in cranks.items()}
+        changes["robot.cranks.length"] *= random.uniform(0.9, 1.1)
     if any(key.startswith("robot.payload.") for key in changes) and changes.get("robot.payload.mass", 0.0) == 0.0:
         changes["robot.payload.mass"] = 0.01
     if "robot.centre_of_mass" in changes:

@@ -34,6 +34,8 @@ IN_COMMON: dict[str, str] = {
     "simulation.start.pose": "leg_limits and lost_features: acts through the reach of the legs and the image",
     "simulation.start.twist": "as start.pose",
     "target.tag": "read into points",
+    "target.grid": "read into points",
+    "target.weights": "pixel_noise and lost_features: what the points count in the image, whose errors have removals",
     "target.desired_pose": "read into desired_features",
     "camera.convention": "another plant, for the paper's signs; the goal's pose is open there",
 }
