@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper explorer explorer-test test test-all fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper explorer explorer-test docs docs-links test test-all fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -28,7 +28,8 @@ help:
 	make paper    set up, run the paper's experiment, write out/paper and print the table of results
 	make explorer  build the explorer, a page that runs the core in a browser (needs npm), for hexservo explore
 	make test     set up, run every test and check; the last line is passed or failed
-	make test-all  the same, and the explorer's tests (make explorer-test), slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
+	make docs     build the site, build/site/index.html: tutorials, guides, reference, gallery (make docs-links: links to the network)
+	make test-all  the same, the site, and the explorer's tests (make explorer-test), slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
@@ -56,6 +57,11 @@ explorer: $(PACKAGE) $(VENV)
 
 explorer-test: explorer $(ALL_TOOLS) browser-setup
 	@python -m pytest tests/python/test_explorer.py
+
+# Every warning is an error, and every link within the site is followed; those to the network only by docs-links.
+docs docs-links: $(PACKAGE) $(VENV)
+	@python -m pip install --quiet --group docs
+	python docs/tools/build_site.py $(if $(filter docs-links,$@),--links)
 
 # A name is added to `failed` and the next check still runs. The set-up is a separate make,
 # so that its failure ends in the same last line.
@@ -92,6 +98,7 @@ test:
 test-all: test
 	@python -m pytest -m slow
 	$(SETUP) explorer-test
+	$(SETUP) docs
 	$(SETUP) asan
 	$(SETUP) tsan
 	$(SETUP) fuzz

@@ -93,7 +93,7 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
 
     A pose is within reach where every leg is within its stroke and its joint limits and the wrench map has the
     orientation of home (the sign of its determinant). The nearest one is a local minimum of
-    sqrt(|shift|^2 + (r_p |turn|)^2), found by sequential quadratic programming from the last reachable pose on the
+    `sqrt(|shift|^2 + (r_p |turn|)^2)`, found by sequential quadratic programming from the last reachable pose on the
     straight way from home; it may miss a nearer one.
 
     Parameters

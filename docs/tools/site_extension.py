@@ -1,0 +1,128 @@
+"""What Sphinx lacks for the site: pages of source files, and the fields of data classes with their units.
+
+A link to ``source:cpp/include/hexservo/camera.hpp`` (docs/tools/build_site.py writes them) leads to a page that has
+the file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import inspect
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from pygments import highlight
+from pygments.formatters import HtmlFormatter
+from pygments.lexers import TextLexer, get_lexer_for_filename
+from pygments.util import ClassNotFound
+from sphinx.application import Sphinx
+
+ROOT = Path(__file__).resolve().parents[2]
+SCHEME = "source:"
+FOLDER = "source"  # of the pages, in the site
+
+PAGE = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{name}</title><style>
+:root {{ color-scheme: light dark }}
+body {{ margin: 1rem auto; max-width: 75rem; padding: 0 1rem; font-family: sans-serif }}
+pre {{ overflow-x: auto; font-size: 0.85rem; line-height: 1.4 }}
+.highlight {{ background: none }}
+{light}
+@media (prefers-color-scheme: dark) {{ {dark} .highlight {{ background: none }} }}
+</style><p><a href="{home}">hexservo</a> / {name}</p>
+{text}
+"""
+
+
+def source_page(path: str) -> str:
+    """Return the page of a file or folder of the repository, as HTML."""
+    file = ROOT / path
+    home = "../" * (path.count("/") + 1) + "index.html"
+    if file.is_dir():
+        names = sorted(each.name for each in file.iterdir() if each.is_file() and not each.name.startswith("."))
+        text = f"<ul>{''.join(f'<li>{html.escape(name)}</li>' for name in names)}</ul>"
+    else:
+        try:
+            lexer = get_lexer_for_filename(file.name)
+        except ClassNotFound:
+            lexer = TextLexer()
+        text = highlight(file.read_text(encoding="utf-8"), lexer, HtmlFormatter())
+    styles = [HtmlFormatter(style=style).get_style_defs(".highlight") for style in ("default", "monokai")]
+    return PAGE.format(name=html.escape(path), home=home, light=styles[0], dark=styles[1], text=text)
+
+
+def point_to_sources(app: Sphinx, tree: nodes.document, page: str) -> None:
+    """Turn links to source files into links to their pages, which are written here."""
+    for link in tree.findall(nodes.reference):
+        if not link.get("refuri", "").startswith(SCHEME):
+            continue
+        path = link["refuri"].removeprefix(SCHEME)
+        name = f"{FOLDER}/{path}.html"
+        if app.builder.format == "html":
+            written = Path(app.outdir, name)
+            written.parent.mkdir(parents=True, exist_ok=True)
+            written.write_text(source_page(path), encoding="utf-8")
+        link["refuri"] = posixpath.relpath(name, posixpath.dirname(page) or ".")
+        link["internal"] = True
+
+
+def fields_of(kind: type) -> list[tuple[str, str, str]]:
+    """Return the fields of a data class in order: name, type, and the comment beside or above it, or its docstring."""
+    lines = inspect.getsource(kind).splitlines()
+    found = []
+    names = {field.name: field for field in dataclasses.fields(kind)}
+    for number, line in enumerate(lines):
+        field = re.match(r"    (\w+): ([^#=]+?)\s*(?:=[^#]*)?(?:#\s*(.*))?$", line)
+        if not field or field[1] not in names:
+            continue
+        comment = [field[3]] if field[3] else []
+        above = number - 1
+        while above >= 0 and re.match(r"    # ", lines[above]):
+            comment.insert(0, lines[above].strip("# "))
+            above -= 1
+        below = number + 1
+        if not comment and below < len(lines) and (text := re.match(r'    """(.*?)"""', lines[below])):
+            comment = [text[1]]
+        found.append((field[1], field[2].strip(), " ".join(comment)))
+    return found
+
+
+def own_fields(kind: Any) -> list[tuple[str, str, str]]:
+    """Return the fields of a data class, and none of anything else."""
+    return fields_of(kind) if inspect.isclass(kind) and dataclasses.is_dataclass(kind) else []
+
+
+def edit_docstring(app: Sphinx, what: str, name: str, kind: Any, options: Any, lines: list[str]) -> None:
+    """Link the pages that a docstring names, and append the fields of a data class as a table."""
+    lines[:] = [re.sub(r"(?<![`/\w])docs/([\w/-]+)\.md", page_link, line) for line in lines]
+    fields = own_fields(kind) if what in ("class", "exception") else []
+    if fields:
+        lines += ["", ".. list-table::", "   :header-rows: 1", "", "   * - field", "     - type", "     - "]
+    for field, annotation, comment in fields:
+        plain = re.sub(r"([*|]|_\b)", r"\\\1", comment)  # a comment has no markup but code in backticks
+        lines += [f"   * - ``{field}``", f"     - ``{annotation}``", f"     - {plain}"]
+
+
+def page_link(name: re.Match[str]) -> str:
+    """Return a link to a page of the site, or the text unchanged where there is no such page."""
+    return f":doc:`{name[0]} </docs/{name[1]}>`" if (ROOT / name[0]).is_file() else name[0]
+
+
+def drop_signature(
+    app: Sphinx, what: str, name: str, kind: Any, options: Any, signature: str | None, returned: str | None
+) -> tuple[str, str] | None:
+    """Leave the signature of a data class out: users read its fields, which are in the table, and do not make one."""
+    return ("", "") if own_fields(kind) else None
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Connect the parts to Sphinx."""
+    app.connect("doctree-resolved", point_to_sources)
+    app.connect("autodoc-process-docstring", edit_docstring, priority=600)  # after Napoleon
+    app.connect("autodoc-process-signature", drop_signature)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

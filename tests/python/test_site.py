@@ -1,0 +1,103 @@
+"""The site: code of the tutorials, lists of pages and names, and the check of links. `make docs` builds the whole."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import build_site
+import hexservo as hs
+from gallery import Shown, gallery
+from test_docs import PAGES, ROOT, name_of
+from test_readme import examples, output_of
+
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+LAST_LINES = {
+    "camera": r"\(605\.0, 604\.0\)",
+    "campaign": r"\d+ of 400 runs fails?: the failure probability is between .*",
+    "paper": r"0\.55 s",
+    "robot": r"\(6,\) \(6,\)",
+}
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_code_of_a_tutorial_runs_as_one_session(page: Path, tmp_path: Path) -> None:
+    lines = output_of("\n".join(examples(page)), tmp_path).splitlines()
+    assert re.fullmatch(LAST_LINES[page.stem], lines[-1]), lines
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_commands_of_a_tutorial_run(page: Path, tmp_path: Path) -> None:
+    for block in re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+        for line in block.splitlines():
+            program, *arguments = shlex.split(line, comments=True)
+            assert program == "hexservo"
+            run = subprocess.run(
+                [sys.executable, "-m", "hexservo", *arguments],
+                cwd=tmp_path,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            assert run.returncode == 0, run.stderr
+
+
+def test_reference_has_every_public_name() -> None:
+    pages = build_site.api_pages()
+    assert {f"api/{name}.md" for name in hs.__all__ if name != "__version__"} == set(pages) - {"api/index.md"}
+
+
+def test_arrays_of_public_data_classes_have_their_shapes() -> None:
+    extension = pytest.importorskip("site_extension", reason="make docs installs Sphinx", exc_type=ImportError)
+    missing = []
+    for name in hs.__all__:
+        kind = getattr(hs, name)
+        if inspect.isclass(kind) and dataclasses.is_dataclass(kind):
+            fields = extension.fields_of(kind)
+            assert [field for field, _, _ in fields] == [field.name for field in dataclasses.fields(kind)], name
+            missing += [
+                f"{name}.{f}" for f, annotation, comment in fields if annotation == "Array" and "(" not in comment
+            ]
+    assert not missing
+
+
+def test_every_page_of_the_repository_is_in_a_list() -> None:
+    names = [name_of(page) for page in PAGES]
+    front = build_site.front_page(names, None)
+    listed = set(re.findall(r"^(?:\w[\w ]*<)?([\w/-]+)>?$", front, re.MULTILINE))
+    for group in build_site.GROUPS:
+        assert group in listed
+        listed |= set(build_site.group_page(group, names).splitlines())
+    assert {name.removesuffix(".md") for name in names} <= listed
+
+
+def test_links_to_sources_become_pages_and_code_is_left_alone() -> None:
+    text = "[a](../cpp/include/hexservo.h) [b](model.md) `[c](../Makefile)` [d](https://x.org/y)\n```\n[e](../Makefile)\n```\n"
+    changed = text.replace("../cpp/include/hexservo.h", "source:cpp/include/hexservo.h")
+    assert build_site.with_source_links(text, "docs/c-interface.md") == changed
+
+
+def test_broken_links_of_a_site_are_found(tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text('<a href="b.html#here">x</a><a href="https://x.org">y</a><p id="p"></p>')
+    (tmp_path / "b.html").write_text('<a id="here"></a><a href="a.html#p">x</a>')
+    assert build_site.broken_links(tmp_path) == []
+    (tmp_path / "b.html").write_text('<img src="no.svg"><a href="../out.html"></a>')
+    found = build_site.broken_links(tmp_path)
+    assert [line.split(": ")[1] for line in found] == ["b.html#here", "no.svg", "../out.html"]
+
+
+def test_gallery_draws_a_scenario_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hs, "scenario_names", lambda: ("paper",))
+    (first,) = gallery(tmp_path)
+    assert (first.name, first.verdict, first.why) == ("paper", "settled", "within 2 px from 0.353 s on")
+    picture = tmp_path / "paper.svg"
+    picture.write_text("kept")
+    assert gallery(tmp_path) == [Shown(**dataclasses.asdict(first))]
+    assert picture.read_text() == "kept"
