@@ -116,8 +116,8 @@ def front_page(names: list[str], explorer: Path | None) -> str:
     guides = [page for page in pages if page.removeprefix("docs/") not in LISTED]
     if explorer is None:
         place = (
-            "[The explorer](docs/explorer.md), a page that runs the core in a browser, is not part of this build of the\n"
-            "site: `make explorer` builds it, and `hexservo explore` opens it."
+            "[The explorer](docs/explorer.md), a page that runs the core in a browser, is not part of this build of\n"
+            "the site: `make explorer` builds it, and `hexservo explore` opens it."
         )
     else:
         place = (
