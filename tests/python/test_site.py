@@ -93,6 +93,14 @@ def test_broken_links_of_a_site_are_found(tmp_path: Path) -> None:
     assert [line.split(": ")[1] for line in found] == ["b.html#here", "no.svg", "../out.html"]
 
 
+def test_the_site_is_made_where_it_is_asked_for() -> None:
+    """The target has the name of a folder that the package depends on."""
+    for target, makes in (("paper", False), ("docs", True)):
+        told = subprocess.run(["make", "--dry-run", target], cwd=ROOT, capture_output=True, text=True, check=True)
+        assert ("build_site.py" in told.stdout) == makes, target
+        assert "Circular" not in told.stderr
+
+
 def test_gallery_draws_a_scenario_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hs, "scenario_names", lambda: ("paper",))
     (first,) = gallery(tmp_path)
