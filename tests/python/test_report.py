@@ -39,6 +39,7 @@ from hexservo.run.samples import parts
 from hexservo.run.summary import summary_sentences
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.wording import joules, number
+from test_leg_limits import METRICS as OF_LIMITS
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -162,7 +163,7 @@ def test_metrics_versions_and_the_scenario_are_there(text: str, result: hs.Resul
     assert hs.Scenario.from_yaml(html.unescape(scenario)) == result.scenario
     words = words_of(text)
     for name in hs.METRICS:
-        of_a_limit = name in ("peak_leg_speed", "peak_base_joint", "peak_platform_joint")  # that the robot has not
+        of_a_limit = name in OF_LIMITS  # that the robot has not
         assert (name.replace("_", " ") in words) != of_a_limit
     assert f"simulated by hexservo {hs.__version__}" in words
     assert "seed 0" in words

@@ -40,7 +40,7 @@ def plain_value(key: _core.ScenarioKey, value: Any) -> Any:
     """Return the value of a key as data for JSON."""
     if key.type == "seed":  # which no double holds
         return str(value)
-    if value is None or (key.none is not None and np.all(value == key.none)):
+    if _is_none(key, value):
         return None
     if isinstance(value, np.ndarray):
         return value.ravel().tolist()
@@ -52,10 +52,15 @@ def flat_text(scenario: Scenario) -> str:
     return "".join(f"{key} {value}\n" for key, value in flat(scenario).items())
 
 
+def _is_none(key: _core.ScenarioKey, value: Any) -> bool:
+    """Return whether a value stands for null: nothing, or the number that the core has for it."""
+    return value is None or (key.none is not None and bool(np.all(value == key.none)))
+
+
 def _text(key: _core.ScenarioKey, value: Any) -> str:
     if isinstance(value, str):
         return value
-    if value is None or (key.none is not None and np.all(value == key.none)):
+    if _is_none(key, value):
         return "none"
     numbers = [float(number) for number in np.ravel(value)] if key.type in ("number", "array", "samples") else [value]
     return " ".join(repr(number if isinstance(number, float) else int(number)) for number in numbers)
