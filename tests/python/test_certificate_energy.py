@@ -43,6 +43,33 @@ def trapezoid(values: Array, step: float) -> float:
 # ---- By hand --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("mass", [1e-150, 1e-12, 1e18, 1e150])
+def test_a_constant_force_does_its_work_on_any_mass(paper: hs.Scenario, mass: float) -> None:
+    """The inertia is found from accelerations beside 9.8 m/s^2, to which 1 N adds nothing on a mass of 1e18 kg."""
+    time = 0.05
+    scenario = varied(
+        paper, FREE, {"robot.mass": mass, "uncertainty.gravity": 1e-3, "simulation.duration": time, "robot.stroke": 1.0}
+    )
+    ledger = ledger_of(scenario)
+    force = 1e-3 * -mass * GRAVITY
+    assert ledger.work("gravity") == pytest.approx(force * force / ((1 - 0.075) * mass) * time**2 / 2, rel=1e-9)
+    assert ledger.closes
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [("gravity", 1.7e308, "weight is too large"), ("payload.mass", 1e300, "inertia is too small beside the weight")],
+)
+def test_an_inertia_that_cannot_be_measured_is_an_open_question(
+    paper: hs.Scenario, key: str, value: float, reason: str
+) -> None:
+    scenario = varied(paper, {f"robot.{key}": value, "controller.law": "pbvs", "simulation.duration": 0.05})
+    certificate = hs.certify(hs.simulate(scenario))
+    assert certificate.energy is None
+    assert reason in certificate.open_questions["energy"]
+    certificate.sections()
+
+
 @pytest.mark.parametrize("mode", [{}, SAMPLED])
 def test_a_constant_force_does_force_times_way(paper: hs.Scenario, mode: dict[str, Any]) -> None:
     """Nothing acts but the error of the weight: delta_G G, along z, on a mass of (1 - delta_D) m."""
@@ -233,7 +260,7 @@ def tumbling(paper: hs.Scenario, **errors: Any) -> tuple[hs.Result, EnergyLedger
     body = {"robot.inertia": [1.5e-4, 2.0e-4, 3.0e-4]}
     result = hs.simulate(varied(paper, SAMPLED, changes, body), controller=push)
     run = replay(result)
-    return result, energy_ledger(run, Plant.of(run.probe))
+    return result, energy_ledger(run, Plant.of(run))
 
 
 def test_free_motion_conserves_energy(paper: hs.Scenario) -> None:
@@ -350,7 +377,7 @@ def test_a_log_that_is_not_what_acted_is_flagged(paper: hs.Scenario) -> None:
     wrench = result.wrench.copy()
     wrench[50:60, 2] *= 0.99
     run = replay_of(replace(result, wrench=wrench), scenario, result.end_time)
-    ledger = energy_ledger(run, Plant.of(run.probe))
+    ledger = energy_ledger(run, Plant.of(run))
     assert not ledger.closes
     section = ledger.section()
     assert section.verdict == "bad"

@@ -48,7 +48,7 @@ def parts_of(scenario: hs.Scenario) -> tuple[Lyapunov, Assumption]:
 def uncertainty(scenario: hs.Scenario) -> tuple[hs.Result, DeltaTau]:
     result = hs.simulate(scenario)
     run = replay(result)
-    return result, uncertainty_of(run, Plant.of(run.probe))
+    return result, uncertainty_of(run, Plant.of(run))
 
 
 def gap(lyapunov: Lyapunov) -> Array:

@@ -82,15 +82,15 @@ def certify(result: Result) -> Certificate:
         a run too long for a log of every step with its weights (2 GiB).
     """
     run = replay(result)
-    plant = Plant.of(run.probe)
     open_questions: dict[str, str] = {}
     assumption: Assumption | None = None
     lyapunov: Lyapunov | None = None
     if reason := _outside_theorem(run):
         open_questions |= {"lyapunov": reason, "assumption": reason}
     else:
-        uncertainty = uncertainty_of(run, plant)
         try:
+            plant = Plant.of(run)
+            uncertainty = uncertainty_of(run, plant)
             assumption = assumption_of(run, uncertainty)
             lyapunov = lyapunov_of(run, plant, uncertainty, assumption)
         except ArithmeticError as error:
@@ -102,7 +102,7 @@ def certify(result: Result) -> Certificate:
         open_questions["energy"] = "The run ended at its first sample: there is nothing to add up."
     else:
         try:
-            energy = energy_ledger(run, plant)
+            energy = energy_ledger(run, Plant.of(run))
         except ArithmeticError as error:
             open_questions["energy"] = f"The energy balance could not be computed: {error}."
     return Certificate(

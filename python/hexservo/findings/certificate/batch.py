@@ -124,7 +124,7 @@ def certify_batch(
             result = every_step(varied)
             run = replay_of(result, varied, result.end_time)
             with contextlib.suppress(ArithmeticError):  # no best weights: the run has no verdict
-                assumption = assumption_of(run, uncertainty_of(run, Plant.of(run.probe)), smallest=False)
+                assumption = assumption_of(run, uncertainty_of(run, Plant.of(run)), smallest=False)
                 eta[index], margin[index] = assumption.eta, assumption.margin
             outcome[index], settling_time[index] = result.outcome, metrics(result)["settling_time"]
             report(index + 1, count)

@@ -22,6 +22,7 @@ NEGLIGIBLE = 1e-3  # of the work of lifting the weight by the stroke
 _ROUNDING = 1e-12  # of the turnover
 _SAME = 1e-9  # of the largest twist: what rebuilt steps may differ from the samples by
 _ZERO = 1e-12  # likewise: a component that is zero but for rounding
+_LARGEST = 1e290  # of a turnover [J]: beyond it sums in smaller units overflow
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +76,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
     Raises
     ------
     ArithmeticError
-        Where the motion of the base could not be measured.
+        Where the motion of the base could not be measured, or works are too large for numbers.
     """
     terms = _Terms.of(run)
     errors = run.scenario.uncertainty
@@ -108,6 +109,8 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
         mismatch, tossed, tolerance = max(mismatch, difference), tossed + signs, tolerance + doubt
     total = {term: work.sum(axis=1) for term, work in works.items()}
     turnover = float(sum(np.abs(work).sum() for work in total.values()))
+    if not turnover + float(energy.max()) <= _LARGEST:
+        raise ArithmeticError(f"the terms turn over more than {_LARGEST:.0e} J, too much to add up")
     change = float(energy[-1] - energy[0])
     return EnergyLedger(
         time=run.time,

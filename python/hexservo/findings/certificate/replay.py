@@ -156,8 +156,11 @@ def _differences(result: Result, run: Result) -> dict[str, float]:
     found = {}
     for name in _COMPARED:
         mine, theirs = getattr(run, name)[places], getattr(result, name)
-        if not np.array_equal(mine, theirs):
-            found[name] = float(np.abs(mine - theirs).max())
+        other = (mine != theirs) & ~(np.isnan(mine) & np.isnan(theirs))
+        if other.any():
+            with np.errstate(over="ignore", invalid="ignore"):
+                largest = float(np.abs(mine[other] - theirs[other]).max())
+            found[name] = np.inf if np.isnan(largest) else largest
     return found
 
 
@@ -167,23 +170,44 @@ def sgn_breaks(twist: Array) -> Mask:
     return np.asarray((signs[1:] != signs[:-1]).any(axis=1))
 
 
+_LOST = 1e-9  # share of the inertia: what rounding may take from it
+
+
 @dataclass(frozen=True, eq=False)
 class Plant:
     """Matrices and wrenches of the actual platform (3), from its accelerations under given wrenches."""
 
     probe: _core.Probe
+    wrench: Array  # (6,) under which the nominal body accelerates far more than under its weight [N; N m]
     weight: Array  # (6,) (1 - delta_G) G-bar [N; N m]; it does not depend on the pose
 
     @classmethod
-    def of(cls, probe: _core.Probe) -> Plant:
-        """Find the weight at the attitude of home."""
+    def of(cls, run: Replay) -> Plant:
+        """Find the weight at the attitude of home.
+
+        Raises
+        ------
+        ArithmeticError
+            Where rounding of the acceleration under the weight hides what a wrench of the body's own size adds, or
+            numbers end.
+        """
         home, rest = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6))
-        fall = probe.acceleration(np.zeros((1, 3)), home, rest, rest)[0]
-        return cls(probe, -np.linalg.solve(_response(probe, home)[0], fall))
+        fall = run.probe.acceleration(np.zeros((1, 3)), home, rest, rest)[0]
+        with np.errstate(all="ignore"):
+            body = np.r_[[run.settings["robot.mass"]] * 3, np.diag(run.settings["robot.inertia"])]
+            wrench = 64 * max(1.0, np.abs(fall).max()) * body
+            if not np.isfinite(wrench).all():
+                raise ArithmeticError("the weight is too large for numbers")
+            response = _response(run.probe, wrench, home)[0]
+            lost = np.finfo(np.float64).eps * np.abs(fall).max() / np.abs(response).max(axis=0)
+        if not (lost <= _LOST).all():
+            raise ArithmeticError("the inertia is too small beside the weight to be told from accelerations")
+        return cls(run.probe, wrench, -wrench * np.linalg.solve(response, fall))
 
     def inertia(self, quaternion: Array) -> Array:
         """(1 - delta_D) D-bar, (n, 6, 6): acceleration in B (m/s^2; rad/s^2) to wrench (N; N m)."""
-        return np.asarray(np.linalg.inv(_response(self.probe, quaternion)), dtype=np.float64)
+        response = _response(self.probe, self.wrench, quaternion)
+        return np.asarray(self.wrench[:, None] * np.linalg.inv(response), dtype=np.float64)
 
     def coriolis(self, quaternion: Array, twist: Array, inertia: Array) -> Array:
         """(1 - delta_C) C-bar chi-dot, (n, 6) [N; N m]; `inertia` is that of the same attitudes."""
@@ -209,14 +233,14 @@ def product(matrices: Array, vectors: Array) -> Array:
     return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
 
 
-def _response(probe: _core.Probe, quaternion: Array) -> Array:
-    """Accelerations under unit wrenches beyond those under none, (n, 6, 6): the inverse of the actual inertia."""
+def _response(probe: _core.Probe, wrenches: Array, quaternion: Array) -> Array:
+    """Accelerations under six wrenches, one an axis, beyond those under none, (n, 6, 6): D^-1 diag(wrenches)."""
     count = len(quaternion)
     position, rest = np.zeros((count, 3)), np.zeros((count, 6))
     fall = probe.acceleration(position, quaternion, rest, rest)
     columns = []
     for axis in range(6):
         wrench = np.zeros((count, 6))
-        wrench[:, axis] = 1.0
+        wrench[:, axis] = wrenches[axis]
         columns.append(probe.acceleration(position, quaternion, rest, wrench) - fall)
     return np.stack(columns, axis=2)
