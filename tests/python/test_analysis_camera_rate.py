@@ -623,7 +623,7 @@ def test_a_loop_that_is_stable_at_rest_alone_is_called_bad() -> None:
     found = camera_rate.analyse(scenario)
     assert found.acting is not None
     assert found.acting.stable
-    assert [run.ending for run in found.starts] == ["settles", "stroke"]
+    assert [run.ending for run in found.starts] == ["settles", "limit"]
     assert found.stable is False
     section = found.section()
     assert section.verdict == "bad"
@@ -684,7 +684,7 @@ def test_the_stroke_limits_what_the_linear_loop_does_not() -> None:
     found = camera_rate.analyse(scenario)
     assert found.acting is not None
     assert found.acting.latency.unstable is None
-    border = found.stroke["latency"]
+    border = found.limits["latency"]
     assert border.within is not None
     assert border.beyond is not None
     calm = quiet(scenario).updated({"uncertainty.gravity": scenario.uncertainty.gravity})
@@ -693,7 +693,7 @@ def test_the_stroke_limits_what_the_linear_loop_does_not() -> None:
         for ticks in (border.within, border.beyond, 500)
     }
     assert travel[border.within] <= scenario.robot.stroke < travel[border.beyond]
-    assert border.travel == pytest.approx(travel[border.beyond], rel=1e-6)
+    assert border.use.peak == pytest.approx(travel[border.beyond], rel=1e-6)
     assert travel[500] > 4 * scenario.robot.stroke  # about 84 mm of 17 mm
     words = " ".join(found.section().sentences)
     assert "any latency" not in words

@@ -12,7 +12,7 @@ import hexservo as hs
 from hexservo.findings.analysis import largest_start
 from hexservo.findings.analysis.largest_start import Direction, LargestStart, border
 from hexservo.findings.analysis.largest_start_words import border_words
-from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.analysis.scene import Scene, scene_of
 
 
 @pytest.fixture(scope="module")
@@ -235,6 +235,29 @@ def test_a_run_that_leaves_the_stroke_does_not_count_as_settled() -> None:
         )
         travel = hs.metrics(hs.simulate(late))["peak_leg_excursion"]
         assert travel > scenario.robot.stroke
-        assert timing.beyond[timing.fails_at] == pytest.approx(travel, rel=1e-6)
+        assert timing.beyond[timing.fails_at].peak == pytest.approx(travel, rel=1e-6)
         assert not settles(late, found.duration)
     assert any("beyond its stroke" in sentence for sentence in found.section().sentences)
+
+
+@pytest.mark.parametrize("kind", ["speed", "base_joint"])
+def test_a_run_beyond_speed_or_joint_limits_does_not_count_as_settled(paper: hs.Scenario, kind: str) -> None:
+    """The limit is half of what the task's own run uses: so the task fails for it alone, and smaller sizes settle."""
+    metric = {"speed": "peak_leg_speed", "base_joint": "peak_base_joint"}[kind]
+    watched = paper.updated({"robot.speed_limit": 10.0, "robot.joint_limit": [3.0, 3.0]})
+    half = 0.5 * hs.metrics(hs.simulate(watched))[metric]
+    key = {"robot.speed_limit": half} if kind == "speed" else {"robot.joint_limit": [half, 3.0]}
+    scenario = watched.updated(key)
+    own = largest_start.analyse(scenario).own
+    assert own is not None
+    if kind == "speed":
+        assert own.beyond[1.0].limit.kind == kind
+        assert not own.tried[1.0]
+    else:  # the goal itself is out of reach
+        assert own.limited_by == kind
+        assert own.largest < 1.0
+    goal = scene_of(scenario).home.moved(own.settles_to * own.unit)
+    features, _ = scene_of(scenario).image(goal)
+    assert 0.0 < own.settles_to < 1.0
+    run = hs.metrics(hs.simulate(scenario.updated({"target.desired_features": features.tolist()})))
+    assert run[metric] <= half

@@ -90,16 +90,85 @@ def test_the_reach_of_the_axes_follows_the_symmetry_of_the_legs(found: workspace
     assert found.least_turn.distance <= min(distance[6:]) * 1.05
 
 
-def test_a_long_stroke_never_ends_a_turn() -> None:
-    found = workspace.analyse(hs.load_scenario("textbook-general"))
-    assert all(np.isinf(end.distance) and end.leg == 0 for end in found.axes[6:])
-    section = found.section()
-    assert any("180 deg about every axis" in sentence for sentence in section.sentences)
-    assert hs.analyse(hs.load_scenario("textbook-general"), ["workspace"]).to_dict()["workspace"]["reach"][-1] == {
+def test_a_long_stroke_ends_at_singular_poses() -> None:
+    """A turn by 90 deg about z makes the legs of two similar joint circles singular: Fichter's pose."""
+    scenario = hs.load_scenario("textbook-general")
+    found = workspace.analyse(scenario)
+    scene = scene_of(scenario)
+    assert [end.limit for end in found.axes[6:]] == ["singularity"] * 6
+    assert found.axes[10].distance == pytest.approx(np.pi / 2, abs=1e-5)
+    for end in (found.axes[4], *found.axes[6:]):
+        assert end.leg == 0
+        near, far = (scene.home.moved((end.distance + by) * end.direction).rows for by in (-1e-4, 1e-4))
+        assert scene.reachable(near)[0]
+        # det H changes its sign, or only touches zero, as where the platform meets the plane of the base
+        turned = not scene.reachable(far)[0]
+        at = scene.home.moved(end.distance * end.direction)
+        assert turned or scene.hexapod.singular_values(at.position, at.quaternion)[-1] < 1e-5
+    data = hs.analyse(scenario, ["workspace"]).to_dict()["workspace"]["reach"][-1]
+    assert data == {
         "direction": [0.0, 0.0, 0.0, 0.0, 0.0, -1.0],
-        "distance": None,
+        "distance": found.axes[11].distance,
         "leg": 0,
+        "limit": "singularity",
     }
+
+
+@pytest.mark.parametrize("name", ["paper", "rubin-camera-hexapod"])  # of the latter all joints are far from E's origin
+def test_the_march_passes_no_limit_of_the_joints(name: str) -> None:
+    """Random directions, in small steps of `hs.reachable`: within before the end, not just behind it."""
+    scenario = hs.load_scenario(name)
+    radius = float(scene_of(scenario).platform_radius)
+    limit = 0.7 * scenario.robot.stroke / float(np.min(scene_of(scenario).hexapod.home_lengths))
+    scenario = scenario.updated({"robot.joint_limit": [limit, 1.5 * limit]})
+    scene, random, limits = scene_of(scenario), np.random.default_rng(SEED), set()
+    for _ in range(20):
+        direction = random.normal(size=6) * np.repeat([radius, 1.0], 3) * 10.0 ** random.uniform(-1, 1)
+        end = workspace.reach(scene, direction)
+        way = scene.home.moved(np.linspace(0.0, 1.0 - 1e-6, 300)[:, None] * end.distance * direction)
+        assert scene.reachable(way).all()
+        beyond = hs.reachable(scenario, end.distance * (1.0 + 1e-6) * direction)
+        assert not beyond.within
+        assert (beyond.limit, beyond.leg) == (end.limit, end.leg)
+        limits.add(end.limit)
+    assert limits - {"stroke"}
+
+
+def test_joint_limits_count_in_verdict_sentences_and_map(paper: hs.Scenario) -> None:
+    free = workspace.analyse(paper)
+    assert free.goal is not None
+    assert free.nearest is not None
+    tilt = float(scene_of(paper).leg_tilts(free.nearest.pose)[0].max())  # at the base
+    for share, verdict in ((20.0, "good"), (1.05, "warning"), (0.95, "bad")):
+        scenario = paper.updated({"robot.joint_limit": [share * tilt, 3.0]})
+        found = workspace.analyse(scenario)
+        section = found.section()
+        assert found.nearest is not None
+        assert (
+            found.nearest.reachable
+            == hs.reachable(scenario, found.nearest.pose.displacement_from(scene_of(scenario).home)).within
+        )
+        assert section.verdict == verdict
+        middle = len(found.map_x) // 2
+        assert found.map_left[middle, middle] == pytest.approx(1.0, abs=1e-9)
+        assert (found.map_left <= free.map_left + 1e-12).all()
+    assert any("the base joint of leg" in sentence for sentence in section.sentences)
+    assert any("the straight path to the goal leaves the legs' limits" in sentence for sentence in section.sentences)
+
+
+def test_speeds_at_the_speed_limit_by_finite_differences(paper: hs.Scenario) -> None:
+    assert workspace.analyse(paper).start.speeds is None
+    limit = 0.02
+    found = workspace.analyse(paper.updated({"robot.speed_limit": limit, "robot.home_attitude": [0.02, -0.03, 0.3]}))
+    scene = found.scene
+    speeds = found.start.speeds
+    assert speeds is not None
+    for speed, unit in zip(speeds, np.eye(6), strict=True):
+        step = 1e-6
+        ends = [scene.leg_travel(scene.home.moved(sign * step * unit)) for sign in (1.0, -1.0)]
+        assert np.abs(ends[0] - ends[1]).max() / (2 * step) * speed == pytest.approx(limit, rel=1e-7)
+    table = next(item for item in found.section().items if "speed limit of the legs" in item.title)
+    assert "20 mm/s" in (table.note or "")
 
 
 @pytest.mark.parametrize(("preset", "force", "singularity"), [("micro", 0.1337, 0.9576), ("cubic", 0.1697, 0.7962)])
@@ -133,26 +202,27 @@ def test_margins_of_the_way_and_of_the_map(found: workspace.Workspace, paper: hs
     stroke = paper.robot.stroke
     assert found.goal is not None
     at_goal = stroke - np.abs(found.goal.travel).max()
-    assert found.way_margin[0] == stroke
-    assert found.way_margin[-1] == pytest.approx(at_goal, rel=1e-12)
+    assert found.way_left[0] == 1.0
+    assert found.way_left[-1] * stroke == pytest.approx(at_goal, rel=1e-12)
     # The margin is nowhere steeper than the platform moves.
     way = np.linalg.norm(found.goal.pose.position - scene_of(paper).home.position)
-    assert (np.abs(np.diff(found.way_margin)) <= way / 50 * (1 + 1e-9)).all()
+    assert (np.abs(np.diff(found.way_left)) * stroke <= way / 50 * (1 + 1e-9)).all()
     # The goal of the paper is at the height and attitude of home: the map has the stroke at its middle, and is less
     # than a step away from the margin of the goal where the goal is.
     middle = len(found.map_x) // 2
-    assert found.map_margin[middle, middle] == pytest.approx(stroke, abs=1e-9)
+    margin = stroke * found.map_left
+    assert margin[middle, middle] == pytest.approx(stroke, abs=1e-9)
     step = found.map_x[1] - found.map_x[0]
     shift = found.goal.pose.position - scene_of(paper).home.position
     row, column = (
         int(np.abs(ticks - value).argmin()) for ticks, value in ((found.map_y, shift[1]), (found.map_x, shift[0]))
     )
-    assert found.map_margin[row, column] == pytest.approx(at_goal, abs=step)
-    np.testing.assert_allclose(found.map_margin, found.map_margin[::-1], atol=1e-9)  # y mirrors
+    assert margin[row, column] == pytest.approx(at_goal, abs=step)
+    np.testing.assert_allclose(margin, margin[::-1], atol=1e-9)  # y mirrors
     # Along +x the map changes its sign between the two ticks around the reach.
     reach = found.axes[0].distance
     outside = int(np.flatnonzero(found.map_x > reach)[0])
-    assert found.map_margin[middle, outside - 1] > 0 > found.map_margin[middle, outside]
+    assert margin[middle, outside - 1] > 0 > margin[middle, outside]
 
 
 def test_what_is_beyond_a_limit_is_bad_and_what_is_near_a_warning(paper: hs.Scenario) -> None:
@@ -187,7 +257,7 @@ def test_the_neighbourhood_is_no_better_than_the_goal(found: workspace.Workspace
 def test_a_camera_as_printed_leaves_the_legs_around_home(paper: hs.Scenario) -> None:
     found = workspace.analyse(paper.updated({"camera.convention": "as_printed"}))
     assert found.goal is None
-    assert found.way_margin.size == 0
+    assert found.way_left.size == 0
     assert any("goal pose is open" in sentence for sentence in found.section().sentences)
     assert [end.distance for end in found.axes] == [end.distance for end in workspace.analyse(paper).axes]
 

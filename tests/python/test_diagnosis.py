@@ -740,7 +740,7 @@ def test_a_goal_out_of_reach_comes_before_everything_else() -> None:
     scenario = hs.load_scenario("fails-leg-limits").updated({"camera.latency": 0.1, "robot.on_limit": "report"})
     diagnosis = hs.diagnose(hs.simulate(scenario))
     assert diagnosis.obstacle is not None
-    assert diagnosis.obstacle.kind == "stroke"
+    assert diagnosis.obstacle.kind == "legs"
     reach = reach_of_start_and_goal(scenario)
     assert reach.goal is not None
     assert reach.nearest is not None

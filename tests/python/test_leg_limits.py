@@ -17,8 +17,9 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.findings.check import unlikely
 from hexservo.findings.diagnosis.causes import CAUSES
-from hexservo.findings.diagnosis.ranking import make_cases
+from hexservo.findings.diagnosis.ranking import judged, make_cases
 from hexservo.findings.diagnosis.runs import record_of
+from hexservo.findings.diagnosis.words import misses
 from hexservo.scenario.parameters import core_parameters
 
 Array = NDArray[np.float64]
@@ -196,6 +197,36 @@ def test_a_run_that_stops_at_a_limit_has_a_removal_and_a_remedy(machine: hs.Scen
     (remedy,) = cause.remedies(case, removal, record_of(run))
     assert set(remedy.changes) == {"robot.speed_limit"}
     assert hs.simulate(scenario.updated(remedy.changes)).outcome == "completed"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_run_beyond_speed_or_joint_limits_fails(machine: hs.Scenario, kind: str) -> None:
+    """With `on_limit: report`, as one beyond its stroke does; just within them it passes."""
+    machine = machine.updated({"simulation.duration": 1.0})
+    peak = float(peaks(hs.simulate(machine))[kind].max())
+
+    def limit(share: float) -> dict[str, Any]:
+        if kind == "speed":
+            return {"robot.speed_limit": share * peak}
+        return {"robot.joint_limit": [share * peak, 3.0] if kind == "base_joint" else [3.0, share * peak]}
+
+    for share in (1.01, 0.5):
+        scenario = machine.updated({**limit(share), "robot.on_limit": "report"})
+        result = hs.simulate(scenario)
+        judgement = judged(scenario, record_of(result))
+        assert judgement.failed == (share < 1.0)
+        metric = f"peak_{'leg_speed' if kind == 'speed' else kind}"
+        assert judgement.limits[metric] == pytest.approx(1.0 / share, rel=1e-3)
+        clauses = misses(result, record_of(result), judgement)
+        assert len(clauses) == judgement.failed
+
+
+def test_a_goal_beyond_a_joint_limit_is_an_obstacle(machine: hs.Scenario) -> None:
+    """Of a limit that even the nearest pose with the goal image exceeds, by 9 mrad."""
+    (case,) = make_cases([machine.updated({"robot.joint_limit": [0.002, 3.0]})])
+    assert case.obstacle is not None
+    assert case.obstacle.beyond.startswith("the base joint of leg ")
+    assert case.obstacle.leg_travel < machine.robot.stroke
 
 
 @pytest.mark.parametrize(

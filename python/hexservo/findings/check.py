@@ -111,8 +111,7 @@ def _of_points(scene: Scene) -> Iterator[str]:
 
 def _start_speed(scene: Scene) -> float:
     """Return the largest leg rate at the start [m/s]."""
-    wrench_map = np.array(scene.hexapod.wrench_map(scene.start.position, scene.start.quaternion))
-    return float(np.abs(wrench_map.T @ scene.settings["simulation.start.twist"]).max())
+    return float(np.abs(scene.leg_rates(scene.start, scene.settings["simulation.start.twist"])).max())
 
 
 def _of_image(scenario: Scenario) -> Iterator[str]:

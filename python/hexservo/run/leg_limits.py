@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hexservo.run.metrics import metric_unit, readable_unit
@@ -9,7 +11,7 @@ from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
-__all__ = ["LegLimit", "leg_limits"]
+__all__ = ["LegLimit", "LimitUse", "leg_limits", "limits_of_motion", "most_used"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,32 @@ class LegLimit:
         """The limit in the unit that people read."""
         unit, scale = readable_unit(self.unit)
         return f"{number(self.value * scale, 4)} {unit}"
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """A limit of the legs, and how much of it a run uses."""
+
+    limit: LegLimit
+    peak: float  # largest value of the run, in the limit's unit
+
+    @property
+    def share(self) -> float:
+        """Of the limit, above 1 beyond it; infinite where the run has no such number."""
+        return math.inf if math.isnan(self.peak) else self.peak / self.limit.value
+
+    @property
+    def excess(self) -> str:
+        """What a run beyond the limit does, as a clause that follows its subject."""
+        unit, scale = readable_unit(self.limit.unit)
+        value = f"{number(self.peak * scale)} {unit}"
+        coordinate = "length" if unit == "mm" else "angle"
+        return {
+            "stroke": f"takes a leg {value} from its {coordinate} at home, beyond its stroke",
+            "speed": f"moves a leg at {value}, beyond its speed limit",
+            "base_joint": f"tilts a leg by {value} at the base, beyond its joint limit",
+            "platform_joint": f"tilts a leg by {value} at the platform, beyond its joint limit",
+        }[self.limit.kind] + f" of {self.limit.text}"
 
 
 def leg_limits(scenario: Scenario) -> tuple[LegLimit, ...]:
@@ -53,3 +81,23 @@ def leg_limits(scenario: Scenario) -> tuple[LegLimit, ...]:
         for kind, metric, value, of_leg, exceeded in rows
         if value is not None
     )
+
+
+def limits_of_motion(scenario: Scenario) -> tuple[LegLimit, ...]:
+    """Return those that a motion may not exceed: all but that of the efforts, which `actuators.saturation` enforces."""
+    return tuple(limit for limit in leg_limits(scenario) if limit.kind != "force")
+
+
+def most_used(scenario: Scenario, metrics: Mapping[str, float]) -> LimitUse:
+    """Return the limit of the motion of which a run uses the largest share.
+
+    Parameters
+    ----------
+    scenario
+        Of the run.
+    metrics
+        By their names in `hs.METRICS`; of a run that was stopped at a limit those of the last good sample, which may be
+        just within.
+    """
+    uses = [LimitUse(limit, float(metrics[limit.metric])) for limit in limits_of_motion(scenario)]
+    return max(uses, key=lambda use: use.share)

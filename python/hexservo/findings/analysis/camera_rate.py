@@ -20,7 +20,7 @@ from hexservo.findings.analysis.camera_margins import (
     motion_of,
     radius_map,
 )
-from hexservo.findings.analysis.camera_runs import StartRun, StrokeBorder, learned_weights, start_runs, stroke_border
+from hexservo.findings.analysis.camera_runs import LimitBorder, StartRun, learned_weights, limit_border, start_runs
 from hexservo.findings.analysis.linear_loop import Clock, SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import (
     OFFSET,
@@ -82,7 +82,7 @@ class CameraRate(Part):
     radii: Array | None = None  # (k, m) spectral radius over one camera period, without drifts
     runs: tuple[BorderRun, ...] = ()
     starts: tuple[StartRun, ...] = ()  # from small starts; empty where the core refuses them
-    stroke: dict[Literal["period", "latency"], StrokeBorder] = field(default_factory=dict)  # of the task
+    limits: dict[Literal["period", "latency"], LimitBorder] = field(default_factory=dict)  # of the task
 
     @property
     def settles(self) -> bool | None:
@@ -92,7 +92,7 @@ class CameraRate(Part):
         """
         endings = {run.ending for run in self.starts}
         drifting = self.acting is not None and self.acting.stable and self.acting.drifts > 0
-        if endings & {"goes on", "stroke", "ended"}:
+        if endings & {"goes on", "limit", "ended"}:
             return None if drifting else False
         return True if endings == {"settles"} else None
 
@@ -233,8 +233,8 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     if not free.perfect:  # no border that a camera could have: see `_section`
         return result
     periods, latencies, radii = radius_map(at_rest.free, clock, free)
-    stroke = {key: _stroke_border(at_rest, clock, key, getattr(acting, key)) for key in _KEYS} if acting.stable else {}
-    return replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free), stroke=stroke)
+    limits = {key: _limit_border(at_rest, clock, key, getattr(acting, key)) for key in _KEYS} if acting.stable else {}
+    return replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free), limits=limits)
 
 
 def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
@@ -257,8 +257,6 @@ def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> 
     return None if weights is None else loop_margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
 
 
-def _stroke_border(
-    at_rest: LoopAtRest, clock: Clock, key: Literal["period", "latency"], linear: Border
-) -> StrokeBorder:
+def _limit_border(at_rest: LoopAtRest, clock: Clock, key: Literal["period", "latency"], linear: Border) -> LimitBorder:
     """Vary period or latency up to the stability limit of the linear loop."""
-    return stroke_border(_task(at_rest), key, clock, linear.stable or getattr(clock, key))
+    return limit_border(_task(at_rest), key, clock, linear.stable or getattr(clock, key))

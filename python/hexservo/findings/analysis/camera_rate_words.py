@@ -14,6 +14,8 @@ from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
 from hexservo.findings.analysis.words import number
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict
+from hexservo.run.leg_limits import LimitUse, limits_of_motion
+from hexservo.run.metrics import readable_unit
 from hexservo.scenario.leg_units import leg_units
 
 __all__ = ["section"]
@@ -56,16 +58,11 @@ def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Verdict:
         return "warning" if damped else "bad"
     if not acting.stable:  # the runs settle: what they learn, or K_v, holds what the linear loop does not
         return "warning"
-    beyond = any(border.own_travel > _stroke(result) for border in result.stroke.values())
+    beyond = any(border.own.share > 1.0 for border in result.limits.values())
     small = acting.gain[1] is not None and acting.gain[1] < ENOUGH_GAIN
     late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency <= clock.period
     doubtful = any(not run.agrees for run in result.runs)
     return "warning" if small or late or acting.drifts or doubtful or beyond else "good"
-
-
-def _stroke(result: CameraRate) -> float:
-    """Return the stroke of the legs [m]."""
-    return float(result.scenario.robot.stroke)
 
 
 def _leg_unit(result: CameraRate) -> str:
@@ -126,7 +123,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         )
         found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
 
-    found.extend(_about_stroke(result, tick))
+    found.extend(_about_legs(result, tick))
     how = "grows" if acting.rate > 0.0 else "decays"
     found.append(
         f"Over one period of {period} the spectral radius is {acting.radius:.4g}: the slowest mode {how} at "
@@ -187,7 +184,7 @@ def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
 _ENDINGS = {
     "settles": "comes to rest",
     "goes on": "does not come to rest",
-    "stroke": "takes a leg beyond its stroke",
+    "limit": "takes a leg beyond a limit",
     "ended": "ends early",
     "open": "is undecided",
 }
@@ -232,28 +229,42 @@ def _about_learned(result: CameraRate, tick: float) -> list[str]:
     ]
 
 
-def _about_stroke(result: CameraRate, tick: float) -> list[str]:
-    """Describe the limits of period and latency due to the stroke, which is not in the linear loop."""
-    unit = _leg_unit(result)
-    stroke = f"their stroke of {number(1e3 * _stroke(result))} {unit}"
+def _about_legs(result: CameraRate, tick: float) -> list[str]:
+    """Describe how stroke, speed and joints of the legs, which are not in the linear loop, limit period and latency."""
     found = []
-    for key, border in result.stroke.items():
-        travel = (
-            "ends early" if np.isinf(border.travel) else f"takes a leg {number(1e3 * border.travel)} {unit} from home"
-        )
+    for key, border in result.limits.items():
+        fails = "ends early" if np.isinf(border.use.share) else border.use.excess
         if border.within is None:
-            found.append(f"With the scenario's own {key} the task {travel}, beyond {stroke}.")
+            found.append(f"With the scenario's own {key} the task {fails}.")
         elif border.beyond is None:
             found.append(
                 f"In runs of the task at each {key} tried, up to {_ms(border.largest * tick)}, the legs stay within "
-                f"{stroke} (at most {number(1e3 * border.travel)} {unit})."
+                f"{_limits(result)} (at most {_use(border.use)})."
             )
         else:
+            kind = border.use.limit.kind
+            what = {"stroke": "The stroke limits", "speed": "The speed of the legs limits"}.get(
+                kind, f"The {kind.replace('_', ' ')}s limit"
+            )
             found.append(
-                f"The stroke limits the {key}: runs of the task keep the legs within {stroke} up to "
-                f"{_ms(border.within * tick)}; at {_ms(border.beyond * tick)} the task {travel}."
+                f"{what} the {key}: runs of the task keep the legs within {_limits(result)} up to "
+                f"{_ms(border.within * tick)}; at {_ms(border.beyond * tick)} the task {fails}."
             )
     return found
+
+
+def _limits(result: CameraRate) -> str:
+    """Return what the runs of the task are compared with."""
+    limits = limits_of_motion(result.scenario)
+    stroke = number(1e3 * result.scenario.robot.stroke)
+    return f"their stroke of {stroke} {_leg_unit(result)}" if len(limits) == 1 else "their limits"
+
+
+def _use(use: LimitUse) -> str:
+    """Return the largest value of a run, with what it is of if that is not the travel."""
+    unit, scale = readable_unit(use.limit.unit)
+    value = f"{number(scale * use.peak)} {unit}"
+    return value if use.limit.kind == "stroke" else f"{use.limit.of_leg} {value}, of {use.limit.text}"
 
 
 def _about_runs(result: CameraRate) -> list[str]:
@@ -451,15 +462,17 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
             }
             for run in result.starts
         ],
-        "stroke": {
+        "limits": {
             key: {
                 "within": None if border.within is None else border.within * tick,
                 "beyond": None if border.beyond is None else border.beyond * tick,
                 "largest": border.largest * tick,
-                "leg_travel": _finite(border.travel),
-                "own_leg_travel": _finite(border.own_travel),
+                "limit": border.use.limit.kind,
+                "share": _finite(border.use.share),
+                "own_limit": border.own.limit.kind,
+                "own_share": _finite(border.own.share),
             }
-            for key, border in result.stroke.items()
+            for key, border in result.limits.items()
         },
         "acting": "with_slope" if result.acting is result.smooth and result.smooth is not None else "without_kv",
         "map": {"periods": result.periods, "latencies": result.latencies, "spectral_radius": result.radii},

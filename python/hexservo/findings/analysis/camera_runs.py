@@ -1,9 +1,9 @@
-"""Runs for the verdict on the camera: from small starting errors, and of the task within the stroke of the legs."""
+"""Runs for the verdict on the camera: from small starting errors, and of the task within the limits of the legs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -11,13 +11,14 @@ import numpy as np
 from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.run.batch import simulate_batch, whole
+from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["STARTS", "StartRun", "StrokeBorder", "learned_weights", "start_runs", "stroke_border"]
+__all__ = ["STARTS", "LimitBorder", "StartRun", "learned_weights", "limit_border", "start_runs"]
 
 STARTS = (0.01, 1.0)
 """Largest feature offsets of the small starts [px]."""
@@ -29,7 +30,7 @@ _QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at 
 _GRID = 12  # clocks in the first round of a search for the stroke's border
 _ROUNDS = 2  # of the search between two of them
 
-Ending: TypeAlias = Literal["settles", "goes on", "stroke", "ended", "open"]
+Ending: TypeAlias = Literal["settles", "goes on", "limit", "ended", "open"]
 
 
 @dataclass(frozen=True)
@@ -38,20 +39,25 @@ class StartRun:
 
     offset: float  # largest feature offset at the start [px]
     duration: float  # [s]
-    ending: Ending  # settles; goes on moving; leaves the stroke; ended early; open: it is too slow to be judged
+    ending: (
+        Ending  # settles; goes on moving; exceeds a limit of the legs; ended early; open: it is too slow to be judged
+    )
     peak: float  # largest |xi_d - xi| of the run [px]
     travel: float  # largest leg travel [m]
 
 
 @dataclass(frozen=True)
-class StrokeBorder:
-    """Largest period or latency with all legs within their stroke in runs of the task, with the scenario's K_v."""
+class LimitBorder:
+    """Largest period or latency with all legs within their limits in runs of the task, with the scenario's K_v.
+
+    The limits are those of the motion: stroke, speed and joints.
+    """
 
     within: int | None  # last of those tried that does, below `beyond` [ticks]; None: the scenario's own does not
-    beyond: int | None  # first that was seen to leave the stroke [ticks]; None: none up to `largest`
+    beyond: int | None  # first that was seen to exceed a limit [ticks]; None: none up to `largest`
     largest: int  # [ticks], tried
-    travel: float  # largest leg travel at `beyond`, else at `largest` [m]
-    own_travel: float  # at the scenario's own clocks [m]
+    use: LimitUse  # of the limit that is used most at `beyond`, else at `largest`; infinite where the run ends early
+    own: LimitUse  # at the scenario's own clocks
 
 
 def start_runs(home: Scenario) -> tuple[StartRun, ...]:
@@ -86,7 +92,7 @@ def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
         }
         result = _uninterrupted(simulate(home.updated(changes)))
         travel = float(result.streamed_metrics["peak_leg_excursion"])
-        ending = _ending(result, travel, home.robot.stroke)
+        ending = _ending(result, most_used(home, result.streamed_metrics))
         found = StartRun(offset, ticks * tick, ending, float(np.abs(result.feature_error).max()), travel)
         if ending not in ("goes on", "open"):  # what learns, or decays slowly, may only need longer
             break
@@ -94,10 +100,10 @@ def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
     return found
 
 
-def _ending(result: Result, travel: float, stroke: float) -> Ending:
+def _ending(result: Result, use: LimitUse) -> Ending:
     """Classify a run by how much its features still move in its last part."""
-    if travel > stroke:
-        return "stroke"
+    if use.share > 1.0 or result.outcome == "leg_limit":
+        return "limit"
     if result.outcome != "completed":
         return "ended"
     parts = np.array_split(result.feature_error, _PARTS)
@@ -125,8 +131,8 @@ def _uninterrupted(result: Result) -> Result:
     return result
 
 
-def stroke_border(task: Scenario, key: Literal["period", "latency"], clock: Clock, largest: int) -> StrokeBorder:
-    """Run the task with longer and longer periods or latencies of the camera, and compare the legs with their stroke.
+def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock, largest: int) -> LimitBorder:
+    """Run the task with longer and longer periods or latencies of the camera, and compare the legs with their limits.
 
     Parameters
     ----------
@@ -141,23 +147,25 @@ def stroke_border(task: Scenario, key: Literal["period", "latency"], clock: Cloc
     """
     own = int(getattr(clock, key))
     tick = task.simulation.step
-    travels: dict[int, float] = {}
+    uses: dict[int, LimitUse] = {}
 
     def run(ticks: Sequence[int]) -> None:
-        new = sorted(set(ticks) - set(travels))
+        new = sorted(set(ticks) - set(uses))
         if not new:
             return
         values = np.array([value * tick for value in new])
         batch = whole(simulate_batch(task, {f"camera.{key}": values}, log="metrics"))
-        # A run that ends early gives no travel, but the task was not done: the camera is too slow.
-        done = np.isin(batch.outcome, ["completed", "leg_limit"])
-        travels.update(zip(new, np.where(done, batch.metrics["peak_leg_excursion"], np.inf).tolist(), strict=True))
+        for row, value in enumerate(new):
+            use = most_used(task, {name: float(values[row]) for name, values in batch.metrics.items()})
+            # A run that ends early has no number of the legs, but the task was not done: the camera is too slow.
+            done = batch.outcome[row] in ("completed", "leg_limit")
+            uses[value] = use if done else replace(use, peak=np.inf)
 
     def first_beyond() -> int | None:
-        return min((value for value, travel in travels.items() if not travel <= task.robot.stroke), default=None)
+        return min((value for value, use in uses.items() if not use.share <= 1.0), default=None)
 
     def last_within(beyond: int | None) -> int | None:
-        return max((value for value in travels if beyond is None or value < beyond), default=None)
+        return max((value for value in uses if beyond is None or value < beyond), default=None)
 
     run([own, *(round(value) for value in np.geomspace(max(own, 1), max(largest, own, 1), _GRID))])
     for _ in range(_ROUNDS):
@@ -167,5 +175,5 @@ def stroke_border(task: Scenario, key: Literal["period", "latency"], clock: Cloc
             break
         run([within + round(part * (beyond - within)) for part in (0.25, 0.5, 0.75)])
     beyond = first_beyond()
-    top = max(travels)
-    return StrokeBorder(last_within(beyond), beyond, top, travels[top if beyond is None else beyond], travels[own])
+    top = max(uses)
+    return LimitBorder(last_within(beyond), beyond, top, uses[top if beyond is None else beyond], uses[own])

@@ -13,9 +13,12 @@ from typing import TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.goal import SHOWN, find_goals
+from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
 from hexservo.findings.part import Part
 from hexservo.run.batch import simulate_batch, whole
+from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.parameters import frame_period
@@ -40,12 +43,13 @@ class Direction:
     name: str
     unit: Array  # (6,) displacement from home at size 1 [m; rad], in B
     largest: float  # size up to which goals were possible
-    limited_by: str  # stroke | view | the region searched | the core, which refuses a larger one
+    # stroke | base_joint | platform_joint | singularity | view | the region searched | the core, which refuses a larger
+    limited_by: str
     tried: Tried  # by size
     settling: dict[float, float]  # [s], of those that settled
     settles_later: bool | None  # whether the smallest that fails settles in a longer run; None where there was none
-    # Largest leg travel [m] by size, of those that fail for that alone: the image error settles, or the run was stopped
-    beyond: dict[float, float]
+    # By size, of those that fail for a limit of the legs alone: the image error settles, or the run was stopped there
+    beyond: dict[float, LimitUse]
     error: float  # [px], largest |xi_d - xi| at the start for the size `settles_to`, NaN for none
 
     @property
@@ -59,8 +63,8 @@ class Direction:
         return border(self.tried)[1]
 
     @property
-    def beyond_stroke(self) -> float | None:
-        """Smallest size whose image error settles with a leg beyond its stroke on the way; None where none was seen."""
+    def beyond_limits(self) -> float | None:
+        """Smallest size whose image error settles with a leg beyond a limit on the way; None where none was seen."""
         return min(self.beyond, default=None)
 
     @property
@@ -78,9 +82,7 @@ class Timing:
     prediction: str  # none | encoder
     other: float  # [s], the one that is held
     tried: Tried  # by time [s]
-    beyond: dict[
-        float, float
-    ]  # largest leg travel [m] by time [s], of those that fail for a leg beyond its stroke alone
+    beyond: dict[float, LimitUse]  # by time [s], of those that fail for a leg beyond a limit alone
 
     @property
     def settles_to(self) -> float | None:
@@ -97,10 +99,10 @@ class Timing:
 
     @property
     def limited_by(self) -> str | None:
-        """What fails first, `error` or `stroke`; None where nothing was seen to fail."""
+        """What fails first, `error` or the kind of the legs' limit; None where nothing was seen to fail."""
         if self.fails_at is None:
             return None
-        return "stroke" if self.fails_at in self.beyond else "error"
+        return self.beyond[self.fails_at].limit.kind if self.fails_at in self.beyond else "error"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,7 +120,6 @@ class LargestStart(Part):
     band: float = 0.0  # [px], of settling
     dwell: float = 0.0  # [s], how long a run must have been within the band at its end
     assumed: str = ""  # what the runs with camera times assume beside the scenario
-    leg_unit: str = "mm"  # a thousandth of the unit of leg travel
 
     @property
     def own(self) -> Direction | None:
@@ -165,7 +166,6 @@ def analyse(scenario: Scenario) -> LargestStart:
         measured.band,
         measured.dwell,
         assumed,
-        scene.units.small,
     )
 
 
@@ -173,10 +173,10 @@ def analyse(scenario: Scenario) -> LargestStart:
 class _Ends:
     """Results of variations of a scenario, one row each."""
 
-    settled: Mask  # in the image, with all legs within their stroke all the way
-    only_stroke: Mask  # would have settled but for a leg beyond its stroke
+    settled: Mask  # in the image, with all legs within their limits all the way
+    only_limits: Mask  # would have settled but for a leg beyond a limit
     times: Array  # [s], settling time of the image error; NaN: none
-    travel: Array  # [m], largest leg travel from home
+    excess: list[LimitUse | None]  # of the limit that is exceeded most; None: none is, or there was no run
     ran: Mask  # False: refused by the core
 
 
@@ -216,7 +216,8 @@ class _Trial:
         count = max(len(values) for values in variations.values())
         in_image, stopped = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         ran = np.ones(count, dtype=bool)
-        times, travel = np.full(count, np.nan), np.full(count, np.nan)
+        times = np.full(count, np.nan)
+        excess: list[LimitUse | None] = [None] * count
         while ran.any():
             rows = np.flatnonzero(ran)
             try:
@@ -229,12 +230,15 @@ class _Trial:
                 ran[rows[int(refused[1])]] = False
                 continue
             self.runs += len(rows)
-            times[rows], travel[rows] = batch.metrics["settling_time"], batch.metrics["peak_leg_excursion"]
+            times[rows] = batch.metrics["settling_time"]
             in_image[rows] = (batch.outcome == "completed") & np.isfinite(times[rows])
             stopped[rows] = batch.outcome == "leg_limit"
+            for k, row in enumerate(rows):
+                use = most_used(base, {name: float(values[k]) for name, values in batch.metrics.items()})
+                excess[row] = use if stopped[row] or use.share > 1.0 else None
             break
-        within = travel <= base.robot.stroke
-        return _Ends(in_image & within, (in_image & ~within) | stopped, times, travel, ran)
+        within = np.array([one is None for one in excess])
+        return _Ends(in_image & within, (in_image & ~within) | stopped, times, excess, ran)
 
 
 def _whole(duration: float, step: float) -> float:
@@ -255,7 +259,7 @@ class _Way:
     limited_by: str
     tried: Tried
     settling: dict[float, float]
-    beyond: dict[float, float]
+    beyond: dict[float, LimitUse]
 
 
 def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
@@ -275,8 +279,9 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
                 way.largest, way.limited_by = min(way.largest, size), "core"
                 continue
             way.tried[size] = bool(ends.settled[k])
-            if ends.only_stroke[k]:
-                way.beyond[size] = float(ends.travel[k])
+            excess = ends.excess[k]
+            if ends.only_limits[k] and excess is not None:
+                way.beyond[size] = excess
             if ends.settled[k]:
                 way.settling[size] = float(ends.times[k])
 
@@ -343,9 +348,15 @@ def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
         if good.all():
             return float(sizes[-1]), limit
         first = int(np.argmin(good))
-        limit = "stroke" if seen[first] else "view"
+        limit = _leg_limit(scene, there[first]) if seen[first] else "view"
         low, most = float(sizes[first - 1]) if first else low, float(sizes[first])
     return low, limit
+
+
+def _leg_limit(scene: Scene, pose: Poses) -> str:
+    """Return why the legs do not reach a pose."""
+    nearest = nearest_limit(scene, pose)
+    return "singularity" if nearest.within else nearest.limit
 
 
 def _described(scene: Scene, way: _Way, settles_later: bool | None) -> Direction:
@@ -392,11 +403,11 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
     return tuple(found), assumed
 
 
-def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float, float]]:
+def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float, LimitUse]]:
     """Try one time of the camera: a grid, then between the last that settles and the first that fails, in ticks."""
     step = base.simulation.step
     tried: dict[int, bool] = {}
-    beyond: dict[float, float] = {}
+    beyond: dict[float, LimitUse] = {}
 
     def run(ticks: list[int]) -> None:
         new = sorted(set(ticks) - set(tried))
@@ -405,8 +416,9 @@ def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float,
             for k, tick in enumerate(new):
                 if ends.ran[k]:
                     tried[tick] = bool(ends.settled[k])
-                if ends.only_stroke[k]:
-                    beyond[tick * step] = float(ends.travel[k])
+                excess = ends.excess[k]
+                if ends.only_limits[k] and excess is not None:
+                    beyond[tick * step] = excess
 
     run([*_TICKS] if what == "period" else [0, *_TICKS])
     for _ in range(_ROUNDS):

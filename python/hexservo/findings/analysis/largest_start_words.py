@@ -20,9 +20,18 @@ _NAMES = {
     "own": "the task's own",
     **{f"{kind} {sign}{axis}": f"{kind} {sign}{axis}" for kind in ("shift", "turn") for sign in "+-" for axis in "xyz"},
 }
-_LIMITING = {"error": "image error", "stroke": "stroke of the legs"}
+_LIMITING = {
+    "error": "image error",
+    "stroke": "stroke of the legs",
+    "speed": "speed limit of the legs",
+    "base_joint": "joints at the base",
+    "platform_joint": "joints at the platform",
+}
 _LIMITS = {
     "stroke": "the stroke allows",
+    "base_joint": "the joints at the base allow",
+    "platform_joint": "the joints at the platform allow",
+    "singularity": "has no singular pose on the way",
     "view": "leaves all points in front of the camera",
     "region": "the region searched has",
     "core": "the core accepts",
@@ -56,7 +65,7 @@ def _sentences(found: LargestStart) -> list[str]:
     elif own.fails_at is None:
         words.append(
             f"In all runs in the direction of the task the error settles within {found.duration:g} s and the "
-            f"stroke, up to {own.largest:.3g} times the task "
+            f"limits of the legs, up to {own.largest:.3g} times the task "
             f"({_amount(own, own.largest)}), the largest that {_LIMITS[own.limited_by]} (empirical)."
         )
     elif own.settles_to == 0.0:
@@ -67,13 +76,15 @@ def _sentences(found: LargestStart) -> list[str]:
         )
     else:
         words.append(
-            f"In the direction of the task errors settle within {found.duration:g} s and the stroke up to "
+            f"In the direction of the task errors settle within {found.duration:g} s and the limits of the legs up to "
             f"{own.settles_to:.3g} times "
             f"the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); {own.fails_at:.3g} times "
             f"{_failure(found, own)} (empirical)."
         )
     words.append(_others(found))
-    words += _timing_words(found) or ["The task itself does not settle within the stroke: camera times were not tried."]
+    words += _timing_words(found) or [
+        "The task itself does not settle within the limits of the legs: camera times were not tried."
+    ]
     again = [d.name for d in found.directions if d.settles_again]
     words.append(
         f"All of this is from {found.runs} runs of {found.duration:g} s, not derived: sizes between those "
@@ -89,8 +100,8 @@ def _others(found: LargestStart) -> str:
     if not failing:
         return (
             f"Along all {len(others)} axes and rotations every goal tried settles within {found.duration:g} s and "
-            "the stroke, up to "
-            "the limit of the stroke, of the camera or of the region searched."
+            "the limits of the legs, up to "
+            "those limits, or those of the camera or of the region searched."
         )
     worst = min(failing, key=lambda d: d.settles_to / d.largest)
     settles, fails = border_words(worst)
@@ -106,9 +117,7 @@ def _others(found: LargestStart) -> str:
 def _failure(found: LargestStart, direction: Direction) -> str:
     """Return what happens at the smallest size that fails, in a longer run too."""
     if direction.fails_at in direction.beyond:
-        travel = 1e3 * direction.beyond[direction.fails_at]
-        at_home = "length" if found.leg_unit == "mm" else "angle"
-        return f"takes a leg {number(travel)} {found.leg_unit} from its {at_home} at home, beyond its stroke"
+        return direction.beyond[direction.fails_at].excess
     if direction.settles_later is None:
         return "does not"
     later = f"within {found.longer:g} s"
@@ -129,18 +138,18 @@ def _timing_words(found: LargestStart) -> list[str]:
             else:
                 parts.append(
                     f"a {t.what} of {1e3 * t.settles_to:.4g} ms settles {held} and {1e3 * t.fails_at:.4g} ms "
-                    + _timing_failure(t, found.leg_unit)
+                    + _timing_failure(t)
                 )
         how = "without prediction" if prediction == "none" else "with prediction by the encoders"
         words.append(f"The task itself, {found.assumed}{how}: {'; '.join(parts)}.")
     return words
 
 
-def _timing_failure(timing: Timing, unit: str) -> str:
+def _timing_failure(timing: Timing) -> str:
     """Return by what the smallest time fails that does."""
     if timing.fails_at not in timing.beyond:
         return "does not settle"
-    return f"takes a leg {number(1e3 * timing.beyond[timing.fails_at])} {unit} from home, beyond its stroke"
+    return timing.beyond[timing.fails_at].excess
 
 
 def _items(found: LargestStart) -> list[Item]:
@@ -152,9 +161,9 @@ def _items(found: LargestStart) -> list[Item]:
             None if d.fails_at is None else border_words(d)[1],
             None if d.settles_later is None else "yes" if d.settles_later else "no",
             _amount(d, d.largest),
-            d.limited_by,
+            d.limited_by.replace("_", " "),
             "yes" if d.settles_again else "no",
-            None if d.beyond_stroke is None else _amount(d, d.beyond_stroke),
+            None if d.beyond_limits is None else _amount(d, d.beyond_limits),
             len(d.tried),
         ]
         for d in found.directions
@@ -168,12 +177,12 @@ def _items(found: LargestStart) -> list[Item]:
         Column("largest possible"),
         Column("limited by"),
         Column("settles again beyond"),
-        Column("fails by the stroke alone from"),
+        Column("fails by the legs' limits alone from"),
         Column("runs", "", "d"),
     ]
     note = (
         f"Settles: the run of {found.duration:g} s completes, stays within {found.band:g} px for its last "
-        f"{found.dwell:g} s and keeps all legs within their stroke; one that is only slow fails, and one that "
+        f"{found.dwell:g} s and keeps all legs within their limits; one that is only slow fails, and one that "
         f"starts within {found.band:g} px needs no motion. The border lies between two sizes that were run."
     )
     items: list[Item] = [Table("Starting errors that settle (empirical)", columns, rows, note, PAGE)]
@@ -247,7 +256,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
                 "largest": d.largest,
                 "limited_by": d.limited_by,
                 "image_error": d.error,
-                "beyond_stroke": d.beyond_stroke,
+                "beyond_limits": d.beyond_limits,
                 "sizes": sorted(d.tried),
                 "settled": [d.tried[size] for size in sorted(d.tried)],
             }

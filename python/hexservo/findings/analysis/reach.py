@@ -14,7 +14,15 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import quantity
 
-__all__ = ["LegLimitKind", "LegMargin", "StartAndGoal", "leg_margin", "nearest_limit", "reach_of_start_and_goal"]
+__all__ = [
+    "LEG_LIMITS",
+    "LegLimitKind",
+    "LegMargin",
+    "StartAndGoal",
+    "leg_margin",
+    "nearest_limit",
+    "reach_of_start_and_goal",
+]
 
 LegLimitKind: TypeAlias = Literal["stroke", "base_joint", "platform_joint"]
 LEG_LIMITS: tuple[LegLimitKind, ...] = ("stroke", "base_joint", "platform_joint")  # rows of `Scene.limits_used`
@@ -81,7 +89,7 @@ def nearest_limit(scene: Scene, pose: Poses) -> LegMargin:
     return LegMargin(int(leg) + 1, float(travel[leg]), float(limit * (1.0 - used[row, leg])), LEG_LIMITS[row])
 
 
-def reach_of_start_and_goal(scenario: Scenario, *, joints: bool = True) -> StartAndGoal:
+def reach_of_start_and_goal(scenario: Scenario) -> StartAndGoal:
     """Compare the legs at the start and at the goal of a scenario with their stroke and joint limits.
 
     Nothing is run. Poses of the goal image are found by a local search (`find_goals`), so that a pose may be missed.
@@ -90,8 +98,6 @@ def reach_of_start_and_goal(scenario: Scenario, *, joints: bool = True) -> Start
     ----------
     scenario
         In either mode, with any law; the law's gains do not enter.
-    joints
-        Whether joint limits count beside the stroke.
 
     Returns
     -------
@@ -104,10 +110,9 @@ def reach_of_start_and_goal(scenario: Scenario, *, joints: bool = True) -> Start
         For a scenario that the core refuses.
     """
     scene = scene_of(scenario)
-    unit = scene.units.coordinate
 
     def at(pose: Poses) -> LegMargin:
-        return nearest_limit(scene, pose) if joints else leg_margin(scene.leg_travel(pose), scene.stroke, unit)
+        return nearest_limit(scene, pose)
 
     goals = find_goals(scene)
     if goals is None:

@@ -177,9 +177,13 @@ class Scene:
         found = np.abs([self.hexapod.lever_arms(*pose) for pose in pairs]) / (self.scenario.robot.cranks.length or 1.0)
         return np.nan_to_num(found).reshape(*poses.shape, 6)
 
-    def stroke_left(self, poses: Poses) -> Array:
-        """Return the remaining travel of the leg nearest to its limit, (...) [m]; negative beyond it."""
-        return np.asarray(self.stroke - np.abs(self.leg_travel(poses)).max(axis=-1))
+    def limits_left(self, poses: Poses) -> Array:
+        """Return which share of its limits the leg nearest to one has left, (...); negative beyond it."""
+        return np.asarray(1.0 - self.limits_used(poses).max(axis=(-2, -1)))
+
+    def leg_rates(self, pose: Poses, twist: Array) -> Array:
+        """Return the rates of the legs (6,) [m/s] at one pose, for a twist (6,) in B; of rotary legs [rad/s]."""
+        return np.asarray(self.hexapod.wrench_map(pose.position, pose.quaternion)).T @ twist
 
     def leg_tilts(self, poses: Poses) -> Array:
         """Return the angles of the legs from their directions at home, (..., 2, 6) [rad], in B and in E."""
@@ -202,14 +206,17 @@ class Scene:
 
         They are within the stroke and the joint limits, and on home's side of the singular ones (the sign of det H).
         """
+        return np.asarray((self.limits_left(poses) >= -_ROUNDING) & self.same_side(poses))
+
+    def same_side(self, poses: Poses) -> Mask:
+        """Return which poses (n,) are on home's side of the singular ones, by the sign of det H."""
 
         def side(of: Poses) -> Array:
             pairs = zip(of.position, of.quaternion, strict=True)
             maps = np.asarray([self.hexapod.wrench_map(*pose) for pose in pairs])
             return np.asarray(np.sign(np.linalg.det(np.nan_to_num(maps))))
 
-        within = self.limits_used(poses).max(axis=(-2, -1)) <= 1.0 + _ROUNDING
-        return np.asarray(within & (side(poses) == side(self.home.rows)))
+        return np.asarray(side(poses) == side(self.home.rows))
 
     def spread(self, count: int, seed: int) -> Poses:
         """Draw poses, at most `count`, that see all points, even over `WIDER` about home, within the stroke or not."""

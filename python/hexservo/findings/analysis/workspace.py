@@ -8,9 +8,10 @@ import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
 from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.reach import LEG_LIMITS, LegMargin, nearest_limit
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.part import Part
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["RANDOM", "WAY", "Reach", "Workspace", "WorkspacePose", "analyse", "reach"]
@@ -18,18 +19,21 @@ __all__ = ["RANDOM", "WAY", "Reach", "Workspace", "WorkspacePose", "analyse", "r
 RANDOM = 100  # directions of the random reach, and poses of a neighbourhood
 _ROUNDS = 2000  # of the march to a limit, at most
 _CRANK_STEPS, _CRANK_ROUNDS = 200, 20000  # of the same with cranks: steps in a stroke, and at most
-_TOLERANCE = 1e-9  # of the stroke: where the march ends
+_TOLERANCE = 1e-9  # of the stroke and of joint limits: where the march ends
+_SINGULAR = 1e-6  # smallest singular value of H about the joints' mean, moments divided by r_p: the march ends there
+_NEARER = 0.1  # of a leg's length, by which it changes at most in one step of the march
 WAY = 51  # poses on the straight way to the goal
 _GRID = 41  # of the map, each way
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """How far the platform moves in one direction until a leg is at the end of its stroke."""
+    """How far the platform moves in one direction until a leg is at a limit, or the legs are singular."""
 
     direction: Array  # (6,), unit shift or unit turn, or both; distance is measured along it [m; rad]
     distance: float  # in units of the direction; infinite where no limit was met within half a turn
     leg: int  # 1 to 6, the limiting one; 0: none
+    limit: str  # stroke | base_joint | platform_joint | singularity | none
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,13 @@ class WorkspacePose:
     name: str
     pose: Poses
     travel: Array  # (6,) [m], longer than at home; of rotary legs angles [rad], as all travel here
+    tilts: (
+        Array | None
+    )  # (2, 6) [rad], of the legs from home, at base and platform; None: the robot has no joint limits
+    nearest_limit: LegMargin  # of stroke and joint limits
+    left: float  # share of that limit; negative beyond it
+    reachable: bool  # as of `hs.reachable`
+    speeds: Array | None  # (6,) [m/s; rad/s], along and about x, y and z at the legs' speed limit; None: there is none
     singularity: float  # smallest singular value of H, moments divided by r_p
     lever_arm: float  # smallest |w|/r of rotary legs, 0 where crank and rod are in line; 1 of prismatic ones
     forces: Array  # (6,) [N], that hold the estimated weight; infinite at a singular pose
@@ -57,14 +68,15 @@ class Workspace(Part):
     axes: tuple[Reach, ...]  # from home: +x, -x, +y, ..., -z as shifts, then as turns
     least_shift: Reach  # of random directions from home: the shortest
     least_turn: Reach
-    way_margin: Array  # (51,) [m], stroke that is left on the straight way from home to `goal`; empty without one
-    neighbourhood_singularity: float  # smallest of random poses around the goal, or home, within the stroke
+    way_left: Array  # (51,) share of the legs' limits left on the straight way from home to `goal`; empty without one
+    way_within: Mask  # (51,) whether the legs reach it there
+    neighbourhood_singularity: float  # smallest of random poses within reach around the goal, or home
     neighbourhood_lever_arm: float  # the same
     neighbourhood_force: float  # [N], largest leg force that holds the actual weight there
     map_x: Array  # (41,) [m], from home
     map_y: Array  # (41,)
-    map_margin: (
-        Array  # (41, 41) [m], row by y: stroke that is left, negative beyond it, attitude and height of the goal
+    map_left: (
+        Array  # (41, 41), row by y: share of the legs' limits left, negative beyond, at the goal's attitude, height
     )
 
     @property
@@ -79,7 +91,10 @@ class Workspace(Part):
 
 
 def analyse(scenario: Scenario) -> Workspace:
-    """Compute reach, distance to singularity, holding forces and margins of stroke, by the core's legs."""
+    """Compute reach, distance to singularity, holding forces and margins of the limits, by the core's legs.
+
+    Within reach is what `hs.reachable` takes for it: by stroke and joint limits, on home's side of the singular poses.
+    """
     scene = scene_of(scenario)
     goals = find_goals(scene)
     random = np.random.default_rng(0)
@@ -94,7 +109,8 @@ def analyse(scenario: Scenario) -> Workspace:
     centre = goal or start
     around = _neighbourhood(scene, centre.pose, random)
     near = [_place(scene, "", around[row]) for row in range(len(around))]
-    x, y, margin = _margin_map(scene, centre.pose)
+    x, y, left = _left_map(scene, centre.pose)
+    way_left, way_within = _way(scene, None if goals is None else goals.best.view.pose)
     return Workspace(
         scene=scene,
         goals=goals,
@@ -104,22 +120,24 @@ def analyse(scenario: Scenario) -> Workspace:
         axes=tuple(ends[: len(units)]),
         least_shift=min(shifts, key=lambda end: end.distance),
         least_turn=min(turns, key=lambda end: end.distance),
-        way_margin=np.empty(0) if goals is None else _way_margin(scene, goals.best.view.pose),
+        way_left=way_left,
+        way_within=way_within,
         neighbourhood_singularity=min([place.singularity for place in near], default=centre.singularity),
         neighbourhood_lever_arm=min([place.lever_arm for place in near], default=centre.lever_arm),
         neighbourhood_force=max(float(np.abs(place.actual_forces).max()) for place in [*near, centre]),
         map_x=x,
         map_y=y,
-        map_margin=margin,
+        map_left=left,
     )
 
 
 def reach(scene: Scene, direction: Array) -> Reach:
-    """Move from home along a direction until a leg is at the end of its stroke.
+    """Move from home along a direction until a leg is at a limit, or the legs are singular.
 
-    A leg changes its length by no more than the platform joints move, so that the remaining stroke bounds how far
-    the next step may go without passing a limit: the march never steps over one. The angle of a crank has no such bound
-    near its reach: there the march takes steps of 1/200 of the stroke, and halves the one that passed a limit.
+    Lengths, tilts and singular values of the legs change no faster than bounds that follow from the motion of the
+    platform joints, so that what is left bounds how far the next step may go without passing a limit: the march never
+    steps over one. The angle of a crank has no such bound near its reach: there the march takes steps of 1/200 of the
+    stroke, and halves the one that passed a limit.
 
     Parameters
     ----------
@@ -134,25 +152,65 @@ def reach(scene: Scene, direction: Array) -> Reach:
 def _reaches(scene: Scene, directions: Array) -> list[Reach]:
     """Return `reach` of all directions (n, 6), which march side by side."""
     turning = np.linalg.norm(directions[:, 3:], axis=1)
-    speed = np.linalg.norm(directions[:, :3], axis=1) + scene.platform_radius * turning
+    joints = np.reshape(scene.hexapod.platform_joints, (6, 3))
+    arm = float(np.linalg.norm(joints, axis=1).max())
+    speed = np.linalg.norm(directions[:, :3], axis=1) + arm * turning  # of a platform joint, at most
     if scene.hexapod.rotary:
         return [_crank_reach(scene, *pair) for pair in zip(directions, turning, speed, strict=True)]
-    distance, leg = np.zeros(len(directions)), np.zeros(len(directions), dtype=int)
+    distance, found = np.zeros(len(directions)), [(0, "none")] * len(directions)
     marching = np.arange(len(directions))
     # Below the rounding of a length the march does not come any nearer.
-    end = max(_TOLERANCE * scene.stroke, 4.0 * np.finfo(float).eps * float(np.max(scene.hexapod.home_lengths)))
-    for _ in range(_ROUNDS):
-        travel = np.abs(scene.leg_travel(scene.home.moved(distance[marching, None] * directions[marching])))
-        left = scene.stroke - travel.max(axis=1)
-        ended = left <= end
-        leg[marching[ended]] = travel[ended].argmax(axis=1) + 1
+    end = max(_TOLERANCE, 4.0 * np.finfo(float).eps * float(np.max(scene.hexapod.home_lengths)) / scene.stroke)
+    for last in np.arange(_ROUNDS) == _ROUNDS - 1:
+        poses = scene.home.moved(distance[marching, None] * directions[marching])
+        left = 1.0 - scene.limits_used(poses)  # (n, k, 6), shares
+        singular = _distance_to_singular(scene, poses)
+        at_limit = left.min(axis=(1, 2)) <= end
+        ended = at_limit | (singular <= _SINGULAR) | last
+        for row in np.flatnonzero(ended):
+            found[marching[row]] = _limit(1.0 - left[row]) if at_limit[row] or last else (0, "singularity")
         on = ~ended & (turning[marching] * distance[marching] <= np.pi)
-        marching, left = marching[on], left[on]
+        lengths = (scene.leg_travel(poses) + scene.hexapod.mid_lengths).min(axis=1)
+        steps = _steps(scene, left, singular, lengths, speed[marching], turning[marching])
+        distance[marching[on]] += steps[on]
+        marching = marching[on]
         if not len(marching):
             break
-        distance[marching] += left / speed[marching]
-    distance[leg == 0] = np.inf
-    return [Reach(*end) for end in zip(directions, distance.tolist(), leg.tolist(), strict=True)]
+    distance[[leg == 0 and limit == "none" for leg, limit in found]] = np.inf
+    ends = zip(directions, distance.tolist(), found, strict=True)
+    return [Reach(direction, far, leg, limit) for direction, far, (leg, limit) in ends]
+
+
+def _distance_to_singular(scene: Scene, poses: Poses) -> Array:
+    """Return the smallest singular values (n,) of H about the mean of the platform joints, moments divided by r_p.
+
+    The zeros do not depend on the point; about a far one all values are small.
+    """
+    mean = np.reshape(scene.hexapod.platform_joints, (6, 3)).mean(axis=0, keepdims=True)
+    found = []
+    for position, quaternion in zip(poses.position, poses.quaternion, strict=True):
+        to_mean = (Poses(position, quaternion).carried(mean) - position)[0]
+        force, moment = np.split(np.asarray(scene.hexapod.wrench_map(position, quaternion)), 2)
+        moment = (moment - np.cross(to_mean, force, axis=0)) / scene.platform_radius
+        found.append(np.vstack([force, moment]))
+    return np.asarray(np.linalg.svd(np.array(found), compute_uv=False)[:, -1])
+
+
+def _steps(scene: Scene, left: Array, singular: Array, length: Array, speed: Array, turning: Array) -> Array:
+    """Return how far the march may go from each pose, (n,), in units of the directions.
+
+    Within a step of a tenth of the shortest leg no leg is shorter than 0.9 l. So its direction changes by at most
+    `speed/(0.9 l)`, in E by that and the rotation, and a column `(n; p x n/r_p)` of H, p from the joints' mean, by what
+    follows from both. No singular value of H changes by more than the change of H in the Frobenius norm.
+    """
+    legs = speed / ((1.0 - _NEARER) * length)  # [rad] of a leg's direction in B, per unit of distance
+    # sum |p|^2 = 6 r_p^2
+    columns = np.sqrt(6.0) * np.hypot(legs, turning + legs)
+    steps = [_NEARER * length / speed, left[:, 0].min(axis=1) * scene.stroke / speed, singular / columns]
+    if scene.joint_limit is not None:
+        tilts = left[:, 1:].min(axis=2) * scene.joint_limit  # [rad], (n, 2)
+        steps += [tilts[:, 0] / legs, tilts[:, 1] / (legs + turning)]
+    return np.asarray(np.min(steps, axis=0))
 
 
 def _crank_reach(scene: Scene, direction: Array, turning: float, speed: float) -> Reach:
@@ -160,21 +218,28 @@ def _crank_reach(scene: Scene, direction: Array, turning: float, speed: float) -
     step = scene.stroke_length / _CRANK_STEPS / speed
     most = min(np.pi / turning if turning else np.inf, _CRANK_ROUNDS * step)
 
-    def travel(distance: Array) -> Array:
-        return np.abs(scene.leg_travel(scene.home.moved(distance[:, None] * direction)))
+    def beyond(distance: Array) -> Mask:
+        return ~scene.reachable(scene.home.moved(distance[:, None] * direction))
 
     for first in np.arange(0.0, most, _CRANK_STEPS * step):
         distances = first + step * np.arange(1, _CRANK_STEPS + 1)
-        beyond = (travel(distances) > scene.stroke).any(axis=1)
-        if not beyond.any():
+        passed = beyond(distances)
+        if not passed.any():
             continue
-        high = float(distances[np.argmax(beyond)])
+        high = float(distances[np.argmax(passed)])
         low = high - step
         while high - low > _TOLERANCE * scene.stroke_length / speed:
             middle = 0.5 * (low + high)
-            low, high = (low, middle) if (travel(np.array([middle])) > scene.stroke).any() else (middle, high)
-        return Reach(direction, low, int(travel(np.array([high]))[0].argmax()) + 1)
-    return Reach(direction, np.inf, 0)
+            low, high = (low, middle) if beyond(np.array([middle]))[0] else (middle, high)
+        used = scene.limits_used(scene.home.moved(high * direction))
+        return Reach(direction, low, *(_limit(used) if used.max() > 1.0 else (0, "singularity")))
+    return Reach(direction, np.inf, 0, "none")
+
+
+def _limit(used: Array) -> tuple[int, str]:
+    """Return the leg, 1 to 6, and the limit of which the largest share (k, 6) is used."""
+    row, leg = np.unravel_index(int(used.argmax()), used.shape)
+    return int(leg) + 1, LEG_LIMITS[row]
 
 
 def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
@@ -192,6 +257,11 @@ def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
         name=name,
         pose=pose,
         travel=scene.leg_travel(pose),
+        tilts=None if scene.joint_limit is None else scene.leg_tilts(pose),
+        nearest_limit=nearest_limit(scene, pose),
+        left=float(scene.limits_left(pose)),
+        reachable=bool(scene.reachable(pose.rows)[0]),
+        speeds=_speeds(scene, pose),
         singularity=float(np.min(legs.singular_values(*at))),
         lever_arm=float(scene.lever_arms(pose).min()),
         forces=forces(weight),
@@ -199,8 +269,16 @@ def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
     )
 
 
+def _speeds(scene: Scene, pose: Poses) -> Array | None:
+    """Return how fast the platform goes along and about each axis, (6,) [m/s; rad/s], at the legs' speed limit."""
+    limit = scene.scenario.robot.speed_limit
+    if limit is None or not np.isfinite(scene.limits_left(pose)):
+        return None
+    return np.array([limit / np.abs(scene.leg_rates(pose, unit)).max() for unit in np.eye(6)])
+
+
 def _neighbourhood(scene: Scene, centre: Poses, random: np.random.Generator) -> Poses:
-    """Draw poses around one and keep those within the stroke.
+    """Draw poses around one and keep those within reach.
 
     They are shifted by up to half a stroke and turned by as much at the platform joints; no more than a quarter of r_p.
     """
@@ -211,19 +289,23 @@ def _neighbourhood(scene: Scene, centre: Poses, random: np.random.Generator) -> 
         way[:3] *= size * random.uniform() / np.linalg.norm(way[:3])
         way[3:] *= size * random.uniform() / np.linalg.norm(way[3:]) / scene.platform_radius
     poses = centre.moved(ways)
-    return poses[scene.stroke_left(poses) >= 0]
+    return poses[scene.reachable(poses)]
 
 
-def _way_margin(scene: Scene, goal: Poses) -> Array:
+def _way(scene: Scene, goal: Poses | None) -> tuple[Array, Mask]:
+    """Return which share of the limits is left on the way to the goal, and whether the legs reach it there."""
+    if goal is None:
+        return np.empty(0), np.empty(0, dtype=bool)
     displacement = goal.displacement_from(scene.start)
-    return scene.stroke_left(scene.start.moved(np.linspace(0.0, 1.0, WAY)[:, None] * displacement))
+    way = scene.start.moved(np.linspace(0.0, 1.0, WAY)[:, None] * displacement)
+    return scene.limits_left(way), scene.reachable(way)
 
 
-def _margin_map(scene: Scene, centre: Poses) -> tuple[Array, Array, Array]:
-    """Return x and y from home [m] and the remaining stroke [m], over the reach of the stroke and the goal."""
+def _left_map(scene: Scene, centre: Poses) -> tuple[Array, Array, Array]:
+    """Return x and y from home [m] and the share of the limits left, over the reach of the stroke and the goal."""
     home = scene.home.position
     half = max(2.0 * scene.stroke_length, 1.2 * float(np.abs((centre.position - home)[:2]).max()))
     ticks = np.linspace(-half, half, _GRID)
     x, y = np.meshgrid(home[0] + ticks, home[1] + ticks)
     places = np.stack([x, y, np.full(x.shape, centre.position[2])], axis=-1)
-    return ticks, ticks, scene.stroke_left(Poses(places, np.broadcast_to(centre.quaternion, (*x.shape, 4))))
+    return ticks, ticks, scene.limits_left(Poses(places, np.broadcast_to(centre.quaternion, (*x.shape, 4))))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo.findings.analysis.goal import TOLERANCE
-from hexservo.findings.analysis.reach import LegMargin, leg_margin
+from hexservo.findings.analysis.reach import leg_margin
 from hexservo.findings.analysis.words import number
 from hexservo.findings.analysis.workspace import RANDOM, WAY, Reach, Workspace, WorkspacePose
 from hexservo.findings.evidence import Column, HeatMap, Line, Section, Table, Verdict
@@ -15,6 +15,13 @@ __all__ = ["section"]
 PAGE = "docs/analysis/workspace.md"
 _SLIM = 0.1  # of stroke, force limit or distance to singularity: less than this is worth a warning
 _AXES = "xyz"
+_SIDES = ("base", "platform")
+_ENDS = {
+    "stroke": "stroke",
+    "base_joint": "base joint",
+    "platform_joint": "platform joint",
+    "singularity": "singular pose",
+}
 
 
 def section(found: Workspace) -> Section:
@@ -23,7 +30,7 @@ def section(found: Workspace) -> Section:
         name="workspace",
         title="Reach and loads of the legs",
         sentences=_sentences(found),
-        items=(_places_table(found), _reach_table(found), _map(found)),
+        items=(_places_table(found), *_speed_table(found), _reach_table(found), _map(found)),
         verdict=_verdict(found),
         data=_data(found),
     )
@@ -31,11 +38,11 @@ def section(found: Workspace) -> Section:
 
 def _verdict(found: Workspace) -> Verdict:
     reached = found.nearest or found.start
-    if _margin(found, reached) < 0 or np.abs(reached.actual_forces).max() > found.force_limit:
+    if not reached.reachable or np.abs(reached.actual_forces).max() > found.force_limit:
         return "bad"
     force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
-    margins = [_margin(found, place) for place in _places(found)]
-    slim = min([*margins, *found.way_margin]) < _SLIM * found.stroke or force > (1 - _SLIM) * found.force_limit
+    slim = min([*(place.left for place in _places(found)), *found.way_left]) < _SLIM or not found.way_within.all()
+    slim = slim or force > (1 - _SLIM) * found.force_limit
     singular = found.neighbourhood_singularity < _SLIM * found.start.singularity
     return "warning" if slim or singular else "good"
 
@@ -54,14 +61,14 @@ def _sentences(found: Workspace) -> list[str]:
         "The distance to a singularity (smallest singular value of H, moments divided by r_p) is "
         + " and ".join(f"{number(place.singularity)} at the {place.name}" for place in places)
         + f", and at least {number(found.neighbourhood_singularity)} at random poses around the {places[-1].name} "
-        "within the stroke."
+        f"within {_limits(found)}."
     )
     if found.scene.hexapod.rotary:
         words.append(
             "The distance to cranks in line with their rods (smallest lever arm of a rod, relative to the crank) is "
             + " and ".join(f"{number(place.lever_arm)} at the {place.name}" for place in places)
             + f", and at least {number(found.neighbourhood_lever_arm)} at random poses around the {places[-1].name} "
-            "within the stroke."
+            f"within {_limits(found)}."
         )
     effort = found.scene.units.effort
     heaviest = max(_places(found), key=lambda place: float(np.abs(place.actual_forces).max()))
@@ -76,35 +83,63 @@ def _sentences(found: Workspace) -> list[str]:
 
 
 def _overloaded(found: Workspace) -> bool:
-    """Return whether the holding forces are near the limit of the legs, or beyond, and the stroke is not exceeded."""
+    """Return whether the holding forces are near the limit of the legs, or beyond, and no other limit is exceeded."""
     force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
-    beyond = _margin(found, found.nearest or found.start) < 0
+    beyond = (found.nearest or found.start).left < 0
     return not beyond and force > (1 - _SLIM) * found.force_limit
 
 
 def _of_goal(found: Workspace) -> str:
     assert found.goal is not None
     assert found.nearest is not None
-    text, units = "", found.scene.units
+    text = ""
     for place, name in (
         (found.goal, "At the goal"),
         (found.nearest, f"at the nearest pose with this image within {TOLERANCE} px"),
     ):
-        leg = _leg(found, place)
-        text += (
-            f"{name} leg {leg.leg} is {number(1e3 * abs(leg.travel))} {units.small} from its {units.name} at home, "
-            + (
-                f"with {number(1e3 * leg.margin)} {units.small} of stroke left"
-                if leg.within
-                else f"{number(-1e3 * leg.margin)} {units.small} beyond its stroke"
-            )
-            + "; "
+        text += f"{name} {_of_leg(found, place)}; "
+    if found.way_within.all():
+        least = float(found.way_left.min())
+        left = f"{100 * least:.0f} % of the legs' limits" if _tilts_count(found) else _of_stroke(found, least)
+        return text + f"on the straight path to the goal {left} are left everywhere."
+    first = int(np.flatnonzero(~found.way_within)[0])
+    what = f"leaves {_limits(found)}" if found.way_left[first] < 0 else "comes to a singular pose"
+    return text + f"the straight path to the goal {what} after {100 * first / (WAY - 1):.0f} % of it."
+
+
+def _of_leg(found: Workspace, place: WorkspacePose) -> str:
+    """Return where the leg that is nearest to a limit is at a pose, and what is left of that limit."""
+    leg, units = place.nearest_limit, found.scene.units
+    if leg.limit != "stroke":
+        joint = f"the {leg.limit.replace('_', ' ')} of leg {leg.leg}"
+        left = (
+            f"has {number(1e3 * leg.margin)} mrad left" if leg.within else f"is {_beyond(leg.margin)} mrad beyond its"
         )
-    least = float(found.way_margin.min())
-    if least >= 0:
-        return text + f"on the straight path to the goal {number(1e3 * least)} {units.small} are left everywhere."
-    first = int(np.flatnonzero(found.way_margin < 0)[0])
-    return text + f"the straight path to the goal leaves the stroke after {100 * first / (WAY - 1):.0f} % of it."
+        return f"{joint} {left}{'' if leg.within else ' limit'}"
+    if not np.isfinite(leg.travel):
+        return f"leg {leg.leg} does not reach"
+    end = (
+        f"with {number(1e3 * leg.margin)} {units.small} of stroke left"
+        if leg.within
+        else f"{_beyond(leg.margin)} {units.small} beyond its stroke"
+    )
+    return f"leg {leg.leg} is {number(1e3 * abs(leg.travel))} {units.small} from its {units.name} at home, {end}"
+
+
+def _beyond(margin: float) -> str:
+    return number(-1e3 * margin)
+
+
+def _of_stroke(found: Workspace, share: float) -> str:
+    return f"{number(1e3 * share * found.stroke)} {found.scene.units.small}"
+
+
+def _tilts_count(found: Workspace) -> bool:
+    return found.scene.joint_limit is not None
+
+
+def _limits(found: Workspace) -> str:
+    return "the legs' limits" if _tilts_count(found) else "the stroke"
 
 
 def _places_table(found: Workspace) -> Table:
@@ -115,6 +150,7 @@ def _places_table(found: Workspace) -> Table:
             Column("at"),
             *(Column(f"leg {leg}", units.small, ".2f") for leg in range(1, 7)),
             Column("stroke left", units.small, ".2f"),
+            *([Column(f"largest tilt at the {side}", "mrad", ".1f") for side in _SIDES] if _tilts_count(found) else []),
             Column("distance to singularity", format=".3f"),
             Column(f"largest leg {units.effort_name}", units.effort, ".3g"),
             Column(f"largest leg {units.effort_name}, actual weight", units.effort, ".3g"),
@@ -123,7 +159,8 @@ def _places_table(found: Workspace) -> Table:
             (
                 place.name,
                 *(1e3 * place.travel),
-                1e3 * _margin(found, place),
+                1e3 * _stroke_left(found, place),
+                *([] if place.tilts is None else 1e3 * place.tilts.max(axis=1)),
                 place.singularity,
                 float(np.abs(place.forces).max()),
                 float(np.abs(place.actual_forces).max()),
@@ -131,9 +168,40 @@ def _places_table(found: Workspace) -> Table:
             for place in _places(found)
         ],
         note=f"Travel of the legs from their {units.name}s at home; {number(1e3 * found.stroke)} {units.small} are "
-        f"allowed each way. {units.effort_name.capitalize()}s hold the weight, estimated and actual, without motion.",
+        f"allowed each way{_tilts_allowed(found)}. {units.effort_name.capitalize()}s hold the weight, estimated and "
+        "actual, without motion.",
         page=PAGE,
     )
+
+
+def _tilts_allowed(found: Workspace) -> str:
+    limit = found.scene.joint_limit
+    if limit is None:
+        return ""
+    base, platform = (f"{number(1e3 * float(value))} mrad" for value in limit)
+    return f", and tilts of {base} at the base and {platform} at the platform"
+
+
+def _speed_table(found: Workspace) -> list[Table]:
+    """Return how fast the platform moves with the legs at their speed limit, where they have one."""
+    places = [(place, place.speeds) for place in _places(found)[:2] if place.speeds is not None]
+    if not places:
+        return []
+    limit, units = found.scene.scenario.robot.speed_limit or 0.0, found.scene.units
+    return [
+        Table(
+            title="Largest speeds of the platform at the speed limit of the legs",
+            columns=(
+                Column("at"),
+                *(Column(f"along {axis}", "mm/s", ".4g") for axis in _AXES),
+                *(Column(f"about {axis}", "mrad/s", ".4g") for axis in _AXES),
+            ),
+            rows=[(place.name, *(1e3 * speeds)) for place, speeds in places],
+            note=f"One motion at a time, in the base frame, until the first leg is at {number(1e3 * limit)} "
+            f"{units.small}/s.",
+            page=PAGE,
+        )
+    ]
 
 
 def _reach_table(found: Workspace) -> Table:
@@ -142,7 +210,7 @@ def _reach_table(found: Workspace) -> Table:
         ahead, back = found.axes[2 * pair], found.axes[2 * pair + 1]
         unit = "mm" if pair < 3 else "mrad"
         name = ("shift along " if pair < 3 else "turn about ") + _AXES[pair % 3]
-        rows.append((name, unit, *(_cell(end) for end in (ahead, back)), ahead.leg or None, back.leg or None))
+        rows.append((name, unit, *(_cell(end) for end in (ahead, back)), _end(ahead), _end(back)))
     return Table(
         title="Reach from home, by axis",
         columns=(
@@ -150,12 +218,12 @@ def _reach_table(found: Workspace) -> Table:
             Column("unit"),
             Column("ahead", format=".4g"),
             Column("back", format=".4g"),
-            Column("limiting leg ahead", format="d"),
-            Column("and back", format="d"),
+            Column("limit ahead"),
+            Column("and back"),
         ),
         rows=rows,
-        note="Until the first leg is at the end of its stroke; one motion at a time, in the base frame. Empty: no "
-        "limit within 180 deg.",
+        note="Until the first leg is at a limit or the legs are singular; one motion at a time, in the base frame. "
+        "Empty: no limit within 180 deg.",
         page=PAGE,
     )
 
@@ -168,17 +236,22 @@ def _map(found: Workspace) -> HeatMap:
         x, y = 1e3 * (centre.pose.position - home)[:2]
         lines.append(Line("goal", np.array([x]), np.array([y]), "points"))
     where = "goal" if found.goal is not None else "start"
+    if _tilts_count(found):
+        what, label, scale = "Remaining share of stroke and joint limits", "left of the limit [%]", 100.0
+    else:
+        unit = found.scene.units.small
+        what, label, scale = "Remaining stroke", f"stroke left [{unit}]", 1e3 * found.stroke
     return HeatMap(
-        title=f"Remaining stroke, at the height and attitude of the {where}",
+        title=f"{what}, at the height and attitude of the {where}",
         x_label="translation along x from home [mm]",
         y_label="translation along y from home [mm]",
-        z_label=f"stroke left [{found.scene.units.small}]",
+        z_label=label,
         x=1e3 * found.map_x,
         y=1e3 * found.map_y,
-        z=1e3 * found.map_margin,
+        z=scale * found.map_left,
         levels=(0.0,),
         lines=lines,
-        note="For the leg nearest to its limit; beyond the stroke it is negative.",
+        note="For the leg nearest to its limit; beyond it the value is negative.",
         page=PAGE,
     )
 
@@ -187,12 +260,17 @@ def _data(found: Workspace) -> dict[str, object]:
     return {
         "stroke": found.stroke,
         "force_limit": found.force_limit,
+        "speed_limit": found.scene.scenario.robot.speed_limit,
+        "joint_limit": found.scene.joint_limit,
         **{
             place.name.replace(" ", "_"): {
                 "position": place.pose.position,
                 "quaternion": place.pose.quaternion,
                 "leg_travel": place.travel,
-                "stroke_left": _margin(found, place),
+                "stroke_left": _stroke_left(found, place),
+                "reachable": place.reachable,
+                **({} if place.tilts is None else {"leg_tilts": place.tilts}),
+                **({} if place.speeds is None else {"speeds": place.speeds}),
                 "singularity": place.singularity,
                 **({"lever_arm": place.lever_arm} if found.scene.hexapod.rotary else {}),
                 "leg_forces": place.forces,
@@ -200,10 +278,13 @@ def _data(found: Workspace) -> dict[str, object]:
             }
             for place in _places(found)
         },
-        "reach": [{"direction": end.direction, "distance": end.distance, "leg": end.leg} for end in found.axes],
+        "reach": [
+            {"direction": end.direction, "distance": end.distance, "leg": end.leg, "limit": end.limit}
+            for end in found.axes
+        ],
         "least_shift": {"direction": found.least_shift.direction, "distance": found.least_shift.distance},
         "least_turn": {"direction": found.least_turn.direction, "distance": found.least_turn.distance},
-        "way_stroke_left": found.way_margin,
+        "way_limits_left": found.way_left,
         "neighbourhood_singularity": found.neighbourhood_singularity,
         "neighbourhood_force": found.neighbourhood_force,
     }
@@ -213,12 +294,15 @@ def _places(found: Workspace) -> list[WorkspacePose]:
     return [place for place in (found.start, found.goal, found.nearest) if place is not None]
 
 
-def _leg(found: Workspace, place: WorkspacePose) -> LegMargin:
-    return leg_margin(place.travel, found.stroke)
+def _stroke_left(found: Workspace, place: WorkspacePose) -> float:
+    return leg_margin(place.travel, found.stroke).margin
 
 
-def _margin(found: Workspace, place: WorkspacePose) -> float:
-    return _leg(found, place).margin
+def _end(end: Reach) -> str | None:
+    """Return what ends a motion, in a table."""
+    if end.limit == "none":
+        return None
+    return _ENDS[end.limit] + (f" of leg {end.leg}" if end.leg else "")
 
 
 def _distance(end: Reach) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -53,7 +53,8 @@ class Allowed:
     dwell: float  # of the metrics [s]
     stroke: float  # of a leg, each way [m]
     duration: float  # that the run should have [s]
-    stroke_counts: bool = True  # False: a leg beyond the stroke is no failure; drift still is
+    stroke_counts: bool = True  # False: a leg beyond the stroke or a limit is no failure; drift still is
+    limits: Mapping[str, float] = field(default_factory=dict)  # of speed and joints [m/s; rad], by their metric
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,15 @@ class Judgement:
     error: float  # largest one within the dwell time before the end, of the band
     stroke: float  # largest leg travel, of the stroke
     drift: float  # of the speed that would take a leg out of its stroke within `DRIFT_TIME`
+    limits: Mapping[str, float]  # speed and tilts of the legs, of their limits, by metric; empty without limits
     failed: bool
     severity: float  # 0: nothing is left of a failure
     cured: float  # share of the allowed error from which on it counts in the severity
+
+    @property
+    def legs(self) -> float:
+        """Largest of what the legs do, of what is allowed: travel, drift, speed and tilts."""
+        return max(self.stroke, self.drift, *self.limits.values())
 
 
 def make_record(
@@ -116,9 +123,9 @@ def _drift(time: Array, lengths: Array, end_time: float) -> float:
 
 
 def judge(record: Record, allowed: Allowed, cured: float | None = None) -> Judgement:
-    """Decide whether a run passes: it is settled, as the metrics define it, and its legs stay within their stroke.
+    """Decide whether a run passes: it is settled, as the metrics define it, and its legs stay within their limits.
 
-    The severity is at most 1 for legs that exceed their stroke or drift and twice as much for a remaining error, each
+    The severity is at most 1 for legs that exceed their limits or drift and twice as much for a remaining error, each
     in decades, 2 in total; it is from 2 to 3 for a run that ends early, by the share of the time that it did not run.
     If the error failed, it counts from half of the band, so that a change that just passes is not a full cure.
 
@@ -139,14 +146,15 @@ def judge(record: Record, allowed: Allowed, cured: float | None = None) -> Judge
     drift = record.drift * DRIFT_TIME / allowed.stroke
     if cured is None:
         cured = 1.0 if record.settled else _CURED
-    legs = [travel, drift] if allowed.stroke_counts else [drift]
+    limits = {metric: record.metrics[metric] / limit for metric, limit in allowed.limits.items()}
+    legs = [travel, drift, *limits.values()] if allowed.stroke_counts else [drift]
     if early:
         severity = 3.0 - record.end_time / allowed.duration
     else:
         travelled = min(_DECADES, sum(map(_decades, legs)))
         severity = min(2.0, (2.0 * min(_DECADES, _decades(remaining / cured)) + travelled) / _DECADES)
     failed = not record.settled or max(legs) > 1.0
-    return Judgement(early, record.settled, remaining, travel, drift, failed, severity, cured)
+    return Judgement(early, record.settled, remaining, travel, drift, limits, failed, severity, cured)
 
 
 def _decades(ratio: float) -> float:

@@ -101,7 +101,7 @@ def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 
 def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signature:
-    if judgement.early or judgement.error > 2.0 or max(judgement.stroke, judgement.drift) <= 1.0:
+    if judgement.early or judgement.error > 2.0 or judgement.legs <= 1.0:
         return Signature(0.3, "")
     return Signature(
         1.0,
@@ -180,7 +180,9 @@ def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
         f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} {units.small} from its {units.name} at home; its "
         f"stroke is {number(stroke * 1e3)} {units.small}."
     )
-    return Signature(1.0 if case.goal.leg_travel > stroke else 0.0, sentence)
+    if case.goal.leg_travel <= stroke and not case.goal.within:
+        sentence += " A joint is beyond its limit there."
+    return Signature(0.0 if case.goal.within else 1.0, sentence)
 
 
 SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {

@@ -93,6 +93,7 @@ class Diagnosis(Part):
                 "error_allowed": self.band,
                 "leg_travel": judgement.stroke * robot.stroke,
                 "stroke": robot.stroke,
+                "limits_used": dict(judgement.limits),
                 "drift": record.drift,
                 "drift_allowed": robot.stroke / DRIFT_TIME,
                 "severity": judgement.severity,

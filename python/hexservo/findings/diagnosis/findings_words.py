@@ -48,7 +48,7 @@ def _verdict(found: Diagnosis) -> str:
     was = ends(found.record.outcome, found.judgement.error * found.band, found.leg_travel, found.record.drift, unit)
     first = found.causes[0] if found.causes else None
     if found.obstacle is not None:
-        return _of_obstacle(found, found.obstacle)
+        return _of_obstacle(found.obstacle)
     if first is not None and first.named and first.without is not None:
         if found.too_short:
             return f"The run is too short: with simulation.duration={found.too_short:g} it passes."
@@ -78,17 +78,15 @@ def _unit(found: Diagnosis) -> str:
     return leg_units(found.result.scenario.robot).small
 
 
-def _of_obstacle(found: Diagnosis, obstacle: Obstacle) -> str:
-    robot = found.result.scenario.robot
+def _of_obstacle(obstacle: Obstacle) -> str:
     if obstacle.kind == "image":
         return (
             f"The goal cannot be reached: no pose was found whose image is the goal; the best one leaves "
             f"{number(obstacle.residual)} px."
         )
-    beyond, unit = (obstacle.leg_travel - robot.stroke) * 1e3, _unit(found)
     return (
-        f"The goal cannot be reached: at the nearest pose with that image a leg is {number(beyond)} {unit} beyond its "
-        f"stroke of {number(robot.stroke * 1e3)} {unit}; nothing else matters until that is changed."
+        f"The goal cannot be reached: at the nearest pose with that image {obstacle.beyond}; nothing else matters "
+        "until that is changed."
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
-from hexservo.findings.analysis.reach import reach_of_start_and_goal
+from hexservo.findings.analysis.reach import nearest_limit, reach_of_start_and_goal
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import desired_features, to_pixels
@@ -29,26 +29,28 @@ class Goal:
     position: Array  # (3,) [m], in B
     quaternion: Array  # (4,) w x y z
     leg_travel: float  # of the leg that has to go farthest from its length at home [m]
+    within: bool  # whether all legs are within stroke and joint limits there
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
     """Why no law can reach the goal of a scenario."""
 
-    kind: Literal["stroke", "image"]  # legs do not reach a pose that shows it; no pose shows it
+    kind: Literal["legs", "image"]  # legs do not reach a pose that shows it; no pose shows it
+    beyond: str  # what the legs would have to do at the nearest pose with that image, as a clause; empty: they reach it
     leg_travel: float  # of the leg that would have to go farthest [m]
     residual: float  # largest error of a feature at the best pose [px]
     nearest_image: Array  # (2p,) [px], what the best pose shows
 
 
 def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
-    """Check by the goal image and the stroke of the legs whether the goal can be reached at all (`_analysis`).
+    """Check by the goal image, stroke and joint limits whether the goal can be reached at all (`_analysis`).
 
     None where it can, and for a camera as printed, whose goal has no pose.
     """
-    if scenario.camera.convention != "eye_in_hand" or (goal is not None and goal.leg_travel <= scenario.robot.stroke):
+    if scenario.camera.convention != "eye_in_hand" or (goal is not None and goal.within):
         return None
-    found = reach_of_start_and_goal(scenario, joints=False)  # beyond a joint limit a run is no failure
+    found = reach_of_start_and_goal(scenario)
     if found.goal is None or found.nearest is None:
         return None
     travel = min(abs(found.goal.travel), abs(found.nearest.travel))
@@ -57,9 +59,10 @@ def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
     image = goals.best.view.features
     if found.goal_within and found.residual <= scenario.metrics.band:
         return None
-    # A far pose may nearly show four features that belong to none: the stroke is the cause for an image of a pose.
+    # A far pose may nearly show four features that belong to none: the legs are the cause for an image of a pose.
     allowed = min(scenario.metrics.band, _EXACT)
-    return Obstacle("image" if found.residual > allowed else "stroke", travel, found.residual, image)
+    beyond = "" if found.nearest.within else found.nearest.beyond
+    return Obstacle("image" if found.residual > allowed else "legs", beyond, travel, found.residual, image)
 
 
 def goal_of(scenario: Scenario) -> Goal | None:
@@ -69,7 +72,8 @@ def goal_of(scenario: Scenario) -> Goal | None:
     if goals is None or goals.best.largest_residual > _SHOWN:
         return None
     pose = goals.best.view.pose
-    return Goal(pose.position, pose.quaternion, float(np.abs(scene.leg_travel(pose)).max()))
+    travel = float(np.abs(scene.leg_travel(pose)).max())
+    return Goal(pose.position, pose.quaternion, travel, nearest_limit(scene, pose).within)
 
 
 def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array) -> float:

@@ -36,7 +36,7 @@ class Removal:
 
     words: str  # what is changed, as it follows "with"
     changes: Changes
-    stroke_counts: bool = True  # whether a leg beyond its stroke still is a failure
+    stroke_counts: bool = True  # whether a leg beyond a limit still is a failure
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,12 +75,16 @@ def judged(
     changes = {} if removal is None else removal.changes
     free = removal is not None and not removal.stroke_counts
     stroke = scenario.robot.stroke if free else changes.get("robot.stroke", scenario.robot.stroke)
+    speed = changes.get("robot.speed_limit", scenario.robot.speed_limit)
+    joints = changes.get("robot.joint_limit", scenario.robot.joint_limit) or (None, None)
+    limits = dict(zip(("peak_leg_speed", "peak_base_joint", "peak_platform_joint"), (speed, *joints), strict=True))
     allowed = Allowed(
         float(changes.get("metrics.band", scenario.metrics.band)),
         float(changes.get("metrics.dwell", scenario.metrics.dwell)),
         float(stroke),
         float(changes.get("simulation.duration", scenario.simulation.duration)),
         stroke_counts=not free,
+        limits={metric: float(limit) for metric, limit in limits.items() if limit is not None},
     )
     return judge(record, allowed, None if before is None else before.cured)
 
@@ -158,7 +162,7 @@ def rank(one: Study, withheld: str = "") -> list[Trial]:
     random changes do not cure the run as well. A goal that cannot be reached is always the cause named.
     """
     obstacle = one.case.obstacle
-    goal_cause = "" if obstacle is None else {"stroke": "leg_limits", "image": "impossible_goal"}[obstacle.kind]
+    goal_cause = "" if obstacle is None else {"legs": "leg_limits", "image": "impossible_goal"}[obstacle.kind]
     chance = float(np.mean(one.controls)) if one.controls else 0.0
     harmless, odd = _ordinary_devices(one.case), _unusual_causes(one.case)
     trials = []
@@ -245,7 +249,7 @@ def _is_elsewhere(one: Study) -> bool:
     """
     metrics, before = one.case.scenario.metrics, one.before
     far = before.error * metrics.band > max(type(metrics)().band, metrics.band)
-    return not before.early and (far or max(before.stroke, before.drift) > 1.0)
+    return not before.early and (far or before.legs > 1.0)
 
 
 # ---- Parts of it ----------------------------------------------------------------------------------------------------

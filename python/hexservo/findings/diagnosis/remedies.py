@@ -114,13 +114,13 @@ def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Re
     unit = leg_units(robot).small
     changes: dict[str, Any] = {}
     words = []
-    if peaks["peak_leg_excursion"] > robot.stroke or robot.on_limit == "report":
+    if peaks["peak_leg_excursion"] > robot.stroke:
         stroke = changes["robot.stroke"] = rounded_up(1.05 * peaks["peak_leg_excursion"])
         words.append(f"a stroke of {stroke * 1e3:.3g} {unit}")
-    if robot.on_limit == "stop" and robot.speed_limit is not None and peaks["peak_leg_speed"] > robot.speed_limit:
+    if robot.speed_limit is not None and peaks["peak_leg_speed"] > robot.speed_limit:
         speed = changes["robot.speed_limit"] = rounded_up(1.05 * peaks["peak_leg_speed"])
         words.append(f"a speed limit of {speed * 1e3:.3g} {unit}/s")
-    if robot.on_limit == "stop" and robot.joint_limit is not None:
+    if robot.joint_limit is not None:
         tilts = [peaks["peak_base_joint"], peaks["peak_platform_joint"]]
         wider = [
             min(max(own, rounded_up(1.05 * tilt)), math.pi) for own, tilt in zip(robot.joint_limit, tilts, strict=True)

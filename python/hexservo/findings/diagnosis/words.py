@@ -7,6 +7,7 @@ from typing import Any
 
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo.findings.diagnosis.findings import Finding, Remedy
+from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.result import Result
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.wording import number
@@ -57,7 +58,14 @@ def misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, .
             judgement.drift
         ),
     }
+    clauses |= {use.excess: use.share for use in _uses(result, judgement)}
     return tuple(clause for clause, ratio in clauses.items() if ratio > 1.0)
+
+
+def _uses(result: Result, judgement: Judgement) -> list[LimitUse]:
+    """Return how much of the speed and joint limits a run uses."""
+    limits = (limit for limit in limits_of_motion(result.scenario) if limit.metric in judgement.limits)
+    return [LimitUse(limit, judgement.limits[limit.metric] * limit.value) for limit in limits]
 
 
 def _not_settled(result: Result, judgement: Judgement) -> str:
@@ -78,6 +86,7 @@ def criteria_met(result: Result, record: Record, judgement: Judgement) -> tuple[
         f"in the last {number(metrics.dwell)} s",
         f"the legs use {judgement.stroke:.0%} of their stroke of {number(stroke * 1e3, 4)} {unit}",
         f"they drift at {number(record.drift * 1e3, 2)} {unit}/s, where {allowed:.2g} {unit}/s are allowed",
+        *(f"the largest {use.limit.of_leg} is {use.share:.0%} of its limit" for use in _uses(result, judgement)),
     )
 
 
@@ -91,6 +100,7 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
             ("the error in the dwell time", judgement.error),
             ("the travel of the legs", judgement.stroke),
             ("the drift of the legs", judgement.drift),
+            *((f"the {use.limit.of_leg}", use.share) for use in _uses(result, judgement)),
         ):
             if ratio > _NEAR:
                 found.append(f"Near failing: {what} is {ratio:.0%} of what is allowed.")
