@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 OBJECTS = ROOT / "build" / "explorer"
-LEFT_OUT = ("kernel", "batch", "workers", "probe", "sampled_run", "tick_benchmark", "tick_record", "run_request")
+LEFT_OUT = ("kernel", "fmi", "batch", "workers", "probe", "sampled_run", "tick_benchmark", "tick_record", "run_request")
 FLAGS = [
     "-std=c++20", "-O2", "-g0", "-DNDEBUG", "-target", "wasm32-wasi", "-fexceptions", "-msimd128", "-ffp-contract=off",
     "-fno-math-errno", "-ffunction-sections", "-fdata-sections", "-fvisibility=hidden", "-Wno-psabi",

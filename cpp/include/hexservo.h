@@ -1,5 +1,5 @@
 /** @file
- * The C interface of hexservo: scenarios, runs and the controller's tick (docs/c-interface.md).
+ * The C interface of hexservo: scenarios, runs, the controller's tick and plants (docs/c-interface.md).
  *
  * C99, and the one boundary under every language that is not C++. A scenario is set by the dotted keys of its file;
  * which ones a law has, and what each takes, is asked (`hexservo_scenario_key`), since all follow from one table.
@@ -179,6 +179,10 @@ HEXSERVO_API size_t hexservo_run_width(const hexservo_run* run, hexservo_quantit
 /** `hexservo_run_rows` times `hexservo_run_width` numbers, which stay where they are as long as the run exists. */
 HEXSERVO_API const double* hexservo_run_samples(const hexservo_run* run, hexservo_quantity quantity);
 
+/** The newest good sample, whether it is logged or not: `hexservo_run_width` numbers, which change with every step and
+ * stay where they are as long as the run exists; null: no such quantity. */
+HEXSERVO_API const double* hexservo_run_newest(const hexservo_run* run, hexservo_quantity quantity);
+
 /** Number of metrics that a run has. */
 HEXSERVO_API size_t hexservo_metric_count(void);
 /** Name of metric `index`: "settling_time"; null: there is none. */
@@ -257,6 +261,31 @@ HEXSERVO_API void hexservo_input_clear(hexservo_input* input);
 /** One tick: bounded time, no memory taken, no failure. `state` was made of these gains. */
 HEXSERVO_API void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hexservo_input* input,
                                 hexservo_output* output);
+
+/* --- a plant without its controller ------------------------------------------------------------------------------- */
+
+/** Plant, sensors and actuators of a scenario in sampled mode, which takes wrenches in place of a law's. */
+typedef struct hexservo_plant hexservo_plant;
+
+/** Starts a plant at its first tick; it goes on until it fails (`simulation.duration` does not act).
+ * @param plant null in case of an error: those of `hexservo_run_create`, and a scenario in continuous mode */
+HEXSERVO_API hexservo_status hexservo_plant_create(hexservo_scenario* scenario, hexservo_plant** plant);
+HEXSERVO_API void hexservo_plant_destroy(hexservo_plant* plant);
+/** What the sensors give at this tick, as `hexservo_tick` takes it.
+ *
+ * Position, quaternion and twist are also there with encoders: as the leg lengths give them. Leg lengths and rates are
+ * there with encoders alone. Features and depth are those of the newest frame, whose memory is the plant's. */
+HEXSERVO_API void hexservo_plant_sense(const hexservo_plant* plant, hexservo_input* input);
+/** Commands a wrench, six numbers about the platform's origin in B [N; N m], and goes on to the next tick.
+ *
+ * As for custom controllers in Python, the safe output acts where no law may act, since an image is missing or too old.
+ * Numbers that are not finite end the run as diverged.
+ * @return whether there is a tick to command */
+HEXSERVO_API int hexservo_plant_command(hexservo_plant* plant, const double* wrench);
+/** `HEXSERVO_RUNNING`, or how it ended. */
+HEXSERVO_API hexservo_outcome hexservo_plant_outcome(const hexservo_plant* plant);
+/** What was true at the newest tick that was commanded, one before that of the sensors; as `hexservo_run_newest`. */
+HEXSERVO_API const double* hexservo_plant_newest(const hexservo_plant* plant, hexservo_quantity quantity);
 
 #ifdef __cplusplus
 }

@@ -295,6 +295,83 @@ void finish(hexservo_run& run) noexcept {
 
 const RunAnswer& answer_of(const hexservo_run& run) { return *run.request.answers; }
 
+/// Where a quantity stands in the newest sample.
+const double* place_in(const double* sample, const double& time, hexservo_quantity quantity, int points) {
+  if (quantity == HEXSERVO_TIME) return &time;
+  const auto index = static_cast<size_t>(quantity) - 1;
+  if (index >= kQuantities) return nullptr;
+  for (size_t before = 0; before < index; ++before) sample += sample_width(before, points);
+  return sample;
+}
+
+}  // namespace
+
+/// A plant of any number of points.
+struct hexservo_plant {
+  explicit hexservo_plant(const Settings& given) : settings(given), points(given.target.count()) {}
+  virtual ~hexservo_plant() = default;
+  hexservo_plant(const hexservo_plant&) = delete;
+  hexservo_plant& operator=(const hexservo_plant&) = delete;
+
+  virtual void sense(hexservo_input& input) const = 0;
+  virtual void command(const Vector6<double>& wrench) = 0;
+
+  Settings settings;  ///< a recorded motion is shared with the plant
+  int points;         ///< of the target
+  StopCause cause = StopCause::none;
+  std::array<double, kMostSampleNumbers> sample{};  ///< the newest good one
+  double time = 0.0;                                ///< of it [s]
+};
+
+namespace {
+
+template <int N>
+struct PlantOf final : hexservo_plant {
+  template <class Law>
+  PlantOf(const Settings& given, const LoopParameters<double, Law, N>& p)
+      : hexservo_plant(given), period(p.step), encoders(p.pose_source == PoseSource::encoders), plant(p) {
+    keep();
+  }
+
+  void sense(hexservo_input& input) const override {
+    const SensorInput<double, N>& sensed = plant.plant().sense();
+    hexservo_input_clear(&input);
+    input.now = plant.plant().time();
+    input.exposure = sensed.frame.exposure * period;
+    input.features = sensed.frame.image.features.data();
+    input.depth = sensed.frame.image.depth.data();
+    const Perceived<double, N>& seen = plant.observe();
+    const Pose<double>& pose = encoders ? seen.pose : sensed.pose;
+    put(pose.position, input.position);
+    put(pose.quaternion, input.quaternion);
+    put(encoders ? seen.twist : sensed.twist, input.twist);
+    if (!encoders) return;
+    put(sensed.joints.lengths, input.leg_lengths);
+    put(sensed.joints.rates, input.leg_rates);
+  }
+
+  void command(const Vector6<double>& wrench) override {
+    const FlushSubnormals flush;
+    plant.command(wrench);
+    if (plant.record().running()) plant.advance();
+    keep();
+  }
+
+  /// Takes over what the record has now.
+  void keep() {
+    double* next = sample.data();
+    detail::write_sample(plant.record().sample(), points, 0, [&](std::size_t quantity) {
+      return std::exchange(next, next + sample_width(quantity, points));
+    });
+    time = plant.record().sample_time();
+    cause = static_cast<StopCause>(plant.record().cause());
+  }
+
+  double period;
+  bool encoders;
+  CommandedPlant<double, N> plant;
+};
+
 }  // namespace
 
 /// Gains of any law and any number of points.
@@ -499,6 +576,11 @@ const double* hexservo_run_samples(const hexservo_run* run, hexservo_quantity qu
   return index < kQuantities ? answer.columns[index] : nullptr;
 }
 
+const double* hexservo_run_newest(const hexservo_run* run, hexservo_quantity quantity) {
+  const RunAnswer& answer = answer_of(*run);
+  return place_in(answer.sample, answer.end_time, quantity, run->settings.target.count());
+}
+
 size_t hexservo_metric_count(void) { return kMetricNumbers; }
 
 const char* hexservo_metric_name(size_t index) {
@@ -576,6 +658,46 @@ void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hex
   put(out.fuzzy_output, output->fuzzy_output);
   output->status = status_of(out.status);
   output->saturated = out.saturated ? 1 : 0;
+}
+
+// --- a plant without its controller
+
+hexservo_status hexservo_plant_create(hexservo_scenario* scenario, hexservo_plant** plant) {
+  *plant = nullptr;
+  return guarded(*scenario, [&] {
+    const Settings& settings = scenario->settings;
+    if (settings.simulation.mode != LoopMode::sampled)
+      refuse("simulation.mode", "sampled for a plant that is commanded", "continuous");
+    *plant = with_loop(
+        settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_plant* {
+          const FlushSubnormals flush;
+          return new PlantOf<N>(settings, loop_parameters<Law, N>(settings));
+        });
+  });
+}
+
+void hexservo_plant_destroy(hexservo_plant* plant) { delete plant; }
+
+void hexservo_plant_sense(const hexservo_plant* plant, hexservo_input* input) { plant->sense(*input); }
+
+int hexservo_plant_command(hexservo_plant* plant, const double* wrench) {
+  if (plant->cause == StopCause::none) {
+    const Vector6<double> command = read<6>(wrench);
+    if (command.allFinite())
+      plant->command(command);
+    else
+      plant->cause = StopCause::not_finite;
+  }
+  return plant->cause == StopCause::none ? 1 : 0;
+}
+
+hexservo_outcome hexservo_plant_outcome(const hexservo_plant* plant) {
+  if (plant->cause == StopCause::none) return HEXSERVO_RUNNING;
+  return static_cast<hexservo_outcome>(outcome_of(plant->cause));
+}
+
+const double* hexservo_plant_newest(const hexservo_plant* plant, hexservo_quantity quantity) {
+  return place_in(plant->sample.data(), plant->time, quantity, plant->points);
 }
 
 }  // extern "C"

@@ -1,6 +1,8 @@
-/* A program in C99: reads lines "key value", runs the scenario, ticks its controller, and prints every number.
+/* A program in C99: reads lines "key value", runs the scenario, joins its plant and its controller, ticks the
+ * controller, and prints every number.
  *
- *   c_client TICKS <scenario.txt: "run" with all samples and metrics, then "tick" lines; numbers as hexadecimal floats
+ *   c_client TICKS <scenario.txt: "run" with all samples and metrics, a line on the plant, "tick" lines; numbers as
+ * hexadecimal floats
  */
 #include <hexservo.h>
 
@@ -31,6 +33,47 @@ static int run(hexservo_scenario* scenario) {
     print("samples", hexservo_run_samples(run, (hexservo_quantity)quantity),
           hexservo_run_rows(run) * hexservo_run_width(run, (hexservo_quantity)quantity));
   print("metrics", hexservo_run_metrics(run), hexservo_metric_count());
+  hexservo_run_destroy(run);
+  return 0;
+}
+
+/* Plant and controller, joined here, against the run of both: prints how many ticks are equal in every bit. */
+static int joined(hexservo_scenario* scenario) {
+  static const hexservo_quantity compared[] = {HEXSERVO_TIME, HEXSERVO_FEATURE_ERROR, HEXSERVO_POSITION,
+                                               HEXSERVO_LEG_FORCES};
+  hexservo_run* run;
+  hexservo_plant* plant;
+  hexservo_gains* gains;
+  hexservo_state* state;
+  hexservo_input input;
+  hexservo_output output;
+  size_t row, rows, width, i;
+  int equal = 1, goes_on = 1;
+  if (hexservo_plant_create(scenario, &plant) != HEXSERVO_OK) {
+    printf("%s\n", hexservo_scenario_message(scenario));
+    return 0;
+  }
+  if (hexservo_scenario_set_number(scenario, "simulation.log_every", 1.0) != HEXSERVO_OK ||
+      hexservo_run_create(scenario, &run) != HEXSERVO_OK || hexservo_gains_create(scenario, 0.0, &gains) != HEXSERVO_OK)
+    return fail(scenario);
+  hexservo_run_advance(run, -1);
+  rows = hexservo_run_rows(run);
+  state = hexservo_state_create(gains);
+  for (row = 0; row < rows && goes_on; ++row) {
+    hexservo_plant_sense(plant, &input);
+    hexservo_tick(gains, state, &input, &output);
+    goes_on = hexservo_plant_command(plant, output.wrench);
+    for (i = 0; i < sizeof compared / sizeof *compared; ++i) {
+      width = hexservo_run_width(run, compared[i]);
+      equal &= memcmp(hexservo_plant_newest(plant, compared[i]), hexservo_run_samples(run, compared[i]) + row * width,
+                      width * sizeof(double)) == 0;
+    }
+    if (!equal) break;
+  }
+  printf("%d of %d ticks are equal\n", (int)row, (int)rows);
+  hexservo_state_destroy(state);
+  hexservo_gains_destroy(gains);
+  hexservo_plant_destroy(plant);
   hexservo_run_destroy(run);
   return 0;
 }
@@ -100,6 +143,7 @@ int main(int argc, char** argv) {
     if (hexservo_scenario_set_text(scenario, line, value) != HEXSERVO_OK) code = fail(scenario);
   }
   if (code == 0) code = run(scenario);
+  if (code == 0) code = joined(scenario);
   if (code == 0) code = tick(scenario, atol(argv[1]));
   hexservo_scenario_destroy(scenario);
   return code;

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hexservo.bridges.environment import gymnasium
+    from hexservo.bridges.fmi import fmu
     from hexservo.bridges.mujoco_model import mjcf
     from hexservo.bridges.state_space import control
 
-__all__ = ["control", "gymnasium", "mjcf"]
+__all__ = ["control", "fmu", "gymnasium", "mjcf"]
 
-_PLACES = {"control": "state_space", "gymnasium": "environment", "mjcf": "mujoco_model"}
+_PLACES = {"control": "state_space", "fmu": "fmi", "gymnasium": "environment", "mjcf": "mujoco_model"}
 
 
 def __getattr__(name: str) -> Any:

@@ -22,6 +22,15 @@ def export(
     mjcf: Annotated[
         str | None, typer.Option("--mjcf", metavar="FILE", help="MuJoCo model of the machine to write, a new file.")
     ] = None,
+    fmu: Annotated[
+        str | None, typer.Option("--fmu", metavar="FILE", help="Unit for co-simulation (FMI) to write, a new file.")
+    ] = None,
+    fmi: Annotated[
+        int | None, typer.Option("--fmi", min=2, max=3, help="With --fmu: version of the standard.  [default: 2]")
+    ] = None,
+    what: Annotated[
+        str | None, typer.Option("--what", help="With --fmu: loop, plant or controller.  [default: loop]")
+    ] = None,
     period: Annotated[
         float | None,
         typer.Option(
@@ -33,21 +42,30 @@ def export(
     settings: SettingsOption = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace the file of an earlier export.")] = False,
 ) -> None:
-    """Write gains as a C++ header, or the machine for MuJoCo.
+    """Write gains as a C++ header, or the machine for MuJoCo or FMI.
 
     A robot's control program includes the header, calls its controller_gains() once and hexservo::step every period.
     """
     with errors_as_messages():
-        given = [name for name, value in (("--header", header), ("--mjcf", mjcf)) if value is not None]
+        files = {"--header": header, "--mjcf": mjcf, "--fmu": fmu}
+        given = [name for name, value in files.items() if value is not None]
         if len(given) != 1:
-            raise hs.ScenarioError(
-                [f"expected one of --header and --mjcf, got {' and '.join(given) or 'neither'}"], "hexservo export"
-            )
-        if period is not None and header is None:
-            raise hs.ScenarioError(["expected it with --header alone, which has a tick"], "--period")
+            listed = " and ".join(given) or "none of them"
+            raise hs.ScenarioError([f"expected one of {', '.join(files)}, got {listed}"], "hexservo export")
+        for option, value, owner in (
+            ("--period", period, "--header"),
+            ("--fmi", fmi, "--fmu"),
+            ("--what", what, "--fmu"),
+        ):
+            if value is not None and owner not in given:
+                raise hs.ScenarioError([f"expected it with {owner} alone, got {given[0]}"], option)
         chosen = load(scenario, settings or [])
-        done = _header(chosen, header, period, force) if header is not None else _mjcf(chosen, str(mjcf), force)
-        write(done)
+        if header is not None:
+            write(_header(chosen, header, period, force))
+        elif mjcf is not None:
+            write(_mjcf(chosen, mjcf, force))
+        else:
+            write(_fmu(chosen, str(fmu), fmi or 2, what or "loop", force))
 
 
 @contextmanager
@@ -55,7 +73,7 @@ def _refusals() -> Iterator[None]:
     """Turn what an export refuses into a message."""
     try:
         yield
-    except ValueError as error:
+    except (ValueError, FileNotFoundError) as error:
         raise hs.ScenarioError(str(error).splitlines()) from error
 
 
@@ -76,3 +94,12 @@ def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
         text = mjcf(scenario)
     write_mjcf(text, file, force=force)
     return f'{file}: machine, camera and target of the scenario "{scenario.name}" for MuJoCo\n'
+
+
+def _fmu(scenario: hs.Scenario, file: str, fmi: int, what: str, force: bool) -> str:
+    from hexservo.bridges.fmi import fmu, write_fmu
+
+    with _refusals():
+        content = fmu(scenario, fmi=fmi, what=what)  # type: ignore[arg-type]
+    write_fmu(content, file, force=force)
+    return f'{file}: {what} of the scenario "{scenario.name}" as a unit of FMI {fmi}.0\n'

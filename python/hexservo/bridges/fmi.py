@@ -1,0 +1,239 @@
+"""Scenarios as Functional Mock-up Units for co-simulation, FMI 2.0 and 3.0 (docs/fmu.md)."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import uuid
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from hexservo import _core
+from hexservo.bridges.model_description import UnitVariable, model_description
+from hexservo.run.c_library import c_library
+from hexservo.run.files import write_file
+from hexservo.run.metrics import METRICS, metric_unit
+from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.flat import flat
+from hexservo.scenario.leg_units import leg_units, unit_of
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.version import VERSION
+
+__all__ = ["UnitKind", "fmu", "write_fmu"]
+
+UnitKind = Literal["loop", "plant", "controller"]
+"""What a unit computes."""
+
+_IDENTIFIER = "hexservo"
+_PLATFORM = {2: "linux64", 3: "x86_64-linux"}
+_TITLE = "hexservo model 1"
+"""First line of `resources/model.txt`, which distinguishes our units from others."""
+
+_DATE = (1980, 1, 1, 0, 0, 0)  # of every file in a unit: equal scenarios give equal units
+# A unit logs nothing; its mode decides what it is, its legs which units it has.
+_LEFT_OUT = ("simulation.log_every", "simulation.mode", "robot.legs")
+_TYPES = {"number": "real", "array": "real", "whole": "whole", "flag": "flag", "choice": "text", "seed": "text"}
+_WRENCH = ("N", "N", "N", "N m", "N m", "N m")
+_TWIST = ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")
+
+
+def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") -> bytes:
+    """Return a scenario as a Functional Mock-up Unit for co-simulation on Linux x86-64.
+
+    Parameters
+    ----------
+    scenario
+        What the unit starts with. Every key of the core that holds numbers or a name is a parameter, array entries one
+        by one: ``robot.mass`` [kg], ``uncertainty.gravity[3]``.
+    fmi
+        Version of the standard: 2 (2.0) or 3 (3.0).
+    what
+        "loop": plant and controller, without inputs. "plant": takes a wrench ``wrench[1]`` ... ``[6]`` about the
+        platform's origin in B [N; N m], of scenarios in sampled mode. "controller": the servo tick, from sensors to
+        the wrench.
+
+    Returns
+    -------
+    bytes
+        A ZIP archive that contains the compiled core and needs no other program. A communication step is a whole number
+        of servo periods (``simulation.step``); the arithmetic is that of the variant ``baseline``. Variables with
+        their units and frames: docs/fmu.md.
+
+    Raises
+    ------
+    ValueError
+        For another version or kind, a plant in continuous mode, and what the core refuses.
+    FileNotFoundError
+        Where the package was built without `c_library`, which the unit contains.
+    """
+    if fmi not in _PLATFORM:
+        raise ValueError(f"fmi: expected 2 or 3, got {fmi!r}")
+    if what not in get_args(UnitKind):
+        raise ValueError(f"what: expected {', '.join(get_args(UnitKind))}, got {what!r}")
+    if what == "plant" and scenario.simulation.mode != SAMPLED_MODE:
+        raise ValueError(
+            f"simulation.mode: expected {SAMPLED_MODE} for a plant that is commanded, got {scenario.simulation.mode}"
+        )
+    settings = core_parameters(scenario)
+    signals = {"loop": _of_loop, "plant": _of_plant, "controller": _of_controller}[what](scenario, settings)
+    variables = [UnitVariable("time", "real", "time", unit="s"), *_parameters(scenario, settings), *signals]
+    lines = [
+        f"what {what}",
+        *(variable.line for variable in variables),
+        "scenario",
+        *(f"{key} {value}" for key, value in flat(scenario).items()),
+    ]
+    text = "\n".join([VERSION, str(fmi), *lines])
+    token = "{" + str(uuid.UUID(bytes=hashlib.sha256(text.encode()).digest()[:16])) + "}"
+    return _packed(
+        {
+            "modelDescription.xml": model_description(scenario, fmi, what, _IDENTIFIER, token, variables),
+            f"binaries/{_PLATFORM[fmi]}/{_IDENTIFIER}.so": c_library().read_bytes(),
+            "resources/model.txt": "\n".join([_TITLE, f"token {token}", *lines, ""]).encode(),
+            "resources/scenario.yaml": scenario.to_yaml().encode(),
+        }
+    )
+
+
+def write_fmu(content: bytes, file: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write a unit whole, or not at all.
+
+    Parameters
+    ----------
+    content
+        The archive that `fmu` returns.
+    file
+        A name in a folder that exists. A file of that name is kept.
+    force
+        Replace a unit of an earlier export; other files are never replaced.
+
+    Raises
+    ------
+    OutputError
+        The file exists, is not ours, or cannot be written.
+    """
+    write_file(content, file, _is_ours, "hexservo export", force=force)
+
+
+def _packed(files: dict[str, bytes]) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name, content in files.items():
+            entry = zipfile.ZipInfo(name, _DATE)
+            entry.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, content)
+    return packed.getvalue()
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.read("resources/model.txt").startswith(f"{_TITLE}\n".encode())
+    except (OSError, KeyError, zipfile.BadZipFile):
+        return False
+
+
+def _parameters(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
+    """Yield every key of the core's table that has a finite value: arrays entry by entry."""
+    texts = flat(scenario)
+    for key in _core.scenario_keys(settings.law):
+        text = texts[key.name]
+        if key.type not in _TYPES or key.name in _LEFT_OUT or (text == "none" and key.type != "choice"):
+            continue
+        kind = _TYPES[key.type]
+        if kind == "text":
+            yield UnitVariable("parameter", kind, key.name, key.name, start=text)
+            continue
+        starts = text.split()
+        if not all(np.isfinite(float(start)) for start in starts):
+            continue
+        shape = np.shape(settings[key.name]) if key.type == "array" else ()
+        for index, start in enumerate(starts):
+            yield UnitVariable(
+                "parameter", kind, key.name + _place(shape, index), key.name, index,
+                _unit(unit_of(scenario.robot, key.name, key.unit), index, len(starts)), start, key.least, key.most,
+            )  # fmt: skip
+
+
+def _place(shape: tuple[int, ...], index: int) -> str:
+    """Return the place of an entry as FMI counts, from 1: "[2]" or "[2,3]"; nothing for a single number."""
+    return "[" + ",".join(str(int(i) + 1) for i in np.unravel_index(index, shape)) + "]" if shape else ""
+
+
+def _unit(unit: str, index: int, count: int) -> str:
+    """Return the unit of an entry: "linear; angular" is about six numbers, three of each."""
+    units = unit.split("; ")
+    if len(units) == 1:
+        return unit
+    return units[index // 3] if count == 6 else ""
+
+
+def _array(
+    role: Literal["input", "output"], name: str, units: str | tuple[str, ...], starts: object = None, count: int = 0
+) -> Iterator[UnitVariable]:
+    values = np.ravel(np.asarray(starts, dtype=float)) if starts is not None else np.zeros(count)
+    for index, start in enumerate(values):
+        unit = units if isinstance(units, str) else units[index]
+        yield UnitVariable(role, "real", f"{name}[{index + 1}]", name, index, unit, repr(float(start)))
+
+
+def _points(settings: _core.Settings) -> int:
+    return len(np.ravel(settings["target.desired_features"])) // 2
+
+
+def _of_loop(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
+    points, legs = _points(settings), leg_units(scenario.robot)
+    yield from _array("output", "feature_error", "px", count=2 * points)
+    yield from _array("output", "depth", "m", count=points)
+    yield from _array("output", "position", "m", count=3)
+    yield from _array("output", "quaternion", "1", count=4)
+    yield from _array("output", "twist", _TWIST, count=6)
+    yield from _array("output", "wrench", _WRENCH, count=6)
+    yield from _array("output", "fuzzy_output", _WRENCH, count=6)
+    yield from _array("output", "leg_lengths", legs.coordinate, count=6)
+    yield from _array("output", "leg_forces", legs.effort, count=6)
+    for index, name in enumerate(METRICS):
+        unit = metric_unit(name, scenario.robot)
+        yield UnitVariable("output", "real", f"metric_{name}", "metrics", index, unit)
+    yield UnitVariable("output", "whole", "outcome", "outcome")
+    yield UnitVariable("output", "real", "end_time", "end_time", unit="s")
+
+
+def _of_plant(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
+    points, legs = _points(settings), leg_units(scenario.robot)
+    yield from _array("input", "wrench", _WRENCH, count=6)
+    yield from _array("output", "features", "px", count=2 * points)
+    yield from _array("output", "depth", "m", count=points)
+    yield UnitVariable("output", "real", "exposure", "exposure", unit="s")
+    yield from _array("output", "position", "m", count=3)
+    yield from _array("output", "quaternion", "1", count=4)
+    yield from _array("output", "twist", _TWIST, count=6)
+    yield from _array("output", "leg_lengths", legs.coordinate, count=6)
+    yield from _array("output", "leg_rates", legs.rate, count=6)
+    yield from _array("output", "feature_error", "px", count=2 * points)
+    yield from _array("output", "leg_forces", legs.effort, count=6)
+    yield UnitVariable("output", "whole", "outcome", "outcome")
+
+
+def _of_controller(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
+    points, legs, hexapod = _points(settings), leg_units(scenario.robot), _core.Hexapod(settings.robot)
+    yield from _array("input", "features", "px", settings["target.desired_features"])
+    yield from _array("input", "depth", "m", -np.ones(points))
+    yield UnitVariable("input", "real", "exposure", "exposure", unit="s", start="-1.0")
+    yield from _array("input", "position", "m", hexapod.home_position)
+    yield from _array("input", "quaternion", "1", hexapod.home_quaternion)
+    yield from _array("input", "twist", _TWIST, count=6)
+    yield from _array("input", "leg_lengths", legs.coordinate, hexapod.home_lengths)
+    yield from _array("input", "leg_rates", legs.rate, count=6)
+    yield from _array("output", "wrench", _WRENCH, count=6)
+    yield from _array("output", "leg_forces", legs.effort, count=6)
+    yield from _array("output", "fuzzy_output", _WRENCH, count=6)
+    yield UnitVariable("output", "whole", "status", "status")
+    yield UnitVariable("output", "whole", "saturated", "saturated")

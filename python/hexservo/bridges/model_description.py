@@ -1,0 +1,208 @@
+"""The file modelDescription.xml of a Functional Mock-up Unit: variables, units, structure."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree import ElementTree
+
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.version import VERSION
+
+__all__ = ["UnitVariable", "model_description", "si_exponents"]
+
+_FMI2 = {"real": "Real", "whole": "Integer", "flag": "Boolean", "text": "String"}
+_FMI3 = {"real": "Float64", "whole": "Int32", "flag": "Boolean", "text": "String"}
+_SI = {
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "kg": {"kg": 1},
+    "rad": {"rad": 1},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "Hz": {"s": -1},
+    "1": {},
+}
+"""Units as products of powers of those that FMI has; pixels are not among them."""
+
+
+@dataclass(frozen=True)
+class UnitVariable:
+    """One number or name of a unit; its value reference is its place in the list."""
+
+    role: Literal["time", "parameter", "input", "output"]
+    type: str  # real, whole, flag or text
+    name: str  # for other tools
+    source: str = ""  # key of the scenario or name of a signal, for the library
+    index: int = 0  # in it
+    unit: str = ""
+    start: str = ""
+    least: float | None = None
+    most: float | None = None
+
+    @property
+    def line(self) -> str:
+        """The variable's line in resources/model.txt."""
+        if self.role == "time":
+            return "time"
+        start = f" {self.start}" if self.role == "input" else ""
+        return f"{self.role} {self.type} {self.source} {self.index}{start}"
+
+
+def model_description(
+    scenario: Scenario, fmi: Literal[2, 3], what: str, identifier: str, token: str, variables: Sequence[UnitVariable]
+) -> bytes:
+    """Return modelDescription.xml of a unit for co-simulation.
+
+    Parameters
+    ----------
+    scenario
+        Its name, description, step and duration are written.
+    fmi
+        Version of the standard.
+    what
+        What the unit is, in a word.
+    identifier
+        Name of the shared object without its ending.
+    token
+        What the shared object is asked for an instance with.
+    variables
+        In the order of their value references, from 0.
+    """
+    described = f"{what} of the scenario {scenario.name}"
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion=f"{fmi}.0",
+        modelName=scenario.name,
+        description=described + (f": {scenario.description}" if scenario.description else ""),
+        version=VERSION,
+        generationTool=f"hexservo {VERSION}",
+        variableNamingConvention="structured",
+    )
+    root.set("guid" if fmi == 2 else "instantiationToken", token)
+    step, duration = float(scenario.simulation.step), float(scenario.simulation.duration)
+    simulation = ElementTree.SubElement(
+        root, "CoSimulation", modelIdentifier=identifier, canHandleVariableCommunicationStepSize="true"
+    )
+    if fmi == 3:
+        simulation.set("fixedInternalStepSize", repr(step))
+    _define_units(root, variables)
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime=repr(duration), stepSize=repr(step))
+    (_variables2 if fmi == 2 else _variables3)(root, variables)
+    ElementTree.indent(root)
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
+
+
+def si_exponents(unit: str) -> dict[str, int] | None:
+    """Return the exponents of kg, m, s and rad in a unit such as "N m/px^2"; None for one that has pixels.
+
+    Examples
+    --------
+    >>> si_exponents("N/s")
+    {'kg': 1, 'm': 1, 's': -3}
+    """
+    exponents: Counter[str] = Counter()
+    words = re.findall(r"[A-Za-z]+|\d+|[()/^ ]", unit)
+
+    def take(sign: int) -> bool:
+        """Take a product up to the end or a bracket; behind "/" one factor alone divides."""
+        factor_sign = sign
+        while words and words[0] != ")":
+            word = words.pop(0)
+            if word == " ":
+                continue
+            if word == "/":
+                factor_sign = -sign
+                continue
+            if word == "(":
+                end = _end_of_bracket(words)
+                power = int(words[end + 2]) if words[end + 1 : end + 2] == ["^"] else 1
+                if not take(factor_sign * power):
+                    return False
+                del words[: 1 if power == 1 else 3]
+            else:
+                power = 1
+                if words[:1] == ["^"]:
+                    power = int(words[1])
+                    del words[:2]
+                if word not in _SI:
+                    return False
+                for base, exponent in _SI[word].items():
+                    exponents[base] += factor_sign * power * exponent
+            factor_sign = sign
+        return True
+
+    return {base: power for base, power in exponents.items() if power} if take(1) else None
+
+
+def _end_of_bracket(words: list[str]) -> int:
+    depth = 1
+    for index, word in enumerate(words):
+        depth += {"(": 1, ")": -1}.get(word, 0)
+        if depth == 0:
+            return index
+    raise ValueError(f"unit: expected a bracket to be closed, got {''.join(words)!r}")
+
+
+def _define_units(root: ElementTree.Element, variables: Sequence[UnitVariable]) -> None:
+    units = ElementTree.SubElement(root, "UnitDefinitions")
+    for unit in sorted({variable.unit for variable in variables if variable.unit and variable.type == "real"}):
+        entry = ElementTree.SubElement(units, "Unit", name=unit)
+        exponents = si_exponents(unit)
+        if exponents is not None:
+            ElementTree.SubElement(entry, "BaseUnit", {base: str(power) for base, power in exponents.items()})
+
+
+def _attributes(variable: UnitVariable) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the attributes of every variable, and those of its values."""
+    if variable.role == "time":
+        causality, variability = "independent", "continuous"
+    elif variable.role == "parameter":
+        causality, variability = "parameter", "fixed"
+    else:
+        causality, variability = variable.role, "continuous" if variable.type == "real" else "discrete"
+    values: dict[str, str] = {}
+    if variable.unit and variable.type == "real":
+        values["unit"] = variable.unit
+    if variable.type in ("real", "whole"):
+        for name, bound in (("min", variable.least), ("max", variable.most)):
+            if bound is not None:
+                values[name] = repr(float(bound)) if variable.type == "real" else str(round(bound))
+    if variable.role in ("parameter", "input"):
+        values["start"] = {"0": "false", "1": "true"}[variable.start] if variable.type == "flag" else variable.start
+    return {"causality": causality, "variability": variability}, values
+
+
+def _variables2(root: ElementTree.Element, variables: Sequence[UnitVariable]) -> None:
+    listed = ElementTree.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        common, values = _attributes(variable)
+        entry = ElementTree.SubElement(
+            listed, "ScalarVariable", {"name": variable.name, "valueReference": str(reference), **common}
+        )
+        ElementTree.SubElement(entry, _FMI2[variable.type], values)
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for name in ("Outputs", "InitialUnknowns"):
+        block = ElementTree.SubElement(structure, name)
+        for index, variable in enumerate(variables, 1):
+            if variable.role == "output":
+                ElementTree.SubElement(block, "Unknown", index=str(index), dependencies="")
+
+
+def _variables3(root: ElementTree.Element, variables: Sequence[UnitVariable]) -> None:
+    listed = ElementTree.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        common, values = _attributes(variable)
+        start = values.pop("start", None) if variable.type == "text" else None
+        entry = ElementTree.SubElement(
+            listed, _FMI3[variable.type], {"name": variable.name, "valueReference": str(reference), **common, **values}
+        )
+        if start is not None:
+            ElementTree.SubElement(entry, "Start", value=start)
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for name in ("Output", "InitialUnknown"):
+        for reference, variable in enumerate(variables):
+            if variable.role == "output":
+                ElementTree.SubElement(structure, name, valueReference=str(reference), dependencies="")

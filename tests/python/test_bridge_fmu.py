@@ -1,0 +1,462 @@
+"""Functional Mock-up Units in FMPy: valid, and bit for bit what hexservo computes itself."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import hexservo as hs
+import rotary_machine
+from hexservo import _core
+from hexservo.bridges.model_description import si_exponents
+from hexservo.cli.commands import app
+from hexservo.scenario.flat import flat_text
+from hexservo.scenario.parameters import core_parameters
+
+fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+
+from fmpy.fmi2 import FMU2Slave  # noqa: E402
+from fmpy.fmi3 import FMU3Slave  # noqa: E402
+
+VERSIONS = (2, 3)
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+SHORT = {"simulation.duration": 0.2}
+
+
+@pytest.fixture(autouse=True)
+def baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HEXSERVO_VARIANT", "baseline")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def library() -> None:
+    try:
+        hs.c_library()
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
+
+
+class Unit:
+    """An instance of a unit, by names of its variables."""
+
+    def __init__(self, folder: str, description: Any) -> None:
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        self.types = {v.name: v.type for v in description.modelVariables}
+        self.two = description.fmiVersion == "2.0"
+        kind = FMU2Slave if self.two else FMU3Slave
+        token = description.guid if self.two else description.instantiationToken
+        identifier = description.coSimulation.modelIdentifier
+        self.fmu = kind(guid=token, unzipDirectory=folder, modelIdentifier=identifier, instanceName="one")
+        self.fmu.instantiate()
+        self.time = 0.0
+
+    def start(self, **parameters: Any) -> None:
+        for name, value in parameters.items():
+            self.set(name, value)
+        if self.two:
+            self.fmu.setupExperiment(startTime=0.0)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=0.0)
+        self.fmu.exitInitializationMode()
+        self.time = 0.0
+
+    def set(self, name: str, value: Any) -> None:
+        kind = self.types[name]
+        setter = {
+            "Real": "setReal", "Float64": "setFloat64", "Integer": "setInteger", "Int32": "setInt32",
+            "Boolean": "setBoolean", "String": "setString",
+        }[kind]  # fmt: skip
+        getattr(self.fmu, setter)([self.references[name]], [value])
+
+    def get(self, name: str, count: int = 0) -> Any:
+        names = [f"{name}[{i}]" for i in range(1, count + 1)] if count else [name]
+        kind = self.types[names[0]]
+        getter = {
+            "Real": "getReal", "Float64": "getFloat64", "Integer": "getInteger", "Int32": "getInt32",
+            "Boolean": "getBoolean", "String": "getString",
+        }[kind]  # fmt: skip
+        found = getattr(self.fmu, getter)([self.references[each] for each in names])
+        return np.array(found) if count else found[0]
+
+    def put(self, name: str, values: Any) -> None:
+        names = [self.references[f"{name}[{i}]"] for i in range(1, len(values) + 1)]
+        (self.fmu.setReal if self.two else self.fmu.setFloat64)(names, [float(value) for value in values])
+
+    def step(self, duration: float) -> bool:
+        """Return whether the unit goes on."""
+        try:
+            answer = self.fmu.doStep(currentCommunicationPoint=self.time, communicationStepSize=duration)
+        except fmpy.fmi1.FMICallException as error:
+            if not self.two or error.status != fmpy.fmi2.fmi2Discard:
+                raise
+            return not self.fmu.getBooleanStatus(fmpy.fmi2.fmi2Terminated)
+        self.time += duration
+        return self.two or not answer[1]
+
+
+class Made:
+    """A unit on the disk."""
+
+    def __init__(self, path: Path, scenario: hs.Scenario, fmi: Any, what: Any) -> None:
+        self.path = path / f"{what}{fmi}.fmu"
+        self.path.write_bytes(hs.bridges.fmu(scenario, fmi=fmi, what=what))
+        self.folder = fmpy.extract(str(self.path))
+        self.description = fmpy.read_model_description(str(self.path))
+
+    def instance(self) -> Unit:
+        return Unit(self.folder, self.description)
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Any]:
+    made: list[Made] = []
+
+    def one(scenario: hs.Scenario, fmi: int, what: str = "loop") -> Made:
+        made.append(Made(tmp_path, scenario, fmi, what))
+        return made[-1]
+
+    yield one
+    for each in made:
+        shutil.rmtree(each.folder, ignore_errors=True)
+
+
+@pytest.mark.parametrize(
+    ("fmi", "what", "name"),
+    [
+        (2, "loop", "real-machine"), (2, "plant", "real-machine"), (2, "controller", "composite-30hz"),
+        (3, "loop", "rough-road"), (3, "plant", "composite-30hz"), (3, "controller", "real-machine"),
+    ],
+)  # fmt: skip
+def test_fmpy_finds_no_problem(make: Any, fmi: int, what: str, name: str) -> None:
+    made = make(hs.load_scenario(name), fmi, what)
+    assert fmpy.validation.validate_fmu(str(made.path)) == []
+
+
+@pytest.mark.parametrize("law", _core.LAW_TRAITS)
+def test_every_law_is_a_valid_unit_that_starts(make: Any, law: str) -> None:
+    made = make(hs.load_scenario("paper").updated({"controller.law": law}), 3)
+    assert fmpy.validation.validate_fmu(str(made.path)) == []
+    unit = made.instance()
+    unit.start()
+    assert unit.step(0.01)
+
+
+def test_the_library_has_every_function_of_the_standard_and_no_other() -> None:
+    nm = shutil.which("nm")
+    if nm is None:
+        pytest.skip("nm is not installed")
+    expected: set[str] = set()
+    for version, pattern in ((2, r"FMI2_Export\s+fmi2(\w+)TYPE\s"), (3, r"FMI3_Export\s+fmi3(\w+)TYPE\s")):
+        text = (HEADERS / f"fmi{version}Functions.h").read_text(encoding="utf-8")
+        expected |= {f"fmi{version}{name}" for name in re.findall(pattern, text)}
+    model_exchange = set(re.findall(r"\bfmi2(?:EnterEventMode|NewDiscreteStates|EnterContinuousTimeMode|"
+                                    r"CompletedIntegratorStep|SetTime|SetContinuousStates|GetDerivatives|"
+                                    r"GetEventIndicators|GetContinuousStates|GetNominalsOfContinuousStates)\b",
+                                    " ".join(expected)))  # fmt: skip
+    listed = subprocess.run(
+        [nm, "-D", "--defined-only", str(hs.c_library())], capture_output=True, text=True, check=True
+    )
+    found = {line.split()[-1] for line in listed.stdout.splitlines()}
+    assert {name for name in found if name.startswith("fmi")} == expected - model_exchange
+
+
+def test_a_unit_needs_only_what_every_linux_has(make: Any) -> None:
+    readelf = shutil.which("readelf")
+    if readelf is None:
+        pytest.skip("readelf is not installed")
+    library = Path(make(hs.load_scenario("paper"), 2).folder) / "binaries" / "linux64" / "hexservo.so"
+    listed = subprocess.run([readelf, "-d", str(library)], capture_output=True, text=True, check=True).stdout
+    needed = set(re.findall(r"\(NEEDED\).*\[(.*)\]", listed))
+    assert needed <= {"libstdc++.so.6", "libgcc_s.so.1", "libm.so.6", "libc.so.6", "ld-linux-x86-64.so.2"}
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+@pytest.mark.parametrize("name", ["paper", "composite-30hz"])
+def test_the_loop_is_the_run_bit_for_bit(make: Any, fmi: int, name: str) -> None:
+    scenario = hs.load_scenario(name).updated(SHORT)
+    run = hs.simulate(scenario.updated({"simulation.log_every": 1}))
+    unit = make(scenario, fmi).instance()
+    unit.start()
+    tick = scenario.simulation.step
+    row = 0
+    for steps in (0, 1, 1, 7, 20, 1):
+        row += steps
+        if steps:
+            unit.step(steps * tick)
+        for quantity, width in (("feature_error", 8), ("position", 3), ("quaternion", 4), ("twist", 6),
+                                ("wrench", 6), ("fuzzy_output", 6), ("leg_lengths", 6), ("leg_forces", 6)):  # fmt: skip
+            np.testing.assert_array_equal(unit.get(quantity, width), getattr(run, quantity)[row], err_msg=quantity)
+        assert unit.get("outcome") == -1
+        assert unit.get("end_time") == run.time[row]
+    rest = round(scenario.simulation.duration / tick) - row
+    unit.step(rest * tick)
+    assert unit.get("outcome") == 0
+    for metric, value in hs.metrics(run).items():
+        np.testing.assert_array_equal(unit.get(f"metric_{metric}"), value, err_msg=metric)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_parameters_reset_and_several_instances(make: Any, fmi: int) -> None:
+    scenario = hs.load_scenario("paper").updated(SHORT)
+    made = make(scenario, fmi)
+    changed = {"robot.mass": 0.07, "uncertainty.gravity[3]": 0.05, "controller.switching.kind": "tanh"}
+    gravity = np.zeros(6)
+    gravity[2] = 0.05
+    keys = {"robot.mass": 0.07, "uncertainty.gravity": gravity.tolist(), "controller.switching.kind": "tanh"}
+    ends = [hs.simulate(each).position[-1] for each in (scenario, scenario.updated(keys))]
+    one, other = made.instance(), made.instance()
+    assert one.get("robot.mass") == 0.06
+    one.start(**changed)
+    other.start()
+    for _ in range(2):  # in turns
+        for unit in (one, other):
+            unit.step(0.1)
+    np.testing.assert_array_equal(one.get("position", 3), ends[1])
+    np.testing.assert_array_equal(other.get("position", 3), ends[0])
+    assert (one.get("robot.mass"), other.get("robot.mass")) == (0.07, 0.06)
+    with pytest.raises(Exception, match="fmi"):  # fixed by now
+        one.set("robot.mass", 0.08)
+    one.fmu.reset()
+    assert one.get("robot.mass") == 0.06
+    one.start()
+    one.step(0.2)
+    np.testing.assert_array_equal(one.get("position", 3), ends[0])
+    one.fmu.reset()
+    with pytest.raises(Exception, match="fmi"):  # a mass that no body has
+        one.start(**{"robot.mass": -1.0})
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_the_plant_is_that_of_custom_controllers_bit_for_bit(make: Any, fmi: int) -> None:
+    """Commanded from outside, without a feedback: what the plant does is all that can differ."""
+    scenario = hs.load_scenario("composite-30hz").updated({**SHORT, "simulation.log_every": 1})
+    rng = np.random.default_rng(20261122)
+    ticks = round(scenario.simulation.duration / scenario.simulation.step)
+    weight = np.array([0.0, 0.0, -9.81 * scenario.robot.mass, 0.0, 0.0, 0.0])
+    wrenches = weight + rng.normal(size=(ticks + 1, 6)) * 1e-3
+    run = hs.simulate(scenario, controller=lambda seen: wrenches[seen.tick])
+    unit = make(scenario, fmi, "plant").instance()
+    unit.start()
+    np.testing.assert_array_equal(unit.get("position", 3), run.position[0])
+    assert unit.get("outcome") == -1
+    for row in range(ticks):
+        unit.put("wrench", wrenches[row])
+        assert unit.step(scenario.simulation.step)
+        np.testing.assert_array_equal(unit.get("feature_error", 8), run.feature_error[row], err_msg=str(row))
+        np.testing.assert_array_equal(unit.get("leg_forces", 6), run.leg_forces[row], err_msg=str(row))
+        for quantity, width in (("position", 3), ("quaternion", 4), ("twist", 6)):
+            np.testing.assert_array_equal(unit.get(quantity, width), getattr(run, quantity)[row + 1], err_msg=quantity)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+@pytest.mark.parametrize(("name", "points"), [("composite-30hz", 4), ("real-machine", 4)])
+def test_plant_and_controller_together_are_the_loop(make: Any, fmi: int, name: str, points: int) -> None:
+    """The controller ticks first: with what the plant's sensors give it commands what the loop's controller does."""
+    scenario = hs.load_scenario(name).updated(SHORT)
+    run = hs.simulate(scenario.updated({"simulation.log_every": 1}))
+    plant = make(scenario, fmi, "plant").instance()
+    controller = make(scenario, fmi, "controller").instance()
+    plant.start()
+    controller.start()
+    tick = scenario.simulation.step
+    for row in range(round(scenario.simulation.duration / tick)):
+        for signal, width in (("features", 2 * points), ("depth", points), ("position", 3), ("quaternion", 4),
+                              ("twist", 6), ("leg_lengths", 6), ("leg_rates", 6)):  # fmt: skip
+            controller.put(signal, plant.get(signal, width))
+        controller.set("exposure", plant.get("exposure"))
+        controller.step(tick)
+        plant.put("wrench", controller.get("wrench", 6))
+        plant.step(tick)
+        np.testing.assert_array_equal(plant.get("feature_error", 2 * points), run.feature_error[row], err_msg=str(row))
+        np.testing.assert_array_equal(plant.get("leg_forces", 6), run.leg_forces[row], err_msg=str(row))
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_run_that_fails_terminates_the_unit(make: Any, fmi: int) -> None:
+    """Divergence is a result: the unit asks for the end, and its outputs are the last good sample."""
+    failing = {"controller.hybrid.kp": 1.0, "simulation.duration": 5.0}
+    scenario = hs.load_scenario("paper").updated(failing)
+    run = hs.simulate(scenario)
+    assert run.outcome == "diverged"
+    unit = make(scenario, fmi).instance()
+    unit.start()
+    assert not unit.step(5.0)
+    assert unit.get("outcome") == 1
+    assert unit.get("end_time") == run.end_time
+    np.testing.assert_array_equal(unit.get("position", 3), run.position[-1])
+    with pytest.raises(Exception, match="fmi"):
+        unit.step(scenario.simulation.step)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_plant_that_is_commanded_no_number_diverges(make: Any, fmi: int) -> None:
+    scenario = hs.load_scenario("composite-30hz").updated(SHORT)
+    unit = make(scenario, fmi, "plant").instance()
+    unit.start()
+    unit.put("wrench", [np.nan] * 6)
+    assert not unit.step(scenario.simulation.step)
+    assert unit.get("outcome") == 1
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_the_controller_is_the_tick_bit_for_bit(make: Any, fmi: int) -> None:
+    scenario = hs.load_scenario("composite-30hz").updated(SHORT)
+    recorded = _core.recorded_ticks(core_parameters(scenario))
+    unit = make(scenario, fmi, "controller").instance()
+    unit.start()
+    for row in range(len(recorded["now"])):
+        exposure = recorded["exposure"][row, 0]
+        if not np.isnan(exposure):
+            unit.set("exposure", exposure)
+            unit.put("features", recorded["features"][row])
+            unit.put("depth", recorded["depth"][row])
+        for name in ("position", "quaternion", "twist", "leg_lengths", "leg_rates"):
+            unit.put(name, recorded[name][row])
+        unit.step(scenario.simulation.step)
+        for name in ("wrench", "leg_forces", "fuzzy_output"):
+            np.testing.assert_array_equal(unit.get(name, 6), recorded[name][row], err_msg=f"{name} at {row}")
+        assert unit.get("status") == recorded["status"][row, 0]
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_fmpy_simulates_the_loop(make: Any, fmi: int) -> None:
+    scenario = hs.load_scenario("paper").updated(SHORT)
+    made = make(scenario, fmi)
+    found = fmpy.simulate_fmu(str(made.path), stop_time=0.2, output_interval=0.01, output=["position[1]"])
+    run = hs.simulate(scenario)
+    np.testing.assert_array_equal(found["position[1]"], run.position[::10, 0])
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_outputs_before_the_end_of_the_initialisation_follow_the_parameters(make: Any, fmi: int) -> None:
+    scenario = hs.load_scenario("paper")
+    unit = make(scenario, fmi).instance()
+    before = unit.get("wrench", 6)
+    unit.set("robot.mass", 0.07)
+    heavier = hs.simulate(scenario.updated({"robot.mass": 0.07, "simulation.duration": 0.001}))
+    np.testing.assert_array_equal(before, hs.simulate(scenario.updated({"simulation.duration": 0.001})).wrench[0])
+    np.testing.assert_array_equal(unit.get("wrench", 6), heavier.wrench[0])
+
+
+def test_a_step_costs_little_more_than_the_step_of_a_run(make: Any, tmp_path: Path) -> None:
+    """A program in C with the headers of the standard; a ratio, since the machine may be busy."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler is installed")
+    scenario = hs.load_scenario("paper")
+    made = make(scenario, 2)
+    library = Path(made.folder) / "binaries" / "linux64" / "hexservo.so"
+    program = tmp_path / "client"
+    places = ["-I", str(HEADERS), "-I", str(Path(__file__).parents[2] / "cpp" / "include")]
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1"]
+    shared = hs.c_library().resolve()
+    source = [str(Path(__file__).parent / "fmu_client.c"), str(shared), f"-Wl,-rpath,{shared.parent}", "-ldl"]
+    built = subprocess.run([compiler, *flags, *places, *source, "-o", str(program)], capture_output=True, text=True,
+                           check=False)  # fmt: skip
+    assert built.returncode == 0, built.stderr
+    names = {v.name: v.valueReference for v in made.description.modelVariables}
+    first, count = names["feature_error[1]"], names["leg_forces[6]"] - names["feature_error[1]"] + 1
+    steps = 2000
+    call = [program, library, made.description.guid, Path(made.folder).as_uri() + "/resources",
+            scenario.simulation.step, steps, first, count]  # fmt: skip
+    done = subprocess.run([str(word) for word in call], input=flat_text(scenario), capture_output=True, text=True,
+                          check=False)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    numbers, times = done.stdout.splitlines()
+    run = hs.simulate(scenario.updated({"simulation.duration": steps * scenario.simulation.step}))
+    last = [run.feature_error, run.depth, run.position, run.quaternion, run.twist, run.wrench, run.fuzzy_output,
+            run.leg_lengths, run.leg_forces]  # fmt: skip
+    np.testing.assert_array_equal(
+        [float.fromhex(word) for word in numbers.split()], np.concatenate([q[-1] for q in last])
+    )
+    unit, native = (float(word) for word in times.split())
+    print(f"a step of the unit with {count} outputs: {unit:.0f} ns, of a run {native:.0f} ns")
+    assert unit < 3.0 * native
+
+
+def test_rotary_legs_have_angles_and_torques(make: Any) -> None:
+    scenario = rotary_machine.machine(SHORT)
+    made = make(scenario, 2)
+    units = {v.name: v.unit for v in made.description.modelVariables}
+    names = ("leg_lengths[1]", "leg_forces[6]", "robot.stroke", "metric_peak_leg_force")
+    assert [units[name] for name in names] == ["rad", "N m", "rad", "N m"]
+    unit = made.instance()
+    unit.start()
+    unit.step(scenario.simulation.step * 5)
+    run = hs.simulate(scenario.updated({"simulation.log_every": 1}))
+    np.testing.assert_array_equal(unit.get("leg_lengths", 6), run.leg_lengths[5])
+    np.testing.assert_array_equal(unit.get("leg_forces", 6), run.leg_forces[5])
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [
+        ("1", {}),
+        ("N", {"kg": 1, "m": 1, "s": -2}),
+        ("N s/m", {"kg": 1, "s": -1}),
+        ("1/(N m)", {"kg": -1, "m": -2, "s": 2}),
+        ("(m/s^2)^2/Hz", {"m": 2, "s": -3}),
+        ("rad^2/Hz", {"rad": 2, "s": 1}),
+        ("px/m", None),
+    ],
+)
+def test_units_are_products_of_the_standards_base_units(unit: str, expected: dict[str, int] | None) -> None:
+    assert si_exponents(unit) == expected
+
+
+def test_units_of_variables_are_those_of_the_table(make: Any) -> None:
+    made = make(hs.load_scenario("composite-30hz"), 2, "controller")
+    units = {v.name: v.unit for v in made.description.modelVariables}
+    for key in _core.scenario_keys("composite"):
+        if key.type in ("number", "array") and ";" not in key.unit:
+            for name in [name for name in units if name.partition("[")[0] == key.name]:
+                assert units[name] == (key.unit or None), name
+    assert (units["robot.mass"], units["features[1]"], units["wrench[4]"]) == ("kg", "px", "N m")
+    bases = {unit.name: unit.baseUnit for unit in made.description.unitDefinitions}
+    assert (bases["N m"].kg, bases["N m"].m, bases["N m"].s, bases["N m"].rad) == (1, 2, -2, 0)
+
+
+def test_steps_that_are_no_whole_number_of_ticks_are_refused(make: Any) -> None:
+    unit = make(hs.load_scenario("paper"), 2).instance()
+    unit.start()
+    with pytest.raises(Exception, match="fmi2"):
+        unit.step(0.0015)
+
+
+def test_units_of_equal_scenarios_are_equal() -> None:
+    paper = hs.load_scenario("paper")
+    assert hs.bridges.fmu(paper) == hs.bridges.fmu(paper)
+    assert hs.bridges.fmu(paper) != hs.bridges.fmu(paper.updated({"robot.mass": 0.07}))
+
+
+def test_refusals() -> None:
+    paper = hs.load_scenario("paper")
+    for options, text in (
+        ({"fmi": 1}, "fmi: expected 2 or 3"),
+        ({"what": "robot"}, "what: expected loop, plant, controller"),
+        ({"what": "plant"}, "simulation.mode: expected sampled for a plant"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            hs.bridges.fmu(paper, **options)
+
+
+def test_the_command_writes_units(tmp_path: Path) -> None:
+    file = tmp_path / "paper.fmu"
+    call = ["export", "paper", "--fmu", str(file), "--fmi", "3"]
+    assert CliRunner().invoke(app, call).exit_code == 0
+    assert file.read_bytes() == hs.bridges.fmu(hs.load_scenario("paper"), fmi=3)
+    assert CliRunner().invoke(app, call).exit_code == 2
+    assert CliRunner().invoke(app, [*call, "--force"]).exit_code == 0
+    assert CliRunner().invoke(app, ["export", "paper", "--mjcf", str(tmp_path / "m.xml"), *call[4:]]).exit_code == 2
+    file.write_text("notes")
+    assert CliRunner().invoke(app, [*call, "--force"]).exit_code == 2
+    assert CliRunner().invoke(app, [*call[:3], str(tmp_path / "b.fmu"), "--what", "machine"]).exit_code == 2
