@@ -1,7 +1,8 @@
-"""The paper's figures 2 to 5: the public name of `hexservo.draw.plots`."""
+"""The paper's figures 2 to 5, and the legs with their limits: the public name of `hexservo.draw.plots`."""
 
 from __future__ import annotations
 
+from hexservo.draw.legs import leg_limits
 from hexservo.draw.plots import (
     control_wrench,
     feature_errors,
@@ -11,4 +12,12 @@ from hexservo.draw.plots import (
     rule_table,
 )
 
-__all__ = ["control_wrench", "feature_errors", "feature_paths", "paper_figures", "platform_motion", "rule_table"]
+__all__ = [
+    "control_wrench",
+    "feature_errors",
+    "feature_paths",
+    "leg_limits",
+    "paper_figures",
+    "platform_motion",
+    "rule_table",
+]

@@ -270,7 +270,7 @@ def test_charts_match_the_schema_of_the_library(text: str) -> None:
         return "#123456" if isinstance(value, str) and value.startswith("@") else value
 
     charts = specs(text)
-    assert len(charts) == 12
+    assert len(charts) == 13
     for spec in charts.values():
         layout = {name: value for name, value in spec["layout"].items() if name not in ("maxWidth", "aspect")}
         go.Figure(coloured(spec["data"]), coloured(layout))
@@ -637,7 +637,7 @@ def test_it_loads_without_an_error_or_a_request(visit: Callable[..., Visit]) -> 
     seen = visit(viewport=LAPTOP)
     seen.to_view()
     drawn = seen.page.evaluate(DRAW_ALL)
-    assert len(drawn) == 12
+    assert len(drawn) == 13
     assert all(drawn)
     assert seen.problems == []
     assert seen.requests == [seen.url]
@@ -869,7 +869,7 @@ def test_nothing_is_cut_on_paper(visit: Callable[..., Visit]) -> None:
           return [item.getBoundingClientRect().height, Math.max(...inside.map(box => box.right)), inside.length];
         })"""
     )
-    assert len(boxes) == 13
+    assert len(boxes) == 14
     for height, right, count in boxes:
         assert height < PAGE_HEIGHT
         assert right <= PAGE_WIDTH

@@ -21,6 +21,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from hexservo import _core
+from hexservo.draw.legs import leg_limits
 from hexservo.draw.panels import (
     Panel,
     axes_at,
@@ -49,6 +50,7 @@ from hexservo.draw.style import (
     GREEN,
     GREY,
     HALO,
+    LEG_INKS,
     ORANGE,
     PAGE,
     PURPLE,
@@ -59,6 +61,7 @@ from hexservo.draw.style import (
     styled,
     write_figures,
 )
+from hexservo.run.leg_limits import limits_of_motion
 from hexservo.run.metrics import metrics
 from hexservo.run.samples import ImageView, feature_names, image_views
 from hexservo.run.samples import extreme_samples as _extreme_samples
@@ -82,14 +85,6 @@ __all__ = ["control_wrench", "feature_errors", "feature_paths", "paper_figures",
 _AXES_INKS = (Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT))
 _POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE)
 _MOST_LABELS = 14  # of lines beside the feature errors: as many as stand apart
-_LEG_INKS = (
-    Ink(BLACK),
-    Ink(ORANGE),
-    Ink(BLUE, DASHED),
-    Ink(VERMILION, DASHED),
-    Ink(GREEN, DASH_DOT),
-    Ink(PURPLE, DASH_DOT),
-)
 
 _START: dict[str, Any] = {"marker": "o", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.1}
 _END: dict[str, Any] = {"marker": "o", "markersize": 3.2, "markeredgewidth": 0}
@@ -338,10 +333,11 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any]) -> tu
 
 @styled
 def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = None) -> Figure | tuple[Axes, ...]:
-    """Draw the wrench in N and mN m, in B, and the six leg forces in N, figure 5.
+    """Draw the wrench in N and mN m, in B, and the six leg forces in N (of cranks torques in N m), figure 5.
 
     Thin lines are the samples; thick lines, if there are enough samples, are their moving means, since the samples
-    chatter due to the switching term. The dotted line is the weight in Ḡ that the law feeds forward (1), (15).
+    chatter due to the switching term. The dotted line is the weight in Ḡ that the law feeds forward (1), (15); at the
+    legs it is their force limit, where it is within what they do.
 
     Parameters
     ----------
@@ -371,10 +367,15 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
         *rows, legs = (whole_run(place, result, values) for place, values in zip(given, shown, strict=True))
     for panel in rows[1]:
         panel.axes.axhline(weight, color=BLACK, linewidth=1, linestyle=":", gid="weight")
+    limit = result.scenario.robot.force_limit
+    for panel in legs:
+        low, high = panel.axes.get_ylim()
+        for level in (sign * limit for sign in (-1.0, 1.0) if low < sign * limit < high):
+            panel.axes.axhline(level, color=BLACK, linewidth=1, linestyle=":", gid="limit force")
     fill_panels(rows[0], result, horizontal, ["fx", "fy"], _AXES_INKS[:2], mean)
     fill_panels(rows[1], result, vertical, ["fz"], [Ink(GREEN)], mean, {"−mg": weight})
     fill_panels(rows[2], result, moment, ["mx", "my", "mz"], _AXES_INKS, mean)
-    fill_panels(legs, result, result.leg_forces, [f"leg {leg}" for leg in range(1, 7)], _LEG_INKS, mean)
+    fill_panels(legs, result, result.leg_forces, [f"leg {leg}" for leg in range(1, 7)], LEG_INKS, mean)
     describe(rows[0], "force [N]", "Horizontal force, in B")
     describe(rows[1], "force [N]", f"Vertical force, in B ({_vertical(result)})")
     describe(rows[2], "moment [mN m]", "Moment, in B", time=True)
@@ -390,6 +391,7 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
 def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
     """Write figures 2(a), 2(b), 3, 4 and 5 as SVG and PNG (200 dpi) into a folder, which is created if necessary.
 
+    Of a robot with speed or joint limits `leg_limits` is written too.
     Files of the same name are replaced. The same run gives the same bytes. Either all files are written completely or
     none is.
 
@@ -412,6 +414,7 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
         "fig3_feature_paths": feature_paths(result),
         "fig4_platform_motion": platform_motion(result),
         "fig5_wrench": control_wrench(result),
+        **({"legs": leg_limits(result)} if len(limits_of_motion(result.scenario)) > 1 else {}),
     }
     images = {
         f"{name}.{extension}": image_bytes(figure, extension)

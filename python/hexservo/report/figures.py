@@ -1,4 +1,4 @@
-"""The paper's figures 2 to 5 as charts, from the same samples as `hexservo.draw.plots`."""
+"""The paper's figures 2 to 5 and the legs' limits as charts, from the same samples as `hexservo.draw.plots`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from hexservo import _core
 from hexservo.report.charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
 from hexservo.report.html import Html
+from hexservo.run.leg_motion import leg_motions
 from hexservo.run.samples import (
     ImageView,
     extreme_samples,
@@ -65,11 +66,12 @@ def figures(result: Result) -> list[tuple[str, list[Html]]]:
         ("Feature paths in the image", "3", _feature_paths(result)),
         ("Motion of the platform", "4", _platform_motion(result)),
         ("Wrench and leg forces", "5", _wrench(result)),
+        ("Legs and their limits", "", _legs(result)),
     ]
     if moves(result.scenario.base_motion):
         drawn.append(("Motion of the base", "", _base_motion(result)))
     of_paper = _is_of_the_paper(result)
-    return [(f"{title} (figure {number})" if of_paper else title, charts) for title, number, charts in drawn]
+    return [(f"{title} (figure {number})" if of_paper and number else title, charts) for title, number, charts in drawn]
 
 
 def _is_of_the_paper(result: Result) -> bool:
@@ -226,6 +228,10 @@ def _wrench(result: Result) -> list[Html]:
     wrench = result.wrench
     label, title = leg_units(result.scenario.robot).efforts
     level = [_level(weight)]
+    forces, limit = result.leg_forces, result.scenario.robot.force_limit
+    low, high = _range(forces)
+    limits = [value for value in (-limit, limit) if low < value < high]
+    of_limit = f"Dotted: limit of {limit:.4g} {leg_units(result.scenario.robot).effort}." if limits else ""
     return [
         _over_time(result, "Horizontal force, in B", "force [N]", wrench[:, :2], ["fx", "fy"], count, note=note),
         _over_time(
@@ -237,7 +243,7 @@ def _wrench(result: Result) -> list[Html]:
             count,
             inks=[_Ink("@green")],
             shapes=level,
-            also=weight,
+            also=(weight,),
             note=f"Dotted: {weight:.4g} N, the weight that the law feeds forward. {note}".strip(),
         ),
         _over_time(result, "Moment, in B", "moment [mN m]", 1e3 * wrench[:, 3:], ["mx", "my", "mz"], count, note=note),
@@ -245,12 +251,34 @@ def _wrench(result: Result) -> list[Html]:
             result,
             title,
             label,
-            result.leg_forces,
+            forces,
             [f"leg {leg}" for leg in range(1, 7)],
             count,
             inks=_LEGS,
-            note=note,
+            shapes=[_level(value) for value in limits],
+            note=f"{of_limit} {note}".strip(),
         ),
+    ]
+
+
+def _legs(result: Result) -> list[Html]:
+    """Draw travel, and speeds and tilts that the robot limits, with the limits."""
+    names = [f"leg {leg}" for leg in range(1, 7)]
+    return [
+        _over_time(
+            result,
+            motion.title,
+            motion.label,
+            motion.values,
+            names,
+            inks=_LEGS,
+            shapes=[_level(level) for level in motion.in_sight],
+            also=motion.in_sight,
+            note=f"Dotted: limit of {motion.limit.text}."
+            if motion.in_sight
+            else f"The limit of {motion.limit.text} is outside the chart.",
+        )
+        for motion in leg_motions(result)
     ]
 
 
@@ -284,7 +312,7 @@ def _over_time(
     *,
     inks: Sequence[_Ink] = _AXES,
     shapes: Sequence[Spec] = (),
-    also: float | None = None,
+    also: Sequence[float] = (),
     note: str = "",
 ) -> Html:
     """Draw the columns of values over time, the axis broken if a short transient would not be visible in a long run.
@@ -294,7 +322,7 @@ def _over_time(
     count
         Samples of a moving mean; above 1 it is drawn over thin lines of the samples.
     also
-        A value that the axis must include.
+        Values that the axis must include.
     """
     shown = parts(result)
     if len(shown) == 2 and result.time[shown[0]][-1] > result.time[-1] / 2:
@@ -302,7 +330,7 @@ def _over_time(
     means = moving_mean(values, count)
     data: list[Spec] = []
     layout = axes("time [s]", unit, shapes=list(shapes))
-    low, high = layout["yaxis"]["range"] = _range(values if also is None else np.append(values, also))
+    low, high = layout["yaxis"]["range"] = _range(np.append(values, also) if len(also) else values)
     tolerance = TOLERANCE * (high - low)
     for place, part in enumerate(shown):
         time, axis = result.time[part], "x" if place == 0 else "x2"

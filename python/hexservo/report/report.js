@@ -125,7 +125,7 @@
       return new Float32Array(bytes.buffer);
     };
     const runs = {};
-    for (const name of ["time", "position", "rotation", "joints", "image", "displacement", "turn", "error"]) {
+    for (const name of ["time", "position", "rotation", "joints", "image", "displacement", "turn", "error", "used", "limit"]) {
       runs[name] = numbers(scene[name]);
     }
     if (scene.feet) runs.feet = numbers(scene.feet);
@@ -148,17 +148,21 @@
       return runs.image.subarray(at, at + 3);
     };
 
-    /** The end of a crank, where there are cranks. */
+    /** Where a rod begins: at the end of its crank, or a leg without one at the base. */
     const rodFoot = (frame, leg) =>
-      (runs.feet ? [[...runs.feet.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)]] : []);
+      (runs.feet ? [...runs.feet.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)] : scene.base[leg]);
+    const isBeyond = (frame, leg) => runs.used[6 * frame + leg] > 1;
 
     /** What moves: the coordinates of each trace at an instant. */
     function moving(frame) {
       const camera = placed(frame, [0, 0, 0]);
       const joints = [0, 1, 2, 3, 4, 5].map((leg) => [...runs.joints.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)]);
       const corners = scene.corners.map((corner) => placed(frame, corner));
+      const legs = (wanted) => [0, 1, 2, 3, 4, 5].filter((leg) => wanted === isBeyond(frame, leg));
+      const rods = (wanted) => [GAP, ...legs(wanted).flatMap((leg) => [rodFoot(frame, leg), joints[leg], GAP])];
+      const cranks = (wanted) => [GAP, ...(runs.feet ? legs(wanted) : []).flatMap((leg) => [scene.base[leg], rodFoot(frame, leg), GAP])];
       const traces = [
-        scene.base.flatMap((foot, leg) => [foot, ...rodFoot(frame, leg), joints[leg], GAP]),
+        rods(false), rods(true), cranks(false), cranks(true),
         [camera, ...joints],
         [...joints, joints[0]],
         [...corners.flatMap((corner) => [camera, corner, GAP]), ...corners, corners[0]],
@@ -185,7 +189,8 @@
         text: POINTS.map((_, point) => `${name} ${point + 1}`), hoverinfo: "text",
       });
       const moved = [
-        line(colours.muted, 9),
+        line(colours.muted, runs.feet ? 5 : 9), line(colours.vermilion, runs.feet ? 6 : 10),
+        line(colours.ink, 11), line(colours.vermilion, 12),
         {
           type: "mesh3d", color: colours.blue, opacity: 0.75, hoverinfo: "skip", flatshading: true, lighting: { ambient: 0.9, diffuse: 0.3 },
           i: [0, 0, 0, 0, 0, 0], j: [1, 2, 3, 4, 5, 6], k: [2, 3, 4, 5, 6, 1],
@@ -272,12 +277,19 @@
       });
     }
 
+    /** The leg that uses most of one of its limits. */
+    function nearestLimit(frame) {
+      const used = runs.used.subarray(6 * frame, 6 * frame + 6);
+      const leg = used.indexOf(Math.max(...used));
+      return `leg ${leg + 1} uses ${(100 * used[leg]).toFixed(0)} % of its ${scene.limits[runs.limit[6 * frame + leg]]}`;
+    }
+
     function tell(frame) {
       showImage(frame);
       const vector = (values) => [...values.subarray(3 * frame, 3 * frame + 3)].map((value) => (Math.round(value * 100) / 100 || 0).toFixed(2)).join(", ");
       const error = runs.error[frame];
       const text = `t = ${runs.time[frame].toFixed(3)} s; largest feature error ${error.toPrecision(3)} px; ` +
-        `moved (${vector(runs.displacement)}) mm; turned (${vector(runs.turn)}) mrad`;
+        `moved (${vector(runs.displacement)}) mm; turned (${vector(runs.turn)}) mrad; ${nearestLimit(frame)}`;
       readout.textContent = text;
       slider.setAttribute("aria-valuetext", `t = ${runs.time[frame].toFixed(3)} s`);
     }

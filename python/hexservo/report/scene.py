@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.report.charts import encoded
+from hexservo.run.leg_motion import leg_motions
 from hexservo.run.samples import parts, turns_from_home
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features, has_pixels
 
@@ -36,6 +38,9 @@ class SpaceView:
     joints: Array  # (k, 6, 3), of the platform
     base: Array  # (6, 3), joints of the base
     feet: Array | None  # (k, 6, 3), ends of the cranks, where the rods begin; None: prismatic legs
+    used: Array  # (k, 6), largest share that each leg uses of one of its limits; above 1 beyond it
+    limit: NDArray[np.intp]  # (k, 6), which one, of `limits`
+    limits: tuple[str, ...]  # what is limited, as it follows "of its"
     camera: Array  # (3,), of C's origin in E [m]
     axes: Array  # (3, 3), transforms C-coordinates into E-coordinates
     targets: Array | None  # (p, 3); None where the plant has no points
@@ -75,6 +80,9 @@ class SpaceView:
             "displacement": encoded(1e3 * self.displacement.ravel()),
             "turn": encoded(1e3 * self.turn.ravel()),
             "error": encoded(self.error),
+            "used": encoded(self.used.ravel()),
+            "limit": encoded(self.limit.ravel().astype(float)),
+            "limits": list(self.limits),
             "base": self.base.tolist(),
             "feet": None if self.feet is None else encoded(self.feet.ravel()),
             "camera": self.camera.tolist(),
@@ -108,6 +116,7 @@ def scene(result: Result) -> SpaceView:
     has_points = settings["camera.convention"] == "eye_in_hand"
     camera, *axes = settings.camera.in_platform(np.vstack([np.zeros(3), np.eye(3)]))
     start = result.position[0], result.quaternion[0], result.features[0], result.depth[0]
+    used, limit, limits = _limits_used(result, chosen)
     return SpaceView(
         time=result.time[chosen],
         position=position,
@@ -115,6 +124,9 @@ def scene(result: Result) -> SpaceView:
         joints=joints,
         base=np.asarray(hexapod.base_joints),
         feet=None if feet is None else np.array(feet),
+        used=used,
+        limit=limit,
+        limits=limits,
         camera=camera,
         axes=np.column_stack(axes) - camera[:, None],
         targets=_core.lift(settings.camera, *start) if has_points else None,
@@ -127,6 +139,18 @@ def scene(result: Result) -> SpaceView:
         pixels_per_metre=1 / pixel,
         z_down=result.scenario.robot.gravity[2] >= 0,
     )
+
+
+def _limits_used(result: Result, chosen: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp], tuple[str, ...]]:
+    """Return which share of its limits each leg uses at some samples, (k, 6), of which one, (k, 6), and their names."""
+    names = {"stroke": "stroke", "speed": "speed limit", "base_joint": "joint limit at the base"}
+    motions = leg_motions(result, chosen)
+    shares = [np.abs(motion.values) / motion.levels[-1] for motion in motions]
+    shares.append(np.abs(result.leg_forces[chosen]) / result.scenario.robot.force_limit)
+    words = [names.get(motion.limit.kind, "joint limit at the platform") for motion in motions]
+    effort = leg_units(result.scenario.robot).effort_name
+    all_shares = np.array(shares)
+    return all_shares.max(axis=0), all_shares.argmax(axis=0), (*words, f"{effort} limit")
 
 
 def _instants(result: Result) -> NDArray[np.intp]:

@@ -36,8 +36,13 @@ def still(scene: SpaceView) -> Html:
         return np.asarray(_seen(points, scene.z_down) * scale + offset)
 
     shapes = [_polygon(at(scene.base), "base")]
-    ways = [scene.base, joints] if scene.feet is None else [scene.base, scene.feet[last], joints]
-    shapes += [_line(at(np.stack(leg)), "leg") for leg in zip(*ways, strict=True)]
+    rod = "leg" if scene.feet is None else "leg rod"
+    for leg in range(6):
+        beyond = " beyond" if scene.used[last, leg] > 1.0 else ""
+        foot = scene.base[leg] if scene.feet is None else scene.feet[last, leg]
+        if scene.feet is not None:
+            shapes.append(_line(at(np.stack([scene.base[leg], foot])), f"leg crank{beyond}"))
+        shapes.append(_line(at(np.stack([foot, joints[leg]])), f"{rod}{beyond}"))
     shapes += [_line(at(np.stack([camera, corner])), "frustum") for corner in corners]
     shapes += [_polygon(at(joints), "platform"), _polygon(at(corners), "image")]
     image = np.array([scene.placed(last, frame) for frame in scene.image])  # (k, p, 3)

@@ -201,7 +201,7 @@ class Plant:
             response = _response(run.probe, wrench, home)[0]
             lost = np.finfo(np.float64).eps * np.abs(fall).max() / np.abs(response).max(axis=0)
         if not (lost <= _LOST).all():
-            raise ArithmeticError("the inertia is too small beside the weight to be told from accelerations")
+            raise ArithmeticError("the inertia is too small beside the weight to follow from accelerations")
         return cls(run.probe, wrench, -wrench * np.linalg.solve(response, fall))
 
     def inertia(self, quaternion: Array) -> Array:
