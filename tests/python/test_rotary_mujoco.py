@@ -3,6 +3,7 @@
 A rod is a spatial tendon between the end of a crank and a platform joint, whose length an equality keeps. Rods have no
 mass, and cranks next to none: what theirs does to the motion is taken away by two runs, one with twice the inertia.
 What the equalities give way falls with the square of the step: at this one it moves the platform by 3e-7 m.
+The exported model (`hexservo export --mjcf`) is compared as it is, with the runs of the core.
 """
 
 from __future__ import annotations
@@ -15,11 +16,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+import hexservo as hs
 from hexservo import _core
+from hexservo.bridges.mujoco_model import mjcf
 from hexservo.scenario.parameters import core_parameters
 from rotary_machine import AXES, CENTRES, CRANK, HOME, JOINTS, ROD, hexapod, machine, rods
 
 Array = NDArray[np.float64]
+HANGING = {"robot.gravity": [0.0, 0.0, -9.81]}  # stable under given torques; upright a head falls away from its path
 
 DURATION = 0.3  # [s]
 INERTIA = 1e-8  # of a crank about its axis [kg m^2]; that of the platform there is m r^2 = 4.5e-4
@@ -117,3 +121,58 @@ def test_the_motion_under_torques(robot: _core.RobotParameters) -> None:
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-6)  # [m] and quaternion
     found = np.asarray(legs.leg_lengths(position, quaternion)) - legs.home_lengths
     np.testing.assert_allclose(found, 2 * angles - more, rtol=0, atol=1e-6 / CRANK)
+
+
+def exact(changes: dict[str, Any]) -> hs.Scenario:
+    """The head without model errors, in sampled mode, with torques that are constant over each tick."""
+    settings = {
+        "uncertainty": hs.load_scenario("paper-nominal").to_mapping()["uncertainty"],
+        "simulation.mode": "sampled",
+        "simulation.step": 1e-3,
+        "simulation.substeps": 1,
+        "simulation.log_every": 1,
+        "actuators.hold": "leg_forces",
+        "controller.switching.kind": "implicit",
+        "simulation.start.pose": [0.006, -0.004, 0.003, 0.03, -0.04, 0.08],
+    }
+    return machine({**settings, **changes})
+
+
+@pytest.mark.parametrize(("gravity", "duration"), [(HANGING, 1.0), ({}, 0.3)])
+def test_the_exported_model_moves_as_ours(gravity: dict[str, Any], duration: float) -> None:
+    """Torques of a controlled run, held over each tick, move MuJoCo's cranks, rods and platform as ours."""
+    run = hs.simulate(exact({**gravity, "simulation.duration": duration}))
+    assert run.outcome == "completed", run.detail
+    model = mujoco.MjModel.from_xml_string(mjcf(run.scenario))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "start"))
+    steps = round(1e-3 / model.opt.timestep)
+    assert model.opt.timestep * steps == pytest.approx(1e-3, rel=1e-12)
+    states, gap = np.empty((len(run.time), 13)), 0.0
+    for row, torque in enumerate(run.leg_forces):
+        states[row] = data.qpos
+        data.ctrl[:] = torque
+        mujoco.mj_step(model, data, steps)
+        gap = max(gap, float(np.abs(data.ten_length - ROD).max()))
+    difference = np.abs(states[:, :3] - run.position).max()
+    print(f"largest difference {difference:.2g} m, of rods {gap:.2g} m")
+    assert np.linalg.norm(run.position - run.position[0], axis=1).max() > 5e-3
+    assert difference < 1e-6  # [m]
+    assert gap < 1e-5 * CRANK
+    sign = np.sign(np.sum(states[:, 3:7] * run.quaternion, axis=1))[:, None]
+    np.testing.assert_allclose(sign * states[:, 3:7], run.quaternion, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(states[:, 7:], run.leg_lengths, rtol=0, atol=1e-6 / CRANK)
+
+
+def test_the_keys_of_the_exported_model() -> None:
+    moving = exact({"simulation.start.twist": [0.01, 0.02, -0.01, 0.1, -0.2, 0.3], "simulation.duration": 0.01})
+    model, run = mujoco.MjModel.from_xml_string(mjcf(moving)), hs.simulate(moving)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 1)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.ten_length, ROD, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(data.ten_velocity, 0.0, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(data.qpos[7:], run.leg_lengths[0], rtol=0, atol=1e-15)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, round(0.02 / model.opt.timestep))
+    np.testing.assert_allclose(data.qpos[:3], HOME, rtol=0, atol=1e-7)  # the torques hold the head there

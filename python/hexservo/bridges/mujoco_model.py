@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
-from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.run.files import write_file
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
@@ -24,6 +24,10 @@ _TITLE = "<!-- hexservo MJCF, format 1 -->"
 """First line of every exported model, which distinguishes it from other files."""
 
 _RESOLUTION = (640.0, 480.0)  # [px], of a camera without a border
+_LIGHT = 3e-6  # inertia of a crank, of that of the platform as a mass at its end
+_YIELD = 1e-6  # of a crank's length, by which rods may yield under the weight
+_IMPEDANCE = 0.9999  # largest share of a constraint's acceleration that MuJoCo enforces
+_SOLVER = ' solver="Newton" tolerance="0" iterations="100"'
 _PIXEL = 1e-5  # [m], width of a sensor's pixel, which has no effect on the image
 
 
@@ -37,6 +41,11 @@ def mjcf(scenario: Scenario) -> str:
     leg mass and no equality constraint. Integrator and step are those of the scenario, so that MuJoCo follows the
     plant to rounding under leg forces that are constant over a step.
 
+    A rotary leg is a crank on a hinge, with a motor whose control is its torque [N m], and a rod: a tendon whose length
+    an equality constraint keeps. MuJoCo takes neither cranks without inertia nor constraints that do not yield: the
+    cranks have 3e-6 of the platform's inertia, and the step is a whole part of the scenario's, so short that rods
+    yield by less than 1e-6 of a crank's length under the weight.
+
     Not in the model: the controller, errors of the estimate (``uncertainty``), sensors' faults, motion of the base, and
     distortion of the lens. Strokes are written as ranges that do not act, since a leg beyond its stroke is an event in
     hexservo, no stop. Force limits act where ``actuators.saturation`` is set.
@@ -44,24 +53,24 @@ def mjcf(scenario: Scenario) -> str:
     Parameters
     ----------
     scenario
-        With prismatic legs, and a camera that projects (`eye_in_hand`).
+        With a camera that projects (`eye_in_hand`).
 
     Returns
     -------
     str
-        The model. Names: body ``platform``; sites ``base1`` to ``base6``, ``platform1`` to ``platform6``, ``target1``
-        and so on; tendons and actuators ``leg1`` to ``leg6``; camera ``camera``; sensors ``image1`` and so on, the
-        pixels of the target's points from the top left corner of the image [px], where the principal point is the
+        The model. Names: body ``platform``; sites ``base1`` to ``base6`` (of rotary legs the ends of the cranks),
+        ``platform1`` to ``platform6``, ``target1`` and so on; tendons and actuators ``leg1`` to ``leg6``; of rotary
+        legs bodies and joints ``crank1`` to ``crank6``, whose coordinates are the angles of the cranks [rad], after
+        those of the platform; camera ``camera``; sensors ``image1`` and so on, the pixels of the target's points from
+        the top left corner of the image [px], where the principal point is the
         centre of the image; keyframes ``home`` and ``start``, the start of the scenario's run, with the leg forces that
         hold the platform there.
 
     Raises
     ------
     ValueError
-        For rotary legs, for a camera ``as_printed``, and for what the core refuses.
+        For a camera ``as_printed``, and for what the core refuses.
     """
-    if scenario.robot.legs == "rotary":
-        raise ValueError("robot.legs: expected prismatic for MJCF, got rotary; cranks are not exported")
     scene = scene_of(scenario)
     if not scene.has_points:
         raise ValueError(
@@ -69,6 +78,9 @@ def mjcf(scenario: Scenario) -> str:
         )
     settings, hexapod, body = scene.settings, scene.hexapod, scene.settings.plant_body
     substeps = settings["simulation.substeps"] if settings["simulation.mode"] == SAMPLED_MODE else 1
+    step = float(settings["simulation.step"]) / substeps
+    cranks = _Cranks(scene, step) if hexapod.rotary else None
+    step = step if cranks is None else cranks.step
     c = np.array(body.centre_of_mass)
     inertia = body.inertia - body.mass * (c @ c * np.eye(3) - np.outer(c, c))  # about the centre of mass
     reach = hexapod.platform_radius
@@ -80,11 +92,15 @@ def mjcf(scenario: Scenario) -> str:
         f"<!-- Written by `hexservo export` of hexservo {VERSION}. SI units and radians. World: frame B. -->",
         f'<mujoco model="{name}">',
         '  <compiler angle="radian" autolimits="false"/>',
-        f'  <option timestep="{float(settings["simulation.step"]) / substeps!r}" integrator="RK4" '
-        f'gravity="{_text(body.gravity)}"/>',
+        f'  <option timestep="{step!r}" integrator="RK4" gravity="{_text(body.gravity)}"'
+        f"{'' if cranks is None else _SOLVER}/>",
         f'  <statistic center="{_text(scene.home.position)}" extent="{float(4 * reach)!r}"/>',
         "  <worldbody>",
-        *(f"    {_site(f'base{leg}', p, reach / 20)}" for leg, p in enumerate(hexapod.base_joints, 1)),
+        *(
+            []
+            if cranks
+            else (f"    {_site(f'base{leg}', p, reach / 20)}" for leg, p in enumerate(hexapod.base_joints, 1))
+        ),
         *(f"    {_site(f'target{i}', p, reach / 20, '0.9 0.6 0 1')}" for i, p in enumerate(scene.points, 1)),
         f'    <body name="platform" {_pose(scene.home)}>',
         "      <freejoint/>",
@@ -93,17 +109,19 @@ def mjcf(scenario: Scenario) -> str:
         *(f"      {_site(f'platform{leg}', p, reach / 20)}" for leg, p in enumerate(hexapod.platform_joints, 1)),
         f"      {_camera(scenario, settings)}",
         "    </body>",
+        *([] if cranks is None else cranks.bodies(reach / 20)),
         "  </worldbody>",
         "  <tendon>",
         *(
             f'    <spatial name="leg{leg}" width="{float(reach / 40)!r}" limited="false" '
-            f'range="{_text([middle - scene.stroke, middle + scene.stroke])}">'
+            f'range="{_text([middle - scene.stroke, middle + scene.stroke] if cranks is None else [0.0, 0.0])}">'
             f'<site site="base{leg}"/><site site="platform{leg}"/></spatial>'
             for leg, middle in enumerate(hexapod.mid_lengths, 1)
         ),
         "  </tendon>",
+        *([] if cranks is None else ["  <equality>", *cranks.constraints(), "  </equality>"]),
         "  <actuator>",
-        *(f"    {_motor(leg, settings)}" for leg in range(1, 7)),
+        *(f"    {_motor(leg, settings, rotary=hexapod.rotary)}" for leg in range(1, 7)),
         "  </actuator>",
         "  <sensor>",
         *(f'    <camprojection name="image{i}" site="target{i}" camera="camera"/>' for i in range(1, seen + 1)),
@@ -136,6 +154,58 @@ def write_mjcf(text: str, file: str | os.PathLike[str], *, force: bool = False) 
     write_file(text, file, _TITLE, "hexservo export", force=force)
 
 
+class _Cranks:
+    """Rotary legs: bodies on hinges, rods of constant length, and the step that they need."""
+
+    def __init__(self, scene: Scene, step: float) -> None:
+        self.scene = scene
+        body, home, hexapod = scene.settings.plant_body, scene.home, scene.hexapod
+        given = scene.scenario.robot.cranks
+        self.axes, self.length, self.rod = np.asarray(given.axes), float(given.length or 0.0), float(given.rod or 0.0)
+        self.angles = np.asarray(hexapod.home_lengths)
+        self.feet = np.asarray(hexapod.leg_feet(home.position, home.quaternion))
+        # the lightest motion of the platform, in terms of a mass at its joints
+        lightest = min(body.mass, float(np.linalg.eigvalsh(body.inertia)[0]) / scene.platform_radius**2)
+        self.inertia = _LIGHT * lightest * self.length**2  # [kg m^2], of a crank about its axis
+        # Without its rod the torque that carries the weight accelerates the end of a crank by a; with it, by the
+        # share of a that a constraint lets pass. The rod yields by that over the constraint's stiffness, 1/step^2.
+        torques = hexapod.leg_forces(home.position, home.quaternion, body.weight(home.quaternion))
+        end = float(np.abs(torques).max()) / self.inertia * self.length
+        longest = np.sqrt(_YIELD * self.length / max((1.0 - _IMPEDANCE) * end, 1e-300))
+        self.step = step / int(np.ceil(step / longest))
+
+    def bodies(self, size: float) -> list[str]:
+        """Return a crank each, in its place at home."""
+        return [
+            f'    <body name="crank{leg}" pos="{_text(centre)}">'
+            f'<joint name="crank{leg}" type="hinge" axis="{_text(axis)}" ref="{float(angle)!r}" '
+            f'armature="{self.inertia!r}" limited="false" '
+            f'range="{_text([middle - self.scene.stroke, middle + self.scene.stroke])}"/>'
+            f'<inertial pos="0 0 0" mass="{self.inertia / self.length**2!r}" '
+            f'diaginertia="{_text([1e-6 * self.inertia] * 3)}"/>'
+            f'<geom type="capsule" fromto="{_text([0, 0, 0, *(foot - centre)])}" size="{size / 2!r}" mass="0" '
+            f'contype="0" conaffinity="0"/>{_site(f"base{leg}", foot - centre, size)}</body>'
+            for leg, centre, axis, angle, middle, foot in zip(
+                range(1, 7),
+                np.asarray(self.scene.hexapod.base_joints),
+                self.axes,
+                self.angles,
+                self.scene.hexapod.mid_lengths,
+                self.feet,
+                strict=True,
+            )
+        ]
+
+    def constraints(self) -> list[str]:
+        """Return the equalities that keep the rods as long as at home, critically damped."""
+        reference = f"{-(self.step**-2)!r} {-2.0 / self.step!r}"
+        return [
+            f'    <tendon name="rod{leg}" tendon1="leg{leg}" polycoef="0 0 0 0 0" solref="{reference}" '
+            f'solimp="{_IMPEDANCE!r} {_IMPEDANCE!r} 0.001"/>'
+            for leg in range(1, 7)
+        ]
+
+
 def _text(numbers: Any) -> str:
     return " ".join(repr(float(number)) for number in np.ravel(numbers))
 
@@ -148,11 +218,12 @@ def _site(name: str, position: Array, size: float, colour: str = "0.3 0.3 0.3 1"
     return f'<site name="{name}" pos="{_text(position)}" size="{float(size)!r}" rgba="{colour}"/>'
 
 
-def _motor(leg: int, settings: _core.Settings) -> str:
+def _motor(leg: int, settings: _core.Settings, *, rotary: bool) -> str:
     limit = float(settings["robot.force_limit"])
     limited = settings["simulation.mode"] == SAMPLED_MODE and settings["actuators.saturation"]
+    moves = f'joint="crank{leg}"' if rotary else f'tendon="leg{leg}"'
     return (
-        f'<motor name="leg{leg}" tendon="leg{leg}" gear="1" ctrllimited="{str(bool(limited)).lower()}" '
+        f'<motor name="leg{leg}" {moves} gear="1" ctrllimited="{str(bool(limited)).lower()}" '
         f'ctrlrange="{-limit!r} {limit!r}"/>'
     )
 
@@ -190,10 +261,14 @@ def _keys(home: Poses, start: Poses, twist: Array, hexapod: _core.Hexapod, body:
     def key(name: str, pose: Poses, twist: Array) -> str:
         # MuJoCo's angular velocity is in the body's frame
         spin = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).inv().apply(twist[3:])
-        forces = hexapod.leg_forces(pose.position, pose.quaternion, body.weight(pose.quaternion))
+        at = pose.position, pose.quaternion
+        forces = hexapod.leg_forces(*at, body.weight(pose.quaternion))
+        angles, rates = np.empty(0), np.empty(0)
+        if hexapod.rotary:
+            angles, rates = hexapod.leg_lengths(*at), hexapod.wrench_map(*at).T @ twist
         return (
-            f'    <key name="{name}" qpos="{_text([*pose.position, *pose.quaternion])}" '
-            f'qvel="{_text([*twist[:3], *spin])}" ctrl="{_text(forces)}"/>'
+            f'    <key name="{name}" qpos="{_text([*pose.position, *pose.quaternion, *angles])}" '
+            f'qvel="{_text([*twist[:3], *spin, *rates])}" ctrl="{_text(forces)}"/>'
         )
 
     return [key("home", home, np.zeros(6)), key("start", start, twist)]
