@@ -63,10 +63,7 @@ void run_blocks(std::size_t blocks, int threads, StopFlag& stop, const std::func
 
   for (std::unique_lock lock(mutex); at_work > 0;) {
     ended.wait_for(lock, kWatchEvery, [&] { return at_work == 0; });
-    if (at_work == 0 || stop) {
-      ended.wait(lock, [&] { return at_work == 0; });
-      break;
-    }
+    if (at_work == 0 || stop) break;
     lock.unlock();
     try {
       if (watch()) stop = true;
