@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper explorer explorer-test docs docs-links test test-all fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper explorer explorer-test docs docs-links wheel wheel-test test test-all fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -30,7 +30,9 @@ help:
 	make explorer  build the explorer, a page that runs the core in a browser (needs npm), for hexservo explore
 	make test     set up, run every test and check; the last line is passed or failed
 	make docs     build the site, build/site/index.html: tutorials, guides, reference, gallery (make docs-links: links to the network)
-	make test-all  the same, the site, and the explorer's tests (make explorer-test), slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
+	make wheel    build dist/: the sources' archive and a wheel that needs no compiler (PYTHONS='python3.11 python3.13': one for each)
+	make wheel-test  the same in two folders with equal bytes, and tried in new Debian systems without a compiler (as root)
+	make test-all  the same, the site, the wheel, and the explorer's tests (make explorer-test), slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
@@ -63,6 +65,17 @@ explorer-test: explorer $(ALL_TOOLS) browser-setup
 docs docs-links: $(PACKAGE) $(VENV)
 	@python -m pip install --quiet --group docs
 	python docs/tools/build_site.py $(if $(filter docs-links,$@),--links)
+
+# With the explorer in it where npm is there. The test builds twice, and uses the wheels in new Debian systems.
+wheel wheel-test: $(BUILD_TOOLS)
+	@if command -v npm >/dev/null; then $(SETUP) explorer; else echo "npm was not found: a wheel without the explorer."; fi
+	python -m pip install --quiet --group release
+	python release/build_wheels.py --out dist $(foreach python,$(PYTHONS),--python $(python)) $(if $(filter wheel-test,$@),--again)
+	if [ $@ = wheel ]; then exit 0; fi
+	if [ "$(APT)" != no ]; then
+	  $(SETUP) system PEER=mmdebstrap PEER_PROGRAM=mmdebstrap || echo "Going on without mmdebstrap."
+	fi
+	python release/try_wheels.py
 
 # A name is added to `failed` and the next check still runs. The set-up is a separate make,
 # so that its failure ends in the same last line.
@@ -100,6 +113,7 @@ test-all: test
 	@python -m pytest -m slow
 	$(SETUP) explorer-test
 	$(SETUP) docs
+	$(SETUP) wheel-test
 	$(SETUP) asan
 	$(SETUP) tsan
 	$(SETUP) fuzz
