@@ -13,6 +13,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.findings.check import keys_without_effect, unlikely
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fitted import auto_of
 from hexservo.scenario.parameters import core_parameters
 
 DEGREE = np.pi / 180
@@ -26,7 +27,7 @@ LIMITS = {
 }
 # Limits of the software, which are narrower than what the legs allow; there the joints themselves are known.
 WITHIN = np.array([11.4e-3, 11.4e-3, 13.1e-3, 0.36 * DEGREE, 0.36 * DEGREE, 0.10 * DEGREE])
-MACHINES = [*LIMITS, "rubin-camera-hexapod"]
+MACHINES = [*LIMITS, "rubin-camera-hexapod", "reachy-mini-head"]
 
 
 def travel(scenario: hs.Scenario, direction: Array) -> float:
@@ -82,7 +83,7 @@ def test_it_settles_without_a_warning(name: str) -> None:
     metrics = hs.metrics(result)
     assert (result.outcome, result.events) == ("completed", ())
     # docs/gains.md: 0.7 to 2.0 periods of the bandwidth until 5 % of the start; here until 2 px of some 20 px
-    bandwidth = scenario.controller.composite.auto.bandwidth
+    bandwidth = auto_of(scenario).bandwidth
     assert bandwidth is not None
     assert metrics["settling_time"] < 3.0 / bandwidth
     assert metrics["rms_error"] < 2.0 * scenario.camera.noise + 0.2
