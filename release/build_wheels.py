@@ -195,16 +195,9 @@ def build(source: Path, out: Path, seconds: int, pythons: list[str]) -> list[Pat
         out.mkdir(parents=True, exist_ok=True)
         files = [Path(shutil.copyfile(sources, out / sources.name))]
         for python in pythons:
-            made, repaired = raw / python, raw / f"{python}-repaired"
-            pip: list[str | Path] = [
-                tools(python),
-                "-m",
-                "pip",
-                "wheel",
-                "--no-index",
-                "--no-deps",
-                "--no-build-isolation",
-            ]
+            version = version_of(python)
+            made, repaired = raw / version, raw / f"{version}-repaired"
+            pip = (tools(version, python), "-m", "pip", "wheel", "--no-index", "--no-deps", "--no-build-isolation")
             run(*offline(), *pip, "--wheel-dir", made, sources)
             wheel = only(list(made.glob("*.whl")), "wheel")
             run(sys.executable, "-m", "auditwheel", "repair", "--wheel-dir", repaired, wheel)
