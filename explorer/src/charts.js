@@ -7,13 +7,13 @@ const AXES = ["x", "y", "z", "about x", "about y", "about z"];
 const legs = (_, i) => `leg ${i + 1}`;
 const names = (list) => (_, i) => list[i];
 
-/** What can be shown: title, quantity, unit, its columns and their names. */
+/** What can be shown: title, quantity, unit (of rotary legs `rotary`), its columns and their names. */
 export const FIGURES = {
   errors: { title: "Feature errors", quantity: "feature_error", unit: "px", name: (_, i) => `${"xy"[i % 2]}${(i >> 1) + 1}` },
   forces: { title: "Force beyond the weight", quantity: "wrench", unit: "N", from: 0, to: 3, name: names(AXES), weight: true },
   moments: { title: "Moment", quantity: "wrench", unit: "N m", from: 3, to: 6, name: names(AXES.map((name) => name.replace("about ", ""))) },
-  legs: { title: "Leg forces", quantity: "leg_forces", unit: "N", name: legs },
-  lengths: { title: "Leg lengths", quantity: "leg_lengths", unit: "m", name: legs },
+  legs: { title: "Leg forces, torques of cranks", quantity: "leg_forces", unit: "N", rotary: "N m", name: legs },
+  lengths: { title: "Leg lengths, angles of cranks", quantity: "leg_lengths", unit: "m", rotary: "rad", name: legs },
   position: { title: "Position", quantity: "position", unit: "m", name: names(AXES), change: true },
   velocity: { title: "Velocity", quantity: "twist", unit: "m/s", from: 0, to: 3, name: names(AXES) },
   turning: { title: "Angular velocity", quantity: "twist", unit: "rad/s", from: 3, to: 6, name: names(AXES) },
@@ -49,13 +49,16 @@ export class Chart {
     if (this.result) this.show(this.result);
   }
 
-  /** @param {object} result of the core, with `weight` (3,) [N in B] and `shown`, the time up to which it is drawn [s] */
+  /** @param {object} result of the core, with `weight` (3,) [N in B], `cranks` of rotary legs, and `shown`, the time up to which it is drawn [s] */
   show(result) {
     this.result = result;
-    const { quantity, unit, from = 0, to, change, weight } = FIGURES[this.figure];
+    const { quantity, unit, rotary, from = 0, to, change, weight } = FIGURES[this.figure];
     const values = result.samples[quantity];
     const width = values.length / result.rows;
-    const scale = readable(unit)[1];
+    const used = result.cranks ? rotary ?? unit : unit;
+    if (this.unit !== used) this.count = -1;
+    this.unit = used;
+    const scale = readable(used)[1];
     const columns = [];
     for (let j = from; j < Math.min(to ?? width, width); ++j) {
       const column = new Float64Array(result.rows);
@@ -71,7 +74,7 @@ export class Chart {
   build(data) {
     this.plot?.destroy();
     this.count = data.length - 1;
-    const { unit, name } = FIGURES[this.figure];
+    const { name } = FIGURES[this.figure];
     const colour = colours();
     const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26 };
     const series = data.slice(1).map((_, i) => ({ label: name(null, i), stroke: lineColour(i), width: 1.4, points: { show: false } }));
@@ -82,7 +85,7 @@ export class Chart {
         cursor: { drag: { x: false, y: false }, points: { show: false }, sync: { key: "time" } },
         legend: { show: false },
         scales: { x: { time: false, range: () => [0, this.result.shown] } },
-        axes: [{ ...axis, space: 60 }, { ...axis, size: 46, space: 28, label: readable(unit)[0], labelSize: 14, labelFont: "11px system-ui, sans-serif" }],
+        axes: [{ ...axis, space: 60 }, { ...axis, size: 46, space: 28, label: readable(this.unit)[0], labelSize: 14, labelFont: "11px system-ui, sans-serif" }],
         series: [{}, ...series],
         hooks: {
           draw: [(plot) => this.line(plot)],

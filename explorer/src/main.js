@@ -86,6 +86,7 @@ function show() {
   const mass = valueOf(state, "robot.mass") + (valueOf(state, "robot.payload.known") ? valueOf(state, "robot.payload.mass") : 0);
   result.weight = gravity.map((g) => -mass * g);
   result.shown = shown();
+  result.cranks = cranks();
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures() });
   scene.show(result, down.map((g) => -g));
   for (const chart of charts) chart.show(result);
@@ -93,6 +94,13 @@ function show() {
   verdict();
   table();
   if (document.body.dataset.map) map.show(state);
+}
+
+/** Cranks of rotary legs: length [m], axes and directions at angle 0, (6, 3) unit vectors in B each; null: prismatic legs. */
+function cranks() {
+  if (valueOf(state, "robot.legs") !== "rotary") return null;
+  const rows = (name) => [valueOf(state, `robot.cranks.${name}`)].flat(3);
+  return { length: valueOf(state, "robot.cranks.length"), axes: rows("axes"), zero: rows("zero") };
 }
 
 /** Whether the camera's pixels are what its pinhole would have: only then a goal can be dragged to one. */
@@ -277,6 +285,7 @@ globalThis.explorer = {
   go: (address) => change(() => fromAddress(address)),
   full: (address) => full(address ? fromAddress(address) : state),
   yaml: (address) => toYaml(address ? fromAddress(address) : state),
+  ends: (row) => scene.ends(row),
   presets: presets.map(({ name }) => name),
   set: (key, value) => change((now) => changed(now, key, value)),
 };

@@ -68,6 +68,17 @@ export class Scene {
     this.size = 0.5 * norm(add(high, low, -1)) || 1;
   }
 
+  /** Ends of the cranks in B at a sample: b + r (cos q e + sin q (a x e)); null where the legs have none. */
+  ends(row) {
+    const { cranks, samples } = this.result;
+    if (!cranks) return null;
+    return this.base.map((foot, i) => {
+      const [axis, zero] = [triple(cranks.axes, i), triple(cranks.zero, i)];
+      const angle = samples.leg_lengths[6 * row + i];
+      return add(add(foot, zero, cranks.length * Math.cos(angle)), cross(axis, zero), cranks.length * Math.sin(angle));
+    });
+  }
+
   /** A circle about the base, of so many times its radius. */
   floorCircle(share) {
     const middle = mean(this.base);
@@ -166,9 +177,10 @@ export class Scene {
     const thick = Math.max(2.5, Math.min(9, 0.075 * this.machine * this.pixels));
     const lost = this.result.outcome !== "completed" && row === rows - 1;
     this.base.forEach((foot, i) => {
-      const middle = add(foot, add(joints[i], foot, -1), 0.55);
+      const middle = this.ends(row)?.[i] ?? add(foot, add(joints[i], foot, -1), 0.55); // end of the crank, or of the cylinder
       push([foot, middle], stroke(colour.faint, thick));
       push([middle, joints[i]], stroke(lost ? colour.bad : colour.ink, 0.5 * thick));
+      if (this.result.cranks) ball(middle, 0.5 * thick, colour.ink);
       ball(foot, 0.6 * thick, colour.faint);
       ball(joints[i], 0.5 * thick, colour.ink);
     });

@@ -197,6 +197,26 @@ def acting(values: dict[str, Any]) -> dict[str, Any]:
 
 
 @in_browser
+def test_rotary_legs_are_drawn_as_cranks_and_rods(visit: Visit) -> None:
+    """Ends of the cranks are where the core has them, a rod's length from the platform joints."""
+    visit.go("#reachy-mini-head")
+    rows = visit.end()["rows"]
+    scenario = hs.load_scenario("reachy-mini-head")
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    for row in (0, rows // 20, rows - 1):
+        found = visit.page.evaluate(
+            "row => { const { position, quaternion } = explorer.result.samples; return { ends: explorer.ends(row), position:"
+            "[...position.subarray(3 * row, 3 * row + 3)], quaternion: [...quaternion.subarray(4 * row, 4 * row + 4)] } }",
+            row,
+        )
+        feet = hexapod.leg_feet(found["position"], found["quaternion"])
+        np.testing.assert_allclose(found["ends"], feet, rtol=0, atol=1e-7)
+    assert visit.page.evaluate("explorer.result.cranks.length") == scenario.robot.cranks.length
+    visit.go("#paper")
+    assert visit.page.evaluate("explorer.ends(0)") is None
+
+
+@in_browser
 def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Browser, file: Path) -> None:
     page = visit.page
     before = visit.end()
