@@ -113,7 +113,7 @@ py::tuple step_once(Controller& controller, const py::object& features, const py
       numbers_or_none<6>("twist", twist),
       {numbers_or_none<6>("leg_lengths", leg_lengths), numbers_or_none<6>("leg_rates", leg_rates)}};
   const ControllerOutput out = controller.step(input);
-  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.status, out.saturated);
+  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.status, out.saturated, out.leg_positions);
 }
 
 }  // namespace
@@ -132,7 +132,8 @@ void bind_controller(py::module_& m) {
       .def("step", &step_once, py::arg("features"), py::arg("depth"), py::arg("position"), py::arg("quaternion"),
            py::arg("twist"), py::arg("leg_lengths") = py::none(), py::arg("leg_rates") = py::none(),
            py::arg("exposure") = 0.0, py::arg("now") = 0.0,
-           "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input, whether it is saturated.")
+           "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input, whether it is saturated, "
+           "leg positions (6,).")
       .def("reset", &Controller::reset, "Back to the state before the first tick.")
       .def(
           "state",

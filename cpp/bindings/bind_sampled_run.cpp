@@ -40,6 +40,7 @@ py::dict recorded_ticks(const Settings& settings) {
   put("fuzzy_output", 6, [](T t) { return t.output.fuzzy_output; });
   put("status", 1, [](T t) { return One(static_cast<double>(static_cast<int>(t.output.status))); });
   put("saturated", 1, [](T t) { return One(t.output.saturated ? 1.0 : 0.0); });
+  put("leg_positions", 6, [](T t) { return t.output.leg_positions; });
   return columns;
 }
 

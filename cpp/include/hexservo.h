@@ -31,7 +31,7 @@
 #include <stdint.h>
 
 /** Changes with anything here that a program compiled before would misunderstand; see `hexservo_interface`. */
-#define HEXSERVO_INTERFACE 1
+#define HEXSERVO_INTERFACE 2
 
 #if defined(__GNUC__) || defined(__clang__)
 #define HEXSERVO_API __attribute__((visibility("default")))
@@ -253,7 +253,9 @@ typedef struct hexservo_output {
   double leg_forces[6];         /**< positive where they push [N] */
   double fuzzy_output[6];       /**< [N; N m] */
   hexservo_input_status status; /**< unless valid the wrench brakes and holds the platform, and nothing is learned */
-  int saturated;                /**< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set */
+  int saturated;                /**< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set, or
+                                     the legs cannot move as the law would where `actuators.kind` is position */
+  double leg_positions[6];      /**< what each leg shall go to where `actuators.kind` is position [m]; otherwise NaN */
 } hexservo_output;
 
 /** An input of which nothing is known. */

@@ -656,6 +656,7 @@ void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hex
   put(out.wrench, output->wrench);
   put(out.leg_forces, output->leg_forces);
   put(out.fuzzy_output, output->fuzzy_output);
+  put(out.leg_positions, output->leg_positions);
   output->status = status_of(out.status);
   output->saturated = out.saturated ? 1 : 0;
 }
@@ -668,6 +669,8 @@ hexservo_status hexservo_plant_create(hexservo_scenario* scenario, hexservo_plan
     const Settings& settings = scenario->settings;
     if (settings.simulation.mode != LoopMode::sampled)
       refuse("simulation.mode", "sampled for a plant that is commanded", "continuous");
+    if (settings.actuators.kind == ActuatorKind::position)
+      refuse("actuators.kind", "force for a plant that is commanded, whose wrench acts on the platform", "position");
     *plant = with_loop(
         settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_plant* {
           const FlushSubnormals flush;

@@ -107,7 +107,7 @@ ControllerOutput step(const ControllerGains<Law, N>& gains, ControllerState<Law,
   ServoTick<double, Law> tick;
   evaluate(gains, state, in_ticks(input, gains.period), tick);
   adapt(gains, state, tick, true);
-  return detail::output_of(tick, state.perception.now());
+  return detail::output_of<Law, N>(tick, state);
 }
 
 template <class Law, int N>

@@ -16,9 +16,10 @@ InputStatus status_of(const Perceived<double, N>& seen, bool acts) noexcept {
 }
 
 template <class Law, int N>
-ControllerOutput output_of(const ServoTick<double, Law>& tick, const Perceived<double, N>& seen) noexcept {
-  return {tick.command.wrench, tick.command.leg_forces, tick.law.fuzzy_output, status_of(seen, tick.command.acts),
-          tick.command.saturated};
+ControllerOutput output_of(const ServoTick<double, Law>& tick, const SafetyState<double, N>& state) noexcept {
+  return {tick.command.wrench,    tick.command.leg_forces,
+          tick.law.fuzzy_output,  status_of(state.perception.now(), tick.command.acts),
+          tick.command.saturated, state.motion.legs};
 }
 
 }  // namespace hexservo::detail

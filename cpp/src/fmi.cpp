@@ -207,11 +207,8 @@ class Controller final : public Model {
   }
 
   Places places() const override {
-    return {{"wrench", output_.wrench},
-            {"leg_forces", output_.leg_forces},
-            {"fuzzy_output", output_.fuzzy_output},
-            {"status", &status_},
-            {"saturated", &saturated_}};
+    return {{"wrench", output_.wrench}, {"leg_forces", output_.leg_forces}, {"fuzzy_output", output_.fuzzy_output},
+            {"status", &status_},       {"saturated", &saturated_},         {"leg_positions", output_.leg_positions}};
   }
 
   std::string advance(std::int64_t from, std::int64_t count) override {

@@ -1,5 +1,6 @@
 #include "hexservo/settings.hpp"
 
+#include "hexservo/position_actuators.hpp"
 #include "motion.hpp"
 #include "walk.hpp"
 
@@ -227,8 +228,76 @@ EncoderParameters<double> encoder_parameters(const SensorSettings& sensors, doub
   return {sensors, sensors.period == 0.0 ? 1 : ticks("sensors.period", sensors.period, period, 1)};
 }
 
-ActuatorParameters<double> actuator_parameters(const ActuatorSettings& settings, double period) {
-  ActuatorParameters<double> actuators{settings, ticks("actuators.delay", settings.delay, period, 0)};
+/// Refuses numbers of a block that another kind of actuators would use.
+/// @param key what its keys begin with; @param wanted the kind that uses them
+/// @param is_other whether a key of the block is one of them
+template <class T, class F>
+void require_defaults(std::string_view key, const T& block, std::string_view wanted, F&& is_other) {
+  const T unset{};
+  T::visit(
+      [&]<class M>(const Field& field, const M& value, const M& usual) {
+        if constexpr (!Visited<M>)
+          if (is_other(field.name) && !(value == usual))
+            refuse(words(key, ".", field.name),
+                   words("its default where actuators.kind is not ", wanted, ", since it has no effect there"),
+                   "another value");
+      },
+      block, unset);
+}
+
+/// What of the scenario's keys has no effect on its kind of actuators is refused.
+void require_keys_with_effect(const Settings& settings) {
+  const ActuatorSettings& actuators = settings.actuators;
+  const auto any_key = [](std::string_view) { return true; };
+  if (actuators.kind == ActuatorKind::force) {
+    require_defaults("actuators.position", actuators.position, "position", any_key);
+    require_defaults("controller.virtual_platform", settings.controller.virtual_platform, "position", any_key);
+    return;
+  }
+  const auto of_forces = [](std::string_view name) { return name != "kind" && name != "delay"; };
+  require_defaults("actuators", actuators, "force", of_forces);
+  if (settings.controller.safe.damping || settings.controller.safe.hold)
+    refuse(settings.controller.safe.damping ? "controller.safe.damping" : "controller.safe.hold",
+           "none where actuators.kind is position: there the legs stop and stay", "numbers");
+  if (settings.camera.convention == CameraConvention::as_printed)
+    refuse("camera.convention", "eye_in_hand where actuators.kind is position: the image follows from the pose",
+           "as_printed");
+}
+
+/// The same of the law's keys, and that there is a motion which its wrench stands for.
+template <class Law, int N>
+void require_motion(const Settings& settings, const LoopParameters<double, Law, N>& p) {
+  if (p.mode != LoopMode::sampled || p.actuators.kind != ActuatorKind::position) return;
+  const std::string block = words("controller.", Law::traits.name, ".");
+  const Vector6<double> inertia = mass_matrix(p.body, Matrix3<double>(Matrix3<double>::Identity())).diagonal();
+  if constexpr (requires { Law::viscosity(p.gains); }) {
+    if (!(Law::viscosity(p.gains).minCoeff() > 0.0))
+      refuse(block + (Law::traits.output == LawOutput::twist ? "ki" : "kd"),
+             "numbers > 0 where actuators.kind is position: the commanded twist is what the law adds, over them",
+             words(Law::viscosity(p.gains).minCoeff()));
+    if (settings.controller.virtual_platform.damping != Vector6<double>::Zero())
+      refuse("controller.virtual_platform.damping",
+             words("0 with the law ", Law::traits.name, ", whose platform moves at a commanded twist, without mass"),
+             "other numbers");
+  }
+  constexpr double kStable = 2.5;  // of the Runge-Kutta method on the negative axis, 2.78
+  for (int i = 0; i < 6; ++i)
+    if (!(p.virtual_damping(i) * p.step <= kStable * inertia(i)))
+      refuse(
+          words("controller.virtual_platform.damping[", i, "]"),
+          words("at most ", kStable * inertia(i) / p.step, ", that of a motion which lasts longer than a servo period"),
+          words(p.virtual_damping(i)));
+}
+
+ActuatorParameters<double> actuator_parameters(const Settings& scenario, double period) {
+  require_keys_with_effect(scenario);
+  const ActuatorSettings& settings = scenario.actuators;
+  ActuatorParameters<double> actuators{settings, ticks("actuators.delay", settings.delay, period, 0), settings.position,
+                                       Vector4<double>::Zero()};
+  if (actuators.kind == ActuatorKind::position) {
+    const double step = period / static_cast<double>(scenario.simulation.substeps * kLegSteps);
+    actuators.transition = leg_transition(settings.position.bandwidth, settings.position.damping, step);
+  }
   if (actuators.delay > kMaxActuatorDelay)
     refuse("actuators.delay",
            words("at most ", kMaxActuatorDelay, " servo periods (", kMaxActuatorDelay * period, " s)"),
@@ -371,7 +440,8 @@ void prepare_devices(const Settings& settings, SceneParameters<double, N>& p) {
            "as_printed");
   p.pose_source = settings.sensors.pose;
   p.encoders = encoder_parameters(settings.sensors, p.step);
-  p.actuators = actuator_parameters(settings.actuators, p.step);
+  p.actuators = actuator_parameters(settings, p.step);
+  p.virtual_damping = settings.controller.virtual_platform.damping;
   // Until a motion acts on the platform again; a lag that is infinitely fast adds nothing.
   const double delay = p.step * static_cast<double>((p.pose_source == PoseSource::encoders ? p.encoders.period : 1) +
                                                     p.actuators.delay) +
@@ -558,6 +628,7 @@ LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const H
     validate(p.gains.fuzzy, block + ".fuzzy.");
     require_resolved(p.gains.fuzzy, block + ".fuzzy.", p.step);
   }
+  require_motion(settings, p);
   const StopCause cause = cause_at_start(p);
   if (cause == StopCause::solver_failed)
     refuse("sensors.noise", "encoders whose first readings belong to a pose", words(p.encoders.noise, " m"));

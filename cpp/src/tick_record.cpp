@@ -25,7 +25,7 @@ std::vector<RecordedTick> record_ticks_of(const Settings& settings) {
     fill_places<2>(image.features, parameters.points);
     fill_places<1>(image.depth, parameters.points);
     ticks.push_back({{sensed.now * T, {sensed.frame.exposure * T, image}, sensed.pose, sensed.twist, sensed.joints},
-                     detail::output_of(loop.tick(), loop.perceived())});
+                     detail::output_of<Law, N>(loop.tick(), loop.servo_state())});
     if (loop.steps() == steps) return ticks;
     loop.advance();
     if (!loop.record().running()) return ticks;

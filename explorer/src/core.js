@@ -22,7 +22,7 @@ export const QUANTITIES = [
   "leg_forces",
 ];
 
-const INTERFACE = 1;
+const INTERFACE = 2;
 const MOST_REFUSALS = 300;
 const SCENE = { base_joints: 18, platform_joints: 18, home_position: 3, home_quaternion: 4, camera_position: 3, camera_attitude: 9, focal: 1 };
 const SCENE_BYTES = 8 * Object.values(SCENE).reduce((sum, count) => sum + count, 0);

@@ -264,7 +264,7 @@ def ticked(scenario: hs.Scenario, ticks: int) -> list[Array]:
         position[1] = sway
         twist[0] = 2.0 * sway
         now = k * period
-        wrench, leg_forces, fuzzy_output, status, _ = controller.step(
+        wrench, leg_forces, fuzzy_output, status, *_ = controller.step(
             features, depth, position, [1.0, 0.0, 0.0, 0.0], twist, None, None, now, now
         )
         assert status == _core.InputStatus.valid

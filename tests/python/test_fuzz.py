@@ -24,7 +24,7 @@ SEED = 20261122
 TRIALS = {
     "runs": 60,
     "certify": 15,
-    "analyse": 20,
+    "analyse": 30,
     "diagnose": 24,
     "batch": 25,
     "ticks": 40,

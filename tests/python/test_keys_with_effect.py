@@ -45,6 +45,11 @@ SAMPLED: dict[str, Any] = {
     "actuators.bandwidth": 100.0,
     "actuators.quantisation": 1e-4,
     "actuators.delay": 0.001,
+    "actuators.kind": "position",
+    "actuators.position.bandwidth": 30.0,
+    "actuators.position.damping": 0.7,
+    "actuators.position.speed_limit": 0.01,
+    "actuators.position.acceleration_limit": 0.1,
     "base_motion.kind": "sinusoid",
     "base_motion.amplitude": [0.1, 0.0, 0.0],
     "base_motion.frequency": 3.0,
@@ -82,6 +87,7 @@ SAMPLED: dict[str, Any] = {
     "simulation.substeps": 2,
     "controller.safe.damping": 1.0,
     "controller.safe.hold": 10.0,
+    "controller.virtual_platform.damping": 1e-3,
     "uncertainty.focal_length": 0.02,
     "uncertainty.principal_point": [3.0, -2.0],
 }
@@ -92,6 +98,11 @@ RECORDING, WAY = (
 )
 TOGETHER = {key: keys for keys in (RECORDING, WAY) for key in keys} | {
     "base_motion.attitudes": (*RECORDING, "base_motion.attitudes")
+}
+TOGETHER |= {
+    key: ("actuators.kind", key)
+    for key in SAMPLED
+    if key.startswith("actuators.position.") or key == "controller.virtual_platform.damping"
 }
 READ = {"base_motion.file", "base_motion.frame_of_acceleration", "target.motion.file"}  # into samples
 SENTENCE = "no effect in continuous mode; set simulation.mode: sampled, or drop"

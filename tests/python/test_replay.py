@@ -34,7 +34,12 @@ GIVEN = {
     "leg_lengths": 6,
     "leg_rates": 6,
 }
-ANSWERED = {"wrench": 6, "leg_forces": 6, "fuzzy_output": 6, "status": 1, "saturated": 1}
+ANSWERED = {"wrench": 6, "leg_forces": 6, "fuzzy_output": 6, "status": 1, "saturated": 1, "leg_positions": 6}
+POSITIONS = {
+    "actuators.kind": "position",
+    "actuators.delay": 0.002,
+    "actuators.position": {"bandwidth": 30.0, "damping": 0.8, "speed_limit": 0.05, "acceleration_limit": 1.0},
+}
 
 # Reads recorded inputs of the scenario that it is asked for, and writes what the exported controller answers.
 PROGRAM = """
@@ -62,12 +67,13 @@ int replay(const hexservo::ServoGains<double, Law, N>& gains) {
     take(input.joints.lengths);
     take(input.joints.rates);
     const hexservo::ControllerOutput out = hexservo::step(gains, state, input);
-    double answer[20];
+    double answer[26];
     std::copy_n(out.wrench.data(), 6, answer);
     std::copy_n(out.leg_forces.data(), 6, answer + 6);
     std::copy_n(out.fuzzy_output.data(), 6, answer + 12);
     answer[18] = static_cast<int>(out.status);
     answer[19] = out.saturated;
+    std::copy_n(out.leg_positions.data(), 6, answer + 20);
     std::fwrite(answer, sizeof answer, 1, stdout);
   }
   return 0;
@@ -88,6 +94,9 @@ def sampled_scenarios() -> Iterator[hs.Scenario]:
         for law in LAWS:
             with contextlib.suppress(hs.ScenarioError):  # a law may have no pose of the goal
                 yield scenario.updated({"name": f"{name}-{law}", "controller.law": law})
+    for law in LAWS:
+        changes = {"name": f"positions-{law}", "controller.law": law, "simulation.duration": 0.5, **POSITIONS}
+        yield hs.load_scenario("composite-30hz").updated({**changes, "metrics.rms_start": 0.0})
     for count in (3, 5, 8, 16):
         for law in LAWS:
             if count > 3 or law != "pbvs":
@@ -193,8 +202,9 @@ def test_the_recorded_run_is_the_simulated_one(law: str, monkeypatch: pytest.Mon
         {},  # prediction, late frames
         {"sensors.pose": "encoders", "camera.dropout": 0.4, "camera.on_lost": "hold"},
         {"camera.prediction": "none", "camera.dropout": 0.4, "camera.timeout": 0.08},  # brakes now and then
+        POSITIONS,
     ],
-    ids=["prediction", "encoders", "timeout"],
+    ids=["prediction", "encoders", "timeout", "positions"],
 )
 def test_a_pickled_controller_continues_bit_for_bit(law: str, changes: dict[str, object]) -> None:
     scenario = hs.load_scenario("composite-30hz").updated(

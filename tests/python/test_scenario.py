@@ -290,8 +290,8 @@ def test_refused(path: str, value: Any, words: str) -> None:
         ("controller.hybrid.zzz", "unknown key; known keys: auto, kp, kv, fuzzy"),
         (
             "controller.pid",
-            "unknown key; known keys: law, jacobian, switching, safe, hybrid, composite, kelly, resolved_rate, pbvs, "
-            "computed_torque",
+            "unknown key; known keys: law, jacobian, switching, safe, virtual_platform, hybrid, composite, kelly, "
+            "resolved_rate, pbvs, computed_torque",
         ),
         ("controller.composite.kz", "unknown key; known keys: auto, kp, kv, kt, kd, drive, prior, fuzzy"),
         ("uncertainty.depth.first", "unknown key; uncertainty.depth is a value and holds no keys"),

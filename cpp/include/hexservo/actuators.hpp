@@ -1,6 +1,6 @@
 /// @file
-/// Actuators of the sampled loop: from the wrench that the law commands at a tick to what acts on the platform until
-/// the next one (docs/model.md, section 7).
+/// Actuators of the sampled loop that take forces: from the wrench that the law commands at a tick to what acts on the
+/// platform until the next one (docs/model.md, section 7).
 ///
 ///     f = H^-1 tau          leg forces, H at the controller's pose
 ///     f <- nearest multiple of the quantisation, then clip(f, -limit, limit)
@@ -19,6 +19,12 @@
 
 namespace hexservo {
 
+/// What the drives of the legs take.
+enum class ActuatorKind {
+  force,    ///< the force of each leg
+  position  ///< where each leg shall go (position_actuators.hpp)
+};
+
 /// What stays the same between two ticks.
 enum class ActuatorHold {
   wrench,     ///< tau, in B
@@ -30,6 +36,7 @@ inline constexpr int kMaxActuatorDelay = 8;  ///< largest delay [ticks]
 /// What the actuators of all legs make of a command. The defaults do nothing.
 template <class S>
 struct ActuatorResponse {
+  ActuatorKind kind = ActuatorKind::force;               ///< what the drives take
   ActuatorHold hold = ActuatorHold::wrench;              ///< what stays the same between two ticks
   bool saturation = false;                               ///< whether leg forces are limited to +-force_limit
   S bandwidth{std::numeric_limits<double>::infinity()};  ///< of the first-order lag, > 0 [Hz], infinity (none)
@@ -37,6 +44,7 @@ struct ActuatorResponse {
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
+    v(Field{"kind"}.of_pack().in_sampled_mode(), self.kind...);
     v(Field{"hold"}.of_pack().of_plant().in_sampled_mode(), self.hold...);
     v(Field{"saturation"}.of_pack().in_sampled_mode(), self.saturation...);
     v(Field{"bandwidth", "Hz", kPositiveOrNone}.in_sampled_mode(), self.bandwidth...);
@@ -44,15 +52,36 @@ struct ActuatorResponse {
   }
 };
 
+/// How a leg whose drive takes positions follows its command.
+template <class S>
+struct PositionResponse {
+  S bandwidth{20.0};                                       ///< w/(2 pi), undamped natural frequency of a leg [Hz], 20
+  S damping{1.0};                                          ///< zeta [1], 1
+  S speed_limit{std::numeric_limits<double>::infinity()};  ///< v_max [m/s], infinity (none)
+  S acceleration_limit{std::numeric_limits<double>::infinity()};  ///< a_max [m/s^2], infinity (none)
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"bandwidth", "Hz", kPositive}.of_plant().in_sampled_mode(), self.bandwidth...);
+    v(Field{"damping", "1", kPositive}.of_plant().in_sampled_mode(), self.damping...);
+    v(Field{"speed_limit", "m/s", kPositiveOrNone}.in_sampled_mode(), self.speed_limit...);
+    v(Field{"acceleration_limit", "m/s^2", kPositiveOrNone}.in_sampled_mode(), self.acceleration_limit...);
+  }
+};
+
 /// The same with their delay.
 template <class S>
 struct ActuatorParameters : ActuatorResponse<S> {
   long long delay = 0;  ///< [ticks], 0 to `kMaxActuatorDelay`, 0
+  PositionResponse<S> position;
+  Vector4<S> transition = Vector4<S>::Zero();  ///< `leg_transition` of a leg's step, where drives take positions
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     ActuatorResponse<S>::visit(v, self...);
     v(Field{"delay"}, self.delay...);
+    v(Field{"position"}, self.position...);
+    v(Field{"transition"}, self.transition...);
   }
 };
 

@@ -79,6 +79,10 @@ struct ControllerOutput {
   InputStatus status;
   bool
       saturated;  ///< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set: nothing is learned
+  /// Where `actuators.kind` is `position`: q*, what each leg shall go to, lengths [m] or angles of cranks [rad]; NaN
+  /// before the joints have been known once, and for machines that take forces. Wrench and leg forces are then what the
+  /// estimated platform needs to move so, and `saturated` is set where the legs cannot move as the law would.
+  Vector6<double> leg_positions;
 
   bool invalid_input() const noexcept { return status != InputStatus::valid; }
 };

@@ -48,10 +48,11 @@ struct SceneParameters {
   long long substeps = 1;   ///< Runge-Kutta steps in a servo period
   FrameSettings<S> frames;  ///< of the camera in `sampled` mode
   PoseSource pose_source = PoseSource::truth;
-  EncoderParameters<S> encoders;        ///< where they are the pose's source
-  ActuatorParameters<S> actuators;      ///< in `sampled` mode
-  SafeGains<S> safe;                    ///< in `sampled` mode
-  BaseMotionParameters<S> base_motion;  ///< in `sampled` mode
+  EncoderParameters<S> encoders;                    ///< where they are the pose's source
+  ActuatorParameters<S> actuators;                  ///< in `sampled` mode
+  SafeGains<S> safe;                                ///< in `sampled` mode
+  Vector6<S> virtual_damping = Vector6<S>::Zero();  ///< D_v, of machines that take positions [N s/m; N m s/rad]
+  BaseMotionParameters<S> base_motion;              ///< in `sampled` mode
   TargetFrame target_frame = TargetFrame::base;
   TargetMotionParameters<S> target_motion;  ///< in `sampled` mode
   LimitPolicy on_limit = LimitPolicy::report;
@@ -92,6 +93,7 @@ struct SceneParameters {
     v(Field{"encoders"}, self.encoders...);
     v(Field{"actuators"}, self.actuators...);
     v(Field{"safe"}, self.safe...);
+    v(Field{"virtual_damping"}, self.virtual_damping...);
     v(Field{"base_motion"}, self.base_motion...);
     v(Field{"target_frame"}, self.target_frame...);
     v(Field{"target_motion"}, self.target_motion...);

@@ -317,6 +317,10 @@ struct Plant {
   Matrix6<S> mass_matrix_at(const Matrix3<S>& R_BE) const {
     return (Matrix6<S>::Ones() - dynamics_error.inertia).cwiseProduct(mass_matrix(body, R_BE));
   }
+  /// (1 - delta_C) o C at an attitude and a twist, 6x6.
+  Matrix6<S> coriolis_matrix_at(const Matrix3<S>& R_BE, const Vector6<S>& twist) const {
+    return (Matrix6<S>::Ones() - dynamics_error.coriolis).cwiseProduct(coriolis_matrix(body, R_BE, twist));
+  }
   /// (1 - delta_G) o G at an attitude [N; N m].
   Vector6<S> weight_at(const Matrix3<S>& R_BE) const {
     if (!body.off_centre) return weight;
@@ -337,8 +341,7 @@ template <class S>
 [[gnu::noinline, gnu::cold]] SideBySide<S, 6> acceleration_off_centre(const Plant<S>& plant, const Matrix3<S>& R_BE,
                                                                       const Vector6<S>& twist,
                                                                       const Vector6<S>& wrench) {
-  const Matrix6<S> C =
-      (Matrix6<S>::Ones() - plant.dynamics_error.coriolis).cwiseProduct(coriolis_matrix(plant.body, R_BE, twist));
+  const Matrix6<S> C = plant.coriolis_matrix_at(R_BE, twist);
   Vector6<S> rest = wrench - plant.weight_at(R_BE);
   for (int j = 0; j < 6; ++j)
     for (int i = 0; i < 6; ++i) rest(i) -= C(i, j) * twist(j);

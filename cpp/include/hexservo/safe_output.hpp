@@ -8,6 +8,7 @@
 /// leg forces of the last pose that was.
 #pragma once
 
+#include "hexservo/commanded_motion.hpp"
 #include "hexservo/perception.hpp"
 
 namespace hexservo {
@@ -30,19 +31,25 @@ template <class S, int N = kPoints>
 struct SafetyGains : Sensing<S, N> {
   RigidBody<S> body;  ///< as estimated
   SafeGains<S> safe;
-  S saturation_limit;  ///< leg force beyond which integral action waits [N]; infinite where nothing limits it
+  S saturation_limit;     ///< leg force beyond which integral action waits [N]; infinite where nothing limits it
+  MotionGains<S> motion;  ///< of a machine that takes positions (motion_command.hpp)
 };
 
 /// What that takes from tick to tick.
 template <class S, int N = kPoints>
 struct SafetyState {
   explicit SafetyState(const SafetyGains<S, N>& gains)
-      : perception(gains), last_pose(home_pose(gains.hexapod)), stop_pose(last_pose), braking(false) {}
+      : perception(gains), last_pose(home_pose(gains.hexapod)), stop_pose(last_pose), braking(false) {
+    motion.acts = gains.motion.acts;
+    motion.pose = last_pose;
+  }
 
   Perception<S, N> perception;
   Pose<S> last_pose;  ///< the last one that was known and not singular; home before the first
   Pose<S> stop_pose;  ///< chi_stop
   Mask<S> braking;    ///< where the tick before had no law either
+  CommandedMotion<S> motion;
+  Perceived<S, N> carried{};  ///< what a virtual platform sees, where there is one; computed at each tick
 
   /// Calls `f` with each member, always in the same order.
   template <class F>
@@ -53,6 +60,7 @@ struct SafetyState {
     f(stop_pose.position);
     f(stop_pose.quaternion);
     f(braking);
+    motion.for_each_member(f);
   }
 };
 

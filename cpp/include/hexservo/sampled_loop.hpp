@@ -8,11 +8,16 @@
 #pragma once
 
 #include "hexservo/loop_record.hpp"
+#include "hexservo/position_actuators.hpp"
 #include "hexservo/servo.hpp"
 
 #include <optional>
 
 namespace hexservo {
+
+/// Newton rounds that a platform follows its legs in, within a Runge-Kutta step: four find a pose 0.1 r_p and 0.1 rad
+/// away.
+inline constexpr int kFollowingRounds = 4;
 
 /// Plant, sensors and actuators on the grid of the servo's ticks.
 template <class S, int N = kPoints>
@@ -39,7 +44,11 @@ class SampledPlant {
     sensed_.pose = home_pose(p.hexapod);
     sensed_.twist.setZero();
     if (p.pose_source == PoseSource::encoders) encoders_.emplace(p.encoders, p.seed);
-    if (acts(p.actuators)) {
+    if (p.actuators.kind == ActuatorKind::position) {
+      const Legs<S> legs = legs_at(position_of(state_.body), state_.view.R_BE);
+      positioned_.emplace(p.actuators, period_ / static_cast<double>(substeps_), legs.lengths,
+                          legs.rates(twist_of(state_.body)));
+    } else if (acts(p.actuators)) {
       const WrenchMapSolver<S> solver(hexapod_, legs_at(position_of(state_.body), state_.view.R_BE));
       actuators_.emplace(p.actuators, hexapod_.force_limit, p.step,
                          solver.leg_forces(gravity_wrench(p.body, state_.view.R_BE)));
@@ -75,9 +84,30 @@ class SampledPlant {
     record_.accept(time(), state_, lengths, singular, wrench_, leg_forces_, fuzzy_output, seen.unsensed);
   }
 
+  /// Takes the controller's command to legs whose drives take positions.
+  /// @param positions q* [m], or [rad]
+  [[gnu::noinline, gnu::cold]] void position(const Vector6<S>& positions, const Command<S>& command,
+                                             const Perceived<S, N>& seen, const Vector6<S>& fuzzy_output) noexcept {
+    positioned_->command(positions);
+    const Vector3<S> p_BE = position_of(state_.body);
+    const LegsSideBySide<S> found = inverse_kinematics(leg_geometry_, p_BE, state_.view.R_BE);
+    const WrenchMapSolver<S> solver(leg_geometry_, found);
+    const Legs<S> legs{found.lengths.vector(), found.directions_B.matrix(), found.arms_B.matrix()};
+    const Vector6<S> bias = leg_bias(leg_geometry_, legs, p_BE, twist_of(state_.body));
+    wrench_.setZero();  // then what acts is of the base alone
+    wrench_ =
+        world_.needed_wrench(state_, solver.twist(positioned_->accelerations() - bias)) - acting_wrench(time(), state_);
+    leg_forces_ = solver.leg_forces(wrench_);
+    if (stops_where_lost_) record_.stop(StopCause::feature_lost, seen.lost);
+    if (any(command.law_failed)) record_.stop(StopCause::not_finite, command.law_failed);
+    record_.accept(time(), state_, legs.lengths, solver.failed(), wrench_, leg_forces_, fuzzy_output, seen.unsensed);
+  }
+
   /// To the next tick, in `substeps` Runge-Kutta steps.
   /// @return lanes that go on; the others stay as they are
   Mask<S> advance() noexcept {
+    if (positioned_) [[unlikely]]
+      return follow_legs();
     const double h = period_ / static_cast<double>(substeps_);
     WorldState<S, N> next = state_;
     S nearest = -S(std::numeric_limits<double>::infinity());
@@ -101,10 +131,7 @@ class SampledPlant {
             nearest = max(nearest, nearest_depth(next, rates));
           });
     }
-    ++ticks_;
-    record_.judge(next, nearest);
-    replace(state_, next, record_.running());
-    read_sensors();
+    end_tick(next, nearest);
     return record_.running();
   }
 
@@ -130,6 +157,36 @@ class SampledPlant {
   WorldState<S, N> start(const LoopParameters<S, Law, N>& p) noexcept {
     if (target_moves_) place_target(0.0);
     return world_.start(p);
+  }
+
+  /// To the next tick behind legs that take positions: forward kinematics from the pose before, at a fixed cost.
+  [[gnu::noinline, gnu::cold]] Mask<S> follow_legs() noexcept {
+    const double h = period_ / static_cast<double>(substeps_);
+    WorldState<S, N> next = state_;
+    S nearest = -S(std::numeric_limits<double>::infinity());
+    Mask<S> followed(true);
+    for (long long step = 0; step < substeps_; ++step) {
+      positioned_->advance();
+      if (target_moves_) place_target(static_cast<double>(ticks_) * period_ + static_cast<double>(step + 1) * h);
+      const ForwardKinematics<S> found = forward_kinematics(
+          hexapod_, positioned_->positions(), {position_of(next.body), quaternion_of(next.body)}, kFollowingRounds);
+      followed = followed & found.converged;
+      const WrenchMapSolver<S> solver(leg_geometry_, inverse_kinematics(leg_geometry_, found.pose.position,
+                                                                        rotation_matrix(found.pose.quaternion)));
+      next = world_.seen_from(BodyMotion<S>::of(body_state<S>(found.pose, solver.twist(positioned_->rates()))));
+      nearest = max(nearest, nearest_depth(next.view.image));
+    }
+    record_.stop(StopCause::solver_failed, !followed);
+    end_tick(next, nearest);
+    return record_.running();
+  }
+
+  /// Takes over the state at the end of a tick, where it is good.
+  [[gnu::always_inline]] void end_tick(const WorldState<S, N>& next, const S& nearest) noexcept {
+    ++ticks_;
+    record_.judge(next, nearest);
+    replace(state_, next, record_.running());
+    read_sensors();
   }
 
   [[gnu::noinline]] void place_target(double time) noexcept { world_.place_target(target_.points(time, base_)); }
@@ -175,8 +232,9 @@ class SampledPlant {
   Hexapod<S> hexapod_;
   LegGeometry<S> leg_geometry_;
   bool holds_leg_forces_;
-  std::optional<Encoders<S>> encoders_;    ///< where they are the pose's source
-  std::optional<Actuators<S>> actuators_;  ///< where they do anything
+  std::optional<Encoders<S>> encoders_;          ///< where they are the pose's source
+  std::optional<Actuators<S>> actuators_;        ///< where they do anything
+  std::optional<PositionedLegs<S>> positioned_;  ///< where they take positions
   Frames<S, N> frames_;
   LoopRecord<S, N> record_;
   SensorInput<S, N> sensed_;
@@ -248,13 +306,16 @@ class SampledLoop {
   const LawState& law_state() const noexcept { return state_.law; }
   /// What the sensors gave at this tick, what the controller made of it, and what it commanded.
   const SensorInput<S, N>& sensed() const noexcept { return plant_.sense(); }
-  const Perceived<S, N>& perceived() const noexcept { return state_.perception.now(); }
+  const ServoState<S, Law, N>& servo_state() const noexcept { return state_; }
   const ServoTick<S, Law>& tick() const noexcept { return now_; }
 
  private:
   void act() noexcept {
     evaluate(gains_, state_, plant_.sense(), now_);
-    plant_.command(now_.command, state_.perception.now(), now_.law.fuzzy_output);
+    if (gains_.motion.acts) [[unlikely]]
+      plant_.position(state_.motion.legs, now_.command, state_.perception.now(), now_.law.fuzzy_output);
+    else
+      plant_.command(now_.command, state_.perception.now(), now_.law.fuzzy_output);
   }
 
   ServoGains<S, Law, N> gains_;

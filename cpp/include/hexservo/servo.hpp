@@ -4,7 +4,7 @@
 #pragma once
 
 #include "hexservo/loop_parameters.hpp"
-#include "hexservo/safe_output.hpp"
+#include "hexservo/motion_command.hpp"
 
 #include <array>
 
@@ -40,6 +40,21 @@ struct ServoTick {
   Command<S> command;
 };
 
+/// How the law of a scenario moves a platform that takes positions.
+template <class S, class Law, int N>
+MotionGains<S> motion_gains(const LoopParameters<S, Law, N>& p) {
+  MotionGains<S> motion;
+  motion.acts = p.mode == LoopMode::sampled && p.actuators.kind == ActuatorKind::position;
+  if constexpr (requires { Law::viscosity(p.gains); }) {
+    motion.massless = true;
+    motion.viscosity = Law::viscosity(p.gains);
+  }
+  motion.damping = p.virtual_damping;
+  motion.speed_limit = p.actuators.position.speed_limit;
+  motion.acceleration_limit = p.actuators.position.acceleration_limit;
+  return motion;
+}
+
 /// What decides on a command for a scenario, estimates only.
 template <class S, class Law, int N>
 SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
@@ -47,7 +62,8 @@ SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
            p.pose_source, p.encoders, p.step, p.points},
           p.body,
           p.safe,
-          p.actuators.saturation ? p.hexapod.force_limit : S(std::numeric_limits<double>::infinity())};
+          p.actuators.saturation ? p.hexapod.force_limit : S(std::numeric_limits<double>::infinity()),
+          motion_gains(p)};
 }
 
 /// The controller of a scenario.
@@ -62,18 +78,23 @@ template <class S, class Law, int N>
 void evaluate(const ServoGains<S, Law, N>& gains, ServoState<S, Law, N>& state, const SensorInput<S, N>& input,
               ServoTick<S, Law>& tick) noexcept {
   state.perception.update(gains, input);
-  const Perceived<S, N>& seen = state.perception.now();
+  if (gains.motion.acts) [[unlikely]]
+    see_from_command(gains, state);
+  const Perceived<S, N>& seen = gains.motion.acts ? state.carried : state.perception.now();
   const Vector<S, N> inverse_depth = seen.image.depth.cwiseInverse();
   // Any number may go through this; what comes of unusable ones is not taken over.
   Law::evaluate(gains.task, gains.law, typename Law::template Stage<S>{&state.law},
                 LawInput<S, N>{seen.image.features, inverse_depth, seen.R_BE, seen.twist, seen.pose}, tick.law);
-  decide(gains, state, tick.law.wrench, tick.command);
+  if (gains.motion.acts) [[unlikely]]
+    command_motion(gains, state, tick.law.wrench, tick.command);
+  else
+    decide(gains, state, tick.law.wrench, tick.command);
   if (!all(tick.command.acts))
     tick.law.fuzzy_output = select(tick.command.acts, tick.law.fuzzy_output, Vector6<S>(Vector6<S>::Zero()));
 }
 
 /// Advances the law's memory over a period by forward Euler, (22); it waits where the law does not act, and where its
-/// command is more than the legs can give.
+/// command is more than the legs can give or follow.
 /// @param where lanes to advance
 template <class S, class Law, int N>
 void adapt(const ServoGains<S, Law, N>& gains, ServoState<S, Law, N>& state, const ServoTick<S, Law>& tick,

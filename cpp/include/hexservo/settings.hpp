@@ -123,11 +123,13 @@ struct SensorSettings : EncoderReadings<double> {
 /// The actuators in `sampled` mode.
 struct ActuatorSettings : ActuatorResponse<double> {
   double delay = 0.0;  ///< a whole number of servo periods [s], 0
+  PositionResponse<double> position;
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     ActuatorResponse<double>::visit(v, self...);
     v(Field{"delay", "s", kNotNegative}.of_pack().in_sampled_mode(), self.delay...);
+    v(Field{"position"}, self.position...);
   }
 };
 
@@ -158,11 +160,22 @@ struct SafeSettings {
   }
 };
 
+/// The platform that a law's wrench moves inside the controller of a machine that takes positions.
+struct VirtualPlatformSettings {
+  Vector6<double> damping = Vector6<double>::Zero();  ///< diagonal of D_v [N s/m; N m s/rad], 0
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"damping", "N s/m; N m s/rad", kNotNegative}.in_sampled_mode(), self.damping...);
+  }
+};
+
 /// The control law, and what all laws have in common.
 struct ControllerSettings {
   JacobianConvention jacobian = JacobianConvention::consistent;
   Switching<double> switching;
   SafeSettings safe;
+  VirtualPlatformSettings virtual_platform;
   LawGains gains;  ///< of the law that acts: they tell which one it is
 
   /// The gains are a block with the name of their law.
@@ -171,6 +184,7 @@ struct ControllerSettings {
     v(Field{"jacobian"}.of_pack(), self.jacobian);
     v(Field{"switching"}, self.switching);
     v(Field{"safe"}, self.safe);
+    v(Field{"virtual_platform"}, self.virtual_platform);
     std::visit([&](auto& gains) { v(Field{kLawTraits[self.gains.index()].name}, gains); }, self.gains);
   }
 };

@@ -106,6 +106,20 @@ class World {
     }
   }
 
+  /// The image where a platform is that nothing integrates; of a camera that projects.
+  WorldState<S, N> seen_from(const BodyMotion<S>& body) const noexcept { return {body, view_of(body)}; }
+
+  /// What it takes to accelerate the platform so (m/s^2; rad/s^2, in B), (3) turned around, in B [N; N m].
+  [[gnu::noinline, gnu::cold]] Vector6<S> needed_wrench(const WorldState<S, N>& state,
+                                                        const Vector6<S>& acceleration) const noexcept {
+    const Vector6<S> twist = twist_of(state.body);
+    const Matrix6<S> D = plant_.mass_matrix_at(state.view.R_BE), C = plant_.coriolis_matrix_at(state.view.R_BE, twist);
+    Vector6<S> wrench = plant_.weight_at(state.view.R_BE);
+    for (int j = 0; j < 6; ++j)
+      for (int i = 0; i < 6; ++i) wrench(i) += D(i, j) * acceleration(j) + C(i, j) * twist(j);
+    return wrench;
+  }
+
   /// What an acceleration of B [m/s^2] adds to a wrench in B [N; N m].
   Vector6<S> inertial_wrench(const Matrix3<S>& R_BE, const Vector3<S>& acceleration_B) const noexcept {
     return hexservo::inertial_wrench(plant_, R_BE, acceleration_B);

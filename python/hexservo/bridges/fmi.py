@@ -80,6 +80,8 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
         raise ValueError(
             f"simulation.mode: expected {SAMPLED_MODE} for a plant that is commanded, got {scenario.simulation.mode}"
         )
+    if what == "plant" and scenario.actuators.kind == "position":
+        raise ValueError("actuators.kind: expected force for a plant that is commanded by wrenches, got position")
     settings = core_parameters(scenario)
     signals = {"loop": _of_loop, "plant": _of_plant, "controller": _of_controller}[what](scenario, settings)
     variables = [UnitVariable("time", "real", "time", unit="s"), *_parameters(scenario, settings), *signals]
@@ -237,3 +239,5 @@ def _of_controller(scenario: Scenario, settings: _core.Settings) -> Iterator[Uni
     yield from _array("output", "fuzzy_output", _WRENCH, count=6)
     yield UnitVariable("output", "whole", "status", "status")
     yield UnitVariable("output", "whole", "saturated", "saturated")
+    if scenario.actuators.kind == "position":
+        yield from _array("output", "leg_positions", legs.coordinate, count=6)

@@ -69,8 +69,10 @@ def mjcf(scenario: Scenario) -> str:
     Raises
     ------
     ValueError
-        For a camera ``as_printed``, and for what the core refuses.
+        For legs that take positions, for a camera ``as_printed``, and for what the core refuses.
     """
+    if scenario.actuators.kind == "position":
+        raise ValueError("actuators.kind: expected force for MJCF, whose motors give forces, got position")
     scene = scene_of(scenario)
     if not scene.has_points:
         raise ValueError(

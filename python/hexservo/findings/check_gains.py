@@ -75,6 +75,8 @@ def image_delay(scenario: Scenario) -> float:
         return 0.0
     camera, actuators = scenario.camera, scenario.actuators
     delay = 0.5 * scenario.simulation.step + actuators.delay
+    if actuators.kind == "position":
+        delay += actuators.position.damping / (math.pi * actuators.position.bandwidth)
     if actuators.bandwidth is not None:
         delay += 1.0 / (2.0 * math.pi * actuators.bandwidth)
     if camera.prediction == "none":

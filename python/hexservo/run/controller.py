@@ -34,7 +34,12 @@ class ControllerOutput(NamedTuple):
     ``missing_image`` (a point has never been seen), ``stale_image`` (a point was not seen for longer than
     ``camera.timeout``), ``lost_feature`` (``camera.on_lost`` is ``stop``)."""
     saturated: bool
-    """A leg force is beyond ``robot.force_limit`` where ``actuators.saturation`` is set: nothing is learned."""
+    """A leg force is beyond ``robot.force_limit`` where ``actuators.saturation`` is set, or the legs cannot move as the
+    law would where ``actuators.kind`` is ``position``: nothing is learned."""
+    leg_positions: Array
+    """(6,), where ``actuators.kind`` is ``position``: what each leg shall go to, lengths [m] or angles of cranks [rad].
+    NaN before the joints have been known once, and where drives take forces. `wrench` and `leg_forces` are then what
+    the estimated platform needs to move so."""
 
 
 class Controller:
@@ -154,7 +159,7 @@ class Controller:
         """
         time = self._next if now is None else now
         exposed = np.nan if features is None else time if exposure is None else exposure
-        wrench, leg_forces, fuzzy_output, status, saturated = self._core.step(
+        wrench, leg_forces, fuzzy_output, status, saturated, leg_positions = self._core.step(
             features, depth, position, quaternion, twist, leg_lengths, leg_rates, exposed, time
         )
         if np.isfinite(time):
@@ -166,6 +171,7 @@ class Controller:
             status != _core.InputStatus.valid,
             cast("InputStatus", status.name),
             saturated,
+            leg_positions,
         )
 
 

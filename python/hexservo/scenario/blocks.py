@@ -261,14 +261,26 @@ class Sensors(Block):
     period: Annotated[float | None, OptionalNumber(above=0)] = None  # [s], between readings; null: every servo period
 
 
+class PositionResponse(Block):
+    """How legs whose drives take positions follow their command; docs/model.md section 7. Of cranks rad, not m."""
+
+    bandwidth: PositiveNumber = 20.0  # [Hz], undamped natural frequency
+    damping: PositiveNumber = 1.0  # [1], 1: critical
+    speed_limit: Annotated[float | None, OptionalNumber(above=0)] = None  # [m/s], of each leg; null: none
+    acceleration_limit: Annotated[float | None, OptionalNumber(above=0)] = None  # [m/s^2], of each leg; null: none
+
+
 class Actuators(Block):
     """The actuators of the legs, in `sampled` mode; docs/model.md section 7. The defaults only hold the wrench."""
 
+    # what the drives take: forces of the legs, or positions, which they follow
+    kind: Annotated[Literal["force", "position"], Choice()] = "force"
     hold: Annotated[Literal["wrench", "leg_forces"], Choice()] = "wrench"  # what stays the same between two ticks
     saturation: Annotated[bool, Flag()] = False  # leg forces are limited to robot.force_limit
     bandwidth: Annotated[float | None, OptionalNumber(above=0)] = None  # [Hz], of a first-order lag; null: none
     quantisation: NumberNotNegative = 0.0  # [N], leg forces are multiples of it; 0: not rounded
     delay: NumberNotNegative = 0.0  # [s], a whole number of servo periods, at most 8
+    position: PositionResponse = Field(default_factory=PositionResponse)  # of drives that take positions
 
 
 class Target(Block):

@@ -62,6 +62,16 @@ class Switching(Block):
     width: PositiveNumber = from_core("controller.switching.width")
 
 
+class VirtualPlatform(Block):
+    """The platform that a law's wrench moves inside the controller of a machine that takes positions.
+
+    docs/model.md section 7; its pose is the command.
+    """
+
+    # D_v, diagonal, [N s/m] x3, [N m s/rad] x3
+    damping: Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)] = 0.0
+
+
 class Safe(Block):
     """The brake in sampled mode, where the law may not act: without an image, with an old one, with unusable numbers.
 
@@ -236,6 +246,7 @@ class Controller(Block):
     jacobian: Annotated[Literal["consistent", "printed"], Choice()] = "consistent"
     switching: Switching = Field(default_factory=Switching)
     safe: Annotated[Safe, SAMPLED] = Field(default_factory=Safe)
+    virtual_platform: Annotated[VirtualPlatform, SAMPLED] = Field(default_factory=VirtualPlatform)
     hybrid: Hybrid = Field(default_factory=Hybrid)
     composite: Composite = Field(default_factory=Composite)
     kelly: Kelly = Field(default_factory=Kelly)

@@ -47,7 +47,12 @@ class LegUnits:
 
     def of(self, unit: str) -> str:
         """Return the unit of a number of the legs, given that of prismatic ones."""
-        return {"m": self.coordinate, "N": self.effort, "m/s": self.rate}.get(unit, unit)
+        return {
+            "m": self.coordinate,
+            "N": self.effort,
+            "m/s": self.rate,
+            "m/s^2": f"{self.rate}^2",
+        }.get(unit, unit)
 
 
 _PRISMATIC = LegUnits("m", "N")
@@ -61,6 +66,8 @@ OF_LEGS = frozenset(  # keys, metrics and quantities whose unit is that of a coo
         "sensors.resolution",
         "sensors.noise",
         "actuators.quantisation",
+        "actuators.position.speed_limit",
+        "actuators.position.acceleration_limit",
         "peak_leg_force",
         "peak_leg_excursion",
         "peak_leg_speed",

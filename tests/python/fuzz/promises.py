@@ -23,7 +23,8 @@ def check(result: hs.Result) -> None:
     assert result.time[0] == 0.0
     assert np.all(np.diff(result.time) > 0)
     assert result.end_time == result.time[-1]
-    for name, width in WIDTHS.items():
+    points = result.scenario.target.count
+    for name, width in (WIDTHS | {"feature_error": 2 * points, "depth": points}).items():
         array = getattr(result, name)
         assert array.shape == (n, width), name
         assert np.isfinite(array).all(), name

@@ -240,9 +240,25 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
         changes["robot.payload.mass"] = 0.01
     if "robot.centre_of_mass" in changes:
         changes["robot.inertia"] = [1e-3] * 3
+    _repair_kind(random, changes, base)
     switching = changes.get("controller.switching.kind", base.controller.switching.kind)
     if str(switching).startswith("implicit") and changes["simulation.mode"] != "sampled":
         changes["controller.switching.kind"] = "tanh"
+
+
+def _repair_kind(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> None:
+    """Leave to a machine that takes positions the keys that act on it."""
+    own = ("actuators.position.", "controller.virtual_platform.")
+    if changes["simulation.mode"] == "sampled" and any(key.startswith(own) for key in changes):
+        changes["actuators.kind"] = "position"
+    if changes.get("actuators.kind", base.actuators.kind) != "position":
+        return
+    others = ("hold", "saturation", "bandwidth", "quantisation")
+    changes |= {f"actuators.{key}": keys.sampled_keys()[f"actuators.{key}"] for key in others}
+    changes |= {"controller.safe.damping": None, "controller.safe.hold": None, "camera.convention": "eye_in_hand"}
+    if "controller.virtual_platform.damping" in changes:
+        massless = changes["controller.law"] in ("resolved_rate", "pbvs")
+        changes["controller.virtual_platform.damping"] = 0.0 if massless else 1e-5 * random.random()
 
 
 # ---- One value ------------------------------------------------------------------------------------------------------

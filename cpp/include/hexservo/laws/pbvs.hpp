@@ -35,6 +35,12 @@ struct Pbvs : StatelessLaw<PbvsGains> {
   static constexpr LawTraits traits = {
       .name = "pbvs", .type = "Pbvs", .parts = {LawPart::damping, LawPart::pose_spring}, .points = true, .prior = true};
 
+  /// What the wrench changes with the twist by: at K_d^-1 K_p (chi_goal - chi-hat) it is G.
+  template <class S, int N>
+  static const Vector6<S>& viscosity(const PbvsGains<S, N>& gains) {
+    return gains.kd;
+  }
+
   /// tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat from the features by `estimate_pose`, started at
   /// the pose of the joint sensors and, with M > 0, weighed against it as far as the image is noisy. NaN where there is
   /// no estimate.

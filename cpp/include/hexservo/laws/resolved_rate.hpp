@@ -71,6 +71,12 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
                                        .points = true,
                                        .depth = true};
 
+  /// What the wrench changes with the twist by: at v* it is G.
+  template <class S, int N>
+  static const Vector6<S>& viscosity(const ResolvedRateGains<S, N>& gains) {
+    return gains.ki;
+  }
+
   /// v* = lambda (J^T W J + M)^-1 J^T W xi-tilde, tau = K_i (v* - chi-dot) + G. NaN where J^T W J + M is not
   /// positive definite.
   template <class S, int N, class Listener = NoListener>

@@ -22,6 +22,10 @@ __all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
 
 _Found = TypeVar("_Found")
 
+_OF_FORCES = ("stiction", "equilibria")  # where a wrench of the law holds the platform
+_POSITIONS = (
+    "it is about a platform that the law's wrench holds, and the legs of this machine follow positions (actuators.kind)"
+)
 _WITH_MOTION = ("largest_start",)  # whose runs are those of the scenario
 _AT_REST = "Base and target are taken at rest; in this scenario they move."
 
@@ -124,6 +128,9 @@ def analyse(
 
 def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:
     """Return the result of a function, or the reason why it cannot be computed, such as an overflow."""
+    if scenario.actuators.kind == "position" and name in _OF_FORCES:
+        about = PARTS[name][1]
+        return NotComputed(name, about[0].upper() + about[1:], _POSITIONS)
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise", under="ignore"):
             return of()

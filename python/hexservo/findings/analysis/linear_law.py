@@ -120,7 +120,7 @@ class _Tick:
     def step(self, frame: Array, pose: Poses, twist: Array) -> tuple[Array, Array]:
         """Wrench and fuzzy output of a tick."""
         features, depth = self.image(frame, pose)
-        wrench, _, fuzzy, status, _ = self.core.step(features, depth, pose.position, pose.quaternion, twist)
+        wrench, _, fuzzy, status, *_ = self.core.step(features, depth, pose.position, pose.quaternion, twist)
         if status != _core.InputStatus.valid:
             raise NoRestError(f"the law cannot be evaluated near its goal ({status.name})")
         return wrench, fuzzy

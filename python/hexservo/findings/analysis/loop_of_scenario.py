@@ -113,6 +113,11 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         For a law without viscous damping, a camera without points, and where the loop rests nowhere near its goal.
     """
     controller = scenario.controller
+    if scenario.actuators.kind == "position":
+        raise NotApplicableError(
+            "the linear loop is of a machine that takes forces, and the legs of this one follow positions "
+            "(actuators.kind)"
+        )
     if not controller.traits.viscous:
         raise NotApplicableError(
             f"the law {controller.law} has Coulomb damping only, which a linear loop does not describe"

@@ -118,6 +118,11 @@ def certify(result: Result) -> Certificate:
 
 def _not_certified(run: Replay) -> str:
     """Return why the terms of the dynamics are not those that are certified; empty if they are."""
+    if run.scenario.actuators.kind == "position":
+        return (
+            "Not certified: the legs of this machine follow positions (actuators.kind), whatever effort that takes. "
+            "The law moves a platform inside the controller; no wrench of it does work on the real one."
+        )
     scene = scene_of(run.scenario)
     reason = scene.unusual_body or scene.moving_target
     return f"Not certified: {reason[0].lower()}{reason[1:]}" if reason else ""

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.diagnosis.environment import BASE_MOTIONS, ideal, ordinary, unknown_payload
+from hexservo.findings.diagnosis.environment import (
+    BASE_MOTIONS,
+    ORDINARY_BANDWIDTH,
+    ideal,
+    ordinary,
+    unknown_payload,
+)
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
@@ -219,6 +225,27 @@ def _common_depth_alone(case: Case) -> list[Alone]:
     return [Alone({**without, "uncertainty.depth": 0.0}, {**without, "uncertainty.depth": mean})]
 
 
+def _position_lag(case: Case) -> list[Removal]:
+    if case.scenario.actuators.kind != "position":
+        return []
+    response = case.scenario.actuators.position
+    changes = {
+        "actuators.position.bandwidth": max(response.bandwidth, ORDINARY_BANDWIDTH),
+        "actuators.position.damping": 1.0,
+    }
+    if (response.bandwidth, response.damping) == tuple(changes.values()):
+        return []
+    return [Removal("legs that follow at once", changes)]
+
+
+def _leg_rates(case: Case) -> list[Removal]:
+    response = case.scenario.actuators.position
+    limited = [name for name in ("speed_limit", "acceleration_limit") if getattr(response, name) is not None]
+    if not limited:
+        return []
+    return [Removal("legs without these limits", {f"actuators.position.{name}": None for name in limited})]
+
+
 # ---- The list -------------------------------------------------------------------------------------------------------
 
 DEVICES: tuple[Cause, ...] = (
@@ -322,6 +349,22 @@ DEVICES: tuple[Cause, ...] = (
         "device",
         _keys("actuators.bandwidth"),
         _without("actuators.bandwidth", None, "actuators without lag"),
+        slower_remedies,
+    ),
+    Cause(
+        "position_lag",
+        "lag of legs that follow positions",
+        "device",
+        _keys("actuators.position.bandwidth", "actuators.position.damping"),
+        _position_lag,
+        slower_remedies,
+    ),
+    Cause(
+        "leg_rates",
+        "speed and acceleration of legs that follow positions",
+        "device",
+        _keys("actuators.position.speed_limit", "actuators.position.acceleration_limit"),
+        _leg_rates,
         slower_remedies,
     ),
     Cause(

@@ -81,7 +81,9 @@ IMAGE_ALONE = tuple(law for law, has in _core.LAW_TRAITS.items() if has.output =
 """Motions and errors of at most these are no causes, though a scenario without faults has none of them."""
 ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary
-_KEPT = frozenset({"sensors.pose", "sensors.rate", "actuators.hold"})  # how a machine is built, and no fault
+_KEPT = frozenset(
+    {"sensors.pose", "sensors.rate", "actuators.hold", "actuators.kind"}
+)  # how a machine is built, and no fault
 
 
 def ideal(scenario: Scenario) -> dict[str, Any]:
@@ -98,6 +100,8 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
                 wanted = value if np.abs(value).max() <= ORDINARY[key] else 0.0
             elif key == "actuators.bandwidth":
                 wanted = value if value is None or value >= ORDINARY_BANDWIDTH else None
+            elif key == "actuators.position.bandwidth" and scenario.actuators.kind == "position":
+                wanted = max(value, ORDINARY_BANDWIDTH)
             if value != wanted:
                 changes[key] = wanted
     if scenario.target.motion.kind != "none":

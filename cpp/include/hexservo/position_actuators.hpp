@@ -1,0 +1,165 @@
+/// @file
+/// Legs whose drives take positions: from a commanded coordinate of each leg to its motion, in `sampled` mode
+/// (docs/model.md, section 7).
+///
+///     q-ddot = clip(w^2 (q* - q) - 2 zeta w q-dot, -a_max, a_max),  |q-dot| <= v_max,  w = 2 pi bandwidth
+///
+/// q* is the command of `actuators.delay` ticks before; before the first one that arrives it is where the run starts. A
+/// leg moves in `kLegSteps` steps for every Runge-Kutta step of the loop. A step in which no limit acts is exact, by
+/// the transition matrix of the response; so is one that is all at a limit. Where a limit begins or ends to act within
+/// a step, which happens a few times for a command, the motion is of second order in the step.
+///
+/// The platform follows its legs: its dynamics do not enter the motion, and tell what efforts it takes.
+#pragma once
+
+#include "hexservo/actuators.hpp"
+
+#include <array>
+#include <cmath>
+
+namespace hexservo {
+
+inline constexpr int kLegSteps = 8;  ///< steps of the legs in a Runge-Kutta step of the loop
+
+/// The response from x = q - q* and q-dot to both after a step, row by row: [x; q-dot] <- M [x; q-dot].
+/// @param bandwidth w/(2 pi) [Hz]; @param damping zeta [1]; @param step [s]
+inline Vector4<double> leg_transition(double bandwidth, double damping, double step) {
+  const double w = 6.283185307179586 * bandwidth, decay = damping * w;
+  const double square = (damping * damping - 1.0) * w * w * step * step;  // of what hyperbolic functions are taken of
+  double cosine = 0.0, sine = 0.0;  // e^(-decay t) cosh(r t) and e^(-decay t) sinh(r t)/r, r^2 = decay^2 - w^2
+  if (std::abs(square) < 1e-4) {    // near critical damping, by their series
+    const double gone = std::exp(-decay * step);
+    cosine = gone * (1.0 + square / 2.0 * (1.0 + square / 12.0 * (1.0 + square / 30.0)));
+    sine = gone * step * (1.0 + square / 6.0 * (1.0 + square / 20.0 * (1.0 + square / 42.0)));
+  } else if (square < 0.0) {
+    const double angle = std::sqrt(-square), gone = std::exp(-decay * step);
+    cosine = gone * std::cos(angle);
+    sine = gone * step * std::sin(angle) / angle;
+  } else {  // each exponential by itself: neither overflows
+    const double angle = std::sqrt(square), slow = w * step / (damping + std::sqrt(damping * damping - 1.0));
+    const double slower = std::exp(-slow), faster = std::exp(-decay * step - angle);
+    cosine = 0.5 * (slower + faster);
+    sine = 0.5 * step * (slower - faster) / angle;
+  }
+  return {cosine + decay * sine, sine, -w * w * sine, cosine - decay * sine};
+}
+
+/// Six legs on their way to where they are commanded.
+template <class S>
+class PositionedLegs {
+ public:
+  /// @param step of the loop's Runge-Kutta method [s], to which the parameters' `transition` belongs
+  /// @param positions, rates where a run starts [m; m/s], or [rad; rad/s]
+  PositionedLegs(const ActuatorParameters<S>& p, double step, const Vector6<S>& positions, const Vector6<S>& rates)
+      : delay_(static_cast<std::size_t>(p.delay)),
+        transition_(p.transition),
+        stiffness_(square(S(S(6.283185307179586) * p.position.bandwidth))),
+        damping_(S(2.0 * 6.283185307179586) * p.position.bandwidth * p.position.damping),
+        speed_(p.position.speed_limit),
+        acceleration_(p.position.acceleration_limit),
+        step_(step / kLegSteps),
+        positions_(positions),
+        rates_(rates) {
+    commands_.fill(positions);
+    for (int i = 0; i < 6; ++i) rates_(i) = clip(rates_(i), S(-speed_), speed_);
+  }
+
+  /// A tick: takes over where the legs shall go.
+  void command(const Vector6<S>& positions) noexcept {
+    commands_[next_] = positions;
+    next_ = next_ == delay_ ? 0 : next_ + 1;
+    wanted_ = commands_[next_];  // the oldest: with no delay the one just written
+  }
+
+  const Vector6<S>& positions() const noexcept { return positions_; }  ///< q_i [m], or [rad]
+  const Vector6<S>& rates() const noexcept { return rates_; }          ///< their rates
+
+  /// q-ddot_i [m/s^2], or [rad/s^2]: just after a command.
+  Vector6<S> accelerations() const noexcept {
+    Vector6<S> out;
+    for (int i = 0; i < 6; ++i) {
+      const S &v = rates_(i), a = limited(linear(S(positions_(i) - wanted_(i)), v));
+      out(i) = select(((v >= speed_) & (a > S(0.0))) | ((v <= -speed_) & (a < S(0.0))), S(0.0), a);
+    }
+    return out;
+  }
+
+  /// A Runge-Kutta step of the loop.
+  void advance() noexcept {
+    using std::abs;
+    const S h(step_);
+    for (int step = 0; step < kLegSteps; ++step)
+      for (int i = 0; i < 6; ++i) {
+        const S x = positions_(i) - wanted_(i), v = rates_(i), a = linear(x, v);
+        const S free_x = transition_(0) * x + transition_(1) * v, free_v = transition_(2) * x + transition_(3) * v;
+        const Mask<S> free = (abs(a) <= acceleration_) & (abs(linear(free_x, free_v)) <= acceleration_) &
+                             (abs(v) <= speed_) & (abs(free_v) <= speed_);
+        S end_x = free_x, end_v = free_v;
+        if (!all(free)) {
+          const S middle_v = clip(S(v + S(0.5) * h * limited(a)), S(-speed_), speed_);
+          const S middle_x = x + S(0.25) * h * (v + middle_v);
+          const S mean = limited(linear(middle_x, middle_v)), reached = v + h * mean;
+          const S bound = select(reached > S(0.0), speed_, S(-speed_)), beyond = reached - bound;
+          const Mask<S> too_fast = abs(reached) > speed_;
+          // What lies beyond the largest speed is a triangle over the rest of the step.
+          const S way = h * (v + S(0.5) * h * mean) - select(too_fast, S(S(0.5) * beyond * beyond / mean), S(0.0));
+          end_x = select(free, free_x, S(x + way));
+          end_v = select(free, free_v, select(too_fast, bound, reached));
+        }
+        positions_(i) = wanted_(i) + end_x;
+        rates_(i) = end_v;
+      }
+  }
+
+ private:
+  static S square(const S& value) { return value * value; }
+  S linear(const S& x, const S& v) const noexcept { return S(0.0) - stiffness_ * x - damping_ * v; }
+  S limited(const S& a) const noexcept { return clip(a, S(-acceleration_), acceleration_); }
+
+  std::size_t delay_;  ///< [ticks]
+  Vector4<S> transition_;
+  S stiffness_, damping_;   ///< w^2 [1/s^2], 2 zeta w [1/s]
+  S speed_, acceleration_;  ///< limits
+  double step_;             ///< of a leg [s]
+  Vector6<S> positions_, rates_;
+  Vector6<S> wanted_ = positions_;  ///< q*
+  std::array<Vector6<S>, kMaxActuatorDelay + 1> commands_;
+  std::size_t next_ = 0;
+};
+
+/// What the legs' coordinates are accelerated by while the platform's twist stays, J-dot chi-dot [m/s^2], or
+/// [rad/s^2]: q-ddot = J chi-ddot + J-dot chi-dot.
+///
+/// With the velocity s-dot of a platform joint and its acceleration g = omega x (omega x R p), of a prismatic leg
+/// c.g + (|s-dot|^2 - l-dot^2)/l; of a crank k with the rod rho = u - k and k' = a x k, from the derivative of
+/// rho.(s-dot - k' theta-dot) = 0: (|s-dot - k' theta-dot|^2 + rho.g + rho.k theta-dot^2)/(rho.k').
+/// @param legs at the pose
+template <class S>
+[[gnu::noinline, gnu::cold]] Vector6<S> leg_bias(const LegGeometry<S>& geometry, const Legs<S>& legs,
+                                                 const Vector3<S>& p_BE, const Vector6<S>& twist) {
+  const Vector3<S> v = twist.template head<3>(), omega = twist.template tail<3>();
+  const Vector6<S> rates = legs.rates(twist);
+  const Matrix36<S> centres_B = geometry.base_joints_B.matrix();
+  Vector6<S> bias;
+  for (int i = 0; i < 6; ++i) {
+    const Vector3<S> arm = legs.arms_B.col(i), turning = cross<S>(omega, arm);
+    const Vector3<S> velocity = v + turning, towards = cross<S>(omega, turning);
+    const S rate = rates(i);
+    if (!geometry.rotary) {
+      const Vector3<S> c = legs.directions_B.col(i);
+      bias(i) = dot<S>(c, towards) + (dot<S>(velocity, velocity) - rate * rate) / legs.lengths(i);
+      continue;
+    }
+    const Cranks<S>& cranks = geometry.cranks;
+    const Vector3<S> home = cranks.home_B.col(i), across = cross<S>(cranks.axes_B.col(i), home);
+    const S turns = S(1.0 / 6.283185307179586) * (legs.lengths(i) - cranks.home_angles(i));
+    const S sine = sine_of_turns(turns), cosine = sine_of_turns(S(turns + S(0.25)));
+    const Vector3<S> crank = cranks.length * (cosine * home + sine * across);
+    const Vector3<S> ahead = cranks.length * (cosine * across - sine * home);
+    const Vector3<S> rod = p_BE + arm - centres_B.col(i) - crank, sliding = velocity - rate * ahead;
+    bias(i) = (dot<S>(sliding, sliding) + dot<S>(rod, towards) + dot<S>(rod, crank) * rate * rate) / dot<S>(rod, ahead);
+  }
+  return bias;
+}
+
+}  // namespace hexservo
