@@ -366,6 +366,10 @@ def test_a_batch_is_its_single_runs(law: str) -> None:
             "controller.virtual_platform.damping",
         ),
         ({"actuators.delay": 0.0005}, "actuators.delay"),
+        (
+            {"controller.law": "resolved_rate", "uncertainty.depth": 0.0, "controller.resolved_rate.ki": 5.0},
+            "controller.resolved_rate.ki",
+        ),
     ],
 )
 def test_settings_without_effect_are_refused(changes: dict[str, Any], key: str) -> None:

@@ -86,6 +86,13 @@ class Scenario(Blocks):
 
     def _refuse_keys_without_effect(self) -> None:
         if self.simulation.mode == SAMPLED_MODE:
+            gains = self.controller.gains
+            own = self.controller.traits.output == "twist" and gains.auto.bandwidth is None
+            if own and self.actuators.kind == "position" and gains.ki != type(gains)().ki:
+                raise ValueError(
+                    f"controller.{self.controller.law}.ki: has no effect where actuators.kind is position, since the "
+                    "legs follow the commanded twist by themselves; drop it"
+                )
             return
         given = [key for key, default in sampled_keys().items() if value_at(self, key) != default]
         if given:
