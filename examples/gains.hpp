@@ -52,6 +52,7 @@ inline hexservo::Settings settings() {
   s.camera.axes = hexservo::CameraAxes::paper;
   s.camera.mount.position << 0.0, 0.0, 0.0;  // [m]
   s.camera.mount.rotation << 0.0, 0.0, 0.0;  // [rad]
+  s.camera.mount.on = hexservo::MountedOn::platform;
   s.camera.convention = hexservo::CameraConvention::eye_in_hand;
   s.target.initial_features << 30.0, 18.0, 65.0, -65.0, -44.0, 37.0, -10.0, -15.0;  // [px]
   s.target.desired_features << 10.0, 10.0, 45.0, -73.0, -64.0, 29.0, -30.0, -23.0;  // [px]

@@ -27,7 +27,7 @@ class Robot {
  public:
   explicit Robot(const hexservo::ControllerGains<Law>& gains)
       : gains_(gains),
-        points_B_(hexservo::loop_parameters<exported::Law>(exported::settings()).points_B),
+        points_B_(hexservo::loop_parameters<exported::Law>(exported::settings()).points_T),
         plant_(gains.task.body, errors()),
         body_(hexservo::body_state<double>(hexservo::home_pose(gains.hexapod), hexservo::Vector6<double>::Zero())),
         camera_(gains.frames, {}),

@@ -70,7 +70,7 @@ inline std::vector<Instant<double>> recorded() {
     at.twist = seen.twist;
     at.wrench = loop.record().sample().wrench;
     at.error = p.gains.kp.cwiseProduct(loop.record().sample().feature_error);
-    const ImageJacobian<double> J(task.camera, task.jacobian_sign, at.image, at.R_BE);
+    const ImageJacobian<double> J(task.camera, task.jacobian_sign, at.image, at.position, at.R_BE);
     const Vector<double, 2 * kPoints> rate = -p.gains.kp.cwiseProduct(J.push(at.twist));
     at.u = AxisVector<double>(Vector6<double>(p.gains.fuzzy.error_scale.cwiseProduct(J.pull(at.error))));
     at.u_rate = AxisVector<double>(Vector6<double>(p.gains.fuzzy.rate_scale.cwiseProduct(J.pull(rate))));

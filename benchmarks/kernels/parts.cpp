@@ -9,7 +9,8 @@ template <class S>
 void image_jacobian_push(benchmark::State& state) {
   const ControlTask<S> task = control_task(parameters_of<S>());
   time_each<S>(state, [&](const Instant<S>& at) {
-    const ImageJacobian<S> J(task.camera, task.jacobian_sign, at.image.features, at.inverse_depth, at.R_BE);
+    const ImageJacobian<S> J(task.camera, task.jacobian_sign, at.image.features, at.inverse_depth, at.position,
+                             at.R_BE);
     return J.push(at.twist);
   });
 }
@@ -18,7 +19,8 @@ template <class S>
 void image_jacobian_pull(benchmark::State& state) {
   const ControlTask<S> task = control_task(parameters_of<S>());
   time_each<S>(state, [&](const Instant<S>& at) {
-    const ImageJacobian<S> J(task.camera, task.jacobian_sign, at.image.features, at.inverse_depth, at.R_BE);
+    const ImageJacobian<S> J(task.camera, task.jacobian_sign, at.image.features, at.inverse_depth, at.position,
+                             at.R_BE);
     return J.pull(at.error);
   });
 }

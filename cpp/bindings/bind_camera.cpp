@@ -36,16 +36,22 @@ void bind_camera(py::module_& m) {
       .value("as_printed", CameraConvention::as_printed)
       .finalize();
 
-  py::class_<Mount>(m, "Mount", "Frame C of the camera in E.")
-      .def(py::init<>())
-      .def_readwrite("position", &Mount::position, "of C's origin in E [m]")
-      .def_readwrite("rotation", &Mount::rotation, "rotation vector of C in E [rad]");
+  py::native_enum<MountedOn>(m, "MountedOn", "enum.Enum")
+      .value("platform", MountedOn::platform)
+      .value("base", MountedOn::base)
+      .finalize();
 
-  py::class_<Camera>(m, "Camera", "Pinhole camera on the platform, (4) of the paper.")
+  py::class_<CameraMount>(m, "Mount", "Frame C of the camera in E, or in B.")
+      .def(py::init<>())
+      .def_readwrite("on", &CameraMount::on, "the camera is fixed to; the target's points are fixed to the other one")
+      .def_readwrite("position", &CameraMount::position, "of C's origin in E or B [m]")
+      .def_readwrite("rotation", &CameraMount::rotation, "rotation vector of C in E or B [rad]");
+
+  py::class_<Camera>(m, "Camera", "Pinhole camera, (4) of the paper.")
       .def(py::init<>())
       .def_readwrite("focal_length", &Camera::focal_length, "lambda [m]")
       .def_readwrite("pixel_scale", &Camera::pixel_scale, "alpha [px/m]")
-      .def_readwrite("mount", &Camera::mount, "C in E")
+      .def_readwrite("mount", &Camera::mount, "C in E, or in B")
       .def_property_readonly("focal_pixels", &Camera::focal, "f of the pinhole [px]")
       .def(
           "features",
@@ -68,15 +74,15 @@ void bind_camera(py::module_& m) {
           },
           py::arg("features"), "Pixels (n, 2) of features (n, 2) of the pinhole [px]; NaN where the lens shows none.")
       .def(
-          "in_platform",
+          "in_mount",
           [](const Camera& camera, const Eigen::Matrix<double, Eigen::Dynamic, 3>& points) {
             const Placement<double> at = camera.parameters().placement;
             Eigen::Matrix<double, Eigen::Dynamic, 3> moved(points.rows(), 3);
             for (Eigen::Index i = 0; i < points.rows(); ++i)
-              moved.row(i) = at.in_platform(points.row(i).transpose()).transpose();
+              moved.row(i) = at.in_mount(points.row(i).transpose()).transpose();
             return moved;
           },
-          py::arg("points"), "Points (n, 3) in C [m] in E.");
+          py::arg("points"), "Points (n, 3) in C [m] in E, or in B for a camera mounted there.");
 
   m.def(
       "take_image",
@@ -98,7 +104,8 @@ void bind_camera(py::module_& m) {
         return py::make_tuple(features, depth);
       },
       py::arg("camera"), py::arg("position"), py::arg("quaternion"), py::arg("points"),
-      "(4): features (2 p,) [px] and depth Z (p,) [m], negative in front, of points (p, 3) in B [m].");
+      "(4): features (2 p,) [px] and depth Z (p,) [m], negative in front, of points (p, 3) in B [m], or in E "
+      "for a camera on the base.");
 
   m.def(
       "lift",
@@ -114,16 +121,19 @@ void bind_camera(py::module_& m) {
         return points;
       },
       py::arg("camera"), py::arg("position"), py::arg("quaternion"), py::arg("features"), py::arg("depth"),
-      "Inverse of take_image: points (p, 3) in B [m].");
+      "Inverse of take_image: points (p, 3) in B, or in E [m].");
 
   m.def(
       "image_jacobian",
       [](const Camera& camera, const Numbers& features, const Numbers& depth, const Vector4<double>& quaternion,
-         CameraConvention convention) {
+         CameraConvention convention, const std::optional<Vector3<double>>& position) {
         require_image(features, depth);
         if ((depth.array() == 0.0).any())
           throw std::invalid_argument("depth: expected numbers that are not zero, got zero");
-        const Matrix3<double> R_BE = rotation_matrix(checked_pose(Vector3<double>::Zero(), quaternion).quaternion);
+        if (camera.mount.on == MountedOn::base && !position)
+          throw std::invalid_argument("position: expected that of the platform for a camera on the base, got None");
+        const Pose<double> pose = checked_pose(position.value_or(Vector3<double>::Zero()), quaternion);
+        const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
         const PlatformCamera<double> mounted(camera.parameters());
         Eigen::Matrix<double, Eigen::Dynamic, 6> J(features.size(), 6);
         for_blocks(depth.size(), [&](Eigen::Index first, Eigen::Index count) {
@@ -134,13 +144,16 @@ void bind_camera(py::module_& m) {
             image.depth(i) = depth(at);
           }
           J.middleRows(2 * first, 2 * count) =
-              ImageJacobian<double>(mounted, plant_sign(convention), image, R_BE).matrix().topRows(2 * count);
+              ImageJacobian<double>(mounted, plant_sign(convention), image, pose.position, R_BE)
+                  .matrix()
+                  .topRows(2 * count);
         });
         return J;
       },
       py::arg("camera"), py::arg("features"), py::arg("depth"), py::arg("quaternion"),
-      py::arg("convention") = CameraConvention::eye_in_hand,
-      "J of (12), (2 p, 6): twist in B (m/s; rad/s) to image velocity [px/s], for features (2 p,) and depth (p,).");
+      py::arg("convention") = CameraConvention::eye_in_hand, py::arg("position") = py::none(),
+      "J of (12), (2 p, 6): twist in B (m/s; rad/s) to image velocity [px/s], for features (2 p,) and depth (p,). A "
+      "camera on the base needs the platform's position (3,) in B [m].");
 }
 
 }  // namespace hexservo::bindings

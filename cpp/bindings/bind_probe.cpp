@@ -175,14 +175,17 @@ py::array_t<double> base_wrench(const Probe& probe, const py::object& t, const p
 }
 
 py::array_t<double> image_jacobian(const Probe& probe, const py::object& f, const py::object& z, const py::object& q,
-                                   bool controller) {
+                                   bool controller, const py::object& p) {
   const Given features("features", f, two_each(probe)), depth("depth", z, one_each(probe), features.count()),
       quaternion("quaternion", q, kFour, features.count());
+  std::optional<Given> position;
+  if (!p.is_none()) position.emplace("position", p, kThree, features.count());
   Made jacobian(features.count(), {2 * probe.points(), 6});
   {
     const Column to = jacobian.column();
     const py::gil_scoped_release no_gil;
-    probe.image_jacobian(features.rows(), depth.rows(), quaternion.rows(), controller, to);
+    probe.image_jacobian(features.rows(), depth.rows(), position ? position->rows() : Rows{}, quaternion.rows(),
+                         controller, to);
   }
   return jacobian.array();
 }
@@ -380,8 +383,9 @@ void bind_probe(py::module_& m) {
            "Poses from which the true points look nearest to the desired features, position (m, 3) [m] and quaternion "
            "(m, 4): minima of the image error found from home. ValueError for a camera as_printed.")
       .def("image_jacobian", &image_jacobian, features, depth, quaternion, py::arg("controller") = false,
+           py::arg("position") = py::none(),
            "J of (12), (n, 2 p, 6): twist in B (m/s; rad/s) to feature rates [px/s], with the depths as given and the "
-           "plant's sign, or the controller's.")
+           "plant's sign, or the controller's. A camera on the base needs the platform's position (n, 3) in B [m].")
       .def("measured_depth", &measured_depth, depth, "Z-hat (n, p) of the controller for true Z (n, p) [m].")
       .def("law", &law, features, depth, position, quaternion, twist, py::arg("weights") = py::none(),
            "Output of the law: depth (n, p) as the controller estimates it [m], weights (n, 6, 7, 7) [N; N m] or the "

@@ -196,13 +196,15 @@ typedef struct hexservo_scene {
   double platform_joints[6][3]; /**< in the platform's frame E [m] */
   double home_position[3];      /**< of E in B [m] */
   double home_quaternion[4];    /**< w x y z */
-  double camera_position[3];    /**< true, in E [m] */
-  double camera_attitude[3][3]; /**< columns: axes of the camera in E; it looks along its -z */
+  double camera_position[3];    /**< true, in E, or in B where `camera_on_base` [m] */
+  double camera_attitude[3][3]; /**< columns: axes of the camera in the same frame; it looks along its -z */
   double focal;                 /**< focal length [px] */
+  int camera_on_base;           /**< 1: the camera is fixed in B, and the target's points in E (`camera.mount.on`) */
 } hexservo_scene;
 
 HEXSERVO_API void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene);
-/** `hexservo_scenario_points` points of the target where they rest, x y z each, in B [m]. */
+/** `hexservo_scenario_points` points of the target where they rest, x y z each, in B, or in E where
+ * `camera_on_base` [m]. */
 HEXSERVO_API void hexservo_run_target(const hexservo_run* run, double* points);
 /** The goal, x y of each point as features of an ideal pinhole: what errors are counted from [px]. */
 HEXSERVO_API void hexservo_run_goal(const hexservo_run* run, double* features);

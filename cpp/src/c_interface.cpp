@@ -260,7 +260,7 @@ struct RunOf final : hexservo_run {
 
   const Hexapod<double>& hexapod() const override { return parameters.hexapod; }
   const CameraParameters<double>& camera() const override { return parameters.camera; }
-  void write_points(double* to) const override { std::copy_n(parameters.points_B.data(), 3 * parameters.points, to); }
+  void write_points(double* to) const override { std::copy_n(parameters.points_T.data(), 3 * parameters.points, to); }
   void write_goal(double* to) const override {
     std::copy_n(parameters.desired_features.data(), 2 * parameters.points, to);
   }
@@ -595,15 +595,14 @@ const double* hexservo_run_metrics(const hexservo_run* run) { return answer_of(*
 void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene) {
   const Hexapod<double>& hexapod = run->hexapod();
   const PlatformCamera<double> mounted(run->camera());
-  const CameraView<double> camera(mounted);
-  const Matrix3<double> identity = Matrix3<double>::Identity();
   put(hexapod.base_joints_B.transpose(), scene->base_joints[0]);
   put(hexapod.platform_joints_E.transpose(), scene->platform_joints[0]);
   put(hexapod.home_position, scene->home_position);
   put(hexapod.home_quaternion, scene->home_quaternion);
-  put(camera.centre(Vector3<double>::Zero(), identity), scene->camera_position);
-  put(camera.attitude(identity), scene->camera_attitude[0]);
+  put(mounted.placement.p_MC, scene->camera_position);
+  put(mounted.placement.R_MC, scene->camera_attitude[0]);
   scene->focal = mounted.focal;
+  scene->camera_on_base = mounted.placement.on_base() ? 1 : 0;
 }
 
 void hexservo_run_target(const hexservo_run* run, double* points) { run->write_points(points); }

@@ -42,7 +42,8 @@ bool note_reach(LensParameters<double>& lens) {
 
 CameraParameters<double> Camera::parameters(std::string_view key) const {
   CameraParameters<double> found{focal(), placement(mount, words(key, ".mount"))};
-  if (axes == CameraAxes::opencv) found.placement.R_EC.rightCols<2>() *= -1.0;
+  found.placement.on = mount.on;
+  if (axes == CameraAxes::opencv) found.placement.R_MC.rightCols<2>() *= -1.0;
   return found;
 }
 

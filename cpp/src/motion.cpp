@@ -113,7 +113,12 @@ void require_base(const BaseMotionSettings& motion, double fastest, double durat
   }
 }
 
-void require_target(const Target& target, CameraConvention convention, double fastest) {
+void require_target(const Target& target, const Camera& camera, CameraConvention convention, double fastest) {
+  if (camera.mount.on == MountedOn::base) {
+    const std::string rides = " where camera.mount.on is base, since the target then rides on the platform";
+    if (target.frame != TargetFrame::base) refuse("target.frame", "base" + rides, "world");
+    if (target.motion.kind != TargetMotionKind::none) refuse("target.motion.kind", "none" + rides, "another kind");
+  }
   if (convention == CameraConvention::as_printed) {
     const std::string points = " for a camera as_printed, which has no points";
     if (target.frame != TargetFrame::base) refuse("target.frame", "base" + points, "world");
@@ -144,7 +149,7 @@ void prepare_motions(const Settings& settings, SceneParameters<double, N>& p) {
   const double fastest = 0.5 * static_cast<double>(p.substeps) / p.step;  // the integration would not see more
   require_base(settings.base_motion, fastest, settings.simulation.duration,
                settings.target.frame == TargetFrame::world);
-  require_target(settings.target, p.convention, fastest);
+  require_target(settings.target, settings.camera, p.convention, fastest);
   p.base_motion = settings.base_motion;
   p.target_frame = settings.target.frame;
   p.target_motion = settings.target.motion;

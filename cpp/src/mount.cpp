@@ -22,13 +22,14 @@ Placement<double> placement(const Mount& mount, std::string_view key) {
   if (!(angle <= kHalfTurn))
     detail::refuse(detail::words(key, ".rotation"), "a rotation vector at most 3.14159 rad long",
                    detail::words("one of ", angle, " rad", angle > 2.0 * kHalfTurn ? " (degrees?)" : ""));
-  Placement<double> found{mount.position, Matrix3<double>::Identity()};
-  if (angle > 0.0) found.R_EC = turn_of(mount.rotation).toRotationMatrix();
+  Placement<double> found;
+  found.p_MC = mount.position;
+  if (angle > 0.0) found.R_MC = turn_of(mount.rotation).toRotationMatrix();
   return found;
 }
 
-Mount assumed_mount(const Mount& mount, const Mount& error) {
-  Mount assumed = mount;
+CameraMount assumed_mount(const CameraMount& mount, const Mount& error) {
+  CameraMount assumed = mount;
   assumed.position += error.position;
   if (error.rotation.isZero(0.0)) return assumed;
   const Eigen::AngleAxisd turn(Eigen::Quaterniond(turn_of(mount.rotation)) *

@@ -202,6 +202,7 @@ struct Probe::Parts {
         estimate(p.body),
         plant(p.plant_body, p.dynamics_error),
         projects(p.convention == CameraConvention::eye_in_hand),
+        on_base(p.camera.placement.on_base()),
         recorded(p.recorded.samples, p.recorded.samples + (p.recorded.samples ? 3 * p.recorded.count : 0)),
         base(p.mode == LoopMode::sampled ? p.base_motion : BaseMotionParameters<double>{}, p.seed,
              {recorded.data(), p.recorded.count, p.recorded.period, p.recorded.attitudes}),
@@ -213,7 +214,7 @@ struct Probe::Parts {
 
   virtual std::vector<GoalMinimum> goal_minima() const = 0;
   virtual void image(Rows position, Rows quaternion, std::size_t n, Column features, Column depth) const = 0;
-  virtual void image_jacobian(Rows features, Rows depth, Rows quaternion, std::size_t n, bool controller,
+  virtual void image_jacobian(Rows features, Rows depth, Rows position, Rows quaternion, std::size_t n, bool controller,
                               Column jacobian) const = 0;
   virtual void measured_depth(Rows depth, std::size_t n, Column measured) const = 0;
   virtual void law(const ProbeStates& states, std::size_t n, const ProbedLaw& out) const = 0;
@@ -224,6 +225,7 @@ struct Probe::Parts {
   RigidBody<double> estimate;  ///< of the platform
   Plant<double> plant;
   bool projects;                 ///< whether the camera has points
+  bool on_base;                  ///< whether it is mounted on the base
   std::vector<double> recorded;  ///< samples of the base's acceleration, to which `base` refers
   BaseMotion<double> base;
   bool fuzzy;                         ///< whether fuzzy systems act
@@ -240,21 +242,21 @@ struct Probe::Scene : Probe::Parts {
         assumed_camera(p.assumed_camera),
         plant_sign(hexservo::plant_sign(p.convention)),
         controller_sign(hexservo::controller_sign(p.convention, p.jacobian)),
-        points_B(p.points_B),
+        points_T(p.points_T),
         depth_error(p.depth_error),
         desired_features(p.desired_features),
         point_weights(p.weights),
         home(home_pose(p.hexapod)) {}
 
   std::vector<GoalMinimum> goal_minima() const override {
-    return hexservo::goal_minima<N>(camera, points_B.matrix(), desired_features, home, point_weights);
+    return hexservo::goal_minima<N>(camera, points_T.matrix(), desired_features, home, point_weights);
   }
 
   void image(Rows position, Rows quaternion, std::size_t n, Column features, Column depth) const override {
     for (std::size_t i = 0; i < n; ++i) {
       Vector<double, N> inverse_depth;
       Image<double, N> seen;
-      take_image<double, N>(camera, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)), points_B, seen,
+      take_image<double, N>(camera, row<3>(position, i), rotation_matrix(row<4>(quaternion, i)), points_T, seen,
                             inverse_depth);
       for (int point = 0; point < N; ++point)
         if (!(seen.depth(point) < 0.0)) seen.features.template segment<2>(2 * point).setConstant(kNaN);
@@ -263,16 +265,17 @@ struct Probe::Scene : Probe::Parts {
     }
   }
 
-  void image_jacobian(Rows features, Rows depth, Rows quaternion, std::size_t n, bool controller,
+  void image_jacobian(Rows features, Rows depth, Rows position, Rows quaternion, std::size_t n, bool controller,
                       Column jacobian) const override {
     const double sign = controller ? controller_sign : plant_sign;
     const PlatformCamera<double>& taken = controller ? assumed_camera : camera;
     const auto numbers = static_cast<std::size_t>(2 * points * 6);
     for (std::size_t i = 0; i < n; ++i) {
       const Image<double, N> image{points_row<2, N>(features, i, points), points_row<1, N>(depth, i, points)};
+      const Vector3<double> p_BE = position.empty() ? Vector3<double>::Zero() : row<3>(position, i);
       const Matrix3<double> R_BE = rotation_matrix(row<4>(quaternion, i));
       const Eigen::Matrix<double, 2 * N, 6, Eigen::RowMajor> J =
-          ImageJacobian<double, N>(taken, sign, image, R_BE).matrix();
+          ImageJacobian<double, N>(taken, sign, image, p_BE, R_BE).matrix();
       std::copy_n(J.data(), numbers, jacobian.data() + numbers * i);
     }
   }
@@ -286,7 +289,7 @@ struct Probe::Scene : Probe::Parts {
 
   PlatformCamera<double> camera, assumed_camera;
   double plant_sign, controller_sign;
-  Vectors3<double, N> points_B;
+  Vectors3<double, N> points_T;
   Vector<double, N> depth_error;
   Vector<double, 2 * N> desired_features;
   PointWeights<double, N> point_weights;
@@ -483,14 +486,19 @@ void Probe::image(Rows position, Rows quaternion, Column features, Column depth)
   parts_->image(position, quaternion, n, features, depth);
 }
 
-void Probe::image_jacobian(Rows features, Rows depth, Rows quaternion, bool controller, Column jacobian) const {
+void Probe::image_jacobian(Rows features, Rows depth, Rows position, Rows quaternion, bool controller,
+                           Column jacobian) const {
   const int width = 2 * parts_->points;
   const std::size_t n = row_count("features", features, width);
   require_rows("features", features, width, n);
   require_depths(depth, parts_->points, n);
+  if (!position.empty())
+    require_rows("position", position, 3, n);
+  else if (parts_->on_base && n > 0)
+    refuse("position", "that of the platform, since camera.mount.on is base", "none");
   require_quaternions("quaternion", quaternion, n);
   require_room("jacobian", jacobian, width * 6, n);
-  parts_->image_jacobian(features, depth, quaternion, n, controller, jacobian);
+  parts_->image_jacobian(features, depth, position, quaternion, n, controller, jacobian);
 }
 
 void Probe::measured_depth(Rows depth, Column measured) const {

@@ -35,8 +35,9 @@ void require_apart(const std::string& key, const Features& features) {
 template <int N>
 void require_full_rank(const std::string& key, double f, const Image<double, N>& image,
                        const Vector<double, N>& weights) {
+  const Pose<double> at_camera;
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
-  Eigen::Matrix<double, 2 * N, 6> J = ImageJacobian<double, N>(f, -1.0, image, R_BE).matrix();
+  Eigen::Matrix<double, 2 * N, 6> J = ImageJacobian<double, N>(f, -1.0, image, at_camera.position, R_BE).matrix();
   if constexpr (N == kPoints) {
     J.template leftCols<3>() *= image.depth.cwiseAbs().mean();
   } else {
@@ -122,31 +123,32 @@ Vector<double, N> place_weights(const Target& target) {
   return weights;
 }
 
-/// Initial image and, for a camera that projects, the points in B.
+/// Initial image and, for a camera that projects, the points in B, or in E for one on the base.
 template <int N>
 void place_target(const Target& target, CameraConvention convention, const CameraView<double>& camera,
                   const LensParameters<double>& lens, const Pose<double>& home, Image<double, N>& image,
-                  Eigen::Matrix<double, 3, N>& points_B) {
+                  Eigen::Matrix<double, 3, N>& points_T) {
   const Matrix3<double> R_BE = rotation_matrix(home.quaternion);
   if (target.points) {
     if (convention == CameraConvention::as_printed)
       refuse("target.points", "initial_features and depth, since a camera as_printed integrates them and has no points",
              "points");
-    for (int i = 0; i < N; ++i) points_B.col(i) = target.points->row(i < target.count() ? i : 0).transpose();
-    image = take_image<double, N>(camera, home.position, R_BE, points_B);
+    for (int i = 0; i < N; ++i) points_T.col(i) = target.points->row(i < target.count() ? i : 0).transpose();
+    image = take_image<double, N>(camera, home.position, R_BE, points_T);
     const Vector3<double> at = camera.centre(home.position, R_BE), along = -camera.attitude(R_BE).col(2);
+    const std::string frame = camera.on_base() ? "platform's frame, in which they are" : "base frame";
     for (int i = 0; i < target.count(); ++i)
       if (!(image.depth(i) < 0.0))
         refuse(words("target.points[", i, "]"),
                words("a point in front of the camera, which at home is at (", at(0), ", ", at(1), ", ", at(2),
-                     ") m and looks along (", along(0), ", ", along(1), ", ", along(2),
-                     ") of the base frame (camera.mount, camera.axes)"),
+                     ") m and looks along (", along(0), ", ", along(1), ", ", along(2), ") of the ", frame,
+                     " (camera.mount, camera.axes)"),
                words("one ", image.depth(i), " m behind it"));
   } else {
     image = {in_places<N, 2>(rectified("target.initial_features", lens, target.initial_features), target.count()),
              -in_places<N, 1>(target.depth, target.count())};
     for (int i = 0; i < N; ++i)
-      points_B.col(i) =
+      points_T.col(i) =
           lift<double>(camera, home.position, R_BE, image.features.template segment<2>(2 * i), image.depth(i));
   }
 }
@@ -386,14 +388,14 @@ Features project_target_in(const Settings& settings, const Vector6<double>& disp
   const Hexapod<double> hexapod = make_hexapod(settings.robot);
   const PlatformCamera<double> camera(settings.camera.parameters());
   Image<double, N> image;
-  Eigen::Matrix<double, 3, N> points_B;
+  Eigen::Matrix<double, 3, N> points_T;
   place_target<N>(settings.target, settings.camera.convention, camera, settings.camera.lens(), home_pose(hexapod),
-                  image, points_B);
+                  image, points_T);
   if (settings.camera.convention == CameraConvention::as_printed)
     refuse("target.desired_pose", "desired_features, since a camera as_printed has no points", "a pose");
   detail::require_finite("target.desired_pose", displacement);
   const Pose<double> pose = moved(home_pose(hexapod), displacement);
-  image = take_image<double, N>(camera, pose.position, rotation_matrix(pose.quaternion), points_B);
+  image = take_image<double, N>(camera, pose.position, rotation_matrix(pose.quaternion), points_T);
   if (!(image.depth.maxCoeff() < 0.0))
     refuse("target.desired_pose", "a pose from which every point is in front of the camera",
            words("one with a point ", image.depth.maxCoeff(), " m behind it"));
@@ -463,7 +465,7 @@ void require_view_at_start(const SceneParameters<double, N>& p) {
            "other numbers");
   const PlatformCamera<double> camera(p.camera);
   const Image<double, N> image =
-      take_image<double, N>(camera, p.start.position, rotation_matrix(p.start.quaternion), p.points_B);
+      take_image<double, N>(camera, p.start.position, rotation_matrix(p.start.quaternion), p.points_T);
   if (!(image.depth.maxCoeff() < 0.0))
     refuse(key, "a pose from which every point is in front of the camera",
            words("one with a point ", image.depth.maxCoeff(), " m behind it"));
@@ -484,7 +486,7 @@ template <int N>
 void require_view_of_moving_target(const SceneParameters<double, N>& p) {
   if (p.target_motion.kind == TargetMotionKind::none && p.target_frame == TargetFrame::base) return;
   BaseMotion<double> base(p.base_motion, p.seed, p.recorded);
-  const TargetPlace<double, N> target(p.points_B, p.target_frame, p.target_motion, p.recorded_target);
+  const TargetPlace<double, N> target(p.points_T, p.target_frame, p.target_motion, p.recorded_target);
   if (!target.moves(base)) return;
   base.find_place();
   const PlatformCamera<double> camera(p.camera);
@@ -512,9 +514,9 @@ void validate_payload(const Payload& load) {
 /// The true camera and the one that the controller assumes.
 template <int N>
 void place_cameras(const Settings& settings, SceneParameters<double, N>& p) {
-  for (const auto& [key, mount] :
-       {std::pair{"camera.mount", &settings.camera.mount}, std::pair{"uncertainty.mount", &settings.uncertainty.mount}})
-    if (p.convention == CameraConvention::as_printed && !mount->is_none())
+  for (const auto& [key, is_none] : {std::pair{"camera.mount", settings.camera.mount.is_none()},
+                                     std::pair{"uncertainty.mount", settings.uncertainty.mount.is_none()}})
+    if (p.convention == CameraConvention::as_printed && !is_none)
       refuse(key, "no mount for a camera as_printed, whose equations are those of a camera at the platform's origin",
              "one");
   p.camera = settings.camera.parameters();
@@ -552,7 +554,7 @@ SceneParameters<double, N> scene_parameters(const Settings& settings, const Hexa
   p.jacobian = settings.controller.jacobian;
 
   const PlatformCamera<double> camera(p.camera);
-  place_target<N>(target, p.convention, camera, p.lens, home_pose(p.hexapod), p.initial_image, p.points_B);
+  place_target<N>(target, p.convention, camera, p.lens, home_pose(p.hexapod), p.initial_image, p.points_T);
   p.desired_features = in_places<N, 2>(rectified("target.desired_features", p.lens, target.desired_features), p.points);
   const std::string source = target.points ? "target.points" : "target.initial_features";
   for (const auto& [key, image] :

@@ -18,7 +18,14 @@ constexpr double kExactGoal = 1e-12;   // squared residuals below it are roundin
 std::vector<Pose<double>> goal_starts(const CameraView<double>& camera, const Vector3<double>& centroid,
                                       const Pose<double>& home) {
   using Turn = Eigen::AngleAxisd;
-  const Matrix3<double> R_BE = rotation_matrix(home.quaternion), R_BC = camera.attitude(R_BE);
+  const Matrix3<double> R_BE = rotation_matrix(home.quaternion);
+  if (camera.on_base()) {  // the target moves past the camera as the camera would past the target
+    const Placement<double> at = camera.carried(home.position, R_BE);
+    std::vector<Pose<double>> starts = goal_starts({camera.f, at}, home.position + R_BE * centroid, home);
+    for (Pose<double>& start : starts) start = opposite_motion(home, start);
+    return starts;
+  }
+  const Matrix3<double> R_BC = camera.attitude(R_BE);
   const Vector3<double> centre = camera.centre(home.position, R_BE), arm = centre - home.position;
   const Vector3<double> sight = centroid - centre;
   const Vector4<double>& q = home.quaternion;
@@ -46,21 +53,21 @@ std::vector<Pose<double>> goal_starts(const CameraView<double>& camera, const Ve
 }  // namespace
 
 template <int N>
-std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_B,
+std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_T,
                                      const Vector<double, 2 * N>& desired_features, const Pose<double>& home,
                                      const PointWeights<double, N>& weights) {
   using Fit = PoseFit<double, N>;
-  const Vectors3<double, N> points(points_B);
+  const Vectors3<double, N> points(points_T);
   Vector3<double> centroid = Vector3<double>::Zero();
   if constexpr (N == kPoints)
-    centroid = points_B.rowwise().mean();
+    centroid = points_T.rowwise().mean();
   else
-    for (int i = 0; i < N; ++i) centroid += weights.share(i) * points_B.col(i);
+    for (int i = 0; i < N; ++i) centroid += weights.share(i) * points_T.col(i);
   const PosePrior<double> none{home, Vector6<double>::Zero()};
   std::vector<GoalMinimum> found;
   double least = std::numeric_limits<double>::infinity();
   const auto keep = [&](const Fit& fit) {
-    const ImageJacobian<double, N> J(camera, -1.0, fit.features, fit.inverse_depth, fit.R_BE);
+    const ImageJacobian<double, N> J(camera, -1.0, fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
     const Cholesky<double, 6> solver(J.normal_matrix(weights));
     const Vector<double, 2 * N> residual = desired_features - fit.features;
     const Vector6<double> gradient = J.pull(weights.times(residual));
@@ -75,16 +82,16 @@ std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eig
     keep(fit);
     if (least <= kExactGoal) break;
     keep(fit_pose<double, N>(camera, points, desired_features, none,
-                             mirrored_pose<double, N>(camera, points_B, fit.pose, weights), kGoalRounds, weights));
+                             mirrored_pose<double, N>(camera, points_T, fit.pose, weights), kGoalRounds, weights));
   }
   return found;
 }
 
 template <int N>
-Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_B,
+Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_T,
                        const Vector<double, 2 * N>& desired_features, const Pose<double>& home,
                        const PointWeights<double, N>& weights) {
-  const std::vector<GoalMinimum> found = goal_minima<N>(camera, points_B, desired_features, home, weights);
+  const std::vector<GoalMinimum> found = goal_minima<N>(camera, points_T, desired_features, home, weights);
   if (found.empty())
     detail::refuse("target.desired_features",
                    "features that determine a pose where the controller assumes the points (not all on one line)",

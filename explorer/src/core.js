@@ -186,6 +186,7 @@ export class Core {
       scene[name] = Array.from(numbers.subarray(place, place + count));
       place += count;
     }
+    scene.camera_on_base = new Int32Array(c.memory.buffer, this.scratch + SCENE_BYTES, 1)[0] === 1;
     const points = c.hexservo_scenario_points(this.handle);
     c.hexservo_run_target(run, this.scratch);
     scene.target = Array.from(this.doubles(this.scratch, 3 * points));

@@ -61,7 +61,8 @@ export class Scene {
     this.target = Array.from({ length: result.points }, (_, i) => triple(scene.target, i));
     if (this.held) return;
     this.machine = Math.max(...this.base.map((p) => norm(add(p, mean(this.base), -1))));
-    this.all = [...this.floorCircle(1.5), ...this.target, Array.from(home)].filter((point) => point.every(Number.isFinite));
+    const far = scene.camera_on_base ? [Array.from(scene.camera_position)] : this.target; // what is away from the machine
+    this.all = [...this.floorCircle(1.5), ...far, Array.from(home)].filter((point) => point.every(Number.isFinite));
     const low = [0, 1, 2].map((k) => Math.min(...this.all.map((p) => p[k])));
     const high = [0, 1, 2].map((k) => Math.max(...this.all.map((p) => p[k])));
     this.middle = low.map((value, k) => (value + high[k]) / 2);
@@ -213,18 +214,19 @@ export class Scene {
 
   /** The camera's pyramid, and lines to the points of the target. */
   sight(push, shape, stroke, ball, { inBase, R, scene, colour }) {
-    const eye = inBase(scene.camera_position);
+    const eye = scene.camera_on_base ? [...scene.camera_position] : inBase(scene.camera_position);
     const A = scene.camera_attitude;
-    const inPlatform = (v) => [A[0] * v[0] + A[1] * v[1] + A[2] * v[2], A[3] * v[0] + A[4] * v[1] + A[5] * v[2], A[6] * v[0] + A[7] * v[1] + A[8] * v[2]];
-    const ahead = turned(R, inPlatform([0, 0, -1]));
-    const known = this.seen(eye, (v) => turned(R, inPlatform(v))).filter((point) => point.every(Number.isFinite));
+    const mounted = (v) => [A[0] * v[0] + A[1] * v[1] + A[2] * v[2], A[3] * v[0] + A[4] * v[1] + A[5] * v[2], A[6] * v[0] + A[7] * v[1] + A[8] * v[2]];
+    const along = (v) => (scene.camera_on_base ? mounted(v) : turned(R, mounted(v)));
+    const ahead = along([0, 0, -1]);
+    const known = this.seen(eye, along).filter((point) => point.every(Number.isFinite));
     const far = known.length ? dot(add(mean(known), eye, -1), ahead) : 2 * this.machine;
     const half = known.reduce((most, point) => {
       const p = add(point, eye, -1);
-      return Math.max(most, ...[inPlatform([1, 0, 0]), inPlatform([0, 1, 0])].map((axis) => Math.abs(dot(p, turned(R, axis)) / dot(p, ahead))));
+      return Math.max(most, ...[along([1, 0, 0]), along([0, 1, 0])].map((axis) => Math.abs(dot(p, axis) / dot(p, ahead))));
     }, 0.15);
     const reach = Math.min(0.45 * far, 1.2 * this.machine);
-    const corner = (x, y) => add(eye, turned(R, inPlatform([1.25 * half * x, 1.25 * half * y, -1])), reach);
+    const corner = (x, y) => add(eye, along([1.25 * half * x, 1.25 * half * y, -1]), reach);
     const corners = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
     corners.forEach((point, i) => push([eye, point, corners[(i + 1) % 4]], shape(colour.good, colour.good, 0.1)));
     ball(eye, 4, colour.good);

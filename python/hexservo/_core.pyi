@@ -44,6 +44,11 @@ class StopCause(enum.Enum):
     base_joint = 10
     platform_joint = 11
 
+class MountedOn(enum.Enum):
+    __pybind11_native_enum__: object
+    platform = 0
+    base = 1
+
 class CameraConvention(enum.Enum):
     __pybind11_native_enum__: object
     eye_in_hand = 0
@@ -173,14 +178,15 @@ class Hexapod(metaclass=_PybindType):
     ) -> ForwardKinematics: ...
 
 class Mount(metaclass=_PybindType):
-    """Frame C of the camera in E."""
+    """Frame C of the camera in E, or in B."""
 
     def __init__(self) -> None: ...
+    on: MountedOn
     position: _Array
     rotation: _Array
 
 class Camera(metaclass=_PybindType):
-    """Pinhole camera on the platform, (4)."""
+    """Pinhole camera, (4)."""
 
     def __init__(self) -> None: ...
     focal_length: float
@@ -188,7 +194,7 @@ class Camera(metaclass=_PybindType):
     mount: Mount
     @property
     def focal_pixels(self) -> float: ...
-    def in_platform(self, points: ArrayLike) -> _Array: ...
+    def in_mount(self, points: ArrayLike) -> _Array: ...
     def features(self, pixels: ArrayLike) -> _Array: ...
     def pixels(self, features: ArrayLike) -> _Array: ...
 
@@ -454,7 +460,12 @@ class Probe(metaclass=_PybindType):
     def initial_weights(self) -> _Array | None: ...
     def image(self, position: ArrayLike, quaternion: ArrayLike) -> tuple[_Array, _Array]: ...
     def image_jacobian(
-        self, features: ArrayLike, depth: ArrayLike, quaternion: ArrayLike, controller: bool = False
+        self,
+        features: ArrayLike,
+        depth: ArrayLike,
+        quaternion: ArrayLike,
+        controller: bool = False,
+        position: ArrayLike | None = None,
     ) -> _Array: ...
     def goal_minima(self) -> tuple[_Array, _Array]: ...
     def measured_depth(self, depth: ArrayLike) -> _Array: ...
@@ -653,6 +664,7 @@ def image_jacobian(
     depth: ArrayLike,
     quaternion: ArrayLike,
     convention: CameraConvention = CameraConvention.eye_in_hand,
+    position: ArrayLike | None = None,
 ) -> _Array: ...
 def simulate(settings: Settings, kernel: Kernel, log_weights: bool = False) -> Trajectory: ...
 def processor_features() -> dict[str, bool]: ...

@@ -250,7 +250,7 @@ TEST_CASE("pbvs: tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat 
       const double Z = s.input.image.depth(i);
       const Vector3<double> p_E(-s.input.image.features(2 * i) * Z / kFocal,
                                 -s.input.image.features(2 * i + 1) * Z / kFocal, Z);
-      s.task.target.points_B.col(i) = truth.position + s.input.R_BE * p_E;
+      s.task.target.points_T.col(i) = truth.position + s.input.R_BE * p_E;
     }
     s.input.pose.position += random.matrix<3>(0.003);
     s.input.pose.quaternion += random.matrix<4>(0.005);
@@ -313,14 +313,14 @@ TEST_CASE_TEMPLATE(
     Situation<Law>& s = situations[static_cast<std::size_t>(lane)];
     s = random_situation<Law>(random);
     for (int i = 0; i < 4; ++i)
-      s.task.target.points_B.col(i) =
+      s.task.target.points_T.col(i) =
           s.input.pose.position + s.input.R_BE * back_project<double>(kFocal,
                                                                       s.input.image.features.template segment<2>(2 * i),
                                                                       s.input.image.depth(i));
     s.task.target.goal = s.task.reference;
     if (lane == 3) {  // four times the same point
       s.input.image.features.setZero();
-      s.task.target.points_B.setZero();
+      s.task.target.points_T.setZero();
       if constexpr (requires { s.gains.prior; }) s.gains.prior.setZero();
     }
     set_lane(task.camera.focal, lane, s.task.camera.focal);
@@ -329,7 +329,7 @@ TEST_CASE_TEMPLATE(
     set_lane(task.gravity_wrench, lane, s.task.gravity_wrench);
     set_lane(task.reference, lane, s.task.reference);
     set_lane(task.body, lane, s.task.body);
-    set_lane(task.target.points_B, lane, s.task.target.points_B);
+    set_lane(task.target.points_T, lane, s.task.target.points_T);
     set_lane(task.target.goal, lane, s.task.target.goal);
     set_lane(task.target.goal_inverse_depth, lane, s.task.target.goal_inverse_depth);
     set_lane(gains, lane, s.gains);
@@ -399,10 +399,10 @@ TEST_CASE("the target points of a controller follow from its depth estimates: in
   const LoopParameters<double, Pbvs> loop = loop_parameters<Pbvs>(paper_with<Pbvs>());
   const ControlTask<double> task = control_task(loop);
   const ControllerGains<Pbvs> gains = controller_gains<Pbvs>(paper_with<Pbvs>(), 1e-3);
-  CHECK(gains.task.target.points_B == task.target.points_B);
+  CHECK(gains.task.target.points_T == task.target.points_T);
   CHECK(gains.task.target.goal.position == task.target.goal.position);
   Settings settings = paper_with<Pbvs>();
   settings.uncertainty = {};
   const ControllerGains<Pbvs> nominal = controller_gains<Pbvs>(settings, 1e-3);
-  CHECK(distance(gains.task.target.points_B.row(2), nominal.task.target.points_B.row(2)) > 0.1);  // 30 % of 0.5 m
+  CHECK(distance(gains.task.target.points_T.row(2), nominal.task.target.points_T.row(2)) > 0.1);  // 30 % of 0.5 m
 }

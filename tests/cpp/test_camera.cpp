@@ -65,8 +65,10 @@ Jacobian printed_jacobian(const Image<double>& image, const Matrix3<double>& R_B
   return J;
 }
 
+const Vector3<double> kAnywhere(0.1, -0.2, 0.3);  // the position does not matter to a camera on the platform
+
 ImageJacobian<double> jacobian(double sign, const Image<double>& image, const Matrix3<double>& R_BE) {
-  return ImageJacobian<double>(kFocal, sign, image, R_BE);
+  return ImageJacobian<double>(kFocal, sign, image, kAnywhere, R_BE);
 }
 
 const Features kStart = (Features() << 30, 18, 65, -65, -44, 37, -10, -15).finished();
@@ -82,10 +84,14 @@ double condition_number(const Features& features, double depth) {
 }  // namespace
 
 // A Jacobian refers to its image and attitude: temporaries, which would be gone before it is used, do not compile.
-static_assert(
-    std::is_constructible_v<ImageJacobian<double>, double, double, const Image<double>&, const Matrix3<double>&>);
-static_assert(!std::is_constructible_v<ImageJacobian<double>, double, double, Image<double>, const Matrix3<double>&>);
-static_assert(!std::is_constructible_v<ImageJacobian<double>, double, double, const Image<double>&, Matrix3<double>>);
+static_assert(std::is_constructible_v<ImageJacobian<double>, double, double, const Image<double>&,
+                                      const Vector3<double>&, const Matrix3<double>&>);
+static_assert(!std::is_constructible_v<ImageJacobian<double>, double, double, Image<double>, const Vector3<double>&,
+                                       const Matrix3<double>&>);
+static_assert(!std::is_constructible_v<ImageJacobian<double>, double, double, const Image<double>&,
+                                       const Vector3<double>&, Matrix3<double>>);
+static_assert(!std::is_constructible_v<ImageJacobian<double>, double, double, const Image<double>&, Vector3<double>,
+                                       const Matrix3<double>&>);
 
 TEST_CASE("projection (4) and back projection are inverses, both ways") {
   Random random(7501);
@@ -184,7 +190,7 @@ TEST_CASE("measured Jacobian (9), (10), (12): J_m = J + Delta J, and only its tr
       CHECK(measured.depth(i) == doctest::Approx((1.0 + error(i)) * image.depth(i)).epsilon(4.0 * kEpsilon));
     for (const double sign : {1.0, -1.0}) {
       const Jacobian J = jacobian(sign, image, view.R_BE).matrix(), J_m = jacobian(sign, measured, view.R_BE).matrix();
-      const Jacobian delta = image_jacobian_error(kFocal, sign, image, error, view.R_BE);
+      const Jacobian delta = image_jacobian_error(kFocal, sign, image, error, view.p_BE, view.R_BE);
       CHECK(relative_distance(J + delta, J_m) <= 4.0 * kEpsilon);
       CHECK(relative_distance(J_m, sign * printed_jacobian(measured, view.R_BE)) <= 20.0 * kEpsilon);
       // (8) has the depth in its first three columns alone, as 1/Z: there Delta J = (1/(1 + delta) - 1) J
@@ -193,7 +199,7 @@ TEST_CASE("measured Jacobian (9), (10), (12): J_m = J + Delta J, and only its tr
         const Eigen::Matrix<double, 2, 3> expected = (1.0 / (1.0 + error(i)) - 1.0) * J.block<2, 3>(2 * i, 0);
         CHECK(distance(delta.block<2, 3>(2 * i, 0), expected) <= 20.0 * kEpsilon * J.cwiseAbs().maxCoeff());
       }
-      CHECK(image_jacobian_error<double, 4>(kFocal, sign, image, Depths::Zero(), view.R_BE).isZero(0.0));
+      CHECK(image_jacobian_error<double, 4>(kFocal, sign, image, Depths::Zero(), view.p_BE, view.R_BE).isZero(0.0));
     }
   }
 }

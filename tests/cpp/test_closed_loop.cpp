@@ -51,7 +51,7 @@ Flat flat_rate(const Parameters& p, const ControlTask<double>& task, const Flat&
   const Matrix3<double> R_BE = rotation_matrix(quaternion_of(body));
   const bool printed = p.convention == CameraConvention::as_printed;
   const Image<double> image = printed ? Image<double>{y.segment<8>(13 + kWeights), y.tail<4>()}
-                                      : take_image(task.camera, position_of(body), R_BE, p.points_B);
+                                      : take_image(task.camera, position_of(body), R_BE, p.points_T);
   const FuzzyWeights<double> weights = weights_of(y);
   const Hybrid::Evaluation<double> law =
       evaluate_hybrid<double>(task, p.gains, weights, {measured_image(image, p.depth_error), R_BE, twist_of(body)});
@@ -66,7 +66,8 @@ Flat flat_rate(const Parameters& p, const ControlTask<double>& task, const Flat&
             law.rate.basis.error[static_cast<std::size_t>(row)](axis) *
             law.rate.basis.rate[static_cast<std::size_t>(column)](axis);
   if (printed) {
-    rate.segment<8>(13 + kWeights) = ImageJacobian<double>(task.camera, 1.0, image, R_BE).push(twist_of(body));
+    const Vector3<double> p_BE = position_of(body);
+    rate.segment<8>(13 + kWeights) = ImageJacobian<double>(task.camera, 1.0, image, p_BE, R_BE).push(twist_of(body));
     rate.tail<4>() = printed_depth_rate(task.camera.focal, image, R_BE, twist_of(body));
   }
   return rate;
@@ -271,7 +272,7 @@ TEST_CASE("the loop is of order four: errors fall 16-fold with half the step (ta
       loop.advance();
       const Measurement<double> seen = loop.observe();
       const Matrix3<double> R_BE = rotation_matrix(seen.pose.quaternion);
-      const ImageJacobian<double> J(task.camera, task.jacobian_sign, seen.image, R_BE);
+      const ImageJacobian<double> J(task.camera, task.jacobian_sign, seen.image, seen.pose.position, R_BE);
       const Vector6<double> g = J.pull(p.gains.kp.cwiseProduct(task.desired_features - seen.image.features));
       const Vector6<double> g_rate = -J.pull(p.gains.kp.cwiseProduct(J.push(seen.twist)));
       largest_input = std::max({largest_input, g.cwiseProduct(p.gains.fuzzy.error_scale).cwiseAbs().maxCoeff(),
@@ -478,7 +479,7 @@ TEST_CASE("the camera as printed keeps its own image: its features and depths ar
   Single loop(p);
   for (int i = 0; i < 500; ++i) loop.advance();
   const Sample<double>& s = loop.record().sample();
-  const Image<double> projected = take_image(p.camera.focal, s.position, rotation_matrix(s.quaternion), p.points_B);
+  const Image<double> projected = take_image(p.camera.focal, s.position, rotation_matrix(s.quaternion), p.points_T);
   CHECK(distance(p.desired_features - s.feature_error, projected.features) > 10.0);
 }
 

@@ -41,7 +41,7 @@ struct Situation {
     return evaluate_law<Composite, double>(task, gains, weights, input);
   }
   ImageJacobian<double> jacobian() const {
-    return ImageJacobian<double>(task.camera, task.jacobian_sign, input.image, input.R_BE);
+    return ImageJacobian<double>(task.camera, task.jacobian_sign, input.image, input.pose.position, input.R_BE);
   }
   Vector<double, 8> feature_error() const { return task.desired_features - input.image.features; }
 };
@@ -265,7 +265,7 @@ TEST_CASE(
       const Pose<double> pose{goal.position + time * twist.head<3>(), {q.w(), q.x(), q.y(), q.z()}};
       const Matrix3<double> R_BE = rotation_of(pose.quaternion);
       const Image<double> image = take_image(kFocal, pose.position, R_BE, points_B);
-      return most_probable_pose_error<double, 4>(ImageJacobian<double>(kFocal, -1.0, image, R_BE),
+      return most_probable_pose_error<double, 4>(ImageJacobian<double>(kFocal, -1.0, image, pose.position, R_BE),
                                                  features - image.features, linear_angular<double>(1e4, 1600.0),
                                                  pose_difference(goal, pose));
     };
@@ -565,13 +565,14 @@ TEST_CASE("the drift's cause: eigenvalues of (J-hat^T J-hat)^-1 J-hat^T J below 
   const LoopParameters<double, Composite> p = loop_parameters<Composite>(gravity_settings());
   const Matrix6<double> M = p.gains.prior.asDiagonal();
   const double f = p.camera.focal;
+  const Vector3<double> p_BE = Vector3<double>::Zero();
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
   const auto smallest = [](const Matrix6<double>& A) { return A.eigenvalues().real().minCoeff(); };
   // where the run starts, and the goal reached by translation
   for (const bool at_goal : {false, true}) {
     CAPTURE(at_goal);
     const Image<double> image{at_goal ? p.desired_features : p.initial_image.features, p.initial_image.depth};
-    const Jacobian J = ImageJacobian<double>(f, -1.0, image, R_BE).matrix();
+    const Jacobian J = ImageJacobian<double>(f, -1.0, image, p_BE, R_BE).matrix();
     for (const double size : {0.05, 0.3}) {
       CAPTURE(size);
       int negative = 0;
@@ -580,7 +581,7 @@ TEST_CASE("the drift's cause: eigenvalues of (J-hat^T J-hat)^-1 J-hat^T J below 
         Vector<double, 4> error;
         for (int i = 0; i < 4; ++i) error(i) = (pattern >> i & 1) == 1 ? -size : size;
         const Image<double> measured = measured_image(image, error);
-        const Jacobian known = ImageJacobian<double>(f, -1.0, measured, R_BE).matrix();
+        const Jacobian known = ImageJacobian<double>(f, -1.0, measured, p_BE, R_BE).matrix();
         negative += smallest((known.transpose() * known).ldlt().solve(known.transpose() * J)) < 0.0 ? 1 : 0;
         worst = std::min(worst, smallest((known.transpose() * known + M).ldlt().solve(known.transpose() * J + M)));
       }

@@ -63,7 +63,7 @@ template <class Law>
 ControllerInput seen_input(Random& random, const ControllerGains<Law>& gains) {
   ControllerInput input = random_input(random, gains);
   input.frame.image = take_image(gains.task.camera, input.pose.position, rotation_matrix(input.pose.quaternion),
-                                 gains.task.target.points_B);
+                                 gains.task.target.points_T);
   return input;
 }
 
@@ -490,7 +490,7 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
         body_state<double>({p.hexapod.home_position, {1.0, 0.0, 0.0, 0.0}}, Vector6<double>::Zero());
     for (int tick = 0; tick < ticks; ++tick) {
       const Matrix3<double> R_BE = rotation_matrix(quaternion_of(body));
-      const Image<double> image = take_image(p.camera.focal, position_of(body), R_BE, p.points_B);
+      const Image<double> image = take_image(p.camera.focal, position_of(body), R_BE, p.points_T);
       const ControllerInput input =
           input_of(tick * period,
                    {measured_image(image, p.depth_error), {position_of(body), quaternion_of(body)}, twist_of(body)});

@@ -49,7 +49,8 @@ Situation random_situation(Random& random) {
 
 /// The image Jacobian as a matrix; (8) itself is checked in test_camera.cpp.
 Eigen::Matrix<double, 8, 6> jacobian_of(const Situation& s) {
-  return ImageJacobian<double>(s.task.camera, s.task.jacobian_sign, s.input.image, s.input.R_BE).matrix();
+  return ImageJacobian<double>(s.task.camera, s.task.jacobian_sign, s.input.image, s.input.pose.position, s.input.R_BE)
+      .matrix();
 }
 
 }  // namespace

@@ -1,4 +1,5 @@
-// A camera on a mount: projection, image Jacobian, pose estimate and goal through C in E (docs/model.md, section 4).
+// A camera on a mount, on the platform or on the base: projection, image Jacobian, pose estimate and goal through C in
+// E or B (docs/model.md, section 4).
 #include "hexservo/settings.hpp"
 
 #include "compare.hpp"
@@ -30,31 +31,58 @@ Transform pose_of(const Pose<double>& pose) {
   return transform(pose.position, Eigen::Quaterniond(q(0), q(1), q(2), q(3)).toRotationMatrix());
 }
 
-/// A mounted camera, and X_EC by Eigen.
+/// What a mount is on, and the axes of its camera.
+struct Kind {
+  MountedOn on;
+  CameraAxes axes;
+};
+constexpr std::array kKinds = {Kind{MountedOn::platform, CameraAxes::paper},
+                               Kind{MountedOn::platform, CameraAxes::opencv}, Kind{MountedOn::base, CameraAxes::paper},
+                               Kind{MountedOn::base, CameraAxes::opencv}};
+
+/// A mounted camera, and by Eigen the transform of C in the frame M of its mount.
 struct Mounted {
-  explicit Mounted(const Mount& mount)
-      : camera(CameraParameters<double>{kFocal, placement(mount, "camera.mount")}),
-        X_EC(transform(mount.position,
+  explicit Mounted(const Mount& mount, Kind which = kKinds[0])
+      : kind(which),
+        camera(prepared(mount, which)),
+        X_MC(transform(mount.position,
                        Eigen::AngleAxisd(mount.rotation.norm(), mount.rotation.normalized()).toRotationMatrix())) {}
 
+  static CameraParameters<double> prepared(const Mount& mount, Kind kind) {
+    Camera camera;
+    camera.focal_pixels = Vector2<double>(kFocal, kFocal);
+    camera.axes = kind.axes;
+    camera.mount = {mount, kind.on};
+    return camera.parameters();
+  }
+
+  bool on_base() const { return kind.on == MountedOn::base; }
+  /// C in the frame that the points are fixed in: B, or E of a camera on the base.
+  Transform X_TC(const Pose<double>& pose) const {
+    return on_base() ? Transform(pose_of(pose).inverse() * X_MC) : Transform(pose_of(pose) * X_MC);
+  }
+  /// 1 for axes that look along +z.
+  double ahead() const { return kind.axes == CameraAxes::opencv ? 1.0 : -1.0; }
+
   /// (4) with the inverse of a product of transforms, without the core.
-  Features image(const Pose<double>& pose, const Points& points_B) const {
+  Features image(const Pose<double>& pose, const Points& points) const {
     Features features;
     for (int i = 0; i < 4; ++i) {
-      const Vector3<double> p_C = (pose_of(pose) * X_EC).inverse() * points_B.col(i).eval();
-      features.segment<2>(2 * i) = -kFocal * p_C.head<2>() / p_C(2);
+      const Vector3<double> p_C = X_TC(pose).inverse() * points.col(i).eval();
+      features.segment<2>(2 * i) = kFocal * Vector2<double>(p_C(0), -ahead() * p_C(1)) / std::abs(p_C(2));
     }
     return features;
   }
 
+  Kind kind;
   PlatformCamera<double> camera;
-  Transform X_EC;
+  Transform X_MC;
 };
 
-Mounted random_mount(Random& random, double metres = 0.1, double radians = 3.0) {
+Mounted random_mount(Random& random, Kind kind, double metres = 0.1, double radians = 3.0) {
   Vector3<double> turn = random.matrix<3>();
   turn *= radians / turn.norm();
-  return Mounted({random.matrix<3>(metres), turn});
+  return Mounted({random.matrix<3>(metres), turn}, kind);
 }
 
 Pose<double> random_pose(Random& random) {
@@ -67,9 +95,8 @@ Points points_before(Random& random, const Mounted& mounted, const Pose<double>&
   Points points;
   for (int i = 0; i < 4; ++i) {
     const Vector3<double> off = random.matrix<3>(0.04);
-    const Vector3<double> p_C(i < 2 ? 0.08 : -0.08, i % 2 == 0 ? 0.08 : -0.08, -0.5);
-    points.col(i) =
-        pose_of(pose) * mounted.X_EC * Vector3<double>(p_C + Vector3<double>(off(0), off(1), flat * off(2)));
+    const Vector3<double> p_C(i < 2 ? 0.08 : -0.08, i % 2 == 0 ? 0.08 : -0.08, 0.5 * mounted.ahead());
+    points.col(i) = mounted.X_TC(pose) * Vector3<double>(p_C + Vector3<double>(off(0), off(1), flat * off(2)));
   }
   return points;
 }
@@ -90,7 +117,7 @@ TEST_CASE("the image through a mount is that of the product of both transforms, 
   CAPTURE(random.seed());
   for (int trial = 0; trial < 200; ++trial) {
     CAPTURE(trial);
-    const Mounted mounted = random_mount(random);
+    const Mounted mounted = random_mount(random, kKinds[static_cast<std::size_t>(trial) % kKinds.size()]);
     const Pose<double> pose = random_pose(random);
     const Points points = points_before(random, mounted, pose);
     const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
@@ -98,9 +125,9 @@ TEST_CASE("the image through a mount is that of the product of both transforms, 
     // lengths of up to 1 m, of which coordinates beside the axis are 1e2 px per depth
     CHECK(distance(image.features, mounted.image(pose, points)) <= 1e-10);
     for (int i = 0; i < 4; ++i) {
-      const Vector3<double> p_B =
+      const Vector3<double> p_T =
           lift<double>(mounted.camera, pose.position, R_BE, image.features.segment<2>(2 * i), image.depth(i));
-      CHECK(distance(p_B, Vector3<double>(points.col(i))) <= 1e-14);
+      CHECK(distance(p_T, Vector3<double>(points.col(i))) <= 1e-14);
     }
   }
 }
@@ -111,12 +138,12 @@ TEST_CASE("the image Jacobian through a mount is the derivative of the image alo
   const double h = 1e-5;  // third derivatives of some 1e4 px h^2, and rounding of 1e-12 px / h
   for (int trial = 0; trial < 200; ++trial) {
     CAPTURE(trial);
-    const Mounted mounted = random_mount(random);
+    const Mounted mounted = random_mount(random, kKinds[static_cast<std::size_t>(trial) % kKinds.size()]);
     const Pose<double> pose = random_pose(random);
     const Points points = points_before(random, mounted, pose);
     const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
     const Image<double> image = take_image<double, 4>(mounted.camera, pose.position, R_BE, points);
-    const ImageJacobian<double> J(mounted.camera, -1.0, image, R_BE);
+    const ImageJacobian<double> J(mounted.camera, -1.0, image, pose.position, R_BE);
     const Eigen::Matrix<double, 8, 6> matrix = J.matrix();
     for (int j = 0; j < 6; ++j) {
       const Vector6<double> d = h * Vector6<double>::Unit(j);
@@ -138,7 +165,7 @@ TEST_CASE("a mount that is none changes no number, also where other lanes have o
   Random random(14103);
   CAPTURE(random.seed());
   PlatformCamera<double> none(kFocal);
-  CHECK_FALSE(PlatformCamera<double>(CameraParameters<double>{kFocal, placement({}, "")}).mounted);
+  CHECK_FALSE(PlatformCamera<double>(Mounted::prepared({}, kKinds[0])).mounted);
   none.mounted = true;
   for (int trial = 0; trial < 100; ++trial) {
     CAPTURE(trial);
@@ -149,7 +176,7 @@ TEST_CASE("a mount that is none changes no number, also where other lanes have o
     const Image<double> same = take_image<double, 4>(none, pose.position, R_BE, points);
     CHECK(image.features == same.features);
     CHECK(image.depth == same.depth);
-    const ImageJacobian<double> J(kFocal, -1.0, image, R_BE), K(none, -1.0, image, R_BE);
+    const ImageJacobian<double> J(kFocal, -1.0, image, pose.position, R_BE), K(none, -1.0, image, pose.position, R_BE);
     const Vector6<double> twist = random.six(0.1, 0.5);
     const Features force = random.matrix<8>();
     CHECK(J.push(twist) == K.push(twist));
@@ -165,7 +192,7 @@ TEST_CASE("through a mount the curvature of the features is their second derivat
   const PosePrior<double> none{{}, kImageAlone};
   for (int trial = 0; trial < 50; ++trial) {
     CAPTURE(trial);
-    const Mounted mounted = random_mount(random);
+    const Mounted mounted = random_mount(random, kKinds[static_cast<std::size_t>(trial) % kKinds.size()]);
     const Pose<double> pose = random_pose(random);
     const Points points = points_before(random, mounted, pose);
     const Features weights = random.matrix<8>(1.0);
@@ -190,7 +217,7 @@ TEST_CASE(
   CAPTURE(random.seed());
   for (int trial = 0; trial < 100; ++trial) {
     CAPTURE(trial);
-    const Mounted mounted = random_mount(random);
+    const Mounted mounted = random_mount(random, kKinds[static_cast<std::size_t>(trial) % kKinds.size()]);
     const Pose<double> truth = random_pose(random);
     const Points points = points_before(random, mounted, truth);
     const Features seen = mounted.image(truth, points);
@@ -205,8 +232,8 @@ TEST_CASE(
     const Pose<double> mirrored = mirrored_pose<double, 4>(mounted.camera, flat, truth);
     CHECK(far_from(mirrored_pose<double, 4>(mounted.camera, flat, mirrored), truth) <= 1e-7);
     const Vector3<double> centroid = flat.rowwise().mean();
-    CHECK(((pose_of(mirrored) * mounted.X_EC).translation() - centroid).norm() ==
-          doctest::Approx(((pose_of(truth) * mounted.X_EC).translation() - centroid).norm()));
+    CHECK((mounted.X_TC(mirrored).translation() - centroid).norm() ==
+          doctest::Approx((mounted.X_TC(truth).translation() - centroid).norm()));
     // To first order in size over distance the image is the same: a target a hundredth as large, to 1e-2 of its size.
     const Points small = centroid.replicate<1, 4>() + 0.01 * (flat.colwise() - centroid);
     const Features here = mounted.image(truth, small);
@@ -234,21 +261,28 @@ TEST_CASE("refused: rotations beyond pi, a mount of a camera as printed, and a t
                    s.camera.mount.position = {0.01, 0.0, 0.0};
                  }),
                  "camera.mount"));
+  CHECK(is_about(refusal_of([](Settings& s) {
+                   s.camera.convention = CameraConvention::as_printed;
+                   s.camera.mount.on = MountedOn::base;
+                 }),
+                 "camera.mount"));
   const auto points =
       (Eigen::Matrix<double, 4, 3>() << 0.1, 0.1, -0.6, 0.1, -0.1, -0.6, -0.1, -0.1, -0.6, -0.1, 0.1, -0.65).finished();
   CHECK(refusal_of([&](Settings& s) { s.target.points = points; }) == "(accepted)");
   for (const Mount& mount : {Mount{{0.0, 0.0, -0.5}, {0.0, 0.0, 0.0}}, Mount{{0.0, 0.0, 0.0}, {3.0, 0.0, 0.0}}}) {
     const std::string message = refusal_of([&](Settings& s) {
       s.target.points = points;
-      s.camera.mount = mount;
+      s.camera.mount = {mount, MountedOn::platform};
     });
     CHECK(is_about(message, "target.points[0]"));
     CHECK(message.find("camera.mount") != std::string::npos);
   }
   // what is assumed: position in E, rotation in C
   const Mount mount{{0.01, 0.02, 0.03}, {0.0, 0.0, std::numbers::pi / 2}}, error{{1e-3, 0.0, 0.0}, {0.2, 0.0, 0.0}};
-  const Placement<double> assumed = placement(assumed_mount(mount, error), "");
-  CHECK(distance(assumed.p_EC, Vector3<double>(0.011, 0.02, 0.03)) <= 1e-17);
+  const CameraMount on_base = assumed_mount({mount, MountedOn::base}, error);
+  CHECK(on_base.on == MountedOn::base);
+  const Placement<double> assumed = placement(on_base, "");
+  CHECK(distance(assumed.p_MC, Vector3<double>(0.011, 0.02, 0.03)) <= 1e-17);
   const Matrix3<double> about_x = Eigen::AngleAxisd(0.2, Vector3<double>::UnitX()).toRotationMatrix();
-  CHECK(distance(assumed.R_EC, Matrix3<double>(placement(mount, "").R_EC * about_x)) <= 1e-15);
+  CHECK(distance(assumed.R_MC, Matrix3<double>(placement(mount, "").R_MC * about_x)) <= 1e-15);
 }

@@ -52,7 +52,7 @@ TEST_CASE("the image Jacobian of 16 places is the derivative of the projection, 
     const PlatformCamera<double> camera(p.camera);
     const Pose<double> home = home_pose(p.hexapod);
     const Matrix3<double> R_BE = rotation_matrix(home.quaternion);
-    const ImageJacobian<double, N> J(camera, -1.0, p.initial_image, R_BE);
+    const ImageJacobian<double, N> J(camera, -1.0, p.initial_image, home.position, R_BE);
     const Eigen::Matrix<double, 2 * N, 6> matrix = J.matrix();
     constexpr double kStep = 1e-6;  // error of central differences: kStep^2 times the third derivative, about 1e-6 px
     for (int j = 0; j < 6; ++j) {
@@ -60,7 +60,7 @@ TEST_CASE("the image Jacobian of 16 places is the derivative of the projection, 
       d(j) = kStep;
       const Pose<double> ahead = moved(home, d), behind = moved(home, Vector6<double>(-d));
       const auto seen = [&](const Pose<double>& pose) {
-        return take_image<double, N>(camera, pose.position, rotation_matrix(pose.quaternion), p.points_B).features;
+        return take_image<double, N>(camera, pose.position, rotation_matrix(pose.quaternion), p.points_T).features;
       };
       CHECK(distance((seen(ahead) - seen(behind)) / (2.0 * kStep), matrix.col(j)) <= 1e-4);
       CHECK(distance(J.push(d) / kStep, matrix.col(j)) <= 1e-9);
@@ -92,18 +92,19 @@ TEST_CASE("the pose of 5 to 16 points is found exactly, and under noise it is th
     const Pose<double> home = home_pose(p.hexapod);
     const Pose<double> truth = moved(home, Vector6<double>(random.six(0.004, 0.05)));
     Vector<double, 2 * N> features =
-        take_image<double, N>(camera, truth.position, rotation_matrix(truth.quaternion), p.points_B).features;
+        take_image<double, N>(camera, truth.position, rotation_matrix(truth.quaternion), p.points_T).features;
     const Vector6<double> none = Vector6<double>::Zero();
-    const auto exact = estimate_pose<double, N>(camera, p.points_B, features, home, none, weights);
+    const auto exact = estimate_pose<double, N>(camera, p.points_T, features, home, none, weights);
     CHECK_FALSE(exact.failed);
     CHECK(pose_difference(exact.pose, truth).cwiseAbs().maxCoeff() <= 1e-12);
 
     for (int k = 0; k < 2 * count; ++k) features(k) += random.uniform(-0.5, 0.5);
     fill_places<2>(features, count);
-    const auto noisy = estimate_pose<double, N>(camera, p.points_B, features, home, none, weights);
+    const auto noisy = estimate_pose<double, N>(camera, p.points_T, features, home, none, weights);
     const Matrix3<double> R_BE = rotation_matrix(noisy.pose.quaternion);
-    const Image<double, N> image = take_image<double, N>(camera, noisy.pose.position, R_BE, p.points_B);
-    const Eigen::Matrix<double, 2 * N, 6> J = ImageJacobian<double, N>(camera, -1.0, image, R_BE).matrix();
+    const Image<double, N> image = take_image<double, N>(camera, noisy.pose.position, R_BE, p.points_T);
+    const Eigen::Matrix<double, 2 * N, 6> J =
+        ImageJacobian<double, N>(camera, -1.0, image, noisy.pose.position, R_BE).matrix();
     Vector6<double> slope = Vector6<double>::Zero();  // of the weighted residual: zero at its minimum
     for (int i = 0; i < count; ++i)
       slope += p.weights(i) * J.middleRows<2>(2 * i).transpose() * (features - image.features).segment<2>(2 * i);

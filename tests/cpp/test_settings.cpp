@@ -31,7 +31,7 @@ std::string verdict(const Change& change) {
 }
 
 /// The paper's points, given by their place.
-Points paper_points() { return loop_parameters<Hybrid>(paper_settings()).points_B.transpose(); }
+Points paper_points() { return loop_parameters<Hybrid>(paper_settings()).points_T.transpose(); }
 
 }  // namespace
 
@@ -54,7 +54,7 @@ TEST_CASE("loop parameters are those of the settings") {
   CHECK(p.initial_image.depth == Vector<double, 4>::Constant(-0.5));
   const double f = settings.camera.focal();
   const Image<double> seen =
-      take_image(f, settings.robot.home_position, Matrix3<double>(Matrix3<double>::Identity()), p.points_B);
+      take_image(f, settings.robot.home_position, Matrix3<double>(Matrix3<double>::Identity()), p.points_T);
   CHECK(distance(seen.features, settings.target.initial_features) <= 1e-12);
   CHECK(distance(seen.depth, p.initial_image.depth) <= kEpsilon);
   CHECK(p.desired_features == settings.target.desired_features);
@@ -74,7 +74,7 @@ TEST_CASE("points and features define the same target") {
   by_points.robot.home_position = Vector3<double>(0.003, -0.002, -0.151);
   PaperSettings by_features = by_points;
   for (int i = 0; i < 4; ++i) by_features.target.depth(i) = random.uniform(0.3, 0.8);
-  by_points.target.points = loop_parameters<Hybrid>(by_features).points_B.transpose();
+  by_points.target.points = loop_parameters<Hybrid>(by_features).points_T.transpose();
   by_points.target.initial_features.setConstant(kNaN);  // not used beside points
   by_points.target.depth.setConstant(kNaN);
   const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(by_points);

@@ -84,7 +84,7 @@ TEST_CASE("logged quantities belong to one another: image, legs and wrench follo
     const Vector3<double> position = row<3>(run.position, i);
     const Matrix3<double> R_BE = rotation_matrix(row<4>(run.quaternion, i));
     CHECK(row<4>(run.quaternion, i).norm() == doctest::Approx(1.0).epsilon(4.0 * kEpsilon));
-    const Image<double> image = take_image(p.camera.focal, position, R_BE, p.points_B);
+    const Image<double> image = take_image(p.camera.focal, position, R_BE, p.points_T);
     CHECK(distance(row<8>(run.feature_error, i), p.desired_features - image.features) <= 1e-11);
     CHECK(distance(row<4>(run.depth, i), image.depth) <= 1e-14);
     const Legs<double> legs = inverse_kinematics(p.hexapod, position, R_BE);

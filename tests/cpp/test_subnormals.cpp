@@ -33,7 +33,7 @@ ControllerInput input_at_home(const ControllerGains<Law>& gains, double twist) {
   ControllerInput input;
   input.pose = home_pose(gains.hexapod);
   input.frame = {0.0, take_image(gains.task.camera, input.pose.position, rotation_matrix(input.pose.quaternion),
-                                 gains.task.target.points_B)};
+                                 gains.task.target.points_T)};
   input.twist.setConstant(twist);
   return input;
 }

@@ -45,7 +45,7 @@ def test_a_square_worked_out_by_hand(size: float, depth: float) -> None:
     """J^T J of a centred square is block-diagonal: (x, about y), (y, about x), z, about z; its inverse by hand."""
     scene = scene_of(hs.load_scenario("paper"))
     features, z = in_circle(np.sqrt(2) * size, CORNERS), np.full(4, -depth)
-    view = View(scene.home, features, z, scene.jacobian(features, z, scene.home.quaternion))
+    view = View(scene.home, features, z, scene.jacobian(features, z, scene.home))
     found = conditioning.sight("start", view, depth)
     f, a = scene.camera.focal_pixels, size
     across = depth * np.sqrt((f**2 + a**2) ** 2 + a**4) / (2 * f * a**2)
@@ -216,7 +216,7 @@ def test_points_look_from_home_as_they_are_said_to() -> None:
 
 
 def worst_of(scene: Scene, features: Array, depth: Array, length: float) -> float:
-    jacobian = scene.jacobian(features, depth, scene.home.quaternion) / np.repeat([1.0, length], 3)
+    jacobian = scene.jacobian(features, depth, scene.home) / np.repeat([1.0, length], 3)
     return float(1 / np.linalg.svd(jacobian, compute_uv=False)[-1])
 
 

@@ -47,7 +47,7 @@ def jacobians(scenario: hs.Scenario, factor: float, seed: int) -> tuple[np.ndarr
     move = np.random.default_rng(seed).uniform(-1, 1, (1, 6)) * [0.02, 0.02, 0.02, 0.2, 0.2, 0.2]
     pose = rest.home.moved(move)
     features, depth = rest.image(pose)
-    return tuple(rest.jacobian(features, z, pose.quaternion)[0] for z in (factor * depth, depth))
+    return tuple(rest.jacobian(features, z, pose)[0] for z in (factor * depth, depth))
 
 
 @pytest.mark.parametrize("error", [-0.5, -0.3, 0.05, 0.3, 0.8])
@@ -264,6 +264,6 @@ def test_directions_are_those_of_the_eigenvectors(found: Drift, composite: hs.Sc
     rest = Rest(composite)
     worst = pattern_of(found, WORST)
     features, depth = rest.image(rest.home)
-    known = rest.jacobian(features, (1 + worst.errors) * depth, rest.home.quaternion)
-    matrix = loop_matrix(known, rest.jacobian(features, depth, rest.home.quaternion), PRIOR, PRIOR)
+    known = rest.jacobian(features, (1 + worst.errors) * depth, rest.home)
+    matrix = loop_matrix(known, rest.jacobian(features, depth, rest.home), PRIOR, PRIOR)
     np.testing.assert_allclose(matrix @ worst.direction, worst.start * worst.direction, rtol=0, atol=1e-9)

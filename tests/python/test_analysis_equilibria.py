@@ -134,8 +134,8 @@ def test_eigenvalues_at_the_goal_are_those_of_the_closed_form(
     rest = Rest(scenario)
     pose = Poses(goal.position[None], goal.quaternion[None])
     features, true = rest.image(pose)
-    known = rest.jacobian(features, (1 + np.asarray(depth)) * true, pose.quaternion)[0]
-    stiffness = 1e-6 * known.T @ rest.jacobian(features, true, pose.quaternion)[0]
+    known = rest.jacobian(features, (1 + np.asarray(depth)) * true, pose)[0]
+    stiffness = 1e-6 * known.T @ rest.jacobian(features, true, pose)[0]
     inertia = 0.925 * np.diag([0.06, 0.06, 0.06, 1.5e-4, 1.5e-4, 3e-4])  # (1 - delta_D) D at R = I
     expected = np.sort(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real)
     # differences leave 1e-12 of the largest, 1e4 1/s^2

@@ -64,7 +64,7 @@ def test_derivatives_by_a_displacement_are_those_of_the_image() -> None:
     poses = scene.home.moved(0.05 * np.random.default_rng(SEED).uniform(-1, 1, (2, 3, 6)) * scene.unit)
     features, depth = scene.image(poses)
     found = by_displacement(lambda there: scene.image(there)[0], poses, 1e-5 * scene.unit)
-    exact = scene.jacobian(features, depth, poses.quaternion)
+    exact = scene.jacobian(features, depth, poses)
     assert found.shape == exact.shape == (2, 3, 8, 6)
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7 * np.abs(exact).max())
 

@@ -46,7 +46,7 @@ def test_stiffness_at_the_goal_is_that_of_the_equations(paper: hs.Scenario, dept
     scene = scene_of(base)
     view = scene.view(scene.home)
     true = view.jacobian
-    believed = scene.jacobian(view.features, view.depth * (1 + np.asarray(depth_error)), scene.home.quaternion)
+    believed = scene.jacobian(view.features, view.depth * (1 + np.asarray(depth_error)), scene.home)
     expected = 3e-7 * believed.T @ true
     found = RestLaw(scene).stiffness(scene.home)
     np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
@@ -67,7 +67,7 @@ def test_the_wrench_at_rest_is_the_image_wrench_and_the_gravity_error(paper: hs.
     scenario = paper.updated({"uncertainty.gravity": [0, 0, 0.01, 0, 0, 0]})
     scene = scene_of(scenario)
     view = scene.view(scene.home)
-    believed = scene.jacobian(view.features, 1.3 * view.depth, scene.home.quaternion)
+    believed = scene.jacobian(view.features, 1.3 * view.depth, scene.home)
     expected = 1e-6 * believed.T @ (scene.desired - view.features) + [0, 0, -0.01 * 0.06 * 9.8, 0, 0, 0]
     np.testing.assert_allclose(RestLaw(scene).wrench(scene.home), expected, rtol=1e-12, atol=1e-16)
 

@@ -543,7 +543,7 @@ def test_a_spread_target_has_its_goal_at_the_same_pose(points: bool) -> None:
     """Square corners at 0.2 of the distance: +-0.2 f px from home, and at the paper's goal 20 and 8 px further."""
     scenario = hs.load_scenario("paper")
     if points:
-        camera, features, depth = seen_from_home(scenario)
+        camera, features, depth, _ = seen_from_home(scenario)
         place = np.column_stack([features.reshape(4, 2) / camera.focal_pixels, -np.ones(4)]) * -depth[:, None]
         changes = {"initial_features": None, "depth": None, "points": (place + np.array([0.0, 0.0, -0.15])).tolist()}
         scenario = scenario.updated({"target": changes})
@@ -573,7 +573,7 @@ def test_the_worst_direction_of_a_square_by_hand() -> None:
     a, distance = 0.2, 0.5
     camera = seen_from_home(hs.load_scenario("paper"))[0]
     corners = a * camera.focal_pixels * np.array([-1, -1, 1, -1, 1, 1, -1, 1])
-    worst = pixels_per_metre(camera, corners, np.full(4, -distance))
+    worst = pixels_per_metre(camera, corners, np.full(4, -distance), np.zeros(3))
     b = 1.0 + a**2
     gram = 4.0 * camera.focal_pixels**2 * np.array([[1.0, -b], [-b, b**2 + a**4]]) / distance**2
     smallest = min(np.linalg.eigvalsh(gram)[0], 8.0 * (camera.focal_pixels * a / distance) ** 2)

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import pytest
-import yaml
+
+from hexservo.scenario.yaml import load_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 HEADERS = ROOT / "cpp" / "include" / "hexservo"
@@ -386,16 +387,16 @@ def scenario_keys() -> frozenset[str]:
             annotation = annotation.slice.elts[0]
         return annotation.id if isinstance(annotation, ast.Name) else ""
 
-    fields = {
-        node.name: {
-            item.target.id: kind_of(item.annotation)
-            for item in node.body
-            if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)
-        }
-        for text in texts
-        for node in ast.parse(text).body
-        if isinstance(node, ast.ClassDef) and "Block" in {base.id for base in node.bases if isinstance(base, ast.Name)}
-    }
+    fields: dict[str, dict[str, str]] = {"Block": {}}
+    for node in (node for text in texts for node in ast.parse(text).body):
+        if isinstance(node, ast.ClassDef):
+            bases = [base.id for base in node.bases if isinstance(base, ast.Name) and base.id in fields]
+            if bases:  # with the fields of a block that it extends
+                fields[node.name] = {key: kind for base in bases for key, kind in fields[base].items()} | {
+                    item.target.id: kind_of(item.annotation)
+                    for item in node.body
+                    if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)
+                }
 
     def paths(block: str, head: str = "") -> Iterator[str]:
         for key, kind in fields[block].items():
@@ -448,9 +449,10 @@ def test_every_scenario_key_is_explained_and_no_other() -> None:
 
 def test_values_in_the_key_tables_are_those_of_the_scenario_paper() -> None:
     file = ROOT / "python" / "hexservo" / "scenarios" / "paper.yaml"
-    expected = dict(leaves(yaml.safe_load(file.read_text(encoding="utf-8"))))
+    written: Any = load_yaml(file.read_text(encoding="utf-8"))
+    expected = dict(leaves(written))
     shown = {
-        code_spans(row[0])[0]: yaml.safe_load(code_spans(row[-1])[0])
+        code_spans(row[0])[0]: load_yaml(code_spans(row[-1])[0])
         for head, rows in tables_in(prose_of(MODEL))
         if head[0] == "key" and head[-1] == "`paper`"
         for row in rows

@@ -34,6 +34,7 @@ SHARED = [
     *(f"robot.{name}" for name in ("mass", "inertia", "stroke", "stroke_centre", "force_limit", "centre_of_mass")),
     *(f"robot.payload.{name}" for name in ("mass", "position", "inertia", "known")),
     *("camera.focal_length", "camera.pixel_scale", "camera.mount.position", "camera.mount.rotation"),
+    "camera.mount.on",
     *("camera.axes", "camera.convention", "target.desired_features"),
     *("controller.jacobian", "controller.switching.kind", "controller.switching.width", "uncertainty.depth"),
     *("uncertainty.mount.position", "uncertainty.mount.rotation"),

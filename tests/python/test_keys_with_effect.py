@@ -156,6 +156,7 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "camera.focal_pixels": {"camera": {"focal_length": None, "pixel_scale": None, "focal_pixels": 700.0}},
         "camera.principal_point": {key: [5.0, -3.0]},
         "camera.axes": {key: "opencv"},
+        "camera.mount.on": {key: "base"},
         "camera.distortion.brown_conrady": {key: [-0.3, 0.1, 1e-3, 1e-3, 0.0]},
         "camera.distortion.kannala_brandt": {key: [0.1, 0.0, 0.0, 0.0]},
         "robot.platform_joints": {key: (np.array(_joints(scenario)[0]) + np.eye(6, 3) * 1e-3).tolist()},

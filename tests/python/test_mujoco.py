@@ -233,6 +233,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
     "plain": {},
     "mounted": {"camera.mount": {"position": [0.02, -0.01, 0.03], "rotation": [0.05, -0.08, 0.4]}},
     "opencv": {"camera.mount.rotation": [3.1, 0.1, 0.0], "camera.axes": "opencv"},
+    "base": {"camera.mount": {"on": "base", "position": [0.02, 0.0, -0.05], "rotation": [0.05, -0.08, 0.4]}},
 }
 
 

@@ -163,6 +163,7 @@ SAMPLED = {
     "saturation": Sampled(0.538, 0.057),
     "real-machine": Sampled(0.579, 0.073),
     "hand-eye": Sampled(0.576, 0.085),
+    "eye-to-hand": Sampled(0.471, 0.259),
 }
 
 

@@ -45,6 +45,7 @@ int fuzzy() {
 
 int jacobian() {
   const double focal = peers::read_numbers(1)[0];
+  const Vector3<double> p_BE = Vector3<double>::Zero();
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
   return peers::serve("hexservo", 20, 56, stateless, [&](const double* row, double* out) {
     Image<double> image;
@@ -53,7 +54,7 @@ int jacobian() {
       image.features(2 * i + 1) = row[3 * i + 1];
       image.depth(i) = row[3 * i + 2];
     }
-    const ImageJacobian<double> J(focal, -1.0, image, R_BE);
+    const ImageJacobian<double> J(focal, -1.0, image, p_BE, R_BE);
     Eigen::Map<Eigen::Matrix<double, 8, 6, Eigen::RowMajor>>{out} = J.matrix();
     Eigen::Map<Vector<double, 8>>{out + 48} = vector_at<8>(row + 12) - image.features;
   });

@@ -7,7 +7,7 @@
 /// | xi, Z            | features, depth               | (x1, y1, ...) [px]; Z_i < 0 in front of the camera [m]    |
 /// | J_im             | point_rate, add_point_wrench  | (8) and its transpose, applied to one point               |
 /// | J = J_im K(chi)  | ImageJacobian                 | push a twist, pull an image force; a matrix on request    |
-/// | C in E           | PlatformCamera                | f and mount, which all that projects or differentiates has |
+/// | C in E or B      | PlatformCamera                | f and mount, which all that projects or differentiates has |
 /// | J_m = J_r + J_e  | ImageJacobian at the measured depth, image_jacobian_error    |                            |
 #pragma once
 
@@ -47,11 +47,11 @@ struct Distortion {
   }
 };
 
-/// Numbers of a pinhole camera on the platform, prepared.
+/// Numbers of a pinhole camera, prepared.
 template <class S>
 struct CameraParameters {
   S focal{581.816};        ///< f [px]
-  Placement<S> placement;  ///< of C in E
+  Placement<S> placement;  ///< of C in E, or in B
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -69,7 +69,7 @@ struct Camera {
                                                    ///< count from the image centre
   CameraAxes axes = CameraAxes::paper;
   Distortion distortion;
-  Mount mount;                                             ///< of C in E
+  CameraMount mount;                                       ///< of C in E, or in B
   Vector2<double> image_offset = Vector2<double>::Zero();  ///< what the principal point is off [px]; no key
 
   /// f of the pinhole whose features laws use [px]: f_x, or alpha lambda, 581.816.
@@ -97,7 +97,7 @@ struct Camera {
   }
 };
 
-/// A pinhole camera on the platform: f, and C in E.
+/// A pinhole camera: f, and C in E, or in B where it is mounted on the base.
 template <class S>
 struct PlatformCamera : CameraParameters<S> {
   PlatformCamera() = default;
@@ -119,20 +119,38 @@ struct CameraView {
   CameraView(const PlatformCamera<S>& camera)
       : f(camera.focal), placement(camera.mounted ? &camera.placement : nullptr) {}
   CameraView(PlatformCamera<S>&&) = delete;
+  CameraView(const S& focal, const Placement<S>& at) : f(focal), placement(&at) {}
+  CameraView(const S&, Placement<S>&&) = delete;
 
-  /// p_BC: centre of projection in B [m].
+  /// Whether C is fixed in B, and the points in E.
+  bool on_base() const { return placement != nullptr && placement->on_base(); }
+
+  /// Centre of projection in the frame T that the points are fixed in [m]: p_BC, or p_EC of a camera on the base.
   Vector3<S> centre(const Vector3<S>& p_BE, const Matrix3<S>& R_BE) const {
-    return placement == nullptr ? p_BE : Vector3<S>(p_BE + rotate<S>(R_BE, placement->p_EC));
+    if (placement == nullptr) return p_BE;
+    if (placement->on_base()) return rotate_back<S>(R_BE, Vector3<S>(placement->p_MC - p_BE));
+    return p_BE + rotate<S>(R_BE, placement->p_MC);
   }
-  /// R_BC: turns C-coordinates into B-coordinates.
+  /// Turns C-coordinates into those of T: R_BC, or R_EC of a camera on the base.
   Matrix3<S> attitude(const Matrix3<S>& R_BE) const {
     if (placement == nullptr) return R_BE;
-    Matrix3<S> R_BC;
+    Matrix3<S> R_TC;
     for (int j = 0; j < 3; ++j) {
-      const Vector3<S> axis = placement->R_EC.col(j);
-      R_BC.col(j) = rotate<S>(R_BE, axis);
+      const Vector3<S> axis = placement->R_MC.col(j);
+      R_TC.col(j) = placement->on_base() ? rotate_back<S>(R_BE, axis) : rotate<S>(R_BE, axis);
     }
-    return R_BC;
+    return R_TC;
+  }
+
+  /// p_BC: centre of projection in B [m].
+  Vector3<S> centre_in_base(const Vector3<S>& p_BE, const Matrix3<S>& R_BE) const {
+    return on_base() ? placement->p_MC : centre(p_BE, R_BE);
+  }
+  /// R_BC: turns C-coordinates into B-coordinates.
+  Matrix3<S> attitude_in_base(const Matrix3<S>& R_BE) const { return on_base() ? placement->R_MC : attitude(R_BE); }
+  /// Frame C of a camera on the base as that of one on the platform which is at the same place at this pose.
+  Placement<S> carried(const Vector3<S>& p_BE, const Matrix3<S>& R_BE) const {
+    return {centre(p_BE, R_BE), attitude(R_BE), MountedOn::platform};
   }
 };
 
@@ -168,12 +186,13 @@ Vector3<S> back_project(const S& f, const Vector2<S>& feature, const S& depth) {
   return Vector3<S>(scale * feature(0), scale * feature(1), depth);
 }
 
-/// The point in B [m] that a camera on a platform at this pose sees at (x, y) [px] with depth Z [m].
+/// The point in T [m] with its image at (x, y) [px] with depth Z [m] while the platform is at this pose.
 template <class S>
 Vector3<S> lift(const CameraView<S>& camera, const Vector3<S>& p_BE, const Matrix3<S>& R_BE, const Vector2<S>& feature,
                 const S& depth) {
   const Vector3<S> p_C = back_project<S>(camera.f, feature, depth);
-  return p_BE + rotate<S>(R_BE, camera.placement == nullptr ? p_C : camera.placement->in_platform(p_C));
+  if (camera.on_base()) return rotate_back<S>(R_BE, Vector3<S>(camera.placement->in_mount(p_C) - p_BE));
+  return p_BE + rotate<S>(R_BE, camera.placement == nullptr ? p_C : camera.placement->in_mount(p_C));
 }
 
 /// One number of each point, side by side.
@@ -182,18 +201,18 @@ using PointVector = SideBySide<S, N>;
 
 namespace detail {
 
-/// What a camera whose own pose is given sees of points fixed in B: P_i = R^T (P_i^B - p), then (4).
+/// What a camera whose own pose in T is given sees of points fixed in T: P_i = R^T (P_i^T - p), then (4).
 template <class S, int N>
-[[gnu::always_inline]] inline void take_image_from(const S& f, const Vector3<S>& p_BC, const Matrix3<S>& R_BC,
-                                                   const Vectors3<S, N>& points_B, Image<S, N>& image,
+[[gnu::always_inline]] inline void take_image_from(const S& f, const Vector3<S>& p_TC, const Matrix3<S>& R_TC,
+                                                   const Vectors3<S, N>& points_T, Image<S, N>& image,
                                                    Vector<S, N>& inverse_depth) {
   using R = typename PointVector<S, N>::Register;
-  const Vector3<R> position = broadcast<R>(p_BC);
-  const Matrix3<R> attitude = broadcast<R>(R_BC);
+  const Vector3<R> position = broadcast<R>(p_TC);
+  const Matrix3<R> attitude = broadcast<R>(R_TC);
   Pairs<S, N> features;
   PointVector<S, N> depth, inverse;
   for (std::size_t r = 0; r < PointVector<S, N>::registers; ++r) {
-    const Vector3<R> point = points_B.part(r);
+    const Vector3<R> point = points_T.part(r);
     const Vector3<R> p_C =
         rotate_back<R>(attitude, Vector3<R>(point(0) - position(0), point(1) - position(1), point(2) - position(2)));
     inverse.part[r] = R(1.0) / p_C(2);
@@ -210,34 +229,35 @@ template <class S, int N>
 /// The same through a mount; out of line, so that a camera without one does not pay for it.
 template <class S, int N>
 [[gnu::noinline]] void take_mounted_image(const CameraView<S>& camera, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
-                                          const Vectors3<S, N>& points_B, Image<S, N>& image,
+                                          const Vectors3<S, N>& points_T, Image<S, N>& image,
                                           Vector<S, N>& inverse_depth) {
-  take_image_from<S, N>(camera.f, camera.centre(p_BE, R_BE), camera.attitude(R_BE), points_B, image, inverse_depth);
+  take_image_from<S, N>(camera.f, camera.centre(p_BE, R_BE), camera.attitude(R_BE), points_T, image, inverse_depth);
 }
 
 }  // namespace detail
 
-/// What the camera on a platform at a pose sees of points fixed in B: P_i = R_BC^T (P_i^B - p_BC), then (4).
-/// @param points_B of N points [m]
+/// Image of points fixed in T, with the platform at a pose: P_i = R_TC^T (P_i^T - p_TC), then (4).
+/// T is B, and E for a camera on the base.
+/// @param points_T of N points [m]
 /// @param image filled in
 /// @param inverse_depth 1/Z_i [1/m], a by-product; filled in
 template <class S, int N>
 [[gnu::always_inline]] inline void take_image(const std::type_identity_t<CameraView<S>>& camera, const Vector3<S>& p_BE,
-                                              const Matrix3<S>& R_BE, const Vectors3<S, N>& points_B,
+                                              const Matrix3<S>& R_BE, const Vectors3<S, N>& points_T,
                                               Image<S, N>& image, Vector<S, N>& inverse_depth) {
   if (camera.placement == nullptr)
-    detail::take_image_from<S, N>(camera.f, p_BE, R_BE, points_B, image, inverse_depth);
+    detail::take_image_from<S, N>(camera.f, p_BE, R_BE, points_T, image, inverse_depth);
   else
-    detail::take_mounted_image<S, N>(camera, p_BE, R_BE, points_B, image, inverse_depth);
+    detail::take_mounted_image<S, N>(camera, p_BE, R_BE, points_T, image, inverse_depth);
 }
 /// The same, for image and depth alone.
-/// @param points_B 3xN, one column per point [m]
+/// @param points_T 3xN, one column per point [m]
 template <class S, int N>
 Image<S, N> take_image(const std::type_identity_t<CameraView<S>>& camera, const Vector3<S>& p_BE,
-                       const Matrix3<S>& R_BE, const Eigen::Matrix<S, 3, N>& points_B) {
+                       const Matrix3<S>& R_BE, const Eigen::Matrix<S, 3, N>& points_T) {
   Image<S, N> image;
   Vector<S, N> inverse_depth;
-  take_image<S, N>(camera, p_BE, R_BE, Vectors3<S, N>(points_B), image, inverse_depth);
+  take_image<S, N>(camera, p_BE, R_BE, Vectors3<S, N>(points_T), image, inverse_depth);
   return image;
 }
 
@@ -335,22 +355,49 @@ class PointWeights<S, kPoints> {
   S per_freedom() const { return S(1.0 / (2 * N - 6)); }
 };
 
+namespace detail {
+
+// Of a camera on the base; out of line and of copies, so that the numbers of one on the platform stay in registers.
+
+/// Twist of B against the platform, at B's origin and in B: what moves the camera past the points.
+template <class S>
+[[gnu::noinline, gnu::cold]] Vector6<S> base_twist(const Vector3<S>& p_BE, const Vector6<S>& twist) {
+  const Vector3<S> v = twist.template head<3>(), w = twist.template tail<3>();
+  Vector6<S> of_base;
+  of_base.template head<3>() = cross<S>(w, p_BE) - v;
+  of_base.template tail<3>() = -w;
+  return of_base;
+}
+/// Its transpose: a wrench on B about its origin becomes that on the platform about E's, in B.
+template <class S>
+[[gnu::noinline, gnu::cold]] Vector6<S> wrench_of_base(const Vector3<S>& p_BE, const Vector3<S>& force,
+                                                       const Vector3<S>& moment) {
+  Vector6<S> wrench;
+  wrench.template head<3>() = -force;
+  wrench.template tail<3>() = cross<S>(p_BE, force) - moment;
+  return wrench;
+}
+
+}  // namespace detail
+
 /// J = sign J_im(xi, Z) blkdiag(R^T, R^T) of (12): twist in B to image velocity; applied point by point. Through a
-/// mount the twist at E becomes that of the camera first, v_C = v + w x (R r).
+/// mount the twist at E becomes that of the camera first, v_C = v + w x (R r). Of a camera on the base it is that of B
+/// against the platform, -(v - w x x_p) at B's origin and -w, which takes the place of the twist of E.
 ///
-/// With sign = -1 this is the Jacobian of real points fixed in B (eye in hand); +1 is (8) as printed.
+/// With sign = -1 this is the Jacobian of real points, fixed in B or E; +1 is (8) as printed.
 /// (8) changes its sign with x, y and f, so they carry it.
 template <class S, int N = kPoints>
 class ImageJacobian {
  public:
   /// @param features [px]
   /// @param inverse_depth 1/Z_i [1/m], measured or true
-  /// @param R_BE shared: it must outlive this
+  /// @param p_BE, R_BE pose of the platform; shared: they must outlive this
   ImageJacobian(const CameraView<S>& camera, const S& sign, const Vector<S, 2 * N>& features,
-                const Vector<S, N>& inverse_depth, const Matrix3<S>& R_BE)
+                const Vector<S, N>& inverse_depth, const Vector3<S>& p_BE, const Matrix3<S>& R_BE)
       : f_(sign * camera.f),
         inverse_f_(S(1.0) / f_),
         inverse_depth_(PointVector<S, N>::load(inverse_depth.data())),
+        p_BE_(p_BE),
         R_BE_(R_BE),
         placement_(camera.placement) {
     const Pairs<S, N> pairs(features);
@@ -359,21 +406,34 @@ class ImageJacobian {
   }
 
   /// @param image features [px] and depth [m], measured or true; depth must not be zero
-  ImageJacobian(const CameraView<S>& camera, const S& sign, const Image<S, N>& image, const Matrix3<S>& R_BE)
-      : ImageJacobian(camera, sign, image.features, image.depth.cwiseInverse(), R_BE) {}
+  ImageJacobian(const CameraView<S>& camera, const S& sign, const Image<S, N>& image, const Vector3<S>& p_BE,
+                const Matrix3<S>& R_BE)
+      : ImageJacobian(camera, sign, image.features, image.depth.cwiseInverse(), p_BE, R_BE) {}
 
   // What is, or may be, shared must have a name: a temporary is gone before the Jacobian is used.
-  ImageJacobian(const CameraView<S>&, const S&, Vector<S, 2 * N>&&, const Vector<S, N>&, const Matrix3<S>&) = delete;
-  ImageJacobian(const CameraView<S>&, const S&, const Vector<S, 2 * N>&, const Vector<S, N>&, Matrix3<S>&&) = delete;
-  ImageJacobian(const CameraView<S>&, const S&, Image<S, N>&&, const Matrix3<S>&) = delete;
-  ImageJacobian(const CameraView<S>&, const S&, const Image<S, N>&, Matrix3<S>&&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, Vector<S, 2 * N>&&, const Vector<S, N>&, const Vector3<S>&,
+                const Matrix3<S>&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, const Vector<S, 2 * N>&, const Vector<S, N>&, const Vector3<S>&,
+                Matrix3<S>&&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, const Vector<S, 2 * N>&, const Vector<S, N>&, Vector3<S>&&,
+                const Matrix3<S>&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, Image<S, N>&&, const Vector3<S>&, const Matrix3<S>&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, const Image<S, N>&, const Vector3<S>&, Matrix3<S>&&) = delete;
+  ImageJacobian(const CameraView<S>&, const S&, const Image<S, N>&, Vector3<S>&&, const Matrix3<S>&) = delete;
 
   /// J chi-dot [px/s] for a twist in B.
   Vector<S, 2 * N> push(const Vector6<S>& twist) const { return push_pairs(twist).vector(); }
   Pairs<S, N> push_pairs(const Vector6<S>& twist) const {
     Vector3<S> velocity = rotate_back<S>(R_BE_, Vector3<S>(twist(0), twist(1), twist(2)));
     Vector3<S> turning = rotate_back<S>(R_BE_, Vector3<S>(twist(3), twist(4), twist(5)));
-    if (placement_ != nullptr) placement_->to_camera(velocity, turning);
+    if (placement_ != nullptr) {
+      if (placement_->on_base()) [[unlikely]] {
+        const Vector6<S> of_base = detail::base_twist<S>(Vector3<S>(p_BE_), Vector6<S>(twist));
+        velocity = of_base.template head<3>();
+        turning = of_base.template tail<3>();
+      }
+      placement_->to_camera(velocity, turning);
+    }
     const Vector3<R> v = broadcast<R>(velocity), w = broadcast<R>(turning);
     Pairs<S, N> rates;
     for (std::size_t r = 0; r < registers; ++r) {
@@ -396,7 +456,12 @@ class ImageJacobian {
     const auto [fz, mx] = lane_sums<S>(force(2), moment(0));
     const auto [my, mz] = lane_sums<S>(moment(1), moment(2));
     Vector3<S> force_E(fx, fy, fz), moment_E(mx, my, mz);
-    if (placement_ != nullptr) placement_->to_platform(force_E, moment_E);
+    if (placement_ != nullptr) {
+      placement_->to_mount(force_E, moment_E);
+      if (placement_->on_base()) [[unlikely]]
+        return SideBySide<S, 6>(
+            detail::wrench_of_base<S>(Vector3<S>(p_BE_), Vector3<S>(force_E), Vector3<S>(moment_E)));
+    }
     const Vector3<S> force_B = rotate<S>(R_BE_, force_E), moment_B = rotate<S>(R_BE_, moment_E);
     return SideBySide<S, 6>::of(force_B(0), force_B(1), force_B(2), moment_B(0), moment_B(1), moment_B(2));
   }
@@ -430,7 +495,11 @@ class ImageJacobian {
   Vector6<S> row(int i, const S& fx, const S& fy) const {
     Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
     add_point_wrench<S>(f_, inverse_f_, points_.x(i), points_.y(i), inverse_depth_(i), fx, fy, force_E, moment_E);
-    if (placement_ != nullptr) placement_->to_platform(force_E, moment_E);
+    if (placement_ != nullptr) {
+      placement_->to_mount(force_E, moment_E);
+      if (placement_->on_base()) [[unlikely]]
+        return detail::wrench_of_base<S>(Vector3<S>(p_BE_), Vector3<S>(force_E), Vector3<S>(moment_E));
+    }
     return in_base(force_E, moment_E);
   }
 
@@ -447,8 +516,9 @@ class ImageJacobian {
   S f_, inverse_f_;     ///< with the sign
   Pairs<S, N> points_;  ///< likewise
   PointVector<S, N> inverse_depth_;
+  const Vector3<S>& p_BE_;
   const Matrix3<S>& R_BE_;
-  const Placement<S>* placement_;  ///< of C in E; none: they are one
+  const Placement<S>* placement_;  ///< of C in E or B; none: C is E
 };
 
 /// The controller's depth estimates, Z-hat_i = (1 + delta_Z,i) Z_i (docs/model.md, section 4) [m].
@@ -467,10 +537,10 @@ Vector<S, N> measured_inverse_share(const Vector<S, N>& depth_error) {
 template <class S, int N>
 Eigen::Matrix<S, 2 * N, 6> image_jacobian_error(const std::type_identity_t<CameraView<S>>& camera, const S& sign,
                                                 const Image<S, N>& image, const Vector<S, N>& depth_error,
-                                                const Matrix3<S>& R_BE) {
+                                                const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
   const Image<S, N> measured = measured_image(image, depth_error);
-  return ImageJacobian<S, N>(camera, sign, measured, R_BE).matrix() -
-         ImageJacobian<S, N>(camera, sign, image, R_BE).matrix();
+  return ImageJacobian<S, N>(camera, sign, measured, p_BE, R_BE).matrix() -
+         ImageJacobian<S, N>(camera, sign, image, p_BE, R_BE).matrix();
 }
 
 /// Z-dot_i [m/s] of (6) as printed: (omega x P_i + v) along Z, in E, with P_i from (4).

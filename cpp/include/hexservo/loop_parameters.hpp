@@ -31,7 +31,7 @@ struct SceneParameters {
   LensParameters<S> assumed_lens;      ///< of the controller's
   CameraConvention convention = CameraConvention::eye_in_hand;
   JacobianConvention jacobian = JacobianConvention::consistent;
-  Eigen::Matrix<S, 3, N> points_B;    ///< target points [m]; not used by `as_printed`
+  Eigen::Matrix<S, 3, N> points_T;    ///< target points in B, or in E for a camera on the base [m]; not `as_printed`
   Image<S, N> initial_image;          ///< seen from home [px; m]
   Vector<S, 2 * N> desired_features;  ///< xi_d [px]
   Vector<S, 2 * N> assumed_initial;   ///< what the controller's camera makes of the pixels of the initial image [px]
@@ -73,7 +73,7 @@ struct SceneParameters {
     v(Field{"assumed_lens"}, self.assumed_lens...);
     v(Field{"convention"}, self.convention...);
     v(Field{"jacobian"}, self.jacobian...);
-    v(Field{"points_B"}, self.points_B...);
+    v(Field{"points_T"}, self.points_T...);
     v(Field{"initial_image"}, self.initial_image...);
     v(Field{"desired_features"}, self.desired_features...);
     v(Field{"assumed_initial"}, self.assumed_initial...);
@@ -115,7 +115,7 @@ struct LoopParameters : SceneParameters<S, N> {
   }
 };
 
-/// P-hat_i of a loop's controller, 3xN in B [m].
+/// P-hat_i of a loop's controller, 3xN in T [m].
 template <class S, int N>
 Eigen::Matrix<S, 3, N> believed_points(const SceneParameters<S, N>& p) {
   const PlatformCamera<S> camera(p.assumed_camera);

@@ -206,7 +206,7 @@ class Perception {
     held_ = now_.image;
     seen_at_.setConstant(S(-kInfinity));
     lost_.setZero();
-    points_B_.setZero();
+    points_T_.setZero();
     lengths_.setZero();
   }
 
@@ -245,7 +245,7 @@ class Perception {
     history_.for_each_member(f);
     f(held_.features);
     f(held_.depth);
-    f(points_B_);
+    f(points_T_);
     f(seen_at_);
     f(lost_);
     f(lengths_);
@@ -324,14 +324,14 @@ class Perception {
       here = (x == x) & (y == y);
       good = good & ((!here) | usable(sensing, i, x, y, depth));
     }
-    Eigen::Matrix<S, 3, N> points_B;
+    Eigen::Matrix<S, 3, N> points_T;
     if (lifts_points(sensing.frames)) {
       const Pose<S> pose = history_.at(min(frame.exposure, S(input.now)));
       const Matrix3<S> R_BE = rotation_matrix(pose.quaternion);
       for (int i = 0; i < N; ++i) {
-        points_B.col(i) = lift<S>(sensing.camera, pose.position, R_BE, frame.image.features.template segment<2>(2 * i),
+        points_T.col(i) = lift<S>(sensing.camera, pose.position, R_BE, frame.image.features.template segment<2>(2 * i),
                                   frame.image.depth(i));
-        good = good & ((!shown[static_cast<std::size_t>(i)]) | is_finite(Vector3<S>(points_B.col(i))));
+        good = good & ((!shown[static_cast<std::size_t>(i)]) | is_finite(Vector3<S>(points_T.col(i))));
       }
     }
     now_.usable = now_.usable & (good | (!arrived));
@@ -345,7 +345,7 @@ class Perception {
         held_.features(k) = select(seen, frame.image.features(k), held_.features(k));
       held_.depth(i) = select(seen, frame.image.depth(i), held_.depth(i));
       if (lifts_points(sensing.frames))
-        for (int k = 0; k < 3; ++k) points_B_(k, i) = select(seen, points_B(k, i), points_B_(k, i));
+        for (int k = 0; k < 3; ++k) points_T_(k, i) = select(seen, points_T(k, i), points_T_(k, i));
     }
   }
 
@@ -364,7 +364,7 @@ class Perception {
       return;
     }
     const bool predicting = sensing.frames.prediction == Prediction::encoder;
-    const Image<S, N> projected = take_image<S, N>(sensing.camera, now_.pose.position, now_.R_BE, points_B_);
+    const Image<S, N> projected = take_image<S, N>(sensing.camera, now_.pose.position, now_.R_BE, points_T_);
     for (int i = 0; i < N; ++i) {
       const Mask<S> lost = lost_(i) > S(0.5);
       const Mask<S> again = predicting ? (!lost) | Mask<S>(sensing.frames.on_lost != LostFeature::hold) : lost;
@@ -380,7 +380,7 @@ class Perception {
   double clock_ = -std::numeric_limits<double>::infinity();  ///< newest time [ticks]
   PoseHistory<S> history_;
   Image<S, N> held_;                 ///< last image of each point
-  Eigen::Matrix<S, 3, N> points_B_;  ///< the same, lifted [m]
+  Eigen::Matrix<S, 3, N> points_T_;  ///< the same, lifted [m]
   Vector<S, N> seen_at_;             ///< its exposure [ticks]; -infinity where a point was never seen
   Vector<S, N> lost_;                ///< 1 where the newest frame does not show a point
   Vector6<S> lengths_;               ///< newest reading of the encoders [m]

@@ -100,9 +100,11 @@ class Probe {
 
   /// J of (12): twist in B (m/s; rad/s) to feature rates [px/s].
   /// @param depth as the Jacobian shall take it: the true ones, or the controller's [m]
+  /// @param position, quaternion pose of the platform; no positions: for a camera on the platform they do not matter
   /// @param controller the controller's sign and camera instead of the plant's
   /// @param jacobian n x 2 p x 6
-  void image_jacobian(Rows features, Rows depth, Rows quaternion, bool controller, Column jacobian) const;
+  void image_jacobian(Rows features, Rows depth, Rows position, Rows quaternion, bool controller,
+                      Column jacobian) const;
 
   /// Z-hat of the controller for true Z, n x p [m].
   void measured_depth(Rows depth, Column measured) const;

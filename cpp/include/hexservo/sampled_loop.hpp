@@ -30,7 +30,7 @@ class SampledPlant {
         depth_error_(p.depth_error),
         stops_where_lost_(p.frames.on_lost == LostFeature::stop),
         base_(base_motion(p)),
-        target_(p.points_B, p.target_frame, p.target_motion, p.recorded_target),
+        target_(p.points_T, p.target_frame, p.target_motion, p.recorded_target),
         base_moves_(base_.moves()),
         target_moves_(target_.moves(base_)),
         world_(p),

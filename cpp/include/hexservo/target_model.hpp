@@ -1,6 +1,6 @@
 /// @file
-/// The controller's target model: where its points are in B, the pose estimated from features, and the pose of the
-/// goal (docs/model.md, section 5).
+/// The controller's target model: where its points are in T (B, or E for a camera on the base), the pose estimated from
+/// features, and the pose of the goal (docs/model.md, section 5).
 #pragma once
 
 #include "hexservo/camera.hpp"
@@ -15,31 +15,31 @@ namespace hexservo {
 /// Points that the controller takes the target for, and the goal that follows from them.
 template <class S, int N = kPoints>
 struct TargetModel {
-  Eigen::Matrix<S, 3, N> points_B;  ///< P-hat_i in B [m]
+  Eigen::Matrix<S, 3, N> points_T;  ///< P-hat_i in T [m]
   Pose<S> goal;                     ///< where P-hat give xi_d; home for laws that do not ask for it
   Vector<S, N> goal_inverse_depth;  ///< 1/Z of P-hat_i seen from `goal` [1/m]
 };
 
-/// P-hat_i: the image from home, lifted with the controller's depth estimates, (1 + delta_Z,i) Z_i, 3xN in B [m].
+/// P-hat_i: the image from home, lifted with the controller's depth estimates, (1 + delta_Z,i) Z_i, 3xN in T [m].
 template <class S, int N>
 Eigen::Matrix<S, 3, N> believed_points(const CameraView<S>& camera, const Pose<S>& home,
                                        const Image<S, N>& seen_from_home, const Vector<S, N>& depth_error) {
   const Image<S, N> measured = measured_image(seen_from_home, depth_error);
   const Matrix3<S> R_BE = rotation_matrix(home.quaternion);
-  Eigen::Matrix<S, 3, N> points_B;
+  Eigen::Matrix<S, 3, N> points_T;
   for (int i = 0; i < N; ++i)
-    points_B.col(i) =
+    points_T.col(i) =
         lift<S>(camera, home.position, R_BE, measured.features.template segment<2>(2 * i), measured.depth(i));
-  return points_B;
+  return points_T;
 }
 
 /// Those points with the goal, and their depths there.
 template <class S, int N>
-TargetModel<S, N> target_model(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B,
+TargetModel<S, N> target_model(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T,
                                const Pose<S>& goal) {
-  TargetModel<S, N> model{points_B, goal, {}};
+  TargetModel<S, N> model{points_T, goal, {}};
   Image<S, N> image;
-  take_image<S, N>(camera, goal.position, rotation_matrix(goal.quaternion), Vectors3<S, N>(points_B), image,
+  take_image<S, N>(camera, goal.position, rotation_matrix(goal.quaternion), Vectors3<S, N>(points_T), image,
                    model.goal_inverse_depth);
   return model;
 }
@@ -114,14 +114,14 @@ struct PoseFit {
 
 /// The fit of one pose; NaN where a number is.
 template <class S, int N>
-PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
+PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points_T, const Vector<S, 2 * N>& measured,
                        const PosePrior<S>& prior, const Pose<S>& pose,
                        const PointWeights<S, N>& weights = {}) noexcept {
   PoseFit<S, N> fit;
   fit.pose = pose;
   fit.R_BE = rotation_matrix(pose.quaternion);
   Image<S, N> image;
-  take_image<S, N>(camera, pose.position, fit.R_BE, points_B, image, fit.inverse_depth);
+  take_image<S, N>(camera, pose.position, fit.R_BE, points_T, image, fit.inverse_depth);
   S nearest = image.depth(0);
   for (int i = 1; i < N; ++i) nearest = max(nearest, image.depth(i));
   fit.features = image.features;
@@ -164,14 +164,16 @@ S quartic_line_search(const Vector<S, M>& r, const Vector<S, M>& Jd, const Vecto
 ///
 /// With w = P_i - x_p, a displacement moves a point relative to the camera by -v - theta x w + theta x v
 /// + theta x (theta x w)/2, in B. With g the gradient of the features, weighted by r, for a motion of the point, and
-/// e_z the optical axis, their second derivative for that motion is -(g e_z^T + e_z g^T)/Z.
+/// e_z the optical axis, their second derivative for that motion is -(g e_z^T + e_z g^T)/Z. Past a camera on the base
+/// the points move the other way, by v + theta x w + theta x (theta x w)/2, without the mixed term.
 /// @param r weights [px]
 template <class S, int N>
 Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& fit,
                              const Vector<S, 2 * N>& r) noexcept {
   const S& f = camera.f;
-  const Matrix3<S> R_BC = camera.attitude(fit.R_BE);
-  const Vector3<S> axis = R_BC.col(2), arm = camera.centre(fit.pose.position, fit.R_BE) - fit.pose.position;
+  const bool on_base = camera.on_base();
+  const Matrix3<S> R_BC = camera.attitude_in_base(fit.R_BE);
+  const Vector3<S> axis = R_BC.col(2), arm = camera.centre_in_base(fit.pose.position, fit.R_BE) - fit.pose.position;
   Matrix6<S> sum = Matrix6<S>::Zero();
   for (int i = 0; i < N; ++i) {
     const S x = fit.features(2 * i), y = fit.features(2 * i + 1), rx = r(2 * i), ry = r(2 * i + 1);
@@ -185,12 +187,14 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
     b.template head<3>() = -inverse_depth * axis;
     b.template tail<3>() = inverse_depth * cross<S>(axis, w);
     for (int column = 0; column < 6; ++column) sum.col(column) -= a * b(column) + b * a(column);
-    sum(4, 0) -= g(2);
-    sum(5, 0) += g(1);
-    sum(3, 1) += g(2);
-    sum(5, 1) -= g(0);
-    sum(3, 2) -= g(1);
-    sum(4, 2) += g(0);
+    if (!on_base) {
+      sum(4, 0) -= g(2);
+      sum(5, 0) += g(1);
+      sum(3, 1) += g(2);
+      sum(5, 1) -= g(0);
+      sum(3, 2) -= g(1);
+      sum(4, 2) += g(0);
+    }
     const S along = dot<S>(g, w);
     for (int column = 0; column < 3; ++column) {
       for (int row = column; row < 3; ++row)
@@ -216,16 +220,16 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
 /// @param measured features [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param start its quaternion need not be of unit length
 template <class S, int N>
-PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points_B, const Vector<S, 2 * N>& measured,
+PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points_T, const Vector<S, 2 * N>& measured,
                        const PosePrior<S>& prior, const Pose<S>& start, int rounds,
                        const PointWeights<S, N>& weights = {}) noexcept {
   using std::abs;
   using std::sqrt;
   PoseFit<S, N> best =
-      pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(start, Vector6<S>::Zero()), weights);
+      pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(start, Vector6<S>::Zero()), weights);
   S mu(kPoseDamping), growth(2.0);
   for (int round = 0; round < rounds; ++round) {
-    const ImageJacobian<S, N> J(camera, S(-1.0), best.features, best.inverse_depth, best.R_BE);
+    const ImageJacobian<S, N> J(camera, S(-1.0), best.features, best.inverse_depth, best.pose.position, best.R_BE);
     const Vector<S, 2 * N> residual = measured - best.features;
     const Vector6<S> gradient = J.pull(weights.times(residual)) + prior.gradient(best.prior_error);
     Matrix6<S> A = J.normal_matrix(weights);
@@ -242,11 +246,11 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
     const S length = max(S(sqrt(S(d.template head<3>().squaredNorm())) / mean_depth),
                          S(sqrt(S(d.template tail<3>().squaredNorm()))));
     d *= select(length > S(kPoseStep), S(S(kPoseStep) / length), S(1.0));
-    const PoseFit<S, N> full = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(best.pose, d), weights);
+    const PoseFit<S, N> full = pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(best.pose, d), weights);
     const Vector<S, 2 * N> Jd = J.push(d), bend = S(2.0) * (full.features - best.features - Jd);
     const S t =
         quartic_line_search<S, 2 * N>(weights.root_times(residual), weights.root_times(Jd), weights.root_times(bend));
-    PoseFit<S, N> next = pose_fit<S, N>(camera, points_B, measured, prior, displaced<S>(best.pose, t * d), weights);
+    PoseFit<S, N> next = pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(best.pose, t * d), weights);
     const S expected = larger(S(d.dot(damping.cwiseProduct(d) + gradient)), S(1e-300));
     const Mask<S> rounding = expected * expected < S(kResidualRounding * kResidualRounding) *
                                                        (best.cost + S(kResidualRounding * kResidualRounding));
@@ -262,17 +266,59 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
   return best;
 }
 
+/// X X'^-1 X of two poses: where a platform that carries the target is, if one that carries the camera from X to X'
+/// gives the same image. Quaternions of unit length.
+template <class S>
+Pose<S> opposite_motion(const Pose<S>& from, const Pose<S>& to) noexcept {
+  const Vector3<S> u = to.quaternion.template tail<3>(), v = from.quaternion.template tail<3>();
+  const S cosine = from.quaternion.dot(to.quaternion);
+  const Vector3<S> sine = to.quaternion(0) * v - from.quaternion(0) * u + cross<S>(u, v);  // of half the turn
+  const Vector3<S> back =
+      rotate_back<S>(rotation_matrix(to.quaternion), Vector3<S>(from.position - to.position));  // in E
+  return {from.position + rotate<S>(rotation_matrix(from.quaternion), back),
+          cosine * from.quaternion + S(2.0) * quaternion_rate<S>(from.quaternion, sine)};
+}
+
+/// The points in B of points fixed in E, at a pose of the platform.
+template <class S, int N>
+Eigen::Matrix<S, 3, N> carried_points(const Eigen::Matrix<S, 3, N>& points_E, const Pose<S>& pose) noexcept {
+  const Matrix3<S> R_BE = rotation_matrix(pose.quaternion);
+  Eigen::Matrix<S, 3, N> points_B;
+  for (int i = 0; i < N; ++i) points_B.col(i) = pose.position + rotate<S>(R_BE, Vector3<S>(points_E.col(i)));
+  return points_B;
+}
+
+template <class S, int N>
+Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T, const Pose<S>& pose,
+                      const PointWeights<S, N>& weights = {}) noexcept;
+
+namespace detail {
+
+/// That of a camera on the base: the same for one that is carried, turned round.
+template <class S, int N>
+[[gnu::noinline, gnu::cold]] Pose<S> mirrored_target(const CameraView<S>& camera,
+                                                     const Eigen::Matrix<S, 3, N>& points_E, const Pose<S>& pose,
+                                                     const PointWeights<S, N>& weights) noexcept {
+  const hexservo::Placement<S> at = camera.carried(pose.position, rotation_matrix(pose.quaternion));
+  return opposite_motion<S>(pose,
+                            mirrored_pose<S, N>({camera.f, at}, carried_points<S, N>(points_E, pose), pose, weights));
+}
+
+}  // namespace detail
+
 /// The other pose of a planar target: the points turned about their centroid until their plane is mirrored about the
 /// line of sight to it. To first order in their extent over their distance the image is the same.
 ///
 /// The plane is that of the largest of their triangles (of many points: of those with their centroid and the point that
 /// is farthest from it); NaN where they lie on a line.
 template <class S, int N>
-Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B, const Pose<S>& pose,
-                      const PointWeights<S, N>& weights = {}) noexcept {
+Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T, const Pose<S>& pose,
+                      const PointWeights<S, N>& weights) noexcept {
   using std::sqrt;
+  if (camera.on_base()) [[unlikely]]
+    return detail::mirrored_target<S, N>(camera, points_T, pose, weights);
   Vector3<S> centroid = Vector3<S>::Zero(), normal = Vector3<S>::Zero();
-  for (int i = 0; i < N; ++i) centroid += weights.share(i) * points_B.col(i);
+  for (int i = 0; i < N; ++i) centroid += weights.share(i) * points_T.col(i);
   const auto keep_larger = [&normal](const Vector3<S>& a, const Vector3<S>& b) {
     const Vector3<S> area = cross<S>(a, b);
     normal = select(area.squaredNorm() > normal.squaredNorm(), area, normal);
@@ -280,18 +326,18 @@ Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>&
   if constexpr (N == kPoints) {
     for (int i = 0; i < N; ++i)
       for (int j = 0; j < i; ++j)
-        for (int k = 0; k < j; ++k) keep_larger(points_B.col(j) - points_B.col(i), points_B.col(k) - points_B.col(i));
+        for (int k = 0; k < j; ++k) keep_larger(points_T.col(j) - points_T.col(i), points_T.col(k) - points_T.col(i));
   } else {
     Vector3<S> longest = Vector3<S>::Zero();
     for (int i = 0; i < N; ++i) {
-      const Vector3<S> arm = points_B.col(i) - centroid;
+      const Vector3<S> arm = points_T.col(i) - centroid;
       longest = select(arm.squaredNorm() > longest.squaredNorm(), arm, longest);
     }
-    for (int i = 0; i < N; ++i) keep_larger(longest, points_B.col(i) - centroid);
+    for (int i = 0; i < N; ++i) keep_larger(longest, points_T.col(i) - centroid);
   }
   normal /= sqrt(S(normal.squaredNorm()));
   Vector3<S> arm = Vector3<S>::Zero();  // from E's origin to C's, in B
-  if (camera.placement != nullptr) arm = rotate<S>(rotation_matrix(pose.quaternion), camera.placement->p_EC);
+  if (camera.placement != nullptr) arm = rotate<S>(rotation_matrix(pose.quaternion), camera.placement->p_MC);
   const Vector3<S> sight = centroid - pose.position - arm;
   const S along = dot<S>(sight, normal), inverse_distance = S(1.0) / sqrt(S(sight.squaredNorm()));
   // R_BE <- (1 - 2 n n^T) (1 - 2 s s^T) R_BE, which is a turn in B by twice the angle from s to n
@@ -316,7 +362,7 @@ Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>&
 template <class S, int N>
 S unexplained_variance(const CameraView<S>& camera, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& measured,
                        const PointWeights<S, N>& weights = {}) noexcept {
-  const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
+  const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
   const Vector<S, 2 * N> residual = measured - fit.features;
   const Cholesky<S, 6> solver(J.normal_matrix(weights));
   // The vector first: a difference of squares would carry the rounding of the larger, explained part.
@@ -358,20 +404,20 @@ struct PoseEstimate {
 /// The prior pulls the estimate towards the joint sensors even where the image is exact. So the first rounds have all
 /// of its weight, and those from the better of the two poses the `prior_share` of the noise that is measured there
 /// (`unexplained_variance`). Always the same number of rounds, and C is never above that of the start.
-/// @param points_B in B [m]
+/// @param points_T in T [m]
 /// @param features measured [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param joints pose of the joint sensors: start, and centre of the prior; its quaternion need not be of unit length
 /// @param prior_weight diagonal of M under noise [px^2/m^2; px^2/rad^2]; 0: the image alone
 /// @param weights what each point counts
 template <class S, int N>
-PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_B,
+PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T,
                               const Vector<S, 2 * N>& features, const Pose<S>& joints, const Vector6<S>& prior_weight,
                               const PointWeights<S, N>& weights = {}) noexcept {
-  const Vectors3<S, N> points(points_B);
+  const Vectors3<S, N> points(points_T);
   PosePrior<S> prior{displaced<S>(joints, Vector6<S>::Zero()), prior_weight};
   PoseFit<S, N> fit = fit_pose<S, N>(camera, points, features, prior, joints, kPoseRounds, weights);
   const PoseFit<S, N> mirror =
-      fit_pose<S, N>(camera, points, features, prior, mirrored_pose<S, N>(camera, points_B, fit.pose, weights),
+      fit_pose<S, N>(camera, points, features, prior, mirrored_pose<S, N>(camera, points_T, fit.pose, weights),
                      kMirrorRounds, weights);
   PoseEstimate<S> estimate;
   estimate.mirrored = mirror.cost < S(kMirrorShare) * fit.cost;
@@ -380,7 +426,7 @@ PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S
   prior.weight *= estimate.prior_share;
   fit = fit_pose<S, N>(camera, points, features, prior, fit.pose, kPolishRounds, weights);
 
-  const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.R_BE);
+  const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
   Matrix6<S> A = J.normal_matrix(weights);
   A.diagonal() += prior.weight;
   const Cholesky<S, 6> solver(A);
@@ -404,7 +450,7 @@ struct GoalMinimum {
 /// the mirror image of each pose that it finds, in this order; the search ends at the first that shows the desired
 /// features to (1e-6 px)^2. Empty where the features determine no pose.
 template <int N = kPoints>
-std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_B,
+std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_T,
                                      const Vector<double, 2 * N>& desired_features, const Pose<double>& home,
                                      const PointWeights<double, N>& weights = {});
 
@@ -418,7 +464,7 @@ inline constexpr double kGoalResidual = 1.0;
 /// @throws std::invalid_argument where the largest residual of a coordinate is beyond `kGoalResidual`, or the features
 /// do not determine a pose
 template <int N = kPoints>
-Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_B,
+Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<double, 3, N>& points_T,
                        const Vector<double, 2 * N>& desired_features, const Pose<double>& home,
                        const PointWeights<double, N>& weights = {});
 

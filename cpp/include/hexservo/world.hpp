@@ -82,7 +82,7 @@ class World {
  public:
   template <class Law>
   explicit World(const LoopParameters<S, Law, N>& p)
-      : plant_(p.plant_body, p.dynamics_error), camera_(p.camera), points_B_(p.points_B), convention_(p.convention) {}
+      : plant_(p.plant_body, p.dynamics_error), camera_(p.camera), points_T_(p.points_T), convention_(p.convention) {}
 
   /// Where a run starts.
   template <class Law>
@@ -91,8 +91,8 @@ class World {
     return {body, printed_camera() ? View<S, N>(p.initial_image, rotation_matrix(quaternion_of(body))) : view_of(body)};
   }
 
-  /// Moves the target's points: what is seen from here on, 3xN in B [m].
-  void place_target(const Eigen::Matrix<S, 3, N>& points_B) noexcept { points_B_ = Vectors3<S, N>(points_B); }
+  /// Moves the target's points: what is seen from here on, 3xN in B [m]; not of a camera on the base.
+  void place_target(const Eigen::Matrix<S, 3, N>& points_T) noexcept { points_T_ = Vectors3<S, N>(points_T); }
 
   /// How a state changes under a wrench in B [N; N m].
   void rate(const WorldState<S, N>& state, const Vector6<S>& wrench, WorldRate<S, N>& out) const noexcept {
@@ -100,7 +100,8 @@ class World {
     out.nearest_depth = nearest_depth(state.view.image);
     if (printed_camera()) {
       const Vector6<S> twist = twist_of(state.body);
-      const ImageJacobian<S, N> J(camera_, S(plant_sign(convention_)), state.view.image, state.view.R_BE);
+      const Vector3<S> position = position_of(state.body);
+      const ImageJacobian<S, N> J(camera_, S(plant_sign(convention_)), state.view.image, position, state.view.R_BE);
       out.printed_image.features = J.push(twist);  // (12)
       out.printed_image.depth = printed_depth_rate(camera_.focal, state.view.image, state.view.R_BE, twist);
     }
@@ -167,7 +168,7 @@ class World {
   /// Fills in the image; in place, since a copy would be waited for.
   [[gnu::always_inline]] inline void look(const BodyMotion<S>& body, View<S, N>& view) const noexcept {
     view.R_BE = rotation_matrix(quaternion_of(body));
-    take_image<S, N>(camera_, position_of(body), view.R_BE, points_B_, view.image, view.inverse_depth);
+    take_image<S, N>(camera_, position_of(body), view.R_BE, points_T_, view.image, view.inverse_depth);
   }
   View<S, N> view_of(const BodyMotion<S>& body) const noexcept {
     View<S, N> view;
@@ -177,7 +178,7 @@ class World {
 
   Plant<S> plant_;
   PlatformCamera<S> camera_;
-  Vectors3<S, N> points_B_;
+  Vectors3<S, N> points_T_;
   CameraConvention convention_;
 };
 

@@ -88,6 +88,10 @@ def mjcf(scenario: Scenario) -> str:
     reach = hexapod.platform_radius
     # MuJoCo's sensor of an image does not know the principal point
     seen = 0 if _off_centre(scenario, _image_size(scenario)).any() else len(scene.points)
+    targets = [_site(f"target{i}", p, reach / 20, "0.9 0.6 0 1") for i, p in enumerate(scene.points, 1)]
+    of_base, of_platform = targets, [_camera(scenario, settings)]
+    if scenario.camera.mount.on == "base":
+        of_base, of_platform = of_platform, of_base
     name = escape(scenario.name, {'"': "&quot;"})
     lines = [
         _TITLE,
@@ -103,13 +107,13 @@ def mjcf(scenario: Scenario) -> str:
             if cranks
             else (f"    {_site(f'base{leg}', p, reach / 20)}" for leg, p in enumerate(hexapod.base_joints, 1))
         ),
-        *(f"    {_site(f'target{i}', p, reach / 20, '0.9 0.6 0 1')}" for i, p in enumerate(scene.points, 1)),
+        *(f"    {line}" for line in of_base),
         f'    <body name="platform" {_pose(scene.home)}>',
         "      <freejoint/>",
         f'      <inertial pos="{_text(c)}" mass="{float(body.mass)!r}" '
         f'fullinertia="{_text(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}"/>',
         *(f"      {_site(f'platform{leg}', p, reach / 20)}" for leg, p in enumerate(hexapod.platform_joints, 1)),
-        f"      {_camera(scenario, settings)}",
+        *(f"      {line}" for line in of_platform),
         "    </body>",
         *([] if cranks is None else cranks.bodies(reach / 20)),
         "  </worldbody>",
@@ -244,7 +248,7 @@ def _off_centre(scenario: Scenario, size: Array) -> Array:
 def _camera(scenario: Scenario, settings: _core.Settings) -> str:
     """Return the camera: MuJoCo's looks along its -z with y up, as that of the model."""
     camera, given = settings.camera, scenario.camera
-    origin, *ends = camera.in_platform(np.vstack([np.zeros(3), np.eye(3)]))
+    origin, *ends = camera.in_mount(np.vstack([np.zeros(3), np.eye(3)]))
     x, y, _ = (end - origin for end in ends)
     size = _image_size(scenario)
     focal = np.full(2, camera.focal_pixels)

@@ -63,8 +63,9 @@ def _of_legs(scene: Scene) -> Iterator[str]:
         )
     z_down = robot.gravity[2] >= 0
     upward = -1.0 if z_down else 1.0
-    sight = scene.settings.camera.in_platform(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
-    looks_up = upward * float(np.diff(scene.home.carried(sight)[:, 2])[0]) > 0
+    sight = scene.settings.camera.in_mount(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
+    in_hand = scene.scenario.camera.mount.on == "platform"  # one on the base looks where its platform hangs
+    looks_up = in_hand and upward * float(np.diff(scene.home.carried(sight)[:, 2])[0]) > 0
     if upward * robot.home_position[2] < 0 and looks_up:  # a platform that hangs has a camera that looks down
         above = "negative" if z_down else "positive"
         yield (

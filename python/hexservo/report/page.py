@@ -136,9 +136,10 @@ def _space(seen: SpaceView) -> Html:
     )
     targets = "Coloured rays end at the targets." if seen.targets is not None else "This plant has no targets in space."
     legs = "legs" if seen.feet is None else "rods; thick: cranks"
+    where = "on the base" if seen.on_base else "at the centre of the platform"
     words = (
-        f"Grey: base and {legs}. Orange: legs beyond a limit. Blue: platform. In front of the camera, at the "
-        "centre of the platform, is its image: "
+        f"Grey: base and {legs}. Orange: legs beyond a limit. Blue: platform. In front of the camera, {where}, "
+        "is its image: "
         f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B points "
         f"{'down' if seen.z_down else 'up'}; the view is upright. "
     )

@@ -136,10 +136,16 @@
     /** Puts a point of C into B at an instant. */
     function placed(frame, point) {
       const p = [0, 1, 2].map((row) => scene.camera[row] + scene.axes[row].reduce((sum, axis, at) => sum + axis * point[at], 0));
+      return scene.onBase ? p : carried(frame, p);
+    }
+    /** Puts a point of E into B at an instant. */
+    function carried(frame, p) {
       const R = runs.rotation.subarray(9 * frame, 9 * frame + 9);
       const o = runs.position.subarray(3 * frame, 3 * frame + 3);
       return [0, 1, 2].map((row) => o[row] + R[3 * row] * p[0] + R[3 * row + 1] * p[1] + R[3 * row + 2] * p[2]);
     }
+    /** Where the target is in B at an instant. */
+    const targets = (frame) => (scene.onBase ? scene.targets.map((point) => carried(frame, point)) : scene.targets);
     const coordinates = (points) => ({
       x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]),
     });
@@ -163,7 +169,7 @@
       const cranks = (wanted) => [GAP, ...(runs.feet ? legs(wanted) : []).flatMap((leg) => [scene.base[leg], rodFoot(frame, leg), GAP])];
       const traces = [
         rods(false), rods(true), cranks(false), cranks(true),
-        [camera, ...joints],
+        [scene.onBase ? carried(frame, [0, 0, 0]) : camera, ...joints],
         [...joints, joints[0]],
         [...corners.flatMap((corner) => [camera, corner, GAP]), ...corners, corners[0]],
         scene.goals.map((goal) => placed(frame, goal)),
@@ -176,8 +182,9 @@
           path.push(isNaN(place[0]) ? GAP : placed(frame, place));
         }
         traces.push(path);
-        if (scene.targets) traces.push([camera, scene.targets[point]]);
+        if (scene.targets) traces.push([camera, targets(frame)[point]]);
       }
+      if (scene.targets) traces.push(targets(frame));
       return traces.map(coordinates);
     }
 
@@ -204,13 +211,13 @@
         moved.push(line(each[point], 5));
         if (scene.targets) moved.push(line(each[point], 1.5));
       }
+      if (scene.targets) moved.push(dots(each, 6, "circle", "target"));
       const places = moving(frame);
       const still = [{ ...line(colours.muted, 3), ...coordinates([...scene.base, scene.base[0]]) }];
       still.push({
         type: "mesh3d", color: colours.soft, opacity: 0.6, hoverinfo: "skip", ...coordinates(scene.base),
         i: [0, 0, 0, 0], j: [1, 2, 3, 4], k: [2, 3, 4, 5],
       });
-      if (scene.targets) still.push({ ...dots(each, 6, "circle", "target"), ...coordinates(scene.targets) });
       return [...moved.map((trace, number) => ({ ...trace, ...places[number] })), ...still].map((trace) => ({ ...trace, showlegend: false }));
     }
 

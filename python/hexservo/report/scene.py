@@ -30,7 +30,7 @@ _WIDEST = 1.0  # half width of the drawn image, in parts of its distance: featur
 
 @dataclass(frozen=True, eq=False)
 class SpaceView:
-    """Positions in B [m], except for those of the image plane, which are in C, the camera's frame [m]."""
+    """Positions in B [m], but for those of the image plane, in C, the camera's frame, and what is stated to be in E."""
 
     time: Array  # (k,) [s]
     position: Array  # (k, 3), of E's origin
@@ -41,9 +41,10 @@ class SpaceView:
     used: Array  # (k, 6), largest share that each leg uses of one of its limits; above 1 beyond it
     limit: NDArray[np.intp]  # (k, 6), which one, of `limits`
     limits: tuple[str, ...]  # what is limited, as it follows "of its"
-    camera: Array  # (3,), of C's origin in E [m]
-    axes: Array  # (3, 3), transforms C-coordinates into E-coordinates
-    targets: Array | None  # (p, 3); None where the plant has no points
+    on_base: bool  # the camera is fixed in B, and the targets in E
+    camera: Array  # (3,), of C's origin in E, or in B [m]
+    axes: Array  # (3, 3), transforms C-coordinates into those of the same frame
+    targets: Array | None  # (p, 3), in B, or in E; None where the plant has no points
     corners: Array  # (4, 3) in C, of the image plane, in cyclic order
     image: Array  # (k, p, 3) in C, features on the image plane; NaN beyond its widest
     goals: Array  # (p, 3) in C
@@ -55,14 +56,23 @@ class SpaceView:
 
     def placed(self, frame: int, points: Array) -> Array:
         """Return points of C, (..., 3), in B at an instant."""
-        in_platform = self.camera + points @ self.axes.T
-        return np.asarray(self.position[frame] + in_platform @ self.rotation[frame].T)
+        mounted = self.camera + points @ self.axes.T
+        return mounted if self.on_base else self.carried(frame, mounted)
+
+    def carried(self, frame: int, points: Array) -> Array:
+        """Return points of E, (..., 3), in B at an instant."""
+        return np.asarray(self.position[frame] + points @ self.rotation[frame].T)
+
+    def target(self, frame: int) -> Array | None:
+        """Return the points of the target in B at an instant, (p, 3)."""
+        return self.carried(frame, self.targets) if self.on_base and self.targets is not None else self.targets
 
     def box(self) -> tuple[Array, Array]:
         """Return the smallest and the largest coordinates of all drawn points, (3,) each."""
         plane = np.concatenate([self.placed(frame, self.corners) for frame in range(len(self.time))])
         everything = [self.base, self.joints.reshape(-1, 3), self.position, plane]
-        everything += [] if self.targets is None else [self.targets]
+        targets = [self.target(frame) for frame in range(len(self.time) if self.on_base else 1)]
+        everything += [place for place in targets if place is not None]
         everything += [] if self.feet is None else [self.feet.reshape(-1, 3)]
         places = np.concatenate(everything)
         return places.min(axis=0), places.max(axis=0)
@@ -85,6 +95,7 @@ class SpaceView:
             "limits": list(self.limits),
             "base": self.base.tolist(),
             "feet": None if self.feet is None else encoded(self.feet.ravel()),
+            "onBase": self.on_base,
             "camera": self.camera.tolist(),
             "axes": self.axes.tolist(),
             "targets": None if self.targets is None else self.targets.tolist(),
@@ -114,7 +125,7 @@ def scene(result: Result) -> SpaceView:
     image = _on_plane(features * pixel, distance)
     image[np.abs(image[..., :2]).max(axis=-1) > _WIDEST * distance] = np.nan
     has_points = settings["camera.convention"] == "eye_in_hand"
-    camera, *axes = settings.camera.in_platform(np.vstack([np.zeros(3), np.eye(3)]))
+    camera, *axes = settings.camera.in_mount(np.vstack([np.zeros(3), np.eye(3)]))
     start = result.position[0], result.quaternion[0], result.features[0], result.depth[0]
     used, limit, limits = _limits_used(result, chosen)
     return SpaceView(
@@ -127,6 +138,7 @@ def scene(result: Result) -> SpaceView:
         used=used,
         limit=limit,
         limits=limits,
+        on_base=result.scenario.camera.mount.on == "base",
         camera=camera,
         axes=np.column_stack(axes) - camera[:, None],
         targets=_core.lift(settings.camera, *start) if has_points else None,

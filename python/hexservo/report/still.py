@@ -46,21 +46,21 @@ def still(scene: SpaceView) -> Html:
     shapes += [_line(at(np.stack([camera, corner])), "frustum") for corner in corners]
     shapes += [_polygon(at(joints), "platform"), _polygon(at(corners), "image")]
     image = np.array([scene.placed(last, frame) for frame in scene.image])  # (k, p, 3)
-    goals = scene.placed(last, scene.goals)
+    goals, targets = scene.placed(last, scene.goals), scene.target(last)
     for number in range(len(goals)):
         colour = _POINTS[number % len(_POINTS)]
         path = image[np.isfinite(image[:, number]).all(axis=1), number]
-        if scene.targets is not None and len(path):
-            shapes.append(_line(at(np.stack([camera, scene.targets[number]])), f"ray {colour}"))
-            shapes.append(_dot(at(scene.targets[number])[None][0], 4, f"dot {colour}"))
+        if targets is not None and len(path):
+            shapes.append(_line(at(np.stack([camera, targets[number]])), f"ray {colour}"))
+            shapes.append(_dot(at(targets[number])[None][0], 4, f"dot {colour}"))
         if len(path):
             shapes += [_line(at(path), f"path {colour}"), _dot(at(path[-1]), 3, f"dot {colour}")]
         shapes.append(_dot(at(goals[number]), 5, f"goal {colour}"))
     names: list[tuple[str, Array]] = [("base", scene.base[int(at(scene.base)[:, 0].argmax())])]
     names.append(("platform", joints[int(at(joints)[:, 0].argmax())]))
     names.append(("image", corners[int(at(corners)[:, 0].argmax())]))
-    if scene.targets is not None:
-        names.append(("targets", scene.targets[int(at(scene.targets)[:, 0].argmax())]))
+    if targets is not None:
+        names.append(("targets", targets[int(at(targets)[:, 0].argmax())]))
     shapes += [_text(at(place), name) for name, place in names]
     return element(
         "svg",

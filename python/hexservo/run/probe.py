@@ -26,8 +26,9 @@ def probe(scenario: Scenario) -> _core.Probe:
     ``goal_minima()``
         Poses from which the true points look nearest to the desired features, position (m, 3) and quaternion (m, 4):
         local minima of the image error found from home, the first that shows the goal last.
-    ``image_jacobian(features, depth, quaternion, controller=False)``
-        (n, 2p, 6), (12): twist to feature rates, with the depths as given and the plant's sign or the controller's.
+    ``image_jacobian(features, depth, quaternion, controller=False, position=None)``
+        (n, 2p, 6), (12): twist to feature rates, with the depths as given and the plant's sign or the controller's. A
+        camera on the base needs the positions too.
     ``measured_depth(depth)``
         The controller's depths (n, p) for the true ones.
     ``law(features, depth, position, quaternion, twist, weights=None)``

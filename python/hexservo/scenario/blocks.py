@@ -169,13 +169,20 @@ class Robot(Block):
 
 
 class Mount(Block):
-    """Where the camera's frame C is in the platform's frame E; as an error, what the controller's frame is off.
+    """Where the camera's frame C is in the frame that it is mounted on; as an error, what the controller's is off.
 
     The rotation vector of an error turns the true C into the controller's, about the axes of C.
     """
 
-    position: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of C's origin in E
-    rotation: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector of C in E
+    position: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of C's origin in E or B
+    rotation: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector of C in E or B
+
+
+class CameraMount(Mount):
+    """Where the camera is, and on what: the target's points are fixed to the other of platform and base."""
+
+    # platform: eye in hand, C in E and the points in B; base: eye to hand, C in B and the points in E
+    on: Annotated[Literal["platform", "base"], Choice()] = "platform"
 
 
 class Distortion(Block):
@@ -194,7 +201,7 @@ class Distortion(Block):
 
 
 class Camera(Block):
-    """The camera in the platform; docs/model.md section 4, (4)-(8).
+    """The camera, on the platform or on the base; docs/model.md section 4, (4)-(8).
 
     Times, faults and predictions act in `sampled` mode alone, where every time is a whole number of servo periods
     (``simulation.step``); docs/model.md section 7.
@@ -210,7 +217,7 @@ class Camera(Block):
     # paper: looks along -z, y up in the image; opencv: looks along +z, y down
     axes: Annotated[Literal["paper", "opencv"], Choice()] = "paper"
     distortion: Distortion = Field(default_factory=Distortion)
-    mount: Mount = Field(default_factory=Mount)
+    mount: CameraMount = Field(default_factory=CameraMount)
     convention: Annotated[Literal["eye_in_hand", "as_printed"], Choice()] = "eye_in_hand"
     # [s], between exposures; null: the servo period, which a scenario in sampled mode fills in
     period: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None

@@ -90,9 +90,9 @@ def machine_of(scenario: Blocks) -> Machine:
     """
     settings = _nominal(scenario)
     probe = _core.Probe(settings)
-    quaternion, depth, displacement = _goal(scenario, settings, probe)
+    position, quaternion, depth, displacement = _goal(scenario, settings, probe)
     desired = settings.camera.features(settings["target.desired_features"].reshape(-1, 2)).ravel()
-    jacobian = probe.image_jacobian(desired[None], depth, quaternion)[0]
+    jacobian = probe.image_jacobian(desired[None], depth, quaternion, position=position)[0]
     jacobian = jacobian * np.sqrt(np.repeat(settings["target.weights"], 2))[:, None]  # as the points count
     inertia = probe.inertia(quaternion)[0]
     sight = np.sqrt((jacobian.reshape(-1, 2, 3) ** 2).sum(axis=(0, 2)) / len(desired))
@@ -125,20 +125,20 @@ def _nominal(scenario: Blocks, law: str = "kelly", **gains: Any) -> Settings:
     return core_parameters(nominal)
 
 
-def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Array, Array, Array]:
-    """Return quaternion (1, 4), depths Z (1, n) [m] and displacement (6,) of the goal; home's and NaN if it has none.
+def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Array, Array, Array, Array]:
+    """Return pose (1, 3), (1, 4), depths Z (1, n) [m] and displacement (6,) of the goal; home's and NaN without one.
 
     The law `pbvs` with unit stiffness gives the displacement from home to the goal as a wrench, beside the weight.
     """
     home = _core.Hexapod(settings.robot)
     position, quaternion = np.array(home.home_position)[None], np.array(home.home_quaternion)[None]
     if settings["camera.convention"] == "as_printed":
-        return quaternion, -settings["target.depth"][None], np.full(6, np.nan)
+        return position, quaternion, -settings["target.depth"][None], np.full(6, np.nan)
     features, depth = probe.image(position, quaternion)
     try:
         asked = _core.Probe(_nominal(scenario, "pbvs", kp=1.0, kd=0.0, prior=_SURE))
     except ValueError:  # no pose shows the goal image
-        return quaternion, depth, np.full(6, np.nan)
+        return position, quaternion, depth, np.full(6, np.nan)
     still = np.zeros((1, 6))
     wrench = asked.law(features, depth, position, quaternion, still, None).wrench
     displacement = (wrench - settings.body.weight(quaternion[0]))[0]
@@ -147,7 +147,8 @@ def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Arr
     w, v = np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * turn
     q, u = quaternion[0, 0], quaternion[0, 1:]
     quaternion = np.array([[w * q - v @ u, *(w * u + q * v + np.cross(v, u))]])
-    return quaternion, probe.image(position + shift, quaternion)[1], displacement
+    position = position + shift
+    return position, quaternion, probe.image(position, quaternion)[1], displacement
 
 
 # ---- Formulas -------------------------------------------------------------------------------------------------------

@@ -83,7 +83,7 @@ def on_pinhole(scenario: Scenario) -> Scenario:
         "uncertainty.principal_point": [0.0, 0.0],
     }
     if has_pixels(scenario.camera):
-        centre, *axes = camera.in_platform(np.vstack([np.zeros(3), np.eye(3)]))
+        centre, *axes = camera.in_mount(np.vstack([np.zeros(3), np.eye(3)]))
         error = np.asarray(scenario.uncertainty.mount.rotation)
         turned = scenario.camera.axes == "opencv"
         changes |= {

@@ -53,13 +53,16 @@ def read_motion(scenario: Blocks) -> None:
 
 def _require_front(scenario: Blocks, kind: str, pose: Vector) -> None:
     """Refuse a tag or a grid whose back the camera has before it, at home or at the desired pose."""
-    robot = scenario.robot
+    robot, mount = scenario.robot, scenario.camera.mount
     home = rotation_matrix(robot.home_attitude)
     places = {"home": (np.zeros(3), np.eye(3))}
     if (goal := scenario.target.desired_pose) is not None:
         places["target.desired_pose"] = (np.array(goal[:3]), rotation_matrix(goal[3:]))
     for name, (shift, turn) in places.items():
-        camera = np.array(robot.home_position) + shift + turn @ home @ np.array(scenario.camera.mount.position)
+        position, attitude = np.array(robot.home_position) + shift, turn @ home
+        camera = position + attitude @ np.array(mount.position)
+        if mount.on == "base":  # in E, as the tag
+            camera = attitude.T @ (np.array(mount.position) - position)
         if not float(np.array(normal(pose)) @ (camera - np.array(pose[:3]))) > 0.0:
             raise ValueError(
                 f"target.{kind}.pose: expected a {kind} whose front, where its z axis points, is before the camera at "

@@ -211,6 +211,10 @@ def _repair(random: Generator, changes: dict[str, Any], base: hs.Scenario) -> No
         changes |= {"target.initial_features": None, "target.depth": None}
     elif changes.get("target.initial_features") is not None:
         changes["target.points"] = None
+    placed = any(changes.get(f"target.{key}") is not None for key in ("points", "tag", "grid"))
+    moving = changes.get("target.frame") == "world" or changes.get("target.motion.kind", "none") != "none"
+    if placed or moving or base.target.initial_features is None:  # points in B, for a camera on the platform
+        changes.pop("camera.mount.on", None)
     if changes.get("camera.focal_pixels") is not None:
         changes |= {"camera.focal_length": None, "camera.pixel_scale": None}
     if changes.get("camera.distortion.kannala_brandt") is not None:

@@ -73,7 +73,8 @@ struct Composite : FuzzyLaw<CompositeGains> {
   template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& constants, const Stage<S>& weights,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
-    const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
+    const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth,
+                                input.pose.position, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
     const Vector6<S> pose_error = most_probable_pose_error(J, feature_error, constants.prior,
                                                            pose_difference(task.reference, input.pose), task.weights);

@@ -42,7 +42,8 @@ struct Hybrid : FuzzyLaw<HybridGains> {
   template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& constants, const Stage<S>& weights,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
-    const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
+    const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth,
+                                input.pose.position, input.R_BE);
     const Pairs<S, N> kp(constants.kp);
     const Pairs<S, N> feature_error = Pairs<S, N>(task.desired_features) - Pairs<S, N>(input.features);
     const AxisVector<S> image_wrench = J.pull(kp * feature_error);

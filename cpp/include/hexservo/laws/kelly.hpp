@@ -30,7 +30,8 @@ struct Kelly : StatelessLaw<KellyGains> {
   template <class S, int N, class Listener = NoListener>
   static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
-    const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
+    const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth,
+                                input.pose.position, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
     const Vector6<S> image_wrench = J.pull(gains.kp.cwiseProduct(feature_error));
     out.wrench = image_wrench - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;

@@ -48,7 +48,7 @@ struct Pbvs : StatelessLaw<PbvsGains> {
   static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const PoseEstimate<S> estimate =
-        estimate_pose<S, N>(task.camera, task.target.points_B, input.features, input.pose, gains.prior, task.weights);
+        estimate_pose<S, N>(task.camera, task.target.points_T, input.features, input.pose, gains.prior, task.weights);
     const Vector6<S> error =
         select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
     out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;

@@ -108,10 +108,11 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
   template <class S, int N>
   static Eigen::Matrix<S, 2 * N, 6> jacobian(JacobianPoint at, const ControlTask<S, N>& task,
                                              const LawInput<S, N>& input) noexcept {
-    const ImageJacobian<S, N> now(task.camera, task.jacobian_sign, input.features, input.inverse_depth, input.R_BE);
+    const ImageJacobian<S, N> now(task.camera, task.jacobian_sign, input.features, input.inverse_depth,
+                                  input.pose.position, input.R_BE);
     if (at == JacobianPoint::current) return now.matrix();
     const ImageJacobian<S, N> goal(task.camera, task.jacobian_sign, task.desired_features,
-                                   task.target.goal_inverse_depth, input.R_BE);
+                                   task.target.goal_inverse_depth, input.pose.position, input.R_BE);
     if (at == JacobianPoint::desired) return goal.matrix();
     return S(0.5) * (now.matrix() + goal.matrix());
   }

@@ -165,9 +165,7 @@ class _Worker:
         self.places = [(pose, *self.rest.image(pose)) for pose in places]
         root = np.sqrt(np.repeat(self.rest.settings["target.weights"], 2))
         self.root: Array = root[:, None]  # of what each coordinate counts
-        self.true = [
-            self.root * self.rest.jacobian(features, depth, pose.quaternion) for pose, features, depth in self.places
-        ]
+        self.true = [self.root * self.rest.jacobian(features, depth, pose) for pose, features, depth in self.places]
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
         self.drive, self.driven_by = self._drive()
@@ -193,8 +191,8 @@ class _Worker:
         """Return J-hat (n, 2p, 6) at a place for depth errors (n, p): the core's J at Z-hat = (1 + delta) Z, (9)."""
         pose, features, depth = self.places[place]
         count = len(errors)
-        attitudes = pose.repeated(count).quaternion
-        return self.root * self.rest.jacobian(np.tile(features, (count, 1)), (1.0 + errors) * depth, attitudes)
+        poses = pose.repeated(count)
+        return self.root * self.rest.jacobian(np.tile(features, (count, 1)), (1.0 + errors) * depth, poses)
 
     def smallest(self, place: int, errors: Array, inverse: Array, expected: Array) -> Array:
         """Return the smallest real part of an eigenvalue of the loop matrix, (n,)."""
@@ -252,8 +250,8 @@ class _Worker:
             at = (there.position, there.quaternion, np.zeros((len(there), 6)))
             error = self.rest.probe.law(features[seen], believed, *at).pose_error
             assert error is not None  # a law with a prior regulates one
-            known = self.rest.jacobian(features[seen], believed, there.quaternion)
-            true = self.rest.jacobian(features[seen], depth[seen], there.quaternion)
+            known = self.rest.jacobian(features[seen], believed, there)
+            true = self.rest.jacobian(features[seen], depth[seen], there)
             slope = loop_matrix(known, true, self.inverse, self.expected)
             step = np.zeros((count, 6))
             step[seen] = np.linalg.solve(slope, error[..., None])[..., 0]
@@ -268,8 +266,8 @@ class _Worker:
         if rows.any():
             there = poses[rows]
             features, depth = self.rest.image(there)
-            known = self.rest.jacobian(features, (1.0 + errors[rows]) * depth, there.quaternion)
-            true = self.rest.jacobian(features, depth, there.quaternion)
+            known = self.rest.jacobian(features, (1.0 + errors[rows]) * depth, there)
+            true = self.rest.jacobian(features, depth, there)
             matrix = loop_matrix(known, true, self.inverse, self.expected)
             result[rows] = np.linalg.eigvals(matrix * self.drive).real.min(axis=1)
         return result

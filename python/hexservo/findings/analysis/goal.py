@@ -102,7 +102,7 @@ def nearest_images(scene: Scene, starts: Poses, weights: Array | None = None, ro
         if not seen.any():
             break
         slope = np.zeros((*features.shape, 6))
-        slope[seen] = scene.jacobian(features[seen], depth[seen], poses.quaternion[seen]) * root[:, None] * scene.unit
+        slope[seen] = scene.jacobian(features[seen], depth[seen], poses[seen]) * root[:, None] * scene.unit
         normal = slope.transpose(0, 2, 1) @ slope
         largest = np.maximum(np.einsum("nii->ni", normal).max(axis=1), 1e-300)
         normal += (damping * largest)[:, None, None] * np.eye(6)

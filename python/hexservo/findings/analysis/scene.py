@@ -103,7 +103,7 @@ class Scene:
 
     @cached_property
     def points(self) -> Array:
-        """The target's points in B, (p, 3) [m]."""
+        """The target's points in B, or in E where the camera is on the base, (p, 3) [m]."""
         points: Array | None = self.settings["target.points"]
         if points is not None:
             return points
@@ -120,7 +120,7 @@ class Scene:
         return self.settings.body
 
     def points_seen_as(self, features: Array, depth: Array) -> Array:
-        """Return points in B, (p, 3) [m], with this image from home: features (2p,) [px], depth (p,) [m], negative."""
+        """Return `points`, (p, 3) [m], with this image from home: features (2p,) [px], depth (p,) [m], negative."""
         return _core.lift(self.camera, self.home.position, self.home.quaternion, features, depth)
 
     def _image_of_home(self) -> tuple[Array, Array]:
@@ -148,13 +148,18 @@ class Scene:
         """Return the view from one pose; the camera has points, or the pose is home."""
         features, depth = self.image(pose) if self.has_points else self._image_of_home()
         seen = np.isfinite(features).all()
-        jacobian = self.jacobian(features, depth, pose.quaternion) if seen else np.full((*features.shape, 6), np.nan)
+        jacobian = self.jacobian(features, depth, pose) if seen else np.full((*features.shape, 6), np.nan)
         return View(pose, features, depth, jacobian)
 
-    def jacobian(self, features: Array, depth: Array, quaternion: Array) -> Array:
+    def jacobian(self, features: Array, depth: Array, poses: Poses) -> Array:
         """Return the true image Jacobian (..., 2p, 6), with the plant's sign, of images in view; depths as given."""
+        at = poses.rows
         found = self.probe.image_jacobian(
-            features.reshape(-1, features.shape[-1]), depth.reshape(-1, depth.shape[-1]), quaternion.reshape(-1, 4)
+            features.reshape(-1, features.shape[-1]),
+            depth.reshape(-1, depth.shape[-1]),
+            at.quaternion,
+            False,
+            at.position,
         )
         return found.reshape(*features.shape, 6)
 

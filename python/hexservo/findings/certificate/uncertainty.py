@@ -38,8 +38,9 @@ def uncertainty_of(run: Replay, plant: Plant) -> DeltaTau:
     acceleration = probe.acceleration(run.position, run.quaternion, run.twist, run.wrench)
     inertial, coriolis, gravity = probe.estimated_wrenches(run.quaternion, run.twist, acceleration)
     believed = probe.measured_depth(run.depth)
-    jacobian_error = probe.image_jacobian(run.features, believed, run.quaternion, True) - probe.image_jacobian(
-        run.features, run.depth, run.quaternion
+    at = run.position
+    jacobian_error = probe.image_jacobian(run.features, believed, run.quaternion, True, at) - probe.image_jacobian(
+        run.features, run.depth, run.quaternion, False, at
     )
     parts = {
         "inertia": inertial - product(inertia, acceleration),

@@ -51,6 +51,7 @@ OPTICS = frozenset(
         "camera.axes",
         "camera.distortion.brown_conrady",
         "camera.distortion.kannala_brandt",
+        "camera.mount.on",
         "camera.mount.position",
         "camera.mount.rotation",
     }

@@ -161,8 +161,7 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 
 def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
-    camera, features, depth = seen_from_home(case.scenario)
-    worst = pixels_per_metre(camera, features, depth)
+    worst = pixels_per_metre(*seen_from_home(case.scenario))
     noise = case.scenario.camera.noise if case.scenario.simulation.mode == "sampled" else 0.0
     wander = noise / worst
     sentence = f"In the least observable direction 1 px is {number(1e3 / worst)} mm at the target's distance"

@@ -76,21 +76,21 @@ def goal_of(scenario: Scenario) -> Goal | None:
     return Goal(pose.position, pose.quaternion, travel, nearest_limit(scene, pose).within)
 
 
-def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array) -> float:
-    """Return the smallest singular value of the image Jacobian at attitude zero [px/m].
+def pixels_per_metre(camera: _core.Camera, features: Array, depth: Array, position: Array) -> float:
+    """Return the smallest singular value of the image Jacobian at a position and attitude zero [px/m].
 
     Rotations count as the distance by which they move the target's mean depth: 1 rad as |Z| metres.
     """
-    jacobian = _core.image_jacobian(camera, features, depth, [1.0, 0.0, 0.0, 0.0])
+    jacobian = _core.image_jacobian(camera, features, depth, [1.0, 0.0, 0.0, 0.0], position=position)
     jacobian = jacobian / np.repeat([1.0, np.abs(depth).mean()], 3)
     return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
 
 
-def seen_from_home(scenario: Scenario) -> tuple[_core.Camera, Array, Array]:
-    """Return the camera, and its features (2p,) [px] and depths (p,) [m] at the start."""
+def seen_from_home(scenario: Scenario) -> tuple[_core.Camera, Array, Array, Array]:
+    """Return the camera, its features (2p,) [px] and depths (p,) [m] from home, and home's position (3,) [m]."""
     scene = scene_of(scenario)
     home = scene.view(scene.home)
-    return scene.camera, home.features, home.depth
+    return scene.camera, home.features, home.depth, scene.home.position
 
 
 def _on_square(count: int) -> Array:
@@ -111,13 +111,13 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
     tuple
         The changes, and by what factor `pixels_per_metre` grows.
     """
-    camera, features, depth = seen_from_home(scenario)
+    camera, features, depth, at = seen_from_home(scenario)
     distance = float(np.abs(depth).mean())
     home = scene_of(scenario).home
     start, start_depth = camera.focal_pixels * _SPREAD * _on_square(len(depth)), np.full(len(depth), -distance)
     points = _core.lift(camera, home.position, home.quaternion, start, start_depth)
     end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
-    gain = pixels_per_metre(camera, start, start_depth) / pixels_per_metre(camera, features, depth)
+    gain = pixels_per_metre(camera, start, start_depth, at) / pixels_per_metre(camera, features, depth, at)
     changes: dict[str, Any] = {"target.desired_features": to_pixels(scenario, end).tolist()}
     if scenario.camera.image_size is not None:  # features that leave the image do so as before
         before = np.abs(np.concatenate([features, desired_features(scenario)]).reshape(-1, 2)).max(0)
