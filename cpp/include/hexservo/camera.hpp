@@ -423,7 +423,7 @@ class ImageJacobian {
 
   /// J chi-dot [px/s] for a twist in B.
   Vector<S, 2 * N> push(const Vector6<S>& twist) const { return push_pairs(twist).vector(); }
-  Pairs<S, N> push_pairs(const Vector6<S>& twist) const {
+  [[gnu::always_inline]] Pairs<S, N> push_pairs(const Vector6<S>& twist) const {
     Vector3<S> velocity = rotate_back<S>(R_BE_, Vector3<S>(twist(0), twist(1), twist(2)));
     Vector3<S> turning = rotate_back<S>(R_BE_, Vector3<S>(twist(3), twist(4), twist(5)));
     if (placement_ != nullptr) {
@@ -447,7 +447,7 @@ class ImageJacobian {
 
   /// J^T p, a wrench in B, for an image force p (2N).
   Vector6<S> pull(const Vector<S, 2 * N>& image_force) const { return pull(Pairs<S, N>(image_force)).vector(); }
-  SideBySide<S, 6> pull(const Pairs<S, N>& image_force) const {
+  [[gnu::always_inline]] SideBySide<S, 6> pull(const Pairs<S, N>& image_force) const {
     Vector3<R> force(R(0.0), R(0.0), R(0.0)), moment(R(0.0), R(0.0), R(0.0));
     for (std::size_t r = 0; r < registers; ++r)
       add_point_wrench<R>(R(f_), R(inverse_f_), points_.x.part[r], points_.y.part[r], inverse_depth_.part[r],
