@@ -25,6 +25,7 @@ void bind_fuzzy(py::module_& m);
 void bind_settings(py::module_& m);
 void bind_simulation(py::module_& m);
 void bind_sampled_run(py::module_& m);
+void bind_drives(py::module_& m);
 void bind_probe(py::module_& m);
 void bind_controller(py::module_& m);
 void bind_kernel(py::module_& m);

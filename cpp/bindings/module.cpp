@@ -15,6 +15,7 @@ PYBIND11_MODULE(_core, m) {
   bind_kernel(m);
   bind_simulation(m);
   bind_sampled_run(m);
+  bind_drives(m);
   bind_probe(m);
   bind_batch(m);
   bind_controller(m);

@@ -54,6 +54,7 @@ REFERENCE = {
             "Diagnosis",
         ),
     ],
+    "Machines from logs": ["read_log", "Log", "identify", "Identification"],
     "Campaigns": [
         *("campaign", "campaign_names", "CampaignPlan", "load_campaign", "CampaignResult", "WorstRun"),
         *("worst_case", "WorstCase", "estimate_rare_failures", "RareFailures", "sensitivity", "Sensitivity"),

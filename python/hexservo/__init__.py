@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from hexservo.findings.analysis import Analysis, analyse
     from hexservo.findings.certificate import BatchCertificate, Certificate, certify, certify_batch
     from hexservo.findings.diagnosis import Diagnosis, diagnose
+    from hexservo.findings.identification import Identification, identify
+    from hexservo.findings.identification.log import Log, read_log
     from hexservo.findings.reach import Reachability, project, reachable
     from hexservo.report import write_report
     from hexservo.report.campaign_page import write_campaign_report
@@ -67,8 +69,10 @@ __all__ = [
     "Controller",
     "ControllerOutput",
     "Diagnosis",
+    "Identification",
     "LegForces",
     "LimitEvent",
+    "Log",
     "Observation",
     "RareFailures",
     "Reachability",
@@ -93,6 +97,7 @@ __all__ = [
     "compare",
     "diagnose",
     "estimate_rare_failures",
+    "identify",
     "load_campaign",
     "load_result",
     "load_scenario",
@@ -100,6 +105,7 @@ __all__ = [
     "plots",
     "project",
     "reachable",
+    "read_log",
     "scenario_names",
     "sensitivity",
     "simulate",
@@ -125,6 +131,8 @@ _MODULES = {
     "findings.analysis": ("Analysis", "analyse"),
     "findings.certificate": ("BatchCertificate", "Certificate", "certify", "certify_batch"),
     "findings.diagnosis": ("Diagnosis", "diagnose"),
+    "findings.identification": ("Identification", "identify"),
+    "findings.identification.log": ("Log", "read_log"),
     "findings.reach": ("Reachability", "project", "reachable"),
     "report": ("write_report",),
     "report.campaign_page": ("write_campaign_report",),

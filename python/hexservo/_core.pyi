@@ -594,6 +594,16 @@ class Kernel(metaclass=_PybindType):
     def flags(self) -> str: ...
     def fma_peak(self, seconds: float = 0.1) -> float: ...
 
+def drive_response(
+    commands: ArrayLike,
+    position: float,
+    rate: float,
+    period: float,
+    bandwidth: float,
+    damping: float,
+    speed_limit: float,
+    acceleration_limit: float,
+) -> _Array: ...
 def recorded_ticks(settings: Settings) -> dict[str, _Array]: ...
 
 class Controller(metaclass=_PybindType):

@@ -14,11 +14,17 @@ import pytest
 
 from test_docs import ROOT, cpp_tests, links_in, prose_of, python_tests, tables_in
 
-SOURCES = ("findings/analysis", "findings/certificate", "findings/diagnosis", "report")  # packages of hexservo
+SOURCES = (
+    "findings/analysis",
+    "findings/certificate",
+    "findings/diagnosis",
+    "findings/identification",
+    "report",
+)  # packages of hexservo
 FOLDERS = ("analysis", "certificate", "diagnosis")  # of docs/: nothing but pages of quantities, and an index
 HEADINGS = ["What it is", "Formula", "Source", "Limits", "How it is tested"]
 # May be named too; they have their own headings and tests.
-GUIDES = ("docs/model.md", "docs/campaigns.md", "docs/tune.md")
+GUIDES = ("docs/model.md", "docs/campaigns.md", "docs/tune.md", "docs/identification.md")
 ITEMS = ("Table", "Curves", "HeatMap", "Bars")
 
 

@@ -31,10 +31,10 @@ def result(head: hs.Scenario) -> hs.Result:
 
 def test_the_geometry_is_that_of_the_source(head: hs.Scenario) -> None:
     cranks = head.robot.cranks
-    np.testing.assert_allclose(head.robot.platform_joints, rotary_machine.JOINTS, atol=1e-12)
-    np.testing.assert_allclose(head.robot.base_joints, rotary_machine.CENTRES, atol=1e-12)
-    np.testing.assert_allclose(cranks.axes, rotary_machine.AXES, atol=1e-7)
-    np.testing.assert_allclose(cranks.zero, rotary_machine.ZERO, atol=1e-7)
+    np.testing.assert_allclose(np.array(head.robot.platform_joints), rotary_machine.JOINTS, atol=1e-12)
+    np.testing.assert_allclose(np.array(head.robot.base_joints), rotary_machine.CENTRES, atol=1e-12)
+    np.testing.assert_allclose(np.array(cranks.axes), rotary_machine.AXES, atol=1e-7)
+    np.testing.assert_allclose(np.array(cranks.zero), rotary_machine.ZERO, atol=1e-7)
     np.testing.assert_array_equal(cranks.branch, rotary_machine.BRANCH)
     assert (cranks.length, cranks.rod) == (rotary_machine.CRANK, rotary_machine.ROD)
     hexapod = _core.Hexapod(core_parameters(head).robot)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli import assurance, evidence, explore, export, keys, machine, terminal
+from hexservo.cli import assurance, evidence, explore, export, identify, keys, machine, terminal
 from hexservo.cli.terminal import (
     ENDED_EARLY,
     INTERRUPTED,
@@ -206,6 +206,7 @@ for command in (
     evidence.certify,
     evidence.analyse,
     evidence.diagnose,
+    identify.identify,
     assurance.campaign,
     assurance.tune,
     explore.explore,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import time
 from typing import Annotated, Any
 
@@ -22,7 +23,17 @@ from hexservo.cli.terminal import (
     write,
 )
 
-__all__ = ["analyse", "certify", "diagnose", "report"]
+__all__ = [
+    "ForceOption",
+    "JsonOption",
+    "analyse",
+    "certify",
+    "check_json",
+    "diagnose",
+    "identified",
+    "report",
+    "write_json",
+]
 
 _RunArgument = Annotated[
     str,
@@ -31,15 +42,15 @@ _RunArgument = Annotated[
         help="Name of a packaged scenario, path of a YAML file, or path of a result.nc that `run --out` wrote.",
     ),
 ]
-_JsonOption = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write all numbers there as JSON.")]
-_ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file that this command wrote earlier.")]
+JsonOption = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write all numbers there as JSON.")]
+ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file that this command wrote earlier.")]
 
 
 def report(
     run: _RunArgument,
     out: Annotated[str, typer.Option("--out", "-o", metavar="FILE", help="HTML file to write, a new one.")],
     settings: SettingsOption = None,
-    force: _ForceOption = False,
+    force: ForceOption = False,
 ) -> None:
     """Write a report of a run as one HTML file.
 
@@ -58,7 +69,7 @@ def report(
 
 
 def certify(
-    run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
+    run: _RunArgument, settings: SettingsOption = None, json: JsonOption = None, force: ForceOption = False
 ) -> None:
     """Check the theorem's assumptions along a run.
 
@@ -68,7 +79,7 @@ def certify(
 
 
 def analyse(
-    run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
+    run: _RunArgument, settings: SettingsOption = None, json: JsonOption = None, force: ForceOption = False
 ) -> None:
     """Analyse geometry, gains and timing of a scenario.
 
@@ -78,30 +89,42 @@ def analyse(
 
 
 def diagnose(
-    run: _RunArgument, settings: SettingsOption = None, json: _JsonOption = None, force: _ForceOption = False
+    run: _RunArgument,
+    settings: SettingsOption = None,
+    json: JsonOption = None,
+    force: ForceOption = False,
+    machine: Annotated[
+        str | None,
+        typer.Option("--machine", "-m", metavar="SCENARIO", help="The file is a log: diagnose its machine's model."),
+    ] = None,
 ) -> None:
     """Find the cause of a failed run.
 
     The most likely cause comes first, with its evidence and a remedy.
     """
-    _judge("diagnose", run, settings, json, force)
+    _judge("diagnose", run, settings, json, force, machine)
 
 
-def _judge(name: str, run: str, settings: list[str] | None, json: str | None, force: bool) -> None:
+def _judge(
+    name: str, run: str, settings: list[str] | None, json: str | None, force: bool, machine: str | None = None
+) -> None:
     with errors_as_messages():
         from hexservo.cli.print_sections import printed
         from hexservo.findings.sections import SOURCES
 
         source = SOURCES[name]
         if json is not None:
-            _check_json(name, json, force)
-        of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [])
+            check_json(name, json, force)
+        if machine is not None:
+            of: Any = _run(identified(run, machine, settings).scenario)
+        else:
+            of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [])
         try:
             found = source.find(of)
         except ValueError as error:  # for a run or scenario to which it does not apply
             raise hs.ScenarioError(str(error).splitlines()) from error
         if json is not None:
-            _write_json(name, found.to_dict(), json, force)
+            write_json(name, found.to_dict(), json, force)
         show_parts(*printed(found.sections()))
         if isinstance(of, hs.Result):
             _exit_as(of)
@@ -114,7 +137,10 @@ def _result(run: str, settings: list[str]) -> hs.Result:
     """Read a saved result, or run a scenario; a run interrupted with Ctrl-C is not evaluated."""
     if _is_saved(run, settings):
         return hs.load_result(run)
-    scenario = load(run, settings)
+    return _run(load(run, settings))
+
+
+def _run(scenario: hs.Scenario) -> hs.Result:
     try:
         result = _simulated(scenario)
     except ValueError as error:
@@ -148,6 +174,16 @@ def _exit_as(result: hs.Result) -> None:
         raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
 
 
+def identified(log: str, machine: str, settings: list[str] | None) -> hs.Identification:
+    """Identify a log with a bar on a terminal; Ctrl-C ends the command."""
+    try:
+        watched = sys.stderr is not None and sys.stderr.isatty()
+        return hs.identify(log, load(machine, settings or []), progress=watched)
+    except KeyboardInterrupt:
+        complain("nothing was written", head="Interrupted")
+        raise typer.Exit(INTERRUPTED) from None
+
+
 # ---- JSON -----------------------------------------------------------------------------------------------------------
 
 
@@ -156,13 +192,15 @@ def _title(name: str) -> str:
     return f'{{"hexservo {name}": 1,'
 
 
-def _check_json(name: str, file: str, force: bool) -> None:
+def check_json(name: str, file: str, force: bool) -> None:
+    """Refuse a file that `write_json` would not replace."""
     from hexservo.run.files import check_file
 
     check_file(file, _title(name), f"`hexservo {name}`", force=force)
 
 
-def _write_json(name: str, numbers: dict[str, Any], file: str, force: bool) -> None:
+def write_json(name: str, numbers: dict[str, Any], file: str, force: bool) -> None:
+    """Write the numbers of a command as JSON, whole or not at all."""
     from json import dumps
 
     from hexservo.run.files import write_file

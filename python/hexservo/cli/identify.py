@@ -1,0 +1,47 @@
+"""``hexservo identify``: from the log of a machine to its scenario."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hexservo.cli.evidence import ForceOption, JsonOption, check_json, identified, write_json
+from hexservo.cli.terminal import SettingsOption, errors_as_messages, show_parts, write
+
+__all__ = ["identify"]
+
+_TITLE = "# A scenario by `hexservo identify`"
+
+
+def identify(
+    log: Annotated[str, typer.Argument(metavar="LOG", help="CSV file: time, commanded and measured joints, features.")],
+    machine: Annotated[
+        str, typer.Option("--machine", "-m", metavar="SCENARIO", help="The machine: name or path of a scenario.")
+    ],
+    out: Annotated[str | None, typer.Option("--out", "-o", metavar="FILE", help="Write the scenario there.")] = None,
+    settings: SettingsOption = None,
+    json: JsonOption = None,
+    force: ForceOption = False,
+) -> None:
+    """Find a machine's drives and camera from a log.
+
+    The machine takes positions. Bandwidth, damping, delay and limits of each leg and the latency of the camera have
+    95 % intervals. `hexservo diagnose LOG --machine SCENARIO` goes on with the model that is found.
+    """
+    with errors_as_messages():
+        from hexservo.cli.print_sections import printed
+        from hexservo.run.files import check_file, write_file
+
+        if out is not None:
+            check_file(out, _TITLE, "`hexservo identify`", force=force)
+        if json is not None:
+            check_json("identify", json, force)
+        found = identified(log, machine, settings)
+        if out is not None:
+            write_file(f"{_TITLE}\n{found.scenario.to_yaml()}", out, _TITLE, "`hexservo identify`", force=force)
+        if json is not None:
+            write_json("identify", found.to_dict(), json, force)
+        show_parts(*printed(found.sections()))
+        if out is not None:
+            write(f"\n{out} is written.\n")

@@ -1,0 +1,88 @@
+"""From the log of a machine to its model: drives, camera, and the keys of a scenario (docs/identification.md)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.display import Findings
+from hexservo.findings.evidence import Section, as_data
+from hexservo.findings.identification.changes import Changes, changes_of
+from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
+from hexservo.findings.identification.frames import CameraFit, fit_camera
+from hexservo.findings.identification.log import Log, read_log
+from hexservo.run.progress import ProgressCallback, reporting
+from hexservo.scenario.leg_units import leg_units
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
+
+__all__ = ["CameraFit", "DriveFit", "Drives", "Identification", "Log", "identify", "read_log"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Findings):
+    """What the log of a machine gives, and the scenario with it."""
+
+    machine: Scenario = field(repr=False)  # that was given
+    scenario: Scenario  # the machine with `changes`
+    changes: dict[str, Any]  # keys of the scenario that the log gives, by dotted name
+    drives: Drives
+    camera: CameraFit | None  # None where the log has no image
+
+    def sections(self) -> Sequence[Section]:
+        """Return the findings as sentences, tables and curves."""
+        parts = [self.drives.section(), *([] if self.camera is None else [self.camera.section()])]
+        given = {key: _value(self.machine, key) for key in self.changes}
+        return [*parts, Changes(self.changes, given).section()]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain data, for JSON: keys, and each section's numbers."""
+        found = {"changes": self.changes, **{section.name: section.data for section in self.sections()}}
+        return as_data(found)  # type: ignore[no-any-return]
+
+
+def identify(
+    log: Log | str | os.PathLike[str], machine: Scenario, *, progress: bool | ProgressCallback = False
+) -> Identification:
+    """Find the model of a machine that takes positions from a log of it.
+
+    Parameters
+    ----------
+    log
+        Record, or the CSV file that `read_log` reads.
+    machine
+        Its legs, and camera and target where the log has images. What the log gives replaces its keys.
+    progress
+        Draw a bar on standard error, or call a function with the legs that are done, and 6.
+
+    Returns
+    -------
+    Identification
+        Bandwidth, damping, delay and limits of each leg, clock and noise of the camera, with 95 % intervals and the
+        share of the part of the record kept apart that they predict; `scenario` runs as the machine does.
+
+    Raises
+    ------
+    ScenarioError
+        A file that cannot be read, or what is wrong with it; a log in which no leg moves.
+    TypeError
+        For other types.
+    """
+    if not isinstance(machine, Scenario):
+        raise wrong_type("machine", "a Scenario", machine)
+    record = log if isinstance(log, Log) else read_log(log)
+    with reporting(progress, "legs identified") as report:
+        drives = fit_drives(record, leg_units(machine.robot), report)
+    camera = None if record.frames is None else fit_camera(record, Scene(machine))
+    changes = changes_of(record, drives, camera)
+    return Identification(machine, machine.updated(changes), changes, drives, camera)
+
+
+def _value(scenario: Scenario, key: str) -> Any:
+    value: Any = scenario
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value

@@ -1,0 +1,313 @@
+"""What the drives of a machine that takes positions do: bandwidth, damping, delay and limits of each leg from a log.
+
+Output error: the response of docs/model.md, section 7, by the core, is fitted to the measured coordinates from the
+commands alone, by least squares on the first part of the record. The rest is predicted, without a new start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from hexservo import _core
+from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
+from hexservo.findings.identification.log import Log
+from hexservo.findings.part import Part
+from hexservo.run.progress import ProgressCallback
+from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.leg_units import LegUnits
+
+__all__ = ["MOST_DELAY", "DriveFit", "Drives", "fit_drives"]
+
+MOST_DELAY = 8
+"""Most ticks of delay, as `actuators.delay` has it."""
+
+_FITTED = 0.7  # share of the record that is fitted
+_BANDWIDTHS = 9  # of a coarse grid, from 1/400 of the fastest that ticks show
+_DAMPINGS = (0.35, 0.8, 1.6)
+_STILL = 5.0  # standard deviations of the noise that a leg has to move by
+_LIMITS = ((False, False), (True, False), (False, True), (True, True))  # of speed and acceleration: which act
+_NONE = (np.inf, np.inf)
+_TRIED = 3  # delays that are fitted of those that start best
+_WORTH = 10.0  # of the criterion by Bayes: what a limit must gain to count
+
+
+@dataclass(frozen=True)
+class DriveFit:
+    """Response of one leg's drive."""
+
+    leg: int  # 1 to 6
+    bandwidth: Interval | None  # [Hz]; None of a leg that was hardly moved, as all that follows
+    damping: Interval | None  # [1]
+    delay: Interval | None  # [ticks]
+    speed_limit: Interval | None  # [m/s], or [rad/s]; None where no limit is seen: then `fastest` was
+    acceleration_limit: Interval | None  # [m/s^2], or [rad/s^2]; likewise
+    fastest: float  # [m/s], or [rad/s], of the response that was fitted
+    noise: float  # standard deviation of what the fit leaves [m], or [rad]
+    correlated: float  # ticks over which what it leaves is correlated, 1 of white noise
+    explained: float  # share of the variance of the part kept apart that is predicted; 1: all
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Drives(Part):
+    """Responses of the six drives, and those that are nearest to all."""
+
+    fits: tuple[DriveFit, ...]
+    period: float  # of the ticks [s]
+    fitted: float  # [s] of the record that were fitted
+    apart: float  # [s] of it that were kept apart
+    units: LegUnits = field(repr=False)
+    time: Array = field(repr=False)  # (k,) of the part kept apart, thinned [s]
+    measured: Array = field(repr=False)  # (k, 6)
+    predicted: Array = field(repr=False)  # (k, 6)
+
+    @property
+    def moved(self) -> list[DriveFit]:
+        """The drives of which something is known."""
+        return [fit for fit in self.fits if fit.bandwidth is not None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """One leg in a log."""
+
+    commands: Array  # (n,)
+    joints: Array  # (n,)
+    period: float
+    fitted: int  # ticks that are fitted
+
+    @property
+    def scatter(self) -> float:
+        """What the coordinate changes by from tick to tick, as a standard deviation of white noise."""
+        return float(np.std(np.diff(self.joints))) / float(np.sqrt(2.0))
+
+    @property
+    def moves(self) -> bool:
+        """Whether the leg was commanded to move by more than its noise."""
+        way = float(np.ptp(self.commands[: self.fitted]))
+        return way > 0.0 and way > _STILL * self.scatter
+
+    def response(self, delay: int, values: Array) -> Array:
+        """Return the coordinate at each tick, (n,).
+
+        The values are bandwidth, damping, speed and acceleration limit; place and rate at the first tick; the command
+        that was given before it.
+        """
+        bandwidth, damping, speed, acceleration, place, rate, before = values
+        commands = np.concatenate([np.full(delay, before), self.commands[: len(self.commands) - delay]])
+        return _core.drive_response(commands, place, rate, self.period, bandwidth, damping, speed, acceleration)
+
+
+def fit_drives(log: Log, units: LegUnits, report: ProgressCallback | None = None) -> Drives:
+    """Fit the response of each leg's drive to a log.
+
+    Parameters
+    ----------
+    log
+        In which the legs were commanded to move.
+    units
+        Of a leg's coordinate.
+    report
+        Is called with the legs done, and 6.
+    """
+    fitted = int(_FITTED * len(log.time))
+    records = [_Record(log.commands[:, leg], log.joints[:, leg], log.period, fitted) for leg in range(6)]
+    found: list[list[_Model]] = []
+    for leg, record in enumerate(records):
+        found.append(_search(record) if record.moves else [])
+        if report is not None:
+            report(leg + 1, 6)
+    _compare_legs(records, found)
+    described = [_described(record, leg + 1, found[leg]) for leg, record in enumerate(records)]
+    predicted = np.stack([prediction for _, prediction in described], axis=1)
+    shown = slice(fitted, None, max(1, (len(log.time) - fitted) // 500))
+    return Drives(
+        fits=tuple(fit for fit, _ in described),
+        period=log.period,
+        fitted=fitted * log.period,
+        apart=(len(log.time) - fitted) * log.period,
+        units=units,
+        time=log.time[shown],
+        measured=log.joints[shown],
+        predicted=predicted[shown],
+    )
+
+
+def _search(record: _Record) -> list[_Model]:
+    """Fit all delays, and those that are likely with each limit that may act."""
+    delays = range(MOST_DELAY + 1)
+    free, bound = ({delay: _start(record, delay, limits) for delay in delays} for limits in (_NONE, _extremes(record)))
+    models = [_model(record, delay, free[delay], _LIMITS[0]) for delay in delays]
+    models += [_model(record, delay, bound[delay], _LIMITS[-1]) for delay in delays]
+    likely = list(dict.fromkeys(model.delay for model in _ordered(models)))[:_TRIED]
+    return models + [_model(record, delay, bound[delay], limits) for delay in likely for limits in _LIMITS[1:-1]]
+
+
+def _ordered(models: Sequence[_Model]) -> list[_Model]:
+    """Return the best one first; how many residuals are independent follows from the one that leaves least."""
+    effective = min(models, key=lambda model: model.squares).effective
+    return sorted(models, key=lambda model: model.criterion(effective))
+
+
+def _best(models: Sequence[_Model]) -> _Model:
+    return _ordered(models)[0]
+
+
+def _compare_legs(records: Sequence[_Record], found: Sequence[list[_Model]]) -> None:
+    """Try with each leg what is best for the leg that moved most clearly: the drives of a machine are alike."""
+    clear = [_best(models) for models in found if models]
+    if not clear:
+        return
+    guide = max(clear, key=lambda model: model.clarity)
+    for record, models in zip(records, found, strict=True):
+        if models:
+            own = _best(models).values
+            start = np.concatenate([guide.values[:4], own[4:]])
+            models.append(_model(record, guide.delay, start, guide.limits))
+
+
+def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[DriveFit, Array]:
+    """Return what the best model states, and what it predicts at all ticks."""
+    if not models:
+        still = np.full_like(record.joints, record.joints[: record.fitted].mean())
+        return DriveFit(leg, None, None, None, None, None, 0.0, record.scatter, 1.0, 0.0), still
+    best = _best(models)
+    predicted = record.response(best.delay, best.values)
+    rest = record.joints[record.fitted :]
+    left = rest - predicted[record.fitted :]
+    spread = float(np.var(rest))
+    return (
+        DriveFit(
+            leg=leg,
+            bandwidth=best.interval(0),
+            damping=best.interval(1),
+            delay=_delays(best, models),
+            speed_limit=best.interval(2) if best.limits[0] else None,
+            acceleration_limit=best.interval(3) if best.limits[1] else None,
+            fastest=float(np.abs(np.diff(predicted[: record.fitted])).max() / record.period),
+            noise=best.noise,
+            correlated=best.correlated,
+            explained=1.0 - float(np.mean(left**2)) / spread if spread > 0.0 else 0.0,
+        ),
+        predicted,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A least-squares fit with a given delay and limits that may act."""
+
+    delay: int
+    limits: tuple[bool, bool]  # of speed and acceleration
+    values: Array  # (7,) see `_Record.response`
+    free: Mask  # (7,) which of them were fitted
+    sigma: Array  # (f,) of those: of the logarithms, but for the last three
+    squares: float  # sum of the residuals' squares
+    count: int  # residuals
+    correlated: float
+    motion: float  # standard deviation of what was measured
+
+    @property
+    def noise(self) -> float:
+        return float(np.sqrt(self.squares / (self.count - self.free.sum())))
+
+    @property
+    def clarity(self) -> float:
+        """How much larger the motion is than what the fit leaves."""
+        return self.motion / self.noise
+
+    @property
+    def effective(self) -> float:
+        """How many independent residuals there are."""
+        return self.count / self.correlated
+
+    def criterion(self, effective: float) -> float:
+        """Return Bayes' information criterion for so many independent residuals, and what a limit must gain."""
+        price = np.log(effective) * self.free.sum() + _WORTH * sum(self.limits)
+        return float(effective * np.log(self.squares / self.count) + price)
+
+    def interval(self, index: int) -> Interval:
+        """Return the confidence interval of one of the first four values."""
+        place = int(self.free[:index].sum())
+        wide = half_width(float(self.sigma[place]))
+        value = float(self.values[index])
+        with np.errstate(over="ignore"):
+            return Interval(value, value * float(np.exp(-wide)), value * float(np.exp(wide)))
+
+
+def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool]) -> _Model:
+    measured = record.joints[: record.fitted]
+    free = np.array([True, True, *limits, True, True, delay > 0])
+    values = start.copy()
+    values[2:4] = np.where(limits, values[2:4], np.inf)
+    scale = max(float(np.ptp(measured)), np.finfo(float).tiny)
+
+    slow, fast = 0.05 / (record.fitted * record.period), 0.6 / record.period
+    lowest = np.log([slow, 0.01, 1e-12, 1e-12])
+    highest = np.log([fast, 50.0, 1e12, 1e12])
+
+    units = np.array([scale, scale / record.period, scale])
+
+    def unpacked(x: Array) -> Array:
+        found = values.copy()
+        found[free] = x
+        found[:4] = np.where(free[:4], np.exp(np.where(free[:4], found[:4], 0.0)), values[:4])
+        found[4:] = np.where(free[4:], found[4:] * units, values[4:])
+        return found
+
+    def residuals(x: Array) -> Array:
+        left = record.response(delay, unpacked(x))[: record.fitted] - measured
+        return np.where(np.isfinite(left), left, 1e3 * scale) / scale
+
+    logs = np.clip(np.log(np.maximum(values[:4][free[:4]], 1e-12)), lowest[free[:4]], highest[free[:4]])
+    first = np.concatenate([logs, (values[4:] / units)[free[4:]]])
+    edge = np.full(int(free[4:].sum()), np.inf)
+    bounds = [np.r_[lowest[free[:4]], -edge], np.r_[highest[free[:4]], edge]]
+    fit = least_squares(residuals, first, bounds=bounds, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
+    left = fit.fun * scale
+    floor = len(left) * (8 * np.finfo(float).eps * float(np.abs(measured).max())) ** 2  # of rounding
+    together = correlated(left)
+    sigma = deviations(fit.jac, fit.fun, len(left) / together)
+    return _Model(
+        delay,
+        limits,
+        unpacked(fit.x),
+        free,
+        sigma,
+        float(left @ left) + floor,
+        len(left),
+        together,
+        float(np.std(measured)),
+    )
+
+
+def _start(record: _Record, delay: int, limits: tuple[float, float]) -> Array:
+    """Return the values of a coarse grid that explain the record best with a delay and limits."""
+    measured = record.joints[: record.fitted]
+    fastest = 0.4 / record.period
+    tried = []
+    for bandwidth, damping in product(np.geomspace(fastest / 400.0, fastest, _BANDWIDTHS), _DAMPINGS):
+        values = np.array([bandwidth, damping, *limits, measured[0], 0.0, record.commands[0]])
+        left = record.response(delay, values)[: record.fitted] - measured
+        tried.append((float(left @ left), values))
+    return min(tried, key=lambda one: one[0])[1]
+
+
+def _extremes(record: _Record) -> tuple[float, float]:
+    """Return the largest speed and acceleration of the measured leg, but for their noise, over a few ticks."""
+    width = max(2, round(0.02 / record.period))
+    steps = (record.joints[width:] - record.joints[:-width]) / (width * record.period)
+    changes = (steps[width:] - steps[:-width]) / (width * record.period)
+    return float(np.quantile(np.abs(steps), 0.99)), float(np.quantile(np.abs(changes), 0.99))
+
+
+def _delays(best: _Model, models: Sequence[_Model]) -> Interval:
+    """Return the delays that the likelihood does not tell from the best one."""
+    bound = float(chi2.ppf(LEVEL, 1))
+    alike = [model.delay for model in models if best.effective * np.log(model.squares / best.squares) <= bound]
+    return Interval(float(best.delay), float(min([best.delay, *alike])), float(max([best.delay, *alike])))

@@ -1,0 +1,135 @@
+"""Responses of the drives as sentences, a table and curves (docs/identification.md)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+
+from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
+from hexservo.findings.identification.drives import DriveFit, Drives
+from hexservo.findings.identification.interval import Interval
+from hexservo.scenario.wording import number
+
+__all__ = ["section", "with_interval"]
+
+PAGE = "docs/identification.md"
+_GOOD = 0.95  # share of the part kept apart that a model should predict
+_ALIKE = 1.1  # ratio of two legs' bandwidths that is not worth a word
+
+
+def section(found: Drives) -> Section:
+    """Return the findings as sentences, a table and curves."""
+    unit = found.units.small
+    rows: list[list[Cell]] = [
+        [
+            fit.leg,
+            with_interval(fit.bandwidth),
+            with_interval(fit.damping),
+            with_interval(fit.delay),
+            _limit(fit.speed_limit, fit),
+            with_interval(fit.acceleration_limit) or "not seen",
+            1e3 * fit.noise,
+            100.0 * fit.explained,
+        ]
+        for fit in found.fits
+    ]
+    table = Table(
+        "Response of each leg's drive, with 95 % intervals",
+        (
+            Column("leg"),
+            Column("bandwidth", "Hz"),
+            Column("damping"),
+            Column("delay", "ticks"),
+            Column("speed limit", found.units.rate),
+            Column("acceleration limit", f"{found.units.rate}²".replace("²", "^2")),
+            Column("left by the fit", unit, ".3g"),
+            Column("predicted", "%", ".4g"),
+        ),
+        rows,
+        note="Predicted: the share of the motion that the model foretells where the record was not fitted.",
+        page=PAGE,
+    )
+    return Section(
+        name="drives",
+        title="Drives of the legs",
+        sentences=_sentences(found),
+        items=(table, *_curves(found)),
+        verdict=_verdict(found),
+        data={"fits": [asdict(fit) for fit in found.fits], "period": found.period},
+    )
+
+
+def with_interval(found: Interval | None) -> str | None:
+    """Write an interval: "5.04 (5.03 to 5.05)"; None without one."""
+    if found is None:
+        return None
+    digits = _digits(found)
+    if found.low == found.high:
+        return f"{found.value:.{digits}g}"
+    return f"{found.value:.{digits}g} ({found.low:.{digits}g} to {found.high:.{digits}g})"
+
+
+def _digits(found: Interval) -> int:
+    width = found.high - found.low
+    if not 0.0 < width < np.inf or found.value == 0.0:
+        return 4
+    return int(np.clip(2 + np.floor(np.log10(abs(found.value) / width)) + 1, 3, 9))
+
+
+def _limit(found: Interval | None, fit: DriveFit) -> Cell:
+    if fit.bandwidth is None:
+        return None
+    return with_interval(found) or f"not seen up to {number(fit.fastest)}"
+
+
+def _verdict(found: Drives) -> Verdict:
+    if not found.moved:
+        return "open"
+    return "good" if len(found.moved) == 6 and all(fit.explained >= _GOOD for fit in found.fits) else "warning"
+
+
+def _sentences(found: Drives) -> list[str]:
+    moved = found.moved
+    if not moved:
+        return ["No leg was commanded to move by more than its noise: nothing of the drives can be found."]
+    worst = min(moved, key=lambda fit: fit.explained)
+    words = [
+        f"Fitted to {number(found.fitted)} s of the log, in ticks of {number(1e3 * found.period)} ms. The model "
+        f"predicts at least {number(100 * worst.explained)} % of the motion of each leg in the "
+        f"{number(found.apart)} s that were kept apart."
+    ]
+    if len(moved) < 6:
+        still = ", ".join(str(fit.leg) for fit in found.fits if fit.bandwidth is None)
+        words.append(f"Not commanded to move by more than their noise, and so not identified: legs {still}.")
+    bandwidths = [fit.bandwidth.value for fit in moved if fit.bandwidth is not None]
+    if max(bandwidths) > _ALIKE * min(bandwidths):
+        words.append(
+            f"The legs differ: bandwidths from {number(min(bandwidths))} to {number(max(bandwidths))} Hz. A "
+            "scenario has one for all, the mean weighted by how well each is known."
+        )
+    lasting = max(moved, key=lambda fit: fit.correlated)
+    if lasting.correlated > 5.0:
+        words.append(
+            f"What the fit leaves of leg {lasting.leg} is correlated over {number(lasting.correlated)} ticks: "
+            "something acts that the model lacks, such as friction; the intervals are widened for it."
+        )
+    return words
+
+
+def _curves(found: Drives) -> tuple[Curves, ...]:
+    if not found.moved:
+        return ()
+    leg = min(found.moved, key=lambda fit: fit.explained).leg - 1
+    return (
+        Curves(
+            f"Leg {leg + 1} in the part kept apart, the worst one",
+            "time [s]",
+            f"{found.units.name} [{found.units.small}]",
+            [
+                Line("measured", found.time, 1e3 * found.measured[:, leg]),
+                Line("predicted", found.time, 1e3 * found.predicted[:, leg], "dashed"),
+            ],
+            page=PAGE,
+        ),
+    )

@@ -1,0 +1,225 @@
+"""What the camera of a machine does: period, latency, its jitter and noise, from a log of joints and images.
+
+The joints give the place of the platform when a frame was taken, and so the image. A latency is found where that
+agrees best with the image; where the target is, is found with it. Frames of a machine at rest do not determine it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from hexservo import _core
+from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
+from hexservo.findings.identification.log import Frames, Log
+from hexservo.findings.part import Part
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.pixels import to_features
+
+__all__ = ["MOST_LATENCY", "CameraFit", "fit_camera"]
+
+MOST_LATENCY = 0.25
+"""Largest latency that is looked for [s]."""
+
+_FITTED = 0.7  # share of the frames that is fitted
+_FEWEST = 20  # frames
+_TRIED = 11  # latencies of a coarse grid
+_ROUNDS = 60  # evaluations of a fit
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraFit(Part):
+    """Clock and noise of the camera, and where its target is."""
+
+    frames: int  # that arrived
+    period: Interval | None = None  # between exposures [s]
+    dropout: float = 0.0  # share of the frames of that period that did not arrive
+    latency: Interval | None = (
+        None  # from the true exposure to arrival [s]; 0 to `MOST_LATENCY` where the log leaves it open
+    )
+    jitter: float | None = None  # most that a frame was later than the earliest [s]; None without exposure times
+    stamps: Interval | None = None  # what exposure times are late by [s]; None without them
+    noise: Interval | None = None  # standard deviation of a coordinate [px]
+    explained: float = 0.0  # share of the image motion kept apart that is predicted; 1: all
+    target: Array = field(default_factory=lambda: np.zeros(6))  # displacement of the scenario's target [m; rad]
+    open: str = ""  # why nothing was found; empty if something was
+
+    @property
+    def latency_is_known(self) -> bool:
+        """Whether the log determines the latency."""
+        return self.latency is not None and self.latency.high - self.latency.low < MOST_LATENCY / 2
+
+
+def fit_camera(log: Log, scene: Scene) -> CameraFit:
+    """Fit clock and noise of the camera to a log.
+
+    Parameters
+    ----------
+    log
+        With images, of a platform that moved.
+    scene
+        Of the machine: legs, camera and target.
+    """
+    frames = log.frames
+    count = 0 if frames is None else len(frames.arrival)
+    if frames is None or count < _FEWEST:
+        return CameraFit(count, open=f"expected at least {_FEWEST} frames in the log, got {count}")
+    if reason := _not_fitted(scene, frames):
+        return CameraFit(count, open=reason)
+    period, dropout = _clock(frames)
+    sight = _Sight.of(log, frames, scene)
+    fit = _fit(sight, frames)
+    if isinstance(fit, str):
+        return CameraFit(count, period, dropout, open=fit)
+    shift, noise, explained, target = fit
+    if frames.exposure is None:
+        return CameraFit(count, period, dropout, shift, None, None, noise, explained, target)
+    late = frames.arrival - frames.exposure
+    mean, sigma = float(late.mean()), float(late.std() / np.sqrt(len(late)))
+    stamped = Interval.around(mean, float(np.hypot(sigma, (shift.high - shift.low) / 2 / half_width(1.0))))
+    return CameraFit(
+        count,
+        period,
+        dropout,
+        Interval(*(value + shift.value for value in (stamped.value, stamped.low, stamped.high))),
+        float(late.max() - late.min()),
+        shift,
+        noise,
+        explained,
+        target,
+    )
+
+
+def _not_fitted(scene: Scene, frames: Frames) -> str:
+    points = frames.features.shape[1] // 2
+    if scene.scenario.camera.mount.on == "base":
+        return "the camera is fixed to the base, and this fit is of cameras on the platform (camera.mount.on)"
+    if not scene.has_points:
+        return "a camera as_printed has no points in space"
+    if reason := scene.moving_target:
+        return reason[0].lower() + reason[1:].rstrip(".")
+    if points != len(scene.points):
+        return f"expected {len(scene.points)} points in an image, as the scenario's target has, got {points}"
+    return ""
+
+
+def _clock(frames: Frames) -> tuple[Interval | None, float]:
+    """Return the period of the frames, from a line through their times, and the share that is missing."""
+    times = frames.arrival if frames.exposure is None else frames.exposure
+    steps = np.diff(times)
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    if usual <= 0.0:
+        return None, 0.0
+    number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / usual), 1))])
+    slope, _ = np.polyfit(number, times, 1)
+    left = times - np.polyval(np.polyfit(number, times, 1), number)
+    sigma = float(np.sqrt((left @ left) / (len(times) - 2) / ((number - number.mean()) ** 2).sum()))
+    return Interval.around(float(slope), sigma), float(1.0 - len(times) / (number[-1] + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """The image at any time of a log, for any place of the target."""
+
+    scene: Scene
+    joints: CubicSpline
+    features: Array  # (m, 2p) of the pinhole [px]
+    times: Array  # (m,) exposures where they are known, else arrivals [s]
+    latest: float  # a shift of `times` stays below this [s]
+    centre: Array  # (3,) of the target [m]
+
+    @classmethod
+    def of(cls, log: Log, frames: Frames, scene: Scene) -> _Sight:
+        stamped = frames.exposure is not None
+        times = frames.arrival if frames.exposure is None else frames.exposure
+        margin = MOST_LATENCY if not stamped else MOST_LATENCY / 2
+        inside = (times - margin >= log.time[0]) & (times + (margin if stamped else 0.0) <= log.time[-1])
+        features = to_features(scene.scenario, frames.features[inside])
+        spline = CubicSpline(log.time, log.joints)
+        return cls(scene, spline, features, times[inside], margin, scene.points.mean(axis=0))
+
+    def poses(self, late: float) -> Poses | None:
+        """Return where the platform was `late` [s] before the frames' times; None where legs do not fit together."""
+        position, quaternion = self.scene.home.position, self.scene.home.quaternion
+        found = []
+        for lengths in self.joints(self.times - late):
+            legs = self.scene.hexapod.forward_kinematics(lengths, position, quaternion)
+            if legs.status != _core.KinematicsStatus.converged:
+                return None
+            position, quaternion = legs.position, legs.quaternion
+            found.append((position, quaternion))
+        return Poses(np.array([one for one, _ in found]), np.array([one for _, one in found]))
+
+    def left(self, late: float, displacement: Array, poses: Poses | None = None) -> Array | None:
+        """Return what the image differs by from the frames, (m, 2p) [px], with the target displaced in B [m; rad]."""
+        poses = self.poses(late) if poses is None else poses
+        if poses is None:
+            return None
+        back = Poses(self.centre, np.array([1.0, 0.0, 0.0, 0.0])).moved(
+            np.concatenate([np.zeros(3), -displacement[3:]])
+        )
+        position = back.carried(poses.position - self.centre - displacement[:3])
+        turned = poses.moved(np.concatenate([np.zeros(3), -displacement[3:]])).quaternion
+        features, depth = self.scene.probe.image(position, turned)
+        return np.asarray(features - self.features) if (depth < 0.0).all() else None
+
+
+def _fit(sight: _Sight, frames: Frames) -> tuple[Interval, Interval, float, Array] | str:
+    """Return the shift of the frames' times, the noise, what is predicted, and where the target is."""
+    count = len(sight.times)
+    if count < _FEWEST:
+        return f"expected at least {_FEWEST} frames {1e3 * sight.latest:.0f} ms after the start of the log, got {count}"
+    fitted = int(_FITTED * count)
+    part = _Sight(sight.scene, sight.joints, sight.features[:fitted], sight.times[:fitted], sight.latest, sight.centre)
+    unit = np.concatenate([np.full(3, sight.scene.depth), np.ones(3)])
+    lowest = 0.0 if frames.exposure is None else -sight.latest
+
+    def residuals(x: Array) -> Array:
+        left = part.left(float(x[0] * sight.latest), x[1:] * unit)
+        return np.full(part.features.size, 1e6) if left is None else left.ravel()
+
+    best = None
+    for late in np.linspace(lowest, sight.latest, _TRIED):
+        poses = part.poses(float(late))
+        if poses is None:
+            continue
+
+        def placed(x: Array, late: float = float(late), poses: Poses = poses) -> Array:
+            left = part.left(late, x * unit, poses)
+            return np.full(part.features.size, 1e6) if left is None else left.ravel()
+
+        start = least_squares(placed, np.zeros(6), method="lm", max_nfev=_ROUNDS)
+        if best is None or start.cost < best[0]:
+            best = (start.cost, float(late), start.x)
+    if best is None or best[0] > 1e11:
+        return "the logged joints are no pose of the scenario's legs, or the target is behind the camera"
+    first = np.concatenate([[best[1] / sight.latest], best[2]])
+    bounds = [np.r_[lowest / sight.latest, np.full(6, -np.inf)], np.r_[1.0, np.full(6, np.inf)]]
+    fit = least_squares(residuals, first, bounds=bounds, x_scale="jac", max_nfev=_ROUNDS)
+    left = fit.fun.reshape(part.features.shape)
+    together = max(correlated(column) for column in left.T)
+    sigma = deviations(fit.jac, fit.fun, fit.fun.size / together)
+    shift = _bounded(Interval.around(fit.x[0], float(sigma[0])).times(sight.latest), lowest, sight.latest)
+    freedom = fit.fun.size - len(fit.x)
+    power = float(fit.fun @ fit.fun)
+    low, high = chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], freedom / together)
+    noise = Interval(
+        float(np.sqrt(power / freedom)), float(np.sqrt(power / together / low)), float(np.sqrt(power / together / high))
+    )
+    rest = sight.left(shift.value, fit.x[1:] * unit)
+    predicted = 0.0
+    if rest is not None:
+        motion = sight.features[fitted:] - sight.features[fitted:].mean(axis=0)
+        power = float((motion**2).sum())
+        predicted = 1.0 - float((rest[fitted:] ** 2).sum()) / power if power > 0.0 else 0.0
+    return shift, noise, predicted, fit.x[1:] * unit
+
+
+def _bounded(found: Interval, low: float, high: float) -> Interval:
+    return Interval(*(float(np.clip(value, low, high)) for value in (found.value, found.low, found.high)))

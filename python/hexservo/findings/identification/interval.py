@@ -1,0 +1,81 @@
+"""Numbers with confidence intervals, from least squares whose residuals may be correlated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from hexservo.scenario.arrays import Array
+
+__all__ = ["LEVEL", "Interval", "correlated", "deviations", "half_width"]
+
+LEVEL = 0.95
+"""Confidence of all intervals."""
+
+_ZERO = 1e-13  # of eigenvalues of a matrix whose diagonal is 1
+_LAGS = 200  # samples over which residuals may be correlated
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number, and the interval that contains it with 95 % confidence if the model holds."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def around(cls, value: float, sigma: float) -> Interval:
+        """Return the interval of a normal estimate with this standard deviation."""
+        return cls(float(value), float(value - half_width(sigma)), float(value + half_width(sigma)))
+
+    def times(self, factor: float) -> Interval:
+        """Return the same in other units."""
+        return Interval(factor * self.value, factor * self.low, factor * self.high)
+
+
+def half_width(sigma: float) -> float:
+    """Return half the width of the interval of a normal estimate."""
+    return float(norm.ppf(0.5 + LEVEL / 2) * sigma)
+
+
+def correlated(left: Array) -> float:
+    """Return over how many samples residuals are correlated: 1 plus twice the sum of the first positive correlations.
+
+    A correlation that white noise would have in one sample of 20 ends the sum.
+    """
+    centred = left - left.mean()
+    power = float(centred @ centred)
+    if power <= 0.0:
+        return 1.0
+    total = 1.0
+    for lag in range(1, min(_LAGS, len(left) // 4)):
+        share = float(centred[lag:] @ centred[:-lag]) / power
+        if share < 2.0 / np.sqrt(len(left)):
+            break
+        total += 2.0 * share
+    return total
+
+
+def deviations(jacobian: Array, left: Array, independent: float) -> Array:
+    """Return the standard deviations of least-squares estimates, (f,); infinite where the residuals do not tell.
+
+    Parameters
+    ----------
+    jacobian
+        (n, f) of the residuals.
+    left
+        (n,) residuals.
+    independent
+        How many of them are independent.
+    """
+    variance = float(left @ left) / max(independent * (1.0 - jacobian.shape[1] / len(left)), 1.0)
+    scale = np.sqrt((jacobian * jacobian).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
+    shares = np.where(vectors**2 > _ZERO, vectors**2, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        parts = np.where(shares > 0.0, shares / np.where(values > _ZERO, values, 0.0), 0.0)
+    return np.asarray(np.sqrt(variance * parts.sum(axis=1)) / scale)

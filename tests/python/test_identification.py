@@ -1,0 +1,407 @@
+"""Machines found from logs: drives by SciPy, images at the true exposures, intervals that hold their promise."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.cli.commands import app
+from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, fit_drives
+from hexservo.findings.identification.frames import MOST_LATENCY, fit_camera
+from hexservo.findings.identification.interval import Interval, correlated, deviations
+from hexservo.findings.identification.log import Log
+from hexservo.scenario.leg_units import LegUnits
+from hexservo.scenario.parameters import core_parameters
+from recorded_machines import Drive, record, see, wandering
+
+Array = NDArray[np.float64]
+
+METRES = LegUnits("m", "N")
+SEED = 20260
+
+
+def commands_of(scenario: hs.Scenario, random: np.random.Generator, ticks: int, period: float, size: float) -> Array:
+    """Lengths (n, 6) of legs whose platform jumps about home by normal steps of `size` [m] in all directions."""
+    scene = Scene(scenario)
+    unit = np.repeat([1.0, 1.0 / scene.platform_radius], 3)
+    poses = scene.home.moved(wandering(random, ticks, period, size, 0.3) * unit)
+    rows = zip(poses.position, poses.quaternion, strict=True)
+    return np.array([scene.hexapod.leg_lengths(position, quaternion) for position, quaternion in rows])
+
+
+def within(found: Interval | None, value: float) -> bool:
+    return found is not None and found.low <= value <= found.high
+
+
+# ---- Drives ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("damping", [0.3, 1.0, 2.5])
+@pytest.mark.parametrize("period", [1e-3, 0.02])
+def test_the_core_s_drive_is_scipy_s(damping: float, period: float) -> None:
+    random = np.random.default_rng(SEED)
+    commands = wandering(random, 400, period, 0.01, 10 * period)[:, 0]
+    drive = Drive(0.08 / period, damping)
+    found = _core.drive_response(commands, commands[0], 0.0, period, drive.bandwidth, damping, np.inf, np.inf)
+    np.testing.assert_allclose(found, drive.follow(commands, period), atol=1e-13)
+
+
+def test_the_core_s_drive_keeps_its_limits_to_second_order() -> None:
+    random = np.random.default_rng(SEED)
+    commands = wandering(random, 300, 0.01, 0.01, 0.2)[:, 0]
+    drive = Drive(6.0, 0.7, speed=0.05, acceleration=1.0)
+    found = _core.drive_response(commands, commands[0], 0.0, 0.01, 6.0, 0.7, 0.05, 1.0)
+    np.testing.assert_allclose(found, drive.follow(commands, 0.01), atol=1e-5)  # 0.1 % of a step's motion
+    assert np.abs(np.diff(found)).max() <= 0.05 * 0.01 * (1 + 1e-9)
+
+
+def random_logs(count: int, *, limited: bool) -> list[tuple[list[Drive], float, list[DriveFit]]]:
+    """Fit `count` random machines of six drives each."""
+    random = np.random.default_rng(SEED + limited)
+    print(f"seed {SEED + limited}")
+    found = []
+    for _ in range(count):
+        period = float(random.choice([1e-3, 5e-3, 0.02]))
+        ticks = int(random.integers(400, 800))
+        size = 10 ** random.uniform(-3.5, -2)
+        drives = [
+            Drive(
+                bandwidth=float(10 ** random.uniform(-1.7, -0.9) / period),
+                damping=float(10 ** random.uniform(-0.4, 0.2)),
+                delay=int(random.integers(0, 5)),
+            )
+            for _ in range(6)
+        ]
+        if limited:
+            drives = [replace(drive, speed=0.4 * 2 * np.pi * drive.bandwidth * size) for drive in drives]
+        commands = 0.2 + wandering(random, ticks, period, size, 40 * period)
+        log = record(commands, period, drives, size * 10 ** random.uniform(-3, -1), random)
+        found.append((drives, period, list(fit_drives(log, METRES).fits)))
+    return found
+
+
+def coverage(logs: list[tuple[list[Drive], float, list[DriveFit]]]) -> dict[str, float]:
+    """Share of the true values that the stated intervals contain."""
+    pairs = [(drive, fit) for drives, _, fits in logs for drive, fit in zip(drives, fits, strict=True)]
+    shares = {
+        "bandwidth": np.mean([within(fit.bandwidth, drive.bandwidth) for drive, fit in pairs]),
+        "damping": np.mean([within(fit.damping, drive.damping) for drive, fit in pairs]),
+        "delay": np.mean([within(fit.delay, drive.delay) for drive, fit in pairs]),
+        "no acceleration limit": np.mean([fit.acceleration_limit is None for _, fit in pairs]),
+    }
+    if np.isinf(pairs[0][0].speed):
+        shares["no speed limit"] = np.mean([fit.speed_limit is None for _, fit in pairs])
+    else:
+        shares["speed limit"] = np.mean([within(fit.speed_limit, drive.speed) for drive, fit in pairs])
+    print(len(pairs), "drives:", {name: round(float(share), 3) for name, share in shares.items()})
+    return {name: float(share) for name, share in shares.items()}
+
+
+def least(share: float, count: int) -> float:
+    """What a share of `count` hardly ever falls below by chance: four standard deviations."""
+    return share - 4 * float(np.sqrt(share * (1 - share) / count))
+
+
+def test_intervals_contain_the_true_values_of_random_drives() -> None:
+    shares = coverage(random_logs(3, limited=False))
+    assert all(share >= least(0.95, 18) for share in shares.values()), shares
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limited", [False, True])
+def test_intervals_contain_the_true_values_of_500_random_drives(limited: bool) -> None:
+    shares = coverage(random_logs(84, limited=limited))
+    assert all(share >= 0.9 for share in shares.values()), shares
+
+
+def test_both_limits_are_found_where_they_act() -> None:
+    random = np.random.default_rng(SEED)
+    drives = [Drive(5.0, 0.9, 1, speed=0.03, acceleration=0.6)] * 6
+    log = record(0.2 + wandering(random, 500, 0.01, 0.004, 0.4), 0.01, drives, 2e-6, random)
+    for fit in fit_drives(log, METRES).fits:
+        assert fit.speed_limit is not None
+        assert fit.speed_limit.value == pytest.approx(0.03, rel=2e-3)
+        assert fit.acceleration_limit is not None
+        assert fit.acceleration_limit.value == pytest.approx(0.6, rel=1e-2)
+        assert fit.explained > 0.999
+
+
+def test_a_leg_that_rests_is_not_identified() -> None:
+    random = np.random.default_rng(SEED)
+    commands = 0.2 + wandering(random, 400, 0.01, 0.004, 0.4)
+    commands[:, 2] = 0.2
+    found = fit_drives(record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 1e-5, random), METRES)
+    assert found.fits[2].bandwidth is None
+    assert [fit.leg for fit in found.moved] == [1, 2, 4, 5, 6]
+    section = found.section()
+    assert section.verdict == "warning"
+    assert any("legs 3" in sentence for sentence in section.sentences)
+
+
+def test_friction_widens_the_intervals_and_is_named() -> None:
+    """A dead zone of the drive, which the model lacks: what it leaves is correlated, and the prediction is worse."""
+    random = np.random.default_rng(SEED)
+    commands = 0.2 + wandering(random, 500, 0.01, 0.001, 0.4)
+    log = record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 1e-6, random)
+    stuck = np.array(log.joints)
+    for tick in range(1, len(stuck)):  # moves only when it is 0.2 mm behind
+        stuck[tick] = np.where(np.abs(stuck[tick] - stuck[tick - 1]) > 2e-4, stuck[tick], stuck[tick - 1])
+    free, held = fit_drives(log, METRES), fit_drives(replace(log, joints=stuck), METRES)
+    for one, other in zip(free.fits, held.fits, strict=True):
+        assert one.correlated < 2.0
+        assert other.correlated > 3.0
+        assert other.bandwidth is not None
+        assert one.bandwidth is not None
+        assert other.bandwidth.high - other.bandwidth.low > 10 * (one.bandwidth.high - one.bandwidth.low)
+        assert other.explained < one.explained
+    assert any("friction" in sentence for sentence in held.section().sentences)
+
+
+def test_deviations_are_those_of_repeated_fits() -> None:
+    """Of a line through correlated noise, by 2000 draws; a column that changes nothing is not known at all."""
+    random = np.random.default_rng(SEED)
+    x = np.linspace(-1.0, 1.0, 400)
+    jacobian = np.stack([np.ones_like(x), x, np.zeros_like(x)], axis=1)
+    found, stated = [], []
+    for _ in range(2000):
+        white = random.normal(size=len(x) + 4)
+        noise = np.convolve(white, np.ones(5), mode="valid")  # correlated over 5 samples
+        line = np.polynomial.polynomial.polyfit(x, noise, 1)
+        left = noise - jacobian[:, :2] @ line
+        found.append(line)
+        stated.append(deviations(jacobian, left, len(x) / correlated(left)))
+    scatter = np.std(found, axis=0)
+    np.testing.assert_allclose(np.median(stated, axis=0)[:2], scatter, rtol=0.15)
+    assert np.isinf(stated[0][2])
+
+
+# ---- Camera ---------------------------------------------------------------------------------------------------------
+
+
+def seen_log(
+    scenario: hs.Scenario,
+    latency: float,
+    *,
+    stamps: float | None,
+    jitter: float = 0.0,
+    moving: bool = True,
+    seed: int = SEED,
+) -> Log:
+    """A log of a machine whose camera takes 30 frames a second; stamps are late by `stamps` [s]."""
+    random = np.random.default_rng(seed)
+    period, ticks = 0.01, 500
+    commands = commands_of(scenario, random, ticks, period, 1e-3 if moving else 0.0)
+    drives = [Drive(6.0, 0.8, 1)] * 6
+    log = record(commands, period, drives, 1e-7, random)
+    true = np.stack([drive.follow(commands[:, leg], period) for leg, drive in enumerate(drives)], axis=1)
+    exposure = 0.3 + np.arange(135) / 30.0
+    arrival = np.maximum.accumulate(exposure + latency + jitter * random.random(len(exposure)))
+    frames = see(scenario, CubicSpline(log.time, true)(exposure), exposure, arrival, 0.2, random)
+    return replace(log, frames=replace(frames, exposure=None if stamps is None else exposure + stamps))
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.04, 0.123, 0.24])
+def test_an_unknown_latency_is_found_from_motion(paper: hs.Scenario, latency: float) -> None:
+    camera = fit_camera(seen_log(paper, latency, stamps=None), Scene(paper))
+    assert camera.latency is not None
+    assert camera.latency.value == pytest.approx(latency, abs=1e-3)
+    assert camera.latency_is_known
+    assert camera.noise is not None
+    dof = 0.7 * 135 * 8 - 7
+    assert camera.noise.value == pytest.approx(0.2, rel=4 / np.sqrt(2 * dof))  # four of its standard deviations
+    assert within(camera.period, 1 / 30) or camera.period.value == pytest.approx(1 / 30, rel=1e-9)  # type: ignore[union-attr]
+    assert camera.explained > 0.99
+
+
+@pytest.mark.slow
+def test_intervals_of_the_latency_contain_the_true_one(paper: hs.Scenario) -> None:
+    random = np.random.default_rng(SEED + 7)
+    print(f"seed {SEED + 7}")
+    hits = []
+    for trial in range(200):
+        latency = float(random.uniform(0.01, 0.24))
+        camera = fit_camera(seen_log(paper, latency, stamps=None, seed=trial), Scene(paper))
+        hits.append(within(camera.latency, latency))
+    print(f"{sum(hits)} of {len(hits)} intervals contain the true latency")
+    assert np.mean(hits) >= 0.9
+
+
+def test_exposure_times_give_jitter_and_their_own_error(paper: hs.Scenario) -> None:
+    camera = fit_camera(seen_log(paper, 0.05, stamps=0.006, jitter=0.02), Scene(paper))
+    assert camera.stamps is not None
+    assert camera.stamps.value == pytest.approx(0.006, abs=5e-4)
+    assert camera.jitter == pytest.approx(0.02, rel=0.1)
+    assert camera.latency is not None
+    assert camera.latency.value == pytest.approx(0.06, abs=2e-3)
+
+
+def test_a_platform_at_rest_does_not_tell_the_latency(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.1, stamps=None, moving=False)
+    camera = fit_camera(log, Scene(paper))
+    assert camera.latency is not None
+    assert (camera.latency.low, camera.latency.high) == (0.0, MOST_LATENCY)
+    assert not camera.latency_is_known
+    assert "does not tell the latency" in camera.section().sentences[0]
+
+
+def test_the_target_is_found_where_it_is(paper: hs.Scenario) -> None:
+    """The log was made with another target pose than the machine's scenario has."""
+    points = Scene(paper).points + np.array([0.004, -0.003, 0.01])
+    there = paper.updated({"target.initial_features": None, "target.depth": None, "target.points": points.tolist()})
+    camera = fit_camera(seen_log(there, 0.06, stamps=None), Scene(paper))
+    np.testing.assert_allclose(camera.target[:3], [0.004, -0.003, 0.01], atol=1e-3)
+    assert camera.latency is not None
+    assert camera.latency.value == pytest.approx(0.06, abs=1e-3)
+
+
+def test_another_number_of_points_is_an_open_question(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=None)
+    assert log.frames is not None
+    few = replace(log, frames=replace(log.frames, features=log.frames.features[:, :6]))
+    camera = fit_camera(few, Scene(paper))
+    assert "expected 4 points" in camera.open
+    assert camera.section().verdict == "open"
+
+
+def test_a_camera_on_the_base_is_an_open_question(paper: hs.Scenario) -> None:
+    found = fit_camera(seen_log(paper, 0.05, stamps=None), Scene(hs.load_scenario("eye-to-hand")))
+    assert "camera.mount.on" in found.open
+
+
+# ---- From a log to a scenario ----------------------------------------------------------------------------------------
+
+
+def test_the_identified_scenario_moves_as_the_core_s_own_run(paper: hs.Scenario) -> None:
+    """A run of the core with positions, logged, gives back its own keys."""
+    scenario = paper.updated(
+        {
+            "simulation.mode": "sampled",
+            "simulation.step": 0.01,
+            "simulation.duration": 3.0,
+            "controller.law": "resolved_rate",
+            "actuators.kind": "position",
+            "actuators.delay": 0.02,
+            "actuators.position.bandwidth": 7.0,
+            "actuators.position.damping": 0.7,
+            "camera.period": 0.03,
+            "camera.latency": 0.0,
+            "sensors.pose": "encoders",
+        }
+    )
+    ticks = _core.recorded_ticks(core_parameters(scenario))
+    log = Log(ticks["now"][:, 0], 0.01, ticks["leg_positions"], ticks["leg_lengths"], None)
+    found = hs.identify(log, paper)
+    assert found.scenario.actuators.delay == 0.02
+    assert found.scenario.actuators.position.bandwidth == pytest.approx(7.0, rel=1e-4)
+    assert found.scenario.actuators.position.damping == pytest.approx(0.7, rel=1e-4)
+
+
+def written(log: Log, path: Path) -> Path:
+    """Write a log as CSV; a frame is in the line of the first tick at or after its arrival."""
+    names = ["time", *(f"command_{i}" for i in range(1, 7)), *(f"joint_{i}" for i in range(1, 7))]
+    lines = [",".join([*names, *(f"{axis}_{p}" for p in range(1, 5) for axis in "xy"), "arrival"])]
+    assert log.frames is not None
+    frames = {}
+    for number, arrival in enumerate(log.frames.arrival):
+        frames[int(np.searchsorted(log.time, arrival - 1e-9))] = number
+    for tick in range(len(log.time)):
+        numbers = [log.time[tick], *log.commands[tick], *log.joints[tick]]
+        cells = [f"{value:.9g}" for value in numbers]
+        index = frames.get(tick)
+        cells += [""] * 9 if index is None else [f"{v:.6g}" for v in log.frames.features[index]]
+        cells += [] if index is None else [f"{log.frames.arrival[index]:.9g}"]
+        lines.append(",".join(cells))
+    path.write_text("# a machine\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_the_command_writes_a_scenario_that_runs_and_diagnose_goes_on(paper: hs.Scenario, tmp_path: Path) -> None:
+    log = written(seen_log(paper, 0.1, stamps=None), tmp_path / "log.csv")
+    yaml, numbers = tmp_path / "machine.yaml", tmp_path / "machine.json"
+    arguments = ["identify", str(log), "-m", "paper", "--out", str(yaml), "--json", str(numbers)]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    assert "A frame arrives 100 ms after it was taken" in " ".join(done.output.split())
+    scenario = hs.load_scenario(yaml)
+    assert scenario.actuators.kind == "position"
+    assert scenario.camera.latency == pytest.approx(0.1)
+    assert hs.simulate(scenario).outcome in {"completed", "diverged", "leg_limit", "behind_camera"}
+    assert json.loads(numbers.read_text())["changes"]["actuators.delay"] == 0.01
+    again = CliRunner().invoke(app, arguments)
+    assert again.exit_code == 2
+    assert "--force" in again.output
+    diagnosed = CliRunner().invoke(app, ["diagnose", str(log), "--machine", "paper"])
+    assert diagnosed.exit_code in {0, 3}, diagnosed.output
+    assert "iagnos" in diagnosed.output or "cause" in diagnosed.output
+
+
+# ---- Bad logs -------------------------------------------------------------------------------------------------------
+
+HEAD = "time," + ",".join(f"command_{i}" for i in range(1, 7)) + "," + ",".join(f"joint_{i}" for i in range(1, 7))
+
+
+def lines_of(count: int, width: int = 12) -> list[str]:
+    return [",".join([f"{0.01 * tick:.9g}", *(["0.2"] * width)]) for tick in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "column names"),
+        ("t,x\n1,2\n", "expected the columns time, command_1"),
+        (f"{HEAD},torque_1\n", "1 other columns"),
+        (f"{HEAD},x_1\n", "other columns"),
+        ("\n".join([HEAD, *lines_of(3), "1,2"]), "line 5: expected 13 fields, got 2"),
+        ("\n".join([HEAD, *lines_of(60, 11)]), "line 2: expected 13 fields, got 12"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "inf", 1), "line 2: expected a finite number"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "secret", 1), "other text (6 characters)"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "", 1), "finite numbers"),
+        ("\n".join([HEAD, *lines_of(10)]), "at least 50 ticks"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("\n0.3,", "\n0.37,"), "resample the log"),
+        (HEAD + "\n" + '"' + "9" * 200_000 + '"\n', "field larger than field limit"),
+    ],
+)
+def test_a_bad_log_is_refused_in_words(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.read_log(file)
+    assert words in str(caught.value)
+    assert "secret" not in str(caught.value)
+
+
+def test_special_files_are_refused_at_once(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, tmp_path, Path("/dev/zero"), tmp_path / "none.csv"):
+        with pytest.raises(hs.ScenarioError, match="cannot be read"):
+            hs.read_log(path)
+    (tmp_path / "latin.csv").write_bytes(b"\xff\xfe\n")
+    with pytest.raises(hs.ScenarioError, match="UTF-8"):
+        hs.read_log(tmp_path / "latin.csv")
+
+
+def test_a_log_without_motion_gives_no_drive(paper: hs.Scenario, tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("\n".join([HEAD, *lines_of(60)]), encoding="utf-8")
+    found = hs.identify(file, paper)
+    assert found.drives.moved == []
+    assert found.drives.section().verdict == "open"
+    assert "actuators.kind" not in found.changes
+
+
+def test_other_types_are_refused() -> None:
+    with pytest.raises(TypeError, match="machine"):
+        hs.identify("log.csv", "paper")  # type: ignore[arg-type]
+    assert MOST_DELAY == 8
