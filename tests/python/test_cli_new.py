@@ -128,7 +128,7 @@ def test_files_are_kept_unless_they_are_ours_and_forced(tmp_path: Path) -> None:
     file.unlink()
     assert answered(file, answers()).exit_code == 0
     assert answered(file, answers()).exit_code == 2
-    assert answered(file, answers(p7="6"), "--force").exit_code == 0
+    assert answered(file, answers(p9="6"), "--force").exit_code == 0
     assert hs.load_scenario(file).robot.mass == 6.0
 
 
