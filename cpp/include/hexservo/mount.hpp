@@ -6,8 +6,7 @@
 /// | ---------- | ---------------------- | --------------------------------------------------------------- |
 /// | r          | Placement::p_MC        | centre of projection in M [m]                                   |
 /// | R_MC       | Placement::R_MC        | turns C-coordinates into M-coordinates                          |
-/// | J_M        | to_camera, to_mount    | J_C [R_MC^T, -R_MC^T [r]x; 0, R_MC^T] of twists of M in M, and its transpose
-/// |
+/// | J_M        | to_camera, to_mount    | J_C [R_MC^T, -R_MC^T [r]x; 0, R_MC^T] of twists of M in M; transpose |
 #pragma once
 
 #include "hexservo/types.hpp"
