@@ -73,7 +73,7 @@ struct PositionResponse {
 template <class S>
 struct ActuatorParameters : ActuatorResponse<S> {
   long long delay = 0;  ///< [ticks], 0 to `kMaxActuatorDelay`, 0
-  PositionResponse<S> position;
+  PositionResponse<S> position{};
   Vector4<S> transition = Vector4<S>::Zero();  ///< `leg_transition` of a leg's step, where drives take positions
 
   template <class V, class... Self>
