@@ -18,6 +18,7 @@ import rotary_machine
 from hexservo import _core
 from hexservo.bridges.model_description import si_exponents
 from hexservo.cli.commands import app
+from hexservo.run.variant import load_kernel
 from hexservo.scenario.flat import flat_text
 from hexservo.scenario.parameters import core_parameters
 
@@ -33,7 +34,8 @@ SHORT = {"simulation.duration": 0.2}
 
 @pytest.fixture(autouse=True)
 def baseline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HEXSERVO_VARIANT", "baseline")
+    """The units' arithmetic: a process chooses its variant once, before a test can ask for one."""
+    monkeypatch.setattr("hexservo.run.variant._CHOSEN", load_kernel("baseline"))
 
 
 @pytest.fixture(scope="module", autouse=True)

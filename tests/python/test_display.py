@@ -41,6 +41,9 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
     file = {"scenario": short, "vary": vary, "require": ["final_error <= 1.0"], "runs": 8}
     folder = tmp_path_factory.mktemp("campaign")
     drawn = hs.campaign(file, folder / "out")
+    ticks = 0.01 * np.arange(60)
+    swaying = 0.2 + 1e-3 * np.sign(np.sin(20 * ticks))[:, None] * np.ones(6)
+    log = hs.Log(ticks, 0.01, swaying, np.roll(swaying, 1, axis=0), None)
     gains = {"variables": {"controller.hybrid.kp": {"log": [1e-7, 1e-5]}}, "minimise": "effort", "over": 2}
     return {
         "Scenario": short,
@@ -61,6 +64,8 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
         "LegForces": hs.LegForces(np.ones(6)),
         "ControllerOutput": tick.step(np.zeros(8), -0.5 * np.ones(4), [0, 0, -0.1], [1, 0, 0, 0], np.zeros(6)),
         "Reachability": hs.reachable(paper, [0.0] * 6),
+        "Log": log,
+        "Identification": hs.identify(log, paper),
         "CampaignResult": drawn,
         "WorstRuns": drawn.worst(1),
         "WorstCase": hs.worst_case(drawn, runs=20, restarts=1),
