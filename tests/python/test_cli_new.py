@@ -12,12 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
 import hexservo as hs
+import rotary_machine
+from hexservo import _core
 from hexservo.cli import commands as cli
+from hexservo.scenario.parameters import core_parameters
 
-QUESTIONS = 22  # with joints on circles
+QUESTIONS = 27  # with joints on circles, a camera matrix in numbers, and a tag
 
 
 def answered(file: Path, answers: list[str], *options: str) -> Result:
@@ -50,20 +54,20 @@ def test_defaults_make_a_machine_that_settles(tmp_path: Path) -> None:
 @pytest.mark.parametrize("bandwidth", ["0.3", "1.7", "2", "2.7", "5.3"])
 def test_every_rate_and_bandwidth_make_a_grid_of_times(tmp_path: Path, rate: str, bandwidth: str) -> None:
     """Servo period, frame period, latency and duration are whole numbers of each other, to rounding."""
-    done = answered(tmp_path / "mine.yaml", answers(p14=rate, p19=bandwidth))
+    done = answered(tmp_path / "mine.yaml", answers(p20=rate, p26=bandwidth))
     assert done.exit_code == 0, done.output
 
 
 def test_the_inertia_in_brackets_is_one_of_a_body(tmp_path: Path) -> None:
     """0.25 m r^2 has digits here that rounding alone would make more than a body has."""
-    done = answered(tmp_path / "mine.yaml", answers(p1="87", p7="1.07"))
+    done = answered(tmp_path / "mine.yaml", answers(p2="87", p9="1.07"))
     assert done.exit_code == 0, done.output
 
 
 def test_numbers_of_a_sheet_become_si_units(tmp_path: Path) -> None:
     """The machine pi-h824 by its answers: pairs of the base about 0, 120, 240 deg and of the platform halfway."""
     file = tmp_path / "pi.yaml"
-    done = answered(file, answers(p1="100", p2="30", p3="131", p4="10", p5="0, 0, -159", p6="-11.2 11.2"))
+    done = answered(file, answers(p2="100", p3="30", p4="131", p5="10", p6="0, 0, -159", p8="-11.2 11.2"))
     assert done.exit_code == 0, done.output
     made, packaged = hs.load_scenario(file).robot, hs.load_scenario("pi-h824").robot
     for key in ("platform_radius", "base_radius", "home_position", "stroke"):
@@ -75,12 +79,14 @@ def test_numbers_of_a_sheet_become_si_units(tmp_path: Path) -> None:
 
 def test_a_load_and_a_camera_beside_the_middle(tmp_path: Path) -> None:
     file = tmp_path / "loaded.yaml"
-    given = answers(p6="-10 20", p9="12", p10="0 0 -80")
-    done = answered(file, [*given[:11], "300", "30 0 -20", *[""] * 10])
+    given = answers(p8="-10 20", p10="0 0 -10", p12="12")
+    done = answered(file, [*given[:13], "0 0 -80", "0.1 0.1 0.05", "no", "300", "30 0 -20", *[""] * 12])
     assert done.exit_code == 0, done.output
     scenario = hs.load_scenario(file)
     robot = scenario.robot
     assert (robot.payload.mass, robot.payload.position[2], robot.force_limit) == (12.0, -0.08, 300.0)
+    assert (robot.payload.inertia, robot.payload.known) == ((0.1, 0.1, 0.05), False)
+    assert robot.centre_of_mass == (0.0, 0.0, -0.01)
     np.testing.assert_allclose([robot.stroke, robot.stroke_centre], [0.015, 0.005])
     assert scenario.camera.mount.position == (0.03, 0.0, -0.02)
     points = np.array(scenario.target.points)
@@ -89,25 +95,140 @@ def test_a_load_and_a_camera_beside_the_middle(tmp_path: Path) -> None:
 
 def test_joints_one_by_one(tmp_path: Path) -> None:
     file = tmp_path / "joints.yaml"
-    done = answered(file, ["joints", *[""] * 40])
+    done = answered(file, ["", "joints", *[""] * 45])
     assert done.exit_code == 0, done.output
     robot = hs.load_scenario(file).robot
     for given in (robot.platform_joints, robot.base_joints):
         assert np.array(given).shape == (6, 3)
 
 
+def corners_seen(scenario: hs.Scenario) -> NDArray[np.float64]:
+    """Pixels of the target from home, (n, 2), from the image centre."""
+    size = np.asarray(scenario.camera.image_size)
+    pixels = np.asarray(hs.project(scenario, np.zeros(6))).reshape(-1, 2)
+    given = scenario.camera.principal_point
+    return pixels if given is None else pixels - (size - 1) / 2
+
+
+def test_a_home_that_is_turned_and_a_camera_that_looks_aside(tmp_path: Path) -> None:
+    """The tag stays in the middle of the image, with sides along the image's."""
+    file = tmp_path / "aside.yaml"
+    given = answers(p7="3 -5 20", p14="60 0 -40", p15="-90 0 0", p17="1000", p24="100", p25="0 0 0 1 1 1")
+    done = answered(file, given)
+    assert done.exit_code == 0, done.output
+    scenario = hs.load_scenario(file)
+    np.testing.assert_allclose(scenario.robot.home_attitude, np.deg2rad([3, -5, 20]), rtol=1e-8)
+    np.testing.assert_allclose(scenario.camera.mount.rotation, [-np.pi / 2, 0.0, 0.0], atol=1e-8)
+    np.testing.assert_allclose(corners_seen(scenario), [[-100, 100], [100, 100], [100, -100], [-100, -100]], atol=1e-5)
+
+
+@pytest.mark.parametrize("look", ["0 0 0", "-90 0 0"])
+def test_a_calibration_file(tmp_path: Path, look: str) -> None:
+    """Its pixels count from the top left corner, and y points down; the camera looks where it did."""
+    calibration = tmp_path / "calibration.yaml"
+    calibration.write_text(
+        "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n"
+        "camera_matrix: !!opencv-matrix\n  rows: 3\n  cols: 3\n  dt: d\n"
+        "  data: [600, 0, 330, 0, 610, 235, 0, 0, 1]\n"
+        "distortion_coefficients: !!opencv-matrix\n  rows: 1\n  cols: 5\n  dt: d\n  data: [0, 0, 0, 0, 0]\n",
+        encoding="utf-8",
+    )
+    file = tmp_path / "mine.yaml"
+    given = answers(p15=look, p16="file")
+    done = answered(file, [*given[:17], str(calibration), "", "", "", "", "120", *[""] * 6])
+    assert done.exit_code == 0, done.output
+    scenario = hs.load_scenario(file)
+    assert scenario.camera.image_size == (640.0, 480.0)
+    seen = np.asarray(hs.project(scenario, np.zeros(6))).reshape(4, 2)
+    half = 0.06 / 0.5
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half * [600, 610] + [330, 235]
+    np.testing.assert_allclose(seen, corners, atol=1e-5)
+
+
+def test_distortion_in_numbers(tmp_path: Path) -> None:
+    file = tmp_path / "bent.yaml"
+    assert answered(file, answers(p19="-0.2 0.05 0.001 -0.001 0")).exit_code == 0
+    assert hs.load_scenario(file).camera.distortion.brown_conrady == (-0.2, 0.05, 0.001, -0.001, 0.0)
+
+
+def test_a_grid_as_the_target(tmp_path: Path) -> None:
+    file = tmp_path / "grid.yaml"
+    given = answers(p22="grid")
+    done = answered(file, [*given[:24], "3 5", "20", *[""] * 4])
+    assert done.exit_code == 0, done.output
+    scenario = hs.load_scenario(file)
+    seen = corners_seen(scenario).reshape(3, 5, 2)
+    step = 1500 * 0.02 / 0.5
+    np.testing.assert_allclose(np.diff(seen[..., 0], axis=1), step, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(seen[..., 1], axis=0), -step, rtol=1e-9)
+    np.testing.assert_allclose(seen.mean(axis=(0, 1)), 0.0, atol=1e-9)
+
+
+def test_points_one_by_one(tmp_path: Path) -> None:
+    file = tmp_path / "points.yaml"
+    given = answers(p22="points")
+    done = answered(file, [*given[:24], "5", "10 20 -700", *[""] * 8])
+    assert done.exit_code == 0, done.output
+    points = np.array(hs.load_scenario(file).target.points)
+    assert points.shape == (5, 3)
+    np.testing.assert_allclose(points[0], [0.01, 0.02, -0.7])
+    np.testing.assert_allclose(points[1:, 2], -0.66)
+
+
+def test_rotary_legs_settle_by_their_defaults(tmp_path: Path) -> None:
+    """Cranks with radial axes: level at home, outwards, the rods closed."""
+    file = tmp_path / "cranks.yaml"
+    done = answered(file, ["rotary", *[""] * 40])
+    assert done.exit_code == 0, done.output
+    assert "Warning" not in done.output
+    scenario = hs.load_scenario(file)
+    robot = scenario.robot
+    assert (robot.legs, robot.cranks.length) == ("rotary", 0.05)
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    np.testing.assert_allclose(hexapod.home_lengths, 0.0, atol=2e-3)
+    np.testing.assert_allclose(np.asarray(robot.cranks.axes) @ [0, 0, 1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(robot.stroke, np.deg2rad(40), rtol=1e-8)
+    result = hs.simulate(scenario)
+    assert result.outcome == "completed"
+    assert hs.metrics(result)["settling_time"] < 3.0
+
+
+def test_cranks_one_by_one(tmp_path: Path) -> None:
+    """The head of the tests, from its numbers: legs, axes, directions, and branches that are found."""
+    file = tmp_path / "head.yaml"
+    millimetres = [" ".join(f"{1e3 * x:.6f}" for x in row) for row in (*rotary_machine.JOINTS, *rotary_machine.CENTRES)]
+    ways = [
+        " ".join(f"{x:.9f}" for x in row)
+        for pair in zip(rotary_machine.AXES, rotary_machine.ZERO, strict=True)
+        for row in pair
+    ]
+    home = " ".join(f"{1e3 * x:.6f}" for x in rotary_machine.HOME)
+    lines = ["rotary", "joints", *millimetres, home, "", "40", "given", *ways, "85", "-44 44", "0.28", *[""] * 4]
+    done = answered(file, [*lines, "0 0 -51", *[""] * 15])
+    assert done.exit_code == 0, done.output
+    robot = hs.load_scenario(file).robot
+    np.testing.assert_array_equal(robot.cranks.branch, rotary_machine.BRANCH)
+    np.testing.assert_allclose(robot.cranks.axes, rotary_machine.AXES, atol=1e-8)
+    hexapod = _core.Hexapod(core_parameters(hs.load_scenario(file)).robot)
+    np.testing.assert_allclose(hexapod.home_lengths, rotary_machine.UPRIGHT, atol=2e-4)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (answers(p0="cranks"), 'expected circles or joints, got "cranks"'),
-        (answers(p1="-3"), 'expected a number above 0, got "-3"'),
-        (answers(p1="nan"), 'expected a number, got "nan"'),
-        (answers(p5="1 2"), 'expected 3 numbers with blanks between, got "1 2"'),
-        (answers(p6="1 15"), 'expected a number <= 0, then one >= 0, got "1 15"'),
-        (answers(p8="1 1 3"), 'expected none larger than the sum of the other two, got "1 1 3"'),
-        (answers(p17="900"), ': 80 % of the image, got "900"'),
+        (answers(p0="cranks"), 'expected prismatic or rotary, got "cranks"'),
+        (answers(p1="cranks"), 'expected circles or joints, got "cranks"'),
+        (answers(p2="-3"), 'expected a number above 0, got "-3"'),
+        (answers(p2="nan"), 'expected a number, got "nan"'),
+        (answers(p6="1 2"), 'expected 3 numbers with blanks between, got "1 2"'),
+        (answers(p8="1 15"), 'expected a number <= 0, then one >= 0, got "1 15"'),
+        (answers(p11="1 1 3"), 'expected none larger than the sum of the other two, got "1 1 3"'),
+        (answers(p24="900"), ': 80 % of the image, got "900"'),
+        (["", *answers(p22="grid")[1:24], "5 4"], 'whose product is at most 16, got "5 4"'),
+        ([*answers(p22="points")[:24], "17"], 'expected a whole number of 3 to 16, got "17"'),
+        ([*answers(p16="file")[:17], "nowhere.yaml"], "nowhere.yaml"),
         (answers()[:7], "expected an answer to every question, got the end of standard input"),
-        (answers(p1="150", p2="60", p4="60"), "robot"),  # hexagons joined in cyclic order are singular everywhere
+        (answers(p2="150", p3="60", p5="60"), "robot"),  # hexagons joined in cyclic order are singular everywhere
     ],
 )
 def test_a_bad_answer_leaves_no_file(tmp_path: Path, given: list[str], words: str) -> None:
@@ -147,9 +268,9 @@ def test_on_a_terminal_it_asks_again_and_ctrl_c_leaves_nothing(tmp_path: Path) -
                 assert time.monotonic() < give_up, shown
                 shown += os.read(keyboard, 4096)
 
-        until(b"[circles]")
+        until(b"[prismatic]")
         os.write(keyboard, b"cranks\n")
-        until(b"Again: expected circles or joints")
+        until(b"Again: expected prismatic or rotary")
         running.send_signal(signal.SIGINT)
         until(b"Interrupted: ")
         assert running.wait(60) == 130

@@ -41,7 +41,7 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
     file = {"scenario": short, "vary": vary, "require": ["final_error <= 1.0"], "runs": 8}
     folder = tmp_path_factory.mktemp("campaign")
     drawn = hs.campaign(file, folder / "out")
-    ticks = 0.01 * np.arange(60)
+    ticks = np.asarray(0.01 * np.arange(60))
     swaying = 0.2 + 1e-3 * np.sign(np.sin(20 * ticks))[:, None] * np.ones(6)
     log = hs.Log(ticks, 0.01, swaying, np.roll(swaying, 1, axis=0), None)
     gains = {"variables": {"controller.hybrid.kp": {"log": [1e-7, 1e-5]}}, "minimise": "effort", "over": 2}

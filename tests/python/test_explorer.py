@@ -205,9 +205,11 @@ def test_rotary_legs_are_drawn_as_cranks_and_rods(visit: Visit) -> None:
     hexapod = _core.Hexapod(core_parameters(scenario).robot)
     for row in (0, rows // 20, rows - 1):
         found = visit.page.evaluate(
-            "row => { const { position, quaternion } = explorer.result.samples; return { ends: explorer.ends(row), "
-            "position: [...position.subarray(3 * row, 3 * row + 3)], "
-            "quaternion: [...quaternion.subarray(4 * row, 4 * row + 4)] } }",
+            """row => {
+              const { position, quaternion } = explorer.result.samples;
+              const of = (values, n) => [...values.subarray(n * row, n * row + n)];
+              return { ends: explorer.ends(row), position: of(position, 3), quaternion: of(quaternion, 4) };
+            }""",
             row,
         )
         feet = hexapod.leg_feet(found["position"], found["quaternion"])

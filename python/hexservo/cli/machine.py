@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 import hexservo as hs
+from hexservo.cli.dialogue import Check, Dialogue
 from hexservo.cli.terminal import INTERRUPTED, complain, errors_as_messages, write
 from hexservo.scenario.laws import GENERAL_LAW
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 __all__ = ["new"]
 
@@ -20,8 +24,7 @@ _TITLE = "# Made by `hexservo new --machine`."
 _DEGREE = math.pi / 180.0
 _TICKS = 150  # servo periods in one of the bandwidth, at least: more than `hexservo check` asks for
 _PERIODS = 10  # of the bandwidth in a run
-
-Check = Callable[[Any], str | None]
+_MOST_POINTS = 16
 
 
 def new(
@@ -40,7 +43,7 @@ def new(
 
         check_file(machine, _TITLE, "`hexservo new`", force=force)
         try:
-            text = _scenario_text(_Dialogue(sys.stdin is not None and sys.stdin.isatty()), Path(machine).stem)
+            text = _scenario_text(Dialogue(sys.stdin is not None and sys.stdin.isatty()), Path(machine).stem)
         except (EOFError, typer.Abort):
             raise hs.ScenarioError(["expected an answer to every question, got the end of standard input"]) from None
         except KeyboardInterrupt:
@@ -51,81 +54,19 @@ def new(
         write(f"\n{machine} is written. Next:\n\n  {commands}\n")
 
 
-class _Dialogue:
-    """Questions and answers, with one check at each answer."""
-
-    def __init__(self, interactive: bool) -> None:
-        self._interactive = interactive
-
-    def say(self, text: str) -> None:
-        write(f"{text}\n")
-
-    def ask(self, question: str, default: str, read: Callable[[str], Any], check: Check | None = None) -> Any:
-        """Return the answer, once it is one; the end of the input, and without a terminal a wrong answer, raise."""
-        while True:
-            write(f"{question} [{default}]: ")
-            line = sys.stdin.readline() if sys.stdin is not None else ""
-            if not line:
-                raise EOFError
-            answer = line.strip() or default
-            if not self._interactive:
-                write(f"{answer}\n")
-            try:
-                value = read(answer)
-                problem = None if check is None else check(value)
-            except ValueError as error:
-                problem = str(error)
-            if problem is None:
-                return value
-            if not self._interactive:
-                raise hs.ScenarioError([f'{question}: {problem}, got "{answer}"'])
-            complain(f'{problem}, got "{answer}"', head="Again")
-
-    def number(self, question: str, default: float, *, zero: bool = False) -> float:
-        """Return a number above 0, or 0 where that is allowed."""
-
-        def check(value: float) -> str | None:
-            return None if value > 0 or (zero and value == 0) else f"expected a number {'>= 0' if zero else 'above 0'}"
-
-        return float(self.ask(question, f"{default:g}", _number, check))
-
-    def numbers(self, question: str, default: str, count: int, check: Check | None = None) -> list[float]:
-        """Return several numbers, given with blanks or commas between."""
-        return list(self.ask(question, default, lambda text: _numbers(text, count), check))
-
-    def choice(self, question: str, choices: tuple[str, ...]) -> str:
-        """Return one of some words; the first is the default."""
-
-        def check(value: str) -> str | None:
-            return None if value in choices else f"expected {' or '.join(choices)}"
-
-        return str(self.ask(f"{question} ({', '.join(choices)})", choices[0], str, check))
-
-
-def _number(text: str) -> float:
-    return _numbers(text, 1)[0]
-
-
-def _numbers(text: str, count: int) -> list[float]:
-    expected = "a number" if count == 1 else f"{count} numbers"
-    try:
-        values = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        raise ValueError(f"expected {expected}") from None
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise ValueError(f"expected {expected}{'' if count == 1 else ' with blanks between'}")
-    return values
-
-
-def _scenario_text(dialogue: _Dialogue, name: str) -> str:
+def _scenario_text(dialogue: Dialogue, name: str) -> str:
     """Return the text of a file that loads, from all answers."""
+    from scipy.spatial.transform import Rotation
+
     from hexservo.scenario.yaml import dump_yaml
 
     dialogue.say("Lengths in mm, angles in degrees. z of the base frame points down: above the base it is negative.")
     robot = _robot(dialogue)
-    camera, focal = _camera(dialogue)
-    place = [_rounded(sum(both)) for both in zip(robot["home_position"], camera["mount"]["position"], strict=True)]
-    target = _target(dialogue, place, camera["image_size"], focal)
+    camera, looks = _camera(dialogue)
+    home = Rotation.from_rotvec(robot.get("home_attitude", [0.0] * 3))
+    place = np.add(robot["home_position"], home.apply(camera["mount"]["position"]))
+    focal = float(np.max(camera["focal_pixels"]))
+    target = _target(dialogue, place, home * looks, camera["image_size"], focal)
     bandwidth = dialogue.number("Bandwidth of the loop [Hz]", 1.0)
     period = camera["period"]
     parts = max(1, math.ceil(period * _TICKS * bandwidth))
@@ -143,7 +84,7 @@ def _scenario_text(dialogue: _Dialogue, name: str) -> str:
             "switching": {"kind": "implicit"},
             GENERAL_LAW: {"auto": {"bandwidth": bandwidth}},
         },
-        "sensors": {"pose": "encoders", "resolution": 1e-6},
+        "sensors": {"pose": "encoders", "resolution": 1e-4 if "cranks" in robot else 1e-6},
         "simulation": {"mode": "sampled", "step": step, "duration": frames * period},
     }
     scenario = hs.Scenario.from_mapping(document)  # all that one answer alone does not tell
@@ -153,8 +94,9 @@ def _scenario_text(dialogue: _Dialogue, name: str) -> str:
     )
 
 
-def _robot(dialogue: _Dialogue) -> dict[str, Any]:
+def _robot(dialogue: Dialogue) -> dict[str, Any]:
     robot: dict[str, Any] = {}
+    rotary = dialogue.choice("Legs: of variable length, or cranks with rods", ("prismatic", "rotary")) == "rotary"
     form = dialogue.choice("Joints of the legs: on circles, in pairs, or given one by one", ("circles", "joints"))
     if form == "circles":
         for side, radius, apart in (("platform", 100.0, 20.0), ("base", 150.0, 20.0)):
@@ -170,19 +112,102 @@ def _robot(dialogue: _Dialogue) -> dict[str, Any]:
             ]
     home = dialogue.numbers("Home of the platform frame in the base: x y z [mm]", "0 0 -160", 3)
     robot["home_position"] = _metres(home)
-    travel = dialogue.numbers("Travel of a leg from home: shortest longest [mm]", "-15 15", 2, _about_home)
-    robot["stroke"] = _metres(travel)
+    attitude = _radians(dialogue.numbers("Its attitude there: about x y z, axis times angle [deg]", "0 0 0", 3))
+    if any(attitude):
+        robot["home_attitude"] = attitude
+    if rotary:
+        robot |= {"legs": "rotary", "cranks": _cranks(dialogue, robot)}
+        travel = dialogue.numbers("Travel of a crank from home: least largest [deg]", "-40 40", 2, _about_home)
+        robot["stroke"] = _radians(travel)
+    else:
+        travel = dialogue.numbers("Travel of a leg from home: shortest longest [mm]", "-15 15", 2, _about_home)
+        robot["stroke"] = _metres(travel)
     robot["gravity"] = 9.81
     robot["mass"] = dialogue.number("Mass of the platform with the camera [kg]", 5.0)
+    centre = _metres(dialogue.numbers("Its centre of mass in the platform frame: x y z [mm]", "0 0 0", 3))
+    if any(centre):
+        robot["centre_of_mass"] = centre
     robot["inertia"] = _inertia(dialogue, robot)
     load = dialogue.number("Mass of a load on it, 0: none [kg]", 0.0, zero=True)
     if load > 0:
         place = dialogue.numbers("Centre of the load in the platform frame: x y z [mm]", "0 0 -50", 3)
-        robot["payload"] = {"mass": load, "position": _metres(place)}
-        dialogue.say("The load is taken for a point, which the controller counts on: robot.payload has more.")
+        inertia = dialogue.numbers(
+            "Inertia of the load about its centre, axes x y z [kg m^2]",
+            "0 0 0",
+            3,
+            lambda values: _of_body(values, 0.0),
+        )
+        known = dialogue.choice("Does the controller count on the load", ("yes", "no")) == "yes"
+        robot["payload"] = {"mass": load, "position": _metres(place), "inertia": inertia, "known": known}
     weight = (robot["mass"] + load) * robot["gravity"]
-    robot["force_limit"] = dialogue.number("Largest force of a leg [N]", float(f"{weight:.2g}"))
+    if rotary:
+        torque = float(f"{weight * robot['cranks']['length']:.2g}")
+        robot["force_limit"] = dialogue.number("Largest torque of a crank [N m]", torque)
+    else:
+        robot["force_limit"] = dialogue.number("Largest force of a leg [N]", float(f"{weight:.2g}"))
     return robot
+
+
+def _cranks(dialogue: Dialogue, robot: dict[str, Any]) -> dict[str, Any]:
+    """Return the cranks, with those branches for which they stand nearest to their direction at angle 0 at home."""
+    from scipy.spatial.transform import Rotation
+
+    platform, base = (_joints(robot, side) for side in ("platform", "base"))
+    length = 1e-3 * dialogue.number("Length of a crank, from its axis to the rod [mm]", 50.0)
+    dialogue.say("The base joints are the centres of the cranks.")
+    form = dialogue.choice("Axes of the cranks: away from the base's middle, or given one by one", ("radial", "given"))
+    if form == "radial":
+        axes = base * [1.0, 1.0, 0.0]
+        if not np.linalg.norm(axes, axis=1).all():
+            raise hs.ScenarioError(["axes of the cranks: expected joints beside the base's z axis for radial ones"])
+        # at angle 0 level, away from the other joint of the pair
+        zero = np.cross([0.0, 0.0, 1.0], axes) * np.tile([-1.0, 1.0], 3)[:, None]
+        dialogue.say("At angle 0 a crank is level and points away from the other one of its pair.")
+    else:
+        ways = [
+            [
+                dialogue.numbers(f"{what} of crank {leg}: x y z", default, 3, _direction)
+                for what, default in (("Axis", "1 0 0"), ("Direction at angle 0", "0 1 0"))
+            ]
+            for leg in range(1, 7)
+        ]
+        axes, zero = np.array(ways).swapaxes(0, 1)
+    axes = axes / np.linalg.norm(axes, axis=1)[:, None]
+    zero = zero - (zero * axes).sum(axis=1)[:, None] * axes
+    if (np.linalg.norm(zero, axis=1) < 1e-3).any():
+        raise hs.ScenarioError(["direction at angle 0: expected one at a right angle to the axis, got one along it"])
+    zero = zero / np.linalg.norm(zero, axis=1)[:, None]
+    turned = Rotation.from_rotvec(robot.get("home_attitude", [0.0] * 3)).apply(platform)
+    u = np.asarray(robot["home_position"]) + turned - base
+    closed = float(np.linalg.norm(u - length * zero, axis=1).mean())
+    rod = 1e-3 * dialogue.number("Length of a rod [mm]", float(f"{1e3 * closed:.4g}"))
+    across, along = (u * zero).sum(axis=1), (u * np.cross(axes, zero)).sum(axis=1)
+    radius = 2.0 * length * np.hypot(across, along)
+    share = ((u * u).sum(axis=1) + length**2 - rod**2) / np.maximum(radius, 1e-300)
+    both = np.arctan2(along, across) + np.outer([1.0, -1.0], np.arccos(np.clip(share, -1.0, 1.0)))
+    angles = np.remainder(both + np.pi, 2.0 * np.pi) - np.pi
+    branch = np.where(np.abs(angles[0]) <= np.abs(angles[1]), 1, -1)
+    at_home = np.rad2deg(np.where(branch > 0, angles[0], angles[1]))
+    dialogue.say(f"At home the cranks are at {', '.join(f'{angle:.4g}' for angle in at_home)} deg.")
+    return {
+        "length": length,
+        "rod": rod,
+        "axes": [[_rounded(value) for value in row] for row in axes.tolist()],
+        "zero": [[_rounded(value) for value in row] for row in zero.tolist()],
+        "branch": branch.tolist(),
+    }
+
+
+def _joints(robot: dict[str, Any], side: str) -> np.ndarray:
+    """Return the joints (6, 3) of one side [m], in its frame."""
+    if f"{side}_joints" in robot:
+        return np.asarray(robot[f"{side}_joints"], dtype=float)
+    angles = np.asarray(robot[f"{side}_angles"])
+    return np.asarray(robot[f"{side}_radius"] * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)]))
+
+
+def _direction(values: list[float]) -> str | None:
+    return None if any(values) else "expected a direction, not three zeros"
 
 
 def _pairs(side: str, apart: float) -> list[float]:
@@ -201,41 +226,62 @@ def _default_joints(side: str) -> list[str]:
     return [f"{radius * math.cos(angle):.1f} {radius * math.sin(angle):.1f} 0" for angle in angles]
 
 
-def _inertia(dialogue: _Dialogue, robot: dict[str, Any]) -> list[float]:
+def _inertia(dialogue: Dialogue, robot: dict[str, Any]) -> list[float]:
     radius = robot.get("platform_radius") or max(math.hypot(*joint) for joint in robot["platform_joints"])
     disc = robot["mass"] * radius**2 / 4.0
-    about_x = float(f"{disc:.3g}")
-    default = f"{about_x:g} {about_x:g} {2 * about_x:g}"  # no more than a body has, in these digits too
-    dialogue.say("The inertia in brackets is that of a disc as large as the platform's joints.")
+    about_x = float(f"{disc:.3g}")  # no more than a body has, in these digits too
+    x, y, z = robot.get("centre_of_mass", [0.0] * 3)
+    moved = [robot["mass"] * (a * a + b * b) for a, b in ((y, z), (x, z), (x, y))]
+    default = " ".join(f"{own + more:g}" for own, more in zip((about_x, about_x, 2 * about_x), moved, strict=True))
+    dialogue.say("The inertia in brackets is that of a disc as large as the platform's joints, with its centre there.")
 
-    def check(values: list[float]) -> str | None:
-        a, b, c = sorted(values)
-        if a <= 0:
-            return "expected numbers above 0"
-        return None if c <= (a + b) * (1 + 1e-9) else "expected none larger than the sum of the other two"
-
-    return dialogue.numbers("Inertia about the platform frame's axes x y z [kg m^2]", default, 3, check)
+    return dialogue.numbers("Inertia about the platform frame's axes x y z [kg m^2]", default, 3, _of_body)
 
 
-def _camera(dialogue: _Dialogue) -> tuple[dict[str, Any], float]:
-    dialogue.say("The camera looks along -z of the platform frame: up, from a level platform.")
+def _of_body(values: list[float], least: float = 1e-300) -> str | None:
+    a, b, c = sorted(values)
+    if a < least:
+        return f"expected numbers {'above 0' if least > 0 else '>= 0'}"
+    return None if c <= (a + b) * (1 + 1e-9) else "expected none larger than the sum of the other two"
+
+
+def _camera(dialogue: Dialogue) -> tuple[dict[str, Any], Rotation]:
+    """Return the camera, and the attitude in the platform frame of one that looks along its -z with y up."""
+    from scipy.spatial.transform import Rotation
+
+    dialogue.say("Without a rotation the camera looks along -z of the platform frame: up, from a level platform.")
     place = _metres(dialogue.numbers("Camera in the platform frame: x y z [mm]", "0 0 0", 3))
-    focal = dialogue.number("Focal length, fx of OpenCV's camera matrix [px]", 1500.0)
-    size = dialogue.numbers("Image size: width height [px]", "1280 1024", 2, _positive)
+    turn = dialogue.numbers("Its rotation there: about x y z, axis times angle [deg]", "0 0 0", 3)
+    looks = Rotation.from_rotvec(_radians(turn))
+    camera = _intrinsics(dialogue)
+    camera["mount"] = {"position": place, **({"rotation": _vector(looks)} if any(turn) else {})}
     rate = dialogue.number("Frames per second [1/s]", 30.0)
     period = _rounded(round(1e3 / rate) * 1e-3 if rate <= 200.0 else 1.0 / rate)
     dialogue.say(f"The frame period is {1e3 * period:.4g} ms, and an image is used as long after its exposure.")
     noise = dialogue.number("Noise of a detected point, standard deviation [px]", 0.2, zero=True)
-    camera = {
-        "focal_pixels": focal,
-        "image_size": size,
-        "mount": {"position": place},
-        "period": period,
-        "latency": period,
-        "noise": noise,
-        "prediction": "encoder",
-    }
-    return camera, focal
+    return {**camera, "period": period, "latency": period, "noise": noise, "prediction": "encoder"}, looks
+
+
+def _intrinsics(dialogue: Dialogue) -> dict[str, Any]:
+    """Return focal length, image size and lens, of numbers or of a calibration file."""
+    from hexservo.scenario.calibration import camera_from_file
+
+    def read(path: str) -> dict[str, Any]:
+        if not path:
+            raise ValueError("expected the name of a file")
+        return camera_from_file(path)  # its error is a ValueError
+
+    if dialogue.choice("Camera matrix: numbers, or a calibration file of OpenCV", ("numbers", "file")) == "file":
+        camera: dict[str, Any] = dialogue.ask("Calibration file (YAML)", "", read)
+    else:
+        camera = {"focal_pixels": dialogue.number("Focal length, fx of OpenCV's camera matrix [px]", 1500.0)}
+    if camera.get("image_size") is None:
+        camera["image_size"] = dialogue.numbers("Image size: width height [px]", "1280 1024", 2, _positive)
+    if "distortion" not in camera:
+        lens = dialogue.numbers("Distortion, as OpenCV has it: k1 k2 p1 p2 k3", "0 0 0 0 0", 5)
+        if any(lens):
+            camera["distortion"] = {"brown_conrady": lens}
+    return camera
 
 
 def _about_home(travel: list[float]) -> str | None:
@@ -246,28 +292,81 @@ def _positive(values: list[float]) -> str | None:
     return None if min(values) > 0 else "expected numbers above 0"
 
 
-def _target(dialogue: _Dialogue, camera_home: list[float], image: list[float], focal: float) -> dict[str, Any]:
-    dialogue.say("The target is a square tag on the line of sight, facing the camera.")
-    distance = 1e-3 * dialogue.number("Distance of the tag from the camera at home [mm]", 500.0)
+def _target(
+    dialogue: Dialogue, camera: np.ndarray, looks: Rotation, image: list[float], focal: float
+) -> dict[str, Any]:
+    """Return the target; `camera` (3,) is where the camera is at home [m], `looks` its attitude, both in B."""
+    kind = dialogue.choice("Target: a square tag, a grid of points, or points one by one", ("tag", "grid", "points"))
+    dialogue.say("Tag and grid are on the line of sight from home, facing the camera.")
+    distance = 1e-3 * dialogue.number("Distance of the target from the camera at home [mm]", 500.0)
     most = 0.8e3 * min(image) * distance / focal  # [mm], four fifths of the image
+    middle = camera + looks.apply([0.0, 0.0, -distance])
+    pose = [*(_rounded(value) for value in middle.tolist()), *_vector(looks)]
 
-    def fits(side: float) -> str | None:
-        return None if 0 < side <= most else f"expected a number above 0, and at most {most:.4g}: 80 % of the image"
+    def fits(spaces: int) -> Check:
+        largest = most / spaces
 
-    size = 1e-3 * float(
-        dialogue.ask("Side of the tag [mm]", f"{min(100.0, float(f'{0.3 * most:.2g}')):g}", _number, fits)
-    )
-    dialogue.say(f"At home the tag's side is {focal * size / distance:.4g} px long.")
+        def check(size: float) -> str | None:
+            good = 0 < size <= largest
+            return None if good else f"expected a number above 0, and at most {largest:.4g}: 80 % of the image"
+
+        return check
+
+    def ask(question: str, spaces: int) -> float:
+        default = min(100.0, float(f"{0.3 * most / spaces:.2g}"))
+        return 1e-3 * float(dialogue.ask(question, f"{default:g}", _one_number, fits(spaces)))
+
+    target: dict[str, Any]
+    if kind == "tag":
+        size = ask("Side of the tag [mm]", 1)
+        dialogue.say(f"At home the tag's side is {focal * size / distance:.4g} px long.")
+        target = {"tag": {"size": size, "pose": pose}}
+    elif kind == "grid":
+        rows, columns = map(int, dialogue.numbers("Rows and columns of the grid, at most 16 points", "3 4", 2, _grid))
+        spacing = ask("Distance between neighbouring points [mm]", max(rows, columns) - 1)
+        target = {"grid": {"rows": rows, "columns": columns, "spacing": spacing, "pose": pose}}
+    else:
+        count = int(dialogue.ask("Number of points", "4", _one_number, _count))
+        half = 0.15e-3 * most  # [m]
+        angles = np.pi / 4 + 2.0 * np.pi * np.arange(count) / count
+        plane = half * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
+        texts = [" ".join(f"{value:.5g}" for value in row) for row in 1e3 * (middle + looks.apply(plane)) + 0.0]
+        target = {
+            "points": [
+                _metres(dialogue.numbers(f"Point {number} in the base frame: x y z [mm]", text, 3))
+                for number, text in enumerate(texts, start=1)
+            ]
+        }
     goal = dialogue.numbers(
         "Goal, where the platform shall go from home: x y z [mm], turn about x y z [deg]", "3 -2 2 -0.5 -0.5 1", 6
     )
-    return {
-        "tag": {"size": size, "pose": [*camera_home[:2], _rounded(camera_home[2] - distance), 0.0, 0.0, 0.0]},
-        "desired_pose": [_rounded(value * (1e-3 if place < 3 else _DEGREE)) for place, value in enumerate(goal)],
-    }
+    return {**target, "desired_pose": [*_metres(goal[:3]), *_radians(goal[3:])]}
 
 
-def _explain(dialogue: _Dialogue, scenario: hs.Scenario) -> None:
+def _one_number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError("expected a number")
+    return value
+
+
+def _whole(values: list[float]) -> bool:
+    return all(value == round(value) for value in values)
+
+
+def _grid(values: list[float]) -> str | None:
+    good = _whole(values) and min(values) >= 2 and values[0] * values[1] <= _MOST_POINTS
+    return None if good else "expected two whole numbers of at least 2, whose product is at most 16"
+
+
+def _count(value: float) -> str | None:
+    return None if _whole([value]) and 3 <= value <= _MOST_POINTS else "expected a whole number of 3 to 16"
+
+
+def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:
     """Write what follows from the answers: travel along each axis, and warnings."""
     from hexservo.findings.check import unlikely
 
@@ -300,6 +399,14 @@ def _travel(scenario: hs.Scenario, axis: int, sign: float) -> float:
 
 def _metres(millimetres: list[float]) -> list[float]:
     return [_rounded(1e-3 * value) for value in millimetres]
+
+
+def _radians(degrees: list[float]) -> list[float]:
+    return [_rounded(_DEGREE * value) for value in degrees]
+
+
+def _vector(rotation: Rotation) -> list[float]:
+    return [_rounded(value) + 0.0 for value in rotation.as_rotvec().tolist()]
 
 
 def _rounded(value: float) -> float:
