@@ -208,7 +208,7 @@ def test_cranks_one_by_one(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     robot = hs.load_scenario(file).robot
     np.testing.assert_array_equal(robot.cranks.branch, rotary_machine.BRANCH)
-    np.testing.assert_allclose(robot.cranks.axes, rotary_machine.AXES, atol=1e-8)
+    np.testing.assert_allclose(np.array(robot.cranks.axes), rotary_machine.AXES, atol=1e-8)
     hexapod = _core.Hexapod(core_parameters(hs.load_scenario(file)).robot)
     np.testing.assert_allclose(hexapod.home_lengths, rotary_machine.UPRIGHT, atol=2e-4)
 
