@@ -149,6 +149,19 @@ def test_a_leg_that_rests_is_not_identified() -> None:
     assert any("legs 3" in sentence for sentence in section.sentences)
 
 
+def test_a_leg_that_does_not_follow_is_not_identified() -> None:
+    """A dead motor: commands jump, and the coordinate stays at zero."""
+    random = np.random.default_rng(SEED)
+    commands = wandering(random, 200, 0.01, 0.004, 0.4)
+    log = record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 1e-6, random)
+    joints = log.joints.copy()
+    joints[:, 4] = 0.0
+    found = fit_drives(replace(log, joints=joints), METRES)
+    assert found.fits[4].bandwidth is None
+    assert found.section().verdict == "warning"
+    assert within(found.fits[0].bandwidth, 5.0)
+
+
 def test_friction_widens_the_intervals_and_is_named() -> None:
     """A dead zone of the drive, which the model lacks: what it leaves is correlated, and the prediction is worse."""
     random = np.random.default_rng(SEED)

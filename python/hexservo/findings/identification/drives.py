@@ -42,7 +42,7 @@ class DriveFit:
     """Response of one leg's drive."""
 
     leg: int  # 1 to 6
-    bandwidth: Interval | None  # [Hz]; None of a leg that was hardly moved, as all that follows
+    bandwidth: Interval | None  # [Hz]; None of a leg that hardly moved, as all that follows
     damping: Interval | None  # [1]
     delay: Interval | None  # [ticks]
     speed_limit: Interval | None  # [m/s], or [rad/s]; None where no limit is seen: then `fastest` was
@@ -88,9 +88,9 @@ class _Record:
 
     @property
     def moves(self) -> bool:
-        """Whether the leg was commanded to move by more than its noise."""
+        """Whether the leg was commanded to move by more than its noise, and moved at all."""
         way = float(np.ptp(self.commands[: self.fitted]))
-        return way > 0.0 and way > _STILL * self.scatter
+        return way > 0.0 and way > _STILL * self.scatter and float(np.ptp(self.joints[: self.fitted])) > 0.0
 
     def response(self, delay: int, values: Array) -> Array:
         """Return the coordinate at each tick, (n,).
@@ -270,7 +270,8 @@ def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool])
     bounds = [np.r_[lowest[free[:4]], -edge], np.r_[highest[free[:4]], edge]]
     fit = least_squares(residuals, first, bounds=bounds, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
     left = fit.fun * scale
-    floor = len(left) * (8 * np.finfo(float).eps * float(np.abs(measured).max())) ** 2  # of rounding
+    largest = max(float(np.abs(measured).max()), float(np.abs(record.commands).max()))
+    floor = len(left) * (8 * np.finfo(float).eps * largest) ** 2  # of rounding
     together = correlated(left)
     sigma = deviations(fit.jac, fit.fun, len(left) / together)
     return _Model(

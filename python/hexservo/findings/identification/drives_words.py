@@ -101,7 +101,7 @@ def _sentences(found: Drives) -> list[str]:
     ]
     if len(moved) < 6:
         still = ", ".join(str(fit.leg) for fit in found.fits if fit.bandwidth is None)
-        words.append(f"Not commanded to move by more than their noise, and so not identified: legs {still}.")
+        words.append(f"Not commanded to move by more than their noise, or at rest, and not identified: legs {still}.")
     bandwidths = [fit.bandwidth.value for fit in moved if fit.bandwidth is not None]
     if max(bandwidths) > _ALIKE * min(bandwidths):
         words.append(
