@@ -117,10 +117,10 @@ def _clock(frames: Frames) -> tuple[Interval | None, float]:
     if usual <= 0.0:
         return None, 0.0
     number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / usual), 1))])
-    slope, _ = np.polyfit(number, times, 1)
-    left = times - np.polyval(np.polyfit(number, times, 1), number)
+    line = np.polyfit(number, times, 1)
+    left = times - np.polyval(line, number)
     sigma = float(np.sqrt((left @ left) / (len(times) - 2) / ((number - number.mean()) ** 2).sum()))
-    return Interval.around(float(slope), sigma), float(1.0 - len(times) / (number[-1] + 1))
+    return Interval.around(float(line[0]), sigma), float(1.0 - len(times) / (number[-1] + 1))
 
 
 @dataclass(frozen=True, eq=False)
