@@ -1,5 +1,5 @@
 // hexservo gains, format 1
-// The controller of the scenario "paper", written by `hexservo export` of hexservo 0.1.0.
+// The controller of the scenario "paper", written by `hexservo export` of hexservo 0.2.0.
 // Not to be edited: change the scenario and run `hexservo export --force` again.
 // clang-format off
 #pragma once

@@ -44,6 +44,39 @@ py::dict recorded_ticks(const Settings& settings) {
   return columns;
 }
 
+/// What the sensors of all places gave last, a row each, by name; and which of them go on.
+py::dict rows_of(const SampledRuns& runs) {
+  py::dict rows;
+  const auto put_numbers = [&](const char* name, auto&& values_of) {
+    const auto width = static_cast<py::ssize_t>(values_of(runs.seen(0)).size());
+    py::array_t<double> column({static_cast<py::ssize_t>(runs.count()), width});
+    double* to = column.mutable_data();
+    for (int i = 0; i < runs.count(); ++i) {
+      const auto& values = values_of(runs.seen(i));
+      if (values.size() != width) throw std::logic_error("targets: expected as many points in all runs");
+      to = std::copy(values.data(), values.data() + width, to);
+    }
+    rows[name] = column;
+  };
+  const auto put_one = [&]<class T>(const char* name, T (*value_of)(const SampledRuns&, int)) {
+    py::array_t<T> column(runs.count());
+    for (int i = 0; i < runs.count(); ++i) column.mutable_at(i) = value_of(runs, i);
+    rows[name] = column;
+  };
+  using Seen = const SampledObservation&;
+  put_numbers("features", [](Seen s) -> const auto& { return s.features; });
+  put_numbers("position", [](Seen s) -> const auto& { return s.pose.position; });
+  put_numbers("quaternion", [](Seen s) -> const auto& { return s.pose.quaternion; });
+  put_numbers("twist", [](Seen s) -> const auto& { return s.twist; });
+  put_one.operator()<double>("time", [](const SampledRuns& all, int i) { return all.seen(i).time; });
+  put_one.operator()<bool>("running", [](const SampledRuns& all, int i) { return all.running(i); });
+  put_one.operator()<bool>("at_end", [](const SampledRuns& all, int i) { return all.at_end(i); });
+  return rows;
+}
+
+/// Wrenches as an array with a row per run.
+using Wrenches = Eigen::Ref<const Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::RowMajor>>;
+
 }  // namespace
 
 void bind_sampled_run(py::module_& m) {
@@ -73,6 +106,22 @@ void bind_sampled_run(py::module_& m) {
       .def("command_legs", &SampledRun::command_legs, py::arg("leg_forces"),
            "Leg forces (6,) [N], and on to the next tick.")
       .def("finish", &SampledRun::finish, "The trajectory so far; once.");
+
+  py::class_<SampledRuns>(m, "SampledRuns", "Runs side by side, commanded together.")
+      .def(py::init([](int count) {
+             if (count < 1) throw std::invalid_argument("count: expected at least 1, got " + std::to_string(count));
+             return SampledRuns(count);
+           }),
+           py::arg("count"))
+      .def("start", &SampledRuns::start, py::arg("place"), py::arg("settings"),
+           "A run, and on to the tick of its first image.")
+      .def(
+          "command", [](SampledRuns& runs, const Wrenches& wrenches) { runs.command(wrenches.transpose()); },
+          py::arg("wrenches"), py::call_guard<py::gil_scoped_release>(),
+          "Wrenches (count, 6) in B beyond the estimated weight [N; N m], and on to the next tick.")
+      .def("rows", &rows_of,
+           "What the sensors gave last, a row per place: features [px], position [m], quaternion, twist [m/s; rad/s], "
+           "time [s]; and running, at_end.");
 }
 
 }  // namespace hexservo::bindings

@@ -52,7 +52,7 @@ typedef enum hexservo_status {
 
 /** `HEXSERVO_INTERFACE` of the library: a program that finds another one than its own should stop. */
 HEXSERVO_API int hexservo_interface(void);
-/** Version of the library: "0.1.0". */
+/** Version of the library, "major.minor.patch". */
 HEXSERVO_API const char* hexservo_version(void);
 
 /* --- scenarios ---------------------------------------------------------------------------------------------------- */

@@ -120,4 +120,49 @@ void SampledRun::command(const Vector6<double>& wrench) { books_->command(wrench
 void SampledRun::command_legs(const Vector6<double>& leg_forces) { books_->command_legs(leg_forces); }
 Trajectory SampledRun::finish() { return books_->finish(); }
 
+namespace {
+
+template <class Places>
+auto& at(Places& places, int place) {
+  if (place < 0 || static_cast<std::size_t>(place) >= places.size())
+    throw std::out_of_range("place: expected 0 to " + std::to_string(places.size() - 1) + ", got " +
+                            std::to_string(place));
+  return places[static_cast<std::size_t>(place)];
+}
+
+}  // namespace
+
+void SampledRuns::One::command(const Vector6<double>& wrench) {
+  run.command(wrench);
+  seen = run.observe();
+}
+
+void SampledRuns::start(int place, const Settings& settings) {
+  SampledRun run(settings);
+  const SampledObservation first = run.observe();
+  One one{std::move(run), first, estimated_body(settings.robot), step_count(settings.simulation)};
+  while (one.running() && one.seen.features.hasNaN()) one.command(Vector6<double>::Zero());
+  at(places_, place).emplace(std::move(one));
+}
+
+void SampledRuns::command(const Eigen::Ref<const Eigen::Matrix<double, 6, Eigen::Dynamic>>& wrenches) {
+  if (wrenches.cols() != count())
+    throw std::invalid_argument("wrenches: expected " + std::to_string(count()) + " of them, got " +
+                                std::to_string(wrenches.cols()));
+  if (!wrenches.allFinite()) throw std::invalid_argument("wrenches: expected finite numbers, got NaN or infinity");
+  for (int i = 0; i < count(); ++i) {
+    std::optional<One>& one = places_[static_cast<std::size_t>(i)];
+    if (!one || !one->running()) continue;
+    const Vector4<double>& q = one->seen.pose.quaternion;
+    const Matrix3<double> R_BE = rotation_matrix<double>(q / q.stableNorm());
+    one->command(gravity_wrench(one->body, R_BE) + wrenches.col(i));
+  }
+}
+
+const SampledRuns::One& SampledRuns::one(int place) const {
+  const std::optional<One>& found = at(places_, place);
+  if (!found) throw std::logic_error("place " + std::to_string(place) + ": expected a run that was started, got none");
+  return *found;
+}
+
 }  // namespace hexservo

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo import _core
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import has_pixels
 
@@ -161,6 +162,40 @@ def test_statistics_of_gymnasium_wrap_it(scenario: hs.Scenario) -> None:
     assert (info["episode"]["r"] < 0).all()
 
 
+def test_runs_side_by_side_are_single_runs(scenario: hs.Scenario) -> None:
+    """Each row is what a run by itself gives under the same wrenches, the estimated weight among them."""
+    settings = core_parameters(scenario)
+    together = _core.SampledRuns(2)
+    alone = []
+    for place, seed in enumerate((3, 4)):
+        settings["seed"] = seed
+        together.start(place, settings)
+        alone.append(_core.SampledRun(settings))
+    wrenches = np.random.default_rng(8).uniform(-1e-2, 1e-2, (20, 2, 6))
+    for both in wrenches:
+        together.command(both)
+        for run, wrench in zip(alone, both, strict=True):
+            run.command(settings.body.weight(run.observe().quaternion) + wrench)
+    rows = together.rows()
+    assert rows["running"].all()
+    for name in ("features", "position", "quaternion", "twist", "time"):
+        np.testing.assert_array_equal(rows[name], [getattr(run.observe(), name) for run in alone])
+
+
+def test_what_runs_side_by_side_refuse(scenario: hs.Scenario) -> None:
+    with pytest.raises(ValueError, match="count: expected at least 1, got 0"):
+        _core.SampledRuns(0)
+    runs = _core.SampledRuns(2)
+    with pytest.raises(RuntimeError, match="place 0: expected a run that was started, got none"):
+        runs.rows()
+    for place in (-1, 2):
+        with pytest.raises(IndexError, match=f"place: expected 0 to 1, got {place}"):
+            runs.start(place, core_parameters(scenario))
+    for wrenches in (np.zeros((1, 6)), np.full((2, 6), np.inf)):
+        with pytest.raises(ValueError, match="wrenches: expected (2 of them, got 1|finite numbers)"):
+            runs.command(wrenches)
+
+
 def test_refusals(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     for options, text in (
         ({"action": "force"}, "action: expected wrench or twist"),
@@ -178,7 +213,7 @@ def test_refusals(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> Non
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"actions: expected shape \(2, 6\)"):
         env.step(np.zeros((3, 6)))
-    with pytest.raises(ValueError, match="actions: expected finite numbers"):
+    with pytest.raises(ValueError, match="actions: expected numbers, got NaN"):
         env.step(np.full((2, 6), np.nan))
     with pytest.raises(ValueError, match="seed: expected one number or 2"):
         env.reset(seed=[1, 2, 3])

@@ -6,6 +6,8 @@
 #include "hexservo/simulation.hpp"
 
 #include <memory>
+#include <optional>
+#include <vector>
 
 namespace hexservo {
 
@@ -51,6 +53,44 @@ class SampledRun {
   template <int N>
   struct BooksOf;
   std::unique_ptr<Books> books_;
+};
+
+/// Runs side by side, commanded together by wrenches beyond the estimated weight.
+class SampledRuns {
+ public:
+  /// @param count of places, which are empty until `start`
+  explicit SampledRuns(int count) : places_(static_cast<std::size_t>(count)) {}
+
+  int count() const noexcept { return static_cast<int>(places_.size()); }
+  /// Starts a run at a place, and takes it to the tick of its first image, until which the safe output acts.
+  /// @throws std::invalid_argument as `SampledRun`; std::out_of_range for a place that there is not
+  void start(int place, const Settings& settings);
+  /// Commands wrenches (6, count) to the runs that go on [N; N m], and takes those to their next tick.
+  /// @throws std::invalid_argument for another count or numbers that are not finite, before any run is commanded
+  void command(const Eigen::Ref<const Eigen::Matrix<double, 6, Eigen::Dynamic>>& wrenches);
+
+  /// What the sensors of a place gave last.
+  /// @throws std::logic_error where none was started
+  const SampledObservation& seen(int place) const { return one(place).seen; }
+  /// Whether a place has come to the end of its duration.
+  bool at_end(int place) const { return one(place).at_end(); }
+  /// Whether a place takes commands.
+  bool running(int place) const { return one(place).running(); }
+
+ private:
+  struct One {
+    SampledRun run;
+    SampledObservation seen;
+    RigidBody<double> body;  ///< as estimated
+    long long steps;
+
+    bool at_end() const noexcept { return run.running() && seen.tick >= steps; }
+    bool running() const noexcept { return run.running() && seen.tick < steps; }
+    void command(const Vector6<double>& wrench);
+  };
+  const One& one(int place) const;
+
+  std::vector<std::optional<One>> places_;
 };
 
 }  // namespace hexservo

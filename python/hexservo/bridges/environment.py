@@ -74,7 +74,7 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         batched = _vector.utils.batch_space
         self.observation_space = batched(self.single_observation_space, num_envs)
         self.action_space = batched(self.single_action_space, num_envs)
-        self._runs = _Runs(num_envs, steps)
+        self._runs = _core.SampledRuns(num_envs)
         self._generators: list[np.random.Generator] = []
         self._seen: Array = np.zeros((num_envs, len(self._desired)))  # newest features that were usable
         self._states: dict[str, NDArray[Any]] = {}
@@ -122,15 +122,20 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         """
         if not self._states:
             raise gym.error.ResetNeeded("call reset before step")
-        wanted = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0) * self.action_scale
+        given = np.asarray(actions, dtype=float)
+        if given.shape != (self.num_envs, 6):
+            raise ValueError(f"actions: expected shape ({self.num_envs}, 6), got {given.shape}")
+        if np.isnan(given).any():
+            raise ValueError("actions: expected numbers, got NaN")
+        wanted = np.clip(given, -1.0, 1.0) * self.action_scale
         if self._stiffness is not None:
             wanted = self._stiffness * (wanted - self._states["twist"])
         before = self._over
         error = np.sqrt(np.mean((self._desired - self._seen) ** 2, axis=1)) / self._error_unit
         self._runs.command(wanted)
         self._read()
-        over = ~np.asarray(self._states["running"])
-        truncated = over & np.asarray(self._states["at_end"]) & ~before
+        over = ~self._states["running"]
+        truncated = over & self._states["at_end"] & ~before
         terminated = over & ~truncated & ~before
         left = np.maximum(self._duration - self._states["time"], 0.0)
         rewards = np.where(before, 0.0, -self._tick * error - np.where(terminated, _FAILURE * left, 0.0))
@@ -157,7 +162,7 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         self._read()
 
     def _read(self) -> None:
-        self._states = self._runs.states()
+        self._states = self._runs.rows()
         features = self._states["features"]
         self._seen = np.where(np.isnan(features), self._seen, features)
 
@@ -181,44 +186,6 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
             observations[index] = observed[index]
         final = {name: (values.copy() if not name.startswith("_") else over) for name, values in states.items()}
         return {"final_obs": observations, "_final_obs": over, "final_info": final, "_final_info": over}
-
-
-class _Runs:
-    """Plants side by side, commanded together; those that have ended stay."""
-
-    def __init__(self, count: int, steps: int) -> None:
-        self._runs: list[_core.SampledRun | None] = [None] * count
-        self._seen: list[Any] = [None] * count
-        self._steps = steps
-
-    def start(self, index: int, settings: _core.Settings) -> None:
-        """Start a run, and take it to the tick of its first image, until which the safe output acts."""
-        run = _core.SampledRun(settings)
-        seen = run.observe()
-        while run.running and seen.tick < self._steps and np.isnan(seen.features).any():
-            run.command(np.zeros(6))
-            seen = run.observe()
-        self._runs[index], self._seen[index], self._weight = run, seen, settings.body.weight
-
-    def command(self, wrenches: Array) -> None:
-        """Command wrenches (n, 6) beyond the estimated weight [N; N m], and go on to the next tick."""
-        if wrenches.shape != (len(self._runs), 6):
-            raise ValueError(f"actions: expected shape ({len(self._runs)}, 6), got {wrenches.shape}")
-        if not np.isfinite(wrenches).all():
-            raise ValueError("actions: expected finite numbers, got NaN or infinity")
-        for index, (run, seen) in enumerate(zip(self._runs, self._seen, strict=True)):
-            if run is not None and run.running and seen.tick < self._steps:
-                run.command(self._weight(seen.quaternion) + wrenches[index])
-                self._seen[index] = run.observe()
-
-    def states(self) -> dict[str, NDArray[Any]]:
-        """Return what the sensors give, a row per run, and whether runs go on."""
-        ticks = np.array([seen.tick for seen in self._seen])
-        names = ("features", "position", "quaternion", "twist", "time")
-        states = {name: np.array([getattr(seen, name) for seen in self._seen]) for name in names}
-        running = np.array([run is not None and run.running for run in self._runs])
-        at_end = ticks >= self._steps
-        return {**states, "running": running & ~at_end, "at_end": at_end & running}
 
 
 class HexapodEnv(gym.Env):  # type: ignore[misc]
