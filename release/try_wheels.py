@@ -31,6 +31,7 @@ EXTRAS = {
     "gymnasium": "python3 -c \"import hexservo as hs; hs.bridges.gymnasium(hs.load_scenario('paper'), 2).reset()\"",
     "cluster": "hexservo campaign campaign-paper --out /tmp/campaign --runs 200 --engine dask",
     "tune": "python3 -c 'import hexservo.campaigns.tuning, pymoo.algorithms.moo.nsga2'",
+    "mcap": "python3 -c 'import hexservo.findings.identification.mcap_log, mcap.stream_reader, lz4.frame, zstandard'",
 }
 
 

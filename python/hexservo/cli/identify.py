@@ -15,7 +15,9 @@ _TITLE = "# A scenario by `hexservo identify`"
 
 
 def identify(
-    log: Annotated[str, typer.Argument(metavar="LOG", help="CSV file: time, commanded and measured joints, features.")],
+    log: Annotated[
+        str, typer.Argument(metavar="LOG", help="CSV or MCAP: time, commanded and measured joints, features.")
+    ],
     machine: Annotated[
         str, typer.Option("--machine", "-m", metavar="SCENARIO", help="The machine: name or path of a scenario.")
     ],

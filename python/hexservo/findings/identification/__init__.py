@@ -52,7 +52,7 @@ def identify(
     Parameters
     ----------
     log
-        Record, or the CSV file that `read_log` reads.
+        Record, or the CSV or MCAP file that `read_log` reads.
     machine
         Its legs, and camera and target where the log has images. What the log gives replaces its keys.
     progress

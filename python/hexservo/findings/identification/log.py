@@ -1,4 +1,4 @@
-"""Logs of machines: times, commanded and measured legs, and what the camera saw, from CSV."""
+"""Logs of machines: times, commanded and measured legs, and what the camera saw, from CSV or MCAP."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hexservo.findings.identification.mcap_log import read_mcap
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import ScenarioError
 
@@ -85,9 +86,9 @@ def _check_frames(frames: Frames) -> None:
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
-    """Read the log of a machine from a CSV file.
+    """Read the log of a machine from a CSV file, or from an MCAP file (extra ``mcap``) if its name ends in ``.mcap``.
 
-    The first line names the columns, in any order:
+    docs/identification.md has the topics and messages of MCAP. In CSV, the first line names the columns, in any order:
 
     ===============================  ==================================================================
     ``time``                         of a tick [s], evenly spaced
@@ -103,12 +104,15 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     Raises
     ------
     ScenarioError
-        A file that cannot be read, or the first thing that is wrong with it, with its line.
+        A file that cannot be read, or the first thing that is wrong with it, with its line or message; an MCAP file
+        where the package `mcap` is missing.
     """
     source = os.fsdecode(path)
     try:
         if not stat.S_ISREG(Path(source).stat().st_mode) or Path(source).stat().st_size > MAX_BYTES:
             raise ScenarioError(f"cannot be read: expected a regular file of at most {MAX_BYTES} bytes", source)
+        if source.lower().endswith(".mcap"):
+            return _of_mcap(source)
         with Path(source).open(newline="", encoding="utf-8-sig") as file:
             return _parsed(file, source)
     except OSError as error:
@@ -119,6 +123,12 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         if isinstance(error, ScenarioError):
             raise
         raise ScenarioError(str(error), source) from None
+
+
+def _of_mcap(source: str) -> Log:
+    found = read_mcap(Path(source), source, most_bytes=MAX_BYTES, most_rows=MAX_ROWS)
+    frames = None if found.features is None else Frames(found.features, found.arrival, found.exposure)
+    return Log(found.time, found.period, found.commands, found.joints, frames)
 
 
 def _parsed(lines: Iterable[str], source: str) -> Log:
