@@ -80,6 +80,13 @@ def test_a_goal_that_no_pose_shows(paper: hs.Scenario) -> None:
     assert "no pose with these features was found" in only(crossed, "target.desired_features")
 
 
+def test_the_fastest_rate_of_a_twist_on_legs_that_take_positions_is_its_gain() -> None:
+    """The goal is home, so v* is -gain times the displacement in the directions that M leaves; `ki` has no effect."""
+    at_goal = {"target.desired_pose": [0.0] * 6, "target.desired_features": None}
+    scenario = hs.load_scenario("reachy-mini").updated({**at_goal, "controller.resolved_rate.gain": 3.0})
+    assert fastest_rate(scene_of(scenario)) == pytest.approx(3.0, rel=1e-3)  # M leaves 1e-4 of a shift
+
+
 def test_the_fastest_rate_is_that_of_a_damper_by_hand(paper: hs.Scenario) -> None:
     """Kelly without stiffness: the poles are k_d/m and k_d/I of the actual plant, (1 - delta_D) of the estimate."""
     damped = {"controller.law": "kelly", "controller.kelly.kp": 0.0, "controller.kelly.kd": [0.5] * 3 + [1e-9] * 3}

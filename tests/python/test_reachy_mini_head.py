@@ -1,4 +1,4 @@
-"""The packaged head on cranks: its geometry is that of its source, its ranges hold, and what a run gives.
+"""The packaged heads on cranks: their geometry is that of its source, its ranges hold, and what a run gives.
 
 Known results are of the plain kernel; tolerances leave room for the roundings of the others.
 """
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import hexservo as hs
 import rotary_machine
 from hexservo import _core
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 
 HOME = np.array([0.0, 0.0, -0.10037])
@@ -108,3 +109,60 @@ def test_it_topples_without_a_controller(head: hs.Scenario) -> None:
         return 2.0 * float(np.linalg.norm(quaternion[1:]))
 
     assert away(0.4) > 3.0 * away(0.2) > 9.0 * away(0.1)
+
+
+# ---- The head with motors that take angles --------------------------------------------------------------------------
+
+
+def focal(scenario: hs.Scenario) -> Array:
+    return np.asarray(scenario.camera.focal_pixels)
+
+
+def centre(scenario: hs.Scenario) -> Array:
+    return np.asarray(scenario.camera.principal_point)
+
+
+@pytest.fixture(scope="module")
+def tracker() -> hs.Scenario:
+    return hs.load_scenario("reachy-mini")
+
+
+def test_both_heads_are_one_robot_with_one_camera(head: hs.Scenario, tracker: hs.Scenario) -> None:
+    """The detector's image has 320 columns of 3840 and 180 rows of 2592, and so the calibration."""
+    assert tracker.robot == head.robot
+    assert (tracker.camera.mount, tracker.camera.axes) == (head.camera.mount, head.camera.axes)
+    scale = np.array([320 / 3840, 180 / 2592])
+    assert tracker.camera.image_size == (320.0, 180.0)
+    for of in (focal, centre):
+        np.testing.assert_allclose(of(tracker), scale * of(head), atol=0.05)
+
+
+def test_the_face_is_in_front_of_the_turned_head(tracker: hs.Scenario) -> None:
+    """Landmarks at 1 m by hand, right and down of the camera's axis, seen after 25 deg to the left of W (-z of B)."""
+    landmarks = 1e-3 * np.array([[-31.5, -33, 1000], [31.5, -33, 1000], [0, 0, 980], [-25, 34, 1000], [25, 34, 1000]])
+    seen = landmarks[:, :2] / landmarks[:, 2:] * focal(tracker) + centre(tracker)
+    turned = [0.0, 0.0, 0.0, 0.0, 0.0, -np.deg2rad(25.0)]
+    np.testing.assert_allclose(np.asarray(hs.project(tracker, turned)).reshape(5, 2), seen, atol=5e-3)  # 0.01 mm at 1 m
+    # From home it is left of the middle by 25 deg and the way of the camera, about 1 deg.
+    first = np.asarray(hs.project(tracker, np.zeros(6))).reshape(5, 2)[2]
+    angle = np.rad2deg(np.arctan((centre(tracker) - first) / focal(tracker))[0])
+    assert 25.0 < angle < 27.0
+
+
+def test_the_turn_to_the_face(tracker: hs.Scenario) -> None:
+    result = hs.simulate(tracker)
+    found = hs.metrics(result)
+    print({name: float(f"{value:.5g}") for name, value in found.items()})
+    assert result.outcome == "completed"
+    turn = Rotation.from_quat(np.roll(result.quaternion[-1], -1)).as_rotvec(degrees=True)
+    np.testing.assert_allclose(turn, [0.0, 0.0, -25.0], atol=0.15)
+    # M leaves less than 1e-3 of a shift: the head turns where it is.
+    assert np.abs(result.position - result.position[0]).max() < 1e-4
+    assert found["settling_time"] == pytest.approx(0.76, abs=0.05)  # [s], of 1 deg: 0.1 s without a frame, ln(29)/5 s
+    assert found["peak_leg_force"] < tracker.robot.force_limit
+
+
+def test_frames_that_count_as_new_overshoot(tracker: hs.Scenario) -> None:
+    """Without `camera.prediction` the controller takes an image 0.1 to 0.2 s old for a current one."""
+    late = hs.metrics(hs.simulate(tracker.updated({"camera.prediction": "none"})))
+    assert late["overshoot"] > 5.0 * hs.metrics(hs.simulate(tracker))["overshoot"]

@@ -17,7 +17,7 @@ from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import LAWS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
-from hexservo.scenario.pixels import points_outside
+from hexservo.scenario.pixels import on_pinhole, points_outside
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
@@ -147,15 +147,19 @@ def fastest_rate(scene: Scene) -> float:
 
     The law is that of the servo tick with a fresh image (`linear_law`), the plant the actual one (`linear_plant`); the
     weights of the fuzzy systems are constant. `tanh` and `saturation` have their slope at rest; otherwise
-    K_v = 0, since dry friction has no pole.
+    K_v = 0, since dry friction has no pole. Where drives take positions, a law whose output is a twist moves at it.
 
     Raises
     ------
     NoRestError
         The law cannot be evaluated at home.
     """
-    calm = quiet(scene.scenario)
-    law = linear_law(calm, scene, scene.home, smooth=_has_slope(scene.scenario))
+    calm = on_pinhole(quiet(scene.scenario))  # the linear law is of features
+    if calm.actuators.kind == "position" and calm.controller.traits.output == "twist":
+        weightless = calm.updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
+        law = linear_law(weightless, scene_of(weightless), scene.home)
+        return float(np.abs(np.linalg.eigvals(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose))).max())
+    law = linear_law(calm, scene_of(calm), scene.home, smooth=_has_slope(scene.scenario))
     push = linear_plant(calm, scene.home).acceleration
     by_pose, by_twist = push @ (law.frame[:, :6] + law.pose), push @ law.twist
     poles = np.linalg.eigvals(np.block([[np.zeros((6, 6)), np.eye(6)], [by_pose, by_twist]]))
