@@ -245,10 +245,10 @@ template <class S, int N>
 [[gnu::always_inline]] inline void take_image(const std::type_identity_t<CameraView<S>>& camera, const Vector3<S>& p_BE,
                                               const Matrix3<S>& R_BE, const Vectors3<S, N>& points_T,
                                               Image<S, N>& image, Vector<S, N>& inverse_depth) {
-  if (camera.placement == nullptr)
+  if (camera.placement == nullptr) [[likely]]
     detail::take_image_from<S, N>(camera.f, p_BE, R_BE, points_T, image, inverse_depth);
   else
-    detail::take_mounted_image<S, N>(camera, p_BE, R_BE, points_T, image, inverse_depth);
+    detail::take_mounted_image<S, N>(camera, Vector3<S>(p_BE), Matrix3<S>(R_BE), points_T, image, inverse_depth);
 }
 /// The same, for image and depth alone.
 /// @param points_T 3xN, one column per point [m]
@@ -263,8 +263,8 @@ Image<S, N> take_image(const std::type_identity_t<CameraView<S>>& camera, const 
 
 /// (8) applied to one point: image velocity [px/s] for the camera's velocity v and angular velocity w, both in C.
 template <class S>
-Vector2<S> point_rate(const S& f, const S& inverse_f, const S& x, const S& y, const S& inverse_depth,
-                      const Vector3<S>& v, const Vector3<S>& w) {
+[[gnu::always_inline]] inline Vector2<S> point_rate(const S& f, const S& inverse_f, const S& x, const S& y,
+                                                    const S& inverse_depth, const Vector3<S>& v, const Vector3<S>& w) {
   const S roll = (x * w(1) - y * w(0)) * inverse_f;  // the terms xy/f, x^2/f and y^2/f of (8) share this factor
   return Vector2<S>(-(f * v(0) + x * v(2)) * inverse_depth - x * roll - f * w(1) - y * w(2),
                     -(f * v(1) + y * v(2)) * inverse_depth - y * roll + f * w(0) + x * w(2));
@@ -272,8 +272,9 @@ Vector2<S> point_rate(const S& f, const S& inverse_f, const S& x, const S& y, co
 
 /// Transpose of (8) for one point: adds force on C's origin and moment, both in C, for an image force (fx, fy).
 template <class S>
-void add_point_wrench(const S& f, const S& inverse_f, const S& x, const S& y, const S& inverse_depth, const S& fx,
-                      const S& fy, Vector3<S>& force, Vector3<S>& moment) {
+[[gnu::always_inline]] inline void add_point_wrench(const S& f, const S& inverse_f, const S& x, const S& y,
+                                                    const S& inverse_depth, const S& fx, const S& fy, Vector3<S>& force,
+                                                    Vector3<S>& moment) {
   const S along = x * fx + y * fy;
   const S bend = along * inverse_f;
   force(0) -= f * fx * inverse_depth;
@@ -357,24 +358,31 @@ class PointWeights<S, kPoints> {
 
 namespace detail {
 
-// Of a camera on the base; out of line and of copies, so that the numbers of one on the platform stay in registers.
+// Through a mount; out of line and of copies, so that the numbers of a camera without one stay in registers.
 
-/// Twist of B against the platform, at B's origin and in B: what moves the camera past the points.
+/// Velocity and angular velocity past the points, in C, for a twist of the platform in B.
 template <class S>
-[[gnu::noinline, gnu::cold]] Vector6<S> base_twist(const Vector3<S>& p_BE, const Vector6<S>& twist) {
+[[gnu::noinline]] Vector6<S> camera_twist(const hexservo::Placement<S>& placement, const Vector3<S>& p_BE,
+                                          const Matrix3<S>& R_BE, const Vector6<S>& twist) {
   const Vector3<S> v = twist.template head<3>(), w = twist.template tail<3>();
-  Vector6<S> of_base;
-  of_base.template head<3>() = cross<S>(w, p_BE) - v;
-  of_base.template tail<3>() = -w;
-  return of_base;
+  // of M: E, or B against the platform
+  Vector3<S> velocity = placement.on_base() ? Vector3<S>(cross<S>(w, p_BE) - v) : rotate_back<S>(R_BE, v);
+  Vector3<S> turning = placement.on_base() ? Vector3<S>(-w) : rotate_back<S>(R_BE, w);
+  placement.to_camera(velocity, turning);
+  Vector6<S> of_camera;
+  of_camera << velocity, turning;
+  return of_camera;
 }
-/// Its transpose: a wrench on B about its origin becomes that on the platform about E's, in B.
+/// Its transpose: force and moment on the camera, about and in C, become a wrench on the platform in B.
 template <class S>
-[[gnu::noinline, gnu::cold]] Vector6<S> wrench_of_base(const Vector3<S>& p_BE, const Vector3<S>& force,
-                                                       const Vector3<S>& moment) {
+[[gnu::noinline]] Vector6<S> wrench_of_camera(const hexservo::Placement<S>& placement, const Vector3<S>& p_BE,
+                                              const Matrix3<S>& R_BE, Vector3<S> force, Vector3<S> moment) {
+  placement.to_mount(force, moment);
   Vector6<S> wrench;
-  wrench.template head<3>() = -force;
-  wrench.template tail<3>() = cross<S>(p_BE, force) - moment;
+  if (placement.on_base())
+    wrench << -force, cross<S>(p_BE, force) - moment;
+  else
+    wrench << rotate<S>(R_BE, force), rotate<S>(R_BE, moment);
   return wrench;
 }
 
@@ -424,15 +432,15 @@ class ImageJacobian {
   /// J chi-dot [px/s] for a twist in B.
   Vector<S, 2 * N> push(const Vector6<S>& twist) const { return push_pairs(twist).vector(); }
   [[gnu::always_inline]] Pairs<S, N> push_pairs(const Vector6<S>& twist) const {
-    Vector3<S> velocity = rotate_back<S>(R_BE_, Vector3<S>(twist(0), twist(1), twist(2)));
-    Vector3<S> turning = rotate_back<S>(R_BE_, Vector3<S>(twist(3), twist(4), twist(5)));
-    if (placement_ != nullptr) {
-      if (placement_->on_base()) [[unlikely]] {
-        const Vector6<S> of_base = detail::base_twist<S>(Vector3<S>(p_BE_), Vector6<S>(twist));
-        velocity = of_base.template head<3>();
-        turning = of_base.template tail<3>();
-      }
-      placement_->to_camera(velocity, turning);
+    Vector3<S> velocity, turning;
+    if (placement_ == nullptr) [[likely]] {
+      velocity = rotate_back<S>(R_BE_, Vector3<S>(twist(0), twist(1), twist(2)));
+      turning = rotate_back<S>(R_BE_, Vector3<S>(twist(3), twist(4), twist(5)));
+    } else {
+      const Vector6<S> of_camera =
+          detail::camera_twist<S>(*placement_, Vector3<S>(p_BE_), Matrix3<S>(R_BE_), Vector6<S>(twist));
+      velocity = of_camera.template head<3>();
+      turning = of_camera.template tail<3>();
     }
     const Vector3<R> v = broadcast<R>(velocity), w = broadcast<R>(turning);
     Pairs<S, N> rates;
@@ -455,14 +463,11 @@ class ImageJacobian {
     const auto [fx, fy] = lane_sums<S>(force(0), force(1));
     const auto [fz, mx] = lane_sums<S>(force(2), moment(0));
     const auto [my, mz] = lane_sums<S>(moment(1), moment(2));
-    Vector3<S> force_E(fx, fy, fz), moment_E(mx, my, mz);
-    if (placement_ != nullptr) {
-      placement_->to_mount(force_E, moment_E);
-      if (placement_->on_base()) [[unlikely]]
-        return SideBySide<S, 6>(
-            detail::wrench_of_base<S>(Vector3<S>(p_BE_), Vector3<S>(force_E), Vector3<S>(moment_E)));
-    }
-    const Vector3<S> force_B = rotate<S>(R_BE_, force_E), moment_B = rotate<S>(R_BE_, moment_E);
+    const Vector3<S> force_C(fx, fy, fz), moment_C(mx, my, mz);
+    if (placement_ != nullptr) [[unlikely]]
+      return SideBySide<S, 6>(
+          detail::wrench_of_camera<S>(*placement_, Vector3<S>(p_BE_), Matrix3<S>(R_BE_), force_C, moment_C));
+    const Vector3<S> force_B = rotate<S>(R_BE_, force_C), moment_B = rotate<S>(R_BE_, moment_C);
     return SideBySide<S, 6>::of(force_B(0), force_B(1), force_B(2), moment_B(0), moment_B(1), moment_B(2));
   }
 
@@ -493,22 +498,14 @@ class ImageJacobian {
 
   /// fx times the row of J for the x of point i, plus fy times that for its y.
   Vector6<S> row(int i, const S& fx, const S& fy) const {
-    Vector3<S> force_E = Vector3<S>::Zero(), moment_E = Vector3<S>::Zero();
-    add_point_wrench<S>(f_, inverse_f_, points_.x(i), points_.y(i), inverse_depth_(i), fx, fy, force_E, moment_E);
-    if (placement_ != nullptr) {
-      placement_->to_mount(force_E, moment_E);
-      if (placement_->on_base()) [[unlikely]]
-        return detail::wrench_of_base<S>(Vector3<S>(p_BE_), Vector3<S>(force_E), Vector3<S>(moment_E));
-    }
-    return in_base(force_E, moment_E);
-  }
-
-  Vector6<S> in_base(const Vector3<S>& force_E, const Vector3<S>& moment_E) const {
-    const Vector3<S> force_B = rotate<S>(R_BE_, force_E), moment_B = rotate<S>(R_BE_, moment_E);
+    Vector3<S> force_C = Vector3<S>::Zero(), moment_C = Vector3<S>::Zero();
+    add_point_wrench<S>(f_, inverse_f_, points_.x(i), points_.y(i), inverse_depth_(i), fx, fy, force_C, moment_C);
+    if (placement_ != nullptr) return detail::wrench_of_camera<S>(*placement_, p_BE_, R_BE_, force_C, moment_C);
+    const Vector3<S> force_B = rotate<S>(R_BE_, force_C), moment_B = rotate<S>(R_BE_, moment_C);
     Vector6<S> wrench;
-    for (int i = 0; i < 3; ++i) {
-      wrench(i) = force_B(i);
-      wrench(i + 3) = moment_B(i);
+    for (int k = 0; k < 3; ++k) {
+      wrench(k) = force_B(k);
+      wrench(k + 3) = moment_B(k);
     }
     return wrench;
   }
