@@ -192,7 +192,7 @@ def test_what_runs_side_by_side_refuse(scenario: hs.Scenario) -> None:
         with pytest.raises(IndexError, match=f"place: expected 0 to 1, got {place}"):
             runs.start(place, core_parameters(scenario))
     for wrenches in (np.zeros((1, 6)), np.full((2, 6), np.inf)):
-        with pytest.raises(ValueError, match="wrenches: expected (2 of them, got 1|finite numbers)"):
+        with pytest.raises(ValueError, match=r"wrenches: expected (2 of them, got 1|finite numbers)"):
             runs.command(wrenches)
 
 
