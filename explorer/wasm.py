@@ -40,10 +40,12 @@ def zig(*arguments: str) -> None:
     subprocess.run([sys.executable, "-m", "ziglang", "c++", *arguments], check=True)
 
 
-def is_old(target: Path) -> bool:
-    """Return whether an object is older than what it was made of, as the compiler listed it."""
-    made_of = target.with_suffix(".d")
-    if not target.exists() or not made_of.exists():
+def is_old(target: Path, flags: list[str]) -> bool:
+    """Return whether an object is older than what it was made of, as the compiler listed it, or of other flags."""
+    made_of, made_with = target.with_suffix(".d"), target.with_suffix(".flags")
+    if not target.exists() or not made_of.exists() or not made_with.exists():
+        return True
+    if made_with.read_text(encoding="utf-8") != "\n".join(flags):
         return True
     files = made_of.read_text(encoding="utf-8").partition(":")[2].replace("\\\n", " ").split()
     return any(not Path(file).exists() or Path(file).stat().st_mtime > target.stat().st_mtime for file in files)
@@ -62,14 +64,16 @@ def build(out: Path) -> None:
         if line.startswith("project(")
     )
     include = ["-I", str(ROOT / "cpp/include"), "-I", str(ROOT / "cpp/src"), "-isystem", eigen()]
+    flags = [*FLAGS, f'-DHEXSERVO_VERSION="{version}"', *include]
     objects = []
     for source in sources:
         target = OBJECTS / (source.stem + ".o")
         objects.append(str(target))
-        if is_old(target):
+        if is_old(target, flags):
             print(f"  {source.relative_to(ROOT)}", flush=True)
-            zig(*FLAGS, f'-DHEXSERVO_VERSION="{version}"', *include, "-MMD", "-MF", str(target.with_suffix(".d")), "-c",
-                str(source), "-o", str(target))  # fmt: skip
+            target.with_suffix(".flags").unlink(missing_ok=True)
+            zig(*flags, "-MMD", "-MF", str(target.with_suffix(".d")), "-c", str(source), "-o", str(target))
+            target.with_suffix(".flags").write_text("\n".join(flags), encoding="utf-8")
     exports = [f"-Wl,--export={name}" for name in exported()]
     zig("-target", "wasm32-wasi", "-mexec-model=reactor", "-s", "-Wl,--gc-sections", "-O2",
         "-Wl,-z,stack-size=1048576", *exports, *objects, "-o", str(out))  # fmt: skip

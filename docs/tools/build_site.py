@@ -2,7 +2,8 @@
 
 The pages are those of the repository, in the same folders, so that their links hold; links to source files become pages
 of these. Written here are the front page, the reference of the public names, the keys of a scenario, the metrics and
-the gallery. Every warning of Sphinx is an error, and every link within the finished site is followed.
+the gallery. Every warning of Sphinx is an error, and every link within the finished site is followed:
+none is broken, and every page is reached.
 """
 
 from __future__ import annotations
@@ -312,6 +313,23 @@ def broken_links(site: Path) -> list[str]:
     return broken
 
 
+def pages_apart(site: Path) -> list[str]:
+    """Return the pages of a site to which no way of links leads from its front page."""
+    ahead, found = [site / "index.html"], {site / "index.html"}
+    while ahead:
+        file = ahead.pop()
+        if file.name == "explorer.html":
+            continue
+        for link in Page(file.read_text(encoding="utf-8")).links:
+            parts = urlsplit(link)
+            target = (file.parent / unquote(parts.path)).resolve()
+            known = bool(parts.scheme or parts.netloc) or target.suffix != ".html" or target in found
+            if not known and target.is_relative_to(site) and target.is_file():
+                found.add(target)
+                ahead.append(target)
+    return sorted(file.relative_to(site).as_posix() for file in set(site.rglob("*.html")) - found)
+
+
 # ---- The whole ------------------------------------------------------------------------------------------------------
 
 
@@ -359,6 +377,8 @@ def main() -> None:
         shutil.copyfile(explorer, out / "explorer.html")
     if broken := broken_links(out):
         raise SystemExit("\n".join(["Links that lead nowhere:", *broken]))
+    if apart := pages_apart(out):
+        raise SystemExit("\n".join(["Pages to which no link leads:", *apart]))
     print(f"{len(list(out.rglob('*.html')))} pages; begin with {os.path.relpath(out / 'index.html')}")
 
 

@@ -1,6 +1,6 @@
 /** Quantities against time. */
 import uPlot from "uplot";
-import { readable } from "./format.js";
+import { axisNumber, readable } from "./format.js";
 import { colours, lineColour } from "./view.js";
 
 const AXES = ["x", "y", "z", "about x", "about y", "about z"];
@@ -76,7 +76,7 @@ export class Chart {
     this.count = data.length - 1;
     const { name } = FIGURES[this.figure];
     const colour = colours();
-    const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26 };
+    const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26, values: (_, splits) => splits.map((value) => (value === null ? "" : axisNumber(value))) };
     const series = data.slice(1).map((_, i) => ({ label: name(null, i), stroke: lineColour(i), width: 1.4, points: { show: false } }));
     this.plot = new uPlot(
       {

@@ -16,6 +16,7 @@ export { element };
 // --- what sliders there are
 
 const GAIN_DECADES = 1.5;
+const NAMED = { "controller.switching.kind": "switching", "actuators.kind": "drives take", "target.motion.kind": "motion" };
 
 /** A slider of one number, or of equal entries of an array. */
 function slider(state, key, { label, from = 0, to = undefined, min, max, step = 0, log = false, mark = "" }) {
@@ -62,6 +63,20 @@ function gainSliders(state, spec) {
   ];
 }
 
+/** Of sampled mode: what the legs take, and how they follow where that is positions. */
+function drives(state) {
+  const delay = slider(state, "actuators.delay", { label: "delay", min: 0, max: 0.05, step: valueOf(state, "simulation.step") });
+  const positions = ["bandwidth", "damping"].flatMap((name) => gainSliders(state, keyOf[`actuators.position.${name}`]));
+  return [{ key: "actuators.kind", choice: true }, delay, ...(valueOf(state, "actuators.kind") === "position" ? positions : [])];
+}
+
+function targetMotion(state) {
+  const along = (key, most, step) => ["x", "y", "z"].map((axis, i) => slider(state, `target.motion.${key}`, { label: `${key} ${axis}`, from: i, to: i + 1, min: -most, max: most, step, mark: `/${i}` }));
+  const frequency = slider(state, "target.motion.frequency", { label: "frequency", min: 0.1, max: 5, step: 0.05 });
+  const sliders = { velocity: along("velocity", 0.1, 0.001), sinusoid: [...along("amplitude", 0.05, 0.0005), frequency] };
+  return [{ key: "target.motion.kind", choice: true }, ...(sliders[valueOf(state, "target.motion.kind")] ?? [])];
+}
+
 /** All groups of sliders and choices: [title, open, entries]; an entry without `get` is a key with choices. */
 export function groups(state) {
   const law = valueOf(state, "controller.law");
@@ -96,6 +111,8 @@ export function groups(state) {
       ...choices([`controller.${law}.fuzzy.enabled`, `controller.${law}.adaptive`, `controller.${law}.jacobian_at`]),
     ]],
     ["Camera and servo", true, [...choices(["simulation.mode", ...(sampled ? ["camera.prediction"] : [])]), ...(sampled ? camera : [])]],
+    ["Drives", false, sampled ? drives(state) : []],
+    ["Motion of the target", false, sampled ? targetMotion(state) : []],
     ["Start", false, [...start, ...turn]],
     ["Fuzzy systems", false, fuzzy.flatMap((spec) => gainSliders(state, spec))],
     ["Switching, duration", false, [
@@ -142,7 +159,7 @@ export class Controls {
 
   show(state) {
     const now = groups(state);
-    const shape = JSON.stringify(now.map(([title, , entries]) => [title, entries.map((entry) => [entry.id ?? entry.key, entry.min, entry.max])]));
+    const shape = state.preset + JSON.stringify(now.map(([title, , entries]) => [title, entries.map((entry) => [entry.id ?? entry.key, entry.min, entry.max])]));
     if (shape !== this.shape) this.build(state, now);
     this.shape = shape;
     for (const update of this.updates) update(state);
@@ -187,7 +204,7 @@ export class Controls {
     const spec = keyOf[key];
     const id = `choice-${key}`;
     const label = key.split(".").slice(-1)[0].replaceAll("_", " ");
-    const text = { enabled: "fuzzy systems", kind: "switching" }[label] ?? label;
+    const text = NAMED[key] ?? { enabled: "fuzzy systems" }[label] ?? label;
     if (spec.type === "flag") {
       const input = element("input", { type: "checkbox", id, "data-id": key, onchange: () => this.change((state) => changed(state, key, input.checked ? 1 : 0), true) });
       this.updates.push((state) => (input.checked = valueOf(state, key) !== 0));

@@ -14,6 +14,13 @@ export function short(value, digits = 4) {
   return text.replace("e+", "e");
 }
 
+/** A number of an axis, as exact as it is. */
+export function axisNumber(value) {
+  const exact = Number(value.toPrecision(6));
+  const size = Math.abs(exact);
+  return size > 0 && (size < 1e-3 || size >= 1e5) ? exact.toExponential().replace("e+", "e") : String(exact);
+}
+
 export const withUnit = (value, unit, digits = 4) => {
   const [name, scale] = readable(unit);
   return Number.isNaN(value) || value === null ? "–" : `${short(value * scale, digits)}${name === "°" ? "" : " "}${name}`.trim();

@@ -71,7 +71,7 @@ function answer(message, tag) {
   say("");
   result = message.result;
   show();
-  latencies.push(performance.now() - tag.asked);
+  queueMicrotask(() => latencies.push(performance.now() - tag.asked)); // after the charts, which draw in microtasks
   globalThis.explorer.shown = toAddress(tag.state);
 }
 
@@ -87,6 +87,7 @@ function show() {
   result.weight = gravity.map((g) => -mass * g);
   result.shown = shown();
   result.cranks = cranks();
+  result.targetMoves = valueOf(state, "target.motion.kind") !== "none";
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures() });
   scene.show(result, down.map((g) => -g));
   for (const chart of charts) chart.show(result);
@@ -286,6 +287,7 @@ globalThis.explorer = {
   full: (address) => full(address ? fromAddress(address) : state),
   yaml: (address) => toYaml(address ? fromAddress(address) : state),
   ends: (row) => scene.ends(row),
+  target: (row) => scene.targetAt(row),
   presets: presets.map(({ name }) => name),
   set: (key, value) => change((now) => changed(now, key, value)),
 };

@@ -58,11 +58,12 @@ export class Scene {
     const { scene, samples } = result;
     const home = samples.position.subarray(0, 3);
     this.base = Array.from({ length: 6 }, (_, i) => triple(scene.base_joints, i));
-    this.target = Array.from({ length: result.points }, (_, i) => triple(scene.target, i));
+    const target = Array.from({ length: result.points }, (_, i) => triple(scene.target, i));
     if (this.held) return;
     this.machine = Math.max(...this.base.map((p) => norm(add(p, mean(this.base), -1))));
-    const far = scene.camera_on_base ? [Array.from(scene.camera_position)] : this.target; // what is away from the machine
-    this.all = [...this.floorCircle(1.5), ...far, Array.from(home)].filter((point) => point.every(Number.isFinite));
+    const ways = result.targetMoves ? [0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1].flatMap((share) => this.targetAt(Math.round(share * (result.rows - 1)))) : [];
+    const far = scene.camera_on_base ? [Array.from(scene.camera_position)] : target; // what is away from the machine
+    this.all = [...this.floorCircle(1.5), ...far, ...ways, Array.from(home)].filter((point) => point.every(Number.isFinite));
     const low = [0, 1, 2].map((k) => Math.min(...this.all.map((p) => p[k])));
     const high = [0, 1, 2].map((k) => Math.max(...this.all.map((p) => p[k])));
     this.middle = low.map((value, k) => (value + high[k]) / 2);
@@ -77,6 +78,36 @@ export class Scene {
       const [axis, zero] = [triple(cranks.axes, i), triple(cranks.zero, i)];
       const angle = samples.leg_lengths[6 * row + i];
       return add(add(foot, zero, cranks.length * Math.cos(angle)), cross(axis, zero), cranks.length * Math.sin(angle));
+    });
+  }
+
+  /** Place of the platform at a sample: position, rotation, and a point of E in B. */
+  pose(row) {
+    const { samples } = this.result;
+    const position = Array.from(samples.position.subarray(3 * row, 3 * row + 3));
+    const R = rotation(samples.quaternion.subarray(4 * row, 4 * row + 4));
+    return { position, R, inBase: (point) => add(position, turned(R, point)) };
+  }
+
+  /** Place of the camera at a sample in B, and its directions there. */
+  cameraAt(row) {
+    const { scene } = this.result;
+    const { R, inBase } = this.pose(row);
+    const A = [0, 1, 2].map((k) => triple(scene.camera_attitude, k));
+    return scene.camera_on_base
+      ? { eye: [...scene.camera_position], along: (v) => turned(A, v) }
+      : { eye: inBase(scene.camera_position), along: (v) => turned(R, turned(A, v)) };
+  }
+
+  /** Points of the target in B at a sample, from their image and depth: where it moves, it moves here too. */
+  targetAt(row) {
+    const { scene, samples, points } = this.result;
+    const { eye, along } = this.cameraAt(row);
+    return Array.from({ length: points }, (_, i) => {
+      const at = points * row + i;
+      const [x, y] = [0, 1].map((k) => scene.goal[2 * i + k] - samples.feature_error[2 * at + k]);
+      const depth = samples.depth[at];
+      return add(eye, along([(-depth / scene.focal) * x, (-depth / scene.focal) * y, depth]));
     });
   }
 
@@ -129,9 +160,7 @@ export class Scene {
     this.camera = this.axes();
     this.fit(width, height);
     this.row = row;
-    const position = Array.from(samples.position.subarray(3 * row, 3 * row + 3));
-    const R = rotation(samples.quaternion.subarray(4 * row, 4 * row + 4));
-    const inBase = (point) => add(position, turned(R, point));
+    const { inBase } = this.pose(row);
     const joints = Array.from({ length: 6 }, (_, i) => inBase(triple(scene.platform_joints, i)));
     const things = [];
     const push = (points, paint) => {
@@ -185,7 +214,7 @@ export class Scene {
       ball(foot, 0.6 * thick, colour.faint);
       ball(joints[i], 0.5 * thick, colour.ink);
     });
-    this.sight(push, shape, stroke, ball, { inBase, R, scene, colour });
+    this.sight(push, shape, stroke, ball, colour);
     if (rows > 1) {
       const trail = [];
       for (let k = 0; k <= row; k += Math.max(1, Math.floor(row / 150))) trail.push(Array.from(samples.position.subarray(3 * k, 3 * k + 3)));
@@ -213,13 +242,10 @@ export class Scene {
   }
 
   /** The camera's pyramid, and lines to the points of the target. */
-  sight(push, shape, stroke, ball, { inBase, R, scene, colour }) {
-    const eye = scene.camera_on_base ? [...scene.camera_position] : inBase(scene.camera_position);
-    const A = scene.camera_attitude;
-    const mounted = (v) => [A[0] * v[0] + A[1] * v[1] + A[2] * v[2], A[3] * v[0] + A[4] * v[1] + A[5] * v[2], A[6] * v[0] + A[7] * v[1] + A[8] * v[2]];
-    const along = (v) => (scene.camera_on_base ? mounted(v) : turned(R, mounted(v)));
+  sight(push, shape, stroke, ball, colour) {
+    const { eye, along } = this.cameraAt(this.row);
     const ahead = along([0, 0, -1]);
-    const known = this.seen(eye, along).filter((point) => point.every(Number.isFinite));
+    const known = this.targetAt(this.row).filter((point) => point.every(Number.isFinite));
     const far = known.length ? dot(add(mean(known), eye, -1), ahead) : 2 * this.machine;
     const half = known.reduce((most, point) => {
       const p = add(point, eye, -1);
@@ -234,17 +260,6 @@ export class Scene {
     known.forEach((point, i) => {
       push([eye, point], stroke(colour.line, 1, [3, 4]));
       ball(point, 6, lineColour(i));
-    });
-  }
-
-  /** The points of the target now, from their image and depth: where it moves, it moves here too. */
-  seen(eye, inBase) {
-    const { scene, samples, points } = this.result;
-    return Array.from({ length: points }, (_, i) => {
-      const at = points * this.row + i;
-      const [x, y] = [0, 1].map((k) => scene.goal[2 * i + k] - samples.feature_error[2 * at + k]);
-      const depth = samples.depth[at];
-      return add(eye, inBase([(-depth / scene.focal) * x, (-depth / scene.focal) * y, depth]));
     });
   }
 

@@ -6,6 +6,7 @@ Works on files alone, so that it also runs where the package is not built. The r
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -502,6 +503,14 @@ def test_cited_pages_exist() -> None:
     for file in source_files():
         for name in re.findall(r"\bdocs/[\w./-]*\w\.md\b", file.read_text(encoding="utf-8")):
             assert (ROOT / name).exists(), f"{name_of(file)} cites {name}, which does not exist"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_no_heading_skips_a_level(page: Path) -> None:
+    """The site's builder takes a heading of level 4 below one of level 2 for an error."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    levels = [len(marks) for marks in re.findall(r"^(#+) ", text, re.MULTILINE)]
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels)), levels
 
 
 def test_sections_are_numbered_without_gaps() -> None:

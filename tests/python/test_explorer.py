@@ -220,6 +220,65 @@ def test_rotary_legs_are_drawn_as_cranks_and_rods(visit: Visit) -> None:
 
 
 @in_browser
+@pytest.mark.parametrize("kind", ["none", "velocity", "sinusoid"])
+@pytest.mark.parametrize("name", ["reachy-mini-head", "eye-to-hand"])
+def test_the_target_is_drawn_where_it_is(visit: Visit, name: str, kind: str) -> None:
+    """Points found from image and depth are those of the scenario: moved in B, or carried by the platform."""
+    motions: dict[str, dict[str, Any]] = {
+        "none": {},
+        "velocity": {"target.motion.velocity": [0.01, -0.02, 0.005]},
+        "sinusoid": {"target.motion.amplitude": [0.02, 0.01, -0.01], "target.motion.frequency": 0.4},
+    }
+    changes = motions[kind] | {"target.motion.kind": kind, "actuators.kind": "position"}
+    scenario = hs.load_scenario(name)
+    if scenario.camera.mount.on == "base" and kind != "none":
+        refused = visit.go(f"#{name}&target.motion.kind={kind}")["refusal"]
+        with pytest.raises(hs.ScenarioError) as error:
+            scenario.updated({"target.motion.kind": kind})
+        assert refused in str(error.value)
+        return
+    visit.go("#paper")
+    words = [f"{key}={','.join(map(str, np.atleast_1d(value)))}" for key, value in changes.items()]
+    end = visit.go("&".join([f"#{name}", *words]))
+    assert end["refusal"] is None
+    scenario = scenario.updated(changes)
+    points = np.asarray(core_parameters(scenario)["target.points"]).reshape(-1, 3)
+    for row in (0, end["rows"] // 3, end["rows"] - 1):
+        found = visit.page.evaluate(
+            """row => {
+              const { time, position, quaternion } = explorer.result.samples;
+              const of = (values, n) => [...values.subarray(n * row, n * row + n)];
+              const pose = [of(position, 3), of(quaternion, 4)];
+              return { target: explorer.target(row), time: time[row], pose };
+            }""",
+            row,
+        )
+        if scenario.camera.mount.on == "base":
+            position, (w, *axis) = found["pose"]
+            turned = points + 2 * np.cross(axis, np.cross(axis, points) + w * points)
+            expected = position + turned
+        else:
+            motion = scenario.target.motion
+            way = {
+                "none": np.zeros(3),
+                "velocity": np.multiply(motion.velocity, found["time"]),
+                "sinusoid": np.multiply(motion.amplitude, np.sin(2 * np.pi * 0.4 * found["time"])),
+            }[kind]
+            expected = points + way
+        np.testing.assert_allclose(found["target"], expected, rtol=0, atol=1e-9)
+
+
+@in_browser
+def test_no_slider_of_a_preset_is_marked_as_changed(visit: Visit) -> None:
+    """Where the sliders of two presets are alike too, each goes back to the preset's own values."""
+    page = visit.page
+    for name in hs.scenario_names():
+        page.select_option("#preset", name)
+        page.wait_for_function("name => explorer.shown === `#${name}`", arg=name)
+        assert page.locator(".slider.changed").count() == 0, name
+
+
+@in_browser
 def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Browser, file: Path) -> None:
     page = visit.page
     before = visit.end()

@@ -93,6 +93,16 @@ def test_broken_links_of_a_site_are_found(tmp_path: Path) -> None:
     assert [line.split(": ")[1] for line in found] == ["b.html#here", "no.svg", "../out.html"]
 
 
+def test_pages_without_a_way_to_them_are_found(tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text('<a href="a.html#p">x</a><a href="https://x.org/c.html">y</a>')
+    (tmp_path / "a.html").write_text('<a href="index.html">x</a><a href="explorer.html"></a><a href="gone.html"></a>')
+    (tmp_path / "explorer.html").write_text('<a href="c.html">x</a>')
+    assert build_site.pages_apart(tmp_path) == []
+    for name in ("b.html", "c.html"):
+        (tmp_path / name).write_text('<a href="b.html">x</a>')
+    assert build_site.pages_apart(tmp_path) == ["b.html", "c.html"]
+
+
 def test_the_site_is_made_where_it_is_asked_for() -> None:
     """The target has the name of a folder that the package depends on."""
     for target, makes in (("paper", False), ("docs", True)):
