@@ -37,6 +37,7 @@ html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
+html_show_search_summary = False  # it reads the pages found, which a browser refuses to a page from a disk
 html_domain_indices = False  # an index of modules, to which no page would lead
 pygments_style = "default"
 pygments_dark_style = "monokai"

@@ -210,6 +210,25 @@ def client(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program
 
 
+def test_the_program_of_the_page_runs(path: Path, tmp_path: Path) -> None:
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler is installed")
+    page = (HEADER.parents[2] / "docs" / "c-interface.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "page.c").write_text(text, encoding="utf-8")
+    shared = path.resolve()
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-I", str(HEADER.parent)]
+    places = [str(tmp_path / "page.c"), str(shared), f"-Wl,-rpath,{shared.parent}", "-o", str(tmp_path / "page")]
+    subprocess.run([compiler, *flags, *places], check=True)
+    scenario = hs.load_scenario("paper")
+    done = subprocess.run(
+        [str(tmp_path / "page")], input=flat_text(scenario), capture_output=True, text=True, check=True
+    )
+    run = _core.simulate(core_parameters(scenario), load_kernel("baseline"))
+    assert done.stdout.endswith(f", final error {run.metrics.final_error:g} px\n"), done.stdout
+
+
 def numbers(line: str) -> Array:
     return np.array([float.fromhex(word) for word in line.split()[1:]])
 

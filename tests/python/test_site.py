@@ -15,9 +15,17 @@ import pytest
 import build_site
 import hexservo as hs
 from gallery import Shown, gallery
+from hexservo.scenario.yaml import load_yaml
 from test_docs import PAGES, ROOT, name_of
 from test_readme import examples, output_of
 
+# Guides whose code is run here, and the packages that it takes.
+GUIDES: dict[str, list[str]] = {
+    "bridges": ["mujoco", "control", "gymnasium"],
+    "camera": [],
+    "compare": [],
+    "fmu": ["fmpy"],
+}
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 LAST_LINES = {
     "camera": r"\(605\.0, 604\.0\)",
@@ -47,6 +55,30 @@ def test_commands_of_a_tutorial_run(page: Path, tmp_path: Path) -> None:
                 check=False,
             )
             assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize(("name", "needs"), GUIDES.items(), ids=lambda value: value if isinstance(value, str) else "")
+def test_code_of_a_guide_runs_as_one_session(name: str, needs: list[str], tmp_path: Path) -> None:
+    """Those of other pages are run by the tests of their subject. Files that a page exports are there."""
+    for module in needs:
+        pytest.importorskip(module)
+    if name == "fmu" and not Path(hs.__file__).with_name("libhexservo.so").is_file():
+        pytest.skip("the shared library of the C interface was not built")
+    page = ROOT / "docs" / f"{name}.md"
+    for line in re.findall(r"^hexservo (export .*?)(?:#.*)?$", page.read_text(encoding="utf-8"), re.MULTILINE):
+        command = [sys.executable, "-m", "hexservo", *shlex.split(line)]
+        run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert run.returncode == 0, run.stderr
+    output_of("\n".join(examples(page)), tmp_path)
+
+
+def test_keys_of_gains_that_fit_are_a_scenarios() -> None:
+    (text,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "gains.md").read_text(encoding="utf-8"), re.DOTALL)
+    keys = load_yaml(text)
+    assert isinstance(keys, dict)
+    scenario = hs.load_scenario("paper").updated(keys)
+    assert scenario.controller.law == "composite"
+    assert scenario.controller.composite.auto is not None
 
 
 def test_reference_has_every_public_name() -> None:
