@@ -150,6 +150,10 @@ DEVICES: dict[str, tuple[Mapping[str, Any], Mapping[str, Range]]] = {
         {"actuators.hold": "leg_forces", "base_motion.kind": "sinusoid"},
         {**LEGS, "base_motion.amplitude": Several(3, Uniform(-0.03, 0.03)), "base_motion.frequency": Uniform(0.5, 3.0)},
     ),
+    "positions": (  # whose legs follow as those of good drives do; of causes that name them alone
+        {"actuators.kind": "position"},
+        {"actuators.position.bandwidth": Uniform(15.0, 40.0), "actuators.position.damping": Uniform(0.7, 1.2)},
+    ),
 }
 ALL_LAWS = tuple(STIFFNESS)
 IMPLICIT: dict[str, Any] = {"simulation.mode": "sampled", "controller.switching.kind": "implicit"}
@@ -400,6 +404,15 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
             base_ranges={"camera.dropout": Uniform(0.2, 0.6)},
         ),
     ),
+    "position_lag": (
+        Fault({"actuators.position.bandwidth": LogUniform(0.05, 3.0)}, devices=("positions",)),
+        Fault({"actuators.position.damping": LogUniform(3.0, 100.0)}, devices=("positions",)),
+        Fault({"actuators.position.damping": LogUniform(0.001, 0.03)}, devices=("positions",)),
+    ),
+    "leg_rates": (
+        Fault({"actuators.position.speed_limit": LogUniform(2e-4, 1e-2)}, devices=("positions",)),
+        Fault({"actuators.position.acceleration_limit": LogUniform(2e-4, 3e-2)}, devices=("positions",)),
+    ),
 }
 """What `variation` draws from, beside the baselines; a fault of a cause is drawn first."""
 
@@ -493,7 +506,7 @@ def _gains(scenario: hs.Scenario, law: str, drawn: Mapping[str, Any]) -> dict[st
 
     if "stiffness" in drawn:
         multiply(STIFFNESS[law], drawn["stiffness"])
-    if "damping" in drawn:
+    if "damping" in drawn and (law != "resolved_rate" or scenario.actuators.kind == "force"):  # ki acts on forces
         multiply(DAMPING[law], drawn["damping"])
     if "stiffer" in drawn:  # with the damping that belongs to it
         square = law != "resolved_rate"

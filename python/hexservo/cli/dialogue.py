@@ -56,7 +56,7 @@ class Dialogue:
         def check(value: float) -> str | None:
             return None if value > 0 or (zero and value == 0) else f"expected a number {'>= 0' if zero else 'above 0'}"
 
-        return float(self.ask(question, f"{default:g}", _number, check))
+        return float(self.ask(question, f"{default:g}", one_number, check))
 
     def numbers(self, question: str, default: str, count: int, check: Check | None = None) -> list[float]:
         """Return several numbers, given with blanks or commas between."""
@@ -71,7 +71,8 @@ class Dialogue:
         return str(self.ask(f"{question} ({', '.join(choices)})", choices[0], str, check))
 
 
-def _number(text: str) -> float:
+def one_number(text: str) -> float:
+    """Read one number; a comma after it does no harm. Raises ValueError for anything else."""
     return _numbers(text, 1)[0]
 
 

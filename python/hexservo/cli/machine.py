@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 import hexservo as hs
-from hexservo.cli.dialogue import Check, Dialogue
+from hexservo.cli.dialogue import Check, Dialogue, one_number
 from hexservo.cli.terminal import INTERRUPTED, complain, errors_as_messages, write
 from hexservo.scenario.laws import GENERAL_LAW
 
@@ -314,7 +314,7 @@ def _target(
 
     def ask(question: str, spaces: int) -> float:
         default = min(100.0, float(f"{0.3 * most / spaces:.2g}"))
-        return 1e-3 * float(dialogue.ask(question, f"{default:g}", _one_number, fits(spaces)))
+        return 1e-3 * float(dialogue.ask(question, f"{default:g}", one_number, fits(spaces)))
 
     target: dict[str, Any]
     if kind == "tag":
@@ -326,7 +326,7 @@ def _target(
         spacing = ask("Distance between neighbouring points [mm]", max(rows, columns) - 1)
         target = {"grid": {"rows": rows, "columns": columns, "spacing": spacing, "pose": pose}}
     else:
-        count = int(dialogue.ask("Number of points", "4", _one_number, _count))
+        count = int(dialogue.ask("Number of points", "4", one_number, _count))
         half = 0.15e-3 * most  # [m]
         angles = np.pi / 4 + 2.0 * np.pi * np.arange(count) / count
         plane = half * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
@@ -341,16 +341,6 @@ def _target(
         "Goal, where the platform shall go from home: x y z [mm], turn about x y z [deg]", "3 -2 2 -0.5 -0.5 1", 6
     )
     return {**target, "desired_pose": [*_metres(goal[:3]), *_radians(goal[3:])]}
-
-
-def _one_number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError("expected a number")
-    return value
 
 
 def _whole(values: list[float]) -> bool:

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from hexservo import _core
 from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
-from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.log import FITTED, Log
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
 from hexservo.scenario.arrays import Array, Mask
@@ -27,7 +27,6 @@ __all__ = ["MOST_DELAY", "DriveFit", "Drives", "fit_drives"]
 MOST_DELAY = 8
 """Most ticks of delay, as `actuators.delay` has it."""
 
-_FITTED = 0.7  # share of the record that is fitted
 _BANDWIDTHS = 9  # of a coarse grid, from 1/400 of the fastest that ticks show
 _DAMPINGS = (0.35, 0.8, 1.6)
 _STILL = 5.0  # standard deviations of the noise that a leg has to move by
@@ -115,7 +114,7 @@ def fit_drives(log: Log, units: LegUnits, report: ProgressCallback | None = None
     report
         Is called with the legs done, and 6.
     """
-    fitted = int(_FITTED * len(log.time))
+    fitted = int(FITTED * len(log.time))
     records = [_Record(log.commands[:, leg], log.joints[:, leg], log.period, fitted) for leg in range(6)]
     found: list[list[_Model]] = []
     for leg, record in enumerate(records):

@@ -17,7 +17,7 @@ from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
-from hexservo.findings.identification.log import Frames, Log
+from hexservo.findings.identification.log import FITTED, Frames, Log
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_features
@@ -27,7 +27,6 @@ __all__ = ["MOST_LATENCY", "CameraFit", "fit_camera"]
 MOST_LATENCY = 0.25
 """Largest latency that is looked for [s]."""
 
-_FITTED = 0.7  # share of the frames that is fitted
 _FEWEST = 20  # frames
 _TRIED = 11  # latencies of a coarse grid
 _ROUNDS = 60  # evaluations of a fit
@@ -175,7 +174,7 @@ def _fit(sight: _Sight, frames: Frames) -> tuple[Interval, Interval, float, Arra
     count = len(sight.times)
     if count < _FEWEST:
         return f"expected at least {_FEWEST} frames {1e3 * sight.latest:.0f} ms after the start of the log, got {count}"
-    fitted = int(_FITTED * count)
+    fitted = int(FITTED * count)
     part = _Sight(sight.scene, sight.joints, sight.features[:fitted], sight.times[:fitted], sight.latest, sight.centre)
     unit = np.concatenate([np.full(3, sight.scene.depth), np.ones(3)])
     lowest = 0.0 if frames.exposure is None else -sight.latest

@@ -16,10 +16,12 @@ from hexservo.findings.identification.mcap_log import read_mcap
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["MAX_BYTES", "MAX_ROWS", "Log", "read_log"]
+__all__ = ["FITTED", "MAX_BYTES", "MAX_ROWS", "Log", "read_log"]
 
 MAX_ROWS = 1_000_000
 MAX_BYTES = 500_000_000
+FITTED = 0.7
+"""Share of a log that models are fitted to; the rest tells how well they predict."""
 _FEWEST = 50  # rows: with fewer there is nothing to fit
 _UNEVEN = 0.05  # of the period: most that a tick may be off its place
 _TIME, _EXPOSURE, _ARRIVAL = "time", "exposure", "arrival"
