@@ -1,0 +1,1 @@
+"""What the programs for machines that take positions share (docs/position-machines.md)."""

@@ -1,0 +1,270 @@
+"""The loop of a program for a machine that takes positions: read, decide, check, command, wait; and how it ends.
+
+It ends safely: whatever happens, the machine is commanded to stop, and the reason is returned. Reasons are a lost link,
+a frame that is stale, a leg out of its range or far from its command, ticks that come late, and Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import csv
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hexservo as hs
+from position_machines.clock import Clock
+from position_machines.kinematics import Kinematics
+from position_machines.lines import LinkError
+
+__all__ = [
+    "Decision",
+    "Ending",
+    "Frame",
+    "Limits",
+    "LogFile",
+    "Machine",
+    "Reading",
+    "Stop",
+    "excitation",
+    "run",
+    "tracking",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """An image."""
+
+    features: Array  # (2p,) pixels as the scenario's camera counts them [px]
+    depth: Array  # (p,) z in the camera's frame, negative in front of it [m]
+    exposure: float  # [s]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the machine reports at a tick."""
+
+    legs: Array  # (6,) measured coordinates [m; rad]
+    frame: Frame | None  # the newest image, with its exposure by the program's clock [s]; None before the first one
+
+
+class Machine(Protocol):
+    """A machine behind a link; all three may raise `LinkError`."""
+
+    def read(self) -> Reading:
+        """Return what the machine measures now."""
+
+    def command(self, legs: Array) -> None:
+        """Send the legs there, (6,) [m; rad]."""
+
+    def stop(self) -> None:
+        """Stop the legs where they are."""
+
+
+class Stop(Exception):  # noqa: N818  an ending, not an error
+    """Why the loop ends before its time."""
+
+
+Decision: TypeAlias = Callable[[float, Reading], Array]
+"""From the time since the first tick [s] and what is measured to where the legs are sent, (6,) [m; rad]."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What ends the loop."""
+
+    lowest: Array  # (6,) of the legs [m; rad]
+    highest: Array  # (6,)
+    lag: float  # most that a leg may be away from its command [m; rad]
+    frame_age: float = 0.4  # of the newest image [s]
+    late: float = 0.25  # most that a tick may be behind its time [s]
+    invalid: float = 0.3  # longest that the law may be unable to act [s]
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, **others: float) -> Limits:
+        """Return limits at the ends of the legs' stroke; `lag` is a third of it unless it is given."""
+        others.setdefault("lag", float((kinematics.highest - kinematics.lowest).max()) / 3)
+        return cls(kinematics.lowest, kinematics.highest, **others)
+
+    def check(self, legs: Array, what: str) -> None:
+        """Refuse legs beyond their range, and what is no number.
+
+        Raises
+        ------
+        Stop
+            With the first such leg.
+        """
+        outside = ~((self.lowest <= legs) & (legs <= self.highest))
+        if outside.any():
+            leg = int(np.argmax(outside))
+            raise Stop(
+                f"leg {leg + 1} {what} at {legs[leg]:.4g}, expected {self.lowest[leg]:.4g} to {self.highest[leg]:.4g}"
+            )
+
+
+@dataclass
+class Ending:
+    """How the loop ended."""
+
+    reason: str  # empty at its end
+    stopped: bool  # the machine confirmed that it stops
+    ticks: int
+    interrupted: bool = False
+    details: list[str] = field(default_factory=list)
+
+
+class LogFile:
+    """A log for `hexservo identify` (docs/identification.md)."""
+
+    def __init__(self, path: str, points: int) -> None:
+        names = ["time", *(f"{kind}_{leg}" for kind in ("command", "joint") for leg in range(1, 7))]
+        image = [f"{axis}_{point}" for point in range(1, points + 1) for axis in "xy"]
+        self._blank = [""] * (len(image) + 1)
+        self._seen: float | None = None
+        self._file = Path(path).open("x", newline="", encoding="utf-8")  # noqa: SIM115  closed by `close`
+        self._writer = csv.writer(self._file)
+        self._writer.writerow([*names, *image, "arrival"])
+
+    def write(self, now: float, command: Array, reading: Reading) -> None:
+        """Write a tick; an image only where it is new. Its time of exposure is left for `identify` to find."""
+        image: list[str] = self._blank
+        if reading.frame is not None and reading.frame.exposure != self._seen:
+            self._seen = reading.frame.exposure
+            image = [*(f"{pixel:.6g}" for pixel in reading.frame.features), f"{now:.9g}"]
+        self._writer.writerow([f"{now:.9g}", *(f"{number:.9g}" for number in (*command, *reading.legs)), *image])
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+
+def run(
+    machine: Machine,
+    decide: Decision,
+    limits: Limits,
+    period: float,
+    seconds: float,
+    clock: Clock,
+    interrupted: threading.Event,
+    log: LogFile | None = None,
+) -> Ending:
+    """Command the machine every period, until the time is over or something is wrong, and then stop it.
+
+    Parameters
+    ----------
+    decide
+        Where the legs are sent.
+    limits
+        What ends the loop; commands beyond the range of the legs are not sent.
+    period, seconds
+        Of a tick, and of the whole [s].
+    interrupted
+        Ends the loop when it is set.
+    log
+        Where each tick is written.
+    """
+    start = clock.now()
+    ending = Ending("", False, 0)
+    command: Array | None = None
+    try:
+        while ending.ticks * period < seconds:
+            due = start + ending.ticks * period
+            clock.wait_until(due, interrupted)
+            if interrupted.is_set():
+                ending.interrupted = True
+                raise Stop("interrupted")
+            now = clock.now()
+            if now - due > limits.late:
+                raise Stop(f"a tick came {now - due:.3f} s late, expected at most {limits.late} s")
+            reading = machine.read()
+            limits.check(reading.legs, "is")
+            if command is not None and np.abs(command - reading.legs).max() > limits.lag:
+                leg = int(np.argmax(np.abs(command - reading.legs)))
+                away = abs(command[leg] - reading.legs[leg])
+                raise Stop(f"leg {leg + 1} is {away:.4g} away from its command, expected at most {limits.lag:.4g}")
+            command = decide(now - start, _since(reading, start))
+            limits.check(command, "was to be sent")
+            machine.command(command)
+            if log is not None:
+                log.write(now - start, command, reading)
+            ending.ticks += 1
+    except (Stop, LinkError, OSError) as error:
+        ending.reason = str(error)
+    finally:
+        try:
+            machine.stop()
+            ending.stopped = True
+        except LinkError as error:
+            ending.details.append(f"the machine did not confirm that it stops: {error}")
+    return ending
+
+
+def _since(reading: Reading, start: float) -> Reading:
+    """Return a reading whose image has its time since the first tick."""
+    frame = reading.frame
+    if frame is None:
+        return reading
+    return Reading(reading.legs, Frame(frame.features, frame.depth, frame.exposure - start))
+
+
+def tracking(controller: hs.Controller, limits: Limits) -> Decision:
+    """Return the decision of a law: where its controller sends the legs.
+
+    Where it cannot act, the controller brakes; the loop goes on for `limits.invalid`, and for `limits.frame_age`
+    without an image.
+    """
+    used = -np.inf  # exposure of the frame that the controller has
+    valid = 0.0
+
+    def decide(now: float, reading: Reading) -> Array:
+        nonlocal used, valid
+        frame = reading.frame
+        age = now - (0.0 if frame is None else frame.exposure)
+        if age > limits.frame_age:
+            raise Stop(f"the newest image is {age:.3f} s old, expected at most {limits.frame_age} s")
+        image: dict[str, object] = {}
+        if frame is not None and frame.exposure > used:
+            used = frame.exposure
+            image = {"features": frame.features, "depth": frame.depth, "exposure": min(frame.exposure, now)}
+        output = controller.step(**image, leg_lengths=reading.legs, now=now)  # type: ignore[arg-type]
+        if not output.invalid_input:
+            valid = now
+        elif now - valid > limits.invalid:
+            raise Stop(f"the law cannot act since {now - valid:.3f} s: {output.status}")
+        return output.leg_positions
+
+    return decide
+
+
+def excitation(middle: Array, size: float, hold: float, seed: int = 0) -> Decision:
+    """Return a decision for a log: jumps of all legs about a middle.
+
+    Parameters
+    ----------
+    middle
+        (6,) [m; rad].
+    size
+        Largest jump away from the middle [m; rad].
+    hold
+        Mean time between jumps [s]. Jumps come at random times, so that they excite a band of frequencies.
+    seed
+        Of the jumps.
+    """
+    random = np.random.default_rng(seed)
+    target, next_jump = middle, 0.5
+
+    def decide(now: float, _: Reading) -> Array:
+        nonlocal target, next_jump
+        if now >= next_jump:
+            target = middle + random.uniform(-size, size, 6)
+            next_jump = now + random.uniform(0.2, 1.8) * hold
+        return target
+
+    return decide

@@ -1,0 +1,588 @@
+"""Programs for machines that take positions: they reach the goal, and stop safely whatever the other side does."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import gcs.__main__
+import hexservo as hs
+import reachy.__main__
+from gcs.client import AXES, GcsHexapod, GcsLink, from_pose, to_pose
+from gcs.controller import Controller
+from position_machines.clock import SimulatedClock
+from position_machines.frames import Camera, camera_server, frame_of, numbers, object_of
+from position_machines.kinematics import Kinematics
+from position_machines.lines import LONGEST, Line, LinkError, Server, answering
+from position_machines.program import main
+from position_machines.servo import Ending, Frame, Limits, Reading, Stop, run, tracking
+from position_machines.simulated import Drives, SimulatedMachine
+from reachy.head import DRIVES, WATCHDOG, Head, head_handler, head_server, simulated_scenario
+from recorded_machines import Drive, wandering
+from test_docs import ROOT
+
+Array = NDArray[np.float64]
+Handler = Callable[[bytes], bytes | None]
+SEED = 20270301
+PERIOD = 0.02
+
+
+def positioned(scenario: hs.Scenario, step: float, **changes: Any) -> hs.Scenario:
+    camera = {key: getattr(simulated_scenario().camera, key) for key in ("period", "latency")}
+    values = {
+        "simulation.mode": "sampled",
+        "simulation.step": step,
+        "actuators.kind": "position",
+        "actuators.delay": 0.0,
+        **{f"camera.{key}": value for key, value in camera.items()},
+        **changes,
+    }
+    return scenario.updated(values)
+
+
+def head_scenario() -> hs.Scenario:
+    drives = {"bandwidth": DRIVES.bandwidth, "damping": DRIVES.damping, "speed_limit": DRIVES.speed}
+    response = {f"actuators.position.{key}": value for key, value in drives.items()}
+    return positioned(hs.load_scenario("reachy-mini-head"), PERIOD, **response, **{"actuators.delay": DRIVES.delay})
+
+
+def hexapod_scenario() -> hs.Scenario:
+    changes = {"camera.period": 0.05, "camera.latency": 0.1, "actuators.position.bandwidth": 5.0}
+    return positioned(hs.load_scenario("pi-h824"), 0.05, **changes)
+
+
+@pytest.fixture
+def connect() -> Iterator[Callable[..., Line]]:
+    """Connects to a port, with a time limit [s]; lines are closed at the end."""
+    lines: list[Line] = []
+
+    def connected(port: int, timeout: float = 5.0) -> Line:
+        lines.append(Line("127.0.0.1", port, timeout))
+        return lines[-1]
+
+    yield connected
+    for line in lines:
+        line.close()
+
+
+@pytest.fixture
+def clock() -> SimulatedClock:
+    return SimulatedClock()
+
+
+@pytest.fixture
+def head(clock: SimulatedClock) -> SimulatedMachine:
+    return SimulatedMachine(simulated_scenario(), DRIVES, clock, WATCHDOG)
+
+
+def at_rest(machine: SimulatedMachine, clock: SimulatedClock) -> bool:
+    """Whether the legs stay where they are for a second."""
+    before = machine.legs()
+    clock.wait_until(clock.now() + 1.0, threading.Event())
+    return bool(np.array_equal(machine.legs(), before))
+
+
+def track(
+    port: int, clock: SimulatedClock, seconds: float = 1.0, timeout: float = 5.0, event: threading.Event | None = None
+) -> Ending:
+    """Track with the head's law through a link of this timeout."""
+    scenario = head_scenario()
+    limits = Limits.of(Kinematics(scenario))
+    machine = Head(Line("127.0.0.1", port, timeout), 4, clock)
+    decide = tracking(hs.Controller(scenario), limits)
+    return run(machine, decide, limits, PERIOD, seconds, clock, event or threading.Event())
+
+
+# ---- The simulated machine ------------------------------------------------------------------------------------------
+
+
+def test_simulated_drives_follow_as_those_of_scipy(clock: SimulatedClock) -> None:
+    random = np.random.default_rng(SEED)
+    print(f"seed {SEED}")
+    scenario = simulated_scenario().updated({"sensors.resolution": 0.0})
+    home = Kinematics(scenario).home_legs
+    for drives, tolerance in (
+        (Drives(4.0, 0.9, 0.04, np.inf), 1e-12),  # exact from step to step
+        (Drives(4.0, 0.9, 0.04, 1.0), 3e-3),  # a step of 1 ms at this speed where the limit begins and ends
+    ):
+        machine = SimulatedMachine(scenario, drives, clock)
+        commands = home + wandering(random, 200, PERIOD, 0.1, 0.3)
+        commands[:3] = home
+        start, followed = clock.now(), []
+        for tick, command in enumerate(commands):
+            clock.wait_until(start + tick * PERIOD, threading.Event())
+            followed.append(machine.legs())
+            machine.command(command)
+        reference = Drive(drives.bandwidth, drives.damping, 2, drives.speed).follow(commands[:, 1], PERIOD)
+        np.testing.assert_allclose(np.array(followed)[:, 1], reference, rtol=0, atol=tolerance)
+
+
+def test_images_are_as_late_as_the_camera(clock: SimulatedClock, head: SimulatedMachine) -> None:
+    ages = set()
+    for tick in range(1, 40):
+        clock.wait_until(tick * PERIOD, threading.Event())
+        found = head.frame()
+        assert (found is None) == (tick * PERIOD < 0.2 - 1e-9)
+        ages |= set() if found is None else {round(found[1], 9)}
+    assert ages == {0.2, 0.22}
+    (features, depth), error = (lambda frame: (frame.features, frame.depth))(head.frame()[0]), head.error()  # type: ignore[index]
+    true = hs.project(simulated_scenario(), np.zeros(6))
+    assert np.abs(features - true).max() < 5 * head.scenario.camera.noise
+    np.testing.assert_allclose(depth, -0.6, rtol=1e-6)
+    assert error == pytest.approx(np.abs(true - np.array(head.scenario.target.desired_features)).max())
+
+
+def test_a_head_without_commands_stops(clock: SimulatedClock, head: SimulatedMachine) -> None:
+    head.command(head.legs() + 0.5 * np.array([1, -1, 1, -1, 1, -1]))  # up
+    clock.wait_until(WATCHDOG + 0.01, threading.Event())
+    head.legs()
+    assert head.holds
+    assert np.abs(head.legs() - Kinematics(head.scenario).home_legs).max() > 0.1
+    assert at_rest(head, clock)
+
+
+# ---- The head -------------------------------------------------------------------------------------------------------
+
+
+def test_the_head_reaches_its_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "head.yaml"
+    path.write_text(head_scenario().to_yaml(), encoding="utf-8")
+    log = tmp_path / "log.csv"
+    given = ["track", "--simulated", "--scenario", str(path), "--seconds", "3", "--out", str(log)]
+    assert main(reachy.__main__.PROGRAM, given) == 0
+    assert "150 ticks of 20 ms; the machine holds its place" in capsys.readouterr().out
+    found = hs.read_log(log)
+    assert found.frames is not None
+    assert found.period == pytest.approx(PERIOD)
+    error = np.abs(found.frames.features[-1] - np.array(head_scenario().target.desired_features)).max()
+    assert error < 5.0
+    assert len(found.frames.arrival) == 70  # 25 a second, the first one after 0.2 s
+    assert main(reachy.__main__.PROGRAM, given) == 2  # the log is there already
+    assert "File exists" in capsys.readouterr().err
+
+
+def test_scenarios_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "slow.yaml"
+    path.write_text(head_scenario().updated({"simulation.step": 0.04, "actuators.delay": 0.0}).to_yaml())
+    for scenario, words in (
+        ("reachy-mini-head", "actuators.kind: expected position, got force"),
+        (str(path), "simulation.step: expected 0.02 s"),
+        ("none", "none"),
+    ):
+        assert main(reachy.__main__.PROGRAM, ["track", "--simulated", "--scenario", scenario]) == 2
+        assert words in capsys.readouterr().err
+    jump = ["record", "--simulated", "--jump", "2", "--out", str(tmp_path / "log.csv")]
+    assert main(reachy.__main__.PROGRAM, jump) == 2
+    assert "would be sent by a jump at" in capsys.readouterr().err
+    for wrong in (["track"], ["track", "--simulated", "--port", "1"], ["track", "--simulated", "--seconds", "nan"]):
+        with pytest.raises(SystemExit, match="2"):
+            main(reachy.__main__.PROGRAM, wrong)
+    assert main(reachy.__main__.PROGRAM, ["record", "--port", "1", "--out", str(tmp_path / "b.csv")]) == 1
+    assert "no connection" in capsys.readouterr().err
+
+
+def with_fault(machine: SimulatedMachine, request: int, reply: bytes | None) -> Server:
+    """A head that gives this reply to one request; a connection made afterwards works again."""
+    count = 0
+
+    def handler() -> Handler:
+        handle = head_handler(machine)
+
+        def faulty(data: bytes) -> bytes | None:
+            nonlocal count
+            count += 1
+            return reply if count == request + 1 else handle(data)
+
+        return faulty
+
+    return Server(handler)
+
+
+def reading(**changes: Any) -> bytes:
+    """A reply to a read, with changes."""
+    home = Kinematics(simulated_scenario()).home_legs.tolist()
+    frame = {"features": [1000.0] * 8, "depth": [-0.6] * 4, "age": 0.1}
+    content = {"legs": home, "frame": frame | changes.pop("frame", {}), **changes}
+    return json.dumps(content).encode() + b"\n"
+
+
+FAULTS: dict[str, tuple[bytes | None, str]] = {
+    "closed": (None, "closed by the other side"),
+    "garbage": (b"\xff\xfe\x00garbage\n", "expected a line with a JSON object"),
+    "text": (b'"text"\n', "expected a line with a JSON object"),
+    "deep": (b"[" * 8000 + b"\n", "expected a line with a JSON object"),
+    "oversized": (b"x" * (LONGEST + 5000), f"at most {LONGEST} bytes"),
+    "oversized-line": (b"x" * (LONGEST + 100) + b"\n", f"at most {LONGEST} bytes"),
+    "two": (reading() + reading(), "sent what was not asked for"),
+    "refusal": (b'{"error": "motors are off"}\n', "the head refuses: motors are off"),
+    "empty": (b"{}\n", "legs: expected 6 finite numbers"),
+    "five": (reading(legs=[0.0] * 5), "legs: expected 6 finite numbers"),
+    "words": (reading(legs=["0"] * 6), "legs: expected 6 finite numbers"),
+    "nan": (reading(legs=[float("nan")] * 6), "legs: expected 6 finite numbers"),
+    "huge": (reading(legs=[1e300] * 6), "legs: expected 6 finite numbers"),
+    "outside": (reading(legs=[2.0] * 6), "leg 1 is at 2, expected"),
+    "age": (reading(frame={"age": -1.0}), "age: expected 0 to"),
+    "points": (reading(frame={"features": [1.0] * 6}), "features: expected 8 finite numbers"),
+    "depth": (reading(frame={"depth": None}), "depth: expected 4 finite numbers"),
+    "stale": (reading(frame={"age": 0.5}), "the newest image is 0.500 s old"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_head_is_stopped_whatever_comes(clock: SimulatedClock, head: SimulatedMachine, fault: str) -> None:
+    reply, words = FAULTS[fault]
+    with with_fault(head, 20, reply) as server:
+        ending = track(server.port, clock)
+        assert words in ending.reason
+        assert ending.ticks == 10
+        assert ending.stopped
+        assert not ending.details
+        assert head.holds
+        assert at_rest(head, clock)
+
+
+@pytest.mark.parametrize("reply", [b"", b'{"legs": [0.1'], ids=["silent", "partial"])
+def test_a_head_that_does_not_answer_is_left_in_time(
+    clock: SimulatedClock, head: SimulatedMachine, reply: bytes
+) -> None:
+    with with_fault(head, 0, reply) as server:
+        ending = track(server.port, clock, timeout=0.3)
+    assert "no reply within 0.3 s" in ending.reason
+    assert ending.stopped
+
+
+def test_a_head_that_is_gone_stops_by_itself(
+    clock: SimulatedClock, head: SimulatedMachine, connect: Callable[..., Line]
+) -> None:
+    server = head_server(head)
+    event = threading.Event()
+    with server:
+        machine = Head(connect(server.port), 4, clock)
+        scenario = head_scenario()
+        limits = Limits.of(Kinematics(scenario))
+        decide = tracking(hs.Controller(scenario), limits)
+
+        def cut(now: float, reading: Reading) -> Array:
+            if now > 0.5:
+                server.__exit__(None, None, None)
+            return decide(now, reading)
+
+        ending = run(machine, cut, limits, PERIOD, 2.0, clock, event)
+    assert ending.reason
+    assert not ending.stopped
+    assert "did not confirm that it stops" in ending.details[0]
+    clock.wait_until(clock.now() + WATCHDOG + 0.01, event)
+    head.legs()
+    assert head.holds
+
+
+def test_stale_images_blocked_legs_and_late_ticks_end_the_loop(
+    clock: SimulatedClock, connect: Callable[..., Line]
+) -> None:
+    def ending_of(change: Callable[[SimulatedMachine, float], None]) -> Ending:
+        machine = SimulatedMachine(simulated_scenario(), DRIVES, clock, None)
+        with head_server(machine) as server:
+            scenario = head_scenario()
+            limits = replace(Limits.of(Kinematics(scenario)), lag=0.1)
+            decide = tracking(hs.Controller(scenario), limits)
+            link = Head(connect(server.port), 4, clock)
+            start = clock.now()
+
+            def changing(now: float, reading: Reading) -> Array:
+                change(machine, clock.now() - start)
+                return decide(now, reading)
+
+            ending = run(link, changing, limits, PERIOD, 3.0, clock, threading.Event())
+            assert ending.stopped
+            assert at_rest(machine, clock)
+            return ending
+
+    def camera_fails(machine: SimulatedMachine, now: float) -> None:
+        machine.camera_works = now < 0.5
+
+    def cranks_block(machine: SimulatedMachine, now: float) -> None:
+        machine._state[1] = 0.0
+        machine._state[0] = Kinematics(machine.scenario).home_legs
+
+    def computer_sleeps(_: SimulatedMachine, now: float) -> None:
+        if 0.5 < now < 0.6:
+            clock.wait_until(clock.now() + 0.4, threading.Event())
+
+    assert "the newest image is 0.4" in ending_of(camera_fails).reason
+    assert "away from its command, expected at most 0.1" in ending_of(cranks_block).reason
+    assert "s late, expected at most 0.25 s" in ending_of(computer_sleeps).reason
+
+
+def test_an_interrupt_stops_the_head(clock: SimulatedClock, head: SimulatedMachine) -> None:
+    event = threading.Event()
+    event.set()
+    with head_server(head) as server:
+        ending = track(server.port, clock, event=event)
+        assert ending.interrupted
+        assert ending.stopped
+        assert head.holds
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_program_after_the_stop(tmp_path: Path, number: signal.Signals) -> None:
+    path = tmp_path / "head.yaml"
+    path.write_text(head_scenario().to_yaml(), encoding="utf-8")
+    command = [sys.executable, "-m", "reachy", "track", "--simulated", "--scenario", str(path), "--seconds", "3600"]
+    folders = f"{ROOT / 'python'}:{ROOT / 'examples'}"
+    with subprocess.Popen(
+        command, env={"PYTHONPATH": folders}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "reachy: running, Ctrl-C stops\n"
+        program.send_signal(number)
+        _, errors = program.communicate(timeout=30)
+    assert program.returncode == 130
+    assert "interrupted" in errors
+    assert "did not confirm" not in errors
+
+
+# ---- Lines ----------------------------------------------------------------------------------------------------------
+
+
+def test_lines_arrive_in_pieces_and_several_at_once() -> None:
+    handle = answering(lambda line: line.upper() + b"\n")
+    assert handle(b"a") == b""
+    assert handle(b"b\nc\nd") == b"AB\nC\n"
+    assert handle(b"x" * LONGEST) is None
+    assert answering(lambda _: None)(b"a\n") is None
+
+
+def test_a_server_is_reached_from_this_computer_alone(connect: Callable[..., Line]) -> None:
+    with Server(lambda: lambda data: data) as server:
+        assert server._listening.getsockname()[0] == "127.0.0.1"
+        lines = [connect(server.port) for _ in range(4)]
+        for line in lines:
+            line.send(b"a\r\n")
+            assert line.receive() == b"a"
+        extra = connect(server.port)  # a fifth one is closed
+        with pytest.raises(LinkError):
+            extra.receive()
+        server.drop()
+        with pytest.raises(LinkError, match="closed by the other side"):
+            lines[0].receive()
+        with pytest.raises(LinkError, match="was closed before"):
+            lines[0].send(b"a\n")
+
+
+def test_values_of_json_are_checked() -> None:
+    for value in (None, [1.0], [1, 2, True], [1, 2, float("inf")], {"a": 1}, [10**400, 1, 2]):
+        with pytest.raises(LinkError):
+            numbers(value, 3, "x")
+    np.testing.assert_array_equal(numbers([1, 2.5, -3], 3, "x"), [1, 2.5, -3])
+    assert frame_of(None, 4, 0.0) is None
+    with pytest.raises(LinkError, match="frame"):
+        frame_of([1], 4, 0.0)
+    with pytest.raises(LinkError):
+        object_of(b"[" * 100_000)
+
+
+# ---- Hexapods with a text protocol ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def controller(clock: SimulatedClock) -> Controller:
+    return Controller(clock)
+
+
+@pytest.fixture
+def link(controller: Controller, connect: Callable[..., Line]) -> Iterator[GcsLink]:
+    with controller.server() as server:
+        yield GcsLink(connect(server.port))
+
+
+def test_poses_are_rotations_about_moving_axes_in_a_frame_with_z_up() -> None:
+    home = Kinematics(hs.load_scenario("pi-h824")).home
+    np.testing.assert_allclose(to_pose(np.array([1.0, 2, 3, 0, 0, 0]), home)[0] - home[0], [1e-3, -2e-3, -3e-3])
+    u, v, w = np.radians([5.0, 7.0, 11.0])
+    flip = np.diag([1.0, -1.0, -1.0])  # z up, z down
+    about = [
+        Rotation.from_rotvec(angle * flip @ axis).as_matrix() for angle, axis in zip((u, v, w), np.eye(3), strict=True)
+    ]
+    attitude = Rotation.from_quat(np.roll(to_pose(np.array([0, 0, 0, 5.0, 7, 11]), home)[1], -1)).as_matrix()
+    np.testing.assert_allclose(attitude, about[0] @ about[1] @ about[2], atol=1e-15)
+    random = np.random.default_rng(SEED)
+    for _ in range(20):
+        values = random.uniform(-1, 1, 6) * [20, 20, 10, 7, 7, 12]
+        np.testing.assert_allclose(from_pose(to_pose(values, home), home), values, atol=1e-12)
+
+
+def test_commands_of_the_controller(clock: SimulatedClock, controller: Controller, link: GcsLink) -> None:
+    assert link.query("*IDN?", 1) == ["simulated hexapod controller"]
+    with pytest.raises(LinkError, match="MOV: the controller has error 5"):
+        link.move(np.zeros(6))  # the servo is off
+    link.command("SVO X 1 Y 1 Z 1 U 1 V 1 W 1")
+    np.testing.assert_array_equal(link.values("TMN?"), -link.values("TMX?"))
+    link.command("VLS 2")
+    assert link.query("VLS?", 1) == ["2"]
+    target = np.array([1.0, -0.5, 0.3, 0.2, -0.1, 0.4])
+    link.move(target)
+    assert not link.values("ONT?").any()
+    assert controller.moving()
+    clock.wait_until(clock.now() + 0.25, threading.Event())
+    halfway = link.values("POS?")  # 0.5 mm at 2 mm/s, less the delay of 50 ms and the lag 2 zeta/w of 42 ms
+    assert halfway[0] == pytest.approx(2.0 * (0.25 - 0.05 - 0.042), abs=0.02)
+    clock.wait_until(clock.now() + 2.0, threading.Event())
+    assert link.values("ONT?").all()
+    np.testing.assert_allclose(link.values("POS?"), target, atol=2e-3)
+    np.testing.assert_allclose(link.values("MOV?"), target, atol=1e-6)
+    link.move(-target)
+    clock.wait_until(clock.now() + 0.2, threading.Event())
+    link.stop()
+    stopped = link.values("POS?")
+    clock.wait_until(clock.now() + 1.0, threading.Event())
+    np.testing.assert_array_equal(link.values("POS?"), stopped)
+    for command, error in (
+        ("MOV X 30", 7),
+        ("MOV X 21 Y 21 Z 12", 7),  # each within its range, but not together
+        ("MOV Q 1", 15),
+        ("MOV X", 1),
+        ("MOV X nan", 1),
+        ("MOV X 1 X 2", 1),
+        ("VLS 0", 17),
+        ("VLS 1 2", 1),
+        ("SVO X 2", 17),
+        ("STP", 10),
+        ("XYZ", 2),
+    ):
+        with pytest.raises(LinkError, match=f"the controller has error {error}$"):
+            link.command(command)
+    assert link.error() == 0
+
+
+def gcs_program(clock: SimulatedClock, controller: Controller, port: int, connect: Callable[..., Line]) -> Ending:
+    """Track with the hexapod's law, images from the controller's machine."""
+    scenario = hexapod_scenario()
+    kinematics = Kinematics(scenario)
+    limits = Limits.of(kinematics)
+    with camera_server(controller.frame) as images:
+        camera = Camera(connect(images.port), 4, clock)
+        machine = GcsHexapod(GcsLink(connect(port)), camera, kinematics)
+        machine.start(20.0, clock, threading.Event())
+        return run(machine, tracking(hs.Controller(scenario), limits), limits, 0.05, 3.0, clock, threading.Event())
+
+
+def test_the_hexapod_reaches_its_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "hexapod.yaml"
+    path.write_text(hexapod_scenario().to_yaml(), encoding="utf-8")
+    given = ["track", "--simulated", "--scenario", str(path), "--seconds", "3"]
+    assert main(gcs.__main__.PROGRAM, given) == 0
+    assert "60 ticks of 50 ms; the machine holds its place" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        main(gcs.__main__.PROGRAM, ["track", "--port", "50000"])
+    assert "--port and --camera-port" in capsys.readouterr().err
+
+
+def gcs_with_fault(controller: Controller, query: bytes, reply: bytes | None) -> Server:
+    """A controller that gives this reply to the twelfth query of a kind."""
+    count = 0
+
+    def handler() -> Handler:
+        handle = controller._handler()
+
+        def faulty(data: bytes) -> bytes | None:
+            nonlocal count
+            count += data.startswith(query)
+            if count == 12 and data.startswith(query):
+                return reply
+            return handle(data)
+
+        return faulty
+
+    return Server(handler)
+
+
+def positions(**values: float) -> bytes:
+    numbers = dict.fromkeys(AXES, 0.0) | values
+    return " \n".join(f"{axis}={number}" for axis, number in numbers.items()).encode() + b"\n"
+
+
+GCS_FAULTS: dict[str, tuple[bytes, bytes | None, str]] = {
+    "closed": (b"POS?", None, "closed by the other side"),
+    "garbage": (b"POS?", b"\xff\x00\n", "expected text"),
+    "one": (b"POS?", b"X=1\n", "POS?: expected 6 lines, got 1"),
+    "endless": (b"POS?", b"X=1 \n" * 50, "POS?: expected 6 lines, got 33"),
+    "twice": (b"POS?", b" \n".join([b"X=1"] * 6) + b"\n", "expected a line like X=1.5"),
+    "nan": (b"POS?", positions(W=float("nan")), "expected a line like X=1.5"),
+    "overflow": (b"POS?", positions().replace(b"Y=0.0", b"Y=1e999"), "expected finite numbers"),
+    "oversized": (b"POS?", b"X=" + b"1" * (LONGEST + 5000), f"at most {LONGEST} bytes"),
+    "outside": (b"POS?", positions(X=30.0), "X is at 30, expected -22.5 to 22.5"),
+    "leg": (b"POS?", positions(X=20.0, Y=20.0, Z=12.0), "leg 1 is at"),
+    "error": (b"ERR?", b"5\n", "the controller has error 5"),
+    "no error": (b"ERR?", b"none\n", "ERR?: expected a number"),
+    "late": (b"POS?", positions() + b"0\n", "sent what was not asked for"),
+}
+
+
+@pytest.mark.parametrize("fault", GCS_FAULTS)
+def test_the_hexapod_is_stopped_whatever_comes(
+    clock: SimulatedClock, controller: Controller, connect: Callable[..., Line], fault: str
+) -> None:
+    query, reply, words = GCS_FAULTS[fault]
+    with gcs_with_fault(controller, query, reply) as server:
+        ending = gcs_program(clock, controller, server.port, connect)
+        assert words in ending.reason
+        assert ending.stopped
+        assert not controller.moving()
+    assert at_rest(controller.machine, clock)
+
+
+def test_a_hexapod_that_is_not_ready_does_not_move(clock: SimulatedClock, connect: Callable[..., Line]) -> None:
+    controller = Controller(clock, referenced=False)
+    with controller.server() as server, pytest.raises(Stop, match="not referenced"):
+        gcs_program(clock, controller, server.port, connect)
+    assert not any(line.startswith("MOV") for line in controller.commands)
+
+
+def test_a_camera_that_is_lost_stops_the_hexapod(
+    clock: SimulatedClock, controller: Controller, connect: Callable[..., Line]
+) -> None:
+    kinematics = Kinematics(hexapod_scenario())
+    limits = Limits.of(kinematics)
+    with controller.server() as server, camera_server(controller.frame) as images:
+        camera = Camera(connect(images.port), 4, clock)
+        machine = GcsHexapod(GcsLink(connect(server.port)), camera, kinematics)
+        machine.start(20.0, clock, threading.Event())
+        decide = tracking(hs.Controller(hexapod_scenario()), limits)
+
+        def cut(now: float, reading: Reading) -> Array:
+            if now > 0.5:
+                images.drop()
+            return decide(now, reading)
+
+        ending = run(machine, cut, limits, 0.05, 3.0, clock, threading.Event())
+        assert ending.reason
+        assert ending.stopped
+        assert not controller.moving()
+
+
+def test_commands_beyond_the_limits_are_not_sent(
+    clock: SimulatedClock, controller: Controller, connect: Callable[..., Line]
+) -> None:
+    kinematics = Kinematics(hexapod_scenario())
+    wide = Limits(kinematics.lowest - 1.0, kinematics.highest + 1.0, 10.0)
+    beyond = kinematics.legs(to_pose(np.array([0, 0, 13.0, 0, 0, 0]), kinematics.home))
+    with controller.server() as server:
+        camera = type("NoCamera", (), {"read": lambda _: Frame(np.zeros(8), -np.ones(4), clock.now())})()
+        machine = GcsHexapod(GcsLink(connect(server.port)), camera, kinematics)
+        machine.start(20.0, clock, threading.Event())
+        ending = run(machine, lambda *_: beyond, wide, 0.05, 1.0, clock, threading.Event())
+        assert "Z was to be sent at 13, expected -12.5 to 12.5" in ending.reason
+        assert ending.stopped
+        assert len([line for line in controller.commands if line.startswith("MOV")]) == 1

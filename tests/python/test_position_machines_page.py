@@ -1,0 +1,69 @@
+"""docs/position-machines.md: each of its commands runs, one after the other, and prints what is written beside it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from test_docs import ROOT
+
+PAGE = ROOT / "docs" / "position-machines.md"
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
+
+
+def blocks(sections: int | None = None) -> list[tuple[str, str]]:
+    """Code of the page, or of its first numbered sections."""
+    page = PAGE.read_text(encoding="utf-8")
+    if sections is not None:
+        page = page.partition(f"\n## {sections + 1}. ")[0]
+    return re.findall(r"```(sh|text|yaml)\n(.*?)```", page, re.DOTALL)
+
+
+def output_of(line: str, folder: Path) -> str:
+    program, *arguments = shlex.split(line, comments=True)
+    if program == "python":
+        command = [sys.executable, *arguments]
+    else:
+        assert program == "hexservo"
+        command = [sys.executable, "-m", "hexservo", *arguments]
+    environment = {"PYTHONPATH": f"{ROOT / 'python'}:{ROOT / 'examples'}", "COLUMNS": "500", "PATH": "/usr/bin:/bin"}
+    run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, f"{line}: {run.returncode}\n{run.stdout}\n{run.stderr}"
+    return run.stdout
+
+
+def alike(written: str, printed: str) -> bool:
+    """The same words, and numbers within a tenth: kernels of other processors round differently."""
+    one, other = (" ".join(text.split()) for text in (written, printed))
+    if NUMBER.sub("#", one) != NUMBER.sub("#", other)[: len(NUMBER.sub("#", one))]:
+        return False
+    pairs = zip(NUMBER.findall(one), NUMBER.findall(other), strict=False)
+    return all(float(a) == pytest.approx(float(b), rel=0.1, abs=0.01) for a, b in pairs)
+
+
+@pytest.mark.parametrize("sections", [2, pytest.param(None, marks=pytest.mark.slow)], ids=["first", "all"])
+def test_commands_of_the_page_run(tmp_path: Path, sections: int | None) -> None:
+    """The first sections always, all of them where there is a minute."""
+    printed: list[str] = []
+    for kind, text in blocks(sections):
+        if kind == "yaml":
+            name = re.match(r"# ([\w-]+\.yaml)\n", text)
+            assert name, text
+            (tmp_path / name[1]).write_text(text, encoding="utf-8")
+        elif kind == "sh":
+            printed = [row for line in text.splitlines() for row in output_of(line, tmp_path).splitlines()]
+        else:
+            for line in text.splitlines():
+                assert any(alike(line, row) for row in printed), "\n".join(["not printed:", line, "printed:", *printed])
+
+
+def test_numbers_are_compared_with_a_tolerance() -> None:
+    assert alike("camera.latency 0.2 0.033", "  camera.latency   0.201  0.033  ")
+    assert not alike("camera.latency 0.2 0.033", "camera.latency 0.3 0.033")
+    assert not alike("settling time 1.5 s", "settled time 1.5 s")
+    assert (len(blocks()), len(blocks(2))) == (15, 4)
