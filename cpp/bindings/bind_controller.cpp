@@ -113,7 +113,8 @@ py::tuple step_once(Controller& controller, const py::object& features, const py
       numbers_or_none<6>("twist", twist),
       {numbers_or_none<6>("leg_lengths", leg_lengths), numbers_or_none<6>("leg_rates", leg_rates)}};
   const ControllerOutput out = controller.step(input);
-  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.status, out.saturated, out.leg_positions);
+  return py::make_tuple(out.wrench, out.leg_forces, out.fuzzy_output, out.status, out.saturated, out.leg_positions,
+                        Vector3<double>(out.latency.estimate, out.latency.least, out.latency.most));
 }
 
 }  // namespace
@@ -133,7 +134,7 @@ void bind_controller(py::module_& m) {
            py::arg("twist"), py::arg("leg_lengths") = py::none(), py::arg("leg_rates") = py::none(),
            py::arg("exposure") = 0.0, py::arg("now") = 0.0,
            "One tick: wrench (6,), leg forces (6,), fuzzy output (6,), status of the input, whether it is saturated, "
-           "leg positions (6,).")
+           "leg positions (6,), latency (3,): estimate, shortest, longest.")
       .def("reset", &Controller::reset, "Back to the state before the first tick.")
       .def(
           "state",

@@ -41,6 +41,8 @@ py::dict recorded_ticks(const Settings& settings) {
   put("status", 1, [](T t) { return One(static_cast<double>(static_cast<int>(t.output.status))); });
   put("saturated", 1, [](T t) { return One(t.output.saturated ? 1.0 : 0.0); });
   put("leg_positions", 6, [](T t) { return t.output.leg_positions; });
+  put("latency", 3,
+      [](T t) { return Vector3<double>(t.output.latency.estimate, t.output.latency.least, t.output.latency.most); });
   return columns;
 }
 

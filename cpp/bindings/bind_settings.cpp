@@ -115,7 +115,7 @@ void bind_traits(py::module_& m) {
       .def_property_readonly(
           "type", [](const T& t) { return text(t.type); }, "its name in C++")
       .def_property_readonly(
-          "output", [](const T& t) { return text(name_of(t.output)); }, "wrench or twist")
+          "output", [](const T& t) { return text(name_of(t.output)); }, "wrench, twist or pose")
       .def_property_readonly(
           "parts",
           [](const T& t) {

@@ -258,6 +258,7 @@ typedef struct hexservo_output {
   int saturated;                /**< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set, or
                                      the legs cannot move as the law would where `actuators.kind` is position */
   double leg_positions[6];      /**< what each leg shall go to where `actuators.kind` is position [m]; otherwise NaN */
+  double latency[3]; /**< where `camera.latency_known` is false: as found, shortest, longest [s]; otherwise NaN */
 } hexservo_output;
 
 /** An input of which nothing is known. */

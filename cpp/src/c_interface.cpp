@@ -656,6 +656,7 @@ void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hex
   put(out.leg_forces, output->leg_forces);
   put(out.fuzzy_output, output->fuzzy_output);
   put(out.leg_positions, output->leg_positions);
+  put(Vector3<double>(out.latency.estimate, out.latency.least, out.latency.most), output->latency);
   output->status = status_of(out.status);
   output->saturated = out.saturated ? 1 : 0;
 }

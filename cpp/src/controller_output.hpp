@@ -16,10 +16,13 @@ InputStatus status_of(const Perceived<double, N>& seen, bool acts) noexcept {
 }
 
 template <class Law, int N>
-ControllerOutput output_of(const ServoTick<double, Law>& tick, const SafetyState<double, N>& state) noexcept {
-  return {tick.command.wrench,    tick.command.leg_forces,
-          tick.law.fuzzy_output,  status_of(state.perception.now(), tick.command.acts),
-          tick.command.saturated, state.motion.legs};
+ControllerOutput output_of(const ServoTick<double, Law>& tick, const ServoState<double, Law, N>& state) noexcept {
+  ControllerOutput out{tick.command.wrench,    tick.command.leg_forces,
+                       tick.law.fuzzy_output,  status_of(state.perception.now(), tick.command.acts),
+                       tick.command.saturated, state.motion.legs};
+  if constexpr (kTracks<Law>)
+    if (!state.tracking.stamped) out.latency = state.tracking.latency_range;
+  return out;
 }
 
 }  // namespace hexservo::detail

@@ -209,6 +209,7 @@ void require_an_image(const CameraSettings& camera, const FrameSettings<double>&
 FrameSettings<double> frame_settings(const CameraSettings& camera, double period) {
   FrameSettings<double> frames;
   static_cast<FrameFaults<double>&>(frames) = camera;
+  frames.stamped = camera.latency_known;
   frames.period = camera.period == 0.0 ? 1 : ticks("camera.period", camera.period, period, 1);
   frames.latency = ticks("camera.latency", camera.latency, period, 0);
   frames.jitter = ticks("camera.latency_jitter", camera.latency_jitter, period, 0);
@@ -264,6 +265,34 @@ void require_keys_with_effect(const Settings& settings) {
   if (settings.camera.convention == CameraConvention::as_printed)
     refuse("camera.convention", "eye_in_hand where actuators.kind is position: the image follows from the pose",
            "as_printed");
+}
+
+/// That a scenario has what a law that tracks needs; to find the latency of a camera is for such a law alone.
+template <class Law>
+void require_tracking(const Settings& settings) {
+  const CameraSettings& camera = settings.camera;
+  const bool sampled = settings.simulation.mode == LoopMode::sampled;
+  const std::string law = words("with the law ", Law::traits.name);
+  if constexpr (!kTracks<Law>) {
+    if (sampled && !camera.latency_known)
+      refuse("camera.latency_known", words("true ", law, ": the law tracking alone finds the latency"), "false");
+  } else {
+    if (!sampled)
+      refuse("simulation.mode", words("sampled ", law, ", which lives on frames and their exposures"), "continuous");
+    if (settings.actuators.kind != ActuatorKind::position)
+      refuse("actuators.kind", words("position ", law, ", which gives where the legs shall go and no forces"), "force");
+    if (camera.mount.on == MountedOn::base)
+      refuse("camera.mount.on", words("platform ", law, ", which looks for a target beside the machine"), "base");
+    if (camera.prediction != Prediction::none)
+      refuse("camera.prediction", words("none ", law, ", which predicts the target itself"), "encoder");
+    if (camera.on_lost == LostFeature::predict)
+      refuse("camera.on_lost", words("hold or stop ", law, ", which takes frames that show every point"), "predict");
+    if (settings.controller.virtual_platform.damping != Vector6<double>::Zero())
+      refuse("controller.virtual_platform.damping", words("0 ", law, ", whose reference has no mass"), "other numbers");
+    if (!camera.latency_known && camera.latency + camera.latency_jitter > kMaxLatency)
+      refuse("camera.latency", words("at most ", kMaxLatency, " s, with latency_jitter, where latency_known is false"),
+             words(camera.latency + camera.latency_jitter));
+  }
 }
 
 /// The same of the law's keys, and that there is a motion which its wrench stands for.
@@ -620,6 +649,7 @@ template <class Law, int N>
 LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const Hexapod<double>* legs) {
   static_assert(Law::traits.memory() == kHasFuzzySystems<Law>);
   const std::string block = words("controller.", Law::traits.name);
+  require_tracking<Law>(settings);
   LoopParameters<double, Law, N> p{scene_parameters<N>(settings, legs), {}};
   const GainsOf<Law>& gains = settings.gains<Law>();
   p.gains = gains_in_places<N, typename Law::template Gains<double, N>>(block + ".", gains, p.weights, p.points);

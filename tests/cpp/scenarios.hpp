@@ -15,6 +15,10 @@ Settings paper_settings() {
   settings.uncertainty.inertia.setConstant(0.075);
   settings.uncertainty.coriolis.setConstant(0.125);
   settings.uncertainty.depth.setConstant(0.3);
+  if constexpr (Law::traits.output == LawOutput::pose) {  // of no other machine
+    settings.simulation.mode = LoopMode::sampled;
+    settings.actuators.kind = ActuatorKind::position;
+  }
   return settings;
 }
 

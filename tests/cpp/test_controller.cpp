@@ -264,6 +264,7 @@ TEST_CASE("NaN or infinity in any entry gives the safe output, by the last valid
 
 TEST_CASE("every law: NaN or infinity in any entry gives the safe output, and good input a finite one") {
   Laws::for_each([]<class Law>(std::type_identity<Law>) {
+    if constexpr (Law::traits.output == LawOutput::pose) return;  // whose legs stop and stay
     CAPTURE(Law::traits.name);
     const ControllerGains<Law> gains = controller_gains<Law>(paper_settings<Law>(), kPeriod);
     Random random(80);
@@ -455,8 +456,8 @@ TEST_CASE("no law allocates in a tick, valid or not") {
     inputs[13].twist(4) = kNaN;
     constexpr std::size_t kRounds = kTicks / 16 / 64;  // all 64 inputs each: the number of ticks need not be
     std::size_t invalid = 0;
+    ControllerState<Law> state = initial_state(gains);  // which takes the memory that a law needs
     const long long before = allocations;
-    ControllerState<Law> state = initial_state(gains);
     for (std::size_t i = 0; i < kRounds * 64; ++i)
       invalid += step(gains, state, inputs[i % 64]).invalid_input() ? 1U : 0U;
     CHECK(allocations - before == 0);

@@ -299,6 +299,7 @@ TEST_CASE("the parts that a law reports sum to its wrench, and those that it doe
   Random random(83);
   CAPTURE(random.seed());
   Laws::for_each([&]<class Law>(std::type_identity<Law>) {
+    if constexpr (Law::traits.output == LawOutput::pose) return;  // there is no wrench of an instant
     CAPTURE(Law::traits.name);
     const Settings settings = paper_settings<Law>();
     const Probe probe(settings);

@@ -20,6 +20,7 @@ from hexservo.bridges.model_description import si_exponents
 from hexservo.cli.commands import app
 from hexservo.run.variant import load_kernel
 from hexservo.scenario.flat import flat_text
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
@@ -143,7 +144,7 @@ def test_fmpy_finds_no_problem(make: Any, fmi: int, what: str, name: str) -> Non
     assert fmpy.validation.validate_fmu(str(made.path)) == []
 
 
-@pytest.mark.parametrize("law", _core.LAW_TRAITS)
+@pytest.mark.parametrize("law", LAWS)
 def test_every_law_is_a_valid_unit_that_starts(make: Any, law: str) -> None:
     made = make(hs.load_scenario("paper").updated({"controller.law": law}), 3)
     assert fmpy.validation.validate_fmu(str(made.path)) == []

@@ -334,7 +334,7 @@ def test_check_lists_every_problem(tmp_path: Path) -> None:
     assert run.errors[0].startswith(f"Error: {file}: robot.mass: expected a number > 0, got -1")
     assert run.errors[1].startswith(
         f'Error: {file}: controller.law: expected one of "hybrid", "composite", "kelly", "resolved_rate", "pbvs", '
-        '"computed_torque", got "hybird"'
+        '"computed_torque", "tracking", got "hybird"'
     )
 
 

@@ -22,7 +22,7 @@ from hexservo.draw.style import our_style
 from hexservo.run import compare
 from hexservo.run.comparison import COLUMNS
 from hexservo.run.files import MARKER
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS, LAWS
 
 SHORT = {"simulation.duration": 0.3, "controller.switching.kind": "tanh"}  # smooth: a lane agrees with a single run
 
@@ -185,7 +185,7 @@ def test_progress_counts_runs() -> None:
         ),
         (["paper"], [], "laws: expected at least one, each once, got none"),
         (["paper"], ["hybrid", "hybrid"], "got hybrid, hybrid"),
-        (["paper"], ["pid"], f"laws: expected some of {', '.join(LAWS)}, got 'pid'"),
+        (["paper"], ["pid"], f"laws: expected some of {', '.join(ALL_LAWS)}, got 'pid'"),
         (["papers"], None, 'did you mean "paper"?'),
     ],
 )

@@ -34,7 +34,15 @@ GIVEN = {
     "leg_lengths": 6,
     "leg_rates": 6,
 }
-ANSWERED = {"wrench": 6, "leg_forces": 6, "fuzzy_output": 6, "status": 1, "saturated": 1, "leg_positions": 6}
+ANSWERED = {
+    "wrench": 6,
+    "leg_forces": 6,
+    "fuzzy_output": 6,
+    "status": 1,
+    "saturated": 1,
+    "leg_positions": 6,
+    "latency": 3,
+}
 POSITIONS = {
     "actuators.kind": "position",
     "actuators.delay": 0.002,
@@ -67,13 +75,15 @@ int replay(const hexservo::ServoGains<double, Law, N>& gains) {
     take(input.joints.lengths);
     take(input.joints.rates);
     const hexservo::ControllerOutput out = hexservo::step(gains, state, input);
-    double answer[26];
+    double answer[29];
     std::copy_n(out.wrench.data(), 6, answer);
     std::copy_n(out.leg_forces.data(), 6, answer + 6);
     std::copy_n(out.fuzzy_output.data(), 6, answer + 12);
     answer[18] = static_cast<int>(out.status);
     answer[19] = out.saturated;
     std::copy_n(out.leg_positions.data(), 6, answer + 20);
+    const double latency[3] = {out.latency.estimate, out.latency.least, out.latency.most};
+    std::copy_n(latency, 3, answer + 26);
     std::fwrite(answer, sizeof answer, 1, stdout);
   }
   return 0;
@@ -97,6 +107,15 @@ def sampled_scenarios() -> Iterator[hs.Scenario]:
     for law in LAWS:
         changes = {"name": f"positions-{law}", "controller.law": law, "simulation.duration": 0.5, **POSITIONS}
         yield hs.load_scenario("composite-30hz").updated({**changes, "metrics.rms_start": 0.0})
+    for known in (True, False):
+        changes = {
+            "name": f"tracking-{known}",
+            "controller.law": "tracking",
+            "camera.latency_known": known,
+            **POSITIONS,
+        }
+        changes |= {"camera.prediction": "none", "simulation.duration": 1.0, "metrics.rms_start": 0.0}
+        yield hs.load_scenario("composite-30hz").updated(changes)
     for count in (3, 5, 8, 16):
         for law in LAWS:
             if count > 3 or law != "pbvs":

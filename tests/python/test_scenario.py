@@ -214,7 +214,8 @@ REFUSED: list[tuple[str, Any, str]] = [
     (
         "controller.law",
         "pid",
-        'expected one of "hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque", got "pid"',
+        'expected one of "hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque", '
+        '"tracking", got "pid"',
     ),
     ("controller.resolved_rate.jacobian_at", "goal", 'expected one of "current", "desired", "mean", got "goal"'),
     ("controller.resolved_rate.adaptive", 1, "expected true or false, got 1"),

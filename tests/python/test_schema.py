@@ -14,7 +14,7 @@ from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.keys import leaves
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.rules import ArrayRule, Choice, Flag, Inertia, Integer, Number, Rule, TableRule, TrueOr
 from hexservo.scenario.schema import schema
 
@@ -30,7 +30,7 @@ OF_PYTHON = {
     "target.desired_pose",
     "target.tag",
     "target.grid",
-    *(f"controller.{law}.auto.{key}" for law in LAWS for key in ("bandwidth", "damping")),
+    *(f"controller.{law}.auto.{key}" for law in ALL_LAWS for key in ("bandwidth", "damping")),
 }
 FIELDS: dict[str, tuple[FieldInfo, bool]] = {path: (field, sampled) for path, field, sampled in leaves(Blocks)}
 ENTRIES: dict[str, dict[str, Any]] = {entry["key"]: entry for entry in schema()}
@@ -42,7 +42,7 @@ def rule_of(key: str) -> Rule:
 
 def test_the_blocks_have_the_keys_of_the_core() -> None:
     assert set(FIELDS) - OF_PYTHON == set(ENTRIES)
-    assert set(LAWS) == set(_core.LAW_TRAITS)
+    assert set(ALL_LAWS) == set(_core.LAW_TRAITS)
 
 
 @pytest.mark.parametrize("key", ENTRIES)
@@ -90,7 +90,7 @@ def test_a_key_has_the_same_default(key: str) -> None:
     field, default = FIELDS[key][0], ENTRIES[key]["default"]
     if key.startswith(("target.", "robot.")) and key != "robot.on_limit":
         return  # a target has no default, a robot those of its preset
-    law = next((law for law in LAWS if key.startswith(f"controller.{law}.")), None)
+    law = next((law for law in ALL_LAWS if key.startswith(f"controller.{law}.")), None)
     value: Any = Blocks.model_fields["controller"].get_default(call_default_factory=True)
     if key.startswith("controller."):  # the block around it may change its defaults
         for name in key.split(".")[1:]:

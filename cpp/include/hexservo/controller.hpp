@@ -30,7 +30,8 @@ using ControllerState = ServoState<double, Law, N>;
 template <int N>
 struct CameraFrameOf {
   /// When it was exposed, by the clock of `ControllerInput::now` [s]; NaN: no frame arrived since the last tick. Of two
-  /// frames the one that was exposed later counts, whichever arrives first.
+  /// frames the one that was exposed later counts, whichever arrives first. Where `camera.latency_known` is false: when
+  /// it arrived, or any other time that lies the same unknown time after its exposure.
   double exposure = std::numeric_limits<double>::quiet_NaN();
   /// Measured pixels of the points as the scenario's camera counts them, NaN for a point that the frame does not show,
   /// and depths Z-hat at the exposure, negative in front of the camera [m]. The tick rectifies them. Places behind the
@@ -69,6 +70,8 @@ enum class InputStatus {
   lost_feature    ///< the newest frame does not show every point, and `camera.on_lost` is `stop`
 };
 
+inline constexpr double kUnknownTime = std::numeric_limits<double>::quiet_NaN();
+
 /// What a tick gives back.
 struct ControllerOutput {
   Vector6<double> wrench;        ///< tau, about E's origin, in B [N; N m]
@@ -83,6 +86,9 @@ struct ControllerOutput {
   /// before the joints have been known once, and for machines that take forces. Wrench and leg forces are then what the
   /// estimated platform needs to move so, and `saturated` is set where the legs cannot move as the law would.
   Vector6<double> leg_positions;
+  /// Where `camera.latency_known` is false: what the latency was found to be, and the shortest and the longest that it
+  /// may be [s]; NaN where frames carry their exposure.
+  LatencyRange<double> latency = {kUnknownTime, kUnknownTime, kUnknownTime};
 
   bool invalid_input() const noexcept { return status != InputStatus::valid; }
 };

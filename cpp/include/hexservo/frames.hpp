@@ -63,6 +63,7 @@ struct FrameSettings : FrameFaults<S> {
   long long jitter = 0;   ///< most that the latency of a frame is longer, each of 0 ... jitter being as likely [ticks]
   S timeout = S(std::numeric_limits<double>::infinity());  ///< oldest image of a point that is used [ticks]
   Vector2<S> image_centre = Vector2<S>::Zero();            ///< middle of the image, as its pixels are counted [px]
+  bool stamped = true;  ///< frames carry their exposure; otherwise the tick of their arrival stands for it
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -72,6 +73,7 @@ struct FrameSettings : FrameFaults<S> {
     v(Field{"jitter"}, self.jitter...);
     v(Field{"timeout"}, self.timeout...);
     v(Field{"image_centre"}, self.image_centre...);
+    v(Field{"stamped"}, self.stamped...);
   }
 };
 
@@ -144,13 +146,14 @@ class Frames {
       const Exposed& frame = ring_[static_cast<std::size_t>(i % static_cast<long long>(ring_.size()))];
       if (frame.tick + settings_.latency > tick) break;
       const Mask<S> due = frame.due == now;
+      const S stamp(static_cast<double>(settings_.stamped ? frame.tick : tick));
       if (all(due)) {
         out.image = frame.image;
-        out.exposure = S(static_cast<double>(frame.tick));
+        out.exposure = stamp;
       } else if (any(due)) {
         out.image.features = select(due, frame.image.features, out.image.features);
         out.image.depth = select(due, frame.image.depth, out.image.depth);
-        out.exposure = select(due, S(static_cast<double>(frame.tick)), out.exposure);
+        out.exposure = select(due, stamp, out.exposure);
       }
       if (i == pending_ && frame.tick + settings_.latency + settings_.jitter <= tick) ++pending_;
     }

@@ -21,12 +21,10 @@
 
 namespace hexservo {
 
-/// What the virtual platform sees. It starts, at rest, where the joints are known for the first time.
+/// A commanded motion starts, at rest, where the joints are known for the first time.
 template <class S, int N>
-[[gnu::noinline, gnu::cold]] void see_from_command(const SafetyGains<S, N>& gains, SafetyState<S, N>& state) noexcept {
+void begin_motion(const SafetyGains<S, N>& gains, const Perceived<S, N>& seen, CommandedMotion<S>& motion) noexcept {
   using std::sqrt;
-  const Perceived<S, N>& seen = state.perception.now();
-  CommandedMotion<S>& motion = state.motion;
   const Mask<S> starts = seen.joints & (!motion.begun);
   if (any(starts)) {
     motion.pose.position = select(starts, seen.pose.position, motion.pose.position);
@@ -36,6 +34,14 @@ template <class S, int N>
     motion.legs = select(starts, legs.lengths.vector(), motion.legs);
     motion.begun = motion.begun | starts;
   }
+}
+
+/// What the virtual platform sees.
+template <class S, int N>
+[[gnu::noinline, gnu::cold]] void see_from_command(const SafetyGains<S, N>& gains, SafetyState<S, N>& state) noexcept {
+  const Perceived<S, N>& seen = state.perception.now();
+  CommandedMotion<S>& motion = state.motion;
+  begin_motion(gains, seen, motion);
   Perceived<S, N>& carried = state.carried;
   carried = seen;
   carried.pose = motion.pose;

@@ -127,6 +127,11 @@ class PoseHistory {
     return pose;
   }
 
+  /// The earliest tick that is kept; there has to be one.
+  double oldest() const noexcept {
+    return entries_[place(count_ > entries_.size() ? count_ - entries_.size() : 0)].tick;
+  }
+
   /// Calls `f` with each member that is kept from tick to tick, always in the same order.
   template <class F>
   void for_each_member(F&& f) {

@@ -5,6 +5,7 @@
 
 #include "hexservo/loop_parameters.hpp"
 #include "hexservo/motion_command.hpp"
+#include "hexservo/target_tracking.hpp"
 
 #include <array>
 
@@ -16,20 +17,24 @@ struct ServoGains : SafetyGains<S, N> {
   ControlTask<S, N> task;
   typename Law::template Constants<S, N> law;
   typename Law::template State<S> initial_law_state;
+  [[no_unique_address]] TrackingPlanOf<S, Law, N> tracking{};
 };
 
 /// What changes from tick to tick.
 template <class S, class Law, int N = kPoints>
 struct ServoState : SafetyState<S, N> {
-  explicit ServoState(const ServoGains<S, Law, N>& gains) : SafetyState<S, N>(gains), law(gains.initial_law_state) {}
+  explicit ServoState(const ServoGains<S, Law, N>& gains)
+      : SafetyState<S, N>(gains), law(gains.initial_law_state), tracking(gains.tracking) {}
 
   typename Law::template State<S> law;
+  [[no_unique_address]] TrackingStateOf<S, Law> tracking;
 
   /// Calls `f` with each member, always in the same order.
   template <class F>
   void for_each_member(F&& f) {
     SafetyState<S, N>::for_each_member(f);
     f(law);
+    tracking.for_each_member(f);
   }
 };
 
@@ -69,8 +74,13 @@ SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
 /// The controller of a scenario.
 template <class S, class Law, int N>
 ServoGains<S, Law, N> servo_gains(const LoopParameters<S, Law, N>& p) {
-  return {safety_gains(p), control_task(p), typename Law::template Constants<S, N>(p.gains),
-          Law::initial_state(p.gains)};
+  ServoGains<S, Law, N> gains{safety_gains(p),
+                              control_task(p),
+                              typename Law::template Constants<S, N>(p.gains),
+                              Law::initial_state(p.gains),
+                              {}};
+  if constexpr (kTracks<Law>) gains.tracking = tracking_plan(p, gains.task);
+  return gains;
 }
 
 /// Takes over what the sensors gave, evaluates the law, and decides on a command.
@@ -78,6 +88,11 @@ template <class S, class Law, int N>
 void evaluate(const ServoGains<S, Law, N>& gains, ServoState<S, Law, N>& state, const SensorInput<S, N>& input,
               ServoTick<S, Law>& tick) noexcept {
   state.perception.update(gains, input);
+  if constexpr (kTracks<Law>) {
+    track(gains, gains.task, gains.tracking, input, state, state.tracking, tick.command);
+    tick.law.wrench = tick.command.wrench;
+    return;
+  }
   if (gains.motion.acts) [[unlikely]]
     see_from_command(gains, state);
   const Perceived<S, N>& seen = gains.motion.acts ? state.carried : state.perception.now();

@@ -93,6 +93,7 @@ struct CameraSettings : Camera, FrameFaults<double> {
   double period = 0.0;                                       ///< between two exposures [s]; 0: the servo period
   double latency = 0.0;                                      ///< from exposure to first use [s], 0
   double latency_jitter = 0.0;                               ///< most that the latency of a frame is longer [s], 0
+  bool latency_known = true;                                 ///< frames carry their exposure; else their arrival
   double timeout = std::numeric_limits<double>::infinity();  ///< oldest image that is used, by its exposure [s]
 
   template <class V, class... Self>
@@ -102,6 +103,7 @@ struct CameraSettings : Camera, FrameFaults<double> {
     v(Field{"period", "s", kPositiveOrZero}.of_pack().in_sampled_mode(), self.period...);
     v(Field{"latency", "s", kNotNegative}.of_pack().in_sampled_mode(), self.latency...);
     v(Field{"latency_jitter", "s", kNotNegative}.of_pack().in_sampled_mode(), self.latency_jitter...);
+    v(Field{"latency_known"}.of_pack().in_sampled_mode(), self.latency_known...);
     v(Field{"timeout", "s", kPositiveOrNone}.in_sampled_mode(), self.timeout...);
     FrameFaults<double>::visit(v, self...);
   }

@@ -15,7 +15,7 @@ from hexservo.findings.check_gains import of_gains
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
-from hexservo.scenario.laws import LAWS, Controller, laws_with
+from hexservo.scenario.laws import ALL_LAWS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
 from hexservo.scenario.pixels import on_pinhole, points_outside
 from hexservo.scenario.scenario import Scenario
@@ -236,10 +236,10 @@ def _of_motion(block: str, keys: str, kind: str) -> _Condition:
 
 
 _CONDITIONS = (
-    *map(_of_law, LAWS),
+    *map(_of_law, ALL_LAWS),
     *map(_of_fuzzy, laws_with("memory")),
-    *(condition for law in LAWS for condition in _of_auto(law)),
-    *(_of_adaptive_gain(law) for law in LAWS if hasattr(getattr(Controller(), law), "adaptive")),
+    *(condition for law in ALL_LAWS for condition in _of_auto(law)),
+    *(_of_adaptive_gain(law) for law in ALL_LAWS if hasattr(getattr(Controller(), law), "adaptive")),
     _Condition(("controller.switching.kind",), _switches, f"only with the laws {' and '.join(laws_with('switching'))}"),
     _Condition(("controller.switching.width",), _has_slope, "only where the switching term is tanh or saturation"),
     _Condition(

@@ -17,7 +17,7 @@ from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.result import Result
 from hexservo.run.shared import shared_by, variations_of
 from hexservo.run.simulation import simulate
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.scenario import Scenario, load_scenario
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
@@ -107,8 +107,8 @@ def _checked_laws(laws: Sequence[str] | None) -> tuple[str, ...]:
     if isinstance(laws, str):
         raise TypeError("laws: expected a sequence of names, got text")
     for law in laws:
-        if law not in LAWS:
-            raise ValueError(f"laws: expected some of {', '.join(LAWS)}, got {law!r}")
+        if law not in ALL_LAWS:
+            raise ValueError(f"laws: expected some of {', '.join(ALL_LAWS)}, got {law!r}")
     if not laws or len(set(laws)) < len(laws):
         raise ValueError(f"laws: expected at least one, each once, got {', '.join(laws) or 'none'}")
     return tuple(laws)
@@ -120,7 +120,7 @@ def _checked_controllers(controllers: Mapping[str, OwnController] | None) -> dic
     if not isinstance(controllers, Mapping):
         raise wrong_type("controllers", "a mapping of names to functions", controllers)
     for name, function in controllers.items():
-        if not str(name).strip() or not str(name).isprintable() or name in LAWS:
+        if not str(name).strip() or not str(name).isprintable() or name in ALL_LAWS:
             raise ValueError(f"controllers: expected names that are text and not names of laws, got {name!r}")
         if not callable(function):
             raise wrong_type(f"controllers: {name}", "a function", function)

@@ -40,6 +40,9 @@ class ControllerOutput(NamedTuple):
     """(6,), where ``actuators.kind`` is ``position``: what each leg shall go to, lengths [m] or angles of cranks [rad].
     NaN before the joints have been known once, and where drives take forces. `wrench` and `leg_forces` are then what
     the estimated platform needs to move so."""
+    latency: Array
+    """(3,), where ``camera.latency_known`` is false: what the latency was found to be, the shortest and the longest
+    that it may be [s]. NaN where frames carry their exposure."""
 
 
 class Controller:
@@ -143,7 +146,8 @@ class Controller:
         twist
             (6,), velocity of E's origin and angular velocity, in B [m/s; rad/s]. Likewise.
         exposure
-            Time at which the frame was exposed [s]; of two frames the one exposed later counts. None: `now`.
+            Time at which the frame was exposed [s]; of two frames the one exposed later counts. None: `now`. Where
+            ``camera.latency_known`` is false: when it arrived.
         now
             Time of the tick [s]; never less than before. None: a period after the last tick, the first one at 0.
         leg_lengths
@@ -159,7 +163,7 @@ class Controller:
         """
         time = self._next if now is None else now
         exposed = np.nan if features is None else time if exposure is None else exposure
-        wrench, leg_forces, fuzzy_output, status, saturated, leg_positions = self._core.step(
+        wrench, leg_forces, fuzzy_output, status, saturated, leg_positions, latency = self._core.step(
             features, depth, position, quaternion, twist, leg_lengths, leg_rates, exposed, time
         )
         if np.isfinite(time):
@@ -172,6 +176,7 @@ class Controller:
             cast("InputStatus", status.name),
             saturated,
             leg_positions,
+            latency,
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import auto_of, fitted_keys
 from hexservo.scenario.keys import acting_keys
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.scenario import Scenario
 
 __all__ = []
@@ -45,7 +45,7 @@ def shared_by(scenario: Scenario) -> dict[str, Any]:
     mapping = scenario.to_mapping()
     shared = {key: value for key, value in mapping.items() if key not in ("name", "description")}
     controller = shared["controller"] = dict(shared["controller"])
-    for law in LAWS:
+    for law in ALL_LAWS:
         if law != scenario.controller.law:
             controller.pop(law, None)
     law = scenario.controller.law

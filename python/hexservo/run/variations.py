@@ -20,7 +20,7 @@ from hexservo.scenario.fitted import (
     machine_with,
 )
 from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, numeric_keys, sampled_keys, without_effect
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
@@ -100,7 +100,7 @@ def known_key(key: object, law: str, points: int = 4) -> NumericKey:
     known = numeric_keys(law, points)
     if isinstance(key, str) and key in known:
         return known[key]
-    if any(key in numeric_keys(other) for other in LAWS):
+    if any(key in numeric_keys(other) for other in ALL_LAWS):
         raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got a key of a different law")
     nearest = difflib.get_close_matches(key.lower(), list(known), 1) if isinstance(key, str) else []
     hint = f'; did you mean "{nearest[0]}"?' if nearest else ""

@@ -223,6 +223,8 @@ class Camera(Block):
     period: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
     latency: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [s], from an exposure to its first use
     latency_jitter: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [s], most that the latency of a frame is longer
+    # frames carry their exposure; false: their arrival, and the law finds how late that is
+    latency_known: Annotated[bool, Flag(), SAMPLED] = True
     # [s], since its exposure: an older image is not used, and the wrench holds the platform; null: any is used
     timeout: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
     noise: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [px], standard deviation of each coordinate

@@ -18,7 +18,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.keys import sampled_keys
-from hexservo.scenario.laws import LAWS, Auto
+from hexservo.scenario.laws import ALL_LAWS, LAWS, Auto
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.placing import read_target
 from hexservo.scenario.plain import plain, put
@@ -50,6 +50,7 @@ _FRICTION = np.repeat([7.3e-4, 7.3e-5], 3)  # K_v over the wrench of one radian
 _ERROR_SCALE = 13.7  # a times that wrench
 _RATE_SCALE = np.repeat([131.0, 66.0], 3)  # b times that wrench and omega
 _SPRING = np.repeat([0.0184, 0.0727], 3)  # 1/Psi over the stiffness of the image
+_AGILITY, _SPEED = 1.0, 0.4  # tracking: the target's acceleration and speed, in distances and in rad, per s^2 and s
 
 _SURE = 1e6  # weight of the pose sensors where the pose is known [px^2/m^2; px^2/rad^2]
 _SAME = 1e-9  # relative difference of gains that are equal but for rounding
@@ -160,7 +161,7 @@ def fitted_gains(law: str, machine: Machine, bandwidth: ArrayLike, damping: Arra
     Parameters
     ----------
     law
-        One of `LAWS`.
+        One of `ALL_LAWS`.
     machine
         From `machine_of`.
     bandwidth, damping
@@ -234,6 +235,11 @@ def _computed_torque(machine: Machine, omega: Array, zeta: Array) -> dict[str, A
     return {"kp": omega**2 * six, "kd": 2.0 * zeta * omega * six, "prior": _prior(machine, omega)}
 
 
+def _tracking(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
+    far = machine.distance * np.ones_like(omega)  # zeta has no effect: the motion is critically damped
+    return {"bandwidth": (omega / (2.0 * np.pi))[..., 0], "acceleration": _AGILITY * far, "speed": _SPEED * far}
+
+
 _FORMULAS: dict[str, Callable[[Machine, Array, Array], dict[str, Array]]] = {
     "hybrid": _hybrid,
     "composite": _composite,
@@ -241,6 +247,7 @@ _FORMULAS: dict[str, Callable[[Machine, Array, Array], dict[str, Array]]] = {
     "resolved_rate": _resolved_rate,
     "pbvs": _pbvs,
     "computed_torque": _computed_torque,
+    "tracking": _tracking,
 }
 
 _FUZZY = ("fuzzy.adaptation", "fuzzy.error_scale", "fuzzy.rate_scale")
@@ -251,6 +258,7 @@ _KEYS = {
     "resolved_rate": ("gain", "gain_far", "gain_slope", "ki"),
     "pbvs": ("kp", "kd", "prior"),
     "computed_torque": ("kp", "kd", "prior"),
+    "tracking": ("bandwidth", "acceleration", "speed"),
 }
 
 
@@ -281,7 +289,7 @@ def with_fitted_gains(data: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(controller, dict):
         return data
     law = controller.get("law", LAWS[0])
-    block = controller.get(law) if law in LAWS else None
+    block = controller.get(law) if law in ALL_LAWS else None
     if not isinstance(block, dict) or not isinstance(block.get("auto"), dict):
         return data
     try:
@@ -327,7 +335,7 @@ def chosen_keys(scenario: Blocks) -> tuple[str, ...]:
 
 def without_fitted_gains(scenario: Blocks, keys: dict[str, Any]) -> None:
     """Take out of a scenario's plain data (changed in place) all gains that follow: by `auto`, or as defaults."""
-    for law in LAWS:
+    for law in ALL_LAWS:
         follow, own = _follow(scenario, law), getattr(scenario.controller, law)
         for path in fitted_keys(law):
             if _same(_at(own, path), follow[path]):

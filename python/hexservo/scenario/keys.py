@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from hexservo.scenario.arrays import Mask
 from hexservo.scenario.block import SAMPLED, SAMPLED_MODE
 from hexservo.scenario.blocks import Blocks
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.rules import ArrayRule, Inertia, Integer, Number, PointsRule, Rule, TableRule
 
 __all__ = [
@@ -79,7 +79,7 @@ def numeric_keys(law: str, points: int = 4) -> dict[str, NumericKey]:
     many points.
     """
     keys = {}
-    others = tuple(f"controller.{name}." for name in LAWS if name != law)
+    others = tuple(f"controller.{name}." for name in ALL_LAWS if name != law)
     for path, rule in rules(Blocks):
         if path.startswith(others):
             continue

@@ -24,6 +24,7 @@ from hexservo.scenario.rules import (
 )
 
 __all__ = [
+    "ALL_LAWS",
     "GENERAL_LAW",
     "LAWS",
     "THEOREM_LAW",
@@ -37,15 +38,19 @@ __all__ = [
     "Pbvs",
     "ResolvedRate",
     "Switching",
+    "Tracking",
     "laws_with",
 ]
 
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
 JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
-LAWS: tuple[str, ...] = tuple(_core.LAW_TRAITS)
+ALL_LAWS: tuple[str, ...] = tuple(_core.LAW_TRAITS)
+# of any machine; the others give where legs shall go, and so need a machine that takes positions
+LAWS: tuple[str, ...] = tuple(law for law, traits in _core.LAW_TRAITS.items() if traits.output != "pose")
 GENERAL_LAW = "composite"  # what a new machine begins with: it integrates, and its prior bounds the drift
 THEOREM_LAW = next(law for law, traits in _core.LAW_TRAITS.items() if traits.theorem)  # the paper's
 SixNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)]
+SixPositive: TypeAlias = Annotated[float | Vector, ArrayRule((6,), POSITIVE, or_number=True)]
 TwoOfEachPoint: TypeAlias = Annotated[float | Vector, PointsRule((8,), NOT_NEGATIVE, or_number=True, each=2)]
 
 
@@ -238,10 +243,36 @@ class ComputedTorque(Block):
     prior: SixNotNegative = from_core("controller.computed_torque.prior")
 
 
+class Tracking(Block):
+    """Gains of the law that sends the legs where the target is seen as desired; docs/model.md section 5."""
+
+    auto: Auto = Field(default_factory=Auto)
+    # pose: the whole pose of the camera relative to the target; direction: the ray alone, from the place of home
+    follow: Annotated[Literal["pose", "direction"], Choice()] = from_core("controller.tracking.follow")
+    # of the motion towards the target [Hz]
+    bandwidth: PositiveNumber = from_core("controller.tracking.bandwidth")
+    # standard deviation of a measured coordinate, as the law assumes it [px]
+    noise: PositiveNumber = from_core("controller.tracking.noise")
+    # sigma_a of the target between two frames [m/s^2] x3, [rad/s^2] x3
+    acceleration: SixPositive = from_core("controller.tracking.acceleration")
+    # sigma_v of a target just seen [m/s] x3, [rad/s] x3
+    speed: SixPositive = from_core("controller.tracking.speed")
+    # standard deviations of what is expected, beyond which the target is somewhere else [1]
+    jump: PositiveNumber = from_core("controller.tracking.jump")
+    # standard deviations that a velocity has to be of, to count [1]
+    certainty: Annotated[float, NOT_NEGATIVE] = from_core("controller.tracking.certainty")
+    # share of the legs' lag that the command leads by [1]
+    lead: Annotated[float, NOT_NEGATIVE] = from_core("controller.tracking.lead")
+    # rate at which the command makes up for where the legs come to rest [1/s]
+    integral: Annotated[float, NOT_NEGATIVE] = from_core("controller.tracking.integral")
+    # of such a pose error that is left [m] x3, [rad] x3
+    band: SixPositive = from_core("controller.tracking.band")
+
+
 class Controller(Block):
     """The control law. Each law has a separate block, and only the selected one has an effect."""
 
-    law: Annotated[str, Choice(LAWS)] = LAWS[0]
+    law: Annotated[str, Choice(ALL_LAWS)] = LAWS[0]
     # consistent: the sign of the plant; printed: (8) as it stands
     jacobian: Annotated[Literal["consistent", "printed"], Choice()] = "consistent"
     switching: Switching = Field(default_factory=Switching)
@@ -253,6 +284,7 @@ class Controller(Block):
     resolved_rate: ResolvedRate = Field(default_factory=ResolvedRate)
     pbvs: Pbvs = Field(default_factory=Pbvs)
     computed_torque: ComputedTorque = Field(default_factory=ComputedTorque)
+    tracking: Tracking = Field(default_factory=Tracking)
 
     @property
     def gains(self) -> Any:

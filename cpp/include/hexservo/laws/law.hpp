@@ -111,7 +111,8 @@ Vector3<S> coupled_moment(const Matrix3<S>& I_B, const S& period, const Vector3<
 /// What a law commands.
 enum class LawOutput {
   wrench,  ///< forces and moments
-  twist    ///< a motion, which a loop around the law makes the platform follow
+  twist,   ///< a motion, which a loop around the law makes the platform follow
+  pose     ///< where the legs of a machine that takes positions shall go (target_tracking.hpp)
 };
 
 /// What the wrench of a law may be made of beside G, each with its sign: they and G sum to it.

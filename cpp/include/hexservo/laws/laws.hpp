@@ -9,6 +9,7 @@
 #include "hexservo/laws/list.hpp"
 #include "hexservo/laws/pbvs.hpp"
 #include "hexservo/laws/resolved_rate.hpp"
+#include "hexservo/laws/tracking.hpp"
 
 #include <array>
 #include <variant>

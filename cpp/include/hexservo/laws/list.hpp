@@ -9,7 +9,7 @@
 
 /// Applies a macro to the name of every law, in the order of `LawId`.
 #define HEXSERVO_FOR_EACH_LAW(apply) \
-  apply(Hybrid) apply(Composite) apply(Kelly) apply(ResolvedRate) apply(Pbvs) apply(ComputedTorque)
+  apply(Hybrid) apply(Composite) apply(Kelly) apply(ResolvedRate) apply(Pbvs) apply(ComputedTorque) apply(Tracking)
 
 namespace hexservo {
 

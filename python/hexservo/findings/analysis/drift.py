@@ -124,6 +124,8 @@ def _not_for(scenario: Scenario) -> str:
     law = scenario.controller.traits
     if scenario.target.count != _POINTS:
         return f"its patterns of depth errors are those of four points, and the target has {scenario.target.count}"
+    if law.output == "pose":
+        return "it sends the legs to a pose that it filters, whatever the depth errors"
     if not law.pose_error:
         return "it forms no pose error; for its image part under unequal depth errors see equilibria"
     return "" if law.inverse else "it estimates the pose by iteration from assumed target points"

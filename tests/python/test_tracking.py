@@ -1,0 +1,320 @@
+"""The law `tracking` and the latency that it finds (docs/model.md, section 5): closed forms and known motions."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.run import variant
+from hexservo.scenario.parameters import core_parameters
+
+Array = NDArray[np.float64]
+CENTRE = np.array([0.0437, 0.0, -0.15157])  # of the head's camera at home, in B [m]
+FACING = Rotation.from_rotvec([-1.2091996, -1.2091996, 1.2091996])
+DISTANCE, FOCAL, TICK = 0.6, 2001.8, 0.02
+
+
+def head(yaw: float, *, pitch: float = 0.0, turned: bool = True, gains: dict[str, Any] | None = None) -> hs.Scenario:
+    """Return the head on six cranks with drives of positions, and a target `yaw` and `pitch` [deg] aside.
+
+    The target is turned towards the camera, or stays parallel to its image, where the middle of its image is that of
+    its points.
+    """
+    base = hs.load_scenario("reachy-mini-head").to_mapping()
+    base["camera"] |= {"prediction": "none", "period": 0.06, "latency": 0.1, "noise": 2.0}
+    base["actuators"] = {"kind": "position", "position": {"bandwidth": 23.0, "damping": 1.88}}
+    base["simulation"] = {"mode": "sampled", "step": TICK, "substeps": 10, "duration": 2.0}
+    base["controller"] = {"law": "tracking", "tracking": {"follow": "direction", "noise": 2.0, **(gains or {})}}
+    base["sensors"]["resolution"] = 0.0
+
+    def tag(turn: Rotation) -> dict[str, Any]:
+        attitude = turn * FACING if turned else FACING
+        pose = [*(CENTRE + turn.apply([DISTANCE, 0.0, 0.0])), *attitude.as_rotvec()]
+        return {"size": 0.15, "pose": [float(number) for number in pose]}
+
+    base["target"] = {"tag": tag(Rotation.identity()), "desired_pose": [0.0] * 6}
+    ahead = np.asarray(hs.Scenario.from_mapping(base).target.desired_features).tolist()
+    turn = Rotation.from_euler("z", yaw, degrees=True) * Rotation.from_euler("y", pitch, degrees=True)
+    base["target"] = {"tag": tag(turn), "desired_features": ahead}
+    return hs.Scenario.from_mapping(base)
+
+
+def ticks_of(scenario: hs.Scenario) -> dict[str, Array]:
+    return _core.recorded_ticks(core_parameters(scenario))
+
+
+def rays(run: hs.Result) -> tuple[Array, Array]:
+    """Return where the camera is, and the directions that it looks in, (n, 3) in B."""
+    turn = Rotation.from_quat(run.quaternion[:, [1, 2, 3, 0]])
+    mount = [0.0437, 0.0, -0.0512]
+    return run.position + turn.apply(mount), turn.apply([1.0, 0.0, 0.0])
+
+
+def angle_to(run: hs.Result, target: Array) -> Array:
+    """Return how far the camera's ray misses a target (n, 3) about the vertical, (n,) [rad]; above 0: behind.
+
+    Seen from above the camera is before E's origin on its own ray: from both a target has the same direction.
+    """
+    _, ray = rays(run)
+    return np.asarray(np.arctan2(target[..., 1], target[..., 0]) - np.arctan2(ray[:, 1], ray[:, 0]))
+
+
+def still(yaw: float, pitch: float = 0.0) -> Array:
+    turn = Rotation.from_euler("z", yaw, degrees=True) * Rotation.from_euler("y", pitch, degrees=True)
+    return np.asarray(CENTRE + turn.apply([DISTANCE, 0.0, 0.0]))
+
+
+# ---- Latency --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.04, 0.1, 0.18, 0.24])
+@pytest.mark.parametrize("velocity", [0.0, 0.1])
+def test_a_step_of_25_degrees_tells_the_latency(latency: float, velocity: float) -> None:
+    """To 10 ms within a second of the motion, and the interval has the truth; the target may move at 10 deg/s."""
+    for seed in range(5):
+        scenario = head(25.0).updated({"camera.latency": latency, "camera.latency_known": False, "seed": seed})
+        if velocity:
+            motion = {"kind": "velocity", "velocity": [0.0, -velocity, 0.0]}
+            scenario = scenario.updated({"target.motion": motion})
+        found = ticks_of(scenario)["latency"]
+        first = round(latency / TICK) + 1
+        assert found[0].tolist() == [0.125, 0.0, 0.25]  # nothing has moved
+        late = found[first + 50 :]
+        assert np.abs(late[:, 0] - latency).max() <= 0.010, (seed, late[0])
+        assert (late[:, 1] <= latency).all(), seed
+        assert (late[:, 2] >= latency).all(), seed
+        assert (late[:, 2] - late[:, 1]).max() <= 0.05, seed
+
+
+def test_without_motion_the_latency_stays_an_interval() -> None:
+    found = ticks_of(head(0.0, gains={"noise": 0.5}).updated({"camera.latency_known": False, "camera.noise": 0.5}))[
+        "latency"
+    ]
+    assert (found[-1, 2] - found[-1, 1]) >= 0.2
+    assert np.isnan(ticks_of(head(5.0))["latency"]).all()  # frames carry their exposure
+
+
+# ---- Motion ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("latency", [0.06, 0.1, 0.2])
+def test_a_step_is_overshot_by_half_a_degree_at_most(known: bool, latency: float) -> None:
+    for yaw, pitch in ((25.0, 0.0), (0.0, 12.0), (20.0, 10.0)):
+        for seed in range(3):
+            changes = {"camera.latency": latency, "camera.latency_known": known, "seed": seed}
+            scenario = head(yaw, pitch=pitch, gains={"bandwidth": 3.0}).updated(changes)
+            run = hs.simulate(scenario)
+            assert run.outcome == "completed"
+            centre, ray = rays(run)
+            to = still(yaw, pitch) - centre
+            off = np.degrees(np.arccos(np.clip((to * ray).sum(axis=1) / np.linalg.norm(to, axis=1), -1.0, 1.0)))
+            late = np.flatnonzero(off > 1.0)
+            beyond = -np.degrees(angle_to(run, still(yaw, pitch))) if yaw else -off
+            print(f"{yaw} {pitch} seed {seed}: beyond {beyond.max():.2f}, 1 deg at {run.time[late[-1]]:.2f} s")
+            assert beyond.max() <= 0.5
+            assert run.time[late[-1]] <= latency + 0.5
+            assert off[-1] <= 0.15
+            command = ticks_of(scenario)["leg_positions"]
+            assert np.abs(np.diff(command[-30:], axis=0)).mean() / TICK <= 0.06  # quiet at rest [rad/s]
+
+
+@pytest.mark.parametrize("lead", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("delay", [0.0, 0.04])
+def test_the_mean_lag_behind_a_steady_target_is_that_of_the_lead(lead: float, delay: float) -> None:
+    """A second-order response is 2 zeta/w behind a ramp; the command leads by its share; the hold does not count."""
+    speed, (bandwidth, damping) = 0.1, (6.0, 1.2)
+    scenario = head(
+        -18.0,
+        turned=False,
+        gains={"lead": lead, "noise": 0.01, "bandwidth": 3.0},
+    ).updated(
+        {
+            "camera.noise": 0.01,
+            "actuators.delay": delay,
+            "actuators.position": {"bandwidth": bandwidth, "damping": damping},
+            "target.motion": {"kind": "velocity", "velocity": [0.0, speed, 0.0]},
+            "simulation.duration": 2.6,
+        },
+    )
+    run = hs.simulate(scenario)
+    target = still(-18.0) + np.outer(run.time, [0.0, speed, 0.0])
+    rate = np.gradient(np.arctan2(target[:, 1], target[:, 0]), run.time)
+    expected = (1.0 - lead) * 2.0 * damping / (2.0 * np.pi * bandwidth)
+    # A target seen aslant has its middle aside: as much before the camera looks straight ahead as after.
+    middle = np.abs(run.time + target[0, 1] / speed) < 0.5
+    lag = (angle_to(run, target) / rate)[middle].mean()
+    print(f"lag {1e3 * lag:.1f} ms, expected {1e3 * expected:.1f} ms")
+    assert lag == pytest.approx(expected, abs=0.004)
+
+
+def test_the_filter_is_the_alpha_beta_filter_of_kalata() -> None:
+    """With a reference that goes all the way in a tick, the command is the filter's own prediction.
+
+    alpha = 1 - r^2, beta = 2 (2 - alpha) - 4 sqrt(1 - alpha), r = (4 + L - sqrt(8 L + L^2))/4, L = sigma_a T^2/sigma.
+    """
+    sigma, acceleration, period = 4.0, 1.5, 0.06
+    gains = {
+        "bandwidth": 1e4,
+        "noise": sigma,
+        "acceleration": acceleration,
+        "certainty": 0.0,
+        "jump": 1e6,
+    }
+    # The lead is then 2 zeta/w - T_c/2 = 0, and 1/w^2 is next to nothing.
+    drive = {"bandwidth": 4 * 100.0 / TICK / (2 * np.pi), "damping": 100.0}
+    scenario = head(0.0, gains=gains).updated({"actuators.position": drive, "camera.latency": 0.0})
+    controller = hs.Controller(scenario)
+    rng = np.random.default_rng(5)
+    print("seed 5")
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    goal = np.asarray(scenario.target.desired_features)
+    index = acceleration * period**2 / (sigma * DISTANCE / FOCAL / 2.0)
+    r = (4 + index - np.sqrt(8 * index + index**2)) / 4
+    alpha = 1 - r**2
+    beta = 2 * (2 - alpha) - 4 * np.sqrt(1 - alpha)
+    x = v = 0.0
+    worst = 0.0
+    for k in range(600):
+        exposed = k % 3 == 0
+        z = 0.02 * np.sin(0.9 * k * TICK) + 0.003 * rng.standard_normal()  # sideways, along y of B [m]
+        frame = {"features": goal + np.tile([FOCAL * z / DISTANCE, 0.0], 4), "depth": np.full(4, -DISTANCE)}
+        out = controller.step(**(frame if exposed else {}), leg_lengths=hexapod.home_lengths)
+        if exposed:
+            x += period * v
+            innovation = z - x
+            x += alpha * innovation
+            v += beta / period * innovation
+        if k < 150:
+            continue
+        pose = hexapod.forward_kinematics(out.leg_positions, hexapod.home_position, hexapod.home_quaternion)
+        ray = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).apply([1.0, 0.0, 0.0])
+        aimed = (CENTRE[0] + DISTANCE) * ray[1] / ray[0]
+        # The target of this instant, carried on over the period in which the reference goes there.
+        expected = x + v * TICK * (k % 3 + 1)
+        worst = max(worst, abs(aimed - expected))
+    print(f"largest difference {worst:.2e} m")
+    assert worst < 2e-5  # the depth of a place aside, and the legs' angles: second order in 0.03 rad
+
+
+def test_a_pose_is_followed() -> None:
+    """A target that shifts and stops: the whole pose, with a machine that can."""
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {
+            "controller.law": "tracking",
+            "controller.tracking": {"noise": 0.3, "bandwidth": 3.0},
+            "camera.prediction": "none",
+            "actuators.kind": "position",
+            "actuators.position": {"bandwidth": 20.0, "damping": 1.0},
+            "simulation.duration": 4.0,
+            "metrics.rms_start": 0.0,
+        }
+    )
+    run = hs.simulate(scenario)
+    assert run.outcome == "completed"
+    assert hs.metrics(run)["final_error"] < 1.0
+
+
+def test_legs_that_come_to_rest_elsewhere_are_made_up_for() -> None:
+    """Encoders report legs that stay 0.01 rad behind: the command shifts by so much, and stops."""
+    scenario = head(0.0, gains={"integral": 4.0, "band": 2e-4})
+    controller = hs.Controller(scenario)
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    home = hexapod.home_lengths
+    sag = np.array([0.01, -0.01] * 3)  # a lift and turn of the platform
+    lengths, moves, left = np.array(home), [], []
+    for _ in range(500):
+        pose = hexapod.forward_kinematics(lengths, hexapod.home_position, hexapod.home_quaternion)
+        turn = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).as_rotvec()
+        left.append([*(pose.position - hexapod.home_position), *turn])
+        features = hs.project(scenario, left[-1])
+        out = controller.step(features, np.full(4, -DISTANCE), leg_lengths=lengths)
+        lengths = out.leg_positions + sag
+        moves.append(out.leg_positions)
+    print(f"left before {np.abs(left[:10]).max():.1e}, after {np.abs(left[-1]).max():.1e}")
+    assert np.abs(left[:10]).max() > 4e-4
+    assert np.abs(left[-1]).max() <= 2.2e-4  # the band, and that of the reference
+    assert np.abs(np.diff(moves[-100:], axis=0)).max() <= 1e-9  # at rest: nothing integrates
+
+
+# ---- One controller everywhere --------------------------------------------------------------------------------------
+
+UNKNOWN = {"camera.latency_known": False, "camera.latency_jitter": 0.0, "camera.dropout": 0.1}
+
+
+LIMITED = {"actuators.position.speed_limit": 1.0}
+
+
+@pytest.mark.parametrize("changes", [{}, UNKNOWN, LIMITED], ids=["stamped", "unknown", "limited"])
+def test_the_tick_answers_as_the_run_does(changes: dict[str, Any]) -> None:
+    scenario = head(20.0).updated(changes)
+    ticks = ticks_of(scenario)
+
+    def step(controller: hs.Controller, k: int) -> hs.ControllerOutput:
+        frame = bool(np.isfinite(ticks["exposure"][k, 0]))
+        return controller.step(
+            ticks["features"][k] if frame else None,
+            ticks["depth"][k] if frame else None,
+            exposure=float(ticks["exposure"][k, 0]) if frame else None,
+            leg_lengths=ticks["leg_lengths"][k],
+            leg_rates=ticks["leg_rates"][k],
+        )
+
+    controller, count = hs.Controller(scenario), len(ticks["now"])
+    others: list[hs.Controller] = []
+    for k in range(count):
+        out = step(controller, k)
+        for name in ("wrench", "leg_positions", "latency"):
+            np.testing.assert_array_equal(getattr(out, name), ticks[name][k])
+        for other in others:
+            np.testing.assert_array_equal(step(other, k).leg_positions, out.leg_positions)
+        if k == count // 3:
+            others = [pickle.loads(pickle.dumps(controller)), copy.deepcopy(controller)]
+
+
+@pytest.mark.parametrize("changes", [{}, UNKNOWN], ids=["stamped", "unknown"])
+def test_a_batch_is_its_single_runs(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(variant, "_CHOSEN", variant.load_kernel("baseline"))  # the others fuse products and sums
+    scenario = head(15.0).updated({"camera.latency_jitter": 0.02, **changes, "simulation.duration": 1.0})
+    noises = [1.0, 2.0, 3.0]
+    batch = hs.simulate_batch(scenario, {"camera.noise": noises})
+    for index, noise in enumerate(noises):
+        for name, value in hs.metrics(hs.simulate(scenario.updated({"camera.noise": noise}))).items():
+            np.testing.assert_allclose(batch.metrics[name][index], value, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+# ---- What is refused ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"camera.prediction": "encoder"}, "camera.prediction: expected none with the law tracking"),
+        ({"camera.on_lost": "predict"}, "camera.on_lost: expected hold or stop with the law tracking"),
+        ({"controller.virtual_platform.damping": 1.0}, "controller.virtual_platform.damping: expected 0 with the law"),
+        ({"camera.latency": 0.3, "camera.latency_known": False}, "camera.latency: expected at most 0.25 s"),
+        (
+            {"controller.law": "resolved_rate", "camera.latency_known": False},
+            "camera.latency_known: expected true with the law resolved_rate",
+        ),
+    ],
+)
+def test_what_does_not_go_together_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        head(5.0).updated(changes)
+
+
+def test_other_machines_are_refused(paper: hs.Scenario) -> None:
+    with pytest.raises(ValueError, match=r"simulation\.mode: expected sampled with the law tracking"):
+        paper.updated({"controller.law": "tracking"})
+    with pytest.raises(ValueError, match=r"actuators\.kind: expected position with the law tracking"):
+        paper.updated({"controller.law": "tracking", "simulation.mode": "sampled"})
