@@ -1,5 +1,6 @@
 /** Sliders for the keys that matter, and the list of all keys. */
 import { readable, rounded, short } from "./format.js";
+import { write } from "./view.js";
 import { changed, keyOf, keysOf, parsed, presetValue, same, textOf, valueOf } from "./model.js";
 
 const element = (name, attributes = {}, ...children) => {
@@ -190,8 +191,9 @@ export class Controls {
       const value = entry.get(state);
       const place = Math.max(0, Math.min(1, toPlace(entry, value)));
       if (document.activeElement !== input || Math.abs(fromPlace(entry, input.value / FINE) - value) > 1e-9 * Math.abs(value)) input.value = FINE * place;
-      output.textContent = shown(entry, value);
-      input.setAttribute("aria-valuetext", output.textContent);
+      const text = shown(entry, value);
+      if (output.textContent !== text) input.setAttribute("aria-valuetext", text);
+      write(output, text);
       const differs = !same(value, entry.reset);
       reset.style.visibility = differs ? "visible" : "hidden";
       row.classList.toggle("changed", differs);

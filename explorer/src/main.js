@@ -7,6 +7,7 @@ import { ImageView } from "./image.js";
 import { ParameterMap } from "./map.js";
 import { changed, drawn, fromAddress, full, laws, metrics, presetOf, presets, start, toAddress, toYaml, valueOf } from "./model.js";
 import { Scene } from "./scene.js";
+import { write } from "./view.js";
 
 const $ = (id) => document.getElementById(id);
 const SETTLE = 300; // milliseconds of rest after which the address follows
@@ -44,7 +45,7 @@ const run = () => runner?.run(drawn(state), { asked: performance.now(), state })
 function refresh() {
   $("preset").value = state.preset;
   $("law").value = valueOf(state, "controller.law");
-  $("about-preset").textContent = presetOf(state.preset).description;
+  write($("about-preset"), presetOf(state.preset).description);
   controls.show(state);
   keyList.show(state);
   const count = Object.keys(state.changes).length;
@@ -76,7 +77,7 @@ function answer(message, tag) {
 }
 
 function say(words) {
-  $("message").textContent = words;
+  write($("message"), words);
   $("message").hidden = !words;
 }
 
@@ -126,7 +127,7 @@ function at(next) {
   scene.draw(row);
   for (const chart of charts) chart.at(time);
   $("time").value = share;
-  $("now").textContent = `${time.toFixed(3)} s`;
+  write($("now"), `${time.toFixed(3)} s`);
   $("time").setAttribute("aria-valuetext", `${time.toFixed(3)} seconds`);
 }
 
@@ -142,9 +143,9 @@ function ending(outcome, values, time, detail = "") {
 function verdict() {
   const [kind, words] = ending(result.outcome, result.metrics, result.time, result.detail);
   $("verdict").className = `verdict ${kind}`;
-  $("verdict").textContent = words;
+  write($("verdict"), words);
   const counts = reference && Object.keys(state.changes).length;
-  $("against").textContent = counts ? `Preset: ${ending(reference.outcome, reference.metrics, reference.time)[1].replace(/^./, (letter) => letter.toLowerCase())}` : "";
+  write($("against"), counts ? `Preset: ${ending(reference.outcome, reference.metrics, reference.time)[1].replace(/^./, (letter) => letter.toLowerCase())}` : "");
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
 }
 
@@ -159,8 +160,8 @@ function table() {
   for (const { name, unit, cells } of rows) {
     const [value, before] = [result.metrics[name], reference?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
-    cells[0].textContent = withUnit(value, unit);
-    cells[1].textContent = reference ? withUnit(before, unit) : "";
+    write(cells[0], withUnit(value, unit));
+    write(cells[1], reference ? withUnit(before, unit) : "");
     const ratio = value / before;
     cells[0].className = !differs || Math.abs(ratio - 1) < 0.01 ? "" : ratio < 1 || (Number.isNaN(before) && !Number.isNaN(value)) ? "good" : ratio > 1 || Number.isNaN(value) ? "bad" : "";
   }

@@ -15,6 +15,11 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (pal
 /** One colour for each line of a figure. */
 export const lineColour = (i) => colours()[`c${i % 8}`];
 
+/** Writes a text where it is another one: what stays the same need not be laid out again. */
+export function write(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
 /**
  * Clears a canvas that fills its box.
  * @returns {[CanvasRenderingContext2D, number, number]} the context in CSS pixels, width and height

@@ -405,6 +405,18 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
 
 
 @in_browser
+def test_on_paper_there_are_pictures_and_numbers_and_no_controls(visit: Visit) -> None:
+    page = visit.page
+    page.emulate_media(media="print")
+    for name in ("#image", "#scene", "#chart-0", "#metrics", "#verdict"):
+        assert page.locator(name).is_visible(), name
+    for name in ("#controls", ".buttons", ".timeline", "#map-section"):
+        assert page.locator(name).is_hidden(), name
+    page.emulate_media(media="screen")
+    assert page.locator("#controls").is_visible()
+
+
+@in_browser
 def test_the_picture_follows_a_slider_within_a_frame_or_some(visit: Visit) -> None:
     """Measured from the change to the drawn picture, and printed; a busy machine takes longer, so 60 frames pass."""
     page = visit.page
