@@ -21,7 +21,7 @@ __all__ = ["FITTED", "MAX_BYTES", "MAX_ROWS", "Log", "read_log"]
 MAX_ROWS = 1_000_000
 MAX_BYTES = 500_000_000
 FITTED = 0.7
-"""Share of a log that models are fitted to; the rest tells how well they predict."""
+"""Share of a log that models are fitted to; the rest shows how well they predict."""
 _FEWEST = 50  # rows: with fewer there is nothing to fit
 _UNEVEN = 0.05  # of the period: most that a tick may be off its place
 _TIME, _EXPOSURE, _ARRIVAL = "time", "exposure", "arrival"
