@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper explorer explorer-test docs docs-links wheel wheel-test test test-all fuzz asan tsan bench bench-peers format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper explorer explorer-test docs docs-links wheel wheel-test test test-all fuzz asan tsan bench bench-peers bench-reachy format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -35,6 +35,7 @@ help:
 	make test-all  the same, the site, the wheel, and the explorer's tests (make explorer-test), slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
+	make bench-reachy  face tracking on the model of a robot that others built, beside its own law (OPTIONS=--quick: a minute)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
 	make tsan     run the C++ tests under the thread sanitizer
 	make fuzz     random scenarios, ticks, files and kills for SECONDS=60, from SEED= (drawn and printed without one)
@@ -162,6 +163,10 @@ bench-peers: $(PACKAGE) peer-setup
 
 # The peers are wanted and not needed: whatever cannot be installed is left out, and the benchmark lists it.
 APT ?= yes
+# Downloads the package reachy-mini of PyPI to build/reachy; where it cannot be had, hexservo's own model stands in for it.
+bench-reachy: $(PACKAGE) $(ALL_TOOLS)
+	@cd benchmarks/reachy && python -m face_tracking $(OPTIONS)
+
 peer-setup: $(BUILD_TOOLS)
 	@if [ ! -e .venv/.stamp-peers ] || [ pyproject.toml -nt .venv/.stamp-peers ]; then
 	  echo "Installing the Python peers into .venv"

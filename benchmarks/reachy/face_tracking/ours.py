@@ -1,0 +1,199 @@
+"""hexservo's controller on the head: `hs.Controller`, or the program of its exported header."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hexservo as hs
+from face_tracking.machine import TICK, kinematics
+from face_tracking.published import Frame
+from face_tracking.scene import EYE, FRONT, LANDMARKS, Array, Camera
+from hexservo.run.export import gains_header
+from hexservo.scenario.laws import Controller
+
+__all__ = ["LAWS", "ExportedController", "OurController", "compiled", "settings"]
+
+ROOT = Path(__file__).resolve().parents[3]
+_LONGEST = 0.24  # [s], latency for which the controller keeps poses
+_DISTANCE = 1.0  # [m], assumed of every face
+_DEPTH = -(_DISTANCE + LANDMARKS[:, 2])
+
+LAWS = tuple(law for law in ("resolved_rate", "tracking") if law in Controller.model_fields)
+"""Of hexservo; one set of settings each, for all motors, cases and latencies. What the motors do is identified."""
+
+_GAINS: dict[str, dict[str, Any]] = {
+    # Frames without stamps count as exposed when they arrive, up to 0.2 s late: a larger gain overshoots.
+    "resolved_rate": {"camera.prediction": "encoder", "controller.resolved_rate.gain": 2.5},
+    "tracking": {
+        "camera.prediction": "none",
+        "controller.tracking.follow": "direction",
+        "controller.tracking.bandwidth": 3.0,
+        "controller.tracking.noise": 0.6,
+        "controller.tracking.acceleration": 0.8,
+        "controller.tracking.certainty": 1.0,
+        "controller.tracking.integral": 3.0,
+    },
+}
+
+_PROGRAM = """
+#include "gains.hpp"
+#include <hexservo/controller.hpp>
+#include <cstdio>
+
+int main() {
+  const auto gains = HEXSERVO_GAINS::controller_gains();
+  auto state = hexservo::initial_state(gains);
+  double row[8 + 3 * POINTS];
+  while (std::fread(row, sizeof row, 1, stdin) == 1) {
+    hexservo::ControllerInputOf<PLACES> input;
+    input.now = row[0];
+    input.frame.exposure = row[1];
+    for (int i = 0; i < 2 * POINTS; ++i) input.frame.image.features(i) = row[2 + i];
+    for (int i = 0; i < POINTS; ++i) input.frame.image.depth(i) = row[2 + 2 * POINTS + i];
+    for (int i = 0; i < 6; ++i) input.joints.lengths(i) = row[2 + 3 * POINTS + i];
+    const hexservo::ControllerOutput out = hexservo::step(gains, state, input);
+    std::fwrite(out.leg_positions.data(), sizeof(double), 6, stdout);
+    std::fflush(stdout);
+  }
+}
+"""
+
+
+def settings(law: str, rate: float, camera: Camera, known: bool, motors: Mapping[str, Any]) -> hs.Scenario:
+    """Return the controller's scenario.
+
+    Parameters
+    ----------
+    law
+        One of `LAWS`.
+    rate
+        Of the frames [Hz]; the camera's period is the next whole tick.
+    camera
+        Which the controller assumes.
+    known
+        Whether frames have the time of their exposure.
+    motors
+        Keys of `actuators`, as identified; with none the scenario's own.
+    """
+    scenario = hs.load_scenario("reachy-mini")
+    points = (EYE + [_DISTANCE, 0.0, 0.0] + LANDMARKS @ FRONT.T) * [1.0, -1.0, -1.0] + scenario.robot.home_position
+    changes: dict[str, Any] = {
+        "camera.focal_pixels": list(camera.focal),
+        "camera.principal_point": list(camera.centre),
+        "camera.period": TICK * np.ceil(1.0 / rate / TICK - 1e-9),
+        "camera.latency": _LONGEST,
+        "target.points": points.tolist(),
+        "target.desired_features": None,
+        "target.desired_pose": [0.0] * 6,
+        "controller.law": law,
+        **_GAINS[law],
+        **motors,
+    }
+    if law == "tracking":
+        changes["camera.latency_known"] = known
+    return scenario.updated(changes)
+
+
+class OurController:
+    """Crank angles at each tick, from `hs.Controller`."""
+
+    def __init__(self, scenario: hs.Scenario) -> None:
+        """`scenario` is one of `settings`."""
+        self._controller = hs.Controller(scenario)
+        self._command = np.asarray(kinematics().home_lengths)
+
+    def tick(self, now: float, reading: Array, frame: Frame | None) -> Array:
+        """Return the commanded angles (6,) [rad]; a frame without a stamp has that of its arrival."""
+        out = self._controller.step(
+            None if frame is None else frame.pixels.ravel(),
+            None if frame is None else _DEPTH,
+            leg_lengths=reading,
+            exposure=None if frame is None else frame.exposure if frame.stamped else now,
+            now=now,
+        )
+        if np.all(np.isfinite(out.leg_positions)):
+            self._command = out.leg_positions
+        return self._command
+
+
+class ExportedController:
+    """The same from the exported header: a C++ program that answers every tick over a pipe."""
+
+    def __init__(self, program: Path) -> None:
+        """`program` is one of `compiled`."""
+        self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._command = np.asarray(kinematics().home_lengths)
+
+    def close(self) -> None:
+        """End the program."""
+        self._process.communicate()
+
+    def tick(self, now: float, reading: Array, frame: Frame | None) -> Array:
+        """Return the commanded angles (6,) [rad]."""
+        if self._process.stdin is None or self._process.stdout is None:
+            raise RuntimeError("expected a program with pipes")
+        row = np.full(8 + 3 * len(LANDMARKS), np.nan)
+        row[0], row[-6:] = now, reading
+        if frame is not None:
+            row[1] = frame.exposure if frame.stamped else now
+            row[2:-6] = [*frame.pixels.ravel(), *_DEPTH]
+        self._process.stdin.write(row.tobytes())
+        self._process.stdin.flush()
+        answer = np.array(struct.unpack("6d", self._process.stdout.read(48)))
+        if np.all(np.isfinite(answer)):
+            self._command = answer
+        return self._command
+
+
+def compiled(scenario: hs.Scenario, folder: Path, library: Path | None = None) -> Path:
+    """Return a program with the controller of a scenario, compiled with g++.
+
+    Parameters
+    ----------
+    scenario
+        One of `settings`.
+    folder
+        For sources and program, made where it is missing.
+    library
+        `libhexservo_core.a`; None: it is built by CMake, which takes minutes once.
+
+    Raises
+    ------
+    OSError
+        Without g++, or CMake where it is needed.
+    subprocess.CalledProcessError
+        Where the compiler refuses.
+    """
+    if shutil.which("g++") is None:
+        raise OSError("g++ was not found")
+    folder.mkdir(parents=True, exist_ok=True)
+    if library is None:
+        core = folder / "core"
+        library = core / "libhexservo_core.a"
+        if not library.is_file():
+            subprocess.run(
+                ["cmake", "-S", ROOT, "-B", core, "-DCMAKE_BUILD_TYPE=Release"], check=True, stdout=subprocess.DEVNULL
+            )
+            subprocess.run(
+                ["cmake", "--build", core, "--target", "hexservo_core"], check=True, stdout=subprocess.DEVNULL
+            )
+    header, program = gains_header(scenario), folder / "controller"
+    places = 4 if len(LANDMARKS) == 4 else 16
+    (folder / "gains.hpp").write_text(header, encoding="utf-8")
+    source = _PROGRAM.replace("POINTS", str(len(LANDMARKS))).replace("PLACES", str(places))
+    (folder / "controller.cpp").write_text(source, encoding="utf-8")
+    eigen = [
+        argument for path in ("/usr/include/eigen3", "/usr/local/include/eigen3") for argument in ("-isystem", path)
+    ]
+    command = ["g++", "-std=c++20", "-O1", "-Wno-psabi", "-I", str(ROOT / "cpp" / "include"), *eigen, "-I", str(folder)]
+    subprocess.run(
+        [*command, str(folder / "controller.cpp"), str(library), "-lpthread", "-o", str(program)], check=True
+    )
+    return program
