@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from hexservo import _core
 from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
 from hexservo.findings.identification.log import FITTED, Log
+from hexservo.findings.identification.rests import Rests, find_rests, with_friction
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
 from hexservo.scenario.arrays import Array, Mask
@@ -50,6 +51,7 @@ class DriveFit:
     noise: float  # standard deviation of what the fit leaves [m], or [rad]
     correlated: float  # ticks over which what it leaves is correlated, 1 of white noise
     explained: float  # share of the variance of the part kept apart that is predicted; 1: all
+    rests: Rests | None = None  # how far from its command friction leaves it; None where the log has too few rests
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,10 +77,11 @@ class Drives(Part):
 class _Record:
     """One leg in a log."""
 
-    commands: Array  # (n,)
+    commands: Array  # (n,), with what friction makes of them
     joints: Array  # (n,)
     period: float
     fitted: int  # ticks that are fitted
+    rests: Rests | None = None
 
     @property
     def scatter(self) -> float:
@@ -115,7 +118,7 @@ def fit_drives(log: Log, units: LegUnits, report: ProgressCallback | None = None
         Is called with the legs done, and 6.
     """
     fitted = int(FITTED * len(log.time))
-    records = [_Record(log.commands[:, leg], log.joints[:, leg], log.period, fitted) for leg in range(6)]
+    records = [_record(log, leg, fitted) for leg in range(6)]
     found: list[list[_Model]] = []
     for leg, record in enumerate(records):
         found.append(_search(record) if record.moves else [])
@@ -135,6 +138,12 @@ def fit_drives(log: Log, units: LegUnits, report: ProgressCallback | None = None
         measured=log.joints[shown],
         predicted=predicted[shown],
     )
+
+
+def _record(log: Log, leg: int, fitted: int) -> _Record:
+    commands, joints = log.commands[:, leg], log.joints[:, leg]
+    rests = find_rests(commands, joints)
+    return _Record(with_friction(commands, joints, rests), joints, log.period, fitted, rests)
 
 
 def _search(record: _Record) -> list[_Model]:
@@ -192,6 +201,7 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
             noise=best.noise,
             correlated=best.correlated,
             explained=1.0 - float(np.mean(left**2)) / spread if spread > 0.0 else 0.0,
+            rests=record.rests,
         ),
         predicted,
     )

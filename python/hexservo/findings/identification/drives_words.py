@@ -29,6 +29,7 @@ def section(found: Drives) -> Section:
             with_interval(fit.delay),
             _limit(fit.speed_limit, fit),
             with_interval(fit.acceleration_limit) or "not seen",
+            _rests(fit),
             1e3 * fit.noise,
             100.0 * fit.explained,
         ]
@@ -43,6 +44,7 @@ def section(found: Drives) -> Section:
             Column("delay", "ticks"),
             Column("speed limit", found.units.rate),
             Column("acceleration limit", f"{found.units.rate}²".replace("²", "^2")),
+            Column("rests short by", unit),
             Column("left by the fit", unit, ".3g"),
             Column("predicted", "%", ".4g"),
         ),
@@ -83,6 +85,12 @@ def _limit(found: Interval | None, fit: DriveFit) -> Cell:
     return with_interval(found) or f"not seen up to {number(fit.fastest)}"
 
 
+def _rests(fit: DriveFit) -> Cell:
+    if fit.bandwidth is None:
+        return None
+    return with_interval(fit.rests.short.times(1e3)) if fit.rests is not None else "too few rests"
+
+
 def _verdict(found: Drives) -> Verdict:
     if not found.moved:
         return "open"
@@ -109,10 +117,20 @@ def _sentences(found: Drives) -> list[str]:
             "scenario has one for all, the mean weighted by how well each is known."
         )
     lasting = max(moved, key=lambda fit: fit.correlated)
+    held = [(fit.leg, fit.rests) for fit in moved if fit.rests is not None and fit.rests.short.low > 0.0]
     if lasting.correlated > 5.0:
+        cause = "friction, backlash or the steps of an encoder"
         words.append(
             f"What the fit leaves of leg {lasting.leg} is correlated over {number(lasting.correlated)} ticks: "
-            "something acts that the model lacks, such as friction; the intervals are widened for it."
+            f"something acts that the model lacks, such as {cause}; the intervals are widened for it."
+        )
+    if held:
+        leg, rests = max(held, key=lambda one: one[1].short.value)
+        short, unit = with_interval(rests.short.times(1e3)), found.units.small
+        words.append(
+            f"Leg {leg} rests {short} {unit} short of its command, by {rests.count} rests, on the side that it comes "
+            f"from, as friction leaves it; at most {number(1e3 * rests.farthest)} {unit}. The model goes on to the "
+            "command."
         )
     return words
 
