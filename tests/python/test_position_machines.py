@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -340,9 +341,9 @@ def test_a_signal_ends_the_program_after_the_stop(tmp_path: Path, number: signal
     path = tmp_path / "head.yaml"
     path.write_text(head_scenario().to_yaml(), encoding="utf-8")
     command = [sys.executable, "-m", "reachy", "track", "--simulated", "--scenario", str(path), "--seconds", "3600"]
-    folders = f"{ROOT / 'python'}:{ROOT / 'examples'}"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT / "examples")])}
     with subprocess.Popen(
-        command, env={"PYTHONPATH": folders}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "reachy: running, Ctrl-C stops\n"

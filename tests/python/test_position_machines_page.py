@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
@@ -31,7 +32,7 @@ def output_of(line: str, folder: Path) -> str:
     else:
         assert program == "hexservo"
         command = [sys.executable, "-m", "hexservo", *arguments]
-    environment = {"PYTHONPATH": f"{ROOT / 'python'}:{ROOT / 'examples'}", "COLUMNS": "500", "PATH": "/usr/bin:/bin"}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT / "examples")]), "COLUMNS": "500"}
     run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert run.returncode == 0, f"{line}: {run.returncode}\n{run.stdout}\n{run.stderr}"
     return run.stdout
