@@ -218,10 +218,11 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
     """Return the decision of a law: where its controller sends the legs.
 
     Where it cannot act, the controller brakes; the loop goes on for `limits.invalid`, and for `limits.frame_age`
-    without an image.
+    without an image. With `camera.latency_known: false` the law has no time of exposure, and finds the latency itself.
     """
     used = -np.inf  # exposure of the frame that the controller has
     valid = 0.0
+    stamped = controller.scenario.camera.latency_known
 
     def decide(now: float, reading: Reading) -> Array:
         nonlocal used, valid
@@ -232,7 +233,8 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
         image: dict[str, object] = {}
         if frame is not None and frame.exposure > used:
             used = frame.exposure
-            image = {"features": frame.features, "depth": frame.depth, "exposure": min(frame.exposure, now)}
+            exposure = min(frame.exposure, now) if stamped else now
+            image = {"features": frame.features, "depth": frame.depth, "exposure": exposure}
         output = controller.step(**image, leg_lengths=reading.legs, now=now)  # type: ignore[arg-type]
         if not output.invalid_input:
             valid = now

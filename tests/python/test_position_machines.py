@@ -96,10 +96,15 @@ def at_rest(machine: SimulatedMachine, clock: SimulatedClock) -> bool:
 
 
 def track(
-    port: int, clock: SimulatedClock, seconds: float = 1.0, timeout: float = 5.0, event: threading.Event | None = None
+    port: int,
+    clock: SimulatedClock,
+    seconds: float = 1.0,
+    timeout: float = 5.0,
+    event: threading.Event | None = None,
+    scenario: hs.Scenario | None = None,
 ) -> Ending:
     """Track with the head's law through a link of this timeout."""
-    scenario = head_scenario()
+    scenario = scenario or head_scenario()
     limits = Limits.of(Kinematics(scenario))
     machine = Head(Line("127.0.0.1", port, timeout), 4, clock)
     decide = tracking(hs.Controller(scenario), limits)
@@ -172,6 +177,16 @@ def test_the_head_reaches_its_goal(tmp_path: Path, capsys: pytest.CaptureFixture
     assert len(found.frames.arrival) == 70  # 25 a second, the first one after 0.2 s
     assert main(reachy.__main__.PROGRAM, given) == 2  # the log is there already
     assert "File exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["stamped", "unknown latency"])
+def test_the_head_tracks(clock: SimulatedClock, head: SimulatedMachine, known: bool) -> None:
+    """The law `tracking`, also where it has to find the latency itself."""
+    law = {"controller.law": "tracking", "camera.prediction": "none", "camera.latency_known": known}
+    with head_server(head) as server:
+        ending = track(server.port, clock, seconds=3.0, scenario=head_scenario().updated(law))
+        assert not ending.reason
+        assert head.error() < 5.0
 
 
 def test_scenarios_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
