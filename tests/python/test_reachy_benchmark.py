@@ -193,10 +193,12 @@ def test_order_of_the_laws(seed: int) -> None:
     print(f"seed {seed}")
     found = {
         law: table.of_trial(table.Trial(law, "freed", "yaw", 15.0, "unknown", 0.6, seed))
-        for law in ("shipped", "fix", "resolved_rate")
+        for law in ("shipped", "fix", "resolved_rate", "tracking")
     }
     assert found["shipped"].overshoot > 10.0 > found["fix"].overshoot > 5.0 > 3.0 > found["resolved_rate"].overshoot
     assert found["resolved_rate"].settled < 2.0 < found["fix"].settled
+    assert found["tracking"].overshoot < 1.0
+    assert found["tracking"].settled < 0.8
     assert all(one.lost == 0.0 for one in found.values())
 
 

@@ -169,7 +169,7 @@ def main() -> int:
     if not given.no_picture:
         like = replace(todo[0], rate=15.0, latency="unknown", limit=0.6, focal_error=0.0)
         motors = [name for name in ("shipped", "freed") if name in given.motors] or given.motors
-        draw(given.out / "reachy.png", given.laws, motors, given.cases, given.seeds[:5], like)
+        draw(given.out / "reachy.png", given.laws, motors, given.cases, given.seeds[:5], like, found)
     print(f"{len(todo)} trials in {time.monotonic() - began:.0f} s; written: {given.out}")
     if given.header:
         _with_headers(given, folder)

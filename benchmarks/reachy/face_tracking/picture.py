@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 
 from face_tracking.scene import CASES
-from face_tracking.table import Trial, record_of
+from face_tracking.table import Responses, Trial, record_of
 
 __all__ = ["draw"]
 
@@ -16,25 +17,32 @@ _COLOURS = {"shipped": "tab:red", "fix": "tab:orange", "resolved_rate": "tab:blu
 _WORDS = {"shipped": "shipped law", "fix": "open fix"}
 
 
-def draw(path: Path, laws: list[str], motors: list[str], cases: list[str], seeds: list[int], like: Trial) -> None:
+def draw(
+    path: Path,
+    laws: list[str],
+    motors: list[str],
+    cases: list[str],
+    seeds: list[int],
+    like: Trial,
+    identified: Responses,
+) -> None:
     """Draw errors over time, a panel for each of motors and cases, a line for each seed.
 
     `like` has rate, latency, limit and model.
     """
     matplotlib.use("Agg")
-    from dataclasses import replace
-
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(
         len(motors), len(cases), figsize=(4.2 * len(cases), 2.9 * len(motors)), squeeze=False, sharex="col", sharey=True
     )
     for line, motor in zip(panels, motors, strict=True):
+        trial = replace(like, motors=motor, identified=identified.get((motor, like.limit), ()))
         for panel, name in zip(line, cases, strict=True):
             case = CASES[name]
             for law in laws:
                 for seed in seeds:
-                    record = record_of(replace(like, law=law, motors=motor, case=name, seed=seed))
+                    record = record_of(replace(trial, law=law, case=name, seed=seed))
                     since = record.times >= case.since
                     along = record.errors[since][0] if not case.moves else np.array([-1.0, 0.0])
                     along = along / np.linalg.norm(along)
