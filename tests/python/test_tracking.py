@@ -128,6 +128,29 @@ def test_a_step_is_overshot_by_half_a_degree_at_most(known: bool, latency: float
             assert np.abs(np.diff(command[-30:], axis=0)).mean() / TICK <= 0.06  # quiet at rest [rad/s]
 
 
+def test_a_latency_that_scatters_is_waited_for() -> None:
+    """60 to 200 ms, frame by frame: frames of the motion hardly count, those after it do."""
+    changes = {"camera.latency": 0.06, "camera.latency_jitter": 0.14, "camera.latency_known": False}
+    for seed in range(5):
+        run = hs.simulate(head(25.0, gains={"bandwidth": 3.0}).updated({**changes, "seed": seed}))
+        behind = np.degrees(angle_to(run, still(25.0)))
+        late = run.time[np.abs(behind) > 1.0][-1]
+        print(f"seed {seed}: beyond {-behind.min():.2f}, 1 deg at {late:.2f} s, at the end {behind[-1]:.2f}")
+        assert -behind.min() <= 0.5
+        assert late <= 0.8
+        assert abs(behind[-1]) <= 0.15
+
+
+@pytest.mark.parametrize("limits", [{"acceleration_limit": 5.0}, {"speed_limit": 0.6}])
+def test_limits_of_the_legs_are_not_overrun(limits: dict[str, float]) -> None:
+    drive = {"bandwidth": 23.0, "damping": 1.88, **limits}
+    run = hs.simulate(head(25.0, gains={"bandwidth": 3.0}).updated({"actuators.position": drive}))
+    behind = np.degrees(angle_to(run, still(25.0)))
+    print(f"beyond {-behind.min():.2f}, 1 deg at {run.time[np.abs(behind) > 1.0][-1]:.2f} s")
+    assert -behind.min() <= 0.5
+    assert run.time[np.abs(behind) > 1.0][-1] <= 0.7
+
+
 @pytest.mark.parametrize("lead", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("delay", [0.0, 0.04])
 def test_the_mean_lag_behind_a_steady_target_is_that_of_the_lead(lead: float, delay: float) -> None:

@@ -62,8 +62,8 @@ struct PositionResponse {
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
-    v(Field{"bandwidth", "Hz", kPositive}.of_plant().in_sampled_mode(), self.bandwidth...);
-    v(Field{"damping", "1", kPositive}.of_plant().in_sampled_mode(), self.damping...);
+    v(Field{"bandwidth", "Hz", kPositive}.in_sampled_mode(), self.bandwidth...);
+    v(Field{"damping", "1", kPositive}.in_sampled_mode(), self.damping...);
     v(Field{"speed_limit", "m/s", kPositiveOrNone}.in_sampled_mode(), self.speed_limit...);
     v(Field{"acceleration_limit", "m/s^2", kPositiveOrNone}.in_sampled_mode(), self.acceleration_limit...);
   }

@@ -10,13 +10,15 @@
 ///
 /// of zero for the true latency, but for noise; for another one the camera's own motion stays in it. So each candidate
 /// has a cost, the sum of |r_j|^2 over its variance; what lies within `kLatencyCost` of the least cost is possible.
-/// Without motion all candidates cost the same. Frames that no candidate explains (a target that jumps) count less.
+/// Without motion all candidates cost the same. Frames that no candidate explains (a target that jumps) count less, as
+/// do those taken in a motion that a scatter of the latency, L ... L + jitter, leaves undecided.
 #pragma once
 
 #include "hexservo/camera.hpp"
 #include "hexservo/perception.hpp"
 
 #include <array>
+#include <cmath>
 
 namespace hexservo {
 
@@ -54,9 +56,10 @@ class LatencyEstimator {
   /// @param taken lanes that have a new frame; @param stamp when it arrived [ticks]; @param period of a tick [s]
   /// @param middle of the features [px], at a depth [m]; @param home centre of the camera at home, in B [m]
   /// @param noise standard deviation of a component of a direction [rad]
+  /// @param jitter most that the latency of a frame is longer [s]
   void update(const PoseHistory<S>& poses, const CameraView<S>& camera, const Mask<S>& taken, const S& stamp,
-              double period, const Vector2<S>& middle, const S& depth, const Vector3<S>& home,
-              const S& noise) noexcept {
+              double period, const Vector2<S>& middle, const S& depth, const Vector3<S>& home, const S& noise,
+              double jitter) noexcept {
     using std::sqrt;
     const S gap = stamp - stamps_(0), before = stamps_(0) - stamps_(1);
     const Mask<S> counts = taken & (seen_(0) >= S(2.0)) & (gap > S(0.0)) & (before > S(0.0)) &
@@ -64,7 +67,8 @@ class LatencyEstimator {
     const S ratio = select(counts, S(gap / before), S(1.0));
     Vector<S, kLatencies> squares;
     Vector3<S> first = Vector3<S>::Zero();
-    S least(0.0), spread(0.0);
+    S least(0.0), spread(0.0), scatter(0.0);
+    const int apart = static_cast<int>(std::ceil(jitter / candidate_latency(1)));
     for (int j = 0; j < kLatencies; ++j) {
       const auto place = static_cast<std::size_t>(j);
       const S tick = max(S(stamp - S(candidate_latency(j) / period)), S(poses.oldest()));
@@ -77,11 +81,15 @@ class LatencyEstimator {
       if (j == 0) first = r;
       least = j == 0 ? squares(0) : min(least, squares(j));
       spread = max(spread, S(Vector3<S>(r - first).squaredNorm()));
+      if (j >= apart && apart > 0) {
+        const Vector3<S>& sooner = directions_[0][static_cast<std::size_t>(j - apart)];  // of this frame already
+        scatter = max(scatter, S(Vector3<S>(direction - sooner).squaredNorm()));
+      }
       directions_[1][place] = select(taken, last, older);
       directions_[0][place] = select(taken, direction, last);
     }
     const S variance = noise * noise * (S(1.0) + (S(1.0) + ratio) * (S(1.0) + ratio) + ratio * ratio) +
-                       S(kLatencyModelError * kLatencyModelError) * spread;
+                       S(kLatencyModelError * kLatencyModelError) * spread + scatter;
     const S share = S(1.0) / (variance + S(1.0 / kLatencyCost) * least);  // of a triple that some candidate explains
     const Mask<S> good = counts & is_finite(S(squares.sum()));
     for (int j = 0; j < kLatencies; ++j)

@@ -34,7 +34,9 @@ inline constexpr double kLongestPrediction = 1.0;  ///< of a target that is not 
 inline constexpr double kRestingFrames = 200.0;    ///< frames in the mean of a target at rest
 inline constexpr double kOffTheMean = 4.0;         ///< standard deviations at which that mean starts again [1]
 inline constexpr int kPointingRounds = 6;          ///< of the camera's place in a direction
-inline constexpr double kSettled = 4.0;            ///< lags after which the legs are at rest [1]
+/// Share of the legs' acceleration limit that the reference brakes with: a command that is held asks more of them [1].
+inline constexpr double kBraking = 0.6;
+inline constexpr double kSettled = 4.0;  ///< lags after which the legs are at rest [1]
 
 /// What tracking needs, prepared.
 template <class S, int N = kPoints>
@@ -45,6 +47,7 @@ struct TrackingPlan {
   S approach{0.0}, braking{0.0};             ///< (1 - p)^2/T_c [1/s] and 1 - p^2 of the double pole p
   S lead{0.0}, lead_change{0.0};             ///< of the command [s], [s^2]
   S settling{0.0};                           ///< time after which the legs are where they were commanded [s]
+  double jitter = 0.0;                       ///< most that a latency no frame carries is longer for a frame [s]
   double delay = 0.0;                        ///< of the legs [ticks]
   Vector6<S> variance = Vector6<S>::Zero();  ///< R of a pose [m^2; rad^2]; of a direction, of depth 1 m
   Pose<S> home;
@@ -194,6 +197,7 @@ TrackingPlan<S, N> tracking_plan(const LoopParameters<S, Tracking, N>& p, const 
   const S w = S(kTurn) * p.actuators.position.bandwidth, lag = S(2.0) * p.actuators.position.damping / w;
   plan.lead = p.gains.lead * lag - S(0.5) * period;
   plan.lead_change = p.gains.lead / (w * w);
+  plan.jitter = p.frames.stamped ? 0.0 : static_cast<double>(p.frames.jitter) * p.step;
   plan.delay = static_cast<double>(p.actuators.delay);
   plan.settling = S(kSettled) * lag + S((plan.delay + 2.0) * p.step);
   plan.home = home_pose(p.hexapod);
@@ -251,7 +255,7 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
     S squares(0.0);
     for (int i = 0; i < N; ++i) squares += task.weights.share(i) * task.weights.share(i);
     state.latency.update(state.poses, task.camera, fresh, seen.newest, gains.period, middle, depth, plan.home_centre,
-                         S(plan.gains.noise * sqrt(squares) / task.camera.focal));
+                         S(plan.gains.noise * sqrt(squares) / task.camera.focal), plan.jitter);
     state.latency_range = state.latency.range();
   }
   Mask<S> good = fresh;
@@ -271,10 +275,10 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
                    plan.home.quaternion};
   };
   const LatencyRange<S>& latency = state.latency_range;
-  const Pose<S> measured = followed(latency.estimate);
+  const Pose<S> measured = followed(S(latency.estimate + S(0.5 * plan.jitter)));
   if (!plan.stamped) {
     const Vector6<S> late = pose_difference<S>(followed(latency.least), measured),
-                     soon = pose_difference<S>(followed(latency.most), measured);
+                     soon = pose_difference<S>(followed(S(latency.most + S(plan.jitter))), measured);
     for (int j = 0; j < 6; ++j) variance(j) += max(S(late(j) * late(j)), S(soon(j) * soon(j)));
   }
   good = good & is_finite(S(measured.position.sum())) & is_finite(S(measured.quaternion.sum()));
@@ -354,7 +358,8 @@ void pose_ahead(const TrackingPlan<S, N>& plan, const TrackingState<S>& state, d
                 Pose<S>& pose, Vector6<S>& twist) noexcept {
   const TrackedTarget<S>& target = state.target;
   const S ahead =
-      min(S((S(now + plan.delay) - target.seen_at) * period + state.latency_range.estimate), S(kLongestPrediction));
+      min(S((S(now + plan.delay) - target.seen_at) * period + state.latency_range.estimate + S(0.5 * plan.jitter)),
+          S(kLongestPrediction));
   twist = target.twist.cwiseProduct(target.moving);
   const Mask<S> rests = largest_abs(target.moving) == S(0.0);
   pose = select_pose<S>(rests, target.mean, carried<S>(target.place, twist, select(target.known, ahead, S(0.0))));
@@ -403,7 +408,7 @@ template <class S, int N>
   out.acts = may_act & finite;
 
   // No faster than what the legs can be braked from on the way that is left.
-  const S acceleration = min(gains.motion.acceleration_limit, S(1e300));
+  const S acceleration = S(kBraking) * min(gains.motion.acceleration_limit, S(1e300));
   const Vector6<S> along = legs.rates(goal_twist), way = legs.rates(error);
   Vector6<S> rates = legs.rates(freely) - along;
   S share(1.0);
