@@ -76,7 +76,7 @@ def data() -> dict[str, Any]:
     names = sorted(hs.scenario_names(), key=lambda name: (name != "paper", name))
     return {
         "version": hs.__version__,
-        "laws": [law for law in LAWS if _core.LAW_TRAITS[law].output != "pose"],  # of any machine
+        "laws": list(LAWS),
         "keys": keys,
         "metrics": [{"name": name, "unit": unit, "meaning": text} for name, (unit, text, *_) in METRICS.items()],
         "presets": [preset(name, defaults) for name in names],

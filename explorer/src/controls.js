@@ -109,7 +109,7 @@ export function groups(state) {
     ]],
     [`Gains of ${law.replaceAll("_", " ")}`, true, [
       ...main.flatMap((spec) => gainSliders(state, spec)),
-      ...choices([`controller.${law}.fuzzy.enabled`, `controller.${law}.adaptive`, `controller.${law}.jacobian_at`]),
+      ...choices([`controller.${law}.fuzzy.enabled`, `controller.${law}.adaptive`, `controller.${law}.jacobian_at`, `controller.${law}.follow`]),
     ]],
     ["Camera and servo", true, [...choices(["simulation.mode", ...(sampled ? ["camera.prediction"] : [])]), ...(sampled ? camera : [])]],
     ["Drives", false, sampled ? drives(state) : []],

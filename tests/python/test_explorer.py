@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import runpy
 import shutil
 from collections.abc import Iterator
 from importlib import resources
@@ -440,6 +441,20 @@ def test_the_picture_follows_a_slider_within_a_frame_or_some(visit: Visit) -> No
         quantiles = np.quantile(times, [0.0, 0.5, 0.95, 1.0])
         print(f"slow-down {rate}: least, median, 95 %, most of {len(times)}: {np.round(quantiles, 1)} ms")
         assert quantiles[1] <= 60 * 16.7 * rate
+
+
+# --- what the page is built of
+
+
+def test_the_page_has_every_law_and_the_gains_of_no_other() -> None:
+    """A key of a law that the page does not know would be set for every law, and each run refused."""
+    file = Path(__file__).parents[2] / "explorer" / "data.py"
+    known = runpy.run_path(str(file))["data"]()
+    assert known["laws"] == list(_core.LAW_TRAITS)
+    for law in known["laws"]:
+        others = tuple(f"controller.{other}." for other in known["laws"] if other != law)
+        keys = {key["key"] for key in known["keys"] if not key["key"].startswith(others)}
+        assert keys == {key.name for key in _core.scenario_keys(law)}, law
 
 
 # --- the command
