@@ -112,11 +112,12 @@ def _with_headers(given: argparse.Namespace, folder: Path | None) -> None:
             continue
         try:
             like = table.Trial(law, given.motors[0], "yaw", 15.0, "unknown", 0.6, given.seeds[0], folder=folder)
-            program = ours.compiled(table.scenario_of(like, Camera()), given.package / f"header-{law}", given.core)
+            scenario = table.scenario_of(like, Camera())
+            program = ours.compiled(scenario, given.package / f"header-{law}", given.core)
         except OSError as error:
             print(f"The exported header was not compiled: {error}.")
             return
-        exported = ours.ExportedController(program)
+        exported = ours.ExportedController(program, not scenario.camera.latency_known)
         found = run(table.head_of(like), exported, CASES["yaw"], Camera(), like.rate, like.latency, like.seed)
         exported.close()
         apart = np.abs(found.commands - table.record_of(like).commands).max()

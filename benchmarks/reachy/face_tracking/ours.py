@@ -100,6 +100,16 @@ def settings(law: str, rate: float, camera: Camera, known: bool, motors: Mapping
     return scenario.updated(changes)
 
 
+def stamp_of(frame: Frame, now: float, finds_latency: bool) -> float:
+    """Return the time that a frame counts by: its exposure where it has it.
+
+    A law that finds the latency has the arrival, which a program knows between two ticks; others the tick.
+    """
+    if frame.stamped:
+        return frame.exposure
+    return frame.arrival if finds_latency else now
+
+
 class OurController:
     """Crank angles at each tick, from `hs.Controller`."""
 
@@ -107,14 +117,15 @@ class OurController:
         """`scenario` is one of `settings`."""
         self._controller = hs.Controller(scenario)
         self._command = np.asarray(kinematics().home_lengths)
+        self._finds_latency = not scenario.camera.latency_known
 
     def tick(self, now: float, reading: Array, frame: Frame | None) -> Array:
-        """Return the commanded angles (6,) [rad]; a frame without a stamp has that of its arrival."""
+        """Return the commanded angles (6,) [rad]."""
         out = self._controller.step(
             None if frame is None else frame.pixels.ravel(),
             None if frame is None else _DEPTH,
             leg_lengths=reading,
-            exposure=None if frame is None else frame.exposure if frame.stamped else now,
+            exposure=None if frame is None else stamp_of(frame, now, self._finds_latency),
             now=now,
         )
         if np.all(np.isfinite(out.leg_positions)):
@@ -125,8 +136,9 @@ class OurController:
 class ExportedController:
     """The same from the exported header: a C++ program that answers every tick over a pipe."""
 
-    def __init__(self, program: Path) -> None:
-        """`program` is one of `compiled`."""
+    def __init__(self, program: Path, finds_latency: bool) -> None:
+        """`program` is one of `compiled`; whether its law finds the latency."""
+        self._finds_latency = finds_latency
         self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self._command = np.asarray(kinematics().home_lengths)
 
@@ -141,7 +153,7 @@ class ExportedController:
         row = np.full(8 + 3 * len(LANDMARKS), np.nan)
         row[0], row[-6:] = now, reading
         if frame is not None:
-            row[1] = frame.exposure if frame.stamped else now
+            row[1] = stamp_of(frame, now, self._finds_latency)
             row[2:-6] = [*frame.pixels.ravel(), *_DEPTH]
         self._process.stdin.write(row.tobytes())
         self._process.stdin.flush()
