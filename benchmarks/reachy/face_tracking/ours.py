@@ -103,7 +103,7 @@ def settings(law: str, rate: float, camera: Camera, known: bool, motors: Mapping
 def stamp_of(frame: Frame, now: float, finds_latency: bool) -> float:
     """Return the time that a frame counts by: its exposure where it has it.
 
-    A law that finds the latency has the arrival, which a program knows between two ticks; others the tick.
+    A law that finds the latency has the arrival, which a program has between two ticks; others the tick.
     """
     if frame.stamped:
         return frame.exposure
