@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from typer.testing import CliRunner
 
 import hexservo as hs
@@ -248,8 +249,10 @@ def test_no_texts_of_the_figure_overlap() -> None:
     """Neither words of the table, titles and labels of neighbours, nor ticks, with all scenarios that are packaged."""
     figure = hs.compare(list(hs.scenario_names()), None, {"simulation.duration": 0.02}).figure()
     boxes = []
+    canvas = FigureCanvasAgg(figure)  # one renderer for all texts, not one for each: the figure is large
     with our_style():
-        figure.canvas.draw()
+        canvas.draw()  # type: ignore[no-untyped-call]
+        renderer = canvas.get_renderer()  # type: ignore[no-untyped-call]
         for axes in figure.axes:
             texts = [*axes.texts, axes.xaxis.label, axes.yaxis.label, axes._left_title]  # type: ignore[attr-defined]
             for axis in (axes.xaxis, axes.yaxis):
@@ -264,7 +267,7 @@ def test_no_texts_of_the_figure_overlap() -> None:
                 across = abs(apart[0] * math.sin(math.radians(first.get_rotation())))
                 assert across > first.get_fontsize() / 72 * figure.dpi, (first.get_text(), second.get_text())
             boxes += [
-                (t.get_text(), t.get_window_extent())
+                (t.get_text(), t.get_window_extent(renderer))
                 for t in texts
                 if t.get_text() and t.get_visible() and t not in slanted
             ]

@@ -25,7 +25,7 @@ from diagnosis_faults import FAULTS, KEPT_APART, shipped
 from diagnosis_faults import variation as draw
 from diagnosis_statistics import count, failing, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
-from hexservo.findings.diagnosis.causes import CAUSES, HARMLESS, IN_COMMON
+from hexservo.findings.diagnosis.causes import CAUSES, HARMLESS, IN_COMMON, WITHOUT_REMOVAL
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
 from hexservo.findings.diagnosis.environment import ORDINARY, ideal, ordinary
 from hexservo.findings.diagnosis.evidence import SIGNATURES
@@ -171,14 +171,17 @@ def test_every_key_of_a_scenario_has_a_removal_or_a_reason_to_have_none() -> Non
         if law is not None:
             if key.removeprefix(law) not in own:
                 left.append(key)
-        elif key not in covered | IN_COMMON.keys() | HARMLESS.keys():
+        elif key not in covered | IN_COMMON.keys() | HARMLESS.keys() | WITHOUT_REMOVAL.keys():
             left.append(key)
     assert not left, left
     known = set(leaf_keys(Scenario))
-    stale = {key for key in covered if not key.startswith("LAW.")} | set(IN_COMMON) | set(HARMLESS)
+    stale = (
+        {key for key in covered if not key.startswith("LAW.")} | set(IN_COMMON) | set(HARMLESS) | set(WITHOUT_REMOVAL)
+    )
     assert stale <= known, stale - known
     assert all(IN_COMMON.values())
     assert all(HARMLESS.values())
+    assert all(WITHOUT_REMOVAL.values())
 
 
 def leaf_keys(block: Any, head: str = "") -> Iterator[str]:

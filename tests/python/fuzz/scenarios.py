@@ -368,14 +368,15 @@ def _array(random: Generator, rule: kinds.ArrayRule, current: Any) -> Any:
         return None
     if rule.or_number and random.random() < 0.5:
         return _number(random, rule.element, current if isinstance(current, float) else 0.0)
-    near = np.broadcast_to(0.0 if current is None else np.asarray(current, dtype=float), rule.shape)
+    shape = np.shape(current) or rule.shape  # of a target whose points are not four, its own
+    near = np.broadcast_to(0.0 if current is None else np.asarray(current, dtype=float), shape)
     if random.random() < 0.6 and np.any(near):  # all of them somewhat different
         scale = 10.0 ** random.uniform(-6, 0)
-        values = near * (1 + scale * random.uniform(-1, 1, rule.shape))
-        if rule.shape == (6, 6):
+        values = near * (1 + scale * random.uniform(-1, 1, shape))
+        if shape == (6, 6):
             values = (values + values.T) / 2
         return values.tolist()
-    return np.reshape([_number(random, rule.element, float(item)) for item in near.flat], rule.shape).tolist()
+    return np.reshape([_number(random, rule.element, float(item)) for item in near.flat], shape).tolist()
 
 
 def _inertia(random: Generator, moment: float) -> Any:

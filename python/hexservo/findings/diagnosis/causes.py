@@ -6,7 +6,7 @@ from hexservo.findings.diagnosis.devices import DEVICES
 from hexservo.findings.diagnosis.laws import LAWS, TASKS
 from hexservo.findings.diagnosis.model import Cause
 
-__all__ = ["CAUSES", "HARMLESS", "IN_COMMON"]
+__all__ = ["CAUSES", "HARMLESS", "IN_COMMON", "WITHOUT_REMOVAL"]
 
 CAUSES: tuple[Cause, ...] = (*TASKS[:1], *DEVICES, *LAWS, *TASKS[1:])
 
@@ -39,6 +39,7 @@ IN_COMMON: dict[str, str] = {
     "target.grid": "read into points",
     "target.weights": "pixel_noise and lost_features: what the points count in the image, whose errors have removals",
     "target.desired_pose": "read into desired_features",
+    "camera.latency_known": "late_camera: without latency there is nothing to know",
     "camera.convention": "another plant, for the paper's signs; the goal's pose is open there",
 }
 """Keys that act only through the cause of another key, each with that cause."""
@@ -51,3 +52,13 @@ HARMLESS: dict[str, str] = {
     "metrics.rms_start": "affects only the metric rms_error, which is no criterion",
 }
 """Keys that cannot make a run fail, each with the reason."""
+
+WITHOUT_REMOVAL: dict[str, str] = dict.fromkeys(
+    (
+        *(f"controller.tracking.{name}" for name in ("follow", "bandwidth", "noise", "acceleration", "speed", "jump")),
+        *(f"controller.tracking.{name}" for name in ("certainty", "lead", "integral", "band")),
+        *(f"controller.tracking.auto.{name}" for name in ("bandwidth", "damping")),
+    ),
+    "no cause is about the filter and the lead of this law yet: a run that fails by them alone is not explained",
+)
+"""Keys that can make a run fail, and that no cause is about, each with the reason."""
