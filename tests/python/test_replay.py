@@ -15,12 +15,11 @@ import pytest
 from numpy.typing import NDArray
 
 import hexservo as hs
-from hexservo import _core
 from hexservo.run import variant
 from hexservo.run.export import gains_header
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.parameters import core_parameters
 from points import scattered, with_points
+from recorded_ticks import step, ticks_of
 
 ROOT = Path(__file__).resolve().parents[2]
 GIVEN = {
@@ -176,7 +175,7 @@ def test_an_exported_program_answers_as_the_simulated_controller_did(tmp_path: P
     program = compiled(tmp_path, library, includes + PROGRAM.replace("CASES", "".join(cases)), *headers)
     acted = braked = 0
     for index, scenario in enumerate(scenarios):
-        ticks = _core.recorded_ticks(core_parameters(scenario))
+        ticks = ticks_of(scenario)
         given = np.ascontiguousarray(rows(ticks, GIVEN))
         run = subprocess.run([program, str(index)], input=given.tobytes(), capture_output=True, check=True)
         answers = np.frombuffer(run.stdout).reshape(-1, sum(ANSWERED.values()))
@@ -194,22 +193,14 @@ def test_an_exported_program_answers_as_the_simulated_controller_did(tmp_path: P
 def test_the_recorded_run_is_the_simulated_one(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ticks are recorded from the very loop that `hs.simulate` runs, and `hs.Controller` answers them the same."""
     scenario = hs.load_scenario("composite-30hz").updated({"controller.law": law, "simulation.duration": 0.5})
-    ticks = _core.recorded_ticks(core_parameters(scenario))
+    ticks = ticks_of(scenario)
     monkeypatch.setattr(variant, "_CHOSEN", variant.load_kernel("baseline"))  # the others fuse products and sums
     result = hs.simulate(scenario)
     n = len(result.time)
     np.testing.assert_array_equal(ticks["fuzzy_output"][:n], result.fuzzy_output)
     controller = hs.Controller(scenario)
     for k in range(len(ticks["now"])):
-        frame = np.isfinite(ticks["exposure"][k, 0])
-        out = controller.step(
-            ticks["features"][k] if frame else None,
-            ticks["depth"][k] if frame else None,
-            *(ticks[name][k] for name in ("position", "quaternion", "twist")),
-            exposure=float(ticks["exposure"][k, 0]) if frame else None,
-            leg_lengths=ticks["leg_lengths"][k],
-            leg_rates=ticks["leg_rates"][k],
-        )
+        out = step(controller, ticks, k)
         np.testing.assert_array_equal(out.wrench, ticks["wrench"][k])
         np.testing.assert_array_equal(out.leg_forces, ticks["leg_forces"][k])
 
@@ -229,31 +220,20 @@ def test_a_pickled_controller_continues_bit_for_bit(law: str, changes: dict[str,
     scenario = hs.load_scenario("composite-30hz").updated(
         {"controller.law": law, "simulation.duration": 0.3, **changes}
     )
-    ticks = _core.recorded_ticks(core_parameters(scenario))
-
-    def step(controller: hs.Controller, k: int) -> hs.ControllerOutput:
-        frame = np.isfinite(ticks["exposure"][k, 0])
-        return controller.step(
-            ticks["features"][k] if frame else None,
-            ticks["depth"][k] if frame else None,
-            *(ticks[name][k] for name in ("position", "quaternion", "twist")),
-            exposure=float(ticks["exposure"][k, 0]) if frame else None,
-            leg_lengths=ticks["leg_lengths"][k],
-            leg_rates=ticks["leg_rates"][k],
-        )
+    ticks = ticks_of(scenario)
 
     original = hs.Controller(scenario)
     count = len(ticks["now"])
     for k in range(count // 2):
-        step(original, k)
+        step(original, ticks, k)
     continued = [pickle.loads(pickle.dumps(original)), copy.deepcopy(original)]
     fresh = hs.Controller(scenario)
     differs = False
     for k in range(count // 2, count):
-        expected = step(original, k)
+        expected = step(original, ticks, k)
         for other in continued:
-            assert_equal(step(other, k), expected)
-        differs |= not np.array_equal(step(fresh, k).wrench, expected.wrench)
+            assert_equal(step(other, ticks, k), expected)
+        differs |= not np.array_equal(step(fresh, ticks, k).wrench, expected.wrench)
     np.testing.assert_array_equal(continued[0].fuzzy_weights, original.fuzzy_weights)
     assert differs, "a controller without the state gave the same: nothing was tested"
 

@@ -16,6 +16,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.run import variant
 from hexservo.scenario.parameters import core_parameters
+from recorded_ticks import step, ticks_of
 
 Array = NDArray[np.float64]
 CENTRE = np.array([0.0437, 0.0, -0.15157])  # of the head's camera at home, in B [m]
@@ -46,10 +47,6 @@ def head(yaw: float, *, pitch: float = 0.0, turned: bool = True, gains: dict[str
     turn = Rotation.from_euler("z", yaw, degrees=True) * Rotation.from_euler("y", pitch, degrees=True)
     base["target"] = {"tag": tag(turn), "desired_features": ahead}
     return hs.Scenario.from_mapping(base)
-
-
-def ticks_of(scenario: hs.Scenario) -> dict[str, Array]:
-    return _core.recorded_ticks(core_parameters(scenario))
 
 
 def rays(run: hs.Result) -> tuple[Array, Array]:
@@ -282,24 +279,14 @@ def test_the_tick_answers_as_the_run_does(changes: dict[str, Any]) -> None:
     scenario = head(20.0).updated(changes)
     ticks = ticks_of(scenario)
 
-    def step(controller: hs.Controller, k: int) -> hs.ControllerOutput:
-        frame = bool(np.isfinite(ticks["exposure"][k, 0]))
-        return controller.step(
-            ticks["features"][k] if frame else None,
-            ticks["depth"][k] if frame else None,
-            exposure=float(ticks["exposure"][k, 0]) if frame else None,
-            leg_lengths=ticks["leg_lengths"][k],
-            leg_rates=ticks["leg_rates"][k],
-        )
-
     controller, count = hs.Controller(scenario), len(ticks["now"])
     others: list[hs.Controller] = []
     for k in range(count):
-        out = step(controller, k)
+        out = step(controller, ticks, k)
         for name in ("wrench", "leg_positions", "latency"):
             np.testing.assert_array_equal(getattr(out, name), ticks[name][k])
         for other in others:
-            np.testing.assert_array_equal(step(other, k).leg_positions, out.leg_positions)
+            np.testing.assert_array_equal(step(other, ticks, k).leg_positions, out.leg_positions)
         if k == count // 3:
             others = [pickle.loads(pickle.dumps(controller)), copy.deepcopy(controller)]
 
