@@ -25,41 +25,36 @@ void image_jacobian_pull(benchmark::State& state) {
   });
 }
 
-/// Both inputs of the six systems.
-template <class S>
-void fuzzy_memberships(benchmark::State& state) {
-  const FuzzySystems<S> systems(parameters_of<S>().gains.fuzzy);
-  FuzzyBasis<S> basis;
-  time_each<S>(state, [&](const Instant<S>& at) {
-    fuzzy_basis(systems.bells, at.u, at.u_rate, basis);
-    return &basis;
-  });
-}
-
 template <class S>
 std::vector<FuzzyRate<S>> rates() {
   const FuzzySystems<S> systems(parameters_of<S>().gains.fuzzy);
+  const FuzzyWeights<S> weights = initial_weights(parameters_of<S>().gains.fuzzy);
   std::vector<FuzzyRate<S>> rates(kInstants);
+  AxisVector<S> output;
   for (std::size_t i = 0; i < kInstants; ++i) {
     const Instant<S>& at = instants<S>()[i];
-    fuzzy_basis(systems.bells, at.u, at.u_rate, rates[i].basis);
-    rates[i].strength = systems.inverse_adaptation * AxisVector<S>(at.twist);
+    respond<S>(systems, {&weights}, at.u, at.u_rate, AxisVector<S>(at.twist), rates[i], output);
   }
   return rates;
 }
 
-/// The six systems inside a stage: their weights, and the rank one that the stage before adds.
+/// The six systems inside a stage, from their inputs: their weights, and the rank one that the stage before adds.
 template <class S>
-void fuzzy_output(benchmark::State& state) {
+void fuzzy_systems(benchmark::State& state) {
   const std::vector<FuzzyRate<S>> of = rates<S>();
   FuzzyGains<S> gains = parameters_of<S>().gains.fuzzy;
   gains.initial_scale = Vector6<S>::Constant(S(0.1));
+  const FuzzySystems<S> systems(gains);
   const FuzzyWeights<S> weights = initial_weights(gains);
+  FuzzyRate<S> rate;
   std::size_t i = 0;
   for (auto _ : state) {
     const std::size_t before = i;
     i = (i + 1) % kInstants;
-    AxisVector<S> out = FuzzyStage<S>{&weights, &of[before], S(5e-4)}.output(of[i].basis);
+    const Instant<S>& at = instants<S>()[i];
+    AxisVector<S> out;
+    respond<S>(systems, {&weights, &of[before], S(5e-4)}, at.u, at.u_rate, AxisVector<S>(at.twist), rate, out);
+    benchmark::DoNotOptimize(rate);
     benchmark::DoNotOptimize(out);
   }
 }
@@ -103,10 +98,8 @@ BENCHMARK(image_jacobian_push<double>);
 BENCHMARK(image_jacobian_push<Lanes<2>>);
 BENCHMARK(image_jacobian_pull<double>);
 BENCHMARK(image_jacobian_pull<Lanes<2>>);
-BENCHMARK(fuzzy_memberships<double>);
-BENCHMARK(fuzzy_memberships<Lanes<2>>);
-BENCHMARK(fuzzy_output<double>);
-BENCHMARK(fuzzy_output<Lanes<2>>);
+BENCHMARK(fuzzy_systems<double>);
+BENCHMARK(fuzzy_systems<Lanes<2>>);
 BENCHMARK(weight_update<double>);
 BENCHMARK(weight_update<Lanes<2>>);
 BENCHMARK(leg_forces<double>);

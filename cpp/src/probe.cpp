@@ -331,9 +331,12 @@ struct Probe::PartsOf final : Probe::Scene<N> {
       put(out.wrench, i, now.wrench);
       if (!out.fuzzy_output.empty()) put(out.fuzzy_output, i, now.fuzzy_output);
       if constexpr (kHasFuzzySystems<Law>) {
-        if (!out.error_memberships.empty()) put_memberships(out.error_memberships, i, now.rate.basis.error);
-        if (!out.rate_memberships.empty()) put_memberships(out.rate_memberships, i, now.rate.basis.rate);
-        if (!out.adaptation.empty()) put(out.adaptation, i, now.rate.strength.vector());
+        if (!out.error_memberships.empty()) put_memberships(out.error_memberships, i, normalised(now.rate.basis.error));
+        if (!out.rate_memberships.empty()) put_memberships(out.rate_memberships, i, normalised(now.rate.basis.rate));
+        if (!out.adaptation.empty()) {
+          const FuzzyBasis<double>& basis = now.rate.basis;
+          put(out.adaptation, i, (now.rate.strength * sum_of(basis.error) * sum_of(basis.rate)).vector());
+        }
       }
     }
   }

@@ -56,15 +56,15 @@ Flat flat_rate(const Parameters& p, const ControlTask<double>& task, const Flat&
   const Hybrid::Evaluation<double> law =
       evaluate_hybrid<double>(task, p.gains, weights, {measured_image(image, p.depth_error), R_BE, twist_of(body)});
 
+  const TermStrengths<double> u = normalised(law.rate.basis.error), u_rate = normalised(law.rate.basis.rate);
   Flat rate = Flat::Zero();
   rate.head<13>() = body_rate(Plant<double>(p.body, p.dynamics_error), body, R_BE, law.wrench);
   for (int row = 0; row < 7 && p.gains.fuzzy.enabled; ++row)
     for (int column = 0; column < 7; ++column)
       for (int axis = 0; axis < 6; ++axis)
         rate(13 + 6 * static_cast<int>(rule(row, column)) + axis) =  // (22)
-            twist_of(body)(axis) / p.gains.fuzzy.adaptation(axis) *
-            law.rate.basis.error[static_cast<std::size_t>(row)](axis) *
-            law.rate.basis.rate[static_cast<std::size_t>(column)](axis);
+            twist_of(body)(axis) / p.gains.fuzzy.adaptation(axis) * u[static_cast<std::size_t>(row)](axis) *
+            u_rate[static_cast<std::size_t>(column)](axis);
   if (printed) {
     const Vector3<double> p_BE = position_of(body);
     rate.segment<8>(13 + kWeights) = ImageJacobian<double>(task.camera, 1.0, image, p_BE, R_BE).push(twist_of(body));

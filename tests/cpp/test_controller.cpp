@@ -189,6 +189,7 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
         REQUIRE(same_bits(state.last_pose.position, input.pose.position));
         REQUIRE(same_bits(state.last_pose.quaternion, input.pose.quaternion));
 
+        const TermStrengths<double> u = normalised(law.rate.basis.error), u_rate = normalised(law.rate.basis.rate);
         for (int axis = 0; axis < kAxes; ++axis) {
           const Matrix7<double> before = weight_matrix(weights, axis), after = weight_matrix(state.law, axis);
           Matrix7<double> expected = before;
@@ -196,8 +197,7 @@ TEST_CASE("a valid tick is the law at its input, forward Euler of all 294 weight
             for (int r = 0; r < kTerms; ++r)
               for (int c = 0; c < kTerms; ++c)
                 expected(r, c) += kPeriod * (input.twist(axis) / settings.gains<Hybrid>().fuzzy.adaptation(axis)) *
-                                  law.rate.basis.error[static_cast<std::size_t>(r)](axis) *
-                                  law.rate.basis.rate[static_cast<std::size_t>(c)](axis);
+                                  u[static_cast<std::size_t>(r)](axis) * u_rate[static_cast<std::size_t>(c)](axis);
           REQUIRE(distance(after, expected) <= 4.0 * kEpsilon * expected.cwiseAbs().maxCoeff());
           largest_change = std::max(largest_change, distance(after, before));
         }

@@ -45,10 +45,35 @@ FuzzyWeights<double> random_weights(Random& random) {
   return weights;
 }
 
-FuzzyBasis<double> basis_at(const FuzzyGains<double>& gains, const Vector6<double>& u, const Vector6<double>& u_rate) {
+/// tau_f of a stage at inputs.
+Vector6<double> output_of(const FuzzyStage<double>& stage, const FuzzyGains<double>& gains, const Vector6<double>& u,
+                          const Vector6<double>& u_rate) {
   FuzzyBasis<double> basis;
-  fuzzy_basis<double>(Bells<double>(gains.bell_width, gains.bell_slope), u, u_rate, basis);
-  return basis;
+  AxisVector<double> share, output;
+  fire<double>(Bells<double>(gains.bell_width, gains.bell_slope), stage, u, u_rate, basis, share, output);
+  return output.vector();
+}
+Vector6<double> output_of(const FuzzyWeights<double>& weights, const FuzzyGains<double>& gains,
+                          const Vector6<double>& u, const Vector6<double>& u_rate) {
+  return output_of(FuzzyStage<double>{&weights}, gains, u, u_rate);
+}
+
+/// The normalised factors of phi-bar, and the share that makes it of the basis which is stored.
+struct NormalisedBasis {
+  FuzzyBasis<double> basis;
+  AxisVector<double> share;
+};
+NormalisedBasis basis_and_share(const FuzzyGains<double>& gains, const Vector6<double>& u,
+                                const Vector6<double>& u_rate) {
+  const FuzzyWeights<double> none{};
+  FuzzyBasis<double> basis;
+  AxisVector<double> share, output;
+  fire<double>(Bells<double>(gains.bell_width, gains.bell_slope), FuzzyStage<double>{&none}, u, u_rate, basis, share,
+               output);
+  return {{normalised(basis.error), normalised(basis.rate)}, share * sum_of(basis.error) * sum_of(basis.rate)};
+}
+FuzzyBasis<double> basis_at(const FuzzyGains<double>& gains, const Vector6<double>& u, const Vector6<double>& u_rate) {
+  return basis_and_share(gains, u, u_rate).basis;
 }
 
 FuzzyRate<double> random_rate(const FuzzyGains<double>& gains, Random& random) {
@@ -56,17 +81,12 @@ FuzzyRate<double> random_rate(const FuzzyGains<double>& gains, Random& random) {
   return {basis, Vector6<double>(random.matrix<6>())};
 }
 
-/// tau_f of weights at inputs.
-Vector6<double> output_of(const FuzzyWeights<double>& weights, const FuzzyGains<double>& gains,
-                          const Vector6<double>& u, const Vector6<double>& u_rate) {
-  return FuzzyStage<double>{&weights}.output(basis_at(gains, u, u_rate)).vector();
-}
-
-/// Normalised memberships at one number.
+/// Normalised memberships at numbers.
 TermStrengths<double> normalised_at(const Vector6<double>& x, double width, double slope) {
-  TermStrengths<double> mu;
-  normalised_memberships<double>(x, Bells<double>(width, slope), mu);
-  return mu;
+  FuzzyGains<double> gains;
+  gains.bell_width = width;
+  gains.bell_slope = slope;
+  return basis_at(gains, x, x).error;
 }
 
 /// Weights plus scale times a rate, rule by rule: what a stage never forms.
@@ -151,7 +171,8 @@ TEST_CASE("partition of unity: the 49 rule strengths are positive and sum to one
   CAPTURE(random.seed());
   for (const auto& [width, slope] : kBells)
     for (int trial = 0; trial < 50; ++trial) {
-      const FuzzyBasis<double> basis = basis_at(design(width, slope), random.matrix<6>(1.5), random.matrix<6>(1.5));
+      const auto [basis, share] = basis_and_share(design(width, slope), random.matrix<6>(1.5), random.matrix<6>(1.5));
+      CHECK(distance(share.vector(), Vector6<double>::Ones()) <= 50.0 * kEpsilon);
       Vector6<double> sum = Vector6<double>::Zero();
       for (std::size_t row = 0; row < 7; ++row)
         for (std::size_t column = 0; column < 7; ++column) {
@@ -256,9 +277,9 @@ TEST_CASE("rank-one stages: the output with a rate is the output of weights to w
     const double scale = random.uniform(-1.0, 1.0);
     FuzzyWeights<double> added = weights;
     add(added, rate, scale);
-    const FuzzyBasis<double> basis = basis_at(gains, random.matrix<6>(), random.matrix<6>());
-    const FuzzyStage<double> with_rate{&weights, &rate, scale}, explicit_weights{&added};
-    CHECK(distance(with_rate.output(basis), explicit_weights.output(basis)) <= 50.0 * kEpsilon);
+    const Vector6<double> u = random.matrix<6>(), u_rate = random.matrix<6>();
+    CHECK(distance(output_of(FuzzyStage<double>{&weights, &rate, scale}, gains, u, u_rate),
+                   output_of(added, gains, u, u_rate)) <= 50.0 * kEpsilon);
   }
 }
 
@@ -408,6 +429,8 @@ TEST_CASE("designs that make no sense are refused, with the key and the place") 
 
 namespace {
 
+const AxisVector<double> kOne = Vector6<double>(Vector6<double>::Ones());  // share of a normalised basis
+
 /// One Runge-Kutta step of W-dot = strength phi-bar - sigma W with a driver that depends on time, as a loop takes it.
 template <class Driver>
 void restrained_step(const FuzzySystems<double>& systems, const FuzzyBasis<double>& basis, double t, double h,
@@ -416,8 +439,7 @@ void restrained_step(const FuzzySystems<double>& systems, const FuzzyBasis<doubl
   const std::array<double, 4> times = {0.0, 0.5 * h, 0.5 * h, h};
   for (std::size_t i = 0; i < 4; ++i) {
     k[i].basis = basis;
-    AxisVector<double> output = AxisVector<double>::Zero();
-    restrain<double>(systems, times[i], Vector6<double>(driver(t + times[i])), k[i], output);
+    restrain<double>(systems, times[i], Vector6<double>(driver(t + times[i])), kOne, k[i], AxisVector<double>::Zero());
   }
   advance_weights<double, 4>(weights, {&k[0], &k[1], &k[2], &k[3]}, {h / 6.0, h / 3.0, h / 3.0, h / 6.0}, true);
   restrain(systems, h, weights, true);
@@ -476,17 +498,17 @@ TEST_CASE("leakage inside a stage: the output is that of weights that have decay
   FuzzyWeights<double> weights;
   for (auto& w : weights) w = Vector6<double>(random.six(1e-2, 1e-3));
   const FuzzyBasis<double> before = basis_at(gains, random.matrix<6>(), random.matrix<6>());
-  const FuzzyBasis<double> basis = basis_at(gains, random.matrix<6>(), random.matrix<6>());
+  const Vector6<double> u = random.matrix<6>(), u_rate = random.matrix<6>();
+  const FuzzyBasis<double> basis = basis_at(gains, u, u_rate);
   const Vector6<double> driver = random.six(0.02, 0.1);
   const double since = 0.05, elapsed = 0.1;  // the previous stage, and this one
 
   const FuzzySystems<double> systems(gains);
   FuzzyRate<double> rate{before, {}};
-  AxisVector<double> ignored = AxisVector<double>::Zero();
-  restrain<double>(systems, since, driver, rate, ignored);
-  FuzzyRate<double> own{basis, {}};
+  restrain<double>(systems, since, driver, kOne, rate, AxisVector<double>::Zero());
+  FuzzyRate<double> own;
   AxisVector<double> output;
-  respond<double>(systems, {&weights, &rate, elapsed}, driver, own, output);
+  respond<double>(systems, {&weights, &rate, elapsed}, u, u_rate, driver, own, output);
 
   for (int j = 0; j < 6; ++j) {
     const double decay = std::exp(-gains.leakage(j) * elapsed);
@@ -509,8 +531,7 @@ TEST_CASE("dead zone: a driver within it changes no weight, one beyond it acts b
   gains.dead_zone << 0.01, 0.02, 0.03, 0.1, 0.2, 0.0;
   const auto strength = [&](const Vector6<double>& driver) {
     FuzzyRate<double> rate{};
-    AxisVector<double> output = AxisVector<double>::Zero();
-    restrain<double>(FuzzySystems<double>(gains), 1e-3, driver, rate, output);
+    restrain<double>(FuzzySystems<double>(gains), 1e-3, driver, kOne, rate, AxisVector<double>::Zero());
     return Vector6<double>(rate.strength.vector().cwiseProduct(gains.adaptation));
   };
   for (const double sign : {-1.0, 1.0}) {
@@ -538,8 +559,7 @@ TEST_CASE("projection: no weight, and so no output, is beyond its limit after a 
   for (std::size_t r = 0; r < weights.size(); ++r)
     for (int j = 0; j < 6; ++j)
       CHECK(limited[r](j) == std::clamp(weights[r](j), -gains.weight_limit(j), gains.weight_limit(j)));
-  const FuzzyBasis<double> basis = basis_at(gains, random.matrix<6>(), random.matrix<6>());
-  const Vector6<double> output = FuzzyStage<double>{&limited}.output(basis).vector();
+  const Vector6<double> output = output_of(limited, gains, random.matrix<6>(), random.matrix<6>());
   CHECK(((output.cwiseAbs() - gains.weight_limit).array() <= 0.0).all());
   FuzzyWeights<double> idle = weights;
   restrain(systems, 1e-3, idle, false);
@@ -575,17 +595,16 @@ TEST_CASE(
   CHECK(has_restraint(pack));
   const Vector6<double> driver = random.six(0.02, 0.1), output = random.six(1e-2, 1e-3);
   FuzzyRate<S> rate{};
-  AxisVector<S> outputs = Vector6<S>(output.cast<S>());
   const FuzzySystems<S> systems(pack);
-  restrain<S>(systems, S(0.01), Vector6<S>(driver.cast<S>()), rate, outputs);
+  const AxisVector<S> outputs = restrain<S>(systems, S(0.01), Vector6<S>(driver.cast<S>()),
+                                            Vector6<S>(Vector6<S>::Ones()), rate, Vector6<S>(output.cast<S>()));
   restrain<S>(systems, S(0.02), weights, active);
   for (int lane = 0; lane < 4; ++lane) {
     CAPTURE(lane);
     const auto l = static_cast<std::size_t>(lane);
     FuzzyRate<double> one{};
-    AxisVector<double> its_output = output;
     const FuzzySystems<double> its_systems(single[l]);
-    restrain<double>(its_systems, 0.01, driver, one, its_output);
+    const AxisVector<double> its_output = restrain<double>(its_systems, 0.01, driver, kOne, one, output);
     FuzzyWeights<double> expected = start[l];
     restrain(its_systems, 0.02, expected, lane != 2);
     CHECK(distance(lane_of(rate.strength, lane), one.strength.vector()) <= 1e-17);

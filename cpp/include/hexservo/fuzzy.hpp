@@ -97,26 +97,10 @@ struct Bells {
       scaled_centres[static_cast<std::size_t>(k)] = Register(term_centre(k)) * inverse_width;
   }
 
-  /// 1/mu_k, what the bells divide by, at x/w. A whole slope never calls `pow`.
-  Terms<Register> denominators(const Register& scaled) const {
-    if (whole_slope == 2) return denominators(scaled, [](const Register& x2) { return x2 * x2; });
-    if (whole_slope > 0)
-      return denominators(scaled, [this](const Register& x2) {
-        Register power = x2;
-        for (int i = 1; i < whole_slope; ++i) power *= x2;
-        return power;
-      });
-    return denominators(scaled, [this](const Register& x2) { return pow(x2, slope); });
-  }
-
-  Register inverse_width;          ///< 1/w [1]
-  Terms<Register> scaled_centres;  ///< c_k/w [1]
-  double slope;                    ///< s [1]
-  int whole_slope;                 ///< s where it is a whole number up to 64, else 0 [1]
-
- private:
+  /// 1/mu_k, what the bells divide by, at x/w.
+  /// @param power ((x - c_k)/w)^2 -> its s-th power
   template <class Power>
-  Terms<Register> denominators(const Register& scaled, Power&& power) const {
+  [[gnu::always_inline]] inline Terms<Register> denominators(const Register& scaled, const Power& power) const {
     Terms<Register> d;
 #pragma GCC unroll 7
     for (std::size_t k = 0; k < kTerms; ++k) {
@@ -125,6 +109,36 @@ struct Bells {
     }
     return d;
   }
+
+  Register inverse_width;          ///< 1/w [1]
+  Terms<Register> scaled_centres;  ///< c_k/w [1]
+  double slope;                    ///< s [1]
+  int whole_slope;                 ///< s where it is a whole number up to 64, else 0 [1]
+};
+
+/// The power of bells of the usual slope, 2.
+struct SquarePower {
+  static constexpr bool gentle = true;  ///< two sums of products of six denominators can be multiplied
+
+  template <class R>
+  R operator()(const R& x2) const {
+    return x2 * x2;
+  }
+};
+
+/// That of any slope. A whole one never calls `pow`.
+template <class S>
+struct AnyPower {
+  static constexpr bool gentle = false;
+
+  const Bells<S>& bells;
+
+  RegisterOf<S> operator()(const RegisterOf<S>& x2) const {
+    if (bells.whole_slope == 0) return pow(x2, bells.slope);
+    RegisterOf<S> power = x2;
+    for (int i = 1; i < bells.whole_slope; ++i) power *= x2;
+    return power;
+  }
 };
 
 /// Generalised bells mu_k(x) = 1/(1 + |(x - c_k)/w|^(2s)) of the seven terms.
@@ -132,24 +146,38 @@ template <class S>
 TermStrengths<S> memberships(const AxisVector<S>& x, const Bells<S>& bells) {
   TermStrengths<S> mu;
   for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
-    const Terms<RegisterOf<S>> d = bells.denominators(x.part[r] * bells.inverse_width);
+    const Terms<RegisterOf<S>> d = bells.denominators(x.part[r] * bells.inverse_width, AnyPower<S>{bells});
     for (std::size_t k = 0; k < kTerms; ++k) mu[k].part[r] = RegisterOf<S>(1.0) / d[k];
   }
   return mu;
 }
 
-/// Memberships divided by their sum, from the denominators d_k = 1/mu_k: one factor of phi-bar.
-///
-/// This is the product of the other six d over the sum of seven such products: one division in place of eight. The
-/// products go by pairs of mirrored terms, so that no chain of them is long. `validate` keeps bells so steep that the
-/// products overflow out of the core.
+/// Memberships of the seven terms times a factor that they share, and their sum.
 template <class R>
-Terms<R> normalised(const Terms<R>& d) {
+struct ScaledTerms {
+  Terms<R> mu;
+  R sum;
+
+  /// Divides them by their sum.
+  void normalise() {
+    const R inverse_sum = R(1.0) / sum;
+    for (R& term : mu) term = term * inverse_sum;
+  }
+};
+
+/// Memberships from their denominators d_k = 1/mu_k without a division: the product of the other six d, which is the
+/// product of all times mu_k.
+///
+/// The products go by pairs of mirrored terms, so that no chain of them is long. `validate` keeps bells so steep that
+/// they overflow out of the core.
+template <class R>
+[[gnu::always_inline]] inline ScaledTerms<R> scaled_terms(const Terms<R>& d) {
   static_assert(kTerms == 7);
   const R outer = d[0] * d[6], middle = d[1] * d[5], inner = d[2] * d[4];
   const R without_outer = d[3] * (middle * inner), without_middle = d[3] * (outer * inner),
           without_inner = d[3] * (outer * middle);
-  Terms<R> mu;
+  ScaledTerms<R> terms;
+  Terms<R>& mu = terms.mu;
   mu[0] = without_outer * d[6];
   mu[6] = without_outer * d[0];
   mu[1] = without_middle * d[5];
@@ -157,24 +185,16 @@ Terms<R> normalised(const Terms<R>& d) {
   mu[2] = without_inner * d[4];
   mu[4] = without_inner * d[2];
   mu[3] = (outer * middle) * inner;
-  const R sum = ((mu[0] + mu[6]) + (mu[1] + mu[5])) + ((mu[2] + mu[4]) + mu[3]);
-  const R inverse_sum = R(1.0) / sum;
-#pragma GCC unroll 7
-  for (std::size_t k = 0; k < kTerms; ++k) mu[k] = mu[k] * inverse_sum;
-  return mu;
+  terms.sum = ((mu[0] + mu[6]) + (mu[1] + mu[5])) + ((mu[2] + mu[4]) + mu[3]);
+  return terms;
 }
 
-/// Normalised memberships of x, which is limited to [-1, 1].
-/// @param mu what is worked out; filled in place
-template <class S>
-void normalised_memberships(const AxisVector<S>& x, const Bells<S>& bells, TermStrengths<S>& mu) {
-  using R = RegisterOf<S>;
-  for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
-    const R limited = clip(x.part[r] * bells.inverse_width, -bells.inverse_width, bells.inverse_width);
-    const Terms<R> terms = normalised(bells.denominators(limited));
-#pragma GCC unroll 7
-    for (std::size_t k = 0; k < kTerms; ++k) mu[k].part[r] = terms[k];
-  }
+/// The same of one register of x, which is limited to [-1, 1].
+template <class S, class Power>
+[[gnu::always_inline]] inline ScaledTerms<RegisterOf<S>> scaled_terms(const RegisterOf<S>& x, const Bells<S>& bells,
+                                                                      const Power& power) {
+  const RegisterOf<S> most = bells.inverse_width;
+  return scaled_terms(bells.denominators(clip(RegisterOf<S>(x * most), -most, most), power));
 }
 
 /// True where leakage, limit or dead zone act in some lane; otherwise (22) stands as printed, to the last bit.
@@ -212,19 +232,29 @@ struct FuzzySystems {
   AxisVector<S> dead_zone;           ///< [m/s; rad/s]
 };
 
-/// phi-bar of the six systems, as the two factors of its outer product.
+/// phi-bar of the six systems as the two factors of its outer product, but for the sum of its 49 rules, by which it is
+/// not divided yet.
 template <class S>
 struct FuzzyBasis {
-  TermStrengths<S> error;  ///< normalised memberships of u
-  TermStrengths<S> rate;   ///< normalised memberships of u-dot
+  TermStrengths<S> error;  ///< memberships of u, times a factor of each system
+  TermStrengths<S> rate;   ///< memberships of u-dot, likewise
 };
 
-/// phi-bar at the scaled inputs u, u-dot, which are limited to [-1, 1].
-/// @param basis what is worked out; filled in place, since it is 84 numbers
 template <class S>
-void fuzzy_basis(const Bells<S>& bells, const AxisVector<S>& u, const AxisVector<S>& u_rate, FuzzyBasis<S>& basis) {
-  normalised_memberships(u, bells, basis.error);
-  normalised_memberships(u_rate, bells, basis.rate);
+AxisVector<S> sum_of(const TermStrengths<S>& terms) {
+  AxisVector<S> sum = terms[0];
+  for (std::size_t k = 1; k < kTerms; ++k) sum += terms[k];
+  return sum;
+}
+
+/// Memberships divided by their sum: one factor of phi-bar.
+template <class S>
+TermStrengths<S> normalised(const TermStrengths<S>& scaled) {
+  const AxisVector<S> sum = sum_of(scaled);
+  TermStrengths<S> mu;
+  for (std::size_t k = 0; k < kTerms; ++k)
+    for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) mu[k].part[r] = scaled[k].part[r] / sum.part[r];
+  return mu;
 }
 
 /// Weights of the six systems, the law's state: entry `rule(row, column)` holds the rule's weight for each axis.
@@ -257,7 +287,7 @@ FuzzyWeights<S> initial_weights(const FuzzyGains<S>& gains) {
 template <class S>
 struct FuzzyRate {
   FuzzyBasis<S> basis;     ///< of no meaning where the systems are switched off
-  AxisVector<S> strength;  ///< chi-dot_j/Psi_j of (22)
+  AxisVector<S> strength;  ///< chi-dot_j/Psi_j of (22), over the sum of the basis
 };
 
 /// Weights inside a Runge-Kutta stage: the step's weights plus `scale` times the previous stage's rate, never formed.
@@ -267,37 +297,37 @@ struct FuzzyStage {
   const FuzzyRate<S>* rate = nullptr;  ///< null at the start of a step
   S scale{0.0};                        ///< [s]
 
-  /// tau_f = mu(u)^T W mu(u-dot) of the six systems, (13) [N; N m].
-  AxisVector<S> output(const FuzzyBasis<S>& basis) const {
+  /// tau_f = mu(u)^T W mu(u-dot), (13), of one register of systems [N; N m].
+  /// @param r the register
+  /// @param error, error_rate memberships of u and u-dot, each times some factor, which the output then has too
+  [[gnu::always_inline]] inline RegisterOf<S> output(std::size_t r, const Terms<RegisterOf<S>>& error,
+                                                     const Terms<RegisterOf<S>>& error_rate) const {
     using R = RegisterOf<S>;
-    AxisVector<S> result;
-#pragma GCC unroll 6
-    for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
-      R total(0.0);
+    R total(0.0);
 #pragma GCC unroll 7
-      for (std::size_t column = 0; column < kTerms; ++column) {
-        const auto weight = [&](std::size_t row) {
-          return (*weights)[rule(static_cast<int>(row), static_cast<int>(column))].part[r];
-        };
-        R sum = basis.error[0].part[r] * weight(0);
+    for (std::size_t column = 0; column < kTerms; ++column) {
+      const auto weight = [&](std::size_t row) {
+        return (*weights)[rule(static_cast<int>(row), static_cast<int>(column))].part[r];
+      };
+      R sum = error[0] * weight(0);
 #pragma GCC unroll 7
-        for (std::size_t row = 1; row < kTerms; ++row) sum += basis.error[row].part[r] * weight(row);
-        total += sum * basis.rate[column].part[r];
-      }
-      if (rate != nullptr) {
-        const R overlap = inner(basis.error, rate->basis.error, r) * inner(basis.rate, rate->basis.rate, r);
-        total += R(scale) * rate->strength.part[r] * overlap;
-      }
-      result.part[r] = total;
+      for (std::size_t row = 1; row < kTerms; ++row) sum += error[row] * weight(row);
+      total += sum * error_rate[column];
     }
-    return result;
+    if (rate != nullptr) {
+      // in this order, no product is larger than two sums of memberships
+      const R reach = R(scale) * rate->strength.part[r] * inner(error, rate->basis.error, r);
+      total += reach * inner(error_rate, rate->basis.rate, r);
+    }
+    return total;
   }
 
  private:
-  static RegisterOf<S> inner(const TermStrengths<S>& a, const TermStrengths<S>& b, std::size_t r) {
-    RegisterOf<S> sum = a[0].part[r] * b[0].part[r];
+  [[gnu::always_inline]] static inline RegisterOf<S> inner(const Terms<RegisterOf<S>>& a, const TermStrengths<S>& b,
+                                                           std::size_t r) {
+    RegisterOf<S> sum = a[0] * b[0].part[r];
 #pragma GCC unroll 7
-    for (std::size_t k = 1; k < kTerms; ++k) sum += a[k].part[r] * b[k].part[r];
+    for (std::size_t k = 1; k < kTerms; ++k) sum += a[k] * b[k].part[r];
     return sum;
   }
 };
@@ -369,18 +399,21 @@ void advance_weights(FuzzyWeights<S>& weights, const std::array<const FuzzyRate<
 /// So `rate` becomes that of V, and the output that of W = exp(-sigma t) V.
 /// @param elapsed t [s]
 /// @param driver what drives the adaptation, chi-dot in (22) [m/s; rad/s]
+/// @param share as of `fire`
+/// @return the output of W [N; N m]
 template <class S>
-void restrain(const FuzzySystems<S>& systems, const S& elapsed, const AxisVector<S>& driver, FuzzyRate<S>& rate,
-              AxisVector<S>& output) {
+[[gnu::noinline]] AxisVector<S> restrain(const FuzzySystems<S>& systems, const S& elapsed, const AxisVector<S>& driver,
+                                         const AxisVector<S>& share, FuzzyRate<S>& rate, AxisVector<S> output) {
   using R = RegisterOf<S>;
   using std::exp;
   for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
     const R growth = exp(R(systems.leakage.part[r] * R(elapsed)));
     const R zone = systems.dead_zone.part[r];
     const R driven = driver.part[r] - clip(driver.part[r], -zone, zone);
-    rate.strength.part[r] = systems.inverse_adaptation.part[r] * driven * growth;
+    rate.strength.part[r] = systems.inverse_adaptation.part[r] * driven * growth * share.part[r];
     output.part[r] = output.part[r] / growth;
   }
+  return output;
 }
 
 /// Leakage and limit at the end of a step: from V back to W, each weight then projected on its interval.
@@ -403,18 +436,72 @@ void restrain(const FuzzySystems<S>& systems, const S& step, FuzzyWeights<S>& we
   }
 }
 
-/// Output and adaptation at one instant, from a basis that stands in `rate`: (13), and (22) with another driver.
+namespace detail {
+/// See `fire`; a register of systems at a time, from inputs to output: what its rules fire with stays in registers.
+template <class S, class Power>
+[[gnu::always_inline]] inline void fire_with(const Bells<S>& bells, const Power& power, const FuzzyStage<S>& weights,
+                                             const AxisVector<S>& u, const AxisVector<S>& u_rate, FuzzyBasis<S>& basis,
+                                             AxisVector<S>& share, AxisVector<S>& output) {
+  using R = RegisterOf<S>;
+  for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
+    ScaledTerms<R> error = scaled_terms<S>(u.part[r], bells, power);
+    ScaledTerms<R> rate = scaled_terms<S>(u_rate.part[r], bells, power);
+    if constexpr (Power::gentle) {
+      share.part[r] = R(1.0) / (error.sum * rate.sum);
+    } else {  // products of two sums may overflow
+      error.normalise();
+      rate.normalise();
+      share.part[r] = R(1.0);
+    }
+    output.part[r] = weights.output(r, error.mu, rate.mu) * share.part[r];
+#pragma GCC unroll 7
+    for (std::size_t k = 0; k < kTerms; ++k) {
+      basis.error[k].part[r] = error.mu[k];
+      basis.rate[k].part[r] = rate.mu[k];
+    }
+  }
+}
+/// For bells of any slope; out of line, so that the usual ones stay in registers.
+template <class S>
+[[gnu::noinline, gnu::cold]] void fire_at_any_slope(const Bells<S>& bells, const FuzzyStage<S>& weights,
+                                                    const AxisVector<S>& u, const AxisVector<S>& u_rate,
+                                                    FuzzyBasis<S>& basis, AxisVector<S>& share, AxisVector<S>& output) {
+  fire_with(bells, AnyPower<S>{bells}, weights, u, u_rate, basis, share, output);
+}
+}  // namespace detail
+
+/// All rules at the scaled inputs u, u-dot, which are limited to [-1, 1].
+/// @param basis filled in place, since it is 84 numbers
+/// @param share one over the sum of its 49 products, which makes it phi-bar; filled in
+/// @param output tau_f of (13) [N; N m]; filled in
+template <class S>
+[[gnu::always_inline]] inline void fire(const Bells<S>& bells, const FuzzyStage<S>& weights, const AxisVector<S>& u,
+                                        const AxisVector<S>& u_rate, FuzzyBasis<S>& basis, AxisVector<S>& share,
+                                        AxisVector<S>& output) {
+  if (bells.whole_slope == 2) [[likely]]
+    detail::fire_with(bells, SquarePower{}, weights, u, u_rate, basis, share, output);
+  else
+    detail::fire_at_any_slope(bells, weights, u, u_rate, basis, share, output);
+}
+
+/// Output and adaptation at one instant: (13), and (22) with another driver.
 ///
 /// Inline, since a law is evaluated in every stage.
+/// @param u, u_rate scaled inputs, limited to [-1, 1] here
 /// @param driver what drives the adaptation, chi-dot in (22) [m/s; rad/s]
-/// @param rate its strength is filled in
+/// @param rate filled in
 /// @param output tau_f [N; N m]; filled in
 template <class S>
 [[gnu::always_inline]] inline void respond(const FuzzySystems<S>& systems, const FuzzyStage<S>& weights,
+                                           const AxisVector<S>& u, const AxisVector<S>& u_rate,
                                            const AxisVector<S>& driver, FuzzyRate<S>& rate, AxisVector<S>& output) {
-  rate.strength = systems.inverse_adaptation * driver;
-  output = weights.output(rate.basis);
-  if (systems.restrained) restrain(systems, weights.scale, driver, rate, output);
+  AxisVector<S> share;
+  fire(systems.bells, weights, u, u_rate, rate.basis, share, output);
+  rate.strength = systems.inverse_adaptation * driver * share;
+  if (systems.restrained) [[unlikely]] {
+    const AxisVector<S> driven = driver, shared = share;  // copies, so that the others stay in registers
+    output = restrain(systems, weights.scale, driven, shared, rate, AxisVector<S>(output));
+  }
 }
 
 /// The end of a step: the weights advance by its stages, then leakage and limit act.

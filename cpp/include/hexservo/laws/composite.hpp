@@ -80,12 +80,12 @@ struct Composite : FuzzyLaw<CompositeGains> {
                                                            pose_difference(task.reference, input.pose), task.weights);
     if (constants.systems.enabled) {
       const FuzzySystems<S>& systems = constants.systems;
-      // The goal stands still: the pose error's rate is minus the twist.
-      fuzzy_basis(systems.bells, systems.error_scale * AxisVector<S>(pose_error),
-                  systems.rate_scale * AxisVector<S>(Vector6<S>(-input.twist)), out.rate.basis);
       const Vector6<S> driver = input.twist - constants.drive.cwiseProduct(pose_error);
+      // The goal stands still: the pose error's rate is minus the twist.
       AxisVector<S> fuzzy_output;
-      respond(systems, weights, AxisVector<S>(driver), out.rate, fuzzy_output);
+      respond(systems, weights, systems.error_scale * AxisVector<S>(pose_error),
+              systems.rate_scale * AxisVector<S>(Vector6<S>(-input.twist)), AxisVector<S>(driver), out.rate,
+              fuzzy_output);
       fuzzy_output.store(out.fuzzy_output.data());
     } else {
       out.fuzzy_output.setZero();

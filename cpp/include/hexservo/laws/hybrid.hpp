@@ -52,9 +52,8 @@ struct Hybrid : FuzzyLaw<HybridGains> {
       const FuzzySystems<S>& systems = constants.systems;
       // The goal stands still: the error's rate is minus the image's.
       const AxisVector<S> image_wrench_rate = S(-1.0) * J.pull(kp * J.push_pairs(input.twist));
-      fuzzy_basis(systems.bells, systems.error_scale * image_wrench, systems.rate_scale * image_wrench_rate,
-                  out.rate.basis);
-      respond(systems, weights, AxisVector<S>(input.twist), out.rate, fuzzy_output);  // (13), (22)
+      respond(systems, weights, systems.error_scale * image_wrench, systems.rate_scale * image_wrench_rate,
+              AxisVector<S>(input.twist), out.rate, fuzzy_output);  // (13), (22)
     } else {
       fuzzy_output = AxisVector<S>::Zero();
     }
