@@ -5,6 +5,7 @@
 #include <pybind11/functional.h>
 #include <pybind11/native_enum.h>
 
+#include <optional>
 #include <variant>
 
 namespace hexservo::bindings {
@@ -53,7 +54,8 @@ py::dict samples(const py::object& self) {
 }
 
 BatchResult run(const Settings& settings, const std::vector<std::pair<std::string, Values>>& variations,
-                std::size_t count, BatchLog log, int threads, const KernelHandle& kernel, const py::object& progress) {
+                std::size_t count, BatchLog log, int threads, const KernelHandle& kernel, const py::object& progress,
+                std::optional<std::vector<std::string>> metrics) {
   std::vector<Variation> rows;
   for (const auto& [key, numbers] : variations)
     std::visit(
@@ -70,6 +72,7 @@ BatchResult run(const Settings& settings, const std::vector<std::pair<std::strin
         numbers);
   BatchOptions options;
   options.log = log;
+  options.metrics = std::move(metrics);
   options.threads = threads;
   bool interrupted = false;
   options.stop_requested = [&interrupted] { return interrupted || interrupt_requested(); };
@@ -125,7 +128,7 @@ void bind_batch(py::module_& m) {
             return shared(self, result.metrics.data(), result.metrics.size(),
                           {py::ssize_t{kMetricNumbers}, signed_size(result.count)});
           },
-          "(18, n), in the order of Metrics")
+          "(21, n), in the order of Metrics; NaN where not asked for")
       .def_property_readonly("time", &numbers<&BatchResult::time>, "(m,) of trajectories [s], or None")
       .def_property_readonly("samples", &samples, "by name: (n, k), or (n, m, k) of trajectories; empty for metrics")
       .def_property_readonly(
@@ -138,7 +141,7 @@ void bind_batch(py::module_& m) {
           "(n, 6, 7, 7) at the end [N; N m], or None");
 
   m.def("simulate_batch", &run, py::arg("settings"), py::arg("variations"), py::arg("count"), py::arg("log"),
-        py::arg("threads"), py::arg("kernel"), py::arg("progress") = py::none(),
+        py::arg("threads"), py::arg("kernel"), py::arg("progress") = py::none(), py::arg("metrics") = py::none(),
         "Runs `count` scenarios: variations are (key, (n or 1, width) array), of 64-bit whole "
         "numbers without a sign for seed and of doubles for all others. progress(done, count, steps, total_steps) "
         "is called every 50 ms. ValueError for a bad scenario; Ctrl-C ends it and keeps what is finished.");

@@ -192,11 +192,36 @@ BatchResult allocate(std::size_t count, std::size_t rows, int points, BatchLog l
   return result;
 }
 
+/// Metrics that are asked for, and the groups that they are measured with.
+struct Measured {
+  std::array<bool, kMetricNumbers> asked{};
+  MetricGroups groups;
+};
+
+/// @throws std::invalid_argument for a name that is no metric
+Measured measured(const std::optional<std::vector<std::string>>& names) {
+  Measured result;
+  if (!names) {
+    result.asked.fill(true);
+    return result;
+  }
+  std::vector<MetricName> metrics;
+  Metrics<double>::visit([&metrics](const MetricName& metric) { metrics.push_back(metric); });
+  result.groups = MetricGroups::none();
+  for (const std::string& name : *names) {
+    const auto found = std::ranges::find_if(metrics, [&name](const MetricName& metric) { return name == metric.name; });
+    if (found == metrics.end()) refuse("metrics", "names of metrics", words("\"", name, "\""));
+    result.asked[static_cast<std::size_t>(found - metrics.begin())] = true;
+    result.groups.add(found->group);
+  }
+  return result;
+}
+
 /// One batch under way.
 class Batch {
  public:
   Batch(const Scenarios& scenarios, const BatchOptions& options, const Kernel& kernel)
-      : scenarios_(scenarios), options_(options), kernel_(kernel) {
+      : scenarios_(scenarios), options_(options), kernel_(kernel), measured_(measured(options.metrics)) {
     numbers_ = detail::flat_size(scenarios.base());
     const double bytes = static_cast<double>(scenarios.count()) * static_cast<double>(numbers_) * 8.0;
     if (scenarios.same_legs()) legs_ = make_hexapod(scenarios.base().robot);
@@ -310,6 +335,7 @@ class Batch {
     request.count = static_cast<int>(n);
     request.parameters = parameters.data();
     request.log_every = options_.log == BatchLog::trajectory ? pack.grid->simulation.log_every : 0;
+    request.unmeasured = measured_.groups.left_out();
     request.stop = Witness::ask;
     request.context = &witness;
     request.answers = answers.data();
@@ -335,7 +361,8 @@ class Batch {
     result.end_time[i] = answer.end_time;
     result.limit_leg[i] = static_cast<std::int8_t>(answer.limit_leg);
     result.stop_time[i] = static_cast<double>(answer.steps) * step;
-    for (std::size_t m = 0; m < kMetricNumbers; ++m) result.metrics[m * result.count + i] = answer.metrics[m];
+    for (std::size_t m = 0; m < kMetricNumbers; ++m)
+      if (measured_.asked[m]) result.metrics[m * result.count + i] = answer.metrics[m];
     const double* sample = answer.sample;
     for (std::size_t q = 0; options_.log == BatchLog::last_sample && q < result.samples.size(); ++q) {
       std::copy_n(sample, sample_width(q, result.points), answer.columns[q]);
@@ -389,6 +416,7 @@ class Batch {
   const Scenarios& scenarios_;
   const BatchOptions& options_;
   const Kernel& kernel_;
+  Measured measured_;
   std::optional<Hexapod<double>> legs_;  // of all scenarios, where they share them
   std::size_t numbers_ = 0;              // of a flattened scenario
   Buffer prepared_;                      // all flattened scenarios, or empty where they would take too much

@@ -13,7 +13,7 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 9;                         ///< changes with everything below
+inline constexpr int kKernelAbi = 10;                        ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 21;         ///< of `Metrics`, in the order of its `visit`
@@ -70,6 +70,7 @@ struct RunRequest {
   Recording recorded_target;        ///< of the target, likewise
   long long steps;
   long long log_every;  ///< steps between two rows of the log; 0: no log
+  unsigned unmeasured;  ///< groups of metrics that are not asked for, `MetricGroups::left_out`
   bool log_end;         ///< also log the last good sample of a run that stops early, off the grid
   /// Asked every `kQuestionEvery` steps with the steps taken so far; true stops the run. May be null; does not throw.
   bool (*stop)(void* context, long long steps);

@@ -43,6 +43,8 @@ template <class S, class Law, int N>
 void read_parameters(LoopParameters<S, Law, N>& parameters, const RunRequest& request) {
   parameters.recorded = request.recorded;
   parameters.recorded_target = request.recorded_target;
+  parameters.measured = MetricGroups(request.unmeasured);
+  parameters.samples_legs = request.log_every > 0;
   if constexpr (kLanes<S> == 1) {
     unflatten(parameters, request.parameters[0]);
   } else {
@@ -192,6 +194,7 @@ RunStatus run(const RunRequest& request) {
       log->add();
     }
   }
+  loop.finish();
   for (int lane = 0; lane < request.count; ++lane) {
     answer(record, loop.law_state(), steps, stopped, lane, request);
     const RunAnswer& a = request.answers[lane];

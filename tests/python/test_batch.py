@@ -417,6 +417,39 @@ def test_a_log_of_metrics_keeps_nothing_else(smooth: hs.Scenario) -> None:
         assert values.tobytes() == whole.metrics[name].tobytes()
 
 
+@pytest.mark.parametrize("law", ["hybrid", "kelly"])
+@pytest.mark.parametrize("mode", ["continuous", "sampled"])
+def test_a_metric_is_the_same_whatever_else_is_asked_for(
+    smooth: hs.Scenario, sampled: hs.Scenario, mode: str, law: str
+) -> None:
+    scenario = {"continuous": smooth, "sampled": sampled}[mode].updated({"controller.law": law})
+    varied = {"robot.mass": scenario.robot.mass * np.array([1.0, 1.1, 1.2, 60.0])}  # the last one falls
+    everything = hs.simulate_batch(scenario, varied)
+    assert list(everything.metrics) == list(hs.METRICS)
+    for asked in [*([name] for name in hs.METRICS), ["peak_leg_force", "final_error"], []]:
+        some = hs.simulate_batch(scenario, varied, metrics=iter(asked))
+        assert list(some.metrics) == [name for name in hs.METRICS if name in asked]
+        for name, values in some.metrics.items():
+            np.testing.assert_array_equal(values, everything.metrics[name], err_msg=name)
+        np.testing.assert_array_equal(some.outcome, everything.outcome)
+        np.testing.assert_array_equal(some.end_time, everything.end_time)
+        for name, values in some.samples.items():  # legs are worked out elsewhere where no metric asks for them
+            expected = everything.samples[name]
+            atol = 1e-12 * np.abs(expected).max() if name.startswith("leg_") else 0.0
+            np.testing.assert_allclose(values, expected, rtol=0, atol=atol, err_msg=name)
+    assert "settling_time" not in hs.simulate_batch(scenario, varied, metrics=["effort"]).to_dataframe()
+
+
+def test_without_a_metric_of_the_legs_a_run_passes_singular_poses() -> None:
+    scenario = hs.load_scenario("paper-gravity")
+    varied = {"uncertainty.gravity": [0.5]}
+    looked = hs.simulate_batch(scenario, varied, "metrics", metrics=["peak_leg_force"])
+    passed = hs.simulate_batch(scenario, varied, "metrics", metrics=["final_error"])
+    assert looked.outcome.tolist() == ["singular"]
+    assert passed.outcome.tolist() != ["singular"]
+    assert passed.end_time[0] > looked.end_time[0]
+
+
 @pytest.mark.parametrize("log", ["metrics", "final", "trajectory"])
 def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
     import xarray
@@ -513,6 +546,11 @@ def test_bad_arguments_are_refused_with_a_message(paper: hs.Scenario) -> None:
         hs.simulate_batch(paper, variations, threads=2.0)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"^progress: expected True, a function or None, got str$"):
         hs.simulate_batch(paper, variations, progress="yes")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r'^metrics: expected "all" or names of hs.METRICS, got "eforts"; effort\?$'):
+        hs.simulate_batch(paper, variations, metrics=["eforts"])
+    for wrong in ("effort", 3, [3]):
+        with pytest.raises(TypeError, match=r'^metrics: expected "all" or names of hs.METRICS, got (str|int)$'):
+            hs.simulate_batch(paper, variations, metrics=wrong)  # type: ignore[arg-type]
 
 
 # ---- Progress, Ctrl-C, memory ---------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 import hexservo as hs
 from hexservo.campaigns.plan import CampaignPlan, campaign_names, load_plan
 from hexservo.campaigns.requirements import requirement_of, run_margins
+from hexservo.run.publish import OutputError
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import load_yaml
 
@@ -308,9 +309,24 @@ REFUSED = [
     ({"until": {"probability_below": 1}}, "until.probability_below: expected a number > 0 and < 1, got 1"),
     ({"confidence": 1}, "confidence: expected a number > 0 and < 1, got 1"),
     ({"chunk_size": 0}, "chunk_size: expected an integer from 1 to"),
+    ({"metrics": ["eforts"]}, "metrics: expected all, or a list of metrics, which hs.METRICS describes"),
+    ({"metrics": "effort"}, "metrics: expected all, or a list of metrics"),
     ({"variant": "sse"}, "variant: expected avx512, avx2, baseline or null"),
     ({"confidenc": 0.9}, 'confidenc: unknown key; did you mean "confidence"'),
 ]
+
+
+def test_a_campaign_keeps_the_metrics_that_it_names_and_those_it_requires(tmp_path: Path) -> None:
+    file = {"scenario": "composite-30hz", "vary": VARIED, "require": ["effort <= 1", "outcome == completed"], "runs": 3}
+    everything = hs.campaign(file, tmp_path / "all").to_dataframe()
+    named = hs.campaign({**file, "metrics": ["final_error"]}, tmp_path / "named")
+    some = named.to_dataframe()
+    assert [name for name in some if name in hs.METRICS] == ["final_error", "effort"]
+    for name in some:
+        assert (some[name] == everything[name]).all(), name
+    assert load_plan(tmp_path / "named" / "campaign.yaml").kept_metrics() == ("final_error", "effort")
+    with pytest.raises(OutputError, match="got one that differs in metrics"):
+        hs.campaign(file, tmp_path / "named")
 
 
 @pytest.mark.parametrize(("change", "message"), REFUSED)

@@ -83,10 +83,10 @@ def test_ctrl_c_keeps_what_was_simulated(uninterrupted: Path, tmp_path: Path, mo
     simulated = 0
     simulate_batch = hs.simulate_batch
 
-    def watched(*arguments: Any) -> hs.BatchResult:
+    def watched(*arguments: Any, **rest: Any) -> hs.BatchResult:
         nonlocal simulated
         simulated += 1
-        return simulate_batch(*arguments)
+        return simulate_batch(*arguments, **rest)
 
     monkeypatch.setattr("hexservo.campaigns.judging.simulate_batch", watched)
     hs.tune(SHORT, tmp_path / "out", **OPTIONS)

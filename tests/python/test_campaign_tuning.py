@@ -83,9 +83,9 @@ def test_noise_differs_from_generation_to_generation_only(tmp_path: Path, monkey
     seen: list[tuple[int, Any]] = []
     simulate_batch = hs.simulate_batch
 
-    def watched(scenario: hs.Scenario, variations: Any, *more: Any) -> hs.BatchResult:
+    def watched(scenario: hs.Scenario, variations: Any, *more: Any, **rest: Any) -> hs.BatchResult:
         seen.append((len(variations["seed"]), variations["seed"].copy()))
-        return simulate_batch(scenario, variations, *more)
+        return simulate_batch(scenario, variations, *more, **rest)
 
     monkeypatch.setattr("hexservo.campaigns.judging.simulate_batch", watched)
     short = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.05, "metrics.rms_start": 0.01})

@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstdint>
+#include <optional>
 
 namespace hexservo {
 
@@ -34,6 +35,7 @@ struct BatchProgress {
 /// How a batch is to run.
 struct BatchOptions {
   BatchLog log = BatchLog::last_sample;
+  std::optional<std::vector<std::string>> metrics;  ///< by their names in `Metrics`; none: all
   int threads = 1;
   std::function<bool()> stop_requested;                ///< asked every 50 ms by the calling thread; true ends the batch
   std::function<void(const BatchProgress&)> progress;  ///< called every 50 ms, and at the end, by the calling thread
@@ -49,7 +51,7 @@ struct BatchResult {
   std::vector<std::int8_t> limit_leg;  ///< n, leg that ended a run, 0 to 5; -1: none did
   Buffer end_time;                     ///< n, of the last good sample; NaN where interrupted [s]
   Buffer stop_time;                    ///< n, of the step at which the run stopped; NaN where interrupted [s]
-  Buffer metrics;                      ///< 21 x n, in the order of `Metrics`; NaN where interrupted
+  Buffer metrics;                      ///< 21 x n, in the order of `Metrics`; NaN where interrupted or not asked for
   Buffer time;                         ///< m, of the trajectories [s]
   /// In the order of `Sample`: n x k, or n x m x k with NaN where a run had stopped; NaN where interrupted.
   std::array<Buffer, 9> samples;
@@ -64,8 +66,8 @@ inline constexpr double kMaxBatchBytes = kMaxLogBytes;
 /// All scenarios are checked before the first one runs. A run depends on its own scenario and on the kernel alone: not
 /// on the other scenarios, their number or order, or on the number of threads.
 /// @throws std::invalid_argument("scenario 17: key: expected ..., got ...") for the first bad one, without "scenario"
-/// for keys, widths and counts; where the result would not fit into `kMaxBatchBytes`; for trajectories on different
-/// time grids
+/// for keys, widths, counts and metrics; where the result would not fit into `kMaxBatchBytes`; for trajectories on
+/// different time grids
 BatchResult simulate_batch(const Settings& base, std::span<const Variation> variations, std::size_t count,
                            const BatchOptions& options, const Kernel& kernel = built_in_kernel());
 

@@ -126,6 +126,9 @@ class ClosedLoop {
     record_.accept(time(), state_, now_.law.wrench, now_.law.fuzzy_output);
   }
 
+  /// After the last step.
+  void finish() noexcept { record_.finish(); }
+
   /// Time that was last asked for [s]; lanes that have stopped are behind it.
   double time() const noexcept { return static_cast<double>(steps_) * p_.step; }
   long long steps() const noexcept { return steps_; }

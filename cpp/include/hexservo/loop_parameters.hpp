@@ -60,6 +60,8 @@ struct SceneParameters {
   MetricsSettings<S> metrics;
   Recording recorded;         ///< of the base; not visited: it is shared, and no number
   Recording recorded_target;  ///< of the target; likewise
+  MetricGroups measured;      ///< groups of metrics that are asked for
+  bool samples_legs = true;   ///< whether every sample has its leg lengths and forces; else the last one alone
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {

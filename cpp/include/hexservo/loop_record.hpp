@@ -21,12 +21,14 @@ class LoopRecord {
         mid_lengths_(p.hexapod.mid_lengths),
         stroke_(p.hexapod.stroke),
         desired_features_(p.desired_features),
-        stops_at_limit_(p.mode == LoopMode::sampled && p.on_limit == LimitPolicy::stop) {
+        stops_at_limit_(p.mode == LoopMode::sampled && p.on_limit == LimitPolicy::stop),
+        looks_at_legs_(p.samples_legs || p.measured.has(MetricGroup::leg_lengths) ||
+                       p.measured.has(MetricGroup::leg_forces)) {
     Sample<S, N>::visit([](const char*, auto& value) { value.setZero(); }, sample_);
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);
     sample_.feature_error = desired_features_ - start.view.image.features;
-    metrics_.emplace(p.metrics, p.hexapod, p.body, desired_features_, sample_, p.points);
+    metrics_.emplace(p.metrics, p.hexapod, p.body, desired_features_, sample_, p.points, p.measured);
   }
 
   /// Lanes that go on.
@@ -61,6 +63,11 @@ class LoopRecord {
   /// Takes over the sample of a state where it is good, and stops the lane where it is not.
   void accept(double time, const WorldState<S, N>& state, const Vector6<S>& wrench,
               const Vector6<S>& fuzzy_output) noexcept {
+    if (!looks_at_legs_) {
+      const Vector6<S> none = Vector6<S>::Zero();
+      accept(time, state, none, Mask<S>(false), wrench, none, fuzzy_output, Mask<S>(false));
+      return;
+    }
     const LegsSideBySide<S> legs = inverse_kinematics(legs_, position_of(state.body), state.view.R_BE);
     const WrenchMapSolver<S> solver(legs_, legs);
     accept(time, state, legs.lengths.vector(), solver.failed(), wrench, solver.leg_forces(wrench), fuzzy_output,
@@ -106,6 +113,19 @@ class LoopRecord {
     metrics_->add(time, sample_, good);
   }
 
+  /// Ends a run of a continuous loop: legs that no step has looked at get into the newest sample, which may turn out
+  /// to be at a singular pose.
+  void finish() noexcept {
+    if (looks_at_legs_) return;
+    const LegsSideBySide<S> legs =
+        inverse_kinematics(legs_, sample_.position, Matrix3<S>(rotation_matrix(sample_.quaternion)));
+    const WrenchMapSolver<S> solver(legs_, legs);
+    sample_.leg_lengths = legs.lengths.vector();
+    const Vector6<S> unknown = Vector6<S>::Constant(S(std::numeric_limits<double>::quiet_NaN()));
+    sample_.leg_forces = select(solver.failed(), unknown, solver.leg_forces(sample_.wrench));
+    stop(StopCause::singular, solver.failed());
+  }
+
   /// Notes the first cause of each lane.
   void stop(StopCause cause, const Mask<S>& where) noexcept {
     cause_ = select(where & running(), S(static_cast<double>(cause)), cause_);
@@ -147,6 +167,7 @@ class LoopRecord {
   S cause_{0.0};
   S limit_leg_{-1.0};
   bool stops_at_limit_;
+  bool looks_at_legs_;
 };
 
 }  // namespace hexservo

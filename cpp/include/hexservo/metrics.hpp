@@ -24,6 +24,44 @@ struct MetricsSettings {
   }
 };
 
+/// Metrics that are measured together.
+enum class MetricGroup {
+  errors,       ///< of the features
+  motion,       ///< of the platform
+  control,      ///< what the wrench costs
+  excursions,   ///< of the features from the straight ways to their goals
+  leg_lengths,  ///< and whether a stroke is passed
+  leg_forces,   ///< and whether the limit of force is passed
+  leg_motion    ///< speeds and tilts, where they have limits
+};
+
+/// Groups that are asked for: all, unless some are left out. What is left out costs nothing, and has no meaning.
+class MetricGroups {
+ public:
+  MetricGroups() = default;
+  /// @param left_out a bit for each group, 1 << its number
+  explicit constexpr MetricGroups(unsigned left_out) : left_out_(left_out) {}
+  static constexpr MetricGroups none() { return MetricGroups(~0U); }
+
+  constexpr bool has(MetricGroup group) const { return (left_out_ & bit(group)) == 0; }
+  constexpr void add(MetricGroup group) { left_out_ &= ~bit(group); }
+  /// As the constructor takes them.
+  constexpr unsigned left_out() const { return left_out_; }
+
+ private:
+  static constexpr unsigned bit(MetricGroup group) { return 1U << static_cast<unsigned>(group); }
+
+  unsigned left_out_ = 0;
+};
+
+/// Name of a metric, and what it is measured with.
+struct MetricName {
+  const char* name;
+  MetricGroup group;
+
+  constexpr operator const char*() const { return name; }  // NOLINT: a name, for those who ask for no more
+};
+
 /// One sample of the closed loop at a grid time.
 template <class S, int N = kPoints>
 struct Sample {
@@ -78,27 +116,27 @@ struct Metrics {
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
-    v("settling_time", self.settling_time...);
-    v("final_error", self.final_error...);
-    v("rms_error", self.rms_error...);
-    v("peak_error", self.peak_error...);
-    v("peak_displacement", self.peak_displacement...);
-    v("peak_rotation", self.peak_rotation...);
-    v("final_linear_speed", self.final_linear_speed...);
-    v("final_angular_speed", self.final_angular_speed...);
-    v("peak_control_force", self.peak_control_force...);
-    v("peak_control_moment", self.peak_control_moment...);
-    v("peak_leg_force", self.peak_leg_force...);
-    v("peak_leg_excursion", self.peak_leg_excursion...);
-    v("overshoot", self.overshoot...);
-    v("relative_overshoot", self.relative_overshoot...);
-    v("peak_feature_distance", self.peak_feature_distance...);
-    v("peak_line_deviation", self.peak_line_deviation...);
-    v("effort", self.effort...);
-    v("chatter", self.chatter...);
-    v("peak_leg_speed", self.peak_leg_speed...);
-    v("peak_base_joint", self.peak_base_joint...);
-    v("peak_platform_joint", self.peak_platform_joint...);
+    v(MetricName{"settling_time", MetricGroup::errors}, self.settling_time...);
+    v(MetricName{"final_error", MetricGroup::errors}, self.final_error...);
+    v(MetricName{"rms_error", MetricGroup::errors}, self.rms_error...);
+    v(MetricName{"peak_error", MetricGroup::errors}, self.peak_error...);
+    v(MetricName{"peak_displacement", MetricGroup::motion}, self.peak_displacement...);
+    v(MetricName{"peak_rotation", MetricGroup::motion}, self.peak_rotation...);
+    v(MetricName{"final_linear_speed", MetricGroup::motion}, self.final_linear_speed...);
+    v(MetricName{"final_angular_speed", MetricGroup::motion}, self.final_angular_speed...);
+    v(MetricName{"peak_control_force", MetricGroup::control}, self.peak_control_force...);
+    v(MetricName{"peak_control_moment", MetricGroup::control}, self.peak_control_moment...);
+    v(MetricName{"peak_leg_force", MetricGroup::leg_forces}, self.peak_leg_force...);
+    v(MetricName{"peak_leg_excursion", MetricGroup::leg_lengths}, self.peak_leg_excursion...);
+    v(MetricName{"overshoot", MetricGroup::excursions}, self.overshoot...);
+    v(MetricName{"relative_overshoot", MetricGroup::excursions}, self.relative_overshoot...);
+    v(MetricName{"peak_feature_distance", MetricGroup::excursions}, self.peak_feature_distance...);
+    v(MetricName{"peak_line_deviation", MetricGroup::excursions}, self.peak_line_deviation...);
+    v(MetricName{"effort", MetricGroup::control}, self.effort...);
+    v(MetricName{"chatter", MetricGroup::control}, self.chatter...);
+    v(MetricName{"peak_leg_speed", MetricGroup::leg_motion}, self.peak_leg_speed...);
+    v(MetricName{"peak_base_joint", MetricGroup::leg_motion}, self.peak_base_joint...);
+    v(MetricName{"peak_platform_joint", MetricGroup::leg_motion}, self.peak_platform_joint...);
   }
 };
 
@@ -296,8 +334,10 @@ template <class S, int N = kPoints>
 class MetricsAccumulator {
  public:
   MetricsAccumulator(const MetricsSettings<S>& settings, const Hexapod<S>& hexapod, const RigidBody<S>& body,
-                     const Vector<S, 2 * N>& desired_features, const Sample<S, N>& first, int points = N)
+                     const Vector<S, 2 * N>& desired_features, const Sample<S, N>& first, int points = N,
+                     MetricGroups groups = {})
       : points_(points),
+        groups_(groups),
         rms_start_(settings.rms_start),
         hexapod_(hexapod),
         body_(body),
@@ -352,39 +392,58 @@ class MetricsAccumulator {
  private:
   template <class Take>
   void add(double time, const Sample<S, N>& sample, const Take& take) {
-    const auto keep = [&take](S& value, const S& next) { value = take.keep(value, next); };
-    const auto peak = [&take, &keep](S& value, const S& next) { keep(value, take.larger(value, next)); };
-
-    const S error = detail::largest_abs(sample.feature_error, take);
-    settling_.add(time, error, take);
-    keep(final_error_, error);
-    peak(peak_error_, error);
-    if (time >= rms_start_ * (1.0 - 1e-12)) {
-      keep(square_sum_, square_sum_ + squares(sample.feature_error));
-      keep(square_count_, square_count_ + S(2.0 * (N == kPoints ? N : points_)));
-    }
-
-    peak(peak_displacement_squared_, (sample.position - start_position_).squaredNorm());
-    // vector part of q conj(q_0): its square is sin^2 of half the rotation angle
-    const Vector3<S> v = sample.quaternion.template tail<3>(), v0 = start_quaternion_.template tail<3>();
-    const Vector3<S> half = start_quaternion_(0) * v - sample.quaternion(0) * v0 + v0.cross(v);
-    peak(peak_half_sine_squared_, half.squaredNorm());
-    keep(linear_speed_squared_, sample.twist.template head<3>().squaredNorm());
-    keep(angular_speed_squared_, sample.twist.template tail<3>().squaredNorm());
-
-    Vector6<S> control = sample.wrench - gravity_wrench_;
-    if (body_.off_centre) control = sample.wrench - gravity_wrench(body_, rotation_matrix(sample.quaternion));
-    peak(peak_control_force_, detail::largest_abs<S, 3>(control.template head<3>(), take));
-    peak(peak_control_moment_, detail::largest_abs<S, 3>(control.template tail<3>(), take));
-    features_.add(sample.feature_error, take);
-    cost_.add(time, control, take);
-    stroke_.add(time, sample.leg_lengths - hexapod_.mid_lengths, hexapod_.stroke, take);
-    force_.add(time, sample.leg_forces, hexapod_.force_limit, take);
-    if (watch_.acts()) add_motion(time, sample, take);
+    if (groups_.has(MetricGroup::errors)) add_errors(time, sample, take);
+    if (groups_.has(MetricGroup::motion)) add_body_motion(sample, take);
+    if (groups_.has(MetricGroup::control)) add_control(time, sample, take);
+    if (groups_.has(MetricGroup::excursions)) features_.add(sample.feature_error, take);
+    if (groups_.has(MetricGroup::leg_lengths))
+      stroke_.add(time, sample.leg_lengths - hexapod_.mid_lengths, hexapod_.stroke, take);
+    if (groups_.has(MetricGroup::leg_forces)) force_.add(time, sample.leg_forces, hexapod_.force_limit, take);
+    if (watch_.acts() && groups_.has(MetricGroup::leg_motion)) add_leg_motion(time, sample, take);
   }
 
   template <class Take>
-  [[gnu::noinline]] void add_motion(double time, const Sample<S, N>& sample, const Take& take) {
+  static void keep(const Take& take, S& value, const S& next) {
+    value = take.keep(value, next);
+  }
+  template <class Take>
+  static void peak(const Take& take, S& value, const S& next) {
+    value = take.keep(value, take.larger(value, next));
+  }
+
+  template <class Take>
+  void add_errors(double time, const Sample<S, N>& sample, const Take& take) {
+    const S error = detail::largest_abs(sample.feature_error, take);
+    settling_.add(time, error, take);
+    keep(take, final_error_, error);
+    peak(take, peak_error_, error);
+    if (time < rms_start_ * (1.0 - 1e-12)) return;
+    keep(take, square_sum_, S(square_sum_ + squares(sample.feature_error)));
+    keep(take, square_count_, S(square_count_ + S(2.0 * (N == kPoints ? N : points_))));
+  }
+
+  template <class Take>
+  void add_body_motion(const Sample<S, N>& sample, const Take& take) {
+    peak(take, peak_displacement_squared_, S((sample.position - start_position_).squaredNorm()));
+    // vector part of q conj(q_0): its square is sin^2 of half the rotation angle
+    const Vector3<S> v = sample.quaternion.template tail<3>(), v0 = start_quaternion_.template tail<3>();
+    const Vector3<S> half = start_quaternion_(0) * v - sample.quaternion(0) * v0 + v0.cross(v);
+    peak(take, peak_half_sine_squared_, S(half.squaredNorm()));
+    keep(take, linear_speed_squared_, S(sample.twist.template head<3>().squaredNorm()));
+    keep(take, angular_speed_squared_, S(sample.twist.template tail<3>().squaredNorm()));
+  }
+
+  template <class Take>
+  void add_control(double time, const Sample<S, N>& sample, const Take& take) {
+    Vector6<S> control = sample.wrench - gravity_wrench_;
+    if (body_.off_centre) control = sample.wrench - gravity_wrench(body_, rotation_matrix(sample.quaternion));
+    peak(take, peak_control_force_, detail::largest_abs<S, 3>(control.template head<3>(), take));
+    peak(take, peak_control_moment_, detail::largest_abs<S, 3>(control.template tail<3>(), take));
+    cost_.add(time, control, take);
+  }
+
+  template <class Take>
+  [[gnu::noinline]] void add_leg_motion(double time, const Sample<S, N>& sample, const Take& take) {
     const LegMotion<S> motion = watch_.at(sample.position, sample.quaternion, sample.twist);
     speed_.add(time, motion.speeds, watch_.speed_limit(), take);
     base_joint_.add(time, motion.base_chords, watch_.base_chord(), take);
@@ -409,6 +468,7 @@ class MetricsAccumulator {
   }
 
   int points_;  ///< of the target
+  MetricGroups groups_;
   double rms_start_;
   Hexapod<S> hexapod_;
   RigidBody<S> body_;  ///< as estimated

@@ -299,6 +299,9 @@ class SampledLoop {
     act();
   }
 
+  /// After the last tick: each has looked at the legs.
+  void finish() noexcept {}
+
   /// Time that was last asked for [s]; lanes that have stopped are behind it.
   double time() const noexcept { return plant_.time(); }
   long long steps() const noexcept { return plant_.ticks(); }

@@ -73,7 +73,7 @@ class Candidates:
 
     def __init__(self, plan: CampaignPlan, asked: TunePlan, steps: SearchSteps, seed: int, threads: int | None) -> None:
         self.plan, self.asked, self.steps, self.seed = plan, asked, steps, seed
-        self.judge = Judge(plan, threads)
+        self.judge = Judge(plan, threads, self.asked.minimise)
         self.drawing = self.judge.drawing
         self.random = np.random.default_rng(seed)
         self.runs = 0  # of all steps, those that were kept included

@@ -115,7 +115,9 @@ def compute_chunk(
     first, last = plan.runs_of_chunk(index)
     numbers = store.drawing.numbers(first, last)
     try:
-        batch = simulate_batch(store.base, store.drawing.variations(numbers), "metrics", threads, look)
+        batch = simulate_batch(
+            store.base, store.drawing.variations(numbers), "metrics", threads, look, metrics=plan.kept_metrics()
+        )
     except ValueError as error:
         lines = [
             _PLACE.sub(lambda match: f"run {first + int(match['index'])}: ", line) for line in str(error).splitlines()

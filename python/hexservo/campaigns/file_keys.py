@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from hexservo.campaigns.distributions import SEED, Variation, variation_of
 from hexservo.campaigns.requirements import Requirement, requirement_of
+from hexservo.run.metrics import asked_metrics
 from hexservo.scenario.rules import Integer, Number, Rule, refusal
 from hexservo.scenario.scenario import Scenario, load_scenario
 from hexservo.scenario.yaml import ScenarioError
@@ -158,6 +159,24 @@ class VariantRule(Rule):
         if value not in ("avx512", "avx2", "baseline", None):
             self.refuse(value)
         return cast("str | None", value)
+
+
+class MetricsRule(Rule):
+    """Metrics that a campaign keeps of its runs."""
+
+    @property
+    def expected(self) -> str:
+        return "all, or a list of metrics, which hs.METRICS describes"
+
+    def accept(self, value: Any) -> str | tuple[str, ...]:
+        if value == "all":
+            return "all"
+        if not isinstance(value, list | tuple):
+            self.refuse(value)
+        try:
+            return asked_metrics(value)
+        except (TypeError, ValueError):
+            self.refuse(value)
 
 
 class RecordRule(Rule):

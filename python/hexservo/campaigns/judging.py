@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from numpy.typing import NDArray
@@ -16,10 +16,15 @@ __all__ = ["Judge"]
 
 
 class Judge:
-    """Runs what a campaign may draw, and judges each run against its requirements; counts the runs."""
+    """Runs what a campaign may draw, and judges each run against its requirements; counts the runs.
 
-    def __init__(self, plan: CampaignPlan, threads: int | None) -> None:
+    Runs have the metrics of the requirements, and those of `metrics`. Their legs are looked at in any case, so that
+    they end as those of `simulate` do.
+    """
+
+    def __init__(self, plan: CampaignPlan, threads: int | None, metrics: Iterable[str] = ()) -> None:
         self.plan = plan
+        self.metrics = (*plan.required_metrics(), *metrics, "peak_leg_force")
         self.threads = threads
         self.drawing = plan.drawing()
         self.base = plan.scenario.updated(self.drawing.base)  # what a batch varies
@@ -43,7 +48,7 @@ class Judge:
             Ctrl-C ended the batch.
         """
         varied = self.drawing.variations(numbers) | dict(gains or {})
-        batch = whole(simulate_batch(self.base, varied, "metrics", self.threads))
+        batch = whole(simulate_batch(self.base, varied, "metrics", self.threads, metrics=self.metrics))
         self.runs += len(batch)
         return batch_margins(batch, numbers, self.plan.require), batch
 

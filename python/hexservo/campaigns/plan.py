@@ -17,6 +17,7 @@ from hexservo.campaigns.distributions import SEED, Variation
 from hexservo.campaigns.drawing import PLACED, Drawing
 from hexservo.campaigns.file_keys import (
     PROBABILITY,
+    MetricsRule,
     OptionalInteger,
     Problem,
     RecordRule,
@@ -30,6 +31,7 @@ from hexservo.campaigns.file_keys import (
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule, Variable
+from hexservo.run.metrics import asked_metrics
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
 from hexservo.run.variations import checked_variations, known_key
 from hexservo.scenario.block import Block
@@ -61,6 +63,7 @@ class CampaignPlan(Block):
     rare: Annotated[bool, Flag()] = False  # the mixture of the interval is Beta(0.1, 1e4), for rare failures
     stream: Annotated[int, Integer(0, 2**63 - 1)] = 0  # another number, other variations
     variant: Annotated[str | None, VariantRule()] = None  # compiled variant; null: that of the process which begins
+    metrics: Annotated[str | tuple[str, ...], MetricsRule()] = "all"  # kept of each run; those required are in any case
     tune: Annotated[TunePlan | None, TuneRule()] = None  # gains to search (docs/tune.md); a campaign ignores it
     record: Annotated[None, RecordRule()] = Field(default=None, exclude=True)
 
@@ -114,6 +117,14 @@ class CampaignPlan(Block):
             raise refusal(*((("vary",), line) for line in str(error).splitlines())) from None
         return self
 
+    def required_metrics(self) -> tuple[str, ...]:
+        """Return the metrics that its requirements need."""
+        return tuple(one.name for one in self.require if one.name != "outcome")
+
+    def kept_metrics(self) -> tuple[str, ...]:
+        """Return the metrics that it keeps of each run."""
+        return asked_metrics("all" if self.metrics == "all" else (*self.metrics, *self.required_metrics()))
+
     def drawing(self) -> Drawing:
         """Return what draws the variations of its runs."""
         return Drawing(self.scenario, self.vary, int(self.digest()[:32], 16))
@@ -143,6 +154,7 @@ class CampaignPlan(Block):
             "rare": self.rare,
             "stream": self.stream,
             "variant": self.variant,
+            "metrics": self.metrics if isinstance(self.metrics, str) else list(self.metrics),
             "tune": None if self.tune is None else self.tune.to_plain(),
         }
 

@@ -18,6 +18,7 @@ from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Bars, Cell, Column, Item, Section, Share, Table
+from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 
 __all__ = ["Indices", "Sensitivity", "sensitivity", "sobol_indices"]
@@ -134,7 +135,7 @@ def sensitivity(
         Ctrl-C.
     """
     plan = load_plan(source)
-    judge = Judge(plan, threads)
+    judge = Judge(plan, threads, METRICS)
     drawing = judge.drawing
     inputs = (*drawing.names, *(["seed"] if drawing.has_seed else []))
     quantities: list[str] = []

@@ -246,7 +246,8 @@ def remove_drafts(folder: Path) -> None:
 def new_record(plan: CampaignPlan) -> dict[str, Any]:
     """Return what a folder records of a campaign that begins now, beside its file."""
     variant = plan.required_variant()
-    keys = [plan.digest(), [requirement.to_plain() for requirement in plan.require], FORMAT, VERSION, variant]
+    requirements = [requirement.to_plain() for requirement in plan.require]
+    keys = [plan.digest(), requirements, list(plan.kept_metrics()), FORMAT, VERSION, variant]
     return {
         "format": FORMAT,
         "hexservo": VERSION,

@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -17,7 +17,7 @@ from hexservo import _core
 from hexservo.run.custom_controller import OwnController, function_name, run_with
 from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
-from hexservo.run.metrics import METRICS, metric_unit
+from hexservo.run.metrics import METRICS, asked_metrics, metric_unit
 from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.result import TERMS, WRENCH, quantities
 from hexservo.run.variant import chosen_kernel
@@ -64,7 +64,7 @@ class BatchResult:
     limit_leg: NDArray[np.int8] = field(repr=False)  # (n,) leg, 1 to 6, that ended a run as leg_limit; 0: none did
     end_time: Array = field(repr=False)  # (n,) [s], time of the last good sample; NaN where interrupted
     stop_time: Array = field(repr=False)  # (n,) [s], time of the step that failed, else of the end; NaN likewise
-    metrics: Mapping[str, Array] = field(repr=False)  # name of hs.METRICS -> (n,); NaN where interrupted
+    metrics: Mapping[str, Array] = field(repr=False)  # asked for: name of hs.METRICS -> (n,); NaN where interrupted
     # log "final": the last good sample, each (n, k); log "trajectory": (n, m, k), NaN from where a run stopped; names,
     # units and orders as in Result; fuzzy_weights (n, 6, 7, 7) likewise. log "metrics": empty. NaN where interrupted.
     samples: Mapping[str, Array] = field(repr=False)
@@ -183,6 +183,7 @@ def simulate_batch(
     progress: bool | ProgressCallback | None = None,
     *,
     controller: OwnController | None = None,
+    metrics: Literal["all"] | Iterable[str] = "all",
 ) -> BatchResult:
     """Run many variations of a scenario (docs/batch.md).
 
@@ -212,6 +213,10 @@ def simulate_batch(
         Custom controller in place of the scenario's law, as for `simulate`. It is a Python function: the runs follow
         one another in this thread, each bit for bit that of `simulate`, and `progress` is called after each. An
         observation with ``tick`` 0 begins a new run.
+    metrics
+        "all", or names of `hs.METRICS`: what is not asked for takes no time. In continuous mode legs are looked at
+        where a metric of theirs or a trajectory is asked for; without, a run passes through singular poses, and only
+        its last sample may be ``singular``.
 
     Returns
     -------
@@ -224,9 +229,9 @@ def simulate_batch(
     TypeError
         For anything but a `Scenario`, a mapping and the types above.
     ValueError
-        Text "key: expected ..., got ..." for unknown keys, shapes and lengths, "scenario 17: key: ..." for the first
-        bad scenario, before any runs; for a result of more than 2 GiB; for trajectories that differ in their times;
-        for a custom controller with more than one thread, or in continuous mode.
+        Text "key: expected ..., got ..." for unknown keys, shapes, lengths and metrics, "scenario 17: key: ..." for
+        the first bad scenario, before any runs; for a result of more than 2 GiB; for trajectories that differ in their
+        times; for a custom controller with more than one thread, or in continuous mode.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """
@@ -234,18 +239,19 @@ def simulate_batch(
         raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     if log not in tuple(_LOGS):  # a tuple: what was given may have no hash
         raise ValueError(f"log: expected one of {', '.join(_LOGS)}, got {log!r}")
+    asked = asked_metrics(metrics)
     kernel = chosen_kernel()
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     if controller is not None:
-        return _run_custom(scenario, arrays, count, log, threads, progress, controller)
+        return _run_custom(scenario, arrays, count, log, threads, progress, controller, asked)
     varied = fitted_variations(scenario, arrays)
     if "simulation.step" in arrays and scenario.camera.period == scenario.simulation.step:
         varied.setdefault("camera.period", arrays["simulation.step"])  # a frame at every tick, as `updated` has it
     rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
     with _reporting(progress) as report:
         run = _core.simulate_batch(
-            core_parameters(scenario), rows, count, _LOGS[log], thread_count(threads), kernel, report
+            core_parameters(scenario), rows, count, _LOGS[log], thread_count(threads), kernel, report, asked
         )
     samples = dict(run.samples)
     if run.fuzzy_weights is not None:
@@ -258,7 +264,7 @@ def simulate_batch(
         limit_leg=run.limit_leg + np.int8(1),
         end_time=run.end_time,
         stop_time=run.stop_time,
-        metrics=dict(zip(METRICS, run.metrics, strict=True)),
+        metrics={name: values for name, values in zip(METRICS, run.metrics, strict=True) if name in asked},
         samples=samples,
         time=run.time,
     )
@@ -278,6 +284,7 @@ def _run_custom(
     threads: int | None,
     progress: bool | ProgressCallback | None,
     controller: OwnController,
+    metrics: tuple[str, ...],
 ) -> BatchResult:
     """Run one scenario after the other with a Python function as their controller."""
     if not callable(controller):
@@ -299,7 +306,7 @@ def _run_custom(
     if log != "metrics":
         shapes = {name: (*middle, len(labels)) for name, (_, labels, _, _) in quantities(scenario.target.count).items()}
         shapes["fuzzy_weights"] = (6, 7, 7)
-    size = 8 * count * (sum(math.prod(shape) for shape in shapes.values()) + len(METRICS))
+    size = 8 * count * (sum(math.prod(shape) for shape in shapes.values()) + len(metrics))
     if size > _MAX_BYTES:
         raise ValueError(f"log: expected a result of at most 2 GiB, got {size / 2**30:.3g} GiB")
     found = BatchResult(
@@ -310,7 +317,7 @@ def _run_custom(
         limit_leg=np.zeros(count, dtype=np.int8),
         end_time=np.full(count, np.nan),
         stop_time=np.full(count, np.nan),
-        metrics={name: np.full(count, np.nan) for name in METRICS},
+        metrics={name: np.full(count, np.nan) for name in metrics},
         samples={name: np.full((count, *shape), np.nan) for name, shape in shapes.items()},
         time=time,
         controller=function_name(controller),

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
 
 from hexservo.scenario.leg_units import unit_of
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import number, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
     from hexservo.scenario.blocks import Robot
 
-__all__ = ["METRICS", "metric_unit", "metrics", "readable", "readable_unit", "shown_metrics"]
+__all__ = ["METRICS", "asked_metrics", "metric_unit", "metrics", "readable", "readable_unit", "shown_metrics"]
 
 # name -> (unit, what it is); of rotary legs rad and N m stand for m and N: `metric_unit`
 METRICS: dict[str, tuple[str, str]] = {
@@ -48,6 +50,31 @@ _READABLE_UNITS = {
     "N m": ("mN m", 1e3),
     "1": ("%", 100.0),
 }
+
+
+def asked_metrics(names: Any) -> tuple[str, ...]:
+    """Return the names of metrics that are asked for, in the order of `METRICS`; "all" is all of them.
+
+    Raises
+    ------
+    TypeError
+        For anything but "all" and names.
+    ValueError
+        For a name that no metric has.
+    """
+    if isinstance(names, str) and names == "all":
+        return tuple(METRICS)
+    if isinstance(names, str | bytes) or not isinstance(names, Iterable):
+        raise wrong_type("metrics", '"all" or names of hs.METRICS', names)
+    asked = list(names)
+    for name in asked:
+        if not isinstance(name, str):
+            raise wrong_type("metrics", '"all" or names of hs.METRICS', name)
+        if name not in METRICS:
+            near = get_close_matches(name, METRICS, 1)
+            hint = f"; {near[0]}?" if near else ""
+            raise ValueError(f'metrics: expected "all" or names of hs.METRICS, got "{name}"{hint}')
+    return tuple(name for name in METRICS if name in asked)
 
 
 def metrics(result: Result) -> dict[str, float]:
