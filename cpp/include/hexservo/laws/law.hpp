@@ -211,26 +211,33 @@ struct ControlTask {
   /// K_v sw(chi-dot) [N; N m], which a law takes from its wrench.
   /// @param kv diagonal of K_v [N; N m]
   /// @param others F, the rest of the wrench without G [N; N m]
-  SideBySide<S, 6> switching_wrench(const SideBySide<S, 6>& kv_axes, const LawInput<S, N>& input,
-                                    const SideBySide<S, 6>& other_axes) const {
-    if (!is_implicit(switching.kind)) return kv_axes * switching(SideBySide<S, 6>(input.twist));
-    const Vector6<S> kv = kv_axes.vector(), others = other_axes.vector();
-    // What stops the platform within a period: D chi-dot/T_c + F, as far as K_v reaches.
-    const Matrix3<S> I_B = inertia_in_base(body, input.R_BE);
+  [[gnu::always_inline]] SideBySide<S, 6> switching_wrench(const SideBySide<S, 6>& kv, const LawInput<S, N>& input,
+                                                           const SideBySide<S, 6>& others) const {
+    if (!is_implicit(switching.kind)) [[likely]]
+      return kv * switching(SideBySide<S, 6>(input.twist));
+    return SideBySide<S, 6>(
+        stopping_wrench(kv.vector(), Matrix3<S>(input.R_BE), Vector6<S>(input.twist), others.vector()));
+  }
+
+ private:
+  /// That of the implicit switching functions: what stops the platform within a period, D chi-dot/T_c + F, as far as
+  /// K_v reaches. Out of line and of copies, so that the others stay in registers.
+  [[gnu::noinline]] Vector6<S> stopping_wrench(const Vector6<S>& kv, const Matrix3<S>& R_BE, const Vector6<S>& twist,
+                                               const Vector6<S>& others) const {
+    const Matrix3<S> I_B = inertia_in_base(body, R_BE);
     const S rate = S(1.0) / period;
     Vector6<S> wrench;
-    for (int j = 0; j < 3; ++j) wrench(j) = clip(S(body.mass * rate * input.twist(j) + others(j)), S(-kv(j)), kv(j));
+    for (int j = 0; j < 3; ++j) wrench(j) = clip(S(body.mass * rate * twist(j) + others(j)), S(-kv(j)), kv(j));
     if (switching.kind == SwitchingKind::implicit) {
       for (int j = 3; j < 6; ++j)
-        wrench(j) = clip(S(I_B(j - 3, j - 3) * rate * input.twist(j) + others(j)), S(-kv(j)), kv(j));
+        wrench(j) = clip(S(I_B(j - 3, j - 3) * rate * twist(j) + others(j)), S(-kv(j)), kv(j));
     } else {
-      wrench.template tail<3>() = coupled_moment<S>(I_B, period, input.twist.template tail<3>(), kv.template tail<3>(),
-                                                    others.template tail<3>());
+      wrench.template tail<3>() =
+          coupled_moment<S>(I_B, period, twist.template tail<3>(), kv.template tail<3>(), others.template tail<3>());
     }
     return wrench;
   }
 
- private:
   /// Moment of G; out of line, so that a centred body does not pay for it.
   [[gnu::noinline, gnu::cold]] Vector3<S> weight_moment(const Matrix3<S>& R_BE) const {
     return hexservo::gravity_wrench(body, R_BE).template tail<3>();
