@@ -42,16 +42,16 @@ void validate(const FuzzyGains<double>& gains, const std::string& key) {
     detail::refuse(key + "initial_scale", "a number whose products with the entries of the table are finite",
                    detail::words(gains.initial_scale.cwiseAbs().maxCoeff(), " with an entry of ",
                                  gains.table.cwiseAbs().maxCoeff()));
-  // Six denominators of at most 1 + (2/w)^(2s) are multiplied, and two such products where the slope is the usual one;
-  // far from 1e308 the sum of seven products is safe as well.
+  // Six denominators of at most 1 + (2/w)^(2s) are multiplied; far from 1e308 the sum of seven products is safe as
+  // well.
   const double largest = std::max(0.0, 2.0 * gains.bell_slope * std::log10(2.0 / gains.bell_width));
-  const double multiplied = gains.bell_slope == 2.0 ? 12.0 : 6.0;
-  const double most = kMaxProductDigits / (2.0 * multiplied);  // of slope log10(2/w)
-  if (multiplied * largest > kMaxProductDigits)
-    detail::refuse(key + "bell_width",
-                   detail::words("bells with slope * log10(2/width) of at most ", most, " (a width of at least ",
-                                 2.0 / std::pow(10.0, most / gains.bell_slope), " for this slope)"),
-                   detail::words("width ", gains.bell_width, " and slope ", gains.bell_slope));
+  if (6.0 * largest > kMaxProductDigits)
+    detail::refuse(
+        key + "bell_width",
+        detail::words("bells with slope * log10(2/width) of at most ", kMaxProductDigits / 12.0,
+                      " (a width of at least ", 2.0 / std::pow(10.0, kMaxProductDigits / (12.0 * gains.bell_slope)),
+                      " for this slope)"),
+        detail::words("width ", gains.bell_width, " and slope ", gains.bell_slope));
 }
 
 }  // namespace hexservo

@@ -84,41 +84,62 @@ using Terms = std::array<R, kTerms>;
 template <class S>
 using TermStrengths = std::array<AxisVector<S>, kTerms>;
 
-/// The seven bells of an input: 1/mu_k(x) = 1 + |(x - c_k)/w|^(2s) for term k.
+/// Where the seven bells of an input are: q/mu_k(x) = q + |r (x - c_k)/w|^(2s) for term k, with q = r^(2s).
+template <class R>
+struct BellPlaces {
+  R inverse_width;   ///< r/w [1]
+  Terms<R> centres;  ///< r c_k/w [1]
+  R one;             ///< q [1]
+
+  BellPlaces(const R& inverse_width_, const R& one_) : inverse_width(inverse_width_), one(one_) {
+    for (int k = 0; k < kTerms; ++k) centres[static_cast<std::size_t>(k)] = R(term_centre(k)) * inverse_width;
+  }
+
+  /// q/mu_k, what the bells divide by, at r x/w.
+  /// @param power (r (x - c_k)/w)^2 -> its s-th power
+  template <class Power>
+  [[gnu::always_inline]] inline Terms<R> denominators(const R& scaled, const Power& power) const {
+    Terms<R> d;
+#pragma GCC unroll 7
+    for (std::size_t k = 0; k < kTerms; ++k) {
+      const R distance = scaled - centres[k];
+      d[k] = power(distance * distance) + one;
+    }
+    return d;
+  }
+};
+
+/// The power of two r that takes the far denominators of bells of slope 2 near 1, so that their products are near 1
+/// too.
+inline double denominator_scale(double width) { return std::exp2(std::round(std::log2(1.5 * width))); }
+template <int W>
+Lanes<W> denominator_scale(Lanes<W> width) {
+  return detail::map_lanes(width, [](double w) { return denominator_scale(w); });
+}
+
+/// The seven bells of an input, mu_k(x) = 1/(1 + |(x - c_k)/w|^(2s)).
 template <class S>
 struct Bells {
   using Register = RegisterOf<S>;
 
-  Bells(const S& width, double bell_slope)
-      : inverse_width(S(1.0) / width),
+  Bells(const S& width, double bell_slope) : Bells(S(1.0) / width, denominator_scale(width), bell_slope) {}
+
+  BellPlaces<Register> plain;  ///< r = 1, for any slope
+  BellPlaces<Register> even;   ///< r = `denominator_scale`, for the usual slope 2
+  double slope;                ///< s [1]
+  int whole_slope;             ///< s where it is a whole number up to 64, else 0 [1]
+
+ private:
+  Bells(const S& inverse_width, const S& scale, double bell_slope)
+      : plain(inverse_width, S(1.0)),
+        even(S(scale * inverse_width), S((scale * scale) * (scale * scale))),
         slope(bell_slope),
-        whole_slope(bell_slope <= 64.0 && bell_slope == std::floor(bell_slope) ? static_cast<int>(bell_slope) : 0) {
-    for (int k = 0; k < kTerms; ++k)
-      scaled_centres[static_cast<std::size_t>(k)] = Register(term_centre(k)) * inverse_width;
-  }
-
-  /// 1/mu_k, what the bells divide by, at x/w.
-  /// @param power ((x - c_k)/w)^2 -> its s-th power
-  template <class Power>
-  [[gnu::always_inline]] inline Terms<Register> denominators(const Register& scaled, const Power& power) const {
-    Terms<Register> d;
-#pragma GCC unroll 7
-    for (std::size_t k = 0; k < kTerms; ++k) {
-      const Register distance = scaled - scaled_centres[k];
-      d[k] = power(distance * distance) + Register(1.0);
-    }
-    return d;
-  }
-
-  Register inverse_width;          ///< 1/w [1]
-  Terms<Register> scaled_centres;  ///< c_k/w [1]
-  double slope;                    ///< s [1]
-  int whole_slope;                 ///< s where it is a whole number up to 64, else 0 [1]
+        whole_slope(bell_slope <= 64.0 && bell_slope == std::floor(bell_slope) ? static_cast<int>(bell_slope) : 0) {}
 };
 
 /// The power of bells of the usual slope, 2.
 struct SquarePower {
-  static constexpr bool gentle = true;  ///< two sums of products of six denominators can be multiplied
+  static constexpr bool even = true;  ///< products of denominators are near 1
 
   template <class R>
   R operator()(const R& x2) const {
@@ -129,7 +150,7 @@ struct SquarePower {
 /// That of any slope. A whole one never calls `pow`.
 template <class S>
 struct AnyPower {
-  static constexpr bool gentle = false;
+  static constexpr bool even = false;
 
   const Bells<S>& bells;
 
@@ -146,7 +167,7 @@ template <class S>
 TermStrengths<S> memberships(const AxisVector<S>& x, const Bells<S>& bells) {
   TermStrengths<S> mu;
   for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
-    const Terms<RegisterOf<S>> d = bells.denominators(x.part[r] * bells.inverse_width, AnyPower<S>{bells});
+    const Terms<RegisterOf<S>> d = bells.plain.denominators(x.part[r] * bells.plain.inverse_width, AnyPower<S>{bells});
     for (std::size_t k = 0; k < kTerms; ++k) mu[k].part[r] = RegisterOf<S>(1.0) / d[k];
   }
   return mu;
@@ -193,8 +214,9 @@ template <class R>
 template <class S, class Power>
 [[gnu::always_inline]] inline ScaledTerms<RegisterOf<S>> scaled_terms(const RegisterOf<S>& x, const Bells<S>& bells,
                                                                       const Power& power) {
-  const RegisterOf<S> most = bells.inverse_width;
-  return scaled_terms(bells.denominators(clip(RegisterOf<S>(x * most), -most, most), power));
+  const BellPlaces<RegisterOf<S>>& places = Power::even ? bells.even : bells.plain;
+  const RegisterOf<S> most = places.inverse_width;
+  return scaled_terms(places.denominators(clip(RegisterOf<S>(x * most), -most, most), power));
 }
 
 /// True where leakage, limit or dead zone act in some lane; otherwise (22) stands as printed, to the last bit.
@@ -446,7 +468,7 @@ template <class S, class Power>
   for (std::size_t r = 0; r < AxisVector<S>::registers; ++r) {
     ScaledTerms<R> error = scaled_terms<S>(u.part[r], bells, power);
     ScaledTerms<R> rate = scaled_terms<S>(u_rate.part[r], bells, power);
-    if constexpr (Power::gentle) {
+    if constexpr (Power::even) {
       share.part[r] = R(1.0) / (error.sum * rate.sum);
     } else {  // products of two sums may overflow
       error.normalise();
