@@ -104,7 +104,7 @@ Matrix3<S> skew(const Vector3<S>& a) {
 
 /// R v, coefficient by coefficient: Eigen's packets of two do not fit three rows.
 template <class S>
-Vector3<S> rotate(const Matrix3<S>& R, const Vector3<S>& v) {
+[[gnu::always_inline]] inline Vector3<S> rotate(const Matrix3<S>& R, const Vector3<S>& v) {
   return Vector3<S>(R(0, 0) * v(0) + R(0, 1) * v(1) + R(0, 2) * v(2),  //
                     R(1, 0) * v(0) + R(1, 1) * v(1) + R(1, 2) * v(2),  //
                     R(2, 0) * v(0) + R(2, 1) * v(1) + R(2, 2) * v(2));
@@ -112,19 +112,19 @@ Vector3<S> rotate(const Matrix3<S>& R, const Vector3<S>& v) {
 
 /// a . b, coefficient by coefficient.
 template <class S>
-S dot(const Vector3<S>& a, const Vector3<S>& b) {
+[[gnu::always_inline]] inline S dot(const Vector3<S>& a, const Vector3<S>& b) {
   return a(0) * b(0) + a(1) * b(1) + a(2) * b(2);
 }
 
 /// a x b, coefficient by coefficient.
 template <class S>
-Vector3<S> cross(const Vector3<S>& a, const Vector3<S>& b) {
+[[gnu::always_inline]] inline Vector3<S> cross(const Vector3<S>& a, const Vector3<S>& b) {
   return Vector3<S>(a(1) * b(2) - a(2) * b(1), a(2) * b(0) - a(0) * b(2), a(0) * b(1) - a(1) * b(0));
 }
 
 /// R^T v.
 template <class S>
-Vector3<S> rotate_back(const Matrix3<S>& R, const Vector3<S>& v) {
+[[gnu::always_inline]] inline Vector3<S> rotate_back(const Matrix3<S>& R, const Vector3<S>& v) {
   return Vector3<S>(R(0, 0) * v(0) + R(1, 0) * v(1) + R(2, 0) * v(2),  //
                     R(0, 1) * v(0) + R(1, 1) * v(1) + R(2, 1) * v(2),  //
                     R(0, 2) * v(0) + R(1, 2) * v(1) + R(2, 2) * v(2));
