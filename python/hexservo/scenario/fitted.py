@@ -96,7 +96,9 @@ def machine_of(scenario: Blocks) -> Machine:
     jacobian = probe.image_jacobian(desired[None], depth, quaternion, position=position)[0]
     jacobian = jacobian * np.sqrt(np.repeat(settings["target.weights"], 2))[:, None]  # as the points count
     inertia = probe.inertia(quaternion)[0]
-    sight = np.sqrt((jacobian.reshape(-1, 2, 3) ** 2).sum(axis=(0, 2)) / len(desired))
+    # in units of a power of two, so that no square overflows and no bit moves
+    size = np.exp2(np.frexp(np.abs(jacobian).max())[1] - 1)
+    sight = size * np.sqrt(((jacobian / size).reshape(-1, 2, 3) ** 2).sum(axis=(0, 2)) / len(desired))
     points = len(desired) // 2
     together = np.tile(np.eye(2), points) / np.sqrt(points)  # (2, 2n): all features move alike, in x and in y
     pull = together @ jacobian

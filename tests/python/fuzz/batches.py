@@ -55,7 +55,7 @@ def single(scenario: hs.Scenario) -> Ending:
 
 def in_a_batch(scenario: hs.Scenario) -> Ending:
     """Run a scenario in a lane, beside two others that have a different depth error."""
-    own = np.broadcast_to(scenario.uncertainty.depth, 4)
+    own = np.broadcast_to(scenario.uncertainty.depth, scenario.target.count)
     errors = np.array([own, 0.5 * own, -0.5 * own])
     batch = hs.simulate_batch(scenario, {KEY: errors}, threads=1)
     state = np.concatenate([batch.samples[name][0] / unit for name, unit in _COMPARED.items()])

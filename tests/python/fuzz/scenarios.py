@@ -14,7 +14,7 @@ import hexservo as hs
 import rotary_machine
 from hexservo.scenario import keys
 from hexservo.scenario import rules as kinds
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.plain import plain as as_plain
 from hexservo.scenario.tag import GridRule, TagRule
 
@@ -23,6 +23,8 @@ __all__ = ["Drawn", "draw", "inclusive_bounds", "rules"]
 EXTREMES = (5e-324, 1e-300, 1e-150, 1e-30, 1e30, 1e150, 1e300, 1.7e308)
 TEXTS = ("paper", "0", "a.b-c_d", "Ä1", "x" * 60, "-x", "", "x.", "a b", "日本")
 LINES = ("", "ξ and 'quotes': #", "x" * 200, "x" * 201, "two\nlines", "null")
+POSITIONS = "reachy-mini"  # a machine that takes positions, as others do not
+OF_POSITIONS = "tracking"  # the law of such machines alone
 GRID = ("simulation.step", "simulation.duration", "simulation.substeps", "simulation.mode")
 IN_STEPS = {  # what is a whole number of servo periods: most of them that are drawn
     "camera.period": 40,
@@ -81,7 +83,7 @@ def draw(
     million
         Whether one scenario in 100 has the most substeps there are, a million.
     """
-    base = hs.load_scenario(_one(random, hs.scenario_names()))
+    base = hs.load_scenario(POSITIONS if random.random() < 0.1 else _one(random, hs.scenario_names()))
     changes = _grid(random, base, steps, budget, million)
     drawn = Drawn(changes)
     is_sampled = changes["simulation.mode"] == "sampled"
@@ -96,8 +98,11 @@ def draw(
         and (is_sampled or key not in keys.sampled_keys())
     ]
     law = _one(random, LAWS) if random.random() < 0.5 else base.controller.law
+    if base.name == POSITIONS and random.random() < 0.7:
+        law = OF_POSITIONS
+        changes["camera.prediction"] = "none"  # it predicts by itself
     changes["controller.law"] = law
-    others = tuple(f"controller.{name}." for name in LAWS if name != law)
+    others = tuple(f"controller.{name}." for name in ALL_LAWS if name != law)
     mattering = [key for key in open_keys if not key.startswith(others)]
     if at is not None:
         _set_bound(random, drawn, base, *at)
@@ -151,7 +156,7 @@ def _grid(random: Generator, base: hs.Scenario, steps: int, budget: int, million
         count = 1
     elif count * substeps > budget:
         substeps = 1
-    mode = "sampled" if random.random() < 0.6 else "continuous"
+    mode = "sampled" if random.random() < (0.97 if base.name == POSITIONS else 0.6) else "continuous"
     return {
         "simulation.mode": mode,
         "simulation.step": step,

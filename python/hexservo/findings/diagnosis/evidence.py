@@ -86,7 +86,8 @@ def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
         return Signature(0.0, "There is no gravity.")
     main = int(np.abs(weight).argmax())
     moved = record.samples["position"] - record.samples["position"][0]
-    height = moved @ (weight / np.linalg.norm(weight))
+    up = weight / np.abs(weight[main])  # first, so that the square of no weight overflows
+    height = moved @ (up / np.linalg.norm(up))
     rise = height[np.argmax(np.abs(height))]
     share = float(abs(rise)) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
     actual = np.array(core_parameters(case.scenario).plant_body.gravity_wrench[:3])
