@@ -1,7 +1,7 @@
 """What a Runge-Kutta step of the closed loop costs, by part: instructions of each kind, loads, stores, misses and time.
 
-`make bench-step` runs it. It compiles the kernel of AVX2, the widest that valgrind emulates, as the package does but with
-line tables, and runs `paper` there, alone and in a pack. Callgrind counts what is executed, with a model of the
+`make bench-step` runs it. It compiles the kernel of AVX2, the widest that valgrind emulates, as the package does but
+with line tables, and runs `paper` there, alone and in a pack. Callgrind counts what is executed, with a model of the
 processor's first-level cache; perf, where it is there, samples where the time goes. An instruction belongs to the
 innermost of the functions inlined around it that is of a part.
 """
