@@ -15,6 +15,7 @@
 
 #include "hexservo/side_by_side.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
@@ -110,8 +111,8 @@ struct BellPlaces {
 };
 
 /// The power of two r that takes the far denominators of bells of slope 2 near 1, so that their products are near 1
-/// too.
-inline double denominator_scale(double width) { return std::exp2(std::round(std::log2(1.5 * width))); }
+/// too; those of wide bells are there already.
+inline double denominator_scale(double width) { return std::min(1.0, std::exp2(std::round(std::log2(1.5 * width)))); }
 template <int W>
 Lanes<W> denominator_scale(Lanes<W> width) {
   return detail::map_lanes(width, [](double w) { return denominator_scale(w); });
