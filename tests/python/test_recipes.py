@@ -74,7 +74,8 @@ def test_a_metric_has_its_rows() -> None:
     """The core's list, its binding and stub, Python's list, the specification and the values by hand name the same."""
     header = (ROOT / "cpp" / "include" / "hexservo" / "metrics.hpp").read_text(encoding="utf-8")
     block = header[header.index("struct Metrics {") :]
-    listed = re.findall(r"v\(\"(\w+)\", self\.\1\.\.\.\);", block[: block.index("\n};")])
+    line = r"v\(MetricName\{\"(\w+)\", MetricGroup::\w+\}, self\.\1\.\.\.\);"
+    listed = re.findall(line, block[: block.index("\n};")])
     assert listed == list(hs.METRICS)
     binding = (ROOT / "cpp" / "bindings" / "bind_simulation.cpp").read_text(encoding="utf-8")
     stub = (ROOT / "python" / "hexservo" / "_core.pyi").read_text(encoding="utf-8")
