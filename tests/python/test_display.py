@@ -324,6 +324,21 @@ def test_a_run_as_a_table_has_a_column_for_each_scalar(returned: dict[str, Any])
     assert (table.attrs["scenario"], table.attrs["outcome"]) == ("paper", "completed")
 
 
+@pytest.mark.parametrize("asked", [["final_error"], ["effort", "chatter", "overshoot"], []])
+def test_a_batch_shows_what_it_measured(paper: hs.Scenario, asked: list[str]) -> None:
+    short = paper.updated({"simulation.duration": 0.05})
+    for varied in (
+        {"uncertainty.depth": [0.0, 0.1, 0.2]},
+        {"uncertainty.depth": [0.0, 0.1], "robot.mass": [0.06, 0.061]},
+    ):
+        batch = hs.simulate_batch(short, varied, "metrics", metrics=asked)
+        html = batch._repr_html_()
+        assert html.count("<img") == (1 if asked else 0)
+        for name in hs.METRICS:
+            assert (f"<td>{name}</td>" in html or f">{name}<" in html) == (name in asked), name
+        assert "3 completed" in repr(batch) or "2 completed" in repr(batch)
+
+
 def test_a_batch_as_a_table_has_a_row_for_each_run(returned: dict[str, Any]) -> None:
     batch: hs.BatchResult = returned["BatchResult"]
     table = batch.to_dataframe()

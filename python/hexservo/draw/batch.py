@@ -1,4 +1,4 @@
-"""Figure of a batch for a notebook: settling time and final error of every run."""
+"""Figure of a batch for a notebook: settling time and final error of every run, or what else was measured."""
 
 from __future__ import annotations
 
@@ -13,19 +13,25 @@ from hexservo.run.metrics import metric_unit
 if TYPE_CHECKING:
     from hexservo.run.batch import BatchResult
 
-__all__ = ["batch_figure"]
+__all__ = ["batch_figure", "drawn_metrics"]
 
-_DRAWN = ("settling_time", "final_error")
+_FIRST = ("settling_time", "final_error")  # those that are drawn, where they were measured
+
+
+def drawn_metrics(batch: BatchResult) -> tuple[str, ...]:
+    """Return the metrics that the figure shows, at most two; none where the batch measured none."""
+    return tuple(name for name in _FIRST if name in batch.metrics) or tuple(batch.metrics)[:2]
 
 
 @styled
 def batch_figure(batch: BatchResult) -> Figure:
-    """Draw both metrics over the varied key, or, if several vary, as the share of runs below each value."""
+    """Draw `drawn_metrics`, of which there are some, over the varied key, or, if several vary, as shares of runs."""
+    drawn = drawn_metrics(batch)
     figure = Figure(figsize=(PAGE, 2.4), layout="constrained")
     varied = [(key, values) for key, values in batch.variations.items() if len(values) > 1]
     over = varied[0] if len(varied) == 1 and varied[0][1].ndim == 1 else None
     done = batch.outcome == "completed"
-    for axes, name in zip(figure.subplots(1, len(_DRAWN)), _DRAWN, strict=True):
+    for axes, name in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
         values = batch.metrics[name]
         label = f"{name.replace('_', ' ')} [{metric_unit(name, batch.scenario.robot)}]"
         if over is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hexservo.draw.batch import batch_figure
+from hexservo.draw.batch import batch_figure, drawn_metrics
 from hexservo.draw.compare import comparison_figure
 from hexservo.draw.evidence import item_figure
 from hexservo.draw.plots import feature_errors, feature_paths
@@ -83,7 +83,7 @@ def _result_html(result: Result) -> str:
 
 
 def _batch_html(batch: BatchResult) -> str:
-    """Return a batch's outcomes, the spread of its metrics, and settling time and final error of every run."""
+    """Return a batch's outcomes, the spread of its metrics, and two of them of every run."""
     rows: list[list[Cell]] = []
     for name, values in batch.metrics.items():
         known = values[np.isfinite(values)]
@@ -94,11 +94,13 @@ def _batch_html(batch: BatchResult) -> str:
         rows.append([name, *shown, len(known)])
     columns = (Column("metric"), Column("smallest"), Column("median"), Column("largest"), Column("runs"))
     head, *lines = batch_text(batch).split("\n")
+    drawn = drawn_metrics(batch) if len(batch) else ()
+    named = " and ".join(name.replace("_", " ") for name in drawn)
     return _page(
         element("strong", head),
         _list(line.strip() for line in lines),
-        _picture(batch_figure(batch), "Settling time and final error of every run") if len(batch) else Html(),
-        table_html(Table("Metrics", columns, rows)),
+        _picture(batch_figure(batch), f"{named.capitalize()} of every run") if drawn else Html(),
+        table_html(Table("Metrics", columns, rows)) if rows else Html(),
     )
 
 
