@@ -1,6 +1,6 @@
 """Draws frames, angles and image axes of a machine: docs/figures/frames.svg.
 
-Run it as ``python docs/tools/frames.py`` in the source tree. Joints and angles are those of the scenario pi-h824.
+Run it as ``python docs/tools/frames.py`` in the source tree. Joints and angles are those of the preset pi_h824.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURE = ROOT / "docs" / "figures" / "frames.svg"
-SCENARIO = ROOT / "python" / "hexservo" / "scenarios" / "pi-h824.yaml"
+MACHINE = ROOT / "python" / "hexservo" / "machines" / "pi_h824.yaml"
 
 _BASE, _PLATFORM, _CAMERA, _INK, _TARGET = "#6b7280", "#0072b2", "#d55e00", "#111827", "#009e73"
 _WIDTH, _HEIGHT = 940, 400
@@ -21,7 +21,7 @@ _WIDTH, _HEIGHT = 940, 400
 
 def picture() -> str:
     """Return the figure: the machine from the side, its joints from below, and the axes of the image."""
-    robot = yaml.safe_load(SCENARIO.read_text(encoding="utf-8"))["robot"]
+    robot = yaml.safe_load(MACHINE.read_text(encoding="utf-8"))
     shapes = [*_from_the_side(), *_joints(robot), *_image()]
     return "\n".join(
         [

@@ -194,6 +194,27 @@ ORDINARY_NOISE: dict[str, Range] = {"camera.noise": Uniform(0.25, 0.5), "uncerta
 SIGNED: dict[str, Range] = {"uncertainty.depth": Several(4, EitherSign(0.12, 0.35))}
 DRIFTING: dict[str, Any] = {"simulation.duration": 5.0}
 
+ON_POSITIONS: dict[str, Any] = {"laws": ("tracking",), "cameras": ("every_tick", "frames"), "devices": ("positions",)}
+FOLLOWING: dict[str, Any] = {  # the law that is made for a target that moves
+    **ON_POSITIONS,
+    "base": {
+        "controller.tracking.follow": "direction",
+        "controller.tracking.noise": 0.05,
+        "controller.tracking.bandwidth": 8.0,
+        "target.motion.kind": "sinusoid",
+    },
+    "base_ranges": {
+        "camera.noise": Uniform(0.02, 0.1),
+        "camera.quantisation": Uniform(0.0, 0.1),
+        "actuators.position.bandwidth": Uniform(2.5, 5.0),
+        "target.motion.amplitude": Several(3, EitherSign(0.004, 0.012)),
+        "target.motion.frequency": Uniform(0.3, 0.7),
+        "target.motion.phase": Uniform(-math.pi, math.pi),
+        "roll": Uniform(0.0, 0.0),  # a ray has none
+        "zoom": Uniform(1.0, 1.0),
+    },
+}
+
 FAULTS: dict[str, tuple[Fault, ...]] = {
     "wrong_sign": (
         Fault({}, {"controller.jacobian": "printed"}, ("hybrid", "kelly", "composite", *IMAGE_LAWS[2:])),
@@ -413,6 +434,26 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
         Fault({"actuators.position.speed_limit": LogUniform(2e-4, 1e-2)}, devices=("positions",)),
         Fault({"actuators.position.acceleration_limit": LogUniform(2e-4, 3e-2)}, devices=("positions",)),
     ),
+    "lag_not_led": tuple(
+        Fault({"controller.tracking.lead": share}, **FOLLOWING) for share in (Uniform(0.0, 0.4), Uniform(2.0, 6.0))
+    ),
+    "target_filter": tuple(
+        Fault({f"controller.tracking.{name}": values}, **FOLLOWING)
+        for name, values in {
+            "noise": LogUniform(1.0, 50.0),
+            "acceleration": LogUniform(50.0, 5e3),
+            "jump": LogUniform(0.005, 0.3),
+            "certainty": LogUniform(8.0, 100.0),
+        }.items()
+    ),
+    "direction_alone": (
+        Fault(
+            {},
+            {"controller.tracking.follow": "direction"},
+            base_ranges={"roll": EitherSign(0.06, 0.15)},
+            **ON_POSITIONS,
+        ),
+    ),
 }
 """What `variation` draws from, beside the baselines; a fault of a cause is drawn first."""
 
@@ -504,9 +545,10 @@ def _gains(scenario: hs.Scenario, law: str, drawn: Mapping[str, Any]) -> dict[st
                 value = getattr(value, part)
         changes[f"controller.{key}"] = (np.asarray(value, dtype=float) * factor).tolist()
 
-    if "stiffness" in drawn:
+    if "stiffness" in drawn and law in STIFFNESS:
         multiply(STIFFNESS[law], drawn["stiffness"])
-    if "damping" in drawn and (law != "resolved_rate" or scenario.actuators.kind == "force"):  # ki acts on forces
+    damps = law in DAMPING and (law != "resolved_rate" or scenario.actuators.kind == "force")  # ki acts on forces
+    if "damping" in drawn and damps:
         multiply(DAMPING[law], drawn["damping"])
     if "stiffer" in drawn:  # with the damping that belongs to it
         square = law != "resolved_rate"

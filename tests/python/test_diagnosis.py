@@ -25,7 +25,7 @@ from diagnosis_faults import FAULTS, KEPT_APART, shipped
 from diagnosis_faults import variation as draw
 from diagnosis_statistics import count, failing, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
-from hexservo.findings.diagnosis.causes import CAUSES, HARMLESS, IN_COMMON, WITHOUT_REMOVAL
+from hexservo.findings.diagnosis.causes import CAUSES, HARMLESS, IN_COMMON
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
 from hexservo.findings.diagnosis.environment import ORDINARY, ideal, ordinary
 from hexservo.findings.diagnosis.evidence import SIGNATURES
@@ -35,7 +35,7 @@ from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.evidence import Curves, Table
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
@@ -163,25 +163,22 @@ def test_coriolis_errors_of_99_percent_change_no_verdict(law: str) -> None:
 
 def test_every_key_of_a_scenario_has_a_removal_or_a_reason_to_have_none() -> None:
     covered = {key for cause in CAUSES for key in cause.keys}
-    laws = {f"controller.{law}." for law in LAWS}
+    laws = {f"controller.{law}." for law in ALL_LAWS}
     own = {key.removeprefix("LAW.") for key in covered if key.startswith("LAW.")}
     left = []
     for key in leaf_keys(Scenario):
         law = next((head for head in laws if key.startswith(head)), None)
         if law is not None:
-            if key.removeprefix(law) not in own:
+            if key.removeprefix(law) not in own and key not in HARMLESS:
                 left.append(key)
-        elif key not in covered | IN_COMMON.keys() | HARMLESS.keys() | WITHOUT_REMOVAL.keys():
+        elif key not in covered | IN_COMMON.keys() | HARMLESS.keys():
             left.append(key)
     assert not left, left
     known = set(leaf_keys(Scenario))
-    stale = (
-        {key for key in covered if not key.startswith("LAW.")} | set(IN_COMMON) | set(HARMLESS) | set(WITHOUT_REMOVAL)
-    )
+    stale = {key for key in covered if not key.startswith("LAW.")} | set(IN_COMMON) | set(HARMLESS)
     assert stale <= known, stale - known
     assert all(IN_COMMON.values())
     assert all(HARMLESS.values())
-    assert all(WITHOUT_REMOVAL.values())
 
 
 def leaf_keys(block: Any, head: str = "") -> Iterator[str]:

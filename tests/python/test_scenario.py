@@ -159,8 +159,18 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("seed", True, "got true"),
     ("seed", "1", 'got "1"'),
     ("robot", "micro", "expected a block with the keys preset, platform_radius, "),
-    ("robot.preset", "kubic", 'expected one of "micro", "cubic", null, got "kubic"; did you mean "cubic"?'),
-    ("robot.preset", 3, 'expected one of "micro", "cubic", null, got 3'),
+    (
+        "robot.preset",
+        "kubic",
+        'expected one of "micro", "cubic", "moog_6dof2000e", "pi_h824", "reachy_mini", "rubin_camera_hexapod", null, '
+        'got "kubic"; did you mean "cubic"?',
+    ),
+    (
+        "robot.preset",
+        3,
+        'expected one of "micro", "cubic", "moog_6dof2000e", "pi_h824", "reachy_mini", "rubin_camera_hexapod", null, '
+        "got 3",
+    ),
     ("robot.mass", 0, "expected a number > 0, got 0"),
     ("robot.mass", -0.06, "expected a number > 0, got -0.06"),
     ("robot.mass", NAN, "expected a finite number, got nan"),

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.findings.check import unlikely
 from hexservo.run import variant
 from hexservo.scenario.parameters import core_parameters
 from recorded_ticks import step, ticks_of
@@ -264,6 +265,68 @@ def test_legs_that_come_to_rest_elsewhere_are_made_up_for() -> None:
     assert np.abs(left[:10]).max() > 4e-4
     assert np.abs(left[-1]).max() <= 2.2e-4  # the band, and that of the reference
     assert np.abs(np.diff(moves[-100:], axis=0)).max() <= 1e-9  # at rest: nothing integrates
+
+
+# ---- Diagnosis and checks ------------------------------------------------------------------------------------------
+
+SWAYING = {
+    "target.motion": {"kind": "sinusoid", "amplitude": [0.0, 0.12, 0.0], "frequency": 0.5},
+    "actuators.position": {"bandwidth": 4.0, "damping": 1.0},
+    "camera.noise": 0.1,
+    "camera.latency": 0.06,
+    "metrics.band": 30.0,  # 0.86 deg
+    "simulation.duration": 4.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("cause", "fault"),
+    [
+        ("lag_not_led", {"lead": 0.0}),
+        ("lag_not_led", {"lead": 4.0}),
+        ("target_filter", {"certainty": 500.0}),
+        ("target_filter", {"noise": 500.0}),
+        ("target_filter", {"jump": 1e-3}),
+    ],
+)
+def test_settings_that_do_not_suit_the_target_are_diagnosed(cause: str, fault: dict[str, float]) -> None:
+    """A face that sways is followed; with one setting wrong it is not, and that setting is named."""
+    following = head(0.0, turned=False, gains={"noise": 0.1, "bandwidth": 6.0}).updated(SWAYING)
+    assert hs.diagnose(hs.simulate(following)).failed is False
+    diagnosis = hs.diagnose(hs.simulate(following.updated({f"controller.tracking.{k}": v for k, v in fault.items()})))
+    assert diagnosis.failed
+    assert [finding.cause for finding in diagnosis.causes if finding.named] == [cause]
+
+
+def test_no_simulated_leg_rests_elsewhere_than_commanded() -> None:
+    """So the offset, whose gain and band would change a run otherwise, never begins."""
+    for sensors in ({}, {"resolution": 1e-3}):
+        scenario = head(10.0).updated({f"sensors.{key}": value for key, value in sensors.items()})
+        plain = hs.simulate(scenario)
+        offset = hs.simulate(scenario.updated({"controller.tracking": {"integral": 100.0, "band": 2e-3}}))
+        np.testing.assert_array_equal(plain.position, offset.position)
+        np.testing.assert_array_equal(plain.quaternion, offset.quaternion)
+
+
+@pytest.mark.parametrize("law", ["tracking", "composite", "resolved_rate", "kelly"])
+def test_check_knows_every_law_of_a_machine_that_takes_positions(law: str) -> None:
+    changes = {"controller.law": law, f"controller.{law}.auto.bandwidth": 2.0, "simulation.duration": 2.0}
+    scenario = hs.load_scenario("pi-h824-positions").updated(changes)
+    assert not [sentence for sentence in unlikely(scenario) if "enough for" in sentence]  # forces are not commanded
+    if law == "tracking":
+        assert unlikely(scenario) == []
+    slow = scenario.updated({f"controller.{law}.auto.bandwidth": 0.02})
+    assert any("0.02 Hz is below 0.05 Hz" in sentence for sentence in unlikely(slow))
+
+
+def test_the_largest_start_is_found_without_a_prediction_of_its_own() -> None:
+    (section,) = (
+        part for part in hs.analyse(hs.load_scenario("pi-h824-positions"), parts=["largest_start"]).sections()
+    )
+    text = str(section)
+    print(text[:2000])
+    assert "with the target predicted by the law" in text
+    assert "a latency of" in text
 
 
 # ---- One controller everywhere --------------------------------------------------------------------------------------

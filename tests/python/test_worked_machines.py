@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import hexservo as hs
 from hexservo import _core
 from hexservo.findings.check import keys_without_effect, unlikely
+from hexservo.scenario import presets
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import auto_of
 from hexservo.scenario.parameters import core_parameters
@@ -27,7 +28,7 @@ LIMITS = {
 }
 # Limits of the software, which are narrower than what the legs allow; there the joints themselves are known.
 WITHIN = np.array([11.4e-3, 11.4e-3, 13.1e-3, 0.36 * DEGREE, 0.36 * DEGREE, 0.10 * DEGREE])
-MACHINES = [*LIMITS, "rubin-camera-hexapod", "reachy-mini-head"]
+MACHINES = [*LIMITS, "rubin-camera-hexapod", "reachy-mini-head", "pi-h824-positions", "rubin-camera-positions"]
 
 
 def travel(scenario: hs.Scenario, direction: Array) -> float:
@@ -90,17 +91,43 @@ def test_it_settles_without_a_warning(name: str) -> None:
     assert np.abs(result.feature_error[0]).max() > 10 * scenario.metrics.band
 
 
-@pytest.mark.parametrize("name", MACHINES)
-def test_every_number_has_its_source_or_is_an_assumption(name: str) -> None:
-    text = (Path(hs.__file__).parent / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8")
-    head, _, body = text.partition("\nrobot:\n")
-    assert "Sources: [" in head
-    robot = body.partition("camera:")[0]
+@pytest.mark.parametrize("name", presets.MACHINES)
+def test_every_number_of_a_preset_has_its_source_or_is_an_assumption(name: str) -> None:
+    text = (Path(hs.__file__).parent / "machines" / f"{name}.yaml").read_text(encoding="utf-8")
+    assert "# Sources: [" in text
     for key in ("mass", "inertia", "force_limit"):
-        at = robot.index(f"  {key}:")
-        line = robot[at : robot.index("\n", at)]
-        before = robot[:at].rstrip("\n").rpartition("\n")[2]
+        at = text.index(f"\n{key}:") + 1
+        line = text[at : text.index("\n", at)]
+        before = text[:at].rstrip("\n").rpartition("\n")[2]
         assert "[" in line.partition("#")[2] or "ssumption" in line + before, key
+
+
+@pytest.mark.parametrize("name", presets.MACHINES)
+def test_a_preset_is_the_machine_of_its_scenarios(name: str) -> None:
+    paper = hs.load_scenario("paper")
+    machines = [hs.load_scenario(scenario) for scenario in hs.scenario_names()]
+    of_it = [scenario for scenario in machines if scenario.robot.preset == name]
+    assert of_it
+    preset = paper.updated({"robot.preset": name})
+    for scenario in of_it:
+        assert preset.robot == scenario.robot.model_validate({**scenario.to_mapping()["robot"], "payload": {}})
+    assert preset.updated({"robot.preset": "micro"}) == paper
+    stronger = preset.updated({"robot.force_limit": 2.0 * preset.robot.force_limit})
+    assert hs.Scenario.from_yaml(stronger.to_yaml()) == stronger
+    assert stronger.updated({"robot.preset": "micro"}).robot.force_limit == stronger.robot.force_limit  # it stays
+
+
+def test_a_preset_gives_way_to_joints_of_a_different_form() -> None:
+    paper = hs.load_scenario("paper")
+    robot = paper.updated({"robot": {"preset": "reachy_mini", "cranks": {"rod": 0.09}}}).robot
+    assert robot.cranks.rod == 0.09
+    assert robot.cranks.length == 0.04  # the preset's
+    x, y, _ = np.transpose(robot.platform_joints or ())
+    circle = {"platform_radius": float(np.hypot(x, y).mean()), "platform_angles": np.arctan2(y, x).tolist()}
+    robot = paper.updated({"robot": {"preset": "reachy_mini", **circle}}).robot
+    assert robot.platform_joints is None
+    assert robot.platform_radius == circle["platform_radius"]
+    assert robot.base_joints is not None
 
 
 def test_a_report_of_joints_anywhere(tmp_path: Path) -> None:

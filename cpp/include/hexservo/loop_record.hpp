@@ -23,7 +23,7 @@ class LoopRecord {
         desired_features_(p.desired_features),
         stops_at_limit_(p.mode == LoopMode::sampled && p.on_limit == LimitPolicy::stop),
         looks_at_legs_(p.samples_legs || p.measured.has(MetricGroup::leg_lengths) ||
-                       p.measured.has(MetricGroup::leg_forces)) {
+                       p.measured.has(MetricGroup::leg_forces) || p.measured.has(MetricGroup::leg_motion)) {
     Sample<S, N>::visit([](const char*, auto& value) { value.setZero(); }, sample_);
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);

@@ -136,7 +136,7 @@ inline Pose<double> moved(const Pose<double>& pose, const Vector6<double>& displ
 
 /// q-dot = 1/2 (0, omega) (x) q with omega in B [rad/s] and q as it stands (docs/model.md, section 1).
 template <class S>
-Vector4<S> quaternion_rate(const Vector4<S>& q, const Vector3<S>& omega_B) {
+[[gnu::always_inline]] inline Vector4<S> quaternion_rate(const Vector4<S>& q, const Vector3<S>& omega_B) {
   const Vector3<S> v(q(1), q(2), q(3)), half(S(0.5) * omega_B(0), S(0.5) * omega_B(1), S(0.5) * omega_B(2));
   const Vector3<S> turn = cross<S>(half, v);
   return Vector4<S>(-dot<S>(half, v), q(0) * half(0) + turn(0), q(0) * half(1) + turn(1), q(0) * half(2) + turn(2));

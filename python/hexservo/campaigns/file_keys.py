@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from hexservo.campaigns.distributions import SEED, Variation, variation_of
 from hexservo.campaigns.requirements import Requirement, requirement_of
-from hexservo.run.metrics import asked_metrics
-from hexservo.scenario.rules import Integer, Number, Rule, refusal
+from hexservo.run.metrics import METRICS, asked_metrics
+from hexservo.scenario.rules import Integer, Number, Rule, did_you_mean, refusal
 from hexservo.scenario.scenario import Scenario, load_scenario
 from hexservo.scenario.yaml import ScenarioError
 
@@ -176,7 +176,8 @@ class MetricsRule(Rule):
         try:
             return asked_metrics(value)
         except (TypeError, ValueError):
-            self.refuse(value)
+            unknown = next((name for name in value if name not in METRICS), None)
+            self.refuse(value, hint=did_you_mean(unknown, METRICS))
 
 
 class RecordRule(Rule):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ from hexservo.findings.check_gains import of_gains
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
-from hexservo.scenario.laws import ALL_LAWS, Controller, laws_with
+from hexservo.scenario.laws import ALL_LAWS, LAWS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
 from hexservo.scenario.pixels import on_pinhole, points_outside
 from hexservo.scenario.scenario import Scenario
@@ -134,6 +135,8 @@ def _of_image(scenario: Scenario) -> Iterator[str]:
 def _of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
     if scenario.simulation.mode != SAMPLED_MODE or rate is None:
         return
+    if scenario.controller.law not in LAWS:  # the others' reference is exact at any period
+        return
     period, shortest = scenario.simulation.step, float(f"{1.0 / rate:.2g}") if rate > 0 else np.inf
     if _TICKS * period > shortest * (1.0 + 1e-9):
         yield (
@@ -147,15 +150,19 @@ def fastest_rate(scene: Scene) -> float:
 
     The law is that of the servo tick with a fresh image (`linear_law`), the plant the actual one (`linear_plant`); the
     weights of the fuzzy systems are constant. `tanh` and `saturation` have their slope at rest; otherwise
-    K_v = 0, since dry friction has no pole. Where drives take positions, a law whose output is a twist moves at it.
+    K_v = 0, since dry friction has no pole. Where drives take positions, a law whose output is a twist moves at it,
+    and a law whose output is a pose has the double pole of its reference.
 
     Raises
     ------
     NoRestError
         The law cannot be evaluated at home.
     """
+    controller = scene.scenario.controller
+    if controller.traits.output == "pose":
+        return 2.0 * math.pi * float(controller.gains.bandwidth)
     calm = on_pinhole(quiet(scene.scenario))  # the linear law is of features
-    if calm.actuators.kind == "position" and calm.controller.traits.output == "twist":
+    if calm.actuators.kind == "position" and controller.traits.output == "twist":
         weightless = calm.updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
         law = linear_law(weightless, scene_of(weightless), scene.home)
         return float(np.abs(np.linalg.eigvals(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose))).max())

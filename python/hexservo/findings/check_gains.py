@@ -13,6 +13,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, machine_of
 from hexservo.scenario.keys import value_at
+from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
@@ -43,8 +44,10 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
     if auto.bandwidth is not None and len(chosen_keys(scenario)) < len(fitted_keys(law)):
         key = f"controller.{law}.auto.bandwidth: {number(auto.bandwidth)} Hz"
         yield from _of_times(scenario, key, auto.bandwidth)
-        yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
-        yield from _of_forces(scene, key, auto.bandwidth)
+        if law in LAWS:  # the others have no loop through the image: the target is estimated where it is
+            yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
+        if scenario.actuators.kind == "force":  # legs that take positions follow whatever effort it takes
+            yield from _of_forces(scene, key, auto.bandwidth)
         yield from _of_image(scene, key)
     elif fastest is not None:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))

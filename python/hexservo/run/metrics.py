@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 from hexservo.scenario.leg_units import unit_of
+from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.wording import number, wrong_type
 
 if TYPE_CHECKING:
@@ -71,8 +71,7 @@ def asked_metrics(names: Any) -> tuple[str, ...]:
         if not isinstance(name, str):
             raise wrong_type("metrics", '"all" or names of hs.METRICS', name)
         if name not in METRICS:
-            near = get_close_matches(name, METRICS, 1)
-            hint = f"; {near[0]}?" if near else ""
+            hint = did_you_mean(name, METRICS)
             raise ValueError(f'metrics: expected "all" or names of hs.METRICS, got "{name}"{hint}')
     return tuple(name for name in METRICS if name in asked)
 

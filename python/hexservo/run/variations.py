@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,6 +20,7 @@ from hexservo.scenario.fitted import (
 )
 from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, numeric_keys, sampled_keys, without_effect
 from hexservo.scenario.laws import ALL_LAWS
+from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
@@ -102,8 +102,7 @@ def known_key(key: object, law: str, points: int = 4) -> NumericKey:
         return known[key]
     if any(key in numeric_keys(other) for other in ALL_LAWS):
         raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got a key of a different law")
-    nearest = difflib.get_close_matches(key.lower(), list(known), 1) if isinstance(key, str) else []
-    hint = f'; did you mean "{nearest[0]}"?' if nearest else ""
+    hint = did_you_mean(key, known)
     raise ValueError(f"{key}: expected a numeric key, got one that is not numeric and cannot vary within a batch{hint}")
 
 

@@ -26,6 +26,8 @@ from hexservo.scenario.block import (
 from hexservo.scenario.core_defaults import core_default, from_core
 from hexservo.scenario.laws import Controller
 from hexservo.scenario.motion import BaseMotion, TargetMotion
+from hexservo.scenario.plain import plain
+from hexservo.scenario.presets import MACHINES, ROBOT_PRESETS, machine
 from hexservo.scenario.rules import (
     Angle,
     ArrayRule,
@@ -107,7 +109,7 @@ class Robot(Block):
     section 1; legs: section 2.
     """
 
-    preset: Annotated[str | None, Choice(tuple(_core.ROBOT_PRESETS), or_null=True)] = None
+    preset: Annotated[str | None, Choice(ROBOT_PRESETS, or_null=True)] = None
     # joints on circles about E's and B's origin, or null where they are given one by one
     platform_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the platform joints
     base_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the base joints
@@ -146,13 +148,18 @@ class Robot(Block):
         given = {key: value for key, value in data.items() if value is not None}
         given |= _travel(given.get("stroke"), given.get("stroke_centre"))
         # Joints given one by one leave no circle.
-        no_circle = {key: None for side in _SIDES if f"{side}_joints" in given for key in _circle(side)}
+        other = {key: None for side in _SIDES if f"{side}_joints" in given for key in _circle(side)}
         preset = given.get("preset")
         if preset is None:
-            return {**no_circle, **given}
+            return {**other, **given}
+        # A circle leaves no joints of a preset.
+        other |= {f"{side}_joints": None for side in _SIDES if not given.keys().isdisjoint(_circle(side))}
         # An unknown preset is reported at its own key; any values do to check the others.
-        known = isinstance(preset, str) and preset in _core.ROBOT_PRESETS
-        return {**preset_values(preset if known else _DEFAULT_PRESET), **no_circle, **given}
+        known = isinstance(preset, str) and preset in ROBOT_PRESETS
+        values = preset_values(preset if known else _DEFAULT_PRESET)
+        if isinstance(cranks := given.get("cranks"), dict):
+            given["cranks"] = {**values["cranks"], **cranks}
+        return {**values, **other, **given}
 
     @model_validator(mode="after")
     def _has_one_form(self) -> Robot:
@@ -442,11 +449,13 @@ class Blocks(Block):
 
 @cache
 def preset_values(preset: str) -> dict[str, Any]:
-    """Return what a preset puts in for each key of the robot block, as plain data (not to be changed)."""
-    robot = _core.robot_preset(preset)
-    values = {
-        key: map_lists(tupled(getattr(robot, key)), list)
-        for key in Robot.model_fields
-        if key not in ("preset", "inertia", "payload", "legs", "cranks", "speed_limit", "joint_limit", "on_limit")
-    }
-    return {**values, "inertia": map_lists(diagonal_if_diagonal(tupled(robot.inertia)), list)}
+    """Return what a preset puts in for the machine's own keys of the robot block, as plain data (not to be changed)."""
+    if preset in MACHINES:
+        keys = machine(preset)
+    else:
+        robot = _core.robot_preset(preset)
+        own = ("platform_radius", "base_radius", "platform_angles", "base_angles", "home_position", "gravity", "mass")
+        keys = {key: plain(tupled(getattr(robot, key))) for key in (*own, "stroke", "force_limit")}
+        keys["inertia"] = plain(diagonal_if_diagonal(tupled(robot.inertia)))
+    values: dict[str, Any] = plain(Robot.model_validate(keys))
+    return {key: value for key, value in values.items() if key not in ("preset", "payload", "on_limit")}

@@ -28,8 +28,9 @@ struct Kelly : StatelessLaw<KellyGains> {
 
   /// tau = J^T K_p xi-tilde - K_d chi-dot + G.
   template <class S, int N, class Listener = NoListener>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
-                       const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
+  [[gnu::always_inline]] static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains,
+                                              const Stage<S>& /*stage*/, const LawInput<S, N>& input,
+                                              Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth,
                                 input.pose.position, input.R_BE);
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;

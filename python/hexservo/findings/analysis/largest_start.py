@@ -20,7 +20,7 @@ from hexservo.findings.part import Part
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.laws import laws_with
+from hexservo.scenario.laws import LAWS, laws_with
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
@@ -392,7 +392,7 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
             changes["controller.switching.kind"] = "implicit"
     sampled = trial.scenario.updated(changes) if changes else trial.scenario
     predictions = [sampled.camera.prediction]
-    if predictions == ["none"]:
+    if predictions == ["none"] and scenario.controller.law in LAWS:  # the others predict the target
         predictions.append("encoder")
     found = []
     for prediction in predictions:

@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.analysis.largest_start import Direction, LargestStart, Timing
 from hexservo.findings.analysis.words import number, open_section
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+from hexservo.scenario.laws import LAWS
 
 __all__ = ["border_words", "section"]
 
@@ -141,6 +142,8 @@ def _timing_words(found: LargestStart) -> list[str]:
                     + _timing_failure(t)
                 )
         how = "without prediction" if prediction == "none" else "with prediction by the encoders"
+        if found.law not in LAWS:
+            how = "with the target predicted by the law"
         words.append(f"The task itself, {found.assumed}{how}: {'; '.join(parts)}.")
     return words
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from hexservo.findings.diagnosis.devices import DEVICES
 from hexservo.findings.diagnosis.laws import LAWS, TASKS
 from hexservo.findings.diagnosis.model import Cause
+from hexservo.findings.diagnosis.tracking import NEVER_ACTING, TRACKING
 
-__all__ = ["CAUSES", "HARMLESS", "IN_COMMON", "WITHOUT_REMOVAL"]
+__all__ = ["CAUSES", "HARMLESS", "IN_COMMON"]
 
-CAUSES: tuple[Cause, ...] = (*TASKS[:1], *DEVICES, *LAWS, *TASKS[1:])
+CAUSES: tuple[Cause, ...] = (*TASKS[:1], *DEVICES, *LAWS, *TRACKING, *TASKS[1:])
 
 IN_COMMON: dict[str, str] = {
     "robot.stroke_centre": "leg_limits: part of the travel",
@@ -50,15 +51,6 @@ HARMLESS: dict[str, str] = {
     "seed": "chooses among equal draws; whether it decides is tried with other seeds",
     "simulation.log_every": "no effect on the run or its metrics",
     "metrics.rms_start": "affects only the metric rms_error, which is no criterion",
+    **NEVER_ACTING,
 }
 """Keys that cannot make a run fail, each with the reason."""
-
-WITHOUT_REMOVAL: dict[str, str] = dict.fromkeys(
-    (
-        *(f"controller.tracking.{name}" for name in ("follow", "bandwidth", "noise", "acceleration", "speed", "jump")),
-        *(f"controller.tracking.{name}" for name in ("certainty", "lead", "integral", "band")),
-        *(f"controller.tracking.auto.{name}" for name in ("bandwidth", "damping")),
-    ),
-    "no cause is about the filter and the lead of this law yet: a run that fails by them alone is not explained",
-)
-"""Keys that can make a run fail, and that no cause is about, each with the reason."""

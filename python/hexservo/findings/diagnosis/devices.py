@@ -25,6 +25,7 @@ from hexservo.findings.diagnosis.remedies import (
     slower_remedies,
     unequal_depth_remedies,
 )
+from hexservo.findings.diagnosis.tracking import well_set
 from hexservo.scenario.blocks import Payload
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import laws_with
@@ -66,6 +67,15 @@ def _without(
 def _base_at_rest(case: Case) -> list[Removal]:
     changes = {key: "none" for key in BASE_MOTIONS if value_at(case.scenario, key) != "none"}
     return [Removal("a base at rest", changes)] if case.sampled and changes else []
+
+
+def _target_motion_alone(case: Case) -> list[Alone]:
+    """Try a law that follows targets well set too: a motion that only these settings do not follow is not the cause."""
+    without = ideal(case.scenario)
+    moving = {key: value for key, value in without.items() if key != "target.motion.kind"}
+    usual = well_set(case)
+    pairs = [Alone(without, moving)]
+    return [*pairs, Alone({**without, **usual}, {**moving, **usual})] if usual else pairs
 
 
 # ---- Camera ---------------------------------------------------------------------------------------------------------
@@ -394,6 +404,7 @@ DEVICES: tuple[Cause, ...] = (
         "device",
         _keys(*keys_below("target.motion")),
         _without("target.motion.kind", "none", "a target at rest"),
+        alone=_target_motion_alone,
     ),
     Cause(
         "gravity",

@@ -21,9 +21,10 @@ _POWERS = {
     "gain_far": 1.0,
     "gain_slope": 1.0,
     "drive": 1.0,
+    "bandwidth": 1.0,
 }
 _FUZZY_POWERS = {"adaptation": -2.0, "initial_scale": 2.0, "weight_limit": 2.0, "leakage": 1.0, "dead_zone": 1.0}
-_STIFFNESS, _DAMPING = ("kp", "kt", "gain", "gain_far"), ("kd", "ki", "kv")
+_STIFFNESS, _DAMPING = ("kp", "kt", "gain", "gain_far", "bandwidth"), ("kd", "ki", "kv")
 GAIN_KEYS = frozenset(f"LAW.{name}" for name in (*_POWERS, "adaptive") if name != "kv") | {
     "LAW.fuzzy.adaptation",
     "LAW.fuzzy.error_scale",

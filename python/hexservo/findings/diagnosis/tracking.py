@@ -1,0 +1,89 @@
+"""Causes in the settings of the law `tracking`, and how each is removed from a scenario."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hexservo.findings.diagnosis.environment import ideal
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.scenario.keys import keys_below, value_at
+from hexservo.scenario.laws import Tracking
+
+__all__ = ["NEVER_ACTING", "TRACKING", "well_set"]
+
+_LAW = "tracking"
+_BLOCK = f"controller.{_LAW}"
+_FILTER = ("noise", "acceleration", "speed", "jump", "certainty")
+_LEAST_NOISE = 0.02  # [px], that the filter is told for features without noise
+# of what is led, followed and seen
+_CONTEXT = ("actuators.position", "target.motion", "camera.period", "camera.latency", "camera.latency_jitter")
+
+NEVER_ACTING = dict.fromkeys(
+    (f"{_BLOCK}.integral", f"{_BLOCK}.band"),
+    "acts on legs that come to rest elsewhere than commanded, which those of a simulated machine do not",
+)
+"""Keys of the law that no simulated run can fail by, each with the reason."""
+
+
+def _of_the_law(changes: Callable[[Case], Mapping[str, Any]], words: str) -> Callable[[Case], list[Removal]]:
+    def removals(case: Case) -> list[Removal]:
+        if case.scenario.controller.law != _LAW:
+            return []
+        found = {key: value for key, value in changes(case).items() if value_at(case.scenario, key) != value}
+        return [Removal(words, found)] if found else []
+
+    return removals
+
+
+def _alone(changes: Callable[[Case], Mapping[str, Any]]) -> Callable[[Case], list[Alone]]:
+    """Keep legs, motion, camera times and the law's other settings: what these settings do depends on them."""
+
+    def alone(case: Case) -> list[Alone]:
+        kept = {key for block in _CONTEXT for key in keys_below(block)}
+        without = {key: value for key, value in ideal(case.scenario).items() if key not in kept}
+        return [Alone({**without, **changes(case)}, without)]
+
+    return alone
+
+
+def _led(case: Case) -> Mapping[str, Any]:
+    return {f"{_BLOCK}.lead": Tracking().lead}
+
+
+def _matched(case: Case) -> Mapping[str, Any]:
+    """Return the filter's defaults, with the noise that the features have."""
+    camera = case.scenario.camera
+    noise = math.hypot(camera.noise, camera.quantisation / math.sqrt(12.0))
+    usual = {f"{_BLOCK}.{name}": getattr(Tracking(), name) for name in _FILTER}
+    return {**usual, f"{_BLOCK}.noise": max(noise, _LEAST_NOISE)}
+
+
+def well_set(case: Case) -> Mapping[str, Any]:
+    """Return the settings of the law that suit legs and features; {} with another law, which has no such settings."""
+    return {**_matched(case), **_led(case)} if case.scenario.controller.law == _LAW else {}
+
+
+def _pose(case: Case) -> Mapping[str, Any]:
+    return {f"{_BLOCK}.follow": "pose"}
+
+
+def _cause(
+    key: str, title: str, names: tuple[str, ...], changes: Callable[[Case], Mapping[str, Any]], words: str
+) -> Cause:
+    keys = frozenset(f"LAW.{name}" for name in names)
+    return Cause(key, title, "law", keys, _of_the_law(changes, words), alone=_alone(changes))
+
+
+TRACKING: tuple[Cause, ...] = (
+    _cause("lag_not_led", "a lag of the legs that is not led", ("lead",), _led, "the lag of the legs led in full"),
+    _cause(
+        "target_filter",
+        "a filter of the target that does not suit its motion",
+        _FILTER,
+        _matched,
+        "the filter of the target at its defaults, and the noise that the features have",
+    ),
+    _cause("direction_alone", "a law that follows a direction alone", ("follow",), _pose, "the pose followed"),
+)
