@@ -112,7 +112,7 @@ test:
 
 # One after another; the first that fails ends it.
 test-all: test
-	@python -m pytest -m slow
+	@python -m pytest -m slow --numprocesses auto
 	$(SETUP) explorer-test
 	$(SETUP) docs
 	$(SETUP) wheel-test

@@ -206,13 +206,21 @@ void require_an_image(const CameraSettings& camera, const FrameSettings<double>&
 }
 
 /// Timing and faults of the camera.
-FrameSettings<double> frame_settings(const CameraSettings& camera, double period) {
+/// @param late what the latency that the controller assumes is off [s]
+FrameSettings<double> frame_settings(const CameraSettings& camera, double late, double period) {
   FrameSettings<double> frames;
   static_cast<FrameFaults<double>&>(frames) = camera;
   frames.stamped = camera.latency_known;
   frames.period = camera.period == 0.0 ? 1 : ticks("camera.period", camera.period, period, 1);
   frames.latency = ticks("camera.latency", camera.latency, period, 0);
   frames.jitter = ticks("camera.latency_jitter", camera.latency_jitter, period, 0);
+  if (late != 0.0 && !camera.latency_known)
+    refuse("uncertainty.latency", "0 where camera.latency_known is false: no latency is assumed there", words(late));
+  frames.early = (late < 0.0 ? -1 : 1) * ticks("uncertainty.latency", std::abs(late), period, 0);
+  if (frames.early < -frames.latency)
+    refuse("uncertainty.latency", words("at least -", camera.latency, " s, so that none below 0 is assumed"),
+           words(late));
+  if (camera.smoothing > 0.0) frames.kept = std::exp(-static_cast<double>(frames.period) * period / camera.smoothing);
   // In ticks, since the sum of three rounded times may be more than a timeout that equals it; infinite: never too old.
   const auto oldest = static_cast<double>(frames.period + frames.latency + frames.jitter);
   if (!(std::round(camera.timeout / period) >= oldest))
@@ -464,7 +472,7 @@ Pose<double> believed_goal(const SceneParameters<double, N>& p, std::string_view
 /// Devices of the sampled loop.
 template <int N>
 void prepare_devices(const Settings& settings, SceneParameters<double, N>& p) {
-  p.frames = frame_settings(settings.camera, p.step);
+  p.frames = frame_settings(settings.camera, settings.uncertainty.latency, p.step);
   if (p.convention == CameraConvention::as_printed &&
       (p.frames.prediction != Prediction::none || p.frames.on_lost == LostFeature::predict))
     refuse("camera.convention", "eye_in_hand where features are predicted, since a camera as_printed has no points",

@@ -179,6 +179,52 @@ TEST_CASE("noise, outliers and quantisation disturb the features as set, each fr
   CHECK(std::abs(outliers / (4.0 * n) - 0.1) <= 4.0 * std::sqrt(0.09 / (4.0 * n)));
 }
 
+TEST_CASE("smoothed coordinates follow a step as a first-order filter and a ramp with its lag") {
+  for (const long long period : {1, 10}) {
+    CAPTURE(period);
+    FrameSettings<double> settings = timing(period, 0);
+    settings.kept = std::exp(-static_cast<double>(period) / 40.0);  // a time constant of 40 ticks
+    Eye stepped(settings), ramped(settings);
+    for (long long k = 0; k <= 2000; ++k) {
+      stepped.tick(k, image_of(k == 0 ? 0 : 400));  // 100 px
+      ramped.tick(k, image_of(k));
+      const double exposures = static_cast<double>(k / period);
+      CHECK(stepped.image().features(0) == doctest::Approx(100.0 * (1.0 - std::pow(settings.kept, exposures))));
+    }
+    // In the steady state what is kept of the error, kept (e + step), is the error: step kept/(1 - kept).
+    const double lag = kPerTick * static_cast<double>(period) * settings.kept / (1.0 - settings.kept);
+    CHECK(image_of(2000).features(0) - ramped.image().features(0) == doctest::Approx(lag));
+  }
+  // A filter that keeps nothing is none, to the last bit.
+  Eye plain(timing(3, 1));
+  FrameSettings<double> settings = timing(3, 1);
+  settings.kept = 0.0;
+  Eye filtered(settings);
+  for (long long k = 0; k < 50; ++k) {
+    plain.tick(k, image_of(k));
+    filtered.tick(k, image_of(k));
+    CHECK((plain.image().features.array() == filtered.image().features.array()).all());
+  }
+}
+
+TEST_CASE("a latency that is assumed wrong shifts the stamps, and nothing else") {
+  for (const long long early : {-3, 4, 60}) {
+    CAPTURE(early);
+    FrameSettings<double> settings = timing(5, 3);
+    settings.prediction = Prediction::encoder;
+    Eye exact(settings);
+    settings.early = early;
+    Eye wrong(settings);
+    for (long long k = 0; k < 200; ++k) {
+      exact.tick(k, image_of(k));
+      wrong.tick(k, image_of(k));
+      const double stamp = exact.seen().newest - static_cast<double>(early);
+      CHECK(wrong.seen().newest == (exact.ready() ? std::max(stamp, 0.0) : exact.seen().newest));
+      CHECK((exact.image().features - wrong.image().features).norm() <= 1e-9);  // the platform is at rest
+    }
+  }
+}
+
 TEST_CASE("prediction: the features of a moving platform are exact as long as the depth is true") {
   const Vector3<double> start(0.0, 0.0, -0.15);
   Image<double> image;

@@ -446,6 +446,14 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
             "certainty": LogUniform(8.0, 100.0),
         }.items()
     ),
+    "image_smoothing": (
+        Fault({"camera.smoothing": LogUniform(0.03, 1.0)}),
+        Fault({"camera.smoothing": LogUniform(0.03, 1.0)}, cameras=("predicted",)),
+    ),
+    "latency_error": tuple(
+        Fault({"uncertainty.latency": Choice(tuple(tick / 1000 for tick in ticks))}, cameras=("predicted",))
+        for ticks in (range(15, 121), range(-33, -14))
+    ),
     "direction_alone": (
         Fault(
             {},

@@ -33,6 +33,7 @@ SAMPLED: dict[str, Any] = {
     "camera.dropout": 0.3,
     "camera.outlier_probability": 0.1,
     "camera.outlier_size": 5.0,
+    "camera.smoothing": 0.02,
     "camera.image_size": [200.0, 200.0],
     "camera.on_lost": "stop",
     "camera.prediction": "encoder",
@@ -91,6 +92,7 @@ SAMPLED: dict[str, Any] = {
     "controller.virtual_platform.damping": 1e-3,
     "uncertainty.focal_length": 0.02,
     "uncertainty.principal_point": [3.0, -2.0],
+    "uncertainty.latency": 0.004,
 }
 # In continuous mode: what is for people, or is about another key, or is a gain that `others` sees.
 FOR_PEOPLE = {"name", "description", "simulation.log_every"}

@@ -10,6 +10,7 @@
 #include "hexservo/elementary.hpp"
 #include "hexservo/random.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -38,6 +39,7 @@ struct FrameFaults {
   S dropout{0.0};              ///< probability that a frame never arrives [1], 0
   S outlier_probability{0.0};  ///< that a point of a frame is an outlier [1], 0
   S outlier_size{0.0};         ///< standard deviation of what is added to the noisy coordinates of an outlier [px], 0
+  S smoothing{0.0};            ///< time constant of a filter of the coordinates beside the camera [s], 0: none
   Vector2<S> image_size = Vector2<S>::Constant(S(std::numeric_limits<double>::infinity()));  ///< width, height [px]
   LostFeature on_lost = LostFeature::hold;
   Prediction prediction = Prediction::none;
@@ -49,6 +51,7 @@ struct FrameFaults {
     v(Field{"dropout", "1", kProbability}.of_plant().in_sampled_mode(), self.dropout...);
     v(Field{"outlier_probability", "1", kProbability}.of_plant().in_sampled_mode(), self.outlier_probability...);
     v(Field{"outlier_size", "px", kNotNegative}.of_plant().in_sampled_mode(), self.outlier_size...);
+    v(Field{"smoothing", "s", kNotNegative}.of_plant().in_sampled_mode(), self.smoothing...);
     v(Field{"image_size", "px", kPositiveOrNone}.entrywise().of_plant().in_sampled_mode(), self.image_size...);
     v(Field{"on_lost"}.of_pack().in_sampled_mode(), self.on_lost...);
     v(Field{"prediction"}.of_pack().in_sampled_mode(), self.prediction...);
@@ -64,6 +67,8 @@ struct FrameSettings : FrameFaults<S> {
   S timeout = S(std::numeric_limits<double>::infinity());  ///< oldest image of a point that is used [ticks]
   Vector2<S> image_centre = Vector2<S>::Zero();            ///< middle of the image, as its pixels are counted [px]
   bool stamped = true;  ///< frames carry their exposure; otherwise the tick of their arrival stands for it
+  long long early = 0;  ///< ticks by which the stamp of a frame is before its exposure: a latency assumed too long
+  S kept{0.0};          ///< share of the coordinates before that `smoothing` keeps from exposure to exposure
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -74,6 +79,8 @@ struct FrameSettings : FrameFaults<S> {
     v(Field{"timeout"}, self.timeout...);
     v(Field{"image_centre"}, self.image_centre...);
     v(Field{"stamped"}, self.stamped...);
+    v(Field{"early"}, self.early...);
+    v(Field{"kept"}, self.kept...);
   }
 };
 
@@ -85,6 +92,12 @@ struct Frame {
   /// Measured pixels of the points, NaN in both coordinates of one that the frame does not show, and depths Z-hat [m].
   Image<S, N> image;
 };
+
+/// Oldest exposure that a frame of a tick is stamped with [ticks before it].
+template <class S>
+long long oldest_stamp(const FrameSettings<S>& settings) noexcept {
+  return settings.latency + settings.jitter + std::max(settings.early, 0LL);
+}
 
 /// Whether the controller needs the points that a frame shows, lifted to where they are.
 template <class S>
@@ -118,6 +131,10 @@ class Frames {
     frame.image = image;
     if (lens_.converts()) frame.image.features = lens_.pixels(image.features);
     disturb(frame.image.features, event);
+    if (any(settings_.kept > S(0.0))) {
+      if (exposed_ > 0) frame.image.features += settings_.kept * (smoothed_ - frame.image.features);
+      smoothed_ = frame.image.features;
+    }
     frame.due = S(static_cast<double>(tick + settings_.latency));
     if (settings_.jitter > 0) {
       using std::floor;
@@ -146,7 +163,7 @@ class Frames {
       const Exposed& frame = ring_[static_cast<std::size_t>(i % static_cast<long long>(ring_.size()))];
       if (frame.tick + settings_.latency > tick) break;
       const Mask<S> due = frame.due == now;
-      const S stamp(static_cast<double>(settings_.stamped ? frame.tick : tick));
+      const S stamp(static_cast<double>(settings_.stamped ? std::max(frame.tick - settings_.early, 0LL) : tick));
       if (all(due)) {
         out.image = frame.image;
         out.exposure = stamp;
@@ -182,6 +199,7 @@ class Frames {
   FrameSettings<S> settings_;
   Lens<S> lens_;
   RandomStream<S> noise_, outliers_, dropout_, latency_;
+  Vector<S, 2 * N> smoothed_;  ///< coordinates of the newest exposure, filtered [px]
   std::vector<Exposed> ring_;
   long long exposed_ = 0, pending_ = 0;  ///< frames so far; the first that may still be due in some lane
 };

@@ -196,9 +196,7 @@ template <class S, int N = kPoints>
 class Perception {
  public:
   explicit Perception(const Sensing<S, N>& sensing)
-      : history_(lifts_points(sensing.frames)
-                     ? 2 + sensing.frames.latency + sensing.frames.jitter + sensing.frames.period
-                     : 0) {
+      : history_(lifts_points(sensing.frames) ? 2 + oldest_stamp(sensing.frames) + sensing.frames.period : 0) {
     constexpr double kInfinity = std::numeric_limits<double>::infinity();
     now_.image.features.setZero();  // of no consequence but finite
     now_.image.depth.setConstant(S(-1.0));

@@ -75,6 +75,7 @@ struct Uncertainty : DynamicsError<double> {
   OfPoints<double, kAnyPoints> depth = for_all_points<double, kAnyPoints>(0.0);  ///< delta_Z,i, or one for all [1], 0
   double focal_length = 0.0;                                                     ///< of the controller's camera [1], 0
   Vector2<double> principal_point = Vector2<double>::Zero();  ///< what that of its camera is off [px], 0
+  double latency = 0.0;                                       ///< what the latency that it assumes is off [s], 0
   Mount mount;  ///< what the controller's mount is off: position in E, rotation vector in C, `assumed_mount`
 
   template <class V, class... Self>
@@ -83,6 +84,7 @@ struct Uncertainty : DynamicsError<double> {
     v(Field{"depth", "1", kRelativeError}, self.depth...);  // the controller's own: what it takes the target for
     v(Field{"focal_length", "1", kRelativeError}.in_sampled_mode(), self.focal_length...);  // and its camera
     v(Field{"principal_point", "px"}.entrywise().in_sampled_mode(), self.principal_point...);
+    v(Field{"latency", "s"}.of_pack().in_sampled_mode(), self.latency...);
     v(Field{"mount"}, self.mount...);
   }
 };

@@ -226,7 +226,7 @@ TrackingPlan<S, N> tracking_plan(const LoopParameters<S, Tracking, N>& p, const 
     }
   }
   const double latest =
-      p.frames.stamped ? static_cast<double>(p.frames.latency + p.frames.jitter) : kMaxLatency / p.step;
+      p.frames.stamped ? static_cast<double>(oldest_stamp(p.frames)) : kMaxLatency / p.step;
   plan.poses = 3 + static_cast<long long>(std::ceil(latest)) + p.frames.period;
   return plan;
 }

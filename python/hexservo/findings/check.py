@@ -193,6 +193,12 @@ def _has_slope(scenario: Scenario) -> bool:
     return _switches(scenario) and scenario.controller.switching.kind in ("tanh", "saturation")
 
 
+def _uses_exposures(scenario: Scenario) -> bool:
+    camera = scenario.camera
+    predicts = camera.prediction == "encoder" or camera.on_lost == "predict"
+    return predicts or camera.timeout is not None or scenario.controller.law not in LAWS
+
+
 def _of_law(law: str) -> _Condition:
     return _Condition(
         (f"controller.{law}",), lambda scenario: scenario.controller.law == law, f"only with controller.law: {law}"
@@ -263,6 +269,12 @@ _CONDITIONS = (
         ("camera.outlier_probability",),
         lambda scenario: scenario.camera.outlier_size > 0,
         "only with camera.outlier_size above 0",
+    ),
+    _Condition(
+        ("uncertainty.latency",),
+        _uses_exposures,
+        "only where an exposure counts: with camera.prediction: encoder, camera.on_lost: predict, camera.timeout, or "
+        f"the law {' or '.join(law for law in ALL_LAWS if law not in LAWS)}",
     ),
     _Condition(
         ("camera.on_lost",), lambda scenario: scenario.camera.image_size is not None, "only with camera.image_size"

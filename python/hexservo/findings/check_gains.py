@@ -82,6 +82,7 @@ def image_delay(scenario: Scenario) -> float:
         delay += actuators.position.damping / (math.pi * actuators.position.bandwidth)
     if actuators.bandwidth is not None:
         delay += 1.0 / (2.0 * math.pi * actuators.bandwidth)
+    delay += camera.smoothing
     if camera.prediction == "none":
         delay += (
             camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)

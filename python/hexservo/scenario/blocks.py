@@ -240,6 +240,8 @@ class Camera(Block):
     outlier_probability: Annotated[float, PROBABILITY, SAMPLED] = 0.0  # that a point of a frame is an outlier
     # [px], standard deviation of what is added to an outlier's coordinates, beside the noise
     outlier_size: Annotated[NumberNotNegative, SAMPLED] = 0.0
+    # [s], time constant of a filter of the coordinates, from exposure to exposure; 0: none
+    smoothing: Annotated[NumberNotNegative, SAMPLED] = 0.0
     # (2,) [px], width and height; a feature outside is lost; null: no border
     image_size: Annotated[Vector | None, ArrayRule((2,), POSITIVE, or_null=True), SAMPLED] = None
     # what a law does with a lost feature: its last image, that image carried along by the joint sensors, or no more
@@ -383,6 +385,7 @@ class Uncertainty(Block):
     # relative, of the controller's camera
     focal_length: Annotated[float, RELATIVE_ERROR, SAMPLED] = 0.0
     principal_point: Annotated[Vector, ArrayRule((2,)), SAMPLED] = (0.0, 0.0)  # (2,) [px], what the controller's is off
+    latency: Annotated[float, Number(), SAMPLED] = 0.0  # [s], what the one that the controller assumes is off
     mount: Mount = Field(default_factory=Mount)
 
 

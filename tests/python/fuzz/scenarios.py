@@ -172,6 +172,7 @@ def _clocks(random: Generator, step: float) -> dict[str, Any]:
     times: dict[str, Any] = {key: count * step for key, count in ticks.items()}
     times["camera.period"] = max(ticks["camera.period"], 1) * step
     times["sensors.period"] = times["sensors.period"] or None
+    times["uncertainty.latency"] = step * _one(random, [0, int(random.integers(-ticks["camera.latency"], 11))])
     oldest = max(ticks["camera.period"], 1) + ticks["camera.latency"] + ticks["camera.latency_jitter"]
     times["camera.timeout"] = _one(random, [None, (oldest + int(random.integers(0, 30))) * step])
     finest = 0.5 / step

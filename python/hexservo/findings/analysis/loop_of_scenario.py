@@ -82,6 +82,7 @@ def quiet(scenario: Scenario) -> Scenario:
         "camera.dropout": 0.0,
         "camera.outlier_probability": 0.0,
         "camera.outlier_size": 0.0,
+        "camera.smoothing": 0.0,
         "camera.image_size": None,
         "camera.on_lost": "hold",
         "sensors.resolution": 0.0,
@@ -90,6 +91,7 @@ def quiet(scenario: Scenario) -> Scenario:
         "actuators.quantisation": 0.0,
         **AT_REST,
         "uncertainty.gravity": 0.0,
+        "uncertainty.latency": 0.0,
         "robot.on_limit": "report",
     }
     try:
@@ -127,6 +129,9 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
             "a camera as_printed has no points, and so no pose at which the goal is seen; set "
             "camera.convention to eye_in_hand"
         )
+    for key, what in (("camera.smoothing", "features are not filtered"), ("uncertainty.latency", "latency is known")):
+        if value_at(scenario, key) != 0.0:
+            raise NotApplicableError(f"the linear loop is of a camera whose {what}, and {key} is not 0")
     calm = quiet(scenario)
     slope = np.zeros(6)
     if controller.traits.switching:

@@ -95,6 +95,8 @@ def _late_camera(case: Case) -> list[Removal]:
     if not case.sampled or (period <= step and camera.latency == 0.0 and camera.latency_jitter == 0.0):
         return []
     changes: dict[str, Any] = {"camera.period": step, "camera.latency": 0.0, "camera.latency_jitter": 0.0}
+    if case.scenario.uncertainty.latency < 0.0:  # none below 0 can be assumed
+        changes["uncertainty.latency"] = 0.0
     words = "a frame at every servo tick, without latency"
     if camera.dropout and period > step:  # many frames would make up for lost ones: the same wait for lost ones
         wait = camera.dropout / (1.0 - camera.dropout) * period / step if camera.dropout < 1.0 else math.inf
@@ -315,6 +317,23 @@ DEVICES: tuple[Cause, ...] = (
         "device",
         _keys("camera.quantisation"),
         _without("camera.quantisation", 0.0, "features that are not rounded"),
+        context=_IMAGE,
+    ),
+    Cause(
+        "image_smoothing",
+        "image coordinates that are smoothed while the camera moves",
+        "device",
+        _keys("camera.smoothing"),
+        _without("camera.smoothing", 0.0, "image coordinates that are not smoothed"),
+        slower_remedies,
+        context=_IMAGE,
+    ),
+    Cause(
+        "latency_error",
+        "a latency that is assumed wrong",
+        "device",
+        _keys("uncertainty.latency"),
+        _without("uncertainty.latency", 0.0, "the latency that the camera has"),
         context=_IMAGE,
     ),
     Cause(
