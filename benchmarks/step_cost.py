@@ -33,9 +33,10 @@ VARIANT = "avx2"
 COUNTED_STEPS = 400  # what begins and ends a run is less than 1 % of them
 TIMED_SECONDS = 4.0
 
-# part -> pattern of a function or file; of two that fit one function the first one counts
-PARTS = {
-    "weights, end of a step": r"\badvance_(rows|weights|systems)\b",
+# part -> pattern of a function, with all that is inlined into it
+FUNCTIONS = {"weights, end of a step": r"\badvance_(rows|weights|systems)\b"}
+# part -> pattern of a file, of the innermost function that is of a part
+FILES = {
     "fuzzy systems": r"/fuzzy\.hpp$",
     "camera": r"/(camera|mount|lens)\.hpp$",
     "legs": r"/(hexapod|cholesky)\.hpp$",
@@ -118,11 +119,11 @@ def parts_of(module: Path, addresses: Iterable[int]) -> dict[int, str]:
 
 
 def _part(frames: list[str]) -> str:
-    for part, pattern in PARTS.items():
-        if pattern.startswith(r"\b") and any(re.search(pattern, frame) for frame in frames):
+    for part, pattern in FUNCTIONS.items():
+        if any(re.search(pattern, frame) for frame in frames):
             return part
     for frame in frames:  # the innermost first
-        for part, pattern in PARTS.items():
+        for part, pattern in FILES.items():
             if re.search(pattern, frame):
                 return part
     return "other"
