@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo.run import variant
 from hexservo.run.export import gains_header
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import ALL_LAWS, LAWS
 from points import scattered, with_points
 from recorded_ticks import step, ticks_of
 
@@ -100,7 +100,7 @@ def sampled_scenarios() -> Iterator[hs.Scenario]:
         scenario = hs.load_scenario(name)
         if scenario.simulation.mode != "sampled":
             continue
-        for law in LAWS:
+        for law in ALL_LAWS:
             with contextlib.suppress(hs.ScenarioError):  # a law may have no pose of the goal
                 yield scenario.updated({"name": f"{name}-{law}", "controller.law": law})
     for law in LAWS:

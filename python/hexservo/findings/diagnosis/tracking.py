@@ -16,7 +16,7 @@ __all__ = ["NEVER_ACTING", "TRACKING", "well_set"]
 _LAW = "tracking"
 _BLOCK = f"controller.{_LAW}"
 _FILTER = ("noise", "acceleration", "speed", "jump", "certainty")
-_LEAST_NOISE = 0.02  # [px], that the filter is told for features without noise
+_LEAST_NOISE = 0.02  # [px], that the filter assumes for features without noise
 # of what is led, followed and seen
 _CONTEXT = ("actuators.position", "target.motion", "camera.period", "camera.latency", "camera.latency_jitter")
 
