@@ -225,8 +225,7 @@ TrackingPlan<S, N> tracking_plan(const LoopParameters<S, Tracking, N>& p, const 
       plan.variance(j) = variance * solver.solve(unit)(j);
     }
   }
-  const double latest =
-      p.frames.stamped ? static_cast<double>(oldest_stamp(p.frames)) : kMaxLatency / p.step;
+  const double latest = p.frames.stamped ? static_cast<double>(oldest_stamp(p.frames)) : kMaxLatency / p.step;
   plan.poses = 3 + static_cast<long long>(std::ceil(latest)) + p.frames.period;
   return plan;
 }
