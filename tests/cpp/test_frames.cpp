@@ -195,6 +195,18 @@ TEST_CASE("smoothed coordinates follow a step as a first-order filter and a ramp
     const double lag = kPerTick * static_cast<double>(period) * settings.kept / (1.0 - settings.kept);
     CHECK(image_of(2000).features(0) - ramped.image().features(0) == doctest::Approx(lag));
   }
+  // A point that the lens does not show for a while begins anew.
+  FrameSettings<double> gone = timing(1, 0);
+  gone.kept = 0.9;
+  Eye interrupted(gone);
+  for (long long k = 0; k < 10; ++k) {
+    Image<double> image = image_of(400 * k);
+    if (k == 5) image.features(0) = kNaN;
+    interrupted.tick(k, image);
+    if (k == 6) CHECK(interrupted.image().features(0) == image.features(0));
+    if (k == 9) CHECK(interrupted.image().features(0) < image.features(0));
+    if (k == 9) CHECK(std::isfinite(interrupted.image().features(0)));
+  }
   // A filter that keeps nothing is none, to the last bit.
   Eye plain(timing(3, 1));
   FrameSettings<double> settings = timing(3, 1);

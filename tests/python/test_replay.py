@@ -115,6 +115,13 @@ def sampled_scenarios() -> Iterator[hs.Scenario]:
         }
         changes |= {"camera.prediction": "none", "simulation.duration": 1.0, "metrics.rms_start": 0.0}
         yield hs.load_scenario("composite-30hz").updated(changes)
+    wrong = {
+        "uncertainty.latency": 0.02,
+        "camera.smoothing": 0.01,
+        "metrics.rms_start": 0.0,
+        "simulation.duration": 0.5,
+    }
+    yield hs.load_scenario("composite-30hz").updated({"name": "wrong-latency", **wrong})
     for count in (3, 5, 8, 16):
         for law in LAWS:
             if count > 3 or law != "pbvs":

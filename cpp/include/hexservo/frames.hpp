@@ -131,10 +131,7 @@ class Frames {
     frame.image = image;
     if (lens_.converts()) frame.image.features = lens_.pixels(image.features);
     disturb(frame.image.features, event);
-    if (any(settings_.kept > S(0.0))) {
-      if (exposed_ > 0) frame.image.features += settings_.kept * (smoothed_ - frame.image.features);
-      smoothed_ = frame.image.features;
-    }
+    if (any(settings_.kept > S(0.0))) smooth(frame.image.features);
     frame.due = S(static_cast<double>(tick + settings_.latency));
     if (settings_.jitter > 0) {
       using std::floor;
@@ -196,10 +193,20 @@ class Frames {
       for (int k = 0; k < 2 * N; ++k) features(k) = quantise(features(k), settings_.quantisation);
   }
 
+  /// Coordinates that were no numbers before begin anew.
+  void smooth(Vector<S, 2 * N>& features) noexcept {
+    for (int k = 0; k < 2 * N; ++k) {
+      const S filtered = features(k) + settings_.kept * (smoothed_(k) - features(k));
+      const Mask<S> goes_on = (settings_.kept > S(0.0)) & is_finite(smoothed_(k));
+      features(k) = smoothed_(k) = select(goes_on, filtered, features(k));
+    }
+  }
+
   FrameSettings<S> settings_;
   Lens<S> lens_;
   RandomStream<S> noise_, outliers_, dropout_, latency_;
-  Vector<S, 2 * N> smoothed_;  ///< coordinates of the newest exposure, filtered [px]
+  Vector<S, 2 * N> smoothed_ =  ///< coordinates of the newest exposure, filtered [px]
+      Vector<S, 2 * N>::Constant(S(std::numeric_limits<double>::quiet_NaN()));
   std::vector<Exposed> ring_;
   long long exposed_ = 0, pending_ = 0;  ///< frames so far; the first that may still be due in some lane
 };
