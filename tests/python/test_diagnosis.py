@@ -78,6 +78,22 @@ def test_the_cause_of_a_shipped_scenario_comes_first_with_a_remedy_that_works(ke
     assert hs.metrics(cured)["final_error"] <= 2.0
 
 
+def test_the_face_tracking_of_a_head_fails_by_two_causes_together() -> None:
+    """Its law smooths the image and takes late frames for current ones; with either of the two it would settle."""
+    scenario = hs.load_scenario("fails-face-tracking")
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert diagnosis.failed
+    assert diagnosis.named == ()
+    assert set(diagnosis.together) == {"image_smoothing", "latency_error"}
+    beyond = {}
+    for name, changes in {"shipped": {}, "fix": {"uncertainty.latency": 0.0}}.items():
+        turned = hs.simulate(scenario.updated(changes)).quaternion
+        beyond[name] = float(np.degrees(2 * np.arctan2(-turned[:, 3], turned[:, 0])).max() - 25.0)
+    print(beyond)
+    assert beyond["shipped"] == pytest.approx(21.0, abs=1.0)  # what the scenario's file says
+    assert beyond["fix"] == pytest.approx(8.0, abs=1.0)
+
+
 @pytest.mark.slow
 def test_the_cause_of_kept_apart_failures_comes_first_and_no_other_one_is_named_without_it() -> None:
     """Random failures whose fault is known, by seeds that no rule was tuned on; then the same with it withheld.
