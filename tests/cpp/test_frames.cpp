@@ -195,7 +195,7 @@ TEST_CASE("smoothed coordinates follow a step as a first-order filter and a ramp
     const double lag = kPerTick * static_cast<double>(period) * settings.kept / (1.0 - settings.kept);
     CHECK(image_of(2000).features(0) - ramped.image().features(0) == doctest::Approx(lag));
   }
-  // A point that the lens does not show for a while begins anew.
+  // A point that the lens does not show for a while begins again.
   FrameSettings<double> gone = timing(1, 0);
   gone.kept = 0.9;
   Eye interrupted(gone);

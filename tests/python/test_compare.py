@@ -89,6 +89,18 @@ def test_numbers_and_arrays_of_a_key_share_a_batch(paper: hs.Scenario) -> None:
         assert row.metrics["final_error"] == pytest.approx(expected["final_error"], rel=1e-8)
 
 
+def test_the_law_of_machines_that_take_positions_runs_where_a_scenario_has_it() -> None:
+    short = {"simulation.duration": 1.0, "metrics.rms_start": 0.0}
+    comparison = hs.compare(["pi-h824-positions", "paper-nominal"], changes=short)
+    assert comparison.laws == (*LAWS, "tracking")
+    rows = {(row.scenario.name, row.law): row for row in comparison.rows}
+    assert rows["pi-h824-positions", "tracking"].metrics["settling_time"] < 0.5
+    refused = rows["paper-nominal", "tracking"]
+    assert refused.outcome == "refused"
+    assert "sampled" in refused.detail
+    assert hs.compare(["paper-nominal"], changes=short).laws == LAWS
+
+
 def test_long_runs_keep_a_thinned_error(paper: hs.Scenario) -> None:
     (row,) = hs.compare([paper.updated({"simulation.duration": 12.3})], ["hybrid"]).rows
     assert 2500 < len(row.time) <= 5001

@@ -90,7 +90,7 @@ def test_the_face_tracking_of_a_head_fails_by_two_causes_together() -> None:
         turned = hs.simulate(scenario.updated(changes)).quaternion
         beyond[name] = float(np.degrees(2 * np.arctan2(-turned[:, 3], turned[:, 0])).max() - 25.0)
     print(beyond)
-    assert beyond["shipped"] == pytest.approx(21.0, abs=1.0)  # what the scenario's file says
+    assert beyond["shipped"] == pytest.approx(21.0, abs=1.0)  # what the scenario's file states
     assert beyond["fix"] == pytest.approx(8.0, abs=1.0)
 
 

@@ -193,7 +193,7 @@ class Frames {
       for (int k = 0; k < 2 * N; ++k) features(k) = quantise(features(k), settings_.quantisation);
   }
 
-  /// Coordinates that were no numbers before begin anew.
+  /// Coordinates that were no numbers before begin again.
   void smooth(Vector<S, 2 * N>& features) noexcept {
     for (int k = 0; k < 2 * N; ++k) {
       const S filtered = features(k) + settings_.kept * (smoothed_(k) - features(k));

@@ -50,7 +50,7 @@ def compare(
     scenarios
         Scenarios, names of packaged ones or paths of YAML files; of different names.
     laws
-        Names of laws, each once; None: all that there are.
+        Names of laws, each once; None: all of any machine, and `tracking` where a scenario has it.
     changes
         Applied to every scenario before its law is replaced, as `Scenario.updated` does.
     threads
@@ -80,8 +80,8 @@ def compare(
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """
     functions = _checked_controllers(controllers)
-    chosen_laws = (*(() if laws is not None and not laws and functions else _checked_laws(laws)), *functions)
     loaded = _checked_scenarios(scenarios, changes)
+    chosen_laws = (*(() if laws is not None and not laws and functions else _checked_laws(laws, loaded)), *functions)
     rows = [_prepared(scenario, law, custom=law in functions) for scenario in loaded for law in chosen_laws]
     groups = _groups(rows, functions)
     with reporting(progress, "runs", transient=True) as report, contextlib.suppress(KeyboardInterrupt):
@@ -101,9 +101,10 @@ def compare(
     return Comparison(chosen_laws, loaded, tuple(rows))
 
 
-def _checked_laws(laws: Sequence[str] | None) -> tuple[str, ...]:
+def _checked_laws(laws: Sequence[str] | None, scenarios: Sequence[Scenario]) -> tuple[str, ...]:
     if laws is None:
-        return LAWS
+        own = {scenario.controller.law for scenario in scenarios}
+        return tuple(law for law in ALL_LAWS if law in LAWS or law in own)
     if isinstance(laws, str):
         raise TypeError("laws: expected a sequence of names, got text")
     for law in laws:
