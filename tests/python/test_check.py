@@ -18,6 +18,8 @@ from test_keys_with_effect import fingerprint
 EXPECTED = {
     "composite-30hz": ["simulation.step: a servo period of 1 ms is coarser than a tenth of the gains'"],
     "fails-coarse-step": ["simulation.step: a servo period of 5 ms is coarser"],
+    # whose gain is that of the package
+    "fails-face-tracking": ["simulation.step: a servo period of 20 ms is coarser"],
     "fails-leg-limits": ["target.desired_features: the goal is out of reach: leg 5 would be"],
     "fails-lost-features": ["target.desired_features: the goal is outside the image of 136 x 136 px (point 2)"],
     "fails-saturation": ["robot.force_limit: 0.128 N is less than the 0.134 N that leg 1 needs"],
