@@ -517,7 +517,7 @@ def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
         ({"seed": [0, 0.5]}, r"^scenario 1: seed: expected an integer from 0 to .* got 0.5$"),
         (
             {"seed": [0.0, 2.0**53 + 2]},
-            r"^scenario 1: seed: expected an integer .*, got the float .*94.0.*, which may have been rounded$",
+            r"^scenario 1: seed: expected an integer .*, got the float 9007199254740994\.0, which may have been r",
         ),
         ({"simulation.step": [1e-3, 3e-4]}, r"^scenario 1: simulation.step: expected a step that divides"),
         ({"robot.mass": [0.1, 0.1, 0.1], "camera.focal_length": [0.008, 0.008]}, r"^camera.focal_length: .* got 2$"),

@@ -130,7 +130,7 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
         place = tuple(int(index) for index in np.argwhere(~allowed)[0])
         entry = "".join(f"[{index}]" for index in place[1:])
         rounded = rule.whole and values.dtype.kind == "f" and abs(values[place]) > MAX_WHOLE_FLOAT
-        got = f"the float {values[place]!r}, which may have been rounded" if rounded else f"{values[place]:.12g}"
+        got = f"the float {float(values[place])!r}, which may have been rounded" if rounded else f"{values[place]:.12g}"
         raise ValueError(f"scenario {place[0]}: {key}{entry}: expected {rule.expected}, got {got}")
     numbers = values.astype(rule.dtype)
     if rule.symmetric and numbers.ndim == 3:
