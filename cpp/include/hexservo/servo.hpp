@@ -108,14 +108,21 @@ void evaluate(const ServoGains<S, Law, N>& gains, ServoState<S, Law, N>& state, 
     tick.law.fuzzy_output = select(tick.command.acts, tick.law.fuzzy_output, Vector6<S>(Vector6<S>::Zero()));
 }
 
+inline constexpr double kLargestStrength = 1e280;  ///< of an adaptation that is taken over
+
 /// Advances the law's memory over a period by forward Euler, (22); it waits where the law does not act, and where its
 /// command is more than the legs can give or follow.
 /// @param where lanes to advance
 template <class S, class Law, int N>
 void adapt(const ServoGains<S, Law, N>& gains, ServoState<S, Law, N>& state, const ServoTick<S, Law>& tick,
            const Mask<S>& where) noexcept {
+  Mask<S> learns = where & tick.command.acts & (!tick.command.saturated);
+  if constexpr (requires { tick.law.rate.strength; }) {  // weights stay finite, however extreme a gain is
+    const Vector6<S> strength = tick.law.rate.strength.vector();
+    learns = learns & is_finite(S(strength.sum())) & (largest_abs(strength) <= S(kLargestStrength));
+  }
   Law::advance(gains.law, state.law, std::array<const typename Law::template Rate<S>*, 1>{&tick.law.rate},
-               std::array{S(gains.period)}, where & tick.command.acts & (!tick.command.saturated));
+               std::array{S(gains.period)}, learns);
 }
 
 }  // namespace hexservo

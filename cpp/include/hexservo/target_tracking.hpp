@@ -442,7 +442,8 @@ template <class S, int N>
   const S rate = select(state.integrating, S(plan.gains.integral * period), S(0.0));
   const Vector6<S> seen_lengths = seen_legs.lengths.vector();
   for (int i = 0; i < 6; ++i) {
-    const S moved = state.offset(i) + rate * (legs.lengths(i) - seen_lengths(i));
+    const S more = select(state.integrating, S(rate * (legs.lengths(i) - seen_lengths(i))), S(0.0));
+    const S moved = state.offset(i) + more;  // readings that are no numbers leave nothing behind
     state.offset(i) = clip(moved, S(-gains.hexapod.stroke), gains.hexapod.stroke);
   }
 

@@ -24,7 +24,8 @@ class ControllerOutput(NamedTuple):
     wrench: Array
     """(6,), force and moment about E's origin [N; N m]."""
     leg_forces: Array
-    """(6,), positive where they push the platform away from the base [N]."""
+    """(6,), positive where they push the platform away from the base [N]; may be NaN where `leg_positions` are, of a
+    machine that takes positions."""
     fuzzy_output: Array
     """(6,), output of the fuzzy systems, already subtracted in `wrench` [N; N m]."""
     invalid_input: bool
