@@ -176,7 +176,7 @@ class MetricsRule(Rule):
         try:
             return asked_metrics(value)
         except (TypeError, ValueError):
-            unknown = next((name for name in value if name not in METRICS), None)
+            unknown = next((name for name in value if isinstance(name, str) and name not in METRICS), None)
             self.refuse(value, hint=did_you_mean(unknown, METRICS))
 
 
