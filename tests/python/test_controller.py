@@ -154,6 +154,42 @@ def test_invalid_measurements_give_the_safe_output(
         assert controller.step(**given).invalid_input is False
 
 
+@pytest.mark.parametrize("reading", [np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("entry", range(3))
+def test_a_pose_that_is_no_number_leaves_no_offset_behind(entry: int, reading: float) -> None:
+    """The law `tracking` integrates what legs lack where they rest: never a reading that is no number."""
+    scenario = hs.load_scenario("rubin-camera-positions").updated({"sensors": {"pose": "true"}})
+    assert scenario.controller.law == "tracking"
+    start = hs.simulate(scenario.updated({"simulation.duration": scenario.simulation.step}))
+    controller = hs.Controller(scenario)
+    poses = np.repeat(start.position[:1], 7, axis=0)
+    poses[3, entry] = reading
+    outputs = [
+        controller.step(
+            start.features[0],
+            start.depth[0],
+            position,
+            start.quaternion[0],
+            np.zeros(6),
+            exposure=tick * controller.period,
+            now=tick * controller.period,
+        )
+        for tick, position in enumerate(poses)
+    ]
+    assert [output.invalid_input for output in outputs] == [False, False, False, True, False, False, False]
+    for output in outputs:
+        assert np.isfinite(output.leg_positions).all()
+
+
+def test_an_adaptation_of_extreme_gain_keeps_its_weights_finite(paper: hs.Scenario) -> None:
+    """Where a period's change would overflow, the weights wait, and the law goes on with those it has."""
+    controller = hs.Controller(paper.updated({"controller.law": "composite", "controller.composite.drive": 1.7e308}))
+    for _ in range(3):
+        output = controller.step(**good_input(paper))
+        assert np.isfinite(controller.fuzzy_weights).all()
+        assert np.isfinite(output.wrench).all()
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_the_status_says_why_the_law_does_not_act(paper: hs.Scenario, law: str) -> None:
     sampled = paper.updated(

@@ -280,7 +280,7 @@ def test_a_scaled_machine_runs_the_same_dimensionless_loop(paper: hs.Scenario, l
 # Median settling time in units of 1/f, and the share within 25 % of it of machines that `hexservo check` does not warn
 # of; docs/gains.md has both for 1000 machines.
 EXPECTED = {
-    "hybrid": (6.6, 0.9),
+    "hybrid": (6.6, 1.0),
     "composite": (0.82, 1.0),
     "kelly": (0.78, 1.0),
     "resolved_rate": (0.75, 1.0),
@@ -303,12 +303,12 @@ def test_random_machines_settle_alike_or_are_warned_of(law: str, start: str) -> 
     for mode in MODES:
         found = row(law, start, mode, machines, warnings)
         if start == "pointing" or law not in ("hybrid", "kelly"):
-            assert (~warnings).sum() >= 25
+            assert (~warnings).sum() >= 15
             assert found.alike(~warnings) >= least
             assert found.median == pytest.approx(median, rel=0.25 if law == "hybrid" else 0.05)
         else:  # all but a few are warned of, and most of those do not settle
             assert warnings.mean() > 0.9
-            assert found.alike(warnings) < 0.4
+            assert np.isnan(found.times[warnings]).mean() > 0.5
 
 
 def test_the_settling_time_is_that_of_the_second_order_equation() -> None:

@@ -439,12 +439,12 @@ template <class S, int N>
   state.still = select(near, S(state.still + period), S(0.0));
   const Mask<S> settled = state.still > plan.settling;
   state.integrating = settled & ((state.integrating & off) | far);
-  const S rate = select(state.integrating, S(plan.gains.integral * period), S(0.0));
+  const S rate = plan.gains.integral * period;
   const Vector6<S> seen_lengths = seen_legs.lengths.vector();
   for (int i = 0; i < 6; ++i) {
-    const S more = select(state.integrating, S(rate * (legs.lengths(i) - seen_lengths(i))), S(0.0));
-    const S moved = state.offset(i) + more;  // readings that are no numbers leave nothing behind
-    state.offset(i) = clip(moved, S(-gains.hexapod.stroke), gains.hexapod.stroke);
+    const S moved = clip(S(state.offset(i) + rate * (legs.lengths(i) - seen_lengths(i))), S(-gains.hexapod.stroke),
+                         gains.hexapod.stroke);
+    state.offset(i) = select(state.integrating, moved, state.offset(i));  // not a reading that is no number
   }
 
   Vector6<S> command;

@@ -23,8 +23,8 @@ __all__ = ["image_delay", "of_gains", "share_of_prior", "slow_share", "start_for
 _OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow
-_LEFT = 0.03  # share of the image error that may be slow, or stay
-_TURNED = 0.7  # share of rotations in the common motion of the features
+_LEFT = 0.02  # share of the image error that may be slow, or stay
+_TURNED = 0.9  # share of rotations in the common motion of the features
 _ROUNDING = 1.0 + 1e-9
 
 
