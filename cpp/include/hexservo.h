@@ -227,6 +227,20 @@ HEXSERVO_API size_t hexservo_gains_points(const hexservo_gains* gains);
 HEXSERVO_API hexservo_state* hexservo_state_create(const hexservo_gains* gains);
 HEXSERVO_API void hexservo_state_destroy(hexservo_state* state);
 
+/** Bytes for `hexservo_gains_place`: those of the scenario's law and of how many points it has. */
+HEXSERVO_API size_t hexservo_gains_size(const hexservo_scenario* scenario);
+/** `hexservo_gains_create` into memory of the caller: any that is at least so large, static for example.
+ *
+ * All of the gains lies there. They end with the memory, and are not destroyed.
+ * @return HEXSERVO_REFUSED also where `size` is too small */
+HEXSERVO_API hexservo_status hexservo_gains_place(hexservo_scenario* scenario, double period, void* memory, size_t size,
+                                                  hexservo_gains** gains);
+/** Bytes for `hexservo_state_place`; 0: no memory to find out. */
+HEXSERVO_API size_t hexservo_state_size(const hexservo_gains* gains);
+/** `hexservo_state_create` likewise; takes nothing from the heap. To begin again, place a state there again.
+ * @return null where `size` is too small */
+HEXSERVO_API hexservo_state* hexservo_state_place(const hexservo_gains* gains, void* memory, size_t size);
+
 /** What the sensors give at a tick; a number that is not known is NaN. */
 typedef struct hexservo_input {
   double now;             /**< time of the tick, by a clock that never goes back [s] */

@@ -8,6 +8,8 @@
 
 #include <charconv>
 #include <cstring>
+#include <memory>
+#include <memory_resource>
 #include <new>
 #include <optional>
 #include <utility>
@@ -379,6 +381,8 @@ struct hexservo_gains {
   explicit hexservo_gains(int count) : points(count) {}
   virtual ~hexservo_gains() = default;
   virtual hexservo_state* state() const = 0;
+  virtual size_t state_size() const = 0;
+  virtual hexservo_state* state(void* memory, size_t size) const = 0;
   virtual double period() const noexcept = 0;
   virtual ControllerOutput tick(hexservo_state& state, const ControllerInputOf<kMostPoints>& input) const noexcept = 0;
 
@@ -394,15 +398,57 @@ namespace {
 
 template <class Law, int N>
 struct StateOf final : hexservo_state {
-  explicit StateOf(const ControllerGains<Law, N>& gains) : state(initial_state(gains)) {}
+  explicit StateOf(const ControllerGains<Law, N>& gains,
+                   std::pmr::memory_resource* memory = std::pmr::get_default_resource())
+      : state(initial_state(gains, memory)) {}
   ControllerState<Law, N> state;
 };
+
+/// Counts what is taken.
+class Counted final : public std::pmr::memory_resource {
+ public:
+  size_t bytes = 0;
+
+ private:
+  void* do_allocate(size_t size, size_t alignment) override {
+    bytes += size + alignment - 1;
+    return std::pmr::new_delete_resource()->allocate(size, alignment);
+  }
+  void do_deallocate(void* taken, size_t size, size_t alignment) override {
+    std::pmr::new_delete_resource()->deallocate(taken, size, alignment);
+  }
+  bool do_is_equal(const memory_resource& other) const noexcept override { return this == &other; }
+};
+
+/// A state with all its memory in one place, which the caller gave: it is never destroyed.
+template <class Law, int N>
+struct Placed {
+  Placed(const ControllerGains<Law, N>& gains, void* rest, size_t size)
+      : memory(rest, size, std::pmr::null_memory_resource()), state(gains, &memory) {}
+  std::pmr::monotonic_buffer_resource memory;
+  StateOf<Law, N> state;
+};
+
+/// Bytes that hold a T wherever they begin.
+template <class T>
+constexpr size_t kRoom = sizeof(T) + alignof(T) - 1;
 
 template <class Law, int N>
 struct GainsFor final : hexservo_gains {
   GainsFor(const Settings& settings, double period)
       : hexservo_gains(settings.target.count()), gains(controller_gains<Law, N>(settings, period)) {}
   hexservo_state* state() const override { return made<StateOf<Law, N>>(gains); }
+  size_t state_size() const override {
+    Counted taken;
+    const StateOf<Law, N> one(gains, &taken);
+    return kRoom<Placed<Law, N>> + taken.bytes;
+  }
+  hexservo_state* state(void* memory, size_t size) const override {
+    using Whole = Placed<Law, N>;
+    if (std::align(alignof(Whole), sizeof(Whole), memory, size) == nullptr) return nullptr;
+    void* rest = static_cast<char*>(memory) + sizeof(Whole);
+    return &(new (memory) Whole(gains, rest, size - sizeof(Whole)))->state;
+  }
   double period() const noexcept override { return gains.period; }
   ControllerOutput tick(hexservo_state& state, const ControllerInputOf<kMostPoints>& input) const noexcept override {
     return step(gains, static_cast<StateOf<Law, N>&>(state).state,
@@ -414,6 +460,17 @@ struct GainsFor final : hexservo_gains {
   }
   ControllerGains<Law, N> gains;
 };
+
+/// Gains of any law, on the heap where there is no memory for them.
+hexservo_gains* gains_of(const Settings& settings, double period, void* memory, size_t size) {
+  const double chosen = period == 0.0 ? settings.simulation.step : period;
+  return with_loop(
+      settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_gains* {
+        using Gains = GainsFor<Law, N>;
+        if (memory == nullptr) return new Gains(settings, chosen);
+        return new (std::align(alignof(Gains), sizeof(Gains), memory, size)) Gains(settings, chosen);
+      });
+}
 
 /// N numbers, the first of them from where they are; unknown where there are none.
 template <int N>
@@ -613,14 +670,7 @@ void hexservo_run_goal(const hexservo_run* run, double* features) { run->write_g
 
 hexservo_status hexservo_gains_create(hexservo_scenario* scenario, double period, hexservo_gains** gains) {
   *gains = nullptr;
-  return guarded(*scenario, [&] {
-    const Settings& settings = scenario->settings;
-    const double chosen = period == 0.0 ? settings.simulation.step : period;
-    *gains = with_loop(
-        settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_gains* {
-          return new GainsFor<Law, N>(settings, chosen);
-        });
-  });
+  return guarded(*scenario, [&] { *gains = gains_of(scenario->settings, period, nullptr, 0); });
 }
 
 void hexservo_gains_destroy(hexservo_gains* gains) { delete gains; }
@@ -629,7 +679,39 @@ double hexservo_gains_period(const hexservo_gains* gains) { return gains->period
 
 size_t hexservo_gains_points(const hexservo_gains* gains) { return static_cast<size_t>(gains->points); }
 
+size_t hexservo_gains_size(const hexservo_scenario* scenario) {
+  return with_loop(scenario->settings, []<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) {
+    return kRoom<GainsFor<Law, N>>;
+  });
+}
+
+hexservo_status hexservo_gains_place(hexservo_scenario* scenario, double period, void* memory, size_t size,
+                                     hexservo_gains** gains) {
+  *gains = nullptr;
+  return guarded(*scenario, [&] {
+    const size_t needed = hexservo_gains_size(scenario);
+    if (size < needed) refuse("size", words(needed, " bytes for the gains of this scenario"), words(size));
+    *gains = gains_of(scenario->settings, period, memory, size);
+  });
+}
+
 hexservo_state* hexservo_state_create(const hexservo_gains* gains) { return gains->state(); }
+
+size_t hexservo_state_size(const hexservo_gains* gains) {
+  try {
+    return gains->state_size();
+  } catch (...) {
+    return 0;
+  }
+}
+
+hexservo_state* hexservo_state_place(const hexservo_gains* gains, void* memory, size_t size) {
+  try {
+    return gains->state(memory, size);
+  } catch (...) {  // too little memory
+    return nullptr;
+  }
+}
 
 void hexservo_state_destroy(hexservo_state* state) { delete state; }
 

@@ -52,6 +52,8 @@ static int run(hexservo_scenario* scenario) {
 static int joined(hexservo_scenario* scenario) {
   static const hexservo_quantity compared[] = {HEXSERVO_TIME, HEXSERVO_FEATURE_ERROR, HEXSERVO_POSITION,
                                                HEXSERVO_LEG_FORCES};
+  static char memory[1 << 16]; /* with the poses of frames under way */
+  unsigned long before;
   hexservo_run* run;
   hexservo_plant* plant;
   hexservo_gains* gains;
@@ -69,7 +71,9 @@ static int joined(hexservo_scenario* scenario) {
     return fail(scenario);
   hexservo_run_advance(run, -1);
   rows = hexservo_run_rows(run);
-  state = hexservo_state_create(gains);
+  before = taken;
+  state = hexservo_state_place(gains, memory, sizeof memory);
+  if (state == NULL || taken != before) return 6;
   for (row = 0; row < rows && goes_on; ++row) {
     hexservo_plant_sense(plant, &input);
     hexservo_tick(gains, state, &input, &output);
@@ -82,7 +86,6 @@ static int joined(hexservo_scenario* scenario) {
     if (!equal) break;
   }
   printf("%d of %d ticks are equal\n", (int)row, (int)rows);
-  hexservo_state_destroy(state);
   hexservo_gains_destroy(gains);
   hexservo_plant_destroy(plant);
   hexservo_run_destroy(run);
@@ -91,6 +94,8 @@ static int joined(hexservo_scenario* scenario) {
 
 /* Sensors that see the platform move about home: any numbers will do, as long as Python makes the same. */
 static int tick(hexservo_scenario* scenario, long ticks) {
+  static char memory[1 << 20]; /* all that the controller needs */
+  size_t room;
   hexservo_gains* gains;
   hexservo_state* state;
   hexservo_input input;
@@ -99,7 +104,10 @@ static int tick(hexservo_scenario* scenario, long ticks) {
   size_t points, count, i;
   unsigned long before;
   long k;
-  if (hexservo_gains_create(scenario, 0.0, &gains) != HEXSERVO_OK) return fail(scenario);
+  room = hexservo_gains_size(scenario);
+  if (hexservo_gains_place(scenario, 0.0, memory + 1, room - 1, &gains) != HEXSERVO_REFUSED || gains != NULL) return 6;
+  if (room > sizeof memory - 1) return 6;
+  if (hexservo_gains_place(scenario, 0.0, memory + 1, room, &gains) != HEXSERVO_OK) return fail(scenario);
   points = hexservo_gains_points(gains);
   features = malloc(2 * points * sizeof *features);
   depth = malloc(points * sizeof *depth);
@@ -110,6 +118,12 @@ static int tick(hexservo_scenario* scenario, long ticks) {
 #ifdef COUNTS
   if (taken == before) return 3; /* it counts */
 #endif
+  hexservo_state_destroy(state);
+  count = hexservo_state_size(gains);
+  if (count > sizeof memory - 1 - room || hexservo_state_place(gains, memory + 1 + room, count / 2) != NULL) return 6;
+  before = taken;
+  state = hexservo_state_place(gains, memory + 1 + room, count);
+  if (state == NULL || taken != before) return 6;
   if (hexservo_scenario_get_numbers(scenario, "target.initial_features", features, 2 * points, &count) != HEXSERVO_OK)
     return fail(scenario);
   hexservo_input_clear(&input);
@@ -138,8 +152,6 @@ static int tick(hexservo_scenario* scenario, long ticks) {
     }
     if (k % 100 == 99) print("tick", sum, 18);
   }
-  hexservo_state_destroy(state);
-  hexservo_gains_destroy(gains);
   free(features);
   free(depth);
   return 0;

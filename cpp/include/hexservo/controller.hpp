@@ -115,10 +115,13 @@ template <int alignment>
 void library_was_built_with_other_instruction_set_flags() noexcept;
 
 /// State before the first tick; takes the memory that the ticks need.
+/// @param memory where the poses are kept that belong to frames under way; a copy of the state has the default one
+/// @throws what `memory` throws where there is too little
 template <class Law, int N>
-ControllerState<Law, N> initial_state(const ControllerGains<Law, N>& gains) {
+ControllerState<Law, N> initial_state(const ControllerGains<Law, N>& gains,
+                                      std::pmr::memory_resource* memory = std::pmr::get_default_resource()) {
   library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
-  return ControllerState<Law, N>(gains);
+  return ControllerState<Law, N>(gains, memory);
 }
 
 /// One tick of (14), (15) with (13); the weights then advance by forward Euler over the period, (22).

@@ -18,6 +18,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory_resource>
 #include <vector>
 
 namespace hexservo {
@@ -92,7 +93,8 @@ template <class S>
 class PoseHistory {
  public:
   /// @param capacity ticks that are kept; 0: none
-  explicit PoseHistory(long long capacity) : entries_(static_cast<std::size_t>(capacity)) {}
+  PoseHistory(long long capacity, std::pmr::memory_resource* memory)
+      : entries_(static_cast<std::size_t>(capacity), memory) {}
 
   /// @param tick not before the one that was added last; the same one replaces it
   /// @param active lanes whose pose is known; the others keep the one before
@@ -170,7 +172,7 @@ class PoseHistory {
             before.pose.quaternion + share * (end - before.pose.quaternion)};
   }
 
-  std::vector<Entry> entries_;
+  std::pmr::vector<Entry> entries_;
   std::size_t count_ = 0;
 };
 
@@ -195,8 +197,10 @@ struct Perceived {
 template <class S, int N = kPoints>
 class Perception {
  public:
-  explicit Perception(const Sensing<S, N>& sensing)
-      : history_(lifts_points(sensing.frames) ? 2 + oldest_stamp(sensing.frames) + sensing.frames.period : 0) {
+  /// @param memory of the poses that are kept, taken here alone
+  explicit Perception(const Sensing<S, N>& sensing,
+                      std::pmr::memory_resource* memory = std::pmr::get_default_resource())
+      : history_(lifts_points(sensing.frames) ? 2 + oldest_stamp(sensing.frames) + sensing.frames.period : 0, memory) {
     constexpr double kInfinity = std::numeric_limits<double>::infinity();
     now_.image.features.setZero();  // of no consequence but finite
     now_.image.depth.setConstant(S(-1.0));

@@ -38,8 +38,9 @@ struct SafetyGains : Sensing<S, N> {
 /// What that takes from tick to tick.
 template <class S, int N = kPoints>
 struct SafetyState {
-  explicit SafetyState(const SafetyGains<S, N>& gains)
-      : perception(gains), last_pose(home_pose(gains.hexapod)), stop_pose(last_pose), braking(false) {
+  explicit SafetyState(const SafetyGains<S, N>& gains,
+                       std::pmr::memory_resource* memory = std::pmr::get_default_resource())
+      : perception(gains, memory), last_pose(home_pose(gains.hexapod)), stop_pose(last_pose), braking(false) {
     motion.acts = gains.motion.acts;
     motion.pose = last_pose;
   }

@@ -23,8 +23,9 @@ struct ServoGains : SafetyGains<S, N> {
 /// What changes from tick to tick.
 template <class S, class Law, int N = kPoints>
 struct ServoState : SafetyState<S, N> {
-  explicit ServoState(const ServoGains<S, Law, N>& gains)
-      : SafetyState<S, N>(gains), law(gains.initial_law_state), tracking(gains.tracking) {}
+  explicit ServoState(const ServoGains<S, Law, N>& gains,
+                      std::pmr::memory_resource* memory = std::pmr::get_default_resource())
+      : SafetyState<S, N>(gains, memory), law(gains.initial_law_state), tracking(gains.tracking, memory) {}
 
   typename Law::template State<S> law;
   [[no_unique_address]] TrackingStateOf<S, Law> tracking;

@@ -85,7 +85,8 @@ struct TrackedTarget {
 template <class S>
 struct TrackingState {
   template <int N>
-  explicit TrackingState(const TrackingPlan<S, N>& plan) : stamped(plan.stamped), poses(plan.poses) {
+  TrackingState(const TrackingPlan<S, N>& plan, std::pmr::memory_resource* memory)
+      : stamped(plan.stamped), poses(plan.poses, memory) {
     target.place = target.mean = target.view = plan.home;
     if (stamped) latency_range = {};
   }
@@ -118,7 +119,7 @@ struct TrackingState {
 template <class S>
 struct NoTracking {
   template <class Plan>
-  explicit NoTracking(const Plan& /*plan*/) {}
+  NoTracking(const Plan& /*plan*/, std::pmr::memory_resource* /*memory*/) {}
   template <class F>
   void for_each_member(F&& /*f*/) {}
 };
