@@ -93,7 +93,7 @@ template <class S>
 class PoseHistory {
  public:
   /// @param capacity ticks that are kept; 0: none
-  PoseHistory(long long capacity, std::pmr::memory_resource* memory)
+  explicit PoseHistory(long long capacity, std::pmr::memory_resource* memory = std::pmr::get_default_resource())
       : entries_(static_cast<std::size_t>(capacity), memory) {}
 
   /// @param tick not before the one that was added last; the same one replaces it
