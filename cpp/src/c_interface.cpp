@@ -464,12 +464,12 @@ struct GainsFor final : hexservo_gains {
 /// Gains of any law, on the heap where there is no memory for them.
 hexservo_gains* gains_of(const Settings& settings, double period, void* memory, size_t size) {
   const double chosen = period == 0.0 ? settings.simulation.step : period;
-  return with_loop(
-      settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_gains* {
-        using Gains = GainsFor<Law, N>;
-        if (memory == nullptr) return new Gains(settings, chosen);
-        return new (std::align(alignof(Gains), sizeof(Gains), memory, size)) Gains(settings, chosen);
-      });
+  return with_loop(settings,
+                   [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_gains* {
+                     using Gains = GainsFor<Law, N>;
+                     if (memory == nullptr) return new Gains(settings, chosen);
+                     return new (std::align(alignof(Gains), sizeof(Gains), memory, size)) Gains(settings, chosen);
+                   });
 }
 
 /// N numbers, the first of them from where they are; unknown where there are none.
