@@ -751,8 +751,9 @@ hexservo_status hexservo_plant_create(hexservo_scenario* scenario, hexservo_plan
     const Settings& settings = scenario->settings;
     if (settings.simulation.mode != LoopMode::sampled)
       refuse("simulation.mode", "sampled for a plant that is commanded", "continuous");
-    if (settings.actuators.kind == ActuatorKind::position)
-      refuse("actuators.kind", "force for a plant that is commanded, whose wrench acts on the platform", "position");
+    if (takes_positions(settings.actuators.kind))
+      refuse("actuators.kind", "force for a plant that is commanded, whose wrench acts on the platform",
+             "one that takes positions");
     *plant = with_loop(
         settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_plant* {
           const FlushSubnormals flush;

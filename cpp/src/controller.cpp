@@ -85,6 +85,10 @@ ControllerGains<Law, N> controller_gains(const Settings& settings, double period
   ticking.base_motion = {};
   ticking.target.frame = TargetFrame::base;
   ticking.target.motion = {};
+  if (takes_positions(ticking.actuators.kind)) {  // the motors are the plant's
+    ticking.actuators.kind = ActuatorKind::position;
+    ticking.actuators.motor = {};
+  }
   ticking.sensors.noise = 0.0;  // of the real encoders, not of those that a scenario simulates
   ticking.sensors.resolution = 0.0;
   if (settings.simulation.mode == LoopMode::continuous) {

@@ -101,8 +101,9 @@ struct SampledRun::BooksOf final : Books {
 SampledRun::SampledRun(const Settings& settings) {
   if (settings.simulation.mode != LoopMode::sampled)
     refuse("simulation.mode", "sampled for a custom controller", "continuous");
-  if (settings.actuators.kind == ActuatorKind::position)
-    refuse("actuators.kind", "force for a custom controller, whose wrench acts on the platform", "position");
+  if (takes_positions(settings.actuators.kind))
+    refuse("actuators.kind", "force for a custom controller, whose wrench acts on the platform",
+             "one that takes positions");
   auto kept = std::make_shared<const Settings>(settings);
   books_ = with_loop(
       *kept, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<Books> {

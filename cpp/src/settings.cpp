@@ -260,18 +260,21 @@ void require_defaults(std::string_view key, const T& block, std::string_view wan
 void require_keys_with_effect(const Settings& settings) {
   const ActuatorSettings& actuators = settings.actuators;
   const auto any_key = [](std::string_view) { return true; };
+  if (actuators.kind != ActuatorKind::position_torque)
+    require_defaults("actuators.motor", actuators.motor, "position_torque", any_key);
   if (actuators.kind == ActuatorKind::force) {
-    require_defaults("actuators.position", actuators.position, "position", any_key);
-    require_defaults("controller.virtual_platform", settings.controller.virtual_platform, "position", any_key);
+    constexpr std::string_view kWanted = "position or position_torque";
+    require_defaults("actuators.position", actuators.position, kWanted, any_key);
+    require_defaults("controller.virtual_platform", settings.controller.virtual_platform, kWanted, any_key);
     return;
   }
   const auto of_forces = [](std::string_view name) { return name != "kind" && name != "delay"; };
   require_defaults("actuators", actuators, "force", of_forces);
   if (settings.controller.safe.damping || settings.controller.safe.hold)
     refuse(settings.controller.safe.damping ? "controller.safe.damping" : "controller.safe.hold",
-           "none where actuators.kind is position: there the legs stop and stay", "numbers");
+           "none where actuators.kind is not force: there the legs stop and stay", "numbers");
   if (settings.camera.convention == CameraConvention::as_printed)
-    refuse("camera.convention", "eye_in_hand where actuators.kind is position: the image follows from the pose",
+    refuse("camera.convention", "eye_in_hand where actuators.kind is not force: the image follows from the pose",
            "as_printed");
 }
 
@@ -287,7 +290,7 @@ void require_tracking(const Settings& settings) {
   } else {
     if (!sampled)
       refuse("simulation.mode", words("sampled ", law, ", which lives on frames and their exposures"), "continuous");
-    if (settings.actuators.kind != ActuatorKind::position)
+    if (!takes_positions(settings.actuators.kind))
       refuse("actuators.kind", words("position ", law, ", which gives where the legs shall go and no forces"), "force");
     if (camera.mount.on == MountedOn::base)
       refuse("camera.mount.on", words("platform ", law, ", which looks for a target beside the machine"), "base");
@@ -306,13 +309,13 @@ void require_tracking(const Settings& settings) {
 /// The same of the law's keys, and that there is a motion which its wrench stands for.
 template <class Law, int N>
 void require_motion(const Settings& settings, const LoopParameters<double, Law, N>& p) {
-  if (p.mode != LoopMode::sampled || p.actuators.kind != ActuatorKind::position) return;
+  if (p.mode != LoopMode::sampled || !takes_positions(p.actuators.kind)) return;
   const std::string block = words("controller.", Law::traits.name, ".");
   const Vector6<double> inertia = mass_matrix(p.body, Matrix3<double>(Matrix3<double>::Identity())).diagonal();
   if constexpr (requires { Law::viscosity(p.gains); }) {
     if (!(Law::viscosity(p.gains).minCoeff() > 0.0))
       refuse(block + (Law::traits.output == LawOutput::twist ? "ki" : "kd"),
-             "numbers > 0 where actuators.kind is position: the commanded twist is what the law adds, over them",
+             "numbers > 0 where actuators.kind is not force: the commanded twist is what the law adds, over them",
              words(Law::viscosity(p.gains).minCoeff()));
     if (settings.controller.virtual_platform.damping != Vector6<double>::Zero())
       refuse("controller.virtual_platform.damping",
@@ -328,11 +331,31 @@ void require_motion(const Settings& settings, const LoopParameters<double, Law, 
           words(p.virtual_damping(i)));
 }
 
+/// That the legs' steps follow their motors: the midpoint rule is stable for (kv + damping) a h < 2 and for an
+/// oscillation only as long as it is resolved, a being the largest mobility of the legs with their armature.
+template <class Law, int N>
+void require_steps_for_motors(const Settings& settings, const LoopParameters<double, Law, N>& p) {
+  if (p.mode != LoopMode::sampled || p.actuators.kind != ActuatorKind::position_torque) return;
+  const MotorParameters<double>& motor = p.actuators.motor;
+  const Matrix3<double> R_BE = rotation_matrix(p.start.quaternion);
+  const Matrix6<double> H = inverse_kinematics(p.hexapod, p.start.position, R_BE).wrench_map();
+  const Matrix6<double> mass = Plant<double>(p.plant_body, p.dynamics_error).mass_matrix_at(R_BE) +
+                               motor.armature * H * H.transpose();
+  const Matrix6<double> mobility = H.transpose() * mass.ldlt().solve(H);
+  const double a = Eigen::SelfAdjointEigenSolver<Matrix6<double>>(mobility, Eigen::EigenvaluesOnly).eigenvalues()(5);
+  const double rate = std::max((motor.kv + motor.damping) * a, 2.0 * std::sqrt(motor.kp * a));  // times a step: up to 1
+  const double substeps = std::ceil(rate * p.step / kMotorSteps);
+  if (!(static_cast<double>(p.substeps) >= substeps))
+    refuse("simulation.substeps",
+           words("at least ", substeps, ", with which the steps of the legs follow their motors and what these move"),
+           words(p.substeps));
+}
+
 ActuatorParameters<double> actuator_parameters(const Settings& scenario, double period) {
   require_keys_with_effect(scenario);
   const ActuatorSettings& settings = scenario.actuators;
   ActuatorParameters<double> actuators{settings, ticks("actuators.delay", settings.delay, period, 0), settings.position,
-                                       Vector4<double>::Zero()};
+                                       settings.motor, Vector4<double>::Zero()};
   if (actuators.kind == ActuatorKind::position) {
     const double step = period / static_cast<double>(scenario.simulation.substeps * kLegSteps);
     actuators.transition = leg_transition(settings.position.bandwidth, settings.position.damping, step);
@@ -669,6 +692,7 @@ LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const H
     require_resolved(p.gains.fuzzy, block + ".fuzzy.", p.step);
   }
   require_motion(settings, p);
+  require_steps_for_motors(settings, p);
   const StopCause cause = cause_at_start(p);
   if (cause == StopCause::solver_failed)
     refuse("sensors.noise", "encoders whose first readings belong to a pose", words(p.encoders.noise, " m"));

@@ -154,6 +154,15 @@ DEVICES: dict[str, tuple[Mapping[str, Any], Mapping[str, Range]]] = {
         {"actuators.kind": "position"},
         {"actuators.position.bandwidth": Uniform(15.0, 40.0), "actuators.position.damping": Uniform(0.7, 1.2)},
     ),
+    "motors": (  # likewise, by motors that are stiff compared with the weight
+        {"actuators.kind": "position_torque", "actuators.position.bandwidth": 60.0, "simulation.substeps": 2},
+        {
+            "actuators.motor.kp": LogUniform(4e3, 1e4),
+            "actuators.motor.kv": Uniform(12.0, 25.0),
+            "actuators.motor.friction": Uniform(0.0, 2e-3),
+            "actuators.motor.armature": Uniform(0.0, 5e-3),
+        },
+    ),
 }
 ALL_LAWS = tuple(STIFFNESS)
 IMPLICIT: dict[str, Any] = {"simulation.mode": "sampled", "controller.switching.kind": "implicit"}
@@ -434,6 +443,11 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
         Fault({"actuators.position.speed_limit": LogUniform(2e-4, 1e-2)}, devices=("positions",)),
         Fault({"actuators.position.acceleration_limit": LogUniform(2e-4, 3e-2)}, devices=("positions",)),
     ),
+    "motors": (
+        Fault({"actuators.motor.kp": LogUniform(5.0, 40.0)}, devices=("motors",)),
+        Fault({"robot.force_limit": Uniform(0.105, 0.131)}, devices=("motors",)),
+    ),
+    "stick_slip": (Fault({"actuators.motor.friction": LogUniform(15.0, 80.0)}, devices=("motors",)),),
     "lag_not_led": tuple(
         Fault({"controller.tracking.lead": share}, **FOLLOWING) for share in (Uniform(0.0, 0.4), Uniform(2.0, 6.0))
     ),

@@ -134,6 +134,16 @@ POSITIONED: dict[str, list[Any]] = {  # of a machine that takes positions; the f
 }
 
 
+ON_MOTORS: dict[str, list[Any]] = {  # likewise
+    "actuators.motor.kp": [2000.0, 500.0, 1000.0],
+    "actuators.motor.kv": [12.0, 5.0, 8.0],
+    "actuators.motor.damping": [0.0, 1.0, 0.5],
+    "actuators.motor.friction": [0.01, 0.03, 0.0],
+    "actuators.motor.armature": [0.0, 0.01, 0.02],
+    "actuators.motor.quantisation": [0.0, 1e-5, 1e-4],
+}
+
+
 def calibrated(sampled: hs.Scenario, key: str) -> hs.Scenario:
     """The same task, through a calibrated camera."""
     first = {name: rows[0] for name, rows in CALIBRATED.items() if "distortion" not in name or name == key}
@@ -204,8 +214,8 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
             "metrics.rms_start": [1.0, 0.01, 0.05],
         }.get(key, [1.0, 1.01, 0.98])
         rows = np.stack([base * step for step in steps])
-        if key in SAMPLED_ROWS or key in CALIBRATED or key in POSITIONED:
-            rows = np.array(CALIBRATED.get(key) or POSITIONED.get(key) or SAMPLED_ROWS[key])
+        if key in SAMPLED_ROWS or key in CALIBRATED or key in POSITIONED or key in ON_MOTORS:
+            rows = np.array(CALIBRATED.get(key) or POSITIONED.get(key) or ON_MOTORS.get(key) or SAMPLED_ROWS[key])
             if key == "camera.focal_pixels" and shape == ():
                 rows = rows[:, :1]
             rows = np.broadcast_to(rows.reshape(3, *[-1] * len(shape)), (3, *shape)).copy()
@@ -243,6 +253,9 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
             return  # whose platform has no mass: refused
         first = {name: rows[0] for name, rows in POSITIONED.items()}
         base = base.updated({**first, "actuators.kind": "position", "simulation.mode": "sampled"})
+    if key in ON_MOTORS:
+        first = {name: rows[0] for name, rows in ON_MOTORS.items()}
+        base = base.updated({**first, "actuators.kind": "position_torque", "simulation.mode": "sampled"})
     if key in CALIBRATED:
         base = calibrated(base, key)
     if key == "robot.centre_of_mass":  # an inertia that a body with all of these has
@@ -266,7 +279,7 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
     # So does the estimate of `pbvs`, whose prior an exact image releases. What is zero but for rounding (rotation, if
     # all depths err alike) has no digits to compare: motions are of 1e-2 to 1 in SI units.
     # Where limits begin to act rounding decides on which side of a step.
-    tolerance = 1e-8 if law in ("resolved_rate", "pbvs") else 1e-9 if key in POSITIONED else 1e-11
+    tolerance = 1e-8 if law in ("resolved_rate", "pbvs") else 1e-9 if key in POSITIONED or key in ON_MOTORS else 1e-11
     floor = tolerance if law in ("resolved_rate", "pbvs") else 0.0
     for rows in rows_of(base, key):
         batch = hs.simulate_batch(base, {key: rows})

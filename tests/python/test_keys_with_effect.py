@@ -52,6 +52,12 @@ SAMPLED: dict[str, Any] = {
     "actuators.position.damping": 0.7,
     "actuators.position.speed_limit": 0.01,
     "actuators.position.acceleration_limit": 0.1,
+    "actuators.motor.kp": 2000.0,
+    "actuators.motor.kv": 5.0,
+    "actuators.motor.damping": 1.0,
+    "actuators.motor.friction": 0.01,
+    "actuators.motor.armature": 0.01,
+    "actuators.motor.quantisation": 1e-5,
     "base_motion.kind": "sinusoid",
     "base_motion.amplitude": [0.1, 0.0, 0.0],
     "base_motion.frequency": 3.0,
@@ -105,7 +111,7 @@ TOGETHER = {key: keys for keys in (RECORDING, WAY) for key in keys} | {
 TOGETHER |= {
     key: ("actuators.kind", key)
     for key in SAMPLED
-    if key.startswith("actuators.position.") or key == "controller.virtual_platform.damping"
+    if key.startswith(("actuators.position.", "actuators.motor.")) or key == "controller.virtual_platform.damping"
 }
 READ = {"base_motion.file", "base_motion.frame_of_acceleration", "target.motion.file"}  # into samples
 SENTENCE = "no effect in continuous mode; set simulation.mode: sampled, or drop"
@@ -261,6 +267,8 @@ def test_a_key_changes_the_continuous_run_or_is_refused(short: hs.Scenario, key:
     change = {key: SAMPLED[key]}
     if key in TOGETHER:  # neither goes without the other
         change = {name: SAMPLED[name] for name in TOGETHER[key]}
+    if key.startswith("actuators.motor."):
+        change["actuators.kind"] = "position_torque"
     with pytest.raises(hs.ScenarioError) as caught:
         short.updated(change)
     (problem,) = caught.value.problems

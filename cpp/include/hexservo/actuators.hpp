@@ -21,9 +21,12 @@ namespace hexservo {
 
 /// What the drives of the legs take.
 enum class ActuatorKind {
-  force,    ///< the force of each leg
-  position  ///< where each leg shall go (position_actuators.hpp)
+  force,           ///< the force of each leg
+  position,        ///< where each leg shall go: it gets there whatever it takes (position_actuators.hpp)
+  position_torque  ///< the same, by a motor of limited torque with friction (motors.hpp)
 };
+
+inline constexpr bool takes_positions(ActuatorKind kind) noexcept { return kind != ActuatorKind::force; }
 
 /// What stays the same between two ticks.
 enum class ActuatorHold {
@@ -69,11 +72,33 @@ struct PositionResponse {
   }
 };
 
+/// A motor at each leg that holds a position by its torque, which is limited by `robot.force_limit`.
+template <class S>
+struct MotorParameters {
+  S kp{1000.0};         ///< torque over the error of position [N/m], 1000
+  S kv{10.0};           ///< torque over the rate, against it, within the limit [N s/m], 10
+  S damping{0.0};       ///< viscous friction of the leg, beside the motor [N s/m], 0
+  S friction{0.0};      ///< dry friction of the leg [N], 0
+  S armature{0.0};      ///< inertia of motor, gear and crank, seen at the leg [kg], 0
+  S quantisation{0.0};  ///< commanded positions are multiples of it [m], 0 (none)
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"kp", "N/m", kPositive}.of_plant().in_sampled_mode(), self.kp...);
+    v(Field{"kv", "N s/m", kNotNegative}.of_plant().in_sampled_mode(), self.kv...);
+    v(Field{"damping", "N s/m", kNotNegative}.of_plant().in_sampled_mode(), self.damping...);
+    v(Field{"friction", "N", kNotNegative}.of_plant().in_sampled_mode(), self.friction...);
+    v(Field{"armature", "kg", kNotNegative}.of_plant().in_sampled_mode(), self.armature...);
+    v(Field{"quantisation", "m", kNotNegative}.of_plant().in_sampled_mode(), self.quantisation...);
+  }
+};
+
 /// The same with their delay.
 template <class S>
 struct ActuatorParameters : ActuatorResponse<S> {
   long long delay = 0;  ///< [ticks], 0 to `kMaxActuatorDelay`, 0
   PositionResponse<S> position{};
+  MotorParameters<S> motor{};
   Vector4<S> transition = Vector4<S>::Zero();  ///< `leg_transition` of a leg's step, where drives take positions
 
   template <class V, class... Self>
@@ -81,8 +106,31 @@ struct ActuatorParameters : ActuatorResponse<S> {
     ActuatorResponse<S>::visit(v, self...);
     v(Field{"delay"}, self.delay...);
     v(Field{"position"}, self.position...);
+    v(Field{"motor"}, self.motor...);
     v(Field{"transition"}, self.transition...);
   }
+};
+
+/// Commands on their way to the legs, tick by tick.
+template <class S>
+class DelayLine {
+ public:
+  /// @param delay [ticks]; @param first what arrives before the first command
+  DelayLine(long long delay, const Vector6<S>& first) noexcept : delay_(static_cast<std::size_t>(delay)) {
+    commands_.fill(first);
+  }
+
+  /// A tick: takes a command, and gives the one that arrives.
+  const Vector6<S>& pass(const Vector6<S>& command) noexcept {
+    commands_[next_] = command;
+    next_ = next_ == delay_ ? 0 : next_ + 1;
+    return commands_[next_];  // the oldest: with no delay the one just written
+  }
+
+ private:
+  std::size_t delay_;
+  std::array<Vector6<S>, kMaxActuatorDelay + 1> commands_;
+  std::size_t next_ = 0;
 };
 
 /// What acts from a tick to the next.
@@ -106,12 +154,12 @@ class Actuators {
         limit_(parameters.saturation ? force_limit : S(std::numeric_limits<double>::infinity())),
         unchanged_((parameters.quantisation <= S(0.0)) &
                    (parameters.bandwidth == S(std::numeric_limits<double>::infinity()))),
-        filtered_(resting_forces) {
+        filtered_(resting_forces),
+        commands_(parameters.delay, resting_forces) {
     const S ticks = S(6.283185307179586 * tick) * p_.bandwidth;  // over the time constant
     const S reached = -expm1_of_negative(max(S(-ticks), S(-700.0)));
     remaining_ = S(1.0) - reached;
     mean_remaining_ = reached / ticks;
-    commands_.fill(resting_forces);
   }
 
   /// One tick.
@@ -127,9 +175,7 @@ class Actuators {
       out.saturated = out.saturated | (abs(leg_forces(i)) > limit_);
       command(i) = clip(quantise(leg_forces(i), p_.quantisation), S(-limit_), limit_);
     }
-    commands_[next_] = command;
-    next_ = next_ == static_cast<std::size_t>(p_.delay) ? 0 : next_ + 1;
-    const Vector6<S>& arrived = commands_[next_];  // the oldest: with no delay the one just written
+    const Vector6<S>& arrived = commands_.pass(command);
 
     for (int i = 0; i < 6; ++i) {
       const S missing = filtered_(i) - arrived(i);
@@ -151,8 +197,7 @@ class Actuators {
   S remaining_;        ///< share of a difference that the lag leaves after a tick [1]
   S mean_remaining_;   ///< the same, mean over the tick [1]
   Vector6<S> filtered_;
-  std::array<Vector6<S>, kMaxActuatorDelay + 1> commands_;
-  std::size_t next_ = 0;
+  DelayLine<S> commands_;
 };
 
 }  // namespace hexservo

@@ -9,12 +9,12 @@
 /// the transition matrix of the response; so is one that is all at a limit. Where a limit begins or ends to act within
 /// a step, which happens a few times for a command, the motion is of second order in the step.
 ///
-/// The platform follows its legs: its dynamics do not enter the motion, and tell what efforts it takes.
+/// The platform follows its legs: its dynamics do not enter the motion, and tell what efforts it takes. Legs that its
+/// dynamics push back are those of motors.hpp.
 #pragma once
 
 #include "hexservo/actuators.hpp"
 
-#include <array>
 #include <cmath>
 
 namespace hexservo {
@@ -51,7 +51,7 @@ class PositionedLegs {
   /// @param step of the loop's Runge-Kutta method [s], to which the parameters' `transition` belongs
   /// @param positions, rates where a run starts [m; m/s], or [rad; rad/s]
   PositionedLegs(const ActuatorParameters<S>& p, double step, const Vector6<S>& positions, const Vector6<S>& rates)
-      : delay_(static_cast<std::size_t>(p.delay)),
+      : commands_(p.delay, positions),
         transition_(p.transition),
         stiffness_(square(S(S(6.283185307179586) * p.position.bandwidth))),
         damping_(S(2.0 * 6.283185307179586) * p.position.bandwidth * p.position.damping),
@@ -60,16 +60,11 @@ class PositionedLegs {
         step_(step / kLegSteps),
         positions_(positions),
         rates_(rates) {
-    commands_.fill(positions);
     for (int i = 0; i < 6; ++i) rates_(i) = clip(rates_(i), S(-speed_), speed_);
   }
 
   /// A tick: takes over where the legs shall go.
-  void command(const Vector6<S>& positions) noexcept {
-    commands_[next_] = positions;
-    next_ = next_ == delay_ ? 0 : next_ + 1;
-    wanted_ = commands_[next_];  // the oldest: with no delay the one just written
-  }
+  void command(const Vector6<S>& positions) noexcept { wanted_ = commands_.pass(positions); }
 
   const Vector6<S>& positions() const noexcept { return positions_; }  ///< q_i [m], or [rad]
   const Vector6<S>& rates() const noexcept { return rates_; }          ///< their rates
@@ -116,15 +111,13 @@ class PositionedLegs {
   S linear(const S& x, const S& v) const noexcept { return S(0.0) - stiffness_ * x - damping_ * v; }
   S limited(const S& a) const noexcept { return clip(a, S(-acceleration_), acceleration_); }
 
-  std::size_t delay_;  ///< [ticks]
+  DelayLine<S> commands_;
   Vector4<S> transition_;
   S stiffness_, damping_;   ///< w^2 [1/s^2], 2 zeta w [1/s]
   S speed_, acceleration_;  ///< limits
   double step_;             ///< of a leg [s]
   Vector6<S> positions_, rates_;
   Vector6<S> wanted_ = positions_;  ///< q*
-  std::array<Vector6<S>, kMaxActuatorDelay + 1> commands_;
-  std::size_t next_ = 0;
 };
 
 /// What the legs' coordinates are accelerated by while the platform's twist stays, J-dot chi-dot [m/s^2], or

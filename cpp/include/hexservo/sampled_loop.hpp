@@ -8,7 +8,7 @@
 #pragma once
 
 #include "hexservo/loop_record.hpp"
-#include "hexservo/position_actuators.hpp"
+#include "hexservo/motors.hpp"
 #include "hexservo/servo.hpp"
 
 #include <optional>
@@ -44,7 +44,10 @@ class SampledPlant {
     sensed_.pose = home_pose(p.hexapod);
     sensed_.twist.setZero();
     if (p.pose_source == PoseSource::encoders) encoders_.emplace(p.encoders, p.seed);
-    if (p.actuators.kind == ActuatorKind::position) {
+    if (p.actuators.kind == ActuatorKind::position_torque) {
+      motors_.emplace(p.actuators, p.hexapod, period_ / static_cast<double>(substeps_),
+                      legs_at(position_of(state_.body), state_.view.R_BE).lengths);
+    } else if (p.actuators.kind == ActuatorKind::position) {
       const Legs<S> legs = legs_at(position_of(state_.body), state_.view.R_BE);
       positioned_.emplace(p.actuators, period_ / static_cast<double>(substeps_), legs.lengths,
                           legs.rates(twist_of(state_.body)));
@@ -88,16 +91,24 @@ class SampledPlant {
   /// @param positions q* [m], or [rad]
   [[gnu::noinline, gnu::cold]] void position(const Vector6<S>& positions, const Command<S>& command,
                                              const Perceived<S, N>& seen, const Vector6<S>& fuzzy_output) noexcept {
-    positioned_->command(positions);
+    if (motors_)
+      motors_->command(positions);
+    else
+      positioned_->command(positions);
     const Vector3<S> p_BE = position_of(state_.body);
     const LegsSideBySide<S> found = inverse_kinematics(leg_geometry_, p_BE, state_.view.R_BE);
     const WrenchMapSolver<S> solver(leg_geometry_, found);
     const Legs<S> legs{found.lengths.vector(), found.directions_B.matrix(), found.arms_B.matrix()};
-    const Vector6<S> bias = leg_bias(leg_geometry_, legs, p_BE, twist_of(state_.body));
     wrench_.setZero();  // then what acts is of the base alone
-    wrench_ =
-        world_.needed_wrench(state_, solver.twist(positioned_->accelerations() - bias)) - acting_wrench(time(), state_);
-    leg_forces_ = solver.leg_forces(wrench_);
+    const Vector6<S> of_base = acting_wrench(time(), state_);
+    if (motors_) {
+      wrench_ = world_.needed_wrench(state_, motors_->acceleration(state_.body, free_dynamics(time(), state_))) - of_base;
+      leg_forces_ = motors_->torques(legs.lengths, legs.rates(twist_of(state_.body)));
+    } else {
+      const Vector6<S> bias = leg_bias(leg_geometry_, legs, p_BE, twist_of(state_.body));
+      wrench_ = world_.needed_wrench(state_, solver.twist(positioned_->accelerations() - bias)) - of_base;
+      leg_forces_ = solver.leg_forces(wrench_);
+    }
     if (stops_where_lost_) record_.stop(StopCause::feature_lost, seen.lost);
     if (any(command.law_failed)) record_.stop(StopCause::not_finite, command.law_failed);
     record_.accept(time(), state_, legs.lengths, solver.failed(), wrench_, leg_forces_, fuzzy_output, seen.unsensed);
@@ -108,6 +119,8 @@ class SampledPlant {
   Mask<S> advance() noexcept {
     if (positioned_) [[unlikely]]
       return follow_legs();
+    if (motors_) [[unlikely]]
+      return drive_legs();
     const double h = period_ / static_cast<double>(substeps_);
     WorldState<S, N> next = state_;
     S nearest = -S(std::numeric_limits<double>::infinity());
@@ -181,6 +194,37 @@ class SampledPlant {
     return record_.running();
   }
 
+  /// To the next tick on legs whose motors take positions.
+  [[gnu::noinline, gnu::cold]] Mask<S> drive_legs() noexcept {
+    const double h = period_ / static_cast<double>(substeps_);
+    const Vector6<S> logged = wrench_;
+    wrench_.setZero();  // then what acts is of the base alone
+    WorldState<S, N> next = state_;
+    S nearest = -S(std::numeric_limits<double>::infinity());
+    for (long long step = 0; step < substeps_; ++step) {
+      const double start = static_cast<double>(ticks_) * period_ + static_cast<double>(step) * h;
+      BodyMotion<S> body = next.body;
+      motors_->advance(body, [&](double later, const BodyMotion<S>& at) {
+        WorldState<S, N> state = next;
+        state.body = at;
+        state.view.R_BE = rotation_matrix(quaternion_of(at));
+        return free_dynamics(start + later, state);
+      });
+      if (target_moves_) place_target(start + h);
+      next = world_.seen_from(body);
+      nearest = max(nearest, nearest_depth(next.view.image));
+    }
+    wrench_ = logged;
+    end_tick(next, nearest);
+    return record_.running();
+  }
+
+  /// The platform without its legs; `wrench_` is zero.
+  BodyDynamics<S> free_dynamics(double time, const WorldState<S, N>& state) const noexcept {
+    return {world_.mass_matrix(state),
+            acting_wrench(time, state) - world_.needed_wrench(state, Vector6<S>(Vector6<S>::Zero()))};
+  }
+
   /// Takes over the state at the end of a tick, where it is good.
   [[gnu::always_inline]] void end_tick(const WorldState<S, N>& next, const S& nearest) noexcept {
     ++ticks_;
@@ -235,6 +279,7 @@ class SampledPlant {
   std::optional<Encoders<S>> encoders_;          ///< where they are the pose's source
   std::optional<Actuators<S>> actuators_;        ///< where they do anything
   std::optional<PositionedLegs<S>> positioned_;  ///< where they take positions
+  std::optional<MotorLegs<S>> motors_;           ///< where motors do
   Frames<S, N> frames_;
   LoopRecord<S, N> record_;
   SensorInput<S, N> sensed_;

@@ -50,7 +50,7 @@ struct ServoTick {
 template <class S, class Law, int N>
 MotionGains<S> motion_gains(const LoopParameters<S, Law, N>& p) {
   MotionGains<S> motion;
-  motion.acts = p.mode == LoopMode::sampled && p.actuators.kind == ActuatorKind::position;
+  motion.acts = p.mode == LoopMode::sampled && takes_positions(p.actuators.kind);
   if constexpr (requires { Law::viscosity(p.gains); }) {
     motion.massless = true;
     motion.viscosity = Law::viscosity(p.gains);

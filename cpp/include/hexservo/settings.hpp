@@ -128,12 +128,14 @@ struct SensorSettings : EncoderReadings<double> {
 struct ActuatorSettings : ActuatorResponse<double> {
   double delay = 0.0;  ///< a whole number of servo periods [s], 0
   PositionResponse<double> position;
+  MotorParameters<double> motor;
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     ActuatorResponse<double>::visit(v, self...);
     v(Field{"delay", "s", kNotNegative}.of_pack().in_sampled_mode(), self.delay...);
     v(Field{"position"}, self.position...);
+    v(Field{"motor"}, self.motor...);
   }
 };
 

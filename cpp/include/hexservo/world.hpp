@@ -110,6 +110,11 @@ class World {
   /// The image where a platform is that nothing integrates; of a camera that projects.
   WorldState<S, N> seen_from(const BodyMotion<S>& body) const noexcept { return {body, view_of(body)}; }
 
+  /// What the platform is without its legs, where nothing else acts; of a state only motion and attitude are looked at.
+  [[gnu::noinline, gnu::cold]] Matrix6<S> mass_matrix(const WorldState<S, N>& state) const noexcept {
+    return plant_.mass_matrix_at(state.view.R_BE);
+  }
+
   /// What it takes to accelerate the platform so (m/s^2; rad/s^2, in B), (3) turned around, in B [N; N m].
   [[gnu::noinline, gnu::cold]] Vector6<S> needed_wrench(const WorldState<S, N>& state,
                                                         const Vector6<S>& acceleration) const noexcept {

@@ -80,8 +80,11 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
         raise ValueError(
             f"simulation.mode: expected {SAMPLED_MODE} for a plant that is commanded, got {scenario.simulation.mode}"
         )
-    if what == "plant" and scenario.actuators.kind == "position":
-        raise ValueError("actuators.kind: expected force for a plant that is commanded by wrenches, got position")
+    if what == "plant" and scenario.actuators.takes_positions:
+        raise ValueError(
+            "actuators.kind: expected force for a plant that is commanded by wrenches, got "
+            f"{scenario.actuators.kind}"
+        )
     settings = core_parameters(scenario)
     signals = {"loop": _of_loop, "plant": _of_plant, "controller": _of_controller}[what](scenario, settings)
     variables = [UnitVariable("time", "real", "time", unit="s"), *_parameters(scenario, settings), *signals]
@@ -239,5 +242,5 @@ def _of_controller(scenario: Scenario, settings: _core.Settings) -> Iterator[Uni
     yield from _array("output", "fuzzy_output", _WRENCH, count=6)
     yield UnitVariable("output", "whole", "status", "status")
     yield UnitVariable("output", "whole", "saturated", "saturated")
-    if scenario.actuators.kind == "position":
+    if scenario.actuators.takes_positions:
         yield from _array("output", "leg_positions", legs.coordinate, count=6)

@@ -36,7 +36,8 @@ def mjcf(scenario: Scenario) -> str:
 
     The world frame is B, whose z points along gravity of the usual scenarios. The platform is a free body with mass
     and inertia of platform and payload. Each leg is a spatial tendon from a base joint to a platform joint, with a
-    motor of gear 1: its control is the leg force [N], positive where it pushes. Tendons have no mass, as the legs of
+    motor of gear 1: its control is the leg force [N], positive where it pushes, or where ``actuators.kind`` is
+    position_torque the leg's commanded length [m] (of a crank its angle). Tendons have no mass, as the legs of
     the model (docs/model.md, section 3), and close the chain by their force alone: nothing is added to the machine, no
     leg mass and no equality constraint. Integrator and step are those of the scenario, so that MuJoCo follows the
     plant to rounding under leg forces that are constant over a step.
@@ -69,10 +70,12 @@ def mjcf(scenario: Scenario) -> str:
     Raises
     ------
     ValueError
-        For legs that take positions, for a camera ``as_printed``, and for what the core refuses.
+        For legs that follow positions whatever it takes, for a camera ``as_printed``, and for what the core refuses.
     """
     if scenario.actuators.kind == "position":
-        raise ValueError("actuators.kind: expected force for MJCF, whose motors give forces, got position")
+        raise ValueError(
+            "actuators.kind: expected force or position_torque for MJCF, whose motors give forces, got position"
+        )
     scene = scene_of(scenario)
     if not scene.has_points:
         raise ValueError(
@@ -120,7 +123,8 @@ def mjcf(scenario: Scenario) -> str:
         "  <tendon>",
         *(
             f'    <spatial name="leg{leg}" width="{float(reach / 40)!r}" limited="false" '
-            f'range="{_text([middle - scene.stroke, middle + scene.stroke] if cranks is None else [0.0, 0.0])}">'
+            f'range="{_text([middle - scene.stroke, middle + scene.stroke] if cranks is None else [0.0, 0.0])}"'
+            f"{'' if cranks else _resistance(scenario, step)}>"
             f'<site site="base{leg}"/><site site="platform{leg}"/></spatial>'
             for leg, middle in enumerate(hexapod.mid_lengths, 1)
         ),
@@ -133,7 +137,7 @@ def mjcf(scenario: Scenario) -> str:
         *(f'    <camprojection name="image{i}" site="target{i}" camera="camera"/>' for i in range(1, seen + 1)),
         "  </sensor>",
         "  <keyframe>",
-        *_keys(scene.home, scene.start, np.asarray(settings["simulation.start.twist"]), hexapod, body),
+        *_keys(scene, np.asarray(settings["simulation.start.twist"])),
         "  </keyframe>",
         "</mujoco>",
     ]
@@ -185,8 +189,9 @@ class _Cranks:
         return [
             f'    <body name="crank{leg}" pos="{_text(centre)}">'
             f'<joint name="crank{leg}" type="hinge" axis="{_text(axis)}" ref="{float(angle)!r}" '
-            f'armature="{self.inertia!r}" limited="false" '
-            f'range="{_text([middle - self.scene.stroke, middle + self.scene.stroke])}"/>'
+            f'armature="{self.inertia + self.scene.scenario.actuators.motor.armature!r}" limited="false" '
+            f'range="{_text([middle - self.scene.stroke, middle + self.scene.stroke])}"'
+            f"{_resistance(self.scene.scenario, self.step, armature=False)}/>"
             f'<inertial pos="0 0 0" mass="{self.inertia / self.length**2!r}" '
             f'diaginertia="{_text([1e-6 * self.inertia] * 3)}"/>'
             f'<geom type="capsule" fromto="{_text([0, 0, 0, *(foot - centre)])}" size="{size / 2!r}" mass="0" '
@@ -228,10 +233,27 @@ def _motor(leg: int, settings: _core.Settings, *, rotary: bool) -> str:
     limit = float(settings["robot.force_limit"])
     limited = settings["simulation.mode"] == SAMPLED_MODE and settings["actuators.saturation"]
     moves = f'joint="crank{leg}"' if rotary else f'tendon="leg{leg}"'
+    if settings["actuators.kind"] == "position_torque":
+        return (
+            f'<position name="leg{leg}" {moves} kp="{settings["actuators.motor.kp"]!r}" '
+            f'kv="{settings["actuators.motor.kv"]!r}" ctrllimited="false" forcelimited="true" '
+            f'forcerange="{-limit!r} {limit!r}"/>'
+        )
     return (
         f'<motor name="leg{leg}" {moves} gear="1" ctrllimited="{str(bool(limited)).lower()}" '
         f'ctrlrange="{-limit!r} {limit!r}"/>'
     )
+
+
+def _resistance(scenario: Scenario, step: float, *, armature: bool = True) -> str:
+    """Return the attributes of what resists a leg's motion beside its motor, from a blank on."""
+    motor = scenario.actuators.motor
+    if scenario.actuators.kind != "position_torque":
+        return ""
+    inertia = f' armature="{motor.armature!r}"' if armature and motor.armature else ""
+    # a leg that friction holds creeps by the share of its acceleration that a constraint lets pass, over this rate
+    friction = f' solreffriction="{2.0 * step!r} 1" solimpfriction="{_IMPEDANCE!r} {_IMPEDANCE!r} 0.001"'
+    return f'{inertia} damping="{motor.damping!r}" frictionloss="{motor.friction!r}"{friction}'
 
 
 def _image_size(scenario: Scenario) -> Array:
@@ -263,18 +285,22 @@ def _camera(scenario: Scenario, settings: _core.Settings) -> str:
     )
 
 
-def _keys(home: Poses, start: Poses, twist: Array, hexapod: _core.Hexapod, body: _core.RigidBody) -> list[str]:
+def _keys(scene: Scene, twist: Array) -> list[str]:
+    hexapod, body = scene.hexapod, scene.settings.plant_body
+    positions = scene.scenario.actuators.takes_positions
+
     def key(name: str, pose: Poses, twist: Array) -> str:
         # MuJoCo's angular velocity is in the body's frame
         spin = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).inv().apply(twist[3:])
         at = pose.position, pose.quaternion
-        forces = hexapod.leg_forces(*at, body.weight(pose.quaternion))
+        lengths = hexapod.leg_lengths(*at)
+        control = lengths if positions else hexapod.leg_forces(*at, body.weight(pose.quaternion))
         angles, rates = np.empty(0), np.empty(0)
         if hexapod.rotary:
-            angles, rates = hexapod.leg_lengths(*at), hexapod.wrench_map(*at).T @ twist
+            angles, rates = lengths, hexapod.wrench_map(*at).T @ twist
         return (
             f'    <key name="{name}" qpos="{_text([*pose.position, *pose.quaternion, *angles])}" '
-            f'qvel="{_text([*twist[:3], *spin, *rates])}" ctrl="{_text(forces)}"/>'
+            f'qvel="{_text([*twist[:3], *spin, *rates])}" ctrl="{_text(control)}"/>'
         )
 
-    return [key("home", home, np.zeros(6)), key("start", start, twist)]
+    return [key("home", scene.home, np.zeros(6)), key("start", scene.start, twist)]

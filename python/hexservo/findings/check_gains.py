@@ -46,7 +46,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         yield from _of_times(scenario, key, auto.bandwidth)
         if law in LAWS:  # the others have no loop through the image: the target is estimated where it is
             yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
-        if scenario.actuators.kind == "force":  # legs that take positions follow whatever effort it takes
+        if not scenario.actuators.takes_positions:  # legs that take positions follow whatever effort it takes
             yield from _of_forces(scene, key, auto.bandwidth)
         yield from _of_image(scene, key)
     elif fastest is not None:
@@ -78,7 +78,7 @@ def image_delay(scenario: Scenario) -> float:
         return 0.0
     camera, actuators = scenario.camera, scenario.actuators
     delay = 0.5 * scenario.simulation.step + actuators.delay
-    if actuators.kind == "position":
+    if actuators.takes_positions:
         delay += actuators.position.damping / (math.pi * actuators.position.bandwidth)
     if actuators.bandwidth is not None:
         delay += 1.0 / (2.0 * math.pi * actuators.bandwidth)

@@ -88,9 +88,9 @@ class Scenario(Blocks):
         if self.simulation.mode == SAMPLED_MODE:
             gains = self.controller.gains
             own = self.controller.traits.output == "twist" and gains.auto.bandwidth is None
-            if own and self.actuators.kind == "position" and gains.ki != type(gains)().ki:
+            if own and self.actuators.takes_positions and gains.ki != type(gains)().ki:
                 raise ValueError(
-                    f"controller.{self.controller.law}.ki: has no effect where actuators.kind is position, since the "
+                    f"controller.{self.controller.law}.ki: has no effect where actuators.kind is not force, since the "
                     "legs follow the commanded twist by themselves; drop it"
                 )
             return

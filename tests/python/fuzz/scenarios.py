@@ -260,9 +260,15 @@ def _repair_kind(random: Generator, changes: dict[str, Any], base: hs.Scenario) 
     """Leave to a machine that takes positions the keys that act on it."""
     own = ("actuators.position.", "controller.virtual_platform.")
     if changes["simulation.mode"] == "sampled" and any(key.startswith(own) for key in changes):
-        changes["actuators.kind"] = "position"
-    if changes.get("actuators.kind", base.actuators.kind) != "position":
+        changes["actuators.kind"] = str(random.choice(["position", "position_torque"]))
+    if changes["simulation.mode"] == "sampled" and any(key.startswith("actuators.motor.") for key in changes):
+        changes["actuators.kind"] = "position_torque"
+    kind = changes.get("actuators.kind", base.actuators.kind)
+    if kind == "force":
         return
+    if kind == "position":
+        for key in [key for key in changes if key.startswith("actuators.motor.")]:
+            del changes[key]
     others = ("hold", "saturation", "bandwidth", "quantisation")
     changes |= {f"actuators.{key}": keys.sampled_keys()[f"actuators.{key}"] for key in others}
     changes |= {"controller.safe.damping": None, "controller.safe.hold": None, "camera.convention": "eye_in_hand"}

@@ -128,7 +128,7 @@ def analyse(
 
 def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:
     """Return the result of a function, or the reason why it cannot be computed, such as an overflow."""
-    if scenario.actuators.kind == "position" and name in _OF_FORCES:
+    if scenario.actuators.takes_positions and name in _OF_FORCES:
         about = PARTS[name][1]
         return NotComputed(name, about[0].upper() + about[1:], _POSITIONS)
     try:

@@ -115,7 +115,7 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         For a law without viscous damping, a camera without points, and where the loop rests nowhere near its goal.
     """
     controller = scenario.controller
-    if scenario.actuators.kind == "position":
+    if scenario.actuators.takes_positions:
         raise NotApplicableError(
             "the linear loop is of a machine that takes forces, and the legs of this one follow positions "
             "(actuators.kind)"

@@ -118,7 +118,7 @@ def certify(result: Result) -> Certificate:
 
 def _not_certified(run: Replay) -> str:
     """Return why the terms of the dynamics are not those that are certified; empty if they are."""
-    if run.scenario.actuators.kind == "position":
+    if run.scenario.actuators.takes_positions:
         return (
             "Not certified: the legs of this machine follow positions (actuators.kind), whatever effort that takes. "
             "The law moves a platform inside the controller; no wrench of it does work on the real one."

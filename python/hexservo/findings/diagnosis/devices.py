@@ -35,6 +35,7 @@ __all__ = ["DEVICES"]
 
 _IMAGE = frozenset({"camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction"})
 _ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
+_MOTORS = frozenset({"actuators.kind", *keys_below("actuators.motor")})
 
 
 def _keys(*names: str) -> frozenset[str]:
@@ -258,6 +259,24 @@ def _leg_rates(case: Case) -> list[Removal]:
     return [Removal("legs without these limits", {f"actuators.position.{name}": None for name in limited})]
 
 
+def _motors(case: Case) -> list[Removal]:
+    if case.scenario.actuators.kind != "position_torque":
+        return []
+    changes = {key: value for key, value in ideal(case.scenario).items() if key in _MOTORS}
+    return [Removal("legs that follow as the controller assumes, whatever it takes", changes)]
+
+
+def _motors_alone(case: Case) -> list[Alone]:
+    without = ideal(case.scenario)
+    kept = {key: value for key, value in without.items() if key not in _MOTORS}
+    return [Alone(without, {**kept, "actuators.motor.friction": 0.0})]
+
+
+def _friction_alone(case: Case) -> list[Alone]:
+    kept = {key: value for key, value in ideal(case.scenario).items() if key not in _MOTORS}
+    return [Alone({**kept, "actuators.motor.friction": 0.0}, kept)]
+
+
 # ---- The list -------------------------------------------------------------------------------------------------------
 
 DEVICES: tuple[Cause, ...] = (
@@ -395,6 +414,23 @@ DEVICES: tuple[Cause, ...] = (
         _keys("actuators.position.speed_limit", "actuators.position.acceleration_limit"),
         _leg_rates,
         slower_remedies,
+    ),
+    Cause(
+        "motors",
+        "motors that hold the legs softly, or reach their limit",
+        "device",
+        _MOTORS - {"actuators.kind", "actuators.motor.friction"},
+        _motors,
+        slower_remedies,
+        alone=_motors_alone,
+    ),
+    Cause(
+        "stick_slip",
+        "dry friction of the legs, which stick and slip",
+        "device",
+        _keys("actuators.motor.friction"),
+        _without("actuators.motor.friction", 0.0, "legs without dry friction"),
+        alone=_friction_alone,
     ),
     Cause(
         "actuator_quantisation",

@@ -101,10 +101,12 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
                 wanted = value if np.abs(value).max() <= ORDINARY[key] else 0.0
             elif key == "actuators.bandwidth":
                 wanted = value if value is None or value >= ORDINARY_BANDWIDTH else None
-            elif key == "actuators.position.bandwidth" and scenario.actuators.kind == "position":
+            elif key == "actuators.position.bandwidth" and scenario.actuators.takes_positions:
                 wanted = max(value, ORDINARY_BANDWIDTH)
             if value != wanted:
                 changes[key] = wanted
+    if scenario.actuators.kind == "position_torque":  # which has no motor that is free of faults
+        changes["actuators.kind"] = "position"
     if scenario.target.motion.kind != "none":
         changes["target.motion.kind"] = "none"
     if unknown_payload(scenario):

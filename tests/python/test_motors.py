@@ -1,0 +1,256 @@
+"""Motors that hold positions by a limited torque, with the platform that hangs on them: against MuJoCo, laws of
+conservation, and orders of convergence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hexservo as hs
+import rotary_machine
+from hexservo import _core
+from hexservo.bridges.mujoco_model import mjcf
+from hexservo.run import variant
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.parameters import core_parameters
+
+Array = NDArray[np.float64]
+CRANK = 0.05  # [m], about the cranks of the rotary machine: what makes their angles comparable with lengths
+
+# Of the platform of 60 g: legs that follow within 10 ms, and rest after 20 ms.
+STIFF = {"kp": 2000.0, "kv": 12.0}
+
+
+def on_motors(base: hs.Scenario, motor: dict[str, float], **changes: Any) -> hs.Scenario:
+    """A scenario on motors; the changes' "__" stands for "."."""
+    return base.updated(
+        {
+            "simulation.mode": "sampled",
+            "controller.switching.kind": "implicit",
+            "actuators.kind": "position_torque",
+            "actuators.motor": motor,
+            "actuators.position.bandwidth": 60.0,
+            "metrics.rms_start": 0.0,
+            **{key.replace("__", "."): value for key, value in changes.items()},
+        }
+    )
+
+
+def rotary(motor: dict[str, float], **changes: Any) -> hs.Scenario:
+    """The same motors on cranks: torques and angles in place of forces and lengths."""
+    scale = CRANK**2
+    of_cranks = {name: value * (CRANK if name == "friction" else scale) for name, value in motor.items()}
+    if "quantisation" in motor:
+        of_cranks["quantisation"] = motor["quantisation"] / CRANK
+    return on_motors(rotary_machine.machine(), of_cranks, **changes)
+
+
+def commands(scenario: hs.Scenario) -> Array:
+    return np.asarray(_core.recorded_ticks(core_parameters(scenario))["leg_positions"])
+
+
+@pytest.fixture
+def baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The variant that the recorded ticks are of."""
+    monkeypatch.setattr(variant, "_CHOSEN", variant.load_kernel("baseline"))
+
+
+CASES: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
+    "stiff": (STIFF, {}),
+    "heavy rotors": ({**STIFF, "armature": 0.02, "damping": 4.0}, {}),
+    "soft": ({"kp": 150.0, "kv": 0.5, "damping": 0.3}, {}),
+    "at the limit": (STIFF, {"robot__force_limit": 0.16}),
+    "friction": ({**STIFF, "friction": 0.05, "armature": 0.01}, {}),
+    "friction and limit": ({**STIFF, "friction": 0.03, "damping": 1.0}, {"robot__force_limit": 0.2}),
+}
+
+
+@pytest.mark.usefixtures("baseline")
+@pytest.mark.parametrize("machine", ["prismatic", "rotary"])
+@pytest.mark.parametrize("case", CASES)
+def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, machine: str) -> None:
+    """One second of a controlled run's commands on the exported model: within 1e-4 rad of cranks, and as much of
+    prismatic legs; where a limit is to act it does, and where friction is to hold legs it does."""
+    mujoco = pytest.importorskip("mujoco")
+    motor, changes = CASES[case]
+    changes = {"simulation__duration": 1.0, "simulation__substeps": 10, "actuators__delay": 0.002, **changes}
+    if machine == "rotary" and "robot__force_limit" in changes:
+        changes["robot__force_limit"] *= CRANK
+    scenario = on_motors(paper, motor, **changes) if machine == "prismatic" else rotary(motor, **changes)
+    run = hs.simulate(scenario)
+    assert run.outcome == "completed", run.detail
+    wanted, tick, delay = commands(scenario), scenario.simulation.step, 2
+    model = mujoco.MjModel.from_xml_string(mjcf(scenario))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "start"))
+    steps = round(tick / model.opt.timestep)
+    assert model.opt.timestep * steps == pytest.approx(tick, rel=1e-12)
+    mujoco.mj_forward(model, data)
+    legs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"leg{leg}") for leg in range(1, 7)]
+    found = np.empty_like(run.leg_lengths)
+    for row in range(len(run.time)):
+        found[row] = data.actuator_length[legs]
+        data.ctrl[legs] = wanted[row - delay] if row >= delay else run.leg_lengths[0]
+        mujoco.mj_step(model, data, steps)
+        mujoco.mj_forward(model, data)
+    scale = 1.0 if machine == "rotary" else 1.0 / CRANK
+    difference = scale * np.abs(found - run.leg_lengths).max()
+    moved = scale * np.abs(run.leg_lengths - run.leg_lengths[0]).max()
+    rates = np.abs(np.diff(run.leg_lengths, axis=0)) / tick * scale
+    held = (rates < 1e-5).mean()
+    print(f"{machine}, {case}: legs move {moved:.3g} rad, difference {difference:.2g} rad, at rest {held:.2f}")
+    assert difference < 1e-4
+    assert moved > 0.02
+    limit = scenario.robot.force_limit
+    assert (np.abs(run.leg_forces).max() >= limit * (1 - 1e-12)) == ("limit" in case)
+    if "friction" in case:
+        assert held > 0.2
+
+
+def test_energy_is_conserved_to_second_order(paper: hs.Scenario) -> None:
+    """Springs without damping and motors without limits: kinetic energy, with that of the rotors, and that of the
+    springs; gravity is zero. The error falls by four with half the step."""
+    armature, kp = 0.005, 300.0
+
+    def drift(substeps: int) -> float:
+        scenario = on_motors(
+            paper,
+            {"kp": kp, "kv": 0.0, "armature": armature},
+            simulation__duration=0.1,
+            simulation__substeps=substeps,
+            robot__gravity=[0.0, 0.0, 0.0],
+            simulation__start__twist=[0.02, -0.01, 0.03, 0.4, -0.3, 0.5],
+            controller__law="resolved_rate",
+            controller__resolved_rate={"lambda_zero": 1e-9, "lambda_infinity": 1e-9, "slope_at_zero": 0.0},
+            uncertainty={"inertia": 0.0, "gravity": 0.0, "coriolis": 0.0, "depth": 0.0},
+        )
+        run = hs.simulate(scenario)
+        settings = core_parameters(scenario)
+        hexapod, body = _core.Hexapod(settings.robot), settings.plant_body
+        wanted = run.leg_lengths[0]
+        energies = []
+        for position, quaternion, twist, lengths in zip(
+            run.position, run.quaternion, run.twist, run.leg_lengths, strict=True
+        ):
+            rates = hexapod.wrench_map(position, quaternion).T @ twist
+            mass = _core.mass_matrix(body, quaternion)
+            energies.append(
+                0.5 * twist @ mass @ twist
+                + 0.5 * armature * rates @ rates
+                + 0.5 * kp * (lengths - wanted) @ (lengths - wanted)
+            )
+        energy = np.array(energies)
+        assert np.ptp(0.5 * kp * ((run.leg_lengths - wanted) ** 2).sum(axis=1)) > 0.3 * energy[0]
+        return float(np.abs(energy / energy[0] - 1.0).max())
+
+    coarse, fine = drift(2), drift(4)
+    print(f"energy drifts by {coarse:.2g}, and {fine:.2g} with half the step")
+    assert coarse < 1e-3
+    assert coarse / fine > 3.5
+
+
+@pytest.mark.parametrize("friction", [0.02, 0.1])
+def test_friction_takes_energy_and_holds_what_it_can(paper: hs.Scenario, friction: float) -> None:
+    """A leg under dry friction rests where its motor gives less than it and the weight's share together, and a
+    platform that moves without any command comes to rest."""
+    scenario = on_motors(
+        paper,
+        {"kp": 500.0, "kv": 0.0, "friction": friction},
+        simulation__duration=0.3,
+        simulation__substeps=8,
+        simulation__start__twist=[0.02, 0.0, 0.0, 0.0, 0.0, 0.0],
+        controller__law="resolved_rate",
+        controller__resolved_rate={"lambda_zero": 1e-9, "lambda_infinity": 1e-9, "slope_at_zero": 0.0},
+    )
+    run = hs.simulate(scenario)
+    last = run.leg_lengths[-50:]
+    assert np.abs(np.diff(last, axis=0)).max() < 1e-12  # [m] in a tick: rests, and does not creep
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    weight = core_parameters(scenario).plant_body.weight(run.quaternion[-1])
+    needed = hexapod.leg_forces(run.position[-1], run.quaternion[-1], weight)
+    assert np.abs(needed - run.leg_forces[-1]).max() <= friction * (1 + 1e-9)
+
+
+def test_quantised_commands_leave_the_legs_on_the_grid(paper: hs.Scenario) -> None:
+    grid = 1e-4
+    scenario = on_motors(
+        paper,
+        {**STIFF, "quantisation": grid},
+        simulation__duration=0.3,
+        simulation__substeps=4,
+        robot__gravity=[0.0, 0.0, 0.0],
+        controller__law="resolved_rate",
+        controller__resolved_rate={"lambda_zero": 1e-9, "lambda_infinity": 1e-9, "slope_at_zero": 0.0},
+    )
+    run = hs.simulate(scenario)
+    away = run.leg_lengths[-1] / grid - np.round(run.leg_lengths[-1] / grid)
+    np.testing.assert_allclose(away, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_settles_on_motors(paper: hs.Scenario, law: str) -> None:
+    """Legs that are stiff and fast compared with the law: within 10 % of legs that follow whatever it takes."""
+    motors = on_motors(paper, {"kp": 2e4, "kv": 60.0}, controller__law=law, simulation__substeps=4)
+    ideal = motors.updated({"actuators": {"kind": "position", "motor": {"kp": 1000.0, "kv": 10.0}}})
+    run, other = hs.simulate(motors), hs.simulate(ideal)
+    assert run.outcome == "completed"
+    assert np.isfinite(run.metrics["settling_time"]) == np.isfinite(other.metrics["settling_time"])
+    if np.isfinite(other.metrics["settling_time"]):
+        assert run.metrics["settling_time"] == pytest.approx(other.metrics["settling_time"], rel=0.1)
+
+
+def test_a_batch_is_its_single_runs(paper: hs.Scenario) -> None:
+    base = on_motors(paper, STIFF, simulation__duration=0.1, simulation__substeps=4)
+    varied: dict[str, Any] = {
+        "actuators.motor.kp": [2000.0, 500.0, 1000.0],
+        "actuators.motor.kv": [12.0, 5.0, 8.0],
+        "actuators.motor.damping": [0.0, 1.0, 0.5],
+        "actuators.motor.friction": [0.0, 0.03, 0.1],
+        "actuators.motor.armature": [0.0, 0.01, 0.02],
+        "actuators.motor.quantisation": [0.0, 1e-5, 1e-4],
+    }
+    batch = hs.simulate_batch(base, varied, log="all")
+    for i in range(3):
+        run = hs.simulate(base.updated({key: values[i] for key, values in varied.items()}))
+        np.testing.assert_allclose(batch.samples["position"][i], run.position, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"actuators.kind": "position"}, "actuators.motor.kp: expected its default where actuators.kind is not"),
+        ({"actuators.motor.kp": 1e9}, "simulation.substeps: expected at least"),
+        ({"actuators.motor.kv": 1e5}, "simulation.substeps: expected at least"),
+        ({"actuators.motor.friction": -1.0}, "actuators.motor.friction: expected a number >= 0"),
+        ({"simulation.mode": "continuous"}, "actuators.kind"),
+    ],
+)
+def test_refusals(paper: hs.Scenario, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        on_motors(paper, STIFF).updated(changes)
+
+
+def test_a_controller_does_not_know_the_motors(paper: hs.Scenario) -> None:
+    """It has the response of `actuators.position`; the exported header has no key of the motors."""
+    stiff, soft = on_motors(paper, STIFF), on_motors(paper, {"kp": 500.0, "kv": 5.0})
+    assert hs.export_header(stiff) == hs.export_header(soft.updated({"name": stiff.name}))
+
+
+@pytest.mark.parametrize(
+    ("cause", "motor", "changes"),
+    [
+        ("motors", {"kp": 20.0, "kv": 0.02}, {}),
+        ("stick_slip", {**STIFF, "friction": 10.0}, {}),
+    ],
+)
+def test_motors_that_fail_are_diagnosed(
+    paper: hs.Scenario, cause: str, motor: dict[str, float], changes: dict[str, Any]
+) -> None:
+    scenario = on_motors(paper, motor, simulation__substeps=4, controller__law="resolved_rate", **changes)
+    found = hs.diagnose(hs.simulate(scenario))
+    assert found.failed
+    assert found.cause is not None
+    assert found.cause.name == cause
