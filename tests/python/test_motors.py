@@ -8,18 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 import rotary_machine
 from hexservo import _core
 from hexservo.bridges.mujoco_model import mjcf
 from hexservo.run import variant
+from hexservo.run.export import gains_header
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
 
 Array = NDArray[np.float64]
 CRANK = 0.05  # [m], about the cranks of the rotary machine: what makes their angles comparable with lengths
 
+EXACT = {"inertia": 0.0, "gravity": 0.0, "coriolis": 0.0, "depth": 0.0}
+AT_REST = {"controller__law": "resolved_rate", "controller__resolved_rate__gain": 1e-9}  # commands do not change
+SLOW, FAST = ({"controller__resolved_rate__gain": gain} for gain in (8.0, 30.0))
+LIMIT = 0.3  # [N], three times what the weight takes of a prismatic leg; on cranks three times as much, as the weight
 # Of the platform of 60 g: legs that follow within 10 ms, and rest after 20 ms.
 STIFF = {"kp": 2000.0, "kv": 12.0}
 
@@ -62,9 +68,12 @@ CASES: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
     "stiff": (STIFF, {}),
     "heavy rotors": ({**STIFF, "armature": 0.02, "damping": 4.0}, {}),
     "soft": ({"kp": 150.0, "kv": 0.5, "damping": 0.3}, {}),
-    "at the limit": (STIFF, {"robot__force_limit": 0.16}),
-    "friction": ({**STIFF, "friction": 0.05, "armature": 0.01}, {}),
-    "friction and limit": ({**STIFF, "friction": 0.03, "damping": 1.0}, {"robot__force_limit": 0.2}),
+    "at the limit": ({**STIFF, "armature": 0.01}, {"robot__force_limit": LIMIT, **SLOW}),
+    "friction": ({**STIFF, "friction": 0.5, "armature": 0.01}, FAST),
+    "friction and limit": (
+        {**STIFF, "armature": 0.01, "friction": 0.3, "damping": 1.0},
+        {"robot__force_limit": LIMIT, **SLOW},
+    ),
 }
 
 
@@ -73,12 +82,23 @@ CASES: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
 @pytest.mark.parametrize("case", CASES)
 def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, machine: str) -> None:
     """One second of a controlled run's commands on the exported model: within 1e-4 rad of cranks, and as much of
-    prismatic legs; where a limit is to act it does, and where friction is to hold legs it does."""
+    prismatic legs; where a limit is to act it does, and where friction is to hold legs it does.
+
+    MuJoCo yields to friction and limits of a crank by 1e-4 of its mobility without its rod, so that cranks have an
+    armature where these act.
+    """
     mujoco = pytest.importorskip("mujoco")
     motor, changes = CASES[case]
-    changes = {"simulation__duration": 1.0, "simulation__substeps": 10, "actuators__delay": 0.002, **changes}
+    changes = {
+        "controller__law": "resolved_rate",
+        "simulation__duration": 1.0,
+        "simulation__substeps": 10,
+        "actuators__delay": 0.002,
+        "uncertainty": EXACT,  # which is not in the exported model
+        **changes,
+    }
     if machine == "rotary" and "robot__force_limit" in changes:
-        changes["robot__force_limit"] *= CRANK
+        changes["robot__force_limit"] *= 3.0 * CRANK
     scenario = on_motors(paper, motor, **changes) if machine == "prismatic" else rotary(motor, **changes)
     run = hs.simulate(scenario)
     assert run.outcome == "completed", run.detail
@@ -105,9 +125,10 @@ def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, mac
     assert difference < 1e-4
     assert moved > 0.02
     limit = scenario.robot.force_limit
-    assert (np.abs(run.leg_forces).max() >= limit * (1 - 1e-12)) == ("limit" in case)
+    if "limit" in case:
+        assert (np.abs(run.leg_forces) >= limit * (1 - 1e-12)).mean() > 2e-3
     if "friction" in case:
-        assert held > 0.2
+        assert held > 0.1
 
 
 def test_energy_is_conserved_to_second_order(paper: hs.Scenario) -> None:
@@ -123,9 +144,8 @@ def test_energy_is_conserved_to_second_order(paper: hs.Scenario) -> None:
             simulation__substeps=substeps,
             robot__gravity=[0.0, 0.0, 0.0],
             simulation__start__twist=[0.02, -0.01, 0.03, 0.4, -0.3, 0.5],
-            controller__law="resolved_rate",
-            controller__resolved_rate={"lambda_zero": 1e-9, "lambda_infinity": 1e-9, "slope_at_zero": 0.0},
-            uncertainty={"inertia": 0.0, "gravity": 0.0, "coriolis": 0.0, "depth": 0.0},
+            uncertainty=EXACT,
+            **AT_REST,
         )
         run = hs.simulate(scenario)
         settings = core_parameters(scenario)
@@ -136,9 +156,10 @@ def test_energy_is_conserved_to_second_order(paper: hs.Scenario) -> None:
             run.position, run.quaternion, run.twist, run.leg_lengths, strict=True
         ):
             rates = hexapod.wrench_map(position, quaternion).T @ twist
-            mass = _core.mass_matrix(body, quaternion)
+            spin = Rotation.from_quat(quaternion[[1, 2, 3, 0]]).inv().apply(twist[3:])
             energies.append(
-                0.5 * twist @ mass @ twist
+                0.5 * body.mass * twist[:3] @ twist[:3]
+                + 0.5 * spin @ body.inertia @ spin
                 + 0.5 * armature * rates @ rates
                 + 0.5 * kp * (lengths - wanted) @ (lengths - wanted)
             )
@@ -162,8 +183,7 @@ def test_friction_takes_energy_and_holds_what_it_can(paper: hs.Scenario, frictio
         simulation__duration=0.3,
         simulation__substeps=8,
         simulation__start__twist=[0.02, 0.0, 0.0, 0.0, 0.0, 0.0],
-        controller__law="resolved_rate",
-        controller__resolved_rate={"lambda_zero": 1e-9, "lambda_infinity": 1e-9, "slope_at_zero": 0.0},
+        **AT_REST,
     )
     run = hs.simulate(scenario)
     last = run.leg_lengths[-50:]
@@ -182,8 +202,7 @@ def test_quantised_commands_leave_the_legs_on_the_grid(paper: hs.Scenario) -> No
         simulation__duration=0.3,
         simulation__substeps=4,
         robot__gravity=[0.0, 0.0, 0.0],
-        controller__law="resolved_rate",
-        controller__resolved_rate={"lambda_zero": 1e-9, "lambda_infinity": 1e-9, "slope_at_zero": 0.0},
+        **AT_REST,
     )
     run = hs.simulate(scenario)
     away = run.leg_lengths[-1] / grid - np.round(run.leg_lengths[-1] / grid)
@@ -197,9 +216,9 @@ def test_every_law_settles_on_motors(paper: hs.Scenario, law: str) -> None:
     ideal = motors.updated({"actuators": {"kind": "position", "motor": {"kp": 1000.0, "kv": 10.0}}})
     run, other = hs.simulate(motors), hs.simulate(ideal)
     assert run.outcome == "completed"
-    assert np.isfinite(run.metrics["settling_time"]) == np.isfinite(other.metrics["settling_time"])
-    if np.isfinite(other.metrics["settling_time"]):
-        assert run.metrics["settling_time"] == pytest.approx(other.metrics["settling_time"], rel=0.1)
+    assert np.isfinite(hs.metrics(run)["settling_time"]) == np.isfinite(hs.metrics(other)["settling_time"])
+    if np.isfinite(hs.metrics(other)["settling_time"]):
+        assert hs.metrics(run)["settling_time"] == pytest.approx(hs.metrics(other)["settling_time"], rel=0.1)
 
 
 def test_a_batch_is_its_single_runs(paper: hs.Scenario) -> None:
@@ -212,7 +231,7 @@ def test_a_batch_is_its_single_runs(paper: hs.Scenario) -> None:
         "actuators.motor.armature": [0.0, 0.01, 0.02],
         "actuators.motor.quantisation": [0.0, 1e-5, 1e-4],
     }
-    batch = hs.simulate_batch(base, varied, log="all")
+    batch = hs.simulate_batch(base, varied, log="trajectory")
     for i in range(3):
         run = hs.simulate(base.updated({key: values[i] for key, values in varied.items()}))
         np.testing.assert_allclose(batch.samples["position"][i], run.position, rtol=0, atol=1e-9)
@@ -236,21 +255,19 @@ def test_refusals(paper: hs.Scenario, changes: dict[str, Any], message: str) -> 
 def test_a_controller_does_not_know_the_motors(paper: hs.Scenario) -> None:
     """It has the response of `actuators.position`; the exported header has no key of the motors."""
     stiff, soft = on_motors(paper, STIFF), on_motors(paper, {"kp": 500.0, "kv": 5.0})
-    assert hs.export_header(stiff) == hs.export_header(soft.updated({"name": stiff.name}))
+    assert gains_header(stiff) == gains_header(soft)
 
 
 @pytest.mark.parametrize(
-    ("cause", "motor", "changes"),
+    ("cause", "motor"),
     [
-        ("motors", {"kp": 20.0, "kv": 0.02}, {}),
-        ("stick_slip", {**STIFF, "friction": 10.0}, {}),
+        ("motors", {"kp": 20.0, "kv": 0.02}),
+        ("motors", {"kp": 20.0, "kv": 1.0, "friction": 0.001}),
+        ("stick_slip", {**STIFF, "friction": 15.0}),
     ],
 )
-def test_motors_that_fail_are_diagnosed(
-    paper: hs.Scenario, cause: str, motor: dict[str, float], changes: dict[str, Any]
-) -> None:
-    scenario = on_motors(paper, motor, simulation__substeps=4, controller__law="resolved_rate", **changes)
+def test_motors_that_fail_are_diagnosed(cause: str, motor: dict[str, float]) -> None:
+    scenario = on_motors(hs.load_scenario("composite-30hz"), motor, simulation__substeps=4)
     found = hs.diagnose(hs.simulate(scenario))
     assert found.failed
-    assert found.cause is not None
-    assert found.cause.name == cause
+    assert [finding.cause for finding in found.causes][:1] == [cause]
