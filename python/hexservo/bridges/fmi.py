@@ -82,8 +82,7 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
         )
     if what == "plant" and scenario.actuators.takes_positions:
         raise ValueError(
-            "actuators.kind: expected force for a plant that is commanded by wrenches, got "
-            f"{scenario.actuators.kind}"
+            f"actuators.kind: expected force for a plant that is commanded by wrenches, got {scenario.actuators.kind}"
         )
     settings = core_parameters(scenario)
     signals = {"loop": _of_loop, "plant": _of_plant, "controller": _of_controller}[what](scenario, settings)

@@ -34,7 +34,7 @@ IN_COMMON: dict[str, str] = {
     "camera.prediction": "late_camera, depth and encoders: a prediction repeats their errors and adds none",
     "simulation.start.pose": "leg_limits and lost_features: acts through the reach of the legs and the image",
     "simulation.start.twist": "as start.pose",
-    "actuators.kind": "what the drives take is how a machine is built; position_lag, leg_rates, motors and stick_slip are of positions",
+    "actuators.kind": "what the drives take is how a machine is built; causes of positions and motors have removals",
     "controller.virtual_platform.damping": "gains: it adds to the damping of the law",
     "target.tag": "read into points",
     "target.grid": "read into points",
