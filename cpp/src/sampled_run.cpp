@@ -103,7 +103,7 @@ SampledRun::SampledRun(const Settings& settings) {
     refuse("simulation.mode", "sampled for a custom controller", "continuous");
   if (takes_positions(settings.actuators.kind))
     refuse("actuators.kind", "force for a custom controller, whose wrench acts on the platform",
-             "one that takes positions");
+           "one that takes positions");
   auto kept = std::make_shared<const Settings>(settings);
   books_ = with_loop(
       *kept, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<Books> {

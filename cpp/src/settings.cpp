@@ -334,13 +334,13 @@ void require_motion(const Settings& settings, const LoopParameters<double, Law, 
 /// That the legs' steps follow their motors: the midpoint rule is stable for (kv + damping) a h < 2 and for an
 /// oscillation only as long as it is resolved, a being the largest mobility of the legs with their armature.
 template <class Law, int N>
-void require_steps_for_motors(const Settings& settings, const LoopParameters<double, Law, N>& p) {
+void require_steps_for_motors(const LoopParameters<double, Law, N>& p) {
   if (p.mode != LoopMode::sampled || p.actuators.kind != ActuatorKind::position_torque) return;
   const MotorParameters<double>& motor = p.actuators.motor;
   const Matrix3<double> R_BE = rotation_matrix(p.start.quaternion);
   const Matrix6<double> H = inverse_kinematics(p.hexapod, p.start.position, R_BE).wrench_map();
-  const Matrix6<double> mass = Plant<double>(p.plant_body, p.dynamics_error).mass_matrix_at(R_BE) +
-                               motor.armature * H * H.transpose();
+  const Matrix6<double> mass =
+      Plant<double>(p.plant_body, p.dynamics_error).mass_matrix_at(R_BE) + motor.armature * H * H.transpose();
   const Matrix6<double> mobility = H.transpose() * mass.ldlt().solve(H);
   const double a = Eigen::SelfAdjointEigenSolver<Matrix6<double>>(mobility, Eigen::EigenvaluesOnly).eigenvalues()(5);
   const double rate = std::max((motor.kv + motor.damping) * a, 2.0 * std::sqrt(motor.kp * a));  // times a step: up to 1
@@ -692,7 +692,7 @@ LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const H
     require_resolved(p.gains.fuzzy, block + ".fuzzy.", p.step);
   }
   require_motion(settings, p);
-  require_steps_for_motors(settings, p);
+  require_steps_for_motors(p);
   const StopCause cause = cause_at_start(p);
   if (cause == StopCause::solver_failed)
     refuse("sensors.noise", "encoders whose first readings belong to a pose", words(p.encoders.noise, " m"));

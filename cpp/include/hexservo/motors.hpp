@@ -75,13 +75,11 @@ class MotorLegs {
       const Vector6<S> first = accelerated(body, dynamics(start, body), twist, half, S(1.0), friction);
       const Vector6<S> between = twist + half * first;
       const BodyMotion<S> middle = displaced(body, half, twist, between);
-      const Vector6<S> second =
-          accelerated(middle, dynamics(start + 0.5 * step_, middle), twist, h, S(0.5), friction_);
+      const Vector6<S> second = accelerated(middle, dynamics(start + 0.5 * step_, middle), twist, h, S(0.5), friction_);
       const Vector6<S> end = twist + h * second, mean = S(0.5) * (twist + end);
       const Vector4<S> turned = quaternion_rate<S>(quaternion_of(middle), Vector3<S>(mean.template tail<3>()));
-      body = BodyMotion<S>::of(body_state<S>({position_of(body) + h * mean.template head<3>(),
-                                              Vector4<S>(quaternion_of(body) + h * turned)},
-                                             end));
+      body = BodyMotion<S>::of(body_state<S>(
+          {position_of(body) + h * mean.template head<3>(), Vector4<S>(quaternion_of(body) + h * turned)}, end));
       normalise_quaternion(body);
     }
   }
@@ -91,9 +89,9 @@ class MotorLegs {
   static BodyMotion<S> displaced(const BodyMotion<S>& body, const S& time, const Vector6<S>& twist,
                                  const Vector6<S>& reached) noexcept {
     const Vector4<S> turned = quaternion_rate<S>(quaternion_of(body), Vector3<S>(twist.template tail<3>()));
-    BodyMotion<S> moved = BodyMotion<S>::of(body_state<S>({position_of(body) + time * twist.template head<3>(),
-                                                           Vector4<S>(quaternion_of(body) + time * turned)},
-                                                          reached));
+    BodyMotion<S> moved = BodyMotion<S>::of(body_state<S>(
+        {position_of(body) + time * twist.template head<3>(), Vector4<S>(quaternion_of(body) + time * turned)},
+        reached));
     normalise_quaternion(moved);
     return moved;
   }
@@ -149,7 +147,7 @@ class MotorLegs {
   LegGeometry<S> geometry_;
   double step_;  ///< of a leg [s]
   DelayLine<S> commands_;
-  Vector6<S> wanted_;                        ///< q*
+  Vector6<S> wanted_;                         ///< q*
   Vector6<S> friction_ = Vector6<S>::Zero();  ///< f of the last step
 };
 

@@ -102,7 +102,8 @@ class SampledPlant {
     wrench_.setZero();  // then what acts is of the base alone
     const Vector6<S> of_base = acting_wrench(time(), state_);
     if (motors_) {
-      wrench_ = world_.needed_wrench(state_, motors_->acceleration(state_.body, free_dynamics(time(), state_))) - of_base;
+      wrench_ =
+          world_.needed_wrench(state_, motors_->acceleration(state_.body, free_dynamics(time(), state_))) - of_base;
       leg_forces_ = motors_->torques(legs.lengths, legs.rates(twist_of(state_.body)));
     } else {
       const Vector6<S> bias = leg_bias(leg_geometry_, legs, p_BE, twist_of(state_.body));

@@ -68,8 +68,8 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
             scenario.target.count,
         )
         numbers = {name: values for name, values in own.items() if name in keys}
-        # what a block takes may depend on its kind: its numbers change with it, not after it
-        kinds = tuple(f"{name.rpartition('.')[0]}." for name, value in run.changes.items() if isinstance(value, str))
+        # what a block takes depends on its kind: its numbers change with it, not after it
+        kinds = tuple(name.removesuffix("kind") for name in run.changes if name.endswith(".kind"))
         for name, value in run.changes.items():
             if name in numbers and value is not None and not isinstance(value, str) and not name.startswith(kinds):
                 numbers[name] = _wide(keys[name], value)
