@@ -221,22 +221,6 @@ def test_every_law_settles_on_motors(paper: hs.Scenario, law: str) -> None:
         assert hs.metrics(run)["settling_time"] == pytest.approx(hs.metrics(other)["settling_time"], rel=0.1)
 
 
-def test_a_batch_is_its_single_runs(paper: hs.Scenario) -> None:
-    base = on_motors(paper, STIFF, simulation__duration=0.1, simulation__substeps=4)
-    varied: dict[str, Any] = {
-        "actuators.motor.kp": [2000.0, 500.0, 1000.0],
-        "actuators.motor.kv": [12.0, 5.0, 8.0],
-        "actuators.motor.damping": [0.0, 1.0, 0.5],
-        "actuators.motor.friction": [0.0, 0.03, 0.1],
-        "actuators.motor.armature": [0.0, 0.01, 0.02],
-        "actuators.motor.quantisation": [0.0, 1e-5, 1e-4],
-    }
-    batch = hs.simulate_batch(base, varied, log="trajectory")
-    for i in range(3):
-        run = hs.simulate(base.updated({key: values[i] for key, values in varied.items()}))
-        np.testing.assert_allclose(batch.samples["position"][i], run.position, rtol=0, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

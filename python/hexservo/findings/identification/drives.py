@@ -34,6 +34,8 @@ _STILL = 5.0  # standard deviations of the noise that a leg has to move by
 _LIMITS = ((False, False), (True, False), (False, True), (True, True))  # of speed and acceleration: which act
 _NONE = (np.inf, np.inf)
 _TRIED = 3  # delays that are fitted of those that start best
+_WHITE = 1.3  # ticks over which residuals of a fit that found the true drive are correlated, at most
+_STARTS = 4  # from which a fit is tried again whose residuals are correlated further
 _WORTH = 10.0  # of the criterion by Bayes: what a limit must gain to count
 
 
@@ -153,7 +155,19 @@ def _search(record: _Record) -> list[_Model]:
     models = [_model(record, delay, free[delay], _LIMITS[0]) for delay in delays]
     models += [_model(record, delay, bound[delay], _LIMITS[-1]) for delay in delays]
     likely = list(dict.fromkeys(model.delay for model in _ordered(models)))[:_TRIED]
-    return models + [_model(record, delay, bound[delay], limits) for delay in likely for limits in _LIMITS[1:-1]]
+    models += [_model(record, delay, bound[delay], limits) for delay in likely for limits in _LIMITS[1:-1]]
+    best = _best(models)
+    if best.correlated <= _WHITE:
+        return models
+    # Limits make several minima: this may be none of the true drive, or the drive none of this kind.
+    near = [delay for delay in delays if abs(delay - best.delay) <= 1]
+    speed, acceleration = _extremes(record)
+    return models + [
+        _model(record, delay, start, limits)
+        for delay in near
+        for limits, extremes in ((_LIMITS[1], (speed, np.inf)), (_LIMITS[-1], (speed, acceleration)))
+        for start in _starts(record, delay, extremes)[:_STARTS]
+    ]
 
 
 def _ordered(models: Sequence[_Model]) -> list[_Model]:
@@ -185,6 +199,8 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
         still = np.full_like(record.joints, record.joints[: record.fitted].mean())
         return DriveFit(leg, None, None, None, None, None, 0.0, record.scatter, 1.0, 0.0), still
     best = _best(models)
+    alike = _alike(best, models)
+    delays = [model.delay for model in alike]
     predicted = record.response(best.delay, best.values)
     rest = record.joints[record.fitted :]
     left = rest - predicted[record.fitted :]
@@ -192,11 +208,11 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
     return (
         DriveFit(
             leg=leg,
-            bandwidth=best.interval(0),
-            damping=best.interval(1),
-            delay=_delays(best, models),
-            speed_limit=best.interval(2) if best.limits[0] else None,
-            acceleration_limit=best.interval(3) if best.limits[1] else None,
+            bandwidth=_hull(best, alike, 0),
+            damping=_hull(best, alike, 1),
+            delay=Interval(float(best.delay), float(min(delays)), float(max(delays))),
+            speed_limit=_hull(best, alike, 2) if best.limits[0] else None,
+            acceleration_limit=_hull(best, alike, 3) if best.limits[1] else None,
             fastest=float(np.abs(np.diff(predicted[: record.fitted])).max() / record.period),
             noise=best.noise,
             correlated=best.correlated,
@@ -298,6 +314,11 @@ def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool])
 
 def _start(record: _Record, delay: int, limits: tuple[float, float]) -> Array:
     """Return the values of a coarse grid that explain the record best with a delay and limits."""
+    return _starts(record, delay, limits)[0]
+
+
+def _starts(record: _Record, delay: int, limits: tuple[float, float]) -> list[Array]:
+    """Return all values of that grid, the best ones first."""
     measured = record.joints[: record.fitted]
     fastest = 0.4 / record.period
     tried = []
@@ -305,7 +326,7 @@ def _start(record: _Record, delay: int, limits: tuple[float, float]) -> Array:
         values = np.array([bandwidth, damping, *limits, measured[0], 0.0, record.commands[0]])
         left = record.response(delay, values)[: record.fitted] - measured
         tried.append((float(left @ left), values))
-    return min(tried, key=lambda one: one[0])[1]
+    return [values for _, values in sorted(tried, key=lambda one: one[0])]
 
 
 def _extremes(record: _Record) -> tuple[float, float]:
@@ -316,8 +337,13 @@ def _extremes(record: _Record) -> tuple[float, float]:
     return float(np.quantile(np.abs(steps), 0.99)), float(np.quantile(np.abs(changes), 0.99))
 
 
-def _delays(best: _Model, models: Sequence[_Model]) -> Interval:
-    """Return the delays that the likelihood does not tell from the best one."""
+def _alike(best: _Model, models: Sequence[_Model]) -> list[_Model]:
+    """Return the models that the likelihood does not distinguish from the best one, which is the first."""
     bound = float(chi2.ppf(LEVEL, 1))
-    alike = [model.delay for model in models if best.effective * np.log(model.squares / best.squares) <= bound]
-    return Interval(float(best.delay), float(min([best.delay, *alike])), float(max([best.delay, *alike])))
+    return [best, *(one for one in models if best.effective * np.log(one.squares / best.squares) <= bound)]
+
+
+def _hull(best: _Model, alike: Sequence[_Model], index: int) -> Interval:
+    """Return the interval of one of the first four values over all models that may be the true one and have it."""
+    found = [model.interval(index) for model in alike if model.free[index]]
+    return Interval(float(best.values[index]), min(one.low for one in found), max(one.high for one in found))
