@@ -104,10 +104,13 @@ def draw(
     changes["controller.law"] = law
     others = tuple(f"controller.{name}." for name in ALL_LAWS if name != law)
     mattering = [key for key in open_keys if not key.startswith(others)]
+    seldom = [key for key in mattering if law == OF_POSITIONS and key.startswith(f"controller.{law}.")]
     if at is not None:
         _set_bound(random, drawn, base, *at)
     for _ in range(int(random.geometric(0.3)) if at is None else 0):
         key = _one(random, mattering if random.random() < 0.8 else open_keys)
+        if seldom and random.random() < 0.3:  # the law is drawn less often than others
+            key = _one(random, seldom)
         if key in IN_STEPS and random.random() < 0.9:
             continue  # drawn with the other times
         if random.random() < 0.4 and (bounds := inclusive_bounds(rules()[key])):
@@ -260,15 +263,16 @@ def _repair_kind(random: Generator, changes: dict[str, Any], base: hs.Scenario) 
     """Leave to a machine that takes positions the keys that act on it."""
     own = ("actuators.position.", "controller.virtual_platform.")
     if changes["simulation.mode"] == "sampled" and any(key.startswith(own) for key in changes):
-        changes["actuators.kind"] = str(random.choice(["position", "position_torque"]))
+        changes["actuators.kind"] = "position"
     if changes["simulation.mode"] == "sampled" and any(key.startswith("actuators.motor.") for key in changes):
         changes["actuators.kind"] = "position_torque"
     kind = changes.get("actuators.kind", base.actuators.kind)
+    if kind != "position_torque" and base.actuators.kind == "position_torque":
+        changes |= {key: value for key, value in keys.sampled_keys().items() if key.startswith("actuators.motor.")}
     if kind == "force":
         return
-    if kind == "position":
-        for key in [key for key in changes if key.startswith("actuators.motor.")]:
-            del changes[key]
+    if kind == "position_torque":
+        changes["simulation.substeps"] = max(20, changes["simulation.substeps"])
     others = ("hold", "saturation", "bandwidth", "quantisation")
     changes |= {f"actuators.{key}": keys.sampled_keys()[f"actuators.{key}"] for key in others}
     changes |= {"controller.safe.damping": None, "controller.safe.hold": None, "camera.convention": "eye_in_hand"}

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.diagnosis.drives import DRIVES
 from hexservo.findings.diagnosis.environment import (
     BASE_MOTIONS,
-    ORDINARY_BANDWIDTH,
     ideal,
     ordinary,
     unknown_payload,
@@ -35,7 +35,6 @@ __all__ = ["DEVICES"]
 
 _IMAGE = frozenset({"camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction"})
 _ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
-_MOTORS = frozenset({"actuators.kind", *keys_below("actuators.motor")})
 
 
 def _keys(*names: str) -> frozenset[str]:
@@ -238,45 +237,6 @@ def _common_depth_alone(case: Case) -> list[Alone]:
     return [Alone({**without, "uncertainty.depth": 0.0}, {**without, "uncertainty.depth": mean})]
 
 
-def _position_lag(case: Case) -> list[Removal]:
-    if case.scenario.actuators.kind != "position":
-        return []
-    response = case.scenario.actuators.position
-    changes = {
-        "actuators.position.bandwidth": max(response.bandwidth, ORDINARY_BANDWIDTH),
-        "actuators.position.damping": 1.0,
-    }
-    if (response.bandwidth, response.damping) == tuple(changes.values()):
-        return []
-    return [Removal("legs that follow at once", changes)]
-
-
-def _leg_rates(case: Case) -> list[Removal]:
-    response = case.scenario.actuators.position
-    limited = [name for name in ("speed_limit", "acceleration_limit") if getattr(response, name) is not None]
-    if not limited:
-        return []
-    return [Removal("legs without these limits", {f"actuators.position.{name}": None for name in limited})]
-
-
-def _motors(case: Case) -> list[Removal]:
-    if case.scenario.actuators.kind != "position_torque":
-        return []
-    changes = {key: value for key, value in ideal(case.scenario).items() if key in _MOTORS}
-    return [Removal("legs that follow as the controller assumes, whatever it takes", changes)]
-
-
-def _motors_alone(case: Case) -> list[Alone]:
-    without = ideal(case.scenario)
-    kept = {key: value for key, value in without.items() if key not in _MOTORS}
-    return [Alone(without, {**kept, "actuators.motor.friction": 0.0})]
-
-
-def _friction_alone(case: Case) -> list[Alone]:
-    kept = {key: value for key, value in ideal(case.scenario).items() if key not in _MOTORS}
-    return [Alone({**kept, "actuators.motor.friction": 0.0}, kept)]
-
-
 # ---- The list -------------------------------------------------------------------------------------------------------
 
 DEVICES: tuple[Cause, ...] = (
@@ -399,39 +359,7 @@ DEVICES: tuple[Cause, ...] = (
         _without("actuators.bandwidth", None, "actuators without lag"),
         slower_remedies,
     ),
-    Cause(
-        "position_lag",
-        "lag of legs that follow positions",
-        "device",
-        _keys("actuators.position.bandwidth", "actuators.position.damping"),
-        _position_lag,
-        slower_remedies,
-    ),
-    Cause(
-        "leg_rates",
-        "speed and acceleration of legs that follow positions",
-        "device",
-        _keys("actuators.position.speed_limit", "actuators.position.acceleration_limit"),
-        _leg_rates,
-        slower_remedies,
-    ),
-    Cause(
-        "motors",
-        "motors that hold the legs softly, or reach their limit",
-        "device",
-        _MOTORS - {"actuators.kind", "actuators.motor.friction"},
-        _motors,
-        slower_remedies,
-        alone=_motors_alone,
-    ),
-    Cause(
-        "stick_slip",
-        "dry friction of the legs, which stick and slip",
-        "device",
-        _keys("actuators.motor.friction"),
-        _without("actuators.motor.friction", 0.0, "legs without dry friction"),
-        alone=_friction_alone,
-    ),
+    *DRIVES,
     Cause(
         "actuator_quantisation",
         "leg forces that are rounded",

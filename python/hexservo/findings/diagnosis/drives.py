@@ -1,0 +1,95 @@
+"""Causes in drives that take positions: how their legs follow, and the motors that hold them."""
+
+from __future__ import annotations
+
+from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.findings.diagnosis.remedies import slower_remedies
+from hexservo.scenario.keys import keys_below
+
+__all__ = ["DRIVES"]
+
+_FRICTION = "actuators.motor.friction"
+_MOTORS = frozenset({"actuators.kind", *keys_below("actuators.motor")})
+
+
+def _position_lag(case: Case) -> list[Removal]:
+    if case.scenario.actuators.kind != "position":
+        return []
+    response = case.scenario.actuators.position
+    changes = {
+        "actuators.position.bandwidth": max(response.bandwidth, ORDINARY_BANDWIDTH),
+        "actuators.position.damping": 1.0,
+    }
+    if (response.bandwidth, response.damping) == tuple(changes.values()):
+        return []
+    return [Removal("legs that follow at once", changes)]
+
+
+def _leg_rates(case: Case) -> list[Removal]:
+    response = case.scenario.actuators.position
+    limited = [name for name in ("speed_limit", "acceleration_limit") if getattr(response, name) is not None]
+    if not limited:
+        return []
+    return [Removal("legs without these limits", {f"actuators.position.{name}": None for name in limited})]
+
+
+def _motors(case: Case) -> list[Removal]:
+    if case.scenario.actuators.kind != "position_torque":
+        return []
+    changes = {key: value for key, value in ideal(case.scenario).items() if key in _MOTORS}
+    return [Removal("legs that follow as the controller assumes, whatever it takes", changes)]
+
+
+def _motors_alone(case: Case) -> list[Alone]:
+    without = ideal(case.scenario)
+    kept = {key: value for key, value in without.items() if key not in _MOTORS}
+    return [Alone(without, {**kept, _FRICTION: 0.0})]
+
+
+def _friction(case: Case) -> list[Removal]:
+    if case.scenario.actuators.motor.friction == 0.0:
+        return []
+    return [Removal("legs without dry friction", {_FRICTION: 0.0})]
+
+
+def _friction_alone(case: Case) -> list[Alone]:
+    kept = {key: value for key, value in ideal(case.scenario).items() if key not in _MOTORS}
+    return [Alone({**kept, _FRICTION: 0.0}, kept)]
+
+
+DRIVES: tuple[Cause, ...] = (
+    Cause(
+        "position_lag",
+        "lag of legs that follow positions",
+        "device",
+        frozenset({"actuators.position.bandwidth", "actuators.position.damping"}),
+        _position_lag,
+        slower_remedies,
+    ),
+    Cause(
+        "leg_rates",
+        "speed and acceleration of legs that follow positions",
+        "device",
+        frozenset({"actuators.position.speed_limit", "actuators.position.acceleration_limit"}),
+        _leg_rates,
+        slower_remedies,
+    ),
+    Cause(
+        "motors",
+        "motors that hold the legs softly, or reach their limit",
+        "device",
+        _MOTORS - {"actuators.kind", _FRICTION},
+        _motors,
+        slower_remedies,
+        alone=_motors_alone,
+    ),
+    Cause(
+        "stick_slip",
+        "dry friction of the legs, which stick and slip",
+        "device",
+        frozenset({_FRICTION}),
+        _friction,
+        alone=_friction_alone,
+    ),
+)
