@@ -120,7 +120,7 @@ def _not_certified(run: Replay) -> str:
     """Return why the terms of the dynamics are not those that are certified; empty if they are."""
     if run.scenario.actuators.takes_positions:
         return (
-            "Not certified: the legs of this machine follow positions (actuators.kind), whatever effort that takes. "
+            "Not certified: the legs of this machine follow positions (actuators.kind). "
             "The law moves a platform inside the controller; no wrench of it does work on the real one."
         )
     scene = scene_of(run.scenario)
