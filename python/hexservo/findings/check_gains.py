@@ -46,7 +46,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         yield from _of_times(scenario, key, auto.bandwidth)
         if law in LAWS:  # the others have no loop through the image: the target is estimated where it is
             yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
-        if not scenario.actuators.takes_positions:  # legs that take positions follow whatever effort it takes
+        if scenario.actuators.kind == "force":  # other drives get there in their own time, or whatever effort it takes
             yield from _of_forces(scene, key, auto.bandwidth)
         yield from _of_image(scene, key)
     elif fastest is not None:
