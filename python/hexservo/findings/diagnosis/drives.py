@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import slower_remedies
@@ -41,10 +43,13 @@ def _motors(case: Case) -> list[Removal]:
     return [Removal("legs that follow as the controller assumes, whatever it takes", changes)]
 
 
+def _motors_kept(case: Case) -> dict[str, Any]:
+    """Return the changes to devices without faults but for the motors, which stay as they are."""
+    return {key: value for key, value in ideal(case.scenario).items() if key not in _MOTORS}
+
+
 def _motors_alone(case: Case) -> list[Alone]:
-    without = ideal(case.scenario)
-    kept = {key: value for key, value in without.items() if key not in _MOTORS}
-    return [Alone(without, {**kept, _FRICTION: 0.0})]
+    return [Alone(ideal(case.scenario), {**_motors_kept(case), _FRICTION: 0.0})]
 
 
 def _friction(case: Case) -> list[Removal]:
@@ -54,7 +59,7 @@ def _friction(case: Case) -> list[Removal]:
 
 
 def _friction_alone(case: Case) -> list[Alone]:
-    kept = {key: value for key, value in ideal(case.scenario).items() if key not in _MOTORS}
+    kept = _motors_kept(case)
     return [Alone({**kept, _FRICTION: 0.0}, kept)]
 
 

@@ -151,7 +151,10 @@ def _record(log: Log, leg: int, fitted: int) -> _Record:
 def _search(record: _Record) -> list[_Model]:
     """Fit all delays, and those that are likely with each limit that may act."""
     delays = range(MOST_DELAY + 1)
-    free, bound = ({delay: _start(record, delay, limits) for delay in delays} for limits in (_NONE, _extremes(record)))
+    speed, acceleration = _extremes(record)
+    free, bound = (
+        {delay: _start(record, delay, limits) for delay in delays} for limits in (_NONE, (speed, acceleration))
+    )
     models = [_model(record, delay, free[delay], _LIMITS[0]) for delay in delays]
     models += [_model(record, delay, bound[delay], _LIMITS[-1]) for delay in delays]
     likely = list(dict.fromkeys(model.delay for model in _ordered(models)))[:_TRIED]
@@ -161,7 +164,6 @@ def _search(record: _Record) -> list[_Model]:
         return models
     # Limits make several minima: this may be none of the true drive, or the drive none of this kind.
     near = [delay for delay in delays if abs(delay - best.delay) <= 1]
-    speed, acceleration = _extremes(record)
     return models + [
         _model(record, delay, start, limits)
         for delay in near
@@ -338,9 +340,9 @@ def _extremes(record: _Record) -> tuple[float, float]:
 
 
 def _alike(best: _Model, models: Sequence[_Model]) -> list[_Model]:
-    """Return the models that the likelihood does not distinguish from the best one, which is the first."""
+    """Return the models that the likelihood does not distinguish from the best one, which is one of them."""
     bound = float(chi2.ppf(LEVEL, 1))
-    return [best, *(one for one in models if best.effective * np.log(one.squares / best.squares) <= bound)]
+    return [one for one in models if best.effective * np.log(one.squares / best.squares) <= bound]
 
 
 def _hull(best: _Model, alike: Sequence[_Model], index: int) -> Interval:
