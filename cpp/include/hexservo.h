@@ -241,6 +241,17 @@ HEXSERVO_API size_t hexservo_state_size(const hexservo_gains* gains);
  * @return null where `size` is too small */
 HEXSERVO_API hexservo_state* hexservo_state_place(const hexservo_gains* gains, void* memory, size_t size);
 
+/** Memory for the gains of any scenario, for programs that take none while they run: `hexservo_gains_place(scenario,
+ * 0.0, &memory, sizeof memory, &gains)`. It stays where it is: what lies in it is not copied elsewhere. */
+typedef struct hexservo_gains_memory {
+  double place[1536];
+} hexservo_gains_memory;
+/** Memory for the state of any law with latencies of up to 256 ticks in all, `camera.latency_jitter` included; for
+ * longer ones `hexservo_state_size` answers how much. */
+typedef struct hexservo_state_memory {
+  double place[4096];
+} hexservo_state_memory;
+
 /** What the sensors give at a tick; a number that is not known is NaN. */
 typedef struct hexservo_input {
   double now;             /**< time of the tick, by a clock that never goes back [s] */

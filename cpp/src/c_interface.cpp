@@ -681,6 +681,7 @@ size_t hexservo_gains_points(const hexservo_gains* gains) { return static_cast<s
 
 size_t hexservo_gains_size(const hexservo_scenario* scenario) {
   return with_loop(scenario->settings, []<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) {
+    static_assert(kRoom<GainsFor<Law, N>> <= sizeof(hexservo_gains_memory));
     return kRoom<GainsFor<Law, N>>;
   });
 }

@@ -13,7 +13,7 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 12;                        ///< changes with everything below
+inline constexpr int kKernelAbi = 13;                        ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 21;         ///< of `Metrics`, in the order of its `visit`

@@ -644,6 +644,7 @@ SceneParameters<double, N> scene_parameters(const Settings& settings, const Hexa
   p.step = settings.simulation.step;
   p.mode = settings.simulation.mode;
   p.substeps = settings.simulation.substeps;
+  p.limits_every = settings.robot.limits_every;
   if (p.mode == LoopMode::sampled)
     prepare_devices(settings, p);
   else if (is_implicit(p.switching.kind))

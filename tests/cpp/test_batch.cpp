@@ -157,10 +157,10 @@ TEST_CASE("flattening keeps every number, flag and mode") {
   for (std::size_t i = 0; i < numbers.size(); ++i) modes += is_mode(i) ? 1U : 0U;
   // Whole numbers, modes and flags; the others are real numbers. Both modes: convention, Jacobian, switching kind,
   // fuzzy on or off (4). Sampled: mode, substeps (2), frames (7), pose source, encoders (3), actuators (4), base,
-  // limits (2). Whether the centre of mass is off E's origin, as estimated and as it is (2).
-  // Lenses, the true one and the controller's (2). Rotation of the base, road, frame and motion of the target (4).
+  // limits (2), when they are looked at (1). Whether the centre of mass is off E's origin, as estimated and as it is
+  // (2). Lenses, the true one and the controller's (2). Rotation of the base, road, frame and motion of the target (4).
   // Whether legs have cranks (1). How many points there are (1). What the two cameras are mounted on (2).
-  CHECK(modes == 4 + 2 + 7 + 3 + 4 + 2 + 2 + 2 + 4 + 1 + 1 + 2);
+  CHECK(modes == 4 + 2 + 7 + 3 + 4 + 2 + 1 + 2 + 2 + 4 + 1 + 1 + 2);
 }
 
 TEST_CASE("every lane is the single run, to rounding, on the smooth loop; short packs too") {

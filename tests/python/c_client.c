@@ -13,7 +13,8 @@
 
 /* Counts what is taken from the heap, by the library too. */
 static unsigned long taken = 0;
-#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__) /* these have their own heap */
+#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__) && \
+    !defined(__SANITIZE_THREAD__) /* these have their own heap */
 #define COUNTS
 extern void* __libc_malloc(size_t size);
 void* malloc(size_t size) {
@@ -52,7 +53,8 @@ static int run(hexservo_scenario* scenario) {
 static int joined(hexservo_scenario* scenario) {
   static const hexservo_quantity compared[] = {HEXSERVO_TIME, HEXSERVO_FEATURE_ERROR, HEXSERVO_POSITION,
                                                HEXSERVO_LEG_FORCES};
-  static char memory[1 << 16]; /* with the poses of frames under way */
+  static hexservo_gains_memory gains_memory;
+  static hexservo_state_memory state_memory; /* with the poses of frames under way */
   unsigned long before;
   hexservo_run* run;
   hexservo_plant* plant;
@@ -67,12 +69,13 @@ static int joined(hexservo_scenario* scenario) {
     return 0;
   }
   if (hexservo_scenario_set_number(scenario, "simulation.log_every", 1.0) != HEXSERVO_OK ||
-      hexservo_run_create(scenario, &run) != HEXSERVO_OK || hexservo_gains_create(scenario, 0.0, &gains) != HEXSERVO_OK)
+      hexservo_run_create(scenario, &run) != HEXSERVO_OK ||
+      hexservo_gains_place(scenario, 0.0, &gains_memory, sizeof gains_memory, &gains) != HEXSERVO_OK)
     return fail(scenario);
   hexservo_run_advance(run, -1);
   rows = hexservo_run_rows(run);
   before = taken;
-  state = hexservo_state_place(gains, memory, sizeof memory);
+  state = hexservo_state_place(gains, &state_memory, sizeof state_memory);
   if (state == NULL || taken != before) return 6;
   for (row = 0; row < rows && goes_on; ++row) {
     hexservo_plant_sense(plant, &input);
@@ -86,7 +89,6 @@ static int joined(hexservo_scenario* scenario) {
     if (!equal) break;
   }
   printf("%d of %d ticks are equal\n", (int)row, (int)rows);
-  hexservo_gains_destroy(gains);
   hexservo_plant_destroy(plant);
   hexservo_run_destroy(run);
   return 0;

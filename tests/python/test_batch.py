@@ -104,6 +104,7 @@ MOTION_OF: dict[str, dict[str, Any]] = {  # where keys of other motions act
     "target.motion.velocity": {"target.motion.kind": "velocity"},
     "target.motion.": {"target.motion.kind": "sinusoid"},
 }
+WHOLE = ("seed", "robot.limits_every", "simulation.log_every", "simulation.substeps")
 NOISE_OF_THE_BASE = ("base_motion.level", "base_motion.low_frequency", "base_motion.high_frequency")
 
 
@@ -208,6 +209,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
             "simulation.step": [1.0, 0.5, 2.0],
             "simulation.duration": [1.0, 0.5, 2.0],
             "simulation.log_every": [1.0, 2.0, 3.0],
+            "robot.limits_every": [1.0, 7.0, 1000.0],
             "controller.hybrid.fuzzy.bell_slope": [1.0, 1.5, 0.75],
             "controller.composite.fuzzy.bell_slope": [1.0, 1.5, 0.75],
             "metrics.band": [1.0, 20.0, 10.0],
@@ -285,7 +287,7 @@ def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.
         batch = hs.simulate_batch(base, {key: rows})
         assert len(batch) == 3
         for index, row in enumerate(rows):
-            value = int(row) if key in ("seed", "simulation.log_every", "simulation.substeps") else row.tolist()
+            value = int(row) if key in WHOLE else row.tolist()
             single = hs.simulate(base.updated({key: value}))
             assert_same(batch, index, single, tolerance, floor)
         everything = np.column_stack(

@@ -18,7 +18,9 @@ from hexservo.run.metrics import METRICS
 from hexservo.run.variant import load_kernel
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.flat import flat, flat_text
+from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import core_parameters
+from points import scattered, with_points
 
 HEADER = Path(__file__).parents[2] / "cpp" / "include" / "hexservo.h"
 QUANTITIES = (
@@ -48,7 +50,7 @@ def library(path: Path) -> ctypes.CDLL:
     for name in ("version", "scenario_message", "metric_name", "run_detail", "outcome_name"):
         getattr(library, f"hexservo_{name}").restype = ctypes.c_char_p
     library.hexservo_run_advance.restype = ctypes.c_int64
-    for name in ("scenario_points", "scenario_key_count", "metric_count", "run_rows"):
+    for name in ("scenario_points", "scenario_key_count", "metric_count", "run_rows", "gains_size", "state_size"):
         getattr(library, f"hexservo_{name}").restype = ctypes.c_size_t
     return library
 
@@ -268,6 +270,34 @@ def test_a_program_in_c_and_python_agree_bit_for_bit(client: Path, name: str, ch
         sums = lines[len(QUANTITIES) + 2 :]
         assert len(sums) == ticks // 100
         assert np.array_equal([numbers(line) for line in sums], ticked(scenario, ticks))
+
+
+def room(name: str) -> int:
+    """Bytes of a struct of the header that is memory."""
+    (count,) = re.findall(rf"double place\[(\d+)\];\n}} hexservo_{name}_memory;", HEADER.read_text(encoding="utf-8"))
+    return 8 * int(count)
+
+
+@pytest.mark.parametrize("points", [4, 16])
+@pytest.mark.parametrize("law", ALL_LAWS)
+def test_the_memory_structs_suffice(library: ctypes.CDLL, scenario: Handle, law: str, points: int) -> None:
+    changes: dict[str, object] = {"controller.law": law, "camera.latency": 0.2, "camera.latency_jitter": 0.056}
+    changes["uncertainty.depth"] = 0.0
+    if law not in LAWS:  # of machines that take positions
+        changes |= {"actuators.kind": "position", "camera.prediction": "none", "camera.on_lost": "hold"}
+        changes |= {"camera.latency_known": False, "camera.latency_jitter": 0.05}  # no longer one is accepted
+    name = "real-machine" if law in LAWS else "composite-30hz"
+    asked = with_points(hs.load_scenario(name), scattered(points), **changes)
+    for key, text in flat(asked).items():
+        assert scenario.set(key, text) == OK, scenario.message()
+    gains = ctypes.c_void_p()
+    status = library.hexservo_gains_create(scenario.handle, ctypes.c_double(0.0), ctypes.byref(gains))
+    assert status == OK, scenario.message()
+    needed = library.hexservo_gains_size(scenario.handle), library.hexservo_state_size(gains)
+    library.hexservo_gains_destroy(gains)
+    print(f"{law}, {points} points: {needed[0]} and {needed[1]} bytes")
+    assert 0 < needed[0] <= room("gains")
+    assert 0 < needed[1] <= room("state")
 
 
 def ticked(scenario: hs.Scenario, ticks: int) -> list[Array]:

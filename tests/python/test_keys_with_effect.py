@@ -161,6 +161,7 @@ def another(scenario: hs.Scenario, key: str) -> dict[str, Any]:
         "robot.cranks.length": {key: 1.01 * rotary_machine.CRANK},
         "robot.speed_limit": {key: 1e-6},
         "robot.joint_limit": {key: [1e-6, 1e-6]},
+        "robot.limits_every": {key: 7},
         "camera.convention": {key: "as_printed"},
         "camera.focal_pixels": {"camera": {"focal_length": None, "pixel_scale": None, "focal_pixels": 700.0}},
         "camera.principal_point": {key: [5.0, -3.0]},

@@ -138,6 +138,48 @@ def test_stop_ends_a_run_at_the_first_tick_beyond(machine: hs.Scenario, kind: st
     assert batch.detail(1) == result.detail
 
 
+@pytest.mark.parametrize("mode", ["continuous", "sampled"])
+def test_limits_are_looked_at_in_every_so_many_steps(short: hs.Scenario, free: dict[str, Array], mode: str) -> None:
+    """Events and metrics of the legs are those of every 7th sample, and nothing else changes."""
+    each = short.updated({**limited(free, 0.7), "robot.force_limit": 0.1, "simulation.mode": mode})
+    whole = hs.simulate(each)
+    result = hs.simulate(each.updated({"robot.limits_every": 7}))
+    for name in ("time", "position", "wrench", "leg_lengths", "leg_forces"):
+        np.testing.assert_array_equal(getattr(result, name), getattr(whole, name))
+    seen = {kind: values[::7] for kind, values in peaks(whole).items()}
+    seen |= {"force": np.abs(whole.leg_forces[::7])}
+    base, platform = each.robot.joint_limit or (0.0, 0.0)
+    limits = {"speed": each.robot.speed_limit, "base_joint": base, "platform_joint": platform, "force": 0.1}
+    found, all_found = hs.metrics(result), hs.metrics(whole)
+    for kind, metric in zip((*KINDS, "force"), (*METRICS, "peak_leg_force"), strict=True):
+        assert found[metric] == pytest.approx(seen[kind].max(), rel=1e-12, abs=1e-14)
+        events = {event.leg: event.time for event in result.events if event.kind == kind}
+        beyond = seen[kind] > limits[kind]
+        times = {leg + 1: result.time[7 * np.argmax(beyond[:, leg])] for leg in range(6) if beyond[:, leg].any()}
+        assert events == times
+        assert times
+    legs = {*METRICS, "peak_leg_force", "peak_leg_excursion"}
+    assert all(found[name] == value or math.isnan(value) for name, value in all_found.items() if name not in legs)
+    assert any(found[name] < all_found[name] for name in legs)
+    batch = hs.simulate_batch(each, {"robot.limits_every": [1, 7, 7]}, "final")
+    for index, single in enumerate((whole, result, result)):
+        assert batch.metrics["peak_leg_force"][index] == pytest.approx(hs.metrics(single)["peak_leg_force"], rel=1e-9)
+        np.testing.assert_allclose(batch.samples["leg_lengths"][index], whole.leg_lengths[-1], rtol=1e-9)
+        np.testing.assert_allclose(batch.samples["leg_forces"][index], whole.leg_forces[-1], rtol=1e-9, atol=1e-9)
+
+
+def test_stop_comes_at_the_first_look(machine: hs.Scenario) -> None:
+    values = peaks(hs.simulate(machine))["speed"].max(axis=1)
+    stop = machine.updated({"robot.speed_limit": 0.6 * float(values.max()), "robot.on_limit": "stop"})
+    beyond = np.flatnonzero(values > 0.6 * values.max())
+    for every in (5, 9):
+        looks = beyond[beyond % every == 0]
+        result = hs.simulate(stop.updated({"robot.limits_every": every}))
+        assert len(looks)
+        assert len(result.time) == looks[0]
+        assert looks[0] > beyond[0]
+
+
 def test_reachable_counts_joint_limits(paper: hs.Scenario) -> None:
     """Against a search on a grid: margins, the limit that binds, and a nearest pose that no grid pose beats."""
     scenario = paper.updated({"robot.joint_limit": list(JOINTS)})

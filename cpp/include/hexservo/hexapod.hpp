@@ -104,6 +104,7 @@ struct RobotParameters {
   /// Largest angle between a leg and its direction at home, seen from the base and from the platform [rad], none.
   std::optional<Vector2<double>> joint_limit;
   LimitPolicy on_limit = LimitPolicy::report;
+  long long limits_every = 1;  ///< samples from one at which limits, and metrics of the legs, are looked at, 1
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -128,6 +129,7 @@ struct RobotParameters {
     v(Field{"speed_limit", "m/s", kPositiveOrNone}.of_legs().of_plant(), self.speed_limit...);
     v(Field{"joint_limit", "rad", kTilt}.entrywise().of_legs().of_plant(), self.joint_limit...);
     v(Field{"on_limit"}.of_pack().of_plant().in_sampled_mode(), self.on_limit...);
+    v(Field{"limits_every", "1", {.least = 1.0, .most = 1e9}}.of_pack().of_run(), self.limits_every...);
   }
 };
 
@@ -276,6 +278,10 @@ struct Legs {
   Matrix36<S> directions_B;  ///< c_i, from base to platform, one column per leg [1], or c_i/w_i [1/m]
   Matrix36<S> arms_B;        ///< R p_i, from E's origin to the platform joints, in B [m]
 
+  static Legs of(const LegsSideBySide<S>& legs) {
+    return {legs.lengths.vector(), legs.directions_B.matrix(), legs.arms_B.matrix()};
+  }
+
   LegsSideBySide<S> side_by_side() const {
     return {LegVector<S>(lengths), Vectors3<S, 6>(directions_B), Vectors3<S, 6>(arms_B)};
   }
@@ -373,8 +379,7 @@ LegsSideBySide<S> inverse_kinematics(const LegGeometry<S>& geometry, const Vecto
 }
 template <class S>
 Legs<S> inverse_kinematics(const Hexapod<S>& hexapod, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
-  const LegsSideBySide<S> legs = inverse_kinematics(LegGeometry<S>(hexapod), p_BE, R_BE);
-  return {legs.lengths.vector(), legs.directions_B.matrix(), legs.arms_B.matrix()};
+  return Legs<S>::of(inverse_kinematics(LegGeometry<S>(hexapod), p_BE, R_BE));
 }
 
 /// Solves with H whose moments are divided by r_p, so that a metre and a radian weigh alike, by way of H H^T.

@@ -51,8 +51,7 @@ class LegWatch {
                                     const Vector6<S>& twist) const noexcept {
     using std::abs;
     const Matrix3<S> R_BE = rotation_matrix(quaternion);
-    const LegsSideBySide<S> found = inverse_kinematics(legs_, p_BE, R_BE);
-    const Legs<S> legs{found.lengths.vector(), found.directions_B.matrix(), found.arms_B.matrix()};
+    const Legs<S> legs = Legs<S>::of(inverse_kinematics(legs_, p_BE, R_BE));
     const Vector6<S> rates = legs.rates(twist);
     LegMotion<S> motion;
     for (int i = 0; i < 6; ++i) {

@@ -56,6 +56,7 @@ struct SceneParameters {
   TargetFrame target_frame = TargetFrame::base;
   TargetMotionParameters<S> target_motion;  ///< in `sampled` mode
   LimitPolicy on_limit = LimitPolicy::report;
+  long long limits_every = 1;  ///< samples from one at which limits, and metrics of the legs, are looked at
   SeedHalves<S> seed;
   MetricsSettings<S> metrics;
   Recording recorded;         ///< of the base; not visited: it is shared, and no number
@@ -100,6 +101,7 @@ struct SceneParameters {
     v(Field{"target_frame"}, self.target_frame...);
     v(Field{"target_motion"}, self.target_motion...);
     v(Field{"on_limit"}, self.on_limit...);
+    v(Field{"limits_every"}, self.limits_every...);
     v(Field{"seed"}, self.seed...);
     v(Field{"metrics"}, self.metrics...);
   }

@@ -22,8 +22,10 @@ class LoopRecord {
         stroke_(p.hexapod.stroke),
         desired_features_(p.desired_features),
         stops_at_limit_(p.mode == LoopMode::sampled && p.on_limit == LimitPolicy::stop),
-        looks_at_legs_(p.samples_legs || p.measured.has(MetricGroup::leg_lengths) ||
-                       p.measured.has(MetricGroup::leg_forces) || p.measured.has(MetricGroup::leg_motion)) {
+        samples_legs_(p.samples_legs),
+        measures_legs_(p.measured.has(MetricGroup::leg_lengths) || p.measured.has(MetricGroup::leg_forces) ||
+                       p.measured.has(MetricGroup::leg_motion)),
+        limits_every_(p.limits_every) {
     Sample<S, N>::visit([](const char*, auto& value) { value.setZero(); }, sample_);
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);
@@ -63,7 +65,7 @@ class LoopRecord {
   /// Takes over the sample of a state where it is good, and stops the lane where it is not.
   void accept(double time, const WorldState<S, N>& state, const Vector6<S>& wrench,
               const Vector6<S>& fuzzy_output) noexcept {
-    if (!looks_at_legs_) {
+    if (!samples_legs_ && !(measures_legs_ && is_limit_due())) {
       const Vector6<S> none = Vector6<S>::Zero();
       accept(time, state, none, Mask<S>(false), wrench, none, fuzzy_output, Mask<S>(false));
       return;
@@ -80,6 +82,8 @@ class LoopRecord {
   void accept(double time, const WorldState<S, N>& state, const Vector6<S>& lengths, const Mask<S>& singular,
               const Vector6<S>& wrench, const Vector6<S>& leg_forces, const Vector6<S>& fuzzy_output,
               const Mask<S>& unsensed) noexcept {
+    const bool limits = is_limit_due();
+    until_limits_ = limits ? limits_every_ - 1 : until_limits_ - 1;
     const auto fill = [&](Sample<S, N>& sample) {
       sample.feature_error = desired_features_ - state.view.image.features;
       sample.depth = state.view.image.depth;
@@ -96,12 +100,12 @@ class LoopRecord {
     if (!stops_at_limit_ && all(running() & finite & (!singular) & !unsensed)) {
       fill(sample_);
       sample_time_ = S(time);
-      metrics_->add_finite(time, sample_);
+      metrics_->add_finite(time, sample_, limits);
       return;
     }
     const Mask<S> regular = !singular;  // leg forces of a singular pose have no meaning
     stop(StopCause::not_finite, (!(is_finite(wrench) & is_finite(fuzzy_output) & is_finite(leg_forces))) & regular);
-    if (stops_at_limit_) stop_at_limit(state.body, lengths);
+    if (stops_at_limit_ && limits) stop_at_limit(state.body, lengths);
     stop(StopCause::singular, singular);
     stop(StopCause::solver_failed, unsensed);
     const Mask<S> good = running();
@@ -110,13 +114,13 @@ class LoopRecord {
     Sample<S, N>::visit([&good](const char*, auto& value, const auto& from) { value = select(good, from, value); },
                         sample_, next);
     sample_time_ = select(good, S(time), sample_time_);
-    metrics_->add(time, sample_, good);
+    metrics_->add(time, sample_, good, limits);
   }
 
-  /// Ends a run of a continuous loop: legs that no step has looked at get into the newest sample, which may turn out
-  /// to be at a singular pose.
+  /// Ends a run of a continuous loop: legs that its last step has not looked at get into the newest sample, which may
+  /// turn out to be at a singular pose.
   void finish() noexcept {
-    if (looks_at_legs_) return;
+    if (samples_legs_ || (measures_legs_ && limits_every_ == 1)) return;
     const LegsSideBySide<S> legs =
         inverse_kinematics(legs_, sample_.position, Matrix3<S>(rotation_matrix(sample_.quaternion)));
     const WrenchMapSolver<S> solver(legs_, legs);
@@ -132,6 +136,9 @@ class LoopRecord {
   }
 
  private:
+  /// Whether limits, and metrics of the legs, are looked at in the next sample.
+  bool is_limit_due() const noexcept { return until_limits_ == 0; }
+
   /// Stops lanes with a leg beyond its stroke, its speed limit or its joint limit.
   void stop_at_limit(const BodyMotion<S>& body, const Vector6<S>& lengths) noexcept {
     stop_beyond(StopCause::leg_limit, lengths - mid_lengths_, stroke_);
@@ -167,7 +174,10 @@ class LoopRecord {
   S cause_{0.0};
   S limit_leg_{-1.0};
   bool stops_at_limit_;
-  bool looks_at_legs_;
+  bool samples_legs_;   ///< in every sample, whether they are looked at or not
+  bool measures_legs_;  ///< whether a metric does
+  long long limits_every_;
+  long long until_limits_ = 0;  ///< samples
 };
 
 }  // namespace hexservo

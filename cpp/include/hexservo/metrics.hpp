@@ -349,11 +349,14 @@ class MetricsAccumulator {
         cost_(hexapod.platform_radius),
         watch_(hexapod) {}
 
-  void add(double time, const Sample<S, N>& sample, const Mask<S>& active) {
-    add(time, sample, detail::TakeWhere<Mask<S>>{active});
+  /// @param legs whether they are looked at
+  void add(double time, const Sample<S, N>& sample, const Mask<S>& active, bool legs = true) {
+    add(time, sample, legs, detail::TakeWhere<Mask<S>>{active});
   }
   /// The same where every lane is active and each number is finite.
-  void add_finite(double time, const Sample<S, N>& sample) { add(time, sample, detail::TakeAll{}); }
+  void add_finite(double time, const Sample<S, N>& sample, bool legs = true) {
+    add(time, sample, legs, detail::TakeAll{});
+  }
 
   /// Metrics of what was added so far.
   Metrics<S> metrics() const {
@@ -391,11 +394,12 @@ class MetricsAccumulator {
 
  private:
   template <class Take>
-  void add(double time, const Sample<S, N>& sample, const Take& take) {
+  void add(double time, const Sample<S, N>& sample, bool legs, const Take& take) {
     if (groups_.has(MetricGroup::errors)) add_errors(time, sample, take);
     if (groups_.has(MetricGroup::motion)) add_body_motion(sample, take);
     if (groups_.has(MetricGroup::control)) add_control(time, sample, take);
     if (groups_.has(MetricGroup::excursions)) features_.add(sample.feature_error, take);
+    if (!legs) return;
     if (groups_.has(MetricGroup::leg_lengths))
       stroke_.add(time, sample.leg_lengths - hexapod_.mid_lengths, hexapod_.stroke, take);
     if (groups_.has(MetricGroup::leg_forces)) force_.add(time, sample.leg_forces, hexapod_.force_limit, take);

@@ -141,7 +141,7 @@ template <class S, int N>
   const Matrix3<S>& R_BE = from_command.R_BE;
   const LegsSideBySide<S> found = inverse_kinematics(gains.legs, motion.pose.position, R_BE);
   const WrenchMapSolver<S> solver(gains.legs, found);
-  const Legs<S> legs{found.lengths.vector(), found.directions_B.matrix(), found.arms_B.matrix()};
+  const Legs<S> legs = Legs<S>::of(found);
 
   const Vector6<S> net = wrench - gravity_wrench(gains.body, R_BE);
   const Mask<S> may_act = from_command.ready() & (!out.singular) & motion.begun & (!solver.failed());

@@ -39,6 +39,7 @@ class MotorLegs {
         limit_(hexapod.force_limit),
         geometry_(hexapod),
         step_(step / kMotorSteps),
+        bias_counts_(any(p.motor.armature > S(0.0)) || any(p.motor.friction > S(0.0))),
         commands_(p.delay, positions),
         wanted_(positions) {}
 
@@ -74,21 +75,19 @@ class MotorLegs {
       Vector6<S> friction = friction_;  // of half a step; that of the whole is kept
       const Vector6<S> first = accelerated(body, dynamics(start, body), twist, half, S(1.0), friction);
       const Vector6<S> between = twist + half * first;
-      const BodyMotion<S> middle = displaced(body, half, twist, between);
+      const BodyMotion<S> middle = displaced(body, quaternion_of(body), half, twist, between);
       const Vector6<S> second = accelerated(middle, dynamics(start + 0.5 * step_, middle), twist, h, S(0.5), friction_);
       const Vector6<S> end = twist + h * second, mean = S(0.5) * (twist + end);
-      const Vector4<S> turned = quaternion_rate<S>(quaternion_of(middle), Vector3<S>(mean.template tail<3>()));
-      body = BodyMotion<S>::of(body_state<S>(
-          {position_of(body) + h * mean.template head<3>(), Vector4<S>(quaternion_of(body) + h * turned)}, end));
-      normalise_quaternion(body);
+      body = displaced(body, quaternion_of(middle), h, mean, end);
     }
   }
 
  private:
   /// A platform that has moved for so long at a twist, and moves at another one.
-  static BodyMotion<S> displaced(const BodyMotion<S>& body, const S& time, const Vector6<S>& twist,
-                                 const Vector6<S>& reached) noexcept {
-    const Vector4<S> turned = quaternion_rate<S>(quaternion_of(body), Vector3<S>(twist.template tail<3>()));
+  /// @param attitude where the quaternion's rate is taken
+  static BodyMotion<S> displaced(const BodyMotion<S>& body, const Vector4<S>& attitude, const S& time,
+                                 const Vector6<S>& twist, const Vector6<S>& reached) noexcept {
+    const Vector4<S> turned = quaternion_rate<S>(attitude, Vector3<S>(twist.template tail<3>()));
     BodyMotion<S> moved = BodyMotion<S>::of(body_state<S>(
         {position_of(body) + time * twist.template head<3>(), Vector4<S>(quaternion_of(body) + time * turned)},
         reached));
@@ -104,11 +103,12 @@ class MotorLegs {
                          const S& time, const S& bias, Vector6<S>& friction) const noexcept {
     const Vector3<S> p_BE = position_of(body);
     const Vector6<S> twist = twist_of(body);
-    const LegsSideBySide<S> found = inverse_kinematics(geometry_, p_BE, rotation_matrix(quaternion_of(body)));
-    const Legs<S> legs{found.lengths.vector(), found.directions_B.matrix(), found.arms_B.matrix()};
+    const Legs<S> legs =
+        Legs<S>::of(inverse_kinematics(geometry_, p_BE, Matrix3<S>(rotation_matrix(quaternion_of(body)))));
     const Matrix6<S> H = legs.wrench_map();  // J^T
-    const Vector6<S> rates = legs.rates(twist), turning = leg_bias(geometry_, legs, p_BE, twist);
-    const Vector6<S> motors = torques(legs.lengths, rates);
+    const Vector6<S> rates = legs.rates(twist), motors = torques(legs.lengths, rates);
+    Vector6<S> turning = Vector6<S>::Zero();  // J-dot chi-dot
+    if (bias_counts_) turning = leg_bias(geometry_, legs, p_BE, twist);
 
     Matrix6<S> mass = dynamics.mass;
     Vector6<S> wrench = dynamics.wrench;
@@ -145,7 +145,8 @@ class MotorLegs {
   MotorParameters<S> motor_;
   S limit_;
   LegGeometry<S> geometry_;
-  double step_;  ///< of a leg [s]
+  double step_;       ///< of a leg [s]
+  bool bias_counts_;  ///< whether anything depends on J-dot chi-dot
   DelayLine<S> commands_;
   Vector6<S> wanted_;                         ///< q*
   Vector6<S> friction_ = Vector6<S>::Zero();  ///< f of the last step

@@ -98,18 +98,16 @@ class SampledPlant {
     const Vector3<S> p_BE = position_of(state_.body);
     const LegsSideBySide<S> found = inverse_kinematics(leg_geometry_, p_BE, state_.view.R_BE);
     const WrenchMapSolver<S> solver(leg_geometry_, found);
-    const Legs<S> legs{found.lengths.vector(), found.directions_B.matrix(), found.arms_B.matrix()};
-    wrench_.setZero();  // then what acts is of the base alone
-    const Vector6<S> of_base = acting_wrench(time(), state_);
-    if (motors_) {
-      wrench_ =
-          world_.needed_wrench(state_, motors_->acceleration(state_.body, free_dynamics(time(), state_))) - of_base;
-      leg_forces_ = motors_->torques(legs.lengths, legs.rates(twist_of(state_.body)));
-    } else {
-      const Vector6<S> bias = leg_bias(leg_geometry_, legs, p_BE, twist_of(state_.body));
-      wrench_ = world_.needed_wrench(state_, solver.twist(positioned_->accelerations() - bias)) - of_base;
-      leg_forces_ = solver.leg_forces(wrench_);
-    }
+    const Legs<S> legs = Legs<S>::of(found);
+    const Vector6<S> twist = twist_of(state_.body);
+    Vector6<S> acceleration;
+    if (motors_)
+      acceleration = motors_->acceleration(state_.body, free_dynamics(time(), state_.body));
+    else
+      acceleration = solver.twist(positioned_->accelerations() - leg_bias(leg_geometry_, legs, p_BE, twist));
+    wrench_ = world_.needed_wrench(state_.body, state_.view.R_BE, acceleration) -
+              base_wrench(time(), state_.body, state_.view.R_BE);
+    leg_forces_ = motors_ ? motors_->torques(legs.lengths, legs.rates(twist)) : solver.leg_forces(wrench_);
     if (stops_where_lost_) record_.stop(StopCause::feature_lost, seen.lost);
     if (any(command.law_failed)) record_.stop(StopCause::not_finite, command.law_failed);
     record_.accept(time(), state_, legs.lengths, solver.failed(), wrench_, leg_forces_, fuzzy_output, seen.unsensed);
@@ -198,32 +196,25 @@ class SampledPlant {
   /// To the next tick on legs whose motors take positions.
   [[gnu::noinline, gnu::cold]] Mask<S> drive_legs() noexcept {
     const double h = period_ / static_cast<double>(substeps_);
-    const Vector6<S> logged = wrench_;
-    wrench_.setZero();  // then what acts is of the base alone
     WorldState<S, N> next = state_;
     S nearest = -S(std::numeric_limits<double>::infinity());
     for (long long step = 0; step < substeps_; ++step) {
       const double start = static_cast<double>(ticks_) * period_ + static_cast<double>(step) * h;
       BodyMotion<S> body = next.body;
-      motors_->advance(body, [&](double later, const BodyMotion<S>& at) {
-        WorldState<S, N> state = next;
-        state.body = at;
-        state.view.R_BE = rotation_matrix(quaternion_of(at));
-        return free_dynamics(start + later, state);
-      });
+      motors_->advance(body, [&](double later, const BodyMotion<S>& at) { return free_dynamics(start + later, at); });
       if (target_moves_) place_target(start + h);
       next = world_.seen_from(body);
       nearest = max(nearest, nearest_depth(next.view.image));
     }
-    wrench_ = logged;
     end_tick(next, nearest);
     return record_.running();
   }
 
-  /// The platform without its legs; `wrench_` is zero.
-  BodyDynamics<S> free_dynamics(double time, const WorldState<S, N>& state) const noexcept {
-    return {world_.mass_matrix(state),
-            acting_wrench(time, state) - world_.needed_wrench(state, Vector6<S>(Vector6<S>::Zero()))};
+  /// The platform without its legs.
+  BodyDynamics<S> free_dynamics(double time, const BodyMotion<S>& body) const noexcept {
+    const Matrix3<S> R_BE = rotation_matrix(quaternion_of(body));
+    return {world_.mass_matrix(R_BE),
+            base_wrench(time, body, R_BE) - world_.needed_wrench(body, R_BE, Vector6<S>(Vector6<S>::Zero()))};
   }
 
   /// Takes over the state at the end of a tick, where it is good.
@@ -244,12 +235,15 @@ class SampledPlant {
   Vector6<S> acting_wrench(double time, const WorldState<S, N>& state) const noexcept {
     Vector6<S> wrench = wrench_;
     if (holds_leg_forces_) wrench = legs_at(position_of(state.body), state.view.R_BE).wrench(leg_forces_);
-    if (!base_moves_) return wrench;
-    if (base_.turns())
-      wrench += world_.moving_base_wrench(state, base_.state(time));
-    else
-      wrench += world_.inertial_wrench(state.view.R_BE, base_.acceleration(time));
+    if (base_moves_) wrench += base_wrench(time, state.body, state.view.R_BE);
     return wrench;
+  }
+
+  /// What the motion of the base adds to it.
+  Vector6<S> base_wrench(double time, const BodyMotion<S>& body, const Matrix3<S>& R_BE) const noexcept {
+    if (!base_moves_) return Vector6<S>::Zero();
+    if (base_.turns()) return world_.moving_base_wrench(body, R_BE, base_.state(time));
+    return world_.inertial_wrench(R_BE, base_.acceleration(time));
   }
 
   void read_sensors() noexcept {

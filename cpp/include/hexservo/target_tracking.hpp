@@ -398,7 +398,7 @@ template <class S, int N>
   const Matrix3<S> R_BE = rotation_matrix(motion.pose.quaternion);
   const LegsSideBySide<S> found = inverse_kinematics(gains.legs, motion.pose.position, R_BE);
   const WrenchMapSolver<S> solver(gains.legs, found);
-  const Legs<S> legs{found.lengths.vector(), found.directions_B.matrix(), found.arms_B.matrix()};
+  const Legs<S> legs = Legs<S>::of(found);
 
   const Vector6<S> zero = Vector6<S>::Zero(), error = pose_difference<S>(goal, motion.pose);
   const Vector6<S> freely = motion.twist + plan.approach * error + plan.braking * Vector6<S>(goal_twist - motion.twist);

@@ -110,17 +110,17 @@ class World {
   /// The image where a platform is that nothing integrates; of a camera that projects.
   WorldState<S, N> seen_from(const BodyMotion<S>& body) const noexcept { return {body, view_of(body)}; }
 
-  /// What the platform is without its legs, where nothing else acts; of a state only motion and attitude are looked at.
-  [[gnu::noinline, gnu::cold]] Matrix6<S> mass_matrix(const WorldState<S, N>& state) const noexcept {
-    return plant_.mass_matrix_at(state.view.R_BE);
+  /// D of the platform without its legs.
+  [[gnu::noinline, gnu::cold]] Matrix6<S> mass_matrix(const Matrix3<S>& R_BE) const noexcept {
+    return plant_.mass_matrix_at(R_BE);
   }
 
   /// What it takes to accelerate the platform so (m/s^2; rad/s^2, in B), (3) turned around, in B [N; N m].
-  [[gnu::noinline, gnu::cold]] Vector6<S> needed_wrench(const WorldState<S, N>& state,
+  [[gnu::noinline, gnu::cold]] Vector6<S> needed_wrench(const BodyMotion<S>& body, const Matrix3<S>& R_BE,
                                                         const Vector6<S>& acceleration) const noexcept {
-    const Vector6<S> twist = twist_of(state.body);
-    const Matrix6<S> D = plant_.mass_matrix_at(state.view.R_BE), C = plant_.coriolis_matrix_at(state.view.R_BE, twist);
-    Vector6<S> wrench = plant_.weight_at(state.view.R_BE);
+    const Vector6<S> twist = twist_of(body);
+    const Matrix6<S> D = plant_.mass_matrix_at(R_BE), C = plant_.coriolis_matrix_at(R_BE, twist);
+    Vector6<S> wrench = plant_.weight_at(R_BE);
     for (int j = 0; j < 6; ++j)
       for (int i = 0; i < 6; ++i) wrench(i) += D(i, j) * acceleration(j) + C(i, j) * twist(j);
     return wrench;
@@ -132,8 +132,9 @@ class World {
   }
 
   /// What a base that turns adds to a wrench in B [N; N m].
-  Vector6<S> moving_base_wrench(const WorldState<S, N>& state, const BaseState<S>& base) const noexcept {
-    return hexservo::moving_base_wrench(plant_, position_of(state.body), state.view.R_BE, twist_of(state.body), base);
+  Vector6<S> moving_base_wrench(const BodyMotion<S>& body, const Matrix3<S>& R_BE,
+                                const BaseState<S>& base) const noexcept {
+    return hexservo::moving_base_wrench(plant_, position_of(body), R_BE, twist_of(body), base);
   }
 
   /// state + scale rate: a Runge-Kutta stage.

@@ -139,6 +139,8 @@ class Robot(Block):
     joint_limit: Annotated[Vector | None, ArrayRule((2,), HALF_TURN, or_null=True)] = None
     # in sampled mode: what a leg beyond its stroke, speed limit or joint limit means, an event or the end of the run
     on_limit: Annotated[Literal["report", "stop"], Choice(), SAMPLED] = "report"
+    # steps, or ticks, from one at which limits and metrics of the legs are looked at to the next
+    limits_every: Annotated[int, Integer(1, 10**9)] = from_core("robot.limits_every")
 
     @model_validator(mode="before")
     @classmethod
@@ -481,4 +483,4 @@ def preset_values(preset: str) -> dict[str, Any]:
         keys = {key: plain(tupled(getattr(robot, key))) for key in (*own, "stroke", "force_limit")}
         keys["inertia"] = plain(diagonal_if_diagonal(tupled(robot.inertia)))
     values: dict[str, Any] = plain(Robot.model_validate(keys))
-    return {key: value for key, value in values.items() if key not in ("preset", "payload", "on_limit")}
+    return {key: value for key, value in values.items() if key not in ("preset", "payload", "on_limit", "limits_every")}

@@ -50,6 +50,7 @@ HARMLESS: dict[str, str] = {
     "description": "is shown in lists",
     "seed": "chooses among equal draws; whether it decides is tried with other seeds",
     "simulation.log_every": "no effect on the run or its metrics",
+    "robot.limits_every": "can only delay when a limit is seen",
     "metrics.rms_start": "affects only the metric rms_error, which is no criterion",
     **NEVER_ACTING,
 }
