@@ -3,6 +3,7 @@ import { Group, Matrix3, Matrix4, Vector3 } from "three";
 
 /** Numbers by three as points. */
 export const vectors = (numbers) => Array.from({ length: numbers.length / 3 }, (_, i) => new Vector3().fromArray(numbers, 3 * i));
+export const mean = (points) => points.reduce((sum, point) => sum.addScaledVector(point, 1 / points.length), new Vector3());
 export const isFinitePoint = (point) => point.toArray().every(Number.isFinite);
 
 /** Place of the platform at a sample. */

@@ -1,25 +1,50 @@
-/** What the view of the machine consists of: objects of three with the look that they have there. */
-import { BufferGeometry, DoubleSide, EdgesGeometry, Group, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, MeshLambertMaterial, Vector3 } from "three";
+/** What the view of the machine consists of, as objects of three. Widths and radii of lines and discs are pixels. */
+import * as three from "three";
 import { ConvexGeometry } from "three/addons/geometries/ConvexGeometry.js";
 import { SVGObject } from "three/addons/renderers/SVGRenderer.js";
+import { mean } from "./machine.js";
 
-export const BEHIND = -1; // what is drawn before all others
+export const BEHIND = -1; // of what is drawn before all others
 
-const segments = (geometry, color, linewidth) => new LineSegments(geometry, new LineBasicMaterial({ color, linewidth }));
-
-/** A way through points, `width` pixels wide. */
-export function path(points, color, width) {
-  const ends = points.slice(1).flatMap((point, i) => [points[i], point]);
-  return segments(new BufferGeometry().setFromPoints(ends), color, width);
+function lines(geometry, color, linewidth) {
+  const made = new three.LineSegments(geometry, new three.LineBasicMaterial({ color, linewidth }));
+  made.frustumCulled = false; // to look whether they are in the picture takes longer than to draw them
+  return made;
 }
 
-/** A rod in pieces, each of which hides, and is hidden, by its own distance; `drawn` is the share of each that is drawn. */
-export function rod(from, to, color, width, pieces = 4, drawn = 1) {
-  const ends = Array.from({ length: pieces }, (_, i) => [i, i + drawn].map((k) => new Vector3().lerpVectors(from, to, k / pieces)));
-  return segments(new BufferGeometry().setFromPoints(ends.flat()), color, width);
+/** Lines between two points each, in pieces: each piece is drawn before what is nearer. */
+export function rods(pairs, color, width, pieces = 3) {
+  const ends = pairs.flatMap(([from, to]) => Array.from({ length: 2 * pieces }, (_, k) => from.clone().lerp(to, Math.ceil(k / 2) / pieces)));
+  return lines(new three.BufferGeometry().setFromPoints(ends), color, width);
 }
 
-/** A disc that faces the viewer, of so many pixels. */
+export const path = (points, color, width) => rods(points.slice(1).map((to, i) => [points[i], to]), color, width, 1);
+
+export function rays(from, points, color) {
+  const made = rods(points.map((to) => [from, to]), color, 1);
+  made.material = new three.LineDashedMaterial({ color, dashSize: 3, gapSize: 4 });
+  return made;
+}
+
+/** Two circles about a place, and lines through it. */
+export function floor(middle, up, radius, color) {
+  const grid = new three.PolarGridHelper(radius, 4, 2, 40);
+  grid.material.color.set(color);
+  grid.position.copy(middle);
+  grid.quaternion.setFromUnitVectors(grid.up, up);
+  grid.updateMatrixWorld();
+  grid.renderOrder = BEHIND - 1;
+  return grid;
+}
+
+/** Light from above: what faces it has its own colour, all else a darker one. */
+export function lights(up) {
+  const sun = new three.DirectionalLight("white", 0.4);
+  sun.position.copy(up);
+  return [sun, new three.AmbientLight(new three.Color(0.6, 0.6, 0.6))];
+}
+
+/** A disc that faces the viewer. */
 export function ball(at, radius, fill, rim) {
   const disc = document.createElementNS("http://www.w3.org/2000/svg", "circle");
   for (const [name, value] of Object.entries({ r: radius, fill, stroke: rim })) disc.setAttribute(name, value);
@@ -30,24 +55,25 @@ export function ball(at, radius, fill, rim) {
 
 /** A plate of some height on joints, towards `up`. */
 export function plate(joints, height, up, color) {
-  const middle = joints.reduce((sum, joint) => sum.addScaledVector(joint, 1 / joints.length), new Vector3());
+  const middle = mean(joints);
   const arms = joints.map((joint) => joint.clone().sub(middle));
-  const normals = arms.map((arm) => arm.clone().cross(arms[0])).sort((a, b) => b.length() - a.length());
-  const way = normals[0].setLength(height * Math.sign(normals[0].dot(up) || 1));
-  return new Mesh(new ConvexGeometry([...joints, ...joints.map((joint) => joint.clone().add(way))]), new MeshLambertMaterial({ color }));
+  const [normal] = arms.map((arm) => arm.clone().cross(arms[0])).sort((a, b) => b.length() - a.length());
+  normal.setLength(height * Math.sign(normal.dot(up) || 1));
+  return new three.Mesh(new ConvexGeometry([...joints, ...joints.map((joint) => joint.clone().add(normal))]), new three.MeshLambertMaterial({ color }));
 }
 
 /** What a camera at the origin sees up to a distance, `half` its half width at distance 1. */
 export function pyramid(half, reach, color) {
-  const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([x, y]) => new Vector3(half * x, half * y, -1).multiplyScalar(reach)); // prettier-ignore
-  const geometry = new ConvexGeometry([new Vector3(), ...corners]);
-  return new Group().add(new Mesh(geometry, new MeshBasicMaterial({ color, opacity: 0.1 })), segments(new EdgesGeometry(geometry), color, 1));
+  const corners = [-half, half].flatMap((x) => [-half, half].map((y) => new three.Vector3(x, y, -1).multiplyScalar(reach)));
+  const geometry = new ConvexGeometry([new three.Vector3(), ...corners]);
+  const glass = new three.MeshBasicMaterial({ color, opacity: 0.1 });
+  return new three.Group().add(new three.Mesh(geometry, glass), lines(new three.EdgesGeometry(geometry), color, 1));
 }
 
-/** A polygon that shows what is behind it; before all others, so that its triangles become one shape. */
+/** A polygon that shows what is behind it. Its triangles are drawn one after the other, so that they become one shape. */
 export function pane(corners, color) {
-  const geometry = new BufferGeometry().setFromPoints(corners).setIndex(corners.slice(2).flatMap((_, i) => [0, i + 1, i + 2]));
-  const mesh = new Mesh(geometry, new MeshBasicMaterial({ color, side: DoubleSide, opacity: 0.12 }));
-  mesh.renderOrder = BEHIND;
-  return mesh;
+  const geometry = new three.BufferGeometry().setFromPoints(corners).setIndex(corners.slice(2).flatMap((_, i) => [0, i + 1, i + 2]));
+  const made = new three.Mesh(geometry, new three.MeshBasicMaterial({ color, side: three.DoubleSide, opacity: 0.12 }));
+  made.renderOrder = BEHIND;
+  return made;
 }

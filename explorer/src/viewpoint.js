@@ -20,7 +20,7 @@ export class Viewpoint {
       if (!event.ctrlKey && document.activeElement !== box) return; // the page scrolls
       event.preventDefault();
       this.turn(0, 0, Math.exp(-0.0015 * event.deltaY));
-    }, { passive: false }); // prettier-ignore
+    }, { passive: false });
     box.addEventListener("keydown", (event) => {
       const turns = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1], "+": [0, 0, 1.2], "=": [0, 0, 1.2], "-": [0, 0, 1 / 1.2] };
       if (!(event.key in turns)) return;
