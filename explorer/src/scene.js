@@ -2,7 +2,7 @@
 import { Color, Plane, Raycaster, Scene, Vector2, Vector3 } from "three";
 import { SVGRenderer } from "three/addons/renderers/SVGRenderer.js";
 import { endsAt, framesAt, isFinitePoint, mean, positionAt, targetAt, vectors } from "./machine.js";
-import { BEHIND, ball, floor, lights, pane, path, plate, pyramid, rays, rods } from "./shapes.js";
+import { BEFORE, BEHIND, ball, floor, lights, pane, path, plate, pyramid, rays, rods } from "./shapes.js";
 import { colours, lineColour, pointIn } from "./view.js";
 import { Viewpoint } from "./viewpoint.js";
 
@@ -58,7 +58,8 @@ export class MachineView {
     while (row > 0 && !isFinitePoint(positionAt(result, row))) row -= 1; // the last ones of a run that diverged
     const { base, platform, eye } = framesAt(result, row);
     platform.add(this.platform);
-    this.ground.renderOrder = viewpoint.from.phi < Math.PI / 2 ? BEHIND : 0; // the legs stand on it
+    const side = platform.position.clone().sub(this.floor.position); // of the base on which the legs are
+    this.ground.renderOrder = viewpoint.direction.dot(side) < 0 ? BEHIND : BEFORE;
     scene.clear().add(...lights(this.up), this.floor, this.ground, base, path(this.trail(row), colours().warn, 2));
     this.legs(vectors(result.scene.platform_joints).map((joint) => platform.localToWorld(joint)), row);
     this.sight(eye, row);
@@ -118,8 +119,7 @@ export class MachineView {
     this.box.setPointerCapture(event.pointerId);
     this.held = { x: event.clientX, y: event.clientY };
     if (!this.isOnPlatform(event)) return;
-    const towards = this.viewpoint.camera.getWorldDirection(new Vector3());
-    const plane = new Plane().setFromNormalAndCoplanarPoint(towards, positionAt(this.result, 0));
+    const plane = new Plane().setFromNormalAndCoplanarPoint(this.viewpoint.direction, positionAt(this.result, 0));
     this.held.place = (at) => this.ray(at).ray.intersectPlane(plane, new Vector3());
     this.held.start = this.held.place(event);
     this.drag([0, 0, 0], "begin");

@@ -4,7 +4,9 @@ import { ConvexGeometry } from "three/addons/geometries/ConvexGeometry.js";
 import { SVGObject } from "three/addons/renderers/SVGRenderer.js";
 import { mean } from "./machine.js";
 
-export const BEHIND = -1; // of what is drawn before all others
+// Orders of what is drawn before or after all others, whatever its distance.
+export const BEHIND = -1;
+export const BEFORE = 1;
 
 function lines(geometry, color, linewidth) {
   const made = new three.LineSegments(geometry, new three.LineBasicMaterial({ color, linewidth }));

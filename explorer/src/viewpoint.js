@@ -37,6 +37,10 @@ export class Viewpoint {
     this.changed();
   }
 
+  get direction() {
+    return this.camera.getWorldDirection(new Vector3());
+  }
+
   /** Makes points fill a picture of so many pixels; returns how many pixels 1 m has in their middle. */
   fit(points, up, width, height) {
     const { camera } = this;
