@@ -290,6 +290,7 @@ globalThis.explorer = {
   yaml: (address) => toYaml(address ? fromAddress(address) : state),
   ends: (row) => endsAt(result, row)?.map((end) => end.toArray()) ?? null,
   target: (row) => targetAt(result, row).map((point) => point.toArray()),
+  viewer: () => scene.viewpoint.camera.position.toArray(),
   presets: presets.map(({ name }) => name),
   set: (key, value) => change((now) => changed(now, key, value)),
 };
