@@ -43,7 +43,7 @@ export class MachineView {
     if (this.held) return; // the view rests
     const ways = targetMoves ? SHARES.flatMap((share) => targetAt(result, Math.round(share * (rows - 1)))) : [];
     const far = vectors(scene.camera_on_base ? scene.camera_position : scene.target); // what is away from the machine
-    const floorPoints = vectors(this.floor.geometry.attributes.position.array).map((point) => this.floor.localToWorld(point));
+    const floorPoints = vectors(this.floor.geometry.attributes.position.array).map((point) => point.applyMatrix4(this.floor.matrixWorld));
     this.kept = [...floorPoints, ...far, ...ways, positionAt(result, 0)].filter(isFinitePoint);
   }
 
@@ -69,7 +69,10 @@ export class MachineView {
   /** Where the platform was, as far as it moved. */
   trail(row) {
     const way = [];
-    for (const at of vectors(this.result.samples.position.subarray(0, 3 * row + 3))) if (!(way.at(-1)?.distanceTo(at) < 0.02 * this.radius)) way.push(at);
+    for (let k = 0; k <= row; ++k) {
+      const at = positionAt(this.result, k);
+      if (!k || at.distanceTo(way.at(-1)) > 0.02 * this.radius) way.push(at);
+    }
     return way;
   }
 

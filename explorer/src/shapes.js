@@ -15,7 +15,7 @@ function lines(geometry, color, linewidth) {
 }
 
 /** Lines between two points each, in pieces: each piece is drawn before what is nearer. */
-export function rods(pairs, color, width, pieces = 3) {
+export function rods(pairs, color, width, pieces = 2) {
   const ends = pairs.flatMap(([from, to]) => Array.from({ length: 2 * pieces }, (_, k) => from.clone().lerp(to, Math.ceil(k / 2) / pieces)));
   return lines(new three.BufferGeometry().setFromPoints(ends), color, width);
 }
@@ -30,7 +30,7 @@ export function rays(from, points, color) {
 
 /** Two circles about a place, and lines through it. */
 export function floor(middle, up, radius, color) {
-  const grid = new three.PolarGridHelper(radius, 4, 2, 40);
+  const grid = new three.PolarGridHelper(radius, 4, 2, 32);
   grid.material.color.set(color);
   grid.position.copy(middle);
   grid.quaternion.setFromUnitVectors(grid.up, up);
