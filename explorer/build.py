@@ -33,11 +33,11 @@ def tools() -> Path:
 
 
 def bundled(name: str, form: str, modules: Path) -> str:
-    """Return a script and all it imports as one; of three without its renderer for WebGL, which nothing would remove."""
-    three = modules / "three"
-    flags = [f"--format={form}", "--bundle", "--minify", "--target=es2022", "--legal-comments=none",
-             f"--alias:three={three / 'src' / 'Three.Core.js'}", f"--alias:three/addons={three / 'examples' / 'jsm'}"]  # fmt: skip
-    command = [str(modules / ".bin" / "esbuild"), str(HERE / "src" / name), *flags]
+    """Return a script and all it imports as one; of three not WebGL, which esbuild would not find to be unused."""
+    form_and_rest = [f"--format={form}", "--bundle", "--minify", "--target=es2022", "--legal-comments=none"]
+    three, addons = modules / "three" / "src" / "Three.Core.js", modules / "three" / "examples" / "jsm"
+    names = [f"--alias:three={three}", f"--alias:three/addons={addons}"]
+    command = [str(modules / ".bin" / "esbuild"), str(HERE / "src" / name), *form_and_rest, *names]
     environment = {**os.environ, "NODE_PATH": str(modules)}
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     return str(done.stdout)

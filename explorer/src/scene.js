@@ -86,7 +86,7 @@ export class MachineView {
     const pairs = (from, to) => from.map((point, i) => [point, to[i]]);
     scene.add(rods(pairs(base, ends), faint, thick), rods(pairs(ends, joints), lost ? bad : ink, 0.5 * thick));
     for (const foot of base) scene.add(ball(foot, 0.6 * thick, faint, panel));
-    for (const joint of [...joints, ...(cranks ?? [])]) scene.add(ball(joint, 0.5 * thick, ink, panel));
+    for (const joint of [...joints, ...(cranks ?? [])].filter(isFinitePoint)) scene.add(ball(joint, 0.5 * thick, ink, panel));
   }
 
   /** The camera's pyramid, and lines to the points of the target. */

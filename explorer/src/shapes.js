@@ -2,7 +2,7 @@
 import * as three from "three";
 import { ConvexGeometry } from "three/addons/geometries/ConvexGeometry.js";
 import { SVGObject } from "three/addons/renderers/SVGRenderer.js";
-import { mean } from "./machine.js";
+import { isFinitePoint, mean } from "./machine.js";
 
 // Orders of what is drawn before or after all others, whatever its distance.
 export const BEHIND = -1;
@@ -16,7 +16,8 @@ function lines(geometry, color, linewidth) {
 
 /** Lines between two points each, in pieces: each piece is drawn before what is nearer. */
 export function rods(pairs, color, width, pieces = 2) {
-  const ends = pairs.flatMap(([from, to]) => Array.from({ length: 2 * pieces }, (_, k) => from.clone().lerp(to, Math.ceil(k / 2) / pieces)));
+  const known = pairs.filter((pair) => pair.every(isFinitePoint));
+  const ends = known.flatMap(([from, to]) => Array.from({ length: 2 * pieces }, (_, k) => from.clone().lerp(to, Math.ceil(k / 2) / pieces)));
   return lines(new three.BufferGeometry().setFromPoints(ends), color, width);
 }
 
