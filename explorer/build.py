@@ -33,12 +33,19 @@ def tools() -> Path:
 
 
 def bundled(name: str, form: str, modules: Path) -> str:
-    """Return a script and all it imports as one."""
+    """Return a script and all it imports as one; of three not WebGL, which esbuild would not find to be unused."""
     form_and_rest = [f"--format={form}", "--bundle", "--minify", "--target=es2022", "--legal-comments=none"]
-    command = [str(modules / ".bin" / "esbuild"), str(HERE / "src" / name), *form_and_rest]
+    three, addons = modules / "three" / "src" / "Three.Core.js", modules / "three" / "examples" / "jsm"
+    names = [f"--alias:three={three}", f"--alias:three/addons={addons}"]
+    command = [str(modules / ".bin" / "esbuild"), str(HERE / "src" / name), *form_and_rest, *names]
     environment = {**os.environ, "NODE_PATH": str(modules)}
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
-    return str(done.stdout).replace("</script", "<\\/script")
+    return str(done.stdout)
+
+
+def packed(part: str | bytes) -> str:
+    """Return what the page unpacks (src/unpack.js)."""
+    return base64.b64encode(gzip.compress(part if isinstance(part, bytes) else part.encode(), 9, mtime=0)).decode()
 
 
 def build(out: Path) -> None:
@@ -51,10 +58,11 @@ def build(out: Path) -> None:
         "style": (modules / "uplot" / "dist" / "uPlot.min.css").read_text(encoding="utf-8")
         + (HERE / "src" / "style.css").read_text(encoding="utf-8"),
         "version": known["version"],
-        "data": json.dumps(known, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
-        "core": base64.b64encode(gzip.compress(module.read_bytes(), 9, mtime=0)).decode(),
-        "worker": bundled("worker.js", "iife", modules),
-        "main": bundled("main.js", "esm", modules),
+        "core": packed(module.read_bytes()),
+        "data": packed(json.dumps(known, separators=(",", ":"), allow_nan=False)),
+        "worker": packed(bundled("worker.js", "iife", modules)),
+        "main": packed(bundled("main.js", "esm", modules)),
+        "start": bundled("start.js", "esm", modules),
     }
     page = (HERE / "src" / "page.html").read_text(encoding="utf-8")
     for name, text in parts.items():
@@ -65,7 +73,7 @@ def build(out: Path) -> None:
     draft = out.with_suffix(".draft")
     draft.write_text(page, encoding="utf-8")
     draft.replace(out)
-    print(f"{out}: {size} bytes")
+    print(f"{out}: {size} bytes (" + ", ".join(f"{name} {len(text)}" for name, text in parts.items()) + ")")
 
 
 if __name__ == "__main__":

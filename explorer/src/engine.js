@@ -1,15 +1,11 @@
 /** The workers of the page: one for the run that is shown, more for maps. */
 
-const decoded = async (id) => {
-  const packed = Uint8Array.from(atob(document.getElementById(id).textContent.trim()), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
-};
+import { unpacked } from "./unpack.js";
 
 let parts = null;
 const load = () =>
   (parts ??= (async () => ({
-    module: await WebAssembly.compile(await decoded("core")),
+    module: await WebAssembly.compile(await unpacked("core").arrayBuffer()),
     script: URL.createObjectURL(new Blob([document.getElementById("worker").textContent], { type: "text/javascript" })),
   }))());
 

@@ -6,7 +6,8 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { ParameterMap } from "./map.js";
 import { changed, drawn, fromAddress, full, laws, metrics, presetOf, presets, start, toAddress, toYaml, valueOf } from "./model.js";
-import { Scene } from "./scene.js";
+import { endsAt, targetAt } from "./machine.js";
+import { MachineView } from "./scene.js";
 import { write } from "./view.js";
 
 const $ = (id) => document.getElementById(id);
@@ -199,7 +200,7 @@ const pick = (time) => result && at(Math.max(0, Math.min(1, time / (result.sampl
 
 const image = new ImageView($("image"), (goals, final) => change((now) => changed(now, "target.desired_features", goals), final));
 let held = null;
-const scene = new Scene($("scene"), (shift, phase) => {
+const scene = new MachineView($("scene"), (shift, phase) => {
   if (phase === "begin") {
     held = valueOf(state, "simulation.start.pose");
     at(0);
@@ -287,8 +288,9 @@ globalThis.explorer = {
   go: (address) => change(() => fromAddress(address)),
   full: (address) => full(address ? fromAddress(address) : state),
   yaml: (address) => toYaml(address ? fromAddress(address) : state),
-  ends: (row) => scene.ends(row),
-  target: (row) => scene.targetAt(row),
+  ends: (row) => endsAt(result, row)?.map((end) => end.toArray()) ?? null,
+  target: (row) => targetAt(result, row).map((point) => point.toArray()),
+  viewer: () => scene.viewpoint.camera.position.toArray(),
   presets: presets.map(({ name }) => name),
   set: (key, value) => change((now) => changed(now, key, value)),
 };
@@ -297,7 +299,6 @@ let runner = null;
 let referee = null;
 refresh();
 try {
-  if (!("DecompressionStream" in globalThis)) throw new Error("it needs a browser of 2023 or newer");
   [runner, referee] = await Promise.all([
     Runner.make(answer),
     Runner.make((message) => {

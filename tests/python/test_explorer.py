@@ -269,6 +269,55 @@ def test_the_target_is_drawn_where_it_is(visit: Visit, name: str, kind: str) -> 
         np.testing.assert_allclose(found["target"], expected, rtol=0, atol=1e-9)
 
 
+DISCS = """colours => colours.map(colour => {
+  const fill = getComputedStyle(document.documentElement).getPropertyValue(`--${colour}`).trim();
+  const disc = document.querySelector(`#scene circle[fill="${fill}"]`);
+  return disc.getAttribute("transform").match(/-?[0-9][0-9.e-]*/g).map(Number);
+})"""
+
+
+@in_browser
+def test_the_machine_is_not_drawn_as_in_a_mirror(visit: Visit) -> None:
+    """Three points of the target go round on the screen, whose y points down, as the viewer sees them in space."""
+    page = visit.page
+    visit.go("#reachy-mini-head")
+    last = visit.end()["rows"] - 1
+    a, b, c = np.array(page.evaluate("row => explorer.target(row)", last))[:3]
+    page.locator("#scene").focus()
+    turns = 0
+    for _ in range(16):
+        for _ in range(4):
+            page.keyboard.press("ArrowRight")
+        side = np.dot(np.cross(b - a, c - a), np.array(page.evaluate("explorer.viewer()")) - a)
+        p, q, r = np.array(page.evaluate(DISCS, ["c0", "c1", "c2"]))
+        area = np.linalg.det([q - p, r - p])
+        assert area * side < 0
+        turns += side > 0
+    assert 0 < turns < 16, "the viewer goes round the target"
+
+
+@in_browser
+def test_the_platform_follows_the_pointer(visit: Visit) -> None:
+    """Before the button is released, the camera on the platform is drawn as far from where it was as the pointer."""
+    page = visit.page
+    page.evaluate(
+        "() => { const time = document.getElementById('time'); time.value = 0; time.dispatchEvent(new Event('input')) }"
+    )
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    centre = np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+    before = np.array(page.evaluate(DISCS, ["good"])[0])
+    page.mouse.move(*(centre + before + [0, 3]))
+    assert page.evaluate("document.getElementById('scene').style.cursor") == "move"
+    page.mouse.down()
+    page.evaluate("explorer.shown = null")
+    page.mouse.move(*(centre + before + [14, -7]))
+    page.wait_for_function("explorer.shown !== null && explorer.state.changes['simulation.start.pose'] !== undefined")
+    moved = np.array(page.evaluate(DISCS, ["good"])[0]) - before
+    np.testing.assert_allclose(moved, [14, -10], atol=1)
+    page.mouse.up()
+
+
 @in_browser
 def test_no_slider_of_a_preset_is_marked_as_changed(visit: Visit) -> None:
     """Where the sliders of two presets are alike too, each goes back to the preset's own values."""
