@@ -25,10 +25,9 @@ class Kinematics:
         self._hexapod = _core.Hexapod(core_parameters(scenario).robot)
         self.home: Pose = (np.array(self._hexapod.home_position), np.array(self._hexapod.home_quaternion))
         self.home_legs: Array = np.array(self._hexapod.home_lengths)  # (6,)
-        stroke = np.ravel(np.asarray(scenario.robot.stroke, dtype=float))
-        ends = stroke if stroke.size == 2 else stroke * [-1.0, 1.0]
-        self.lowest: Array = self.home_legs + ends[0]  # (6,)
-        self.highest: Array = self.home_legs + ends[1]  # (6,)
+        middle = np.array(self._hexapod.mid_lengths)
+        self.lowest: Array = middle - scenario.robot.stroke  # (6,)
+        self.highest: Array = middle + scenario.robot.stroke  # (6,)
         self._last = self.home
 
     def pose(self, legs: Array) -> Pose:

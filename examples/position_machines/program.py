@@ -76,7 +76,8 @@ def main(program: Program, given: Sequence[str] | None = None) -> int:
         try:
             scenario = _scenario(options, program)
             if options.out is not None:
-                log = LogFile(options.out, len(scenario.target.desired_features or ()) // 2)
+                camera_period = scenario.camera.period or scenario.simulation.step
+                log = LogFile(options.out, len(scenario.target.desired_features or ()) // 2, camera_period)
                 stack.callback(log.close)
             kinematics = Kinematics(scenario)
             limits = Limits.of(kinematics)

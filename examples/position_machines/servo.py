@@ -120,14 +120,25 @@ class Ending:
     details: list[str] = field(default_factory=list)
 
 
+def is_new(frame: Frame, before: Frame | None, period: float) -> bool:
+    """Whether an image is not the one that was read before: another content, or an exposure half a period later.
+
+    Its age is measured anew at each reading, and so its exposure is never quite the same.
+    """
+    if before is None or frame.exposure > before.exposure + 0.5 * period:
+        return True
+    return not (np.array_equal(frame.features, before.features) and np.array_equal(frame.depth, before.depth))
+
+
 class LogFile:
     """A log for `hexservo identify` (docs/identification.md)."""
 
-    def __init__(self, path: str, points: int) -> None:
+    def __init__(self, path: str, points: int, period: float) -> None:
         names = ["time", *(f"{kind}_{leg}" for kind in ("command", "joint") for leg in range(1, 7))]
         image = [f"{axis}_{point}" for point in range(1, points + 1) for axis in "xy"]
         self._blank = [""] * (len(image) + 1)
-        self._seen: float | None = None
+        self._period = period  # of the camera [s]
+        self._seen: Frame | None = None
         self._file = Path(path).open("x", newline="", encoding="utf-8")  # noqa: SIM115  closed by `close`
         self._writer = csv.writer(self._file)
         self._writer.writerow([*names, *image, "arrival"])
@@ -135,8 +146,8 @@ class LogFile:
     def write(self, now: float, command: Array, reading: Reading) -> None:
         """Write a tick; an image only where it is new. Its time of exposure is left for `identify` to find."""
         image: list[str] = self._blank
-        if reading.frame is not None and reading.frame.exposure != self._seen:
-            self._seen = reading.frame.exposure
+        if reading.frame is not None and is_new(reading.frame, self._seen, self._period):
+            self._seen = reading.frame
             image = [*(f"{pixel:.6g}" for pixel in reading.frame.features), f"{now:.9g}"]
         self._writer.writerow([f"{now:.9g}", *(f"{number:.9g}" for number in (*command, *reading.legs)), *image])
 
@@ -220,9 +231,10 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
     Where it cannot act, the controller brakes; the loop goes on for `limits.invalid`, and for `limits.frame_age`
     without an image. With `camera.latency_known: false` the law has no time of exposure, and finds the latency itself.
     """
-    used = -np.inf  # exposure of the frame that the controller has
+    used: Frame | None = None  # that the controller has
     valid = 0.0
-    stamped = controller.scenario.camera.latency_known
+    camera = controller.scenario.camera
+    period = camera.period or controller.scenario.simulation.step
 
     def decide(now: float, reading: Reading) -> Array:
         nonlocal used, valid
@@ -231,9 +243,9 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
         if age > limits.frame_age:
             raise Stop(f"the newest image is {age:.3f} s old, expected at most {limits.frame_age} s")
         image: dict[str, object] = {}
-        if frame is not None and frame.exposure > used:
-            used = frame.exposure
-            exposure = min(frame.exposure, now) if stamped else now
+        if frame is not None and is_new(frame, used, period):
+            used = frame
+            exposure = min(frame.exposure, now) if camera.latency_known else now
             image = {"features": frame.features, "depth": frame.depth, "exposure": exposure}
         output = controller.step(**image, leg_lengths=reading.legs, now=now)  # type: ignore[arg-type]
         if not output.invalid_input:

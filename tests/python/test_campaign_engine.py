@@ -20,6 +20,7 @@ import hexservo as hs
 from hexservo.campaigns.chunks import unsealed_chunk
 from hexservo.campaigns.intervals import anytime_interval, clopper_pearson
 from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.store import plan_text, read_plan
 from hexservo.run.publish import OutputError
 
 RUNS = 1000
@@ -423,6 +424,28 @@ def test_a_goal_that_is_reached_earlier_removes_no_runs(tmp_path: Path) -> None:
     assert len(list((tmp_path / "out" / "chunks").iterdir())) == 4
     again = hs.campaign(FILE, tmp_path / "out", runs=400)
     assert again.failures == first.failures
+
+
+def test_a_summary_of_fewer_runs_is_not_that_of_the_campaign(tmp_path: Path) -> None:
+    """A campaign of 250 runs goes on to 1000, and its process ends before it writes anything."""
+    folder = tmp_path / "out"
+    hs.campaign(FILE, folder, runs=250)
+    plan, record = read_plan(folder)
+    (folder / "campaign.yaml").write_text(plan_text(plan.changed(runs=1000), record), encoding="utf-8")
+    found = hs.load_campaign(folder)
+    assert not found.complete
+    assert len(found) == 200  # the last chunk had half of its runs
+    assert len(found.to_dataframe()) == 200
+
+
+def test_no_kept_run_is_overwritten_by_fewer(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    hs.campaign(FILE, folder, runs=400)
+    hs.campaign({**FILE, "runs": None, "until": {"probability_below": 0.9}}, folder)
+    kept = {path.name: path.read_bytes() for path in (folder / "chunks").iterdir()}
+    with pytest.raises(OutputError, match="expected at least the 400 runs that it has, got 350; name a new folder"):
+        hs.campaign(FILE, folder, runs=350)
+    assert {path.name: path.read_bytes() for path in (folder / "chunks").iterdir()} == kept
 
 
 def test_a_run_that_is_no_scenario_is_named(tmp_path: Path) -> None:

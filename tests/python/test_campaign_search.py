@@ -142,6 +142,22 @@ def test_a_folder_of_another_search_is_refused(uninterrupted: Path) -> None:
     more = hs.tune(SHORT | {"runs": 30}, uninterrupted, **OPTIONS)  # more held-out runs are no other search
     assert more.held_out is not None
     assert len(more.held_out) == 30
+    fewer = hs.tune(SHORT | {"confidence": 0.9}, uninterrupted, **OPTIONS)  # a different check of the same gains
+    assert fewer.held_out is not None
+    assert len(fewer.held_out) == 20
+    assert len(hs.load_campaign(uninterrupted / "held-out-1")) == 30
+
+
+def test_what_an_earlier_search_found_is_set_aside_where_nothing_is_feasible(tmp_path: Path) -> None:
+    file = SHORT | {"require": [*SHORT["require"], "peak_error <= 1"]}
+    hs.tune(file, tmp_path / "out", generations=1, rounds=1)
+    (tmp_path / "out" / "held-out").mkdir()
+    (tmp_path / "out" / "front.csv").write_text("of other gains", encoding="utf-8")
+    assert not hs.tune(file, tmp_path / "out", generations=1, rounds=2).feasible
+    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.name[0] in "hf") == [
+        "front-1.csv",
+        "held-out-1",
+    ]
 
 
 # ---- Planted problems -----------------------------------------------------------------------------------------------
@@ -163,7 +179,7 @@ class Planted:
         for column in range(len(self.nearest)):
             kept = (np.delete(columns[0], column, axis=1) >= 0).all(axis=1)
             self.nearest[column] = max([self.nearest[column], *columns[0][kept, column]])
-        return Judged(*columns)
+        return Judged(*columns, columns[0])
 
 
 def nothing(judged: Judged, order: Any) -> None:

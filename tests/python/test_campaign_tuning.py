@@ -6,13 +6,14 @@ import importlib.util
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo.campaigns.candidates import ranking
+from hexservo.campaigns.candidates import Candidates, ranking
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import LAWS
@@ -110,6 +111,32 @@ def test_what_cannot_hold_is_named_with_its_relaxation(tmp_path: Path) -> None:
     found = re.search(r"The requirement peak_error <= 10.0 .* with peak_error <= (\d+\.?\d*) it does", result.advice)
     assert found is not None, result.advice
     assert 19.9 < float(found[1]) < 40
+
+
+@pytest.mark.parametrize(
+    ("changes", "require"),
+    [
+        ({"metrics.band": 1e-12}, "settling_time <= 0.1"),  # no run settles
+        ({"robot.stroke": 1e-6, "robot.on_limit": "stop", "simulation.mode": "sampled"}, "peak_leg_force <= 0.6"),
+    ],
+)
+def test_what_no_bound_would_change_is_no_relaxation(tmp_path: Path, changes: dict[str, Any], require: str) -> None:
+    file = FILE | {"scenario": BASE.updated(changes), "require": [require]}
+    result = hs.tune(file, tmp_path / "out", generations=2, rounds=1)
+    assert not result.feasible
+    assert result.relaxations == ()
+    assert result.advice.startswith("No requirement was found whose relaxation alone helps")
+
+
+def test_margins_of_fewer_variations_are_forgotten() -> None:
+    plan = load_plan(FILE)
+    assert plan.tune is not None
+    steps: Any = SimpleNamespace(take=lambda inputs, compute: compute())
+    candidates = Candidates(plan, plan.tune, steps, 1, 1)
+    candidates.judged(candidates.place_of(plan.scenario)[None])
+    assert np.isfinite(candidates.nearest).any()
+    candidates.join({key: values[:1] for key, values in candidates.numbers.items()})
+    assert np.isneginf(candidates.nearest).all()
 
 
 REFUSED = [

@@ -28,7 +28,7 @@ from position_machines.frames import Camera, camera_server, frame_of, numbers, o
 from position_machines.kinematics import Kinematics
 from position_machines.lines import LONGEST, Line, LinkError, Server, answering
 from position_machines.program import main
-from position_machines.servo import Ending, Frame, Limits, Reading, Stop, run, tracking
+from position_machines.servo import Ending, Frame, Limits, LogFile, Reading, Stop, is_new, run, tracking
 from position_machines.simulated import Drives, SimulatedMachine
 from reachy.head import DRIVES, WATCHDOG, Head, head_handler, head_server, simulated_scenario
 from recorded_machines import Drive, wandering
@@ -109,6 +109,32 @@ def track(
     machine = Head(Line("127.0.0.1", port, timeout), 4, clock)
     decide = tracking(hs.Controller(scenario), limits)
     return run(machine, decide, limits, PERIOD, seconds, clock, event or threading.Event())
+
+
+def test_ends_of_an_uneven_stroke_are_those_of_the_legs() -> None:
+    scenario = simulated_scenario()
+    size = scenario.robot.stroke
+    kinematics = Kinematics(scenario.updated({"robot.stroke": [-0.4 * size, 1.2 * size]}))
+    np.testing.assert_allclose(kinematics.lowest, kinematics.home_legs - 0.4 * size, rtol=1e-12)
+    np.testing.assert_allclose(kinematics.highest, kinematics.home_legs + 1.2 * size, rtol=1e-12)
+
+
+def test_an_image_that_is_read_twice_is_one(tmp_path: Path, clock: SimulatedClock) -> None:
+    """A real clock gives a frame a somewhat different exposure at each reading."""
+    period = 0.04
+    legs = Kinematics(head_scenario()).home_legs
+    features = np.array([-20.0, 20.0, 20.0, 20.0, 20.0, -20.0, -20.0, -20.0])
+    log = LogFile(str(tmp_path / "log.csv"), 4, period)
+    for tick in range(20):  # two for each frame
+        now, frame = 0.02 * tick, tick // 2
+        exposed = period * frame - 0.03 + 1e-4 * (tick % 3)
+        log.write(now, legs, Reading(legs, Frame(features + 1e-3 * frame, np.full(4, -1.0), exposed)))
+    log.close()
+    rows = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()[1:]
+    assert [row.endswith(",") for row in rows] == [False, True] * 10
+    still = Frame(features, np.full(4, -1.0), 1.0)
+    assert not is_new(Frame(features, np.full(4, -1.0), 1.001), still, period)
+    assert is_new(Frame(features, np.full(4, -1.0), 1.04), still, period)  # nothing moves, and the camera goes on
 
 
 # ---- The simulated machine ------------------------------------------------------------------------------------------

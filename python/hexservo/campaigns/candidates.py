@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
 from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.requirements import without_distance
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.tune_keys import TunePlan
 from hexservo.campaigns.worst_case import smallest_in_box
@@ -30,11 +31,15 @@ _NONE = 1e9  # stands for a metric without a value, in the search for its larges
 
 
 class Judged:
-    """The worst of every candidate over the variations: margins (n, r), minimised metrics (n, m)."""
+    """The worst of every candidate over the variations: margins (n, r), minimised metrics (n, m).
 
-    def __init__(self, margins: Array, values: Array) -> None:
+    `distances` (n, r) are the margins, but NaN where one is no distance from a bound.
+    """
+
+    def __init__(self, margins: Array, values: Array, distances: Array) -> None:
         self.margins = margins
         self.values = values
+        self.distances = distances
         self.smallest: Array = margins.min(axis=1)
 
     @property
@@ -80,7 +85,8 @@ class Candidates:
         self.numbers = self._variations()
         self.joined = 0  # worst cases among the variations
         self.required = (*plan.require, *asked.subject_to)
-        self.nearest = np.full(len(self.required), -math.inf)  # largest margin of a requirement where all others hold
+        # largest margin of a requirement, as a distance from its bound, where all others hold; for these variations
+        self.nearest = np.full(len(self.required), -math.inf)
         self.renew()
 
     def _variations(self) -> dict[str, NDArray[Any]]:
@@ -111,6 +117,7 @@ class Candidates:
         """Add a variation to those of the search."""
         self.numbers = {key: np.concatenate([values, numbers[key]]) for key, values in self.numbers.items()}
         self.joined += 1
+        self.nearest[:] = -math.inf
 
     # ---- Gains ------------------------------------------------------------------------------------------------------
 
@@ -146,11 +153,16 @@ class Candidates:
         """Return the worst of candidates, (n, dimension), over the variations."""
         found = self._judged(self.gains_of(places), self.numbers, len(places))
         if self.asked.subject_to:
-            found = Judged(np.concatenate([found.margins, self._loop_margins(places)], axis=1), found.values)
+            distances = self._loop_distances(places)
+            found = Judged(
+                np.concatenate([found.margins, np.nan_to_num(distances, nan=-1.0)], axis=1),
+                found.values,
+                np.concatenate([found.distances, distances], axis=1),
+            )
         for column in range(found.margins.shape[1]):
             others = np.delete(found.margins, column, axis=1)
-            kept = found.margins[(others >= 0).all(axis=1), column]
-            self.nearest[column] = max(self.nearest[column], *kept, -math.inf)
+            kept = found.distances[(others >= 0).all(axis=1), column]
+            self.nearest[column] = max([self.nearest[column], *kept[np.isfinite(kept)]])
         return found
 
     def loop_numbers(self, place: Array) -> list[float]:
@@ -158,15 +170,15 @@ class Candidates:
         scenario = self.plan.scenario.updated(self.gains(place))
         return [LOOP_NUMBERS[one.name][1](scenario) for one in self.asked.subject_to]
 
-    def _loop_margins(self, places: Array) -> Array:
-        """Return the margins of what is required of the loop, (n, s); -1 for a number that has no value."""
+    def _loop_distances(self, places: Array) -> Array:
+        """Return the margins of what is required of the loop, (n, s); NaN for a number that has no value."""
 
         def compute() -> dict[str, Array]:
             return {"values": np.array([self.loop_numbers(place) for place in places])}
 
         values = self.steps.take({"places": places}, compute)["values"]
         margins = [one.margin(column) for one, column in zip(self.asked.subject_to, values.T, strict=True)]
-        return np.nan_to_num(np.stack(margins, axis=1), nan=-1.0)
+        return np.stack(margins, axis=1)
 
     def _judged(self, gains: Mapping[str, Array], numbers: Mapping[str, NDArray[Any]], count: int) -> Judged:
         """Run every candidate on every variation, in one batch."""
@@ -182,11 +194,14 @@ class Candidates:
             margins, batch = self.judge.judged(numbers, gains)
             metrics = [batch.metrics[name].reshape(shape).max(axis=1) for name in self.asked.minimise]  # NaN stays NaN
             values = np.stack(metrics, axis=1) if metrics else np.empty((shape[0], 0))
-            return {"margins": margins.reshape(*shape, -1).min(axis=1), "values": values}
+            lost = without_distance(self.plan.require, batch.outcome, batch.metrics)
+            distances = np.where(lost, np.nan, margins)
+            worst = {"margins": margins, "distances": distances}
+            return {name: each.reshape(*shape, -1).min(axis=1) for name, each in worst.items()} | {"values": values}
 
         found = self.steps.take({**numbers, **gains, "shape": np.array(shape)}, compute)
         self.runs += shape[0] * shape[1]
-        return Judged(found["margins"], found["values"])
+        return Judged(found["margins"], found["values"], found["distances"])
 
     def worse_cases(self, place: Array) -> tuple[list[dict[str, NDArray[Any]]], float]:
         """Return variations that are worse for a candidate than those of the search, and the smallest margin found.

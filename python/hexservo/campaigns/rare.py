@@ -24,6 +24,7 @@ __all__ = ["Levels", "RareFailures", "estimate_rare_failures", "subset_simulatio
 
 _SHARE = 0.1  # of the samples of a level that begin the chains of the next one
 _MOST_LEVELS = 30
+_FEWEST_CHAINS = 10
 _STEP = 0.6  # s of the first proposals, x' = sqrt(1 - s^2) x + s z; then by the share that is accepted
 _ACCEPTED = 0.44  # share of proposals to accept (Papaioannou et al. 2015)
 
@@ -116,8 +117,9 @@ def subset_simulation(
 
     The probability is a product of conditional ones of about a tenth: each level begins with the tenth of smallest
     margins of the one before, and continues them as Markov chains whose proposals keep the normal distribution
-    (Papaioannou, Betz, Zwirglmaier and Straub 2015); one that leaves the level is not accepted. The coefficient of
-    variation is that of Au and Beck's equations (28) to (29), with the levels taken as independent.
+    (Papaioannou, Betz, Zwirglmaier and Straub 2015); one that leaves the level is not accepted. Where many margins
+    are equal, a level has what is less than them, and where nothing is less, the failures of one level are counted.
+    The coefficient of variation is that of Au and Beck's equations (28) to (29), with the levels taken as independent.
 
     Parameters
     ----------
@@ -139,7 +141,7 @@ def subset_simulation(
         raise ValueError(f"samples: expected at least 100, got {samples}")
     random = np.random.default_rng(seed)
     length = round(1 / _SHARE)
-    chains = samples // length
+    most_chains = chains = samples // length
     count = chains * length
     places = random.standard_normal((count, dimension))
     seeds = random.integers(0, 2**64, count, dtype=np.uint64)
@@ -149,22 +151,30 @@ def subset_simulation(
     step = _STEP
     for level in range(_MOST_LEVELS):
         order = np.argsort(values, kind="stable")
-        threshold = float((values[order[chains - 1]] + values[order[chains]]) / 2)
+        threshold = float((values[order[most_chains - 1]] + values[order[most_chains]]) / 2)
+        below = values[values < threshold]
+        if (values <= threshold).mean() > 2 * _SHARE and len(below) >= _FEWEST_CHAINS:
+            threshold = float(below.max())  # many runs have one margin: the level is what is less
         failed = values < 0
-        final = threshold <= 0 or int(failed.sum()) >= chains
+        stays = bool(thresholds) and threshold >= thresholds[-1]
+        final = threshold <= 0 or int(failed.sum()) >= most_chains or (stays and bool(failed.any()))
         inside = failed if final else values <= threshold
         share = float(inside.mean())
         thresholds.append(0.0 if final else threshold)
         if share == 0:
             break
         correlated = 0.0 if level == 0 else _correlation(inside.reshape(length, chains))
-        variance += (1 - share) / (share * count) * (1 + correlated)
+        variance += (1 - share) / (share * len(values)) * (1 + correlated)
         probability *= share
         if final:
             return Levels(probability, math.sqrt(variance), tuple(thresholds), evaluations)
-        if len(thresholds) > 1 and threshold >= thresholds[-2]:
+        if stays:
             break  # a margin that does not fall any more
-        begin = order[:chains]
+        begin = order[: int(inside.sum())]
+        if len(begin) > most_chains:
+            begin = random.choice(begin, most_chains, replace=False)
+        chains = len(begin)
+        length = count // chains
         parts = [(places[begin], seeds[begin], values[begin])]
         for _ in range(length - 1):
             here, own, before = parts[-1]

@@ -16,7 +16,7 @@ from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.rules import did_you_mean, is_number, refusal, shown_value
 
-__all__ = ["Requirement", "run_margins"]
+__all__ = ["Requirement", "run_margins", "without_distance"]
 
 COMPLETED = "completed"
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
@@ -101,6 +101,20 @@ def run_margins(
     ]
     found = np.where(completed[:, None], np.stack(columns, axis=1), early[:, None])
     return np.where(np.isnan(found), -1.0, found)
+
+
+def without_distance(
+    requirements: Sequence[Requirement], outcome: NDArray[np.str_], metrics: Mapping[str, Array]
+) -> NDArray[np.bool_]:
+    """Return where a margin of `run_margins` is no distance from a bound, (n, r).
+
+    There the run ended early, or its metric has no value; no bound would change that. Arguments as for `run_margins`.
+    """
+    lost = [
+        np.zeros(len(outcome), dtype=bool) if requirement.name == "outcome" else np.isnan(metrics[requirement.name])
+        for requirement in requirements
+    ]
+    return np.stack(lost, axis=1) | (outcome != COMPLETED)[:, None]
 
 
 def requirement_of(value: Any, units: Mapping[str, str] | None = None) -> Requirement:

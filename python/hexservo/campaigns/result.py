@@ -168,9 +168,11 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
     """
     plan, record = read_plan(folder)
     store = Store(folder, plan, record)
+    until = None if plan.until is None else plan.until.to_plain()
     try:
         summary = json.loads((store.folder / SUMMARY).read_text(encoding="utf-8"))
-        if summary["campaign"] == record["campaign"] and summary["complete"]:
+        is_of_plan = summary["planned_runs"] == plan.runs and summary["until"] == until
+        if summary["campaign"] == record["campaign"] and is_of_plan and summary["complete"]:
             return CampaignResult(store.folder, plan, summary)
     except (OSError, ValueError, KeyError, TypeError):
         pass  # not there, or changed: the chunks have it all

@@ -22,8 +22,8 @@ from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
 __all__ = ["SearchSteps"]
 
-FORMAT = 1
-"""Of a search's folder: raised with every change of the order in which a search simulates."""
+FORMAT = 2
+"""Of a search's folder: raised with every change of the order in which a search simulates, or of what a step keeps."""
 
 PLAN = "tune.yaml"
 _DIGEST = 32  # bytes of SHA-256: of the rest of a file, then of the inputs

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,6 +154,17 @@ def sensitivity(
     return Sensitivity(plan, inputs, indices, judge.runs, seed)
 
 
+@contextlib.contextmanager
+def _global_generator(seed: int) -> Iterator[None]:
+    """Seed NumPy's global generator, from which SciPy's bootstrap of the indices draws, and put it back."""
+    before = np.random.get_state()  # noqa: NPY002
+    np.random.seed(seed % 2**32)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        np.random.set_state(before)  # noqa: NPY002
+
+
 def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: int, seed: int) -> list[Indices | None]:
     """Return the Sobol indices of the outputs of a function of independent uniform inputs.
 
@@ -194,7 +206,8 @@ def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: i
         name = "rng" if "rng" in inspect.signature(stats.sobol_indices).parameters else "random_state"  # SciPy 1.15
         uniform = [stats.uniform()] * dimension
         found = stats.sobol_indices(func=watched, n=samples, dists=uniform, **{name: random})
-        spread = found.bootstrap(confidence_level=0.95, n_resamples=_RESAMPLES)
+        with _global_generator(seed):
+            spread = found.bootstrap(confidence_level=0.95, n_resamples=_RESAMPLES)
     everything = np.concatenate([values.reshape(len(values), -1) for values in calls], axis=1)
     usable = [bool(np.isfinite(row).all() and np.ptp(row) > 0) for row in everything]
     shape = (len(usable), dimension)  # SciPy drops axes of length one

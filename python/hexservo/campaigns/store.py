@@ -91,6 +91,11 @@ class Store:
             raise OutputError(
                 f"{named(path)}: expected a chunk of this campaign, got one of a different campaign; move it away"
             )
+        if found["first"] == expected["first"] and found["last"] > expected["last"]:
+            raise OutputError(
+                f"{named(self.folder)}: expected at least the {found['last']} runs that it has, got {self.plan.runs}; "
+                "name a new folder"
+            )
         if found != expected:
             kind = ShorterChunkError if found["first"] == expected["first"] else ResultError
             raise kind(

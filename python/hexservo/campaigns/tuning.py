@@ -213,10 +213,13 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     write_text(folder / _TUNED, scenario.to_yaml())
     held_out: CampaignResult | None = None
     front: tuple[FrontPoint, ...] = ()
-    if feasible:
-        other = plan.changed(scenario=scenario, stream=plan.stream + 1, until=None)
+    other = plan.changed(scenario=scenario, stream=plan.stream + 1, until=None)
+    if not feasible or not _goes_on(folder / _HELD_OUT, other):
+        _set_aside(folder / _HELD_OUT)
+    if not feasible:
+        _set_aside(folder / _FRONT)
+    else:
         front = _front_points(candidates, search.front, plan)
-        _set_aside(folder / _HELD_OUT, other)
         held_out = campaign(other, folder / _HELD_OUT, threads=threads)
         if held_out.interrupted:
             raise KeyboardInterrupt
@@ -252,15 +255,25 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     return result
 
 
-def _set_aside(folder: Path, plan: CampaignPlan) -> None:
-    """Rename the campaign of gains that fewer rounds had found."""
-    if not (folder / PLAN).exists() or read_plan(folder)[0].digest() == plan.digest():
+def _goes_on(folder: Path, plan: CampaignPlan) -> bool:
+    """Whether a campaign is the one of a folder, or one of more runs, or the folder has none."""
+    if not (folder / PLAN).exists():
+        return True
+    there = read_plan(folder)[0]
+    ours, theirs = plan.to_mapping(), there.to_mapping()
+    more = plan.runs is not None and there.runs is not None and plan.runs >= there.runs
+    return more and ours | {"runs": None} == theirs | {"runs": None}
+
+
+def _set_aside(path: Path) -> None:
+    """Rename what belongs to the gains of an earlier search: fewer rounds, or a different check."""
+    if not path.exists():
         return
-    places = (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(1))
+    places = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(1))
     try:
-        folder.rename(next(place for place in places if not place.exists()))
+        path.rename(next(place for place in places if not place.exists()))
     except OSError as error:
-        raise OutputError(f"{named(folder)}: cannot be renamed: {error.strerror}") from None
+        raise OutputError(f"{named(path)}: cannot be renamed: {error.strerror}") from None
 
 
 def _relaxations(candidates: Candidates) -> tuple[Relaxation, ...]:
