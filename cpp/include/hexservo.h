@@ -169,7 +169,7 @@ typedef enum hexservo_quantity {
   HEXSERVO_WRENCH = 6,        /**< 6, in B [N; N m] */
   HEXSERVO_FUZZY_OUTPUT = 7,  /**< 6 [N; N m] */
   HEXSERVO_LEG_LENGTHS = 8,   /**< 6 [m] */
-  HEXSERVO_LEG_FORCES = 9     /**< 6 [N] */
+  HEXSERVO_LEG_FORCES = 9     /**< 6 [N], of cranks [N m] */
 } hexservo_quantity;
 
 /** Samples that were logged so far; after the end the last good one is among them. */
@@ -246,8 +246,9 @@ HEXSERVO_API hexservo_state* hexservo_state_place(const hexservo_gains* gains, v
 typedef struct hexservo_gains_memory {
   double place[1536];
 } hexservo_gains_memory;
-/** Memory for the state of any law with latencies of up to 256 ticks in all, `camera.latency_jitter` included; for
- * longer ones `hexservo_state_size` answers how much. */
+/** Memory for the state of any law where `camera.latency`, `camera.latency_jitter`, `camera.period` and the size of
+ * `uncertainty.latency` are 320 ticks in all; where `camera.latency_known` is false, the first two count as 0.25 s. For
+ * more `hexservo_state_size` answers how much. */
 typedef struct hexservo_state_memory {
   double place[4096];
 } hexservo_state_memory;
@@ -261,8 +262,8 @@ typedef struct hexservo_input {
   double position[3];     /**< of the platform in B [m], where `sensors.pose` is true; as the next two */
   double quaternion[4];   /**< w x y z, of any length but zero */
   double twist[6];        /**< in B [m/s; rad/s] */
-  double leg_lengths[6];  /**< where `sensors.pose` is encoders [m]; NaN: no reading at this tick */
-  double leg_rates[6];    /**< where `sensors.rate` is true [m/s] */
+  double leg_lengths[6];  /**< where `sensors.pose` is encoders [m], of cranks [rad]; NaN: no reading at this tick */
+  double leg_rates[6];    /**< where `sensors.rate` is true [m/s], of cranks [rad/s] */
 } hexservo_input;
 
 /** Whether the law acts at a tick, and if not, why; the first that applies. */
@@ -277,13 +278,14 @@ typedef enum hexservo_input_status {
 /** What a tick gives back. */
 typedef struct hexservo_output {
   double wrench[6];             /**< about the platform's origin, in B [N; N m] */
-  double leg_forces[6];         /**< positive where they push [N] */
+  double leg_forces[6];         /**< positive where they push [N]; of cranks torques [N m] */
   double fuzzy_output[6];       /**< [N; N m] */
   hexservo_input_status status; /**< unless valid the wrench brakes and holds the platform, and nothing is learned */
   int saturated;                /**< a leg force is beyond `robot.force_limit` where `actuators.saturation` is set, or
                                      the legs cannot move as the law would where `actuators.kind` is position */
-  double leg_positions[6];      /**< what each leg shall go to where `actuators.kind` is position [m]; otherwise NaN */
-  double latency[3]; /**< where `camera.latency_known` is false: as found, shortest, longest [s]; otherwise NaN */
+  double leg_positions[6]; /**< what each leg shall go to where `actuators.kind` is position [m], of cranks [rad]; else
+                              NaN */
+  double latency[3];       /**< where `camera.latency_known` is false: as found, shortest, longest [s]; otherwise NaN */
 } hexservo_output;
 
 /** An input of which nothing is known. */

@@ -81,6 +81,8 @@ ControllerGains<Law, N> controller_gains(const Settings& settings, double period
   ticking.uncertainty.focal_length = settings.uncertainty.focal_length;  // and its camera
   ticking.uncertainty.principal_point = settings.uncertainty.principal_point;
   ticking.uncertainty.mount = settings.uncertainty.mount;
+  if (settings.simulation.mode == LoopMode::sampled)
+    ticking.uncertainty.latency = settings.uncertainty.latency;  // stamps come so early: poses are kept that long
   ticking.simulation = {LoopMode::sampled, period, 1, period, 1, {}};
   ticking.base_motion = {};
   ticking.target.frame = TargetFrame::base;

@@ -22,6 +22,7 @@
 #include <fstream>
 #include <functional>
 #include <limits>
+#include <locale>
 #include <map>
 #include <memory>
 #include <sstream>
@@ -93,6 +94,8 @@ class Model {
   /// Goes on by `count` ticks from the tick `from`.
   /// @return empty, or why it cannot go on
   virtual std::string advance(std::int64_t from, std::int64_t count) = 0;
+  /// Of the last good sample, since the start [s]; where a model ends by itself.
+  virtual double time() const { return std::numeric_limits<double>::infinity(); }
 };
 
 /// Why a model that has this outcome cannot go on; empty where it can.
@@ -127,6 +130,8 @@ class Loop final : public Model {
     look();
     return end_of(hexservo_run_outcome(run_.get()));
   }
+
+  double time() const override { return hexservo_run_time(run_.get()); }
 
  private:
   void look() {
@@ -168,12 +173,15 @@ class Machine final : public Model {
   }
 
   std::string advance(std::int64_t, std::int64_t count) override {
-    for (; count > 0; --count) {
-      hexservo_plant_command(plant_.get(), wrench_);
+    int goes_on = 1;
+    for (; count > 0 && goes_on; --count) {
+      goes_on = hexservo_plant_command(plant_.get(), wrench_);
       look();
     }
     return end_of(hexservo_plant_outcome(plant_.get()));
   }
+
+  double time() const override { return *hexservo_plant_newest(plant_.get(), HEXSERVO_TIME); }
 
  private:
   void look() {
@@ -293,6 +301,8 @@ class Unit {
   }
 
   void set_start_time(double time) {
+    if (started_) fail("the unit is initialised already: expected a reset before another start time");
+    if (!(time >= 0.0)) fail("start time: expected 0 s or later, since exposures before 0 stand for no frame");
     model_.reset();
     start_time_ = time;
   }
@@ -311,7 +321,7 @@ class Unit {
     if (ended_) fail("the run has ended: expected no further step");
     const double ticks = time / period_;
     const double whole = std::round(ticks);
-    if (!(whole >= 1.0 && std::abs(ticks - whole) <= kWhole * whole)) {
+    if (!(whole >= 1.0 && std::abs(ticks - whole) <= kWhole)) {
       char text[160];
       std::snprintf(text, sizeof text,
                     "communication step: expected a whole number of simulation.step, %.17g s each, got %.17g s",
@@ -322,7 +332,10 @@ class Unit {
     const std::string end = model_->advance(ticks_, count);
     ticks_ += count;
     ended_ = !end.empty();
-    if (ended_) log(false, end);
+    if (ended_) {
+      ticks_ = std::min(ticks_, static_cast<std::int64_t>(std::llround(model_->time() / period_)));
+      log(false, end);
+    }
     return !ended_;
   }
 
@@ -377,6 +390,7 @@ class Unit {
  private:
   void read(const std::string& line, const std::string& token) {
     std::istringstream words(line);
+    words.imbue(std::locale::classic());  // whatever the program around has chosen
     std::string first, type;
     words >> first;
     if (first == "token") {

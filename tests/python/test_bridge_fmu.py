@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -295,9 +296,53 @@ def test_a_run_that_fails_terminates_the_unit(make: Any, fmi: int) -> None:
     assert not unit.step(5.0)
     assert unit.get("outcome") == 1
     assert unit.get("end_time") == run.end_time
+    assert unit.get("time") == pytest.approx(run.end_time, rel=1e-12)
+    if unit.two:
+        successful = unit.fmu.getRealStatus(fmpy.fmi2.fmi2LastSuccessfulTime)
+        assert successful == pytest.approx(run.end_time, rel=1e-12)
     np.testing.assert_array_equal(unit.get("position", 3), run.position[-1])
     with pytest.raises(Exception, match="fmi"):
         unit.step(scenario.simulation.step)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_start_time_is_set_once_and_is_not_negative(make: Any, fmi: int) -> None:
+    made = make(hs.load_scenario("paper").updated(SHORT), fmi)
+
+    def begin(unit: Unit, time: float) -> None:
+        if unit.two:
+            unit.fmu.setupExperiment(startTime=time)
+        else:
+            unit.fmu.enterInitializationMode(startTime=time)
+
+    unit = made.instance()
+    with pytest.raises(Exception, match="fmi"):
+        begin(unit, -5.0)
+    unit = made.instance()
+    unit.start()
+    with pytest.raises(Exception, match="fmi"):
+        begin(unit, 1.0)  # without a reset
+    assert unit.step(0.01)
+    with pytest.raises(Exception, match="fmi"):
+        unit.step(1000.0005)  # no whole number of ticks
+
+
+def test_outputs_at_the_start_depend_on_the_parameters(make: Any) -> None:
+    for fmi, path in ((2, "ModelStructure/InitialUnknowns/Unknown"), (3, "ModelStructure/InitialUnknown")):
+        folder = Path(make(hs.load_scenario("paper"), fmi).folder)
+        found = ElementTree.parse(folder / "modelDescription.xml").getroot().findall(path)
+        assert found
+        assert all("dependencies" not in each.attrib for each in found)
+
+
+def test_motors_of_cranks_have_the_units_of_cranks(make: Any) -> None:
+    made = make(hs.load_scenario("reachy-mini-motors"), 2)
+    units = {variable.name.rpartition(".")[2]: variable.unit for variable in made.description.modelVariables
+             if variable.name.startswith("actuators.motor.")}  # fmt: skip
+    assert units == {
+        "kp": "N m/rad", "kv": "N m s/rad", "damping": "N m s/rad", "friction": "N m", "armature": "kg m^2",
+        "quantisation": "rad",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)

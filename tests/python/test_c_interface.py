@@ -282,7 +282,7 @@ def room(name: str) -> int:
 @pytest.mark.parametrize("law", ALL_LAWS)
 def test_the_memory_structs_suffice(library: ctypes.CDLL, scenario: Handle, law: str, points: int) -> None:
     changes: dict[str, object] = {"controller.law": law, "camera.latency": 0.2, "camera.latency_jitter": 0.056}
-    changes["uncertainty.depth"] = 0.0
+    changes |= {"camera.period": 0.064, "uncertainty.depth": 0.0}
     if law not in LAWS:  # of machines that take positions
         changes |= {"actuators.kind": "position", "camera.prediction": "none", "camera.on_lost": "hold"}
         changes |= {"camera.latency_known": False, "camera.latency_jitter": 0.05}  # no longer one is accepted

@@ -175,11 +175,11 @@ class Planted:
         pass
 
     def judged(self, places: Array) -> Judged:
-        columns = [np.stack([each(places) for each in group], axis=1) for group in self.functions]
+        margins, values = (np.stack([each(places) for each in group], axis=1) for group in self.functions)
         for column in range(len(self.nearest)):
-            kept = (np.delete(columns[0], column, axis=1) >= 0).all(axis=1)
-            self.nearest[column] = max([self.nearest[column], *columns[0][kept, column]])
-        return Judged(*columns, columns[0])
+            kept = (np.delete(margins, column, axis=1) >= 0).all(axis=1)
+            self.nearest[column] = max([self.nearest[column], *margins[kept, column]])
+        return Judged(margins, values, margins)
 
 
 def nothing(judged: Judged, order: Any) -> None:

@@ -259,6 +259,27 @@ def test_exposure_times_give_jitter_and_their_own_error(paper: hs.Scenario) -> N
     assert camera.latency.value == pytest.approx(0.06, abs=2e-3)
 
 
+def test_a_frame_that_is_very_late_is_left_out(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=0.0, jitter=0.01)
+    assert log.frames is not None
+    usual = fit_camera(log, Scene(paper))
+    arrival = log.frames.arrival.copy()
+    arrival[len(arrival) // 2] += 0.2
+    camera = fit_camera(replace(log, frames=replace(log.frames, arrival=arrival)), Scene(paper))
+    assert usual.stragglers == 0
+    assert camera.stragglers == 1
+    assert usual.jitter is not None
+    assert camera.jitter == pytest.approx(usual.jitter, rel=0.05)
+    assert camera.latency is not None
+    assert usual.latency is not None
+    assert camera.latency.value == pytest.approx(usual.latency.value, abs=1e-4)
+    assert camera.period is not None
+    assert usual.period is not None
+    assert camera.period.value == pytest.approx(usual.period.value, rel=1e-9)
+    (sentence,) = (words for words in camera.section().sentences if "left out" in words)
+    assert sentence.startswith("1 of ")
+
+
 def test_a_platform_at_rest_does_not_tell_the_latency(paper: hs.Scenario) -> None:
     log = seen_log(paper, 0.1, stamps=None, moving=False)
     camera = fit_camera(log, Scene(paper))

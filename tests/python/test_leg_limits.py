@@ -149,7 +149,7 @@ def test_limits_are_looked_at_in_every_so_many_steps(short: hs.Scenario, free: d
     seen = {kind: values[::7] for kind, values in peaks(whole).items()}
     seen |= {"force": np.abs(whole.leg_forces[::7])}
     base, platform = each.robot.joint_limit or (0.0, 0.0)
-    limits = {"speed": each.robot.speed_limit, "base_joint": base, "platform_joint": platform, "force": 0.1}
+    limits = {"speed": each.robot.speed_limit or 0.0, "base_joint": base, "platform_joint": platform, "force": 0.1}
     found, all_found = hs.metrics(result), hs.metrics(whole)
     for kind, metric in zip((*KINDS, "force"), (*METRICS, "peak_leg_force"), strict=True):
         assert found[metric] == pytest.approx(seen[kind].max(), rel=1e-12, abs=1e-14)

@@ -122,6 +122,8 @@ def sampled_scenarios() -> Iterator[hs.Scenario]:
         "simulation.duration": 0.5,
     }
     yield hs.load_scenario("composite-30hz").updated({"name": "wrong-latency", **wrong})
+    early = {"uncertainty.latency": 0.06, "camera.period": 0.033, "metrics.rms_start": 0.0, "simulation.duration": 0.5}
+    yield hs.load_scenario("composite-30hz").updated({"name": "early-stamps", **early})
     for count in (3, 5, 8, 16):
         for law in LAWS:
             if count > 3 or law != "pbvs":

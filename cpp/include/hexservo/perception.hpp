@@ -287,7 +287,7 @@ class Perception {
     // A platform may start anywhere; after that it moves.
     const ForwardKinematics<S> found = track_pose(sensing.hexapod, lengths, now_.pose, now_.twist, seconds,
                                                   any(first) ? kKinematicsRounds : encoder_rounds(seconds));
-    const Mask<S> known = reads & found.converged;
+    const Mask<S> known = reads & found.converged & now_.usable;  // without a clock there is no rate
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
     now_.pose.position = select(known, found.pose.position, now_.pose.position);
     now_.pose.quaternion = select(known, found.pose.quaternion, now_.pose.quaternion);

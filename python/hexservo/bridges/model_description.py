@@ -15,6 +15,7 @@ from hexservo.scenario.version import VERSION
 __all__ = ["UnitVariable", "model_description", "si_exponents"]
 
 _FMI2 = {"real": "Real", "whole": "Integer", "flag": "Boolean", "text": "String"}
+_NONE, _ANY = {"dependencies": ""}, dict[str, str]()  # of an output: a tick is between; at first, all parameters
 _FMI3 = {"real": "Float64", "whole": "Int32", "flag": "Boolean", "text": "String"}
 _SI = {
     "m": {"m": 1},
@@ -184,11 +185,11 @@ def _variables2(root: ElementTree.Element, variables: Sequence[UnitVariable]) ->
         )
         ElementTree.SubElement(entry, _FMI2[variable.type], values)
     structure = ElementTree.SubElement(root, "ModelStructure")
-    for name in ("Outputs", "InitialUnknowns"):
+    for name, others in (("Outputs", _NONE), ("InitialUnknowns", _ANY)):
         block = ElementTree.SubElement(structure, name)
         for index, variable in enumerate(variables, 1):
             if variable.role == "output":
-                ElementTree.SubElement(block, "Unknown", index=str(index), dependencies="")
+                ElementTree.SubElement(block, "Unknown", {"index": str(index), **others})
 
 
 def _variables3(root: ElementTree.Element, variables: Sequence[UnitVariable]) -> None:
@@ -202,7 +203,7 @@ def _variables3(root: ElementTree.Element, variables: Sequence[UnitVariable]) ->
         if start is not None:
             ElementTree.SubElement(entry, "Start", value=start)
     structure = ElementTree.SubElement(root, "ModelStructure")
-    for name in ("Output", "InitialUnknown"):
+    for name, others in (("Output", _NONE), ("InitialUnknown", _ANY)):
         for reference, variable in enumerate(variables):
             if variable.role == "output":
-                ElementTree.SubElement(structure, name, valueReference=str(reference), dependencies="")
+                ElementTree.SubElement(structure, name, {"valueReference": str(reference), **others})

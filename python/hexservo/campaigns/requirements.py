@@ -114,7 +114,7 @@ def without_distance(
         np.zeros(len(outcome), dtype=bool) if requirement.name == "outcome" else np.isnan(metrics[requirement.name])
         for requirement in requirements
     ]
-    return np.stack(lost, axis=1) | (outcome != COMPLETED)[:, None]
+    return np.asarray(np.stack(lost, axis=1) | (outcome != COMPLETED)[:, None])
 
 
 def requirement_of(value: Any, units: Mapping[str, str] | None = None) -> Requirement:

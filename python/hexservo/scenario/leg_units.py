@@ -52,12 +52,13 @@ class LegUnits:
             "N": self.effort,
             "m/s": self.rate,
             "m/s^2": f"{self.rate}^2",
+            **({} if self.coordinate == "m" else {"N/m": "N m/rad", "N s/m": "N m s/rad", "kg": "kg m^2"}),
         }.get(unit, unit)
 
 
 _PRISMATIC = LegUnits("m", "N")
 _ROTARY = LegUnits("rad", "N m")
-OF_LEGS = frozenset(  # keys, metrics and quantities whose unit is that of a coordinate, its rate or an effort
+OF_LEGS = frozenset(  # keys, metrics and quantities whose unit is made of those of a coordinate and an effort
     {
         "robot.stroke",
         "robot.stroke_centre",
@@ -68,6 +69,7 @@ OF_LEGS = frozenset(  # keys, metrics and quantities whose unit is that of a coo
         "actuators.quantisation",
         "actuators.position.speed_limit",
         "actuators.position.acceleration_limit",
+        *(f"actuators.motor.{key}" for key in ("kp", "kv", "damping", "friction", "armature", "quantisation")),
         "peak_leg_force",
         "peak_leg_excursion",
         "peak_leg_speed",

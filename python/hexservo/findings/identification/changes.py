@@ -45,7 +45,7 @@ def changes_of(log: Log, drives: Drives, camera: CameraFit | None) -> dict[str, 
         if camera.period is not None:
             changes |= {"camera.period": max(step, _whole(camera.period.value, step))}
         if camera.latency is not None and camera.latency_is_known:
-            jitter = camera.jitter or 0.0
+            jitter = min(camera.jitter or 0.0, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
             changes |= {"camera.latency": max(0.0, _whole(camera.latency.value - jitter / 2, step))}
             changes |= {"camera.latency_jitter": _whole(jitter, step)}
         changes |= {"camera.dropout": _digits(max(camera.dropout, 0.0))}

@@ -30,6 +30,8 @@ MOST_LATENCY = 0.25
 _FEWEST = 20  # frames
 _TRIED = 11  # latencies of a coarse grid
 _ROUNDS = 60  # evaluations of a fit
+_RARE = 0.01  # share of the frames at either end of the latencies from which jitter is not taken
+_SAME = 1e-9  # times that differ by less are the same [s]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,11 +44,12 @@ class CameraFit(Part):
     latency: Interval | None = (
         None  # from the true exposure to arrival [s]; 0 to `MOST_LATENCY` where the log leaves it open
     )
-    jitter: float | None = None  # most that a frame was later than the earliest [s]; None without exposure times
+    jitter: float | None = None  # most that a frame is later than the earliest, usually [s]; None without exposures
     stamps: Interval | None = None  # what exposure times are late by [s]; None without them
     noise: Interval | None = None  # standard deviation of a coordinate [px]
     explained: float = 0.0  # share of the image motion kept apart that is predicted; 1: all
     target: Array = field(default_factory=lambda: np.zeros(6))  # displacement of the scenario's target [m; rad]
+    stragglers: int = 0  # frames whose latency is far from that of the others: they do not count in latency and jitter
     open: str = ""  # why nothing was found; empty if something was
 
     @property
@@ -80,18 +83,22 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
     if frames.exposure is None:
         return CameraFit(count, period, dropout, shift, None, None, noise, explained, target)
     late = frames.arrival - frames.exposure
-    mean, sigma = float(late.mean()), float(late.std() / np.sqrt(len(late)))
+    low, high = np.quantile(late, [_RARE, 1 - _RARE])
+    jitter = float(high - low) / (1 - 2 * _RARE)  # of a uniform one
+    usual = late[np.abs(late - (low + high) / 2) <= jitter + _SAME]
+    mean, sigma = float(usual.mean()), float(usual.std() / np.sqrt(len(usual)))
     stamped = Interval.around(mean, float(np.hypot(sigma, (shift.high - shift.low) / 2 / half_width(1.0))))
     return CameraFit(
         count,
         period,
         dropout,
         Interval(*(value + shift.value for value in (stamped.value, stamped.low, stamped.high))),
-        float(late.max() - late.min()),
+        jitter,
         shift,
         noise,
         explained,
         target,
+        stragglers=count - len(usual),
     )
 
 
@@ -110,7 +117,7 @@ def _not_fitted(scene: Scene, frames: Frames) -> str:
 
 def _clock(frames: Frames) -> tuple[Interval | None, float]:
     """Return the period of the frames, from a line through their times, and the share that is missing."""
-    times = frames.arrival if frames.exposure is None else frames.exposure
+    times = np.sort(frames.arrival if frames.exposure is None else frames.exposure)
     steps = np.diff(times)
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     if usual <= 0.0:

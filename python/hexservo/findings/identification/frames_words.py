@@ -53,6 +53,11 @@ def _sentences(found: CameraFit) -> list[str]:
             f"The exposure times do not agree with the joints: frames were taken {number(1e3 * abs(stamps.value))} ms "
             f"{'before' if stamps.value > 0 else 'after'} what they state."
         )
+    if found.stragglers:
+        words.append(
+            f"{found.stragglers} of {found.frames} frames arrived far from when the others do, and are left out of "
+            "latency and jitter."
+        )
     shift = found.target
     words.append(
         f"The target is {number(1e3 * float((shift[:3] ** 2).sum() ** 0.5))} mm and "
