@@ -89,7 +89,7 @@ class Limits:
 
     @classmethod
     def of(cls, kinematics: Kinematics, **others: float) -> Limits:
-        """Return limits at the ends of the legs' stroke; `lag` is a third of it unless it is given."""
+        """Return limits at the ends of the legs' travel; `lag` is a third of all of it unless it is given."""
         others.setdefault("lag", float((kinematics.highest - kinematics.lowest).max()) / 3)
         return cls(kinematics.lowest, kinematics.highest, **others)
 
@@ -123,7 +123,7 @@ class Ending:
 def is_new(frame: Frame, before: Frame | None, period: float) -> bool:
     """Whether an image is not the one that was read before: another content, or an exposure half a period later.
 
-    Its age is measured anew at each reading, and so its exposure is never quite the same.
+    Its age is measured again at each reading, and so its exposure is never quite the same.
     """
     if before is None or frame.exposure > before.exposure + 0.5 * period:
         return True

@@ -26,7 +26,7 @@ inline constexpr double kMaxLatency = 0.25;      ///< longest latency that is lo
 inline constexpr int kLatencies = 51;            ///< candidates from 0 to `kMaxLatency`, 5 ms apart
 inline constexpr double kLatencyCost = 9.0;      ///< over the least cost: three standard deviations [1]
 inline constexpr double kLatencyMemory = 0.998;  ///< what of a cost stays from frame to frame [1]
-/// Standard deviation of r_j by what lies between candidates and between ticks, over the largest |r_j - r_k| [1].
+/// Standard deviation of r_j by what lies between candidates and between ticks, over the largest |r_j - r_0| [1].
 inline constexpr double kLatencyModelError = 0.03;
 inline constexpr double kLongestFrameGap = 1.0;  ///< between frames that are compared [s]
 

@@ -33,7 +33,7 @@ class LegMargin:
     """The leg that is nearest to one of its limits at a pose, or farthest beyond it."""
 
     leg: int  # 1 to 6
-    travel: float  # of that leg from its length at home [m], positive where it is longer; of a crank [rad]
+    travel: float  # of that leg from the middle of its travel [m], positive where it is longer; of a crank [rad]
     margin: float  # limit - |value| [m], of a joint or a crank [rad]; negative: beyond the limit
     limit: LegLimitKind = "stroke"
     unit: str = "m"  # of travel
@@ -73,7 +73,7 @@ class StartAndGoal:
 
 
 def leg_margin(travel: Array, stroke: float, unit: str = "m") -> LegMargin:
-    """Return the leg nearest to its limit, of travels (6,) from the lengths at home, in `unit`."""
+    """Return the leg nearest to its limit, of travels (6,) from the middle of the travel, in `unit`."""
     leg = int(np.abs(travel).argmax())
     return LegMargin(leg + 1, float(travel[leg]), float(stroke - abs(travel[leg])), unit=unit)
 

@@ -22,9 +22,9 @@ _CONTEXT = ("actuators.position", "target.motion", "camera.period", "camera.late
 
 NEVER_ACTING = dict.fromkeys(
     (f"{_BLOCK}.integral", f"{_BLOCK}.band"),
-    "acts on legs that come to rest elsewhere than commanded, which those of a simulated machine do not",
+    "acts on legs that come to rest elsewhere than commanded, as motors with friction do: `motors`, `stick_slip`",
 )
-"""Keys of the law that no simulated run can fail by, each with the reason."""
+"""Keys of the law without a cause, each with the reason."""
 
 
 def _of_the_law(changes: Callable[[Case], Mapping[str, Any]], words: str) -> Callable[[Case], list[Removal]]:
