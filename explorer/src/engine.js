@@ -72,9 +72,10 @@ export class Crew {
    * @param {object} scenario what they have in common
    * @param {string[]} names keys that differ
    * @param {Array<[number, ...unknown[]]>} cells number of each, and its values, the first ones first
-   * @param {(cells: Array<[number, string, object]>, finished: boolean) => void} answer
+   * @param {(cells: Array<[number, string, object, string?]>, finished: boolean) => void} answer
+   * @param {(words: string) => void} refuse what they have in common cannot run
    */
-  async map(scenario, names, cells, answer) {
+  async map(scenario, names, cells, answer, refuse) {
     const id = ++this.id;
     const count = Math.max(1, Math.min(8, navigator.hardwareConcurrency ?? 2));
     while (this.workers.length < count) this.workers.push(await worker((message) => this.answer?.(message)));
@@ -82,7 +83,11 @@ export class Crew {
     let running = count;
     this.answer = (message) => {
       if (message.id !== this.id) return;
-      if (message.refusal) throw new Error(message.refusal);
+      if (message.refusal) {
+        this.stop(); // the other workers refuse the same
+        refuse(message.known ? message.refusal : `The core failed: ${message.refusal}`);
+        return;
+      }
       if (message.finished) running -= 1;
       answer(message.cells, running === 0);
     };

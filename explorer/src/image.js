@@ -1,6 +1,6 @@
 /** The image plane: paths of the features, their goals, which can be dragged, and where they are now. */
 import { short } from "./format.js";
-import { cleared, colours, lineColour, pointIn, ticks } from "./view.js";
+import { cleared, colours, isShortcut, lineColour, pointIn, ticks } from "./view.js";
 
 const NEAR = 22; // pixels within which a goal is taken
 const PAD = 34;
@@ -17,7 +17,7 @@ export class ImageView {
     this.chosen = 0;
     canvas.addEventListener("pointerdown", (event) => this.take(event));
     canvas.addEventListener("pointermove", (event) => this.move(event));
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.release(event));
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, (event) => this.release(event));
     canvas.addEventListener("keydown", (event) => this.key(event));
   }
 
@@ -54,6 +54,7 @@ export class ImageView {
   /** @param {number} row the sample of now */
   draw(row) {
     if (!this.shown) return;
+    this.row = row;
     const [c, width, height] = cleared(this.canvas);
     const { goals, samples, rows, points } = this.shown;
     const colour = colours();
@@ -164,10 +165,12 @@ export class ImageView {
   }
 
   take(event) {
-    if (!this.shown) return;
+    if (!this.shown || this.held >= 0 || event.button !== 0) return; // a second finger, or the button of a menu
     const point = this.near(event);
     if (point < 0) return;
     this.held = this.chosen = point;
+    this.pointer = event.pointerId;
+    this.last = this.shown.goals.slice(2 * point, 2 * point + 2);
     this.canvas.setPointerCapture(event.pointerId);
     event.preventDefault();
   }
@@ -178,14 +181,16 @@ export class ImageView {
       this.canvas.style.cursor = this.near(event) < 0 ? "default" : "grab";
       return;
     }
-    this.set(this.held, this.at(event), false);
+    if (event.pointerId !== this.pointer) return;
+    this.last = this.at(event);
+    this.set(this.held, this.last, false);
   }
 
   release(event) {
-    if (this.held < 0) return;
+    if (this.held < 0 || event.pointerId !== this.pointer) return;
     const point = this.held;
     this.held = -1;
-    this.set(point, this.at(event), true);
+    this.set(point, event.type === "pointerup" ? this.at(event) : this.last, true); // one that was cancelled is at no place
   }
 
   set(point, [x, y], final) {
@@ -197,7 +202,7 @@ export class ImageView {
 
   key(event) {
     const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-    if (!this.shown?.movable) return;
+    if (!this.shown?.movable || isShortcut(event)) return;
     if (event.key in steps) {
       const size = event.shiftKey ? 10 : 1;
       const [dx, dy] = steps[event.key];
@@ -206,7 +211,7 @@ export class ImageView {
       event.preventDefault();
     } else if (/^[1-9]$/.test(event.key) && Number(event.key) <= this.shown.points) {
       this.chosen = Number(event.key) - 1;
-      this.draw(0);
+      this.draw(this.row);
     }
   }
 }

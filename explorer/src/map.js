@@ -3,7 +3,7 @@ import { element, fromPlace, sliders, toPlace } from "./controls.js";
 import { Crew } from "./engine.js";
 import { readable, short, withUnit } from "./format.js";
 import { drawn, metrics, valueOf } from "./model.js";
-import { cleared, colours, pointIn } from "./view.js";
+import { cleared, colours, isShortcut, pointIn } from "./view.js";
 
 const SIZE = 64;
 const LEFT = 64, BOTTOM = 34;
@@ -47,6 +47,7 @@ export class ParameterMap {
     this.by = box.querySelector("[name=metric]");
     this.button = box.querySelector("button");
     this.by.append(...metrics.map(({ name }) => element("option", { value: name }, name.replaceAll("_", " "))), element("option", { value: "outcome" }, "outcome"));
+    this.refusal = "";
     this.button.addEventListener("click", () => (this.running ? this.stop() : this.start()));
     this.by.addEventListener("change", () => this.draw());
     for (const select of [this.x, this.y]) select.addEventListener("change", () => this.forget());
@@ -58,6 +59,7 @@ export class ParameterMap {
   }
 
   show(state) {
+    if (state !== this.state) this.refusal = "";
     this.state = state;
     const list = sliders(state);
     const shape = list.map(({ id }) => id).join();
@@ -82,7 +84,13 @@ export class ParameterMap {
   stop() {
     this.crew.stop();
     this.running = false;
+    this.seconds = (performance.now() - this.began) / 1000;
     this.button.textContent = "Compute the map";
+  }
+
+  refuse(words) {
+    this.refusal = words;
+    this.forget();
   }
 
   start() {
@@ -96,6 +104,7 @@ export class ParameterMap {
     this.base = base;
     this.cells = new Array(SIZE * SIZE).fill(null);
     this.count = 0;
+    this.refusal = "";
     this.running = true;
     this.button.textContent = "Stop";
     this.began = performance.now();
@@ -104,16 +113,13 @@ export class ParameterMap {
       const state = this.at(base, place % SIZE, Math.floor(place / SIZE));
       return [place, ...names.map((key) => valueOf(state, key))];
     });
-    this.crew.map(drawn(base), names, cells, (answers, finished) => {
-      for (const [place, outcome, values] of answers) this.cells[place] = { outcome, values };
+    const take = (answers, finished) => {
+      for (const [place, outcome, values, refusal] of answers) this.cells[place] = { outcome, values, refusal };
       this.count += answers.length;
-      if (finished) {
-        this.running = false;
-        this.seconds = (performance.now() - this.began) / 1000;
-        this.button.textContent = "Compute the map";
-      }
+      if (finished) this.stop();
       this.soon();
-    });
+    };
+    this.crew.map(drawn(base), names, cells, take, (words) => this.refuse(words));
   }
 
   /** Draws once for all answers of the next tenth of a second. */
@@ -170,7 +176,7 @@ export class ParameterMap {
     if (!this.cells) {
       c.textAlign = "center";
       c.fillText("64 × 64 runs of this scenario", LEFT + side[0] / 2, 8 + side[1] / 2);
-      if (!this.running) this.words.textContent = "Each pixel will be a run of the scenario above with two keys varied.";
+      if (!this.running) this.words.textContent = this.refusal || "Each pixel will be a run of the scenario above with two keys varied.";
       return;
     }
     const range = this.range();
@@ -191,6 +197,7 @@ export class ParameterMap {
     this.labels(c, width, height, colour);
     this.marks(c, colour);
     if (this.running) this.words.textContent = `${this.count} of ${SIZE * SIZE} runs`;
+    else if (this.cells.every((cell) => cell?.refusal)) this.words.textContent = this.cells[0].refusal;
     else this.words.textContent = `${this.count} runs in ${short(this.seconds, 3)} s. ${this.legend(range)} Click a pixel to take its values.`;
     this.canvas.dataset.done = this.running ? "" : "yes";
   }
@@ -272,6 +279,7 @@ export class ParameterMap {
   }
 
   key(event) {
+    if (isShortcut(event)) return;
     const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
     if (event.key in moves) {
       this.cursor = this.cursor.map((value, i) => Math.max(0, Math.min(SIZE - 1, value + moves[event.key][i] * (event.shiftKey ? 8 : 1))));

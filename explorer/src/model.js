@@ -72,10 +72,19 @@ export function toAddress(state) {
   return `#${parts.join("&")}`;
 }
 
+/** Text of a part of an address; "" of what was cut within a letter. */
+function decoded(part) {
+  try {
+    return decodeURIComponent(part);
+  } catch {
+    return "";
+  }
+}
+
 /** Keys and values that are not known are left out. */
 export function fromAddress(hash) {
   const [name, ...parts] = hash.replace(/^#/, "").split("&").filter(Boolean);
-  let state = { preset: presetOf(name ? decodeURIComponent(name) : "").name, changes: {} };
+  let state = { preset: presetOf(decoded(name ?? "")).name, changes: {} };
   for (const part of parts) {
     const place = part.indexOf("=");
     const key = part.slice(0, place);

@@ -22,7 +22,7 @@ export class MachineView {
     this.viewpoint = new Viewpoint(box, () => this.draw(this.row));
     box.addEventListener("pointerdown", (event) => this.take(event));
     box.addEventListener("pointermove", (event) => this.move(event));
-    for (const name of ["pointerup", "pointercancel"]) box.addEventListener(name, () => this.release());
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) box.addEventListener(name, (event) => this.release(event));
   }
 
   /** @param {object} result of the core, with `up`: the direction against gravity in B */
@@ -118,9 +118,9 @@ export class MachineView {
   }
 
   take(event) {
-    if (!this.platform) return;
+    if (!this.platform || this.held || event.button !== 0) return; // a second finger, or the button of a menu
     this.box.setPointerCapture(event.pointerId);
-    this.held = { x: event.clientX, y: event.clientY };
+    this.held = { pointer: event.pointerId, x: event.clientX, y: event.clientY };
     if (!this.isOnPlatform(event)) return;
     const plane = new Plane().setFromNormalAndCoplanarPoint(this.viewpoint.direction, positionAt(this.result, 0));
     this.held.place = (at) => this.ray(at).ray.intersectPlane(plane, new Vector3());
@@ -131,16 +131,18 @@ export class MachineView {
   move(event) {
     if (!this.platform) return;
     if (!this.held) this.box.style.cursor = this.isOnPlatform(event) ? "move" : "grab";
+    else if (event.pointerId !== this.held.pointer) return;
     else if (this.held.start) this.drag(this.held.place(event).sub(this.held.start).toArray(), "move");
     else {
       const { x, y } = this.held;
-      this.held = { x: event.clientX, y: event.clientY };
+      Object.assign(this.held, { x: event.clientX, y: event.clientY });
       this.viewpoint.turn(0.008 * (event.clientX - x), 0.008 * (event.clientY - y));
     }
   }
 
-  release() {
-    const moved = this.held?.start;
+  release(event) {
+    if (event.pointerId !== this.held?.pointer) return;
+    const moved = this.held.start;
     this.held = null;
     if (moved) this.drag(null, "end");
   }

@@ -56,11 +56,13 @@ export function ball(at, radius, fill, rim) {
   return object;
 }
 
+const longestFirst = (arrows) => [...arrows].sort((a, b) => b.length() - a.length());
+
 /** A plate of some height on joints, towards `up`. */
 export function plate(joints, height, up, color) {
   const middle = mean(joints);
   const arms = joints.map((joint) => joint.clone().sub(middle));
-  const [normal] = arms.map((arm) => arm.clone().cross(arms[0])).sort((a, b) => b.length() - a.length());
+  const [normal] = longestFirst(arms.map((arm) => arm.clone().cross(arms[0])));
   normal.setLength(height * Math.sign(normal.dot(up) || 1));
   return new three.Mesh(new ConvexGeometry([...joints, ...joints.map((joint) => joint.clone().add(normal))]), new three.MeshLambertMaterial({ color }));
 }
@@ -73,10 +75,23 @@ export function pyramid(half, reach, color) {
   return new three.Group().add(new three.Mesh(geometry, glass), lines(new three.EdgesGeometry(geometry), color, 1));
 }
 
+/** Arrows from one point, in the order of their directions in the plane that they are in. */
+function around(arrows) {
+  const [x] = longestFirst(arrows);
+  const normal = longestFirst(arrows.map((arrow) => x.clone().cross(arrow)))[0].normalize();
+  const y = normal.cross(x);
+  const angle = (arrow) => Math.atan2(arrow.dot(y), arrow.dot(x));
+  return [...arrows].sort((a, b) => angle(a) - angle(b));
+}
+
 /** A polygon that shows what is behind it. Its triangles are drawn one after the other, so that they become one shape. */
 export function pane(corners, color) {
-  const geometry = new three.BufferGeometry().setFromPoints(corners).setIndex(corners.slice(2).flatMap((_, i) => [0, i + 1, i + 2]));
+  const middle = mean(corners);
+  const arms = around(corners.map((corner) => corner.clone().sub(middle))); // points of a target come in any order
+  const triangles = arms.flatMap((arm, i) => [new three.Vector3(), arm, arms[(i + 1) % arms.length]]);
+  const geometry = new three.BufferGeometry().setFromPoints(triangles);
   const made = new three.Mesh(geometry, new three.MeshBasicMaterial({ color, side: three.DoubleSide, opacity: 0.12 }));
+  made.position.copy(middle);
   made.renderOrder = BEHIND;
   return made;
 }

@@ -44,6 +44,9 @@ export function pointIn(canvas, event) {
   return [event.clientX - box.left, event.clientY - box.top];
 }
 
+/** Whether a key is one of the browser's own, to go back or to enlarge the page. */
+export const isShortcut = (event) => event.ctrlKey || event.metaKey || event.altKey;
+
 /** Numbers for about `count` ticks between two limits. */
 export function ticks(low, high, count) {
   const raw = (high - low) / count;

@@ -1,5 +1,6 @@
 /** Where the machine is seen from: a camera that pointer, wheel and keys turn, and that always sees all of some points. */
 import { Box3, PerspectiveCamera, Quaternion, Spherical, Vector3 } from "three";
+import { isShortcut } from "./view.js";
 
 const MARGIN = 26; // pixels
 const DISTANCE = 4.2; // of the camera, of half the diagonal of what it sees
@@ -23,7 +24,7 @@ export class Viewpoint {
     }, { passive: false });
     box.addEventListener("keydown", (event) => {
       const turns = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1], "+": [0, 0, 1.2], "=": [0, 0, 1.2], "-": [0, 0, 1 / 1.2] };
-      if (!(event.key in turns)) return;
+      if (!(event.key in turns) || isShortcut(event)) return;
       event.preventDefault();
       this.turn(...turns[event.key]);
     });

@@ -2,7 +2,7 @@
  * Runs scenarios away from the page. Of two requests for a run the newer one counts: the older one is left where it is.
  *
  * In: {module}; {id, scenario}: a run; {id, map: {scenario, names, cells: [[index, a, b]...]}}; {id}: stop.
- * Out: {ready}; {id, result} or {id, refusal}, {id, progress}; {id, cells: [[index, outcome, metrics]...]}.
+ * Out: {ready}; {id, result} or {id, refusal}, {id, progress}; {id, cells: [[index, outcome, metrics, refusal]...]} or {id, refusal}.
  */
 import { Core, Refusal } from "./core.js";
 
@@ -41,6 +41,7 @@ async function run(id, scenario) {
 
 async function map(id, { scenario, names, cells }) {
   const base = { ...scenario, "simulation.log_every": 1e9 };
+  for (const name of names) delete base[name]; // every cell sets them, so what the core refuses here it refuses of each
   core.apply(base);
   let done = [];
   let since = performance.now();
@@ -54,7 +55,7 @@ async function map(id, { scenario, names, cells }) {
       core.end();
     } catch (error) {
       if (!(error instanceof Refusal)) throw error;
-      done.push([index, "refused", {}]);
+      done.push([index, "refused", {}, error.message]);
     }
     if (performance.now() - since > PIECE) {
       postMessage({ id, cells: done });

@@ -318,6 +318,138 @@ def test_the_platform_follows_the_pointer(visit: Visit) -> None:
     page.mouse.up()
 
 
+class Fingers:
+    """Fingers on the page: each call gives the places of those that are down after it."""
+
+    def __init__(self, page: Page) -> None:
+        self.session = page.context.new_cdp_session(page)
+
+    def __call__(self, kind: str, *places: tuple[float, float]) -> None:
+        points = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(places)]
+        self.session.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+
+
+def beside(place: tuple[float, float], right: float, down: float) -> tuple[float, float]:
+    """Return a place some pixels away."""
+    return place[0] + right, place[1] + down
+
+
+def place_of(page: Page, name: str, cursor: str) -> tuple[float, float]:
+    """Return the first place of a view, row by row, at which the pointer has a form."""
+    box = page.locator(name).bounding_box()
+    assert box is not None
+    for down in range(20, int(box["height"]), 16):
+        for right in range(20, int(box["width"]) - 20, 16):
+            place = (box["x"] + right, box["y"] + down)
+            page.mouse.move(*place)
+            if page.locator(name).evaluate("view => view.style.cursor") == cursor:
+                return place
+    raise AssertionError(f"{name}: no place where the pointer is {cursor}")
+
+
+@in_browser
+def test_the_view_turns_with_one_pointer_and_the_first_button(visit: Visit) -> None:
+    """Motion to the side turns it about the vertical, so that the viewer stays at one height."""
+    page = visit.page
+    fingers = Fingers(page)
+
+    def viewer() -> list[float]:
+        found: list[float] = page.evaluate("explorer.viewer()")
+        return found
+
+    def turned(before: list[float]) -> list[float]:
+        page.wait_for_function("before => explorer.viewer().some((x, i) => x !== before[i])", arg=before)
+        return viewer()
+
+    free, platform = place_of(page, "#scene", "grab"), place_of(page, "#scene", "move")
+    start = viewer()
+    page.mouse.move(*free)
+    page.mouse.down(button="right")
+    page.mouse.move(*beside(free, 30, 20))
+    page.mouse.up(button="right")
+    fingers("Start", free)
+    fingers("Move", beside(free, 20, 0))
+    once = turned(start)
+    fingers("Start", beside(free, 20, 0), platform)
+    fingers("Move", beside(free, 20, 0), beside(platform, 0, 40))
+    page.locator("#scene").dispatch_event("pointerup", {"pointerId": 99})
+    fingers("Move", beside(free, 40, 0), beside(platform, 0, 40))
+    twice = turned(once)
+    fingers("End")
+    assert [once[2], twice[2]] == pytest.approx([start[2]] * 2, rel=1e-9)
+    assert page.evaluate("explorer.state.changes") == {}
+
+
+@in_browser
+def test_a_goal_follows_one_pointer_and_stays_where_that_is_lost(visit: Visit) -> None:
+    page = visit.page
+    fingers = Fingers(page)
+    goal = place_of(page, "#image", "grab")
+    page.mouse.move(*goal)
+    page.mouse.down(button="right")
+    page.mouse.move(*beside(goal, 30, 10))
+    page.mouse.up(button="right")
+    assert page.evaluate("explorer.state.changes") == {}
+    fingers("Start", goal)
+    page.evaluate("explorer.shown = null")
+    fingers("Move", beside(goal, 20, 10))
+    page.wait_for_function("explorer.shown !== null")
+    dragged = page.evaluate("explorer.state.changes")
+    assert list(dragged) == ["target.desired_features"]
+    fingers("Start", beside(goal, 20, 10), beside(goal, 40, 50))
+    fingers("Move", beside(goal, 20, 10), beside(goal, 80, 90))
+    page.evaluate("explorer.shown = null")
+    fingers("Cancel")
+    page.wait_for_function("explorer.shown !== null")
+    assert page.evaluate("explorer.state.changes") == dragged
+
+
+@in_browser
+def test_the_pane_of_the_target_is_all_between_its_points(visit: Visit) -> None:
+    """The points of `paper` do not go round it in the order of their numbers."""
+    visit.go("#paper")
+    corners = np.array(visit.page.evaluate(DISCS, ["c0", "c1", "c2", "c3"]))
+    weights = np.random.default_rng(1).dirichlet(np.ones(4), 200)
+    filled = visit.page.evaluate(
+        """places => {
+          const pane = [...document.querySelectorAll('#scene path')].find(path => path.style.fillOpacity === '0.12');
+          return places.map(([x, y]) => pane.isPointInFill(new DOMPoint(x, y)));
+        }""",
+        (weights @ corners).tolist(),
+    )
+    assert all(filled)
+
+
+@in_browser
+def test_shortcuts_of_the_browser_are_left_to_it(visit: Visit) -> None:
+    page = visit.page
+    page.click("#map-section summary")
+    for name in ("#scene", "#image", "#map canvas"):
+        for held in ("ctrlKey", "metaKey", "altKey", None):
+            taken = page.locator(name).evaluate(
+                """(view, held) => !view.dispatchEvent(
+                  new KeyboardEvent('keydown', { key: 'ArrowLeft', cancelable: true, ...(held && { [held]: true }) })
+                )""",
+                held,
+            )
+            assert taken == (held is None), (name, held)
+
+
+@in_browser
+def test_a_goal_that_is_chosen_leaves_the_time_alone(visit: Visit) -> None:
+    page = visit.page
+    page.evaluate(
+        "() => { const time = document.getElementById('time'); time.value = 1; time.dispatchEvent(new Event('input')) }"
+    )
+    image = page.locator("#image")
+    image.focus()
+    before = image.evaluate("canvas => canvas.toDataURL()")
+    page.keyboard.press("2")
+    assert image.evaluate("canvas => canvas.toDataURL()") != before, "the ring is about another goal"
+    page.keyboard.press("1")
+    assert image.evaluate("canvas => canvas.toDataURL()") == before
+
+
 @in_browser
 def test_no_slider_of_a_preset_is_marked_as_changed(visit: Visit) -> None:
     """Where the sliders of two presets are alike too, each goes back to the preset's own values."""
@@ -360,6 +492,16 @@ def test_an_address_with_what_is_unknown_is_read_as_far_as_it_goes(visit: Visit)
     assert visit.page.evaluate("explorer.state") == {"preset": "paper", "changes": {"uncertainty.gravity": 0.01}} or (
         visit.page.evaluate("Object.keys(explorer.state.changes)") == ["uncertainty.gravity"]
     )
+
+
+@in_browser
+@pytest.mark.parametrize("address", ["#%", "#%E0&uncertainty.gravity=0.01"])
+def test_an_address_that_was_cut_is_one_of_the_default_preset(browser: Browser, file: Path, address: str) -> None:
+    visit = Visit(browser, file, address)
+    assert visit.page.evaluate("explorer.state.preset") == "paper"
+    assert len(visit.page.evaluate("Object.keys(explorer.state.changes)")) == address.count("&")
+    assert visit.problems == []
+    visit.context.close()
 
 
 @in_browser
@@ -425,6 +567,23 @@ def test_a_map_has_the_numbers_of_single_runs(visit: Visit) -> None:
     outcome, expected = native(hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")))
     end = visit.end()
     assert (outcome, end["metrics"]["final_error"]) == ("completed", pytest.approx(expected["final_error"], rel=1e-9))
+
+
+@in_browser
+@pytest.mark.parametrize("change", ["controller.switching.kind=implicit", "controller.switching.kind=nosuch"])
+def test_a_map_of_what_the_core_refuses_gives_its_words(browser: Browser, file: Path, change: str) -> None:
+    """Of the first every run is refused, of the second a value that all of them have."""
+    visit = Visit(browser, file, f"#paper&{change}")
+    page = visit.page
+    refusal = page.evaluate("explorer.refusal")
+    assert refusal.startswith(change.partition("=")[0])
+    page.click("#map-section summary")
+    button = page.locator("#map button")
+    button.click()
+    page.wait_for_function("words => document.querySelector('#map [data-words]').textContent === words", arg=refusal)
+    assert button.inner_text() == "Compute the map"
+    assert visit.problems == []
+    visit.context.close()
 
 
 # --- people and devices
