@@ -346,3 +346,24 @@ def test_masked_features_are_a_missing_image_and_integers_may_be_masked(paper: h
     assert hs.Controller(paper).step(**{**given, "features": nothing_seen}).status == "missing_image"
     whole = np.ma.masked_array([1, 0, 0, 0], mask=[False, True, False, False])
     assert hs.Controller(paper).step(**{**given, "quaternion": whole}).status == "unusable"
+
+
+@pytest.mark.parametrize("wrong", [0.5, np.inf, np.nan])
+def test_lengths_at_a_wrong_clock_give_no_rate(wrong: float) -> None:
+    """Legs of constant speed: differences over one tick and over two are the same, whatever the clock was between."""
+    changes = {"controller.law": "kelly", "sensors.pose": "encoders", "camera.prediction": "none"}
+    scenario = hs.load_scenario("composite-30hz").updated(changes)
+    home = np.array(_core.Hexapod(core_parameters(scenario).robot).home_lengths)
+    features = np.array(scenario.target.initial_features)
+    image: dict[str, Any] = {"features": features, "depth": np.full(4, -0.5), "exposure": 1.0}
+
+    def last(clock: float) -> hs.ControllerOutput:
+        controller = hs.Controller(scenario)
+        for tick in range(6):
+            now = clock if tick == 4 else 1.0 + 1e-3 * tick
+            legs = home + 1e-5 * tick * np.arange(1, 7)
+            out = controller.step(**(image if tick == 0 else {}), leg_lengths=legs, now=now)
+            assert out.status == ("valid" if tick != 4 or clock == 1.004 else "unusable")
+        return out
+
+    np.testing.assert_allclose(last(wrong).wrench, last(1.004).wrench, rtol=1e-9, atol=1e-12)
