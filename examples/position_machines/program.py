@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import hexservo as hs
+from hexservo.scenario.parameters import frame_period
 from position_machines.clock import Clock, RealClock, SimulatedClock, interrupts
 from position_machines.kinematics import Kinematics
 from position_machines.lines import LinkError
@@ -76,8 +77,8 @@ def main(program: Program, given: Sequence[str] | None = None) -> int:
         try:
             scenario = _scenario(options, program)
             if options.out is not None:
-                camera_period = scenario.camera.period or scenario.simulation.step
-                log = LogFile(options.out, len(scenario.target.desired_features or ()) // 2, camera_period)
+                points = len(scenario.target.desired_features or ()) // 2
+                log = LogFile(options.out, points, frame_period(scenario))
                 stack.callback(log.close)
             kinematics = Kinematics(scenario)
             limits = Limits.of(kinematics)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import hexservo as hs
+from hexservo.scenario.parameters import frame_period
 from position_machines.clock import Clock
 from position_machines.kinematics import Kinematics
 from position_machines.lines import LinkError
@@ -121,12 +122,14 @@ class Ending:
 
 
 def is_new(frame: Frame, before: Frame | None, period: float) -> bool:
-    """Whether an image is not the one that was read before: another content, or an exposure half a period later.
+    """Whether an image is neither the one that was read before nor an older one.
 
-    Its age is measured again at each reading, and so its exposure is never quite the same.
+    Its age is measured again at each reading, and so its exposure is never quite the same: within half a period of the
+    camera, two images differ by their content.
     """
-    if before is None or frame.exposure > before.exposure + 0.5 * period:
-        return True
+    later = np.inf if before is None else frame.exposure - before.exposure
+    if before is None or abs(later) > 0.5 * period:
+        return bool(later > 0.0)
     return not (np.array_equal(frame.features, before.features) and np.array_equal(frame.depth, before.depth))
 
 
@@ -233,8 +236,8 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
     """
     used: Frame | None = None  # that the controller has
     valid = 0.0
-    camera = controller.scenario.camera
-    period = camera.period or controller.scenario.simulation.step
+    stamped = controller.scenario.camera.latency_known
+    period = frame_period(controller.scenario)
 
     def decide(now: float, reading: Reading) -> Array:
         nonlocal used, valid
@@ -245,7 +248,7 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
         image: dict[str, object] = {}
         if frame is not None and is_new(frame, used, period):
             used = frame
-            exposure = min(frame.exposure, now) if camera.latency_known else now
+            exposure = min(frame.exposure, now) if stamped else now
             image = {"features": frame.features, "depth": frame.depth, "exposure": exposure}
         output = controller.step(**image, leg_lengths=reading.legs, now=now)  # type: ignore[arg-type]
         if not output.invalid_input:

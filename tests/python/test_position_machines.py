@@ -135,6 +135,7 @@ def test_an_image_that_is_read_twice_is_one(tmp_path: Path, clock: SimulatedCloc
     still = Frame(features, np.full(4, -1.0), 1.0)
     assert not is_new(Frame(features, np.full(4, -1.0), 1.001), still, period)
     assert is_new(Frame(features, np.full(4, -1.0), 1.04), still, period)  # nothing moves, and the camera goes on
+    assert not is_new(Frame(features + 1.0, np.full(4, -1.0), 0.96), still, period)  # one that was overtaken
 
 
 # ---- The simulated machine ------------------------------------------------------------------------------------------

@@ -168,10 +168,9 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
     """
     plan, record = read_plan(folder)
     store = Store(folder, plan, record)
-    until = None if plan.until is None else plan.until.to_plain()
     try:
         summary = json.loads((store.folder / SUMMARY).read_text(encoding="utf-8"))
-        is_of_plan = summary["planned_runs"] == plan.runs and summary["until"] == until
+        is_of_plan = summary["planned_runs"] == plan.runs and summary["until"] == plan.to_mapping()["until"]
         if summary["campaign"] == record["campaign"] and is_of_plan and summary["complete"]:
             return CampaignResult(store.folder, plan, summary)
     except (OSError, ValueError, KeyError, TypeError):
