@@ -266,6 +266,35 @@ TEST_CASE("a pack of poses goes through both kinematics as single ones do, whate
       CHECK(distance(lane_of(found.pose.position, lane), single.pose.position) <= 5e-12);
       CHECK(distance(lane_of(found.pose.quaternion, lane), single.pose.quaternion) <= 5e-11);
     }
+    Vector6<S> same_lengths;
+    Pose<S> same_start;
+    for (int other = 0; other < 4; ++other) {
+      set_lane(same_lengths, other, lengths_of[i]);
+      set_lane(same_start.position, other, start_of[i].position);
+      set_lane(same_start.quaternion, other, start_of[i].quaternion);
+    }
+    const ForwardKinematics<S> alike = forward_kinematics(pack, same_lengths, same_start);  // ends when this lane does
+    CHECK(lane_of(alike.pose.position, 0) == lane_of(found.pose.position, lane));
+    CHECK(lane_of(alike.pose.quaternion, 0) == lane_of(found.pose.quaternion, lane));
+  }
+}
+
+TEST_CASE("the last Newton step is the one whose square is below rounding: two find a pose from close by") {
+  Random random(7409);
+  CAPTURE(random.seed());
+  for (const std::string_view preset : kRobotPresets) {
+    CAPTURE(preset);
+    const Hexapod<double> hexapod = make_hexapod(robot_preset(preset));
+    for (int trial = 0; trial < 100; ++trial) {
+      const Pose<double> pose = pose_within_stroke(hexapod, random);
+      const Vector6<double> lengths = legs_at(hexapod, pose).lengths;
+      const Pose<double> start = stepped(pose, random.six(1e-5 * hexapod.platform_radius, 1e-5));
+      const ForwardKinematics<double> twice = forward_kinematics(LegGeometry<double>(hexapod), lengths, start, 2);
+      const ForwardKinematics<double> all = forward_kinematics(hexapod, lengths, start);
+      CHECK(twice.converged);
+      CHECK(all.pose.position == twice.pose.position);
+      CHECK(all.pose.quaternion == twice.pose.quaternion);
+    }
   }
 }
 

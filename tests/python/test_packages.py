@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import json
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -11,7 +13,7 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis import PARTS
-from packages import PACKAGES, PICTURE, SOURCES, Import, imports, module_name, package_of, picture
+from packages import PACKAGES, PICTURE, ROOT, SOURCES, Import, imports, module_name, package_of, picture
 
 MOST_LINES = 500
 TOP = {"", "plots", "__main__"}  # the public names: hexservo itself and hexservo.plots
@@ -127,6 +129,15 @@ def test_module_names_have_no_underscore_in_front(package: str) -> None:
 def test_no_long_files() -> None:
     lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES.rglob("*.py")}
     assert {path.relative_to(SOURCES).as_posix(): n for path, n in lengths.items() if n > MOST_LINES} == {}
+
+
+def test_tests_that_start_threads_run_under_the_thread_sanitizer() -> None:
+    presets = json.loads((ROOT / "CMakePresets.json").read_text())
+    targets = next(preset["targets"] for preset in presets["buildPresets"] if preset["name"] == "tsan")
+    run = next(preset["filter"]["include"]["name"] for preset in presets["testPresets"] if preset["name"] == "tsan")
+    starting = {path.stem for path in ROOT.glob("tests/cpp/test_*.cpp") if re.search(r"\bthreads\b", path.read_text())}
+    assert set(targets) == starting
+    assert run == f"^({'|'.join(targets)})$"
 
 
 def test_no_two_classes_of_one_name() -> None:

@@ -66,13 +66,13 @@ class Encoders {
 
   /// What is read at a tick, if it is one of theirs.
   /// @param legs at the true pose; @param twist true, in B [m/s; rad/s]
-  LegReading<S> read(long long tick, const Legs<S>& legs, const Vector6<S>& twist) const noexcept {
+  LegReading<S> read(long long tick, const LegsSideBySide<S>& legs, const Vector6<S>& twist) const noexcept {
     LegReading<S> reading;
     if (tick % p_.period != 0) return reading;
-    reading.lengths = legs.lengths;
+    reading.lengths = legs.lengths.vector();
     if (noisy_) reading.lengths += p_.noise * stream_.template normal<6>(static_cast<std::uint64_t>(tick / p_.period));
     for (int i = 0; i < 6; ++i) reading.lengths(i) = quantise(reading.lengths(i), p_.resolution);
-    if (p_.rate == RateSource::true_rates) reading.rates = legs.rates(twist);
+    if (p_.rate == RateSource::true_rates) reading.rates = Legs<S>::of(legs).rates(twist);
     return reading;
   }
 

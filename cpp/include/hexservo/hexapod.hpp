@@ -271,6 +271,21 @@ struct LegsSideBySide {
   }
 };
 
+/// In each lane one or the other.
+template <int W>
+LegsSideBySide<Lanes<W>> select(LaneMask<W> condition, const LegsSideBySide<Lanes<W>>& yes,
+                                const LegsSideBySide<Lanes<W>>& no) {
+  const auto choose = [&](const Vectors3<Lanes<W>, 6>& a, const Vectors3<Lanes<W>, 6>& b) {
+    Vectors3<Lanes<W>, 6> chosen;
+    chosen.x = select(condition, a.x, b.x);
+    chosen.y = select(condition, a.y, b.y);
+    chosen.z = select(condition, a.z, b.z);
+    return chosen;
+  };
+  return {select(condition, yes.lengths, no.lengths), choose(yes.directions_B, no.directions_B),
+          choose(yes.arms_B, no.arms_B)};
+}
+
 /// The legs at one pose.
 template <class S>
 struct Legs {
@@ -404,11 +419,10 @@ class WrenchMapSolver {
   }
 
   /// chi-dot (m/s; rad/s, in B) with H^T chi-dot = leg rates [m/s].
-  Vector6<S> twist(const Vector6<S>& leg_rates) const { return displacement(leg_rates); }
+  Vector6<S> twist(const Vector6<S>& leg_rates) const { return displacement(LegVector<S>(leg_rates)); }
 
   /// Small displacement (m; rad, in B) with H^T d = leg length changes [m].
-  Vector6<S> displacement(const Vector6<S>& length_changes) const {
-    const LegVector<S> changes(length_changes);
+  Vector6<S> displacement(const LegVector<S>& changes) const {
     Vector6<S> b;
     for (std::size_t i = 0; i < 6; i += 2) {
       const auto [first, second] = dots(H_[i], changes, H_[i + 1], changes);
@@ -449,10 +463,11 @@ enum class KinematicsStatus { converged, not_converged, singular };
 /// Pose found from leg lengths, with what is left.
 template <class S>
 struct ForwardKinematics {
-  Pose<S> pose;       ///< platform pose in B, unit quaternion
-  S residual;         ///< max |l(pose) - l| [m]
-  Mask<S> converged;  ///< residual within `kKinematicsTolerance`
-  Mask<S> singular;   ///< a Newton matrix was singular on the way; the pose is the last one before it
+  Pose<S> pose;            ///< platform pose in B, unit quaternion
+  LegsSideBySide<S> legs;  ///< there
+  S residual;              ///< max |l(pose) - l| [m]
+  Mask<S> converged;       ///< residual within `kKinematicsTolerance`
+  Mask<S> singular;        ///< a Newton matrix was singular on the way; the pose is the last one before it
 };
 
 inline constexpr double kKinematicsTolerance = 1e-12;  ///< residual of a converged forward kinematics [m]
@@ -469,15 +484,25 @@ Pose<S> stepped(const Pose<S>& pose, const Vector6<S>& d) {
   return next;
 }
 
+/// A pose after a period at a twist, to fourth order in the angle.
+template <class S>
+Pose<S> carried(const Pose<S>& pose, const Vector6<S>& twist, const S& period) {
+  Vector6<S> way = period * twist;
+  const Vector3<S> turn = way.template tail<3>();
+  const S tangent = S(1.0) + S(1.0 / 12.0) * turn.squaredNorm();  // of half the angle, over it
+  for (int i = 3; i < 6; ++i) way(i) *= tangent;
+  return stepped(pose, way);
+}
+
 /// What of a Newton step rotary legs follow: it is halved until the cranks close and their angles come nearer.
 template <class S>
-[[gnu::noinline, gnu::cold]] S followed_share(const Hexapod<S>& hexapod, const Pose<S>& pose, const Vector6<S>& d,
+[[gnu::noinline, gnu::cold]] S followed_share(const LegGeometry<S>& geometry, const Pose<S>& pose, const Vector6<S>& d,
                                               const Vector6<S>& angles) {
   constexpr int kHalvings = 10;
   const auto distance = [&](const S& share) {
     const Pose<S> next = stepped(pose, Vector6<S>(share * d));
-    return S(
-        (inverse_kinematics(hexapod, next.position, rotation_matrix(next.quaternion)).lengths - angles).squaredNorm());
+    const LegsSideBySide<S> legs = inverse_kinematics(geometry, next.position, rotation_matrix(next.quaternion));
+    return S((legs.lengths.vector() - angles).squaredNorm());
   };
   const S before = distance(S(0.0));
   S share(1.0);
@@ -485,47 +510,64 @@ template <class S>
   return share;
 }
 
-/// Forward kinematics by Newton's method on l(pose) = lengths from a start pose; steps are limited to r_p and 0.5 rad.
+/// Size of a Newton step, over r_p or 0.5 rad, whose square is below rounding: the last one.
+inline constexpr double kLastNewtonStep = 1e-8;
+
+/// Newton's method on l(pose) = lengths; steps are limited to r_p and 0.5 rad.
 ///
-/// A hexapod has up to 40 poses for the same lengths; Newton finds one near `start`. A fixed number of rounds bounds
-/// the time.
-/// @param rounds Newton rounds >= 0; four find a pose within 0.1 r_p and 0.1 rad, as of one sample ago
+/// Each lane ends at its last step, whatever its neighbours do.
+/// @param result pose of a unit quaternion, and legs there, to start from
+/// @param rounds Newton rounds >= 0, at most
 template <class S>
-ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start,
-                                        int rounds = kKinematicsRounds) {
+ForwardKinematics<S> solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, ForwardKinematics<S> result,
+                                int rounds) {
+  using std::abs;
   using std::sqrt;
   constexpr double kMaxRotation = 0.5;  // [rad] a round
-  ForwardKinematics<S> result;
-  result.pose = start;
-  result.pose.quaternion /= sqrt(result.pose.quaternion.squaredNorm());
+  const LegVector<S> goal(lengths);
   result.singular = S(1.0) < S(0.0);
-
-  const auto legs_at = [&](const Pose<S>& pose) {
-    return inverse_kinematics(hexapod, pose.position, rotation_matrix(pose.quaternion));
-  };
-  const auto distance = [&](const Vector6<S>& a) {
-    using std::abs;
-    S largest = abs(a(0) - lengths(0));
-    for (int i = 1; i < 6; ++i) largest = max(largest, S(abs(a(i) - lengths(i))));
-    return largest;
-  };
-
-  for (int round = 0; round < rounds; ++round) {
-    const Legs<S> legs = legs_at(result.pose);
-    const WrenchMapSolver<S> solver(hexapod, legs);
-    result.singular = result.singular | solver.failed();
-    Vector6<S> d = solver.displacement(lengths - legs.lengths);
-    const S size = max(S(sqrt(d.template head<3>().squaredNorm()) / hexapod.platform_radius),
+  Mask<S> moves(true);
+  for (int round = 0; round < rounds && any(moves); ++round) {
+    const WrenchMapSolver<S> solver(geometry, result.legs);
+    result.singular = result.singular | (moves & solver.failed());
+    moves = moves & !result.singular;
+    Vector6<S> d = solver.displacement(goal - result.legs.lengths);
+    const S size = max(S(sqrt(d.template head<3>().squaredNorm()) * geometry.inverse_radius),
                        S(sqrt(d.template tail<3>().squaredNorm()) / S(kMaxRotation)));
     d *= select(size > S(1.0), S(S(1.0) / size), S(1.0));
-    if (hexapod.rotary) d *= followed_share(hexapod, result.pose, d, lengths);
+    if (geometry.rotary) [[unlikely]]
+      d *= followed_share(geometry, result.pose, d, lengths);
     const Pose<S> next = stepped(result.pose, d);
-    result.pose.position = select(result.singular, result.pose.position, next.position);
-    result.pose.quaternion = select(result.singular, result.pose.quaternion, next.quaternion);
+    result.pose.position = select(moves, next.position, result.pose.position);
+    result.pose.quaternion = select(moves, next.quaternion, result.pose.quaternion);
+    result.legs = inverse_kinematics(geometry, result.pose.position, rotation_matrix(result.pose.quaternion));
+    moves = moves & !(size <= S(kLastNewtonStep));
   }
-  result.residual = distance(legs_at(result.pose).lengths);
+  const Vector6<S> left = (goal - result.legs.lengths).vector();
+  result.residual = abs(left(0));
+  for (int i = 1; i < 6; ++i) result.residual = max(result.residual, S(abs(left(i))));
   result.converged = (result.residual <= S(kKinematicsTolerance)) & !result.singular;
   return result;
+}
+
+/// Forward kinematics by Newton's method from a start pose.
+///
+/// A hexapod has up to 40 poses for the same lengths; Newton finds one near `start`. The number of rounds bounds the
+/// time.
+/// @param rounds Newton rounds >= 0, at most; four find a pose within 0.1 r_p and 0.1 rad, as of one sample ago
+template <class S>
+ForwardKinematics<S> forward_kinematics(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& start,
+                                        int rounds = kKinematicsRounds) {
+  using std::sqrt;
+  ForwardKinematics<S> from;
+  from.pose = start;
+  from.pose.quaternion /= sqrt(from.pose.quaternion.squaredNorm());
+  from.legs = inverse_kinematics(geometry, from.pose.position, rotation_matrix(from.pose.quaternion));
+  return solve_pose(geometry, lengths, from, rounds);
+}
+template <class S>
+ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start) {
+  return forward_kinematics(LegGeometry<S>(hexapod), lengths, start);
 }
 
 /// Status of the forward kinematics of one robot.

@@ -62,10 +62,13 @@ class LoopRecord {
     stop(StopCause::behind_camera, nearest >= S(0.0));
   }
 
+  /// Whether legs, and whether their pose is singular, matter in the next sample.
+  bool needs_legs() const noexcept { return samples_legs_ || ((measures_legs_ || stops_at_limit_) && is_limit_due()); }
+
   /// Takes over the sample of a state where it is good, and stops the lane where it is not.
   void accept(double time, const WorldState<S, N>& state, const Vector6<S>& wrench,
               const Vector6<S>& fuzzy_output) noexcept {
-    if (!samples_legs_ && !(measures_legs_ && is_limit_due())) {
+    if (!needs_legs()) {
       const Vector6<S> none = Vector6<S>::Zero();
       accept(time, state, none, Mask<S>(false), wrench, none, fuzzy_output, Mask<S>(false));
       return;
@@ -117,10 +120,10 @@ class LoopRecord {
     metrics_->add(time, sample_, good, limits);
   }
 
-  /// Ends a run of a continuous loop: legs that its last step has not looked at get into the newest sample, which may
-  /// turn out to be at a singular pose.
+  /// Ends a run: legs that its last step has not looked at get into the newest sample, which may turn out to be at a
+  /// singular pose.
   void finish() noexcept {
-    if (samples_legs_ || (measures_legs_ && limits_every_ == 1)) return;
+    if (samples_legs_ || ((measures_legs_ || stops_at_limit_) && limits_every_ == 1)) return;
     const LegsSideBySide<S> legs =
         inverse_kinematics(legs_, sample_.position, Matrix3<S>(rotation_matrix(sample_.quaternion)));
     const WrenchMapSolver<S> solver(legs_, legs);

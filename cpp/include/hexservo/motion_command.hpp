@@ -104,16 +104,6 @@ BodyMotion<S> virtual_motion(const RigidBody<S>& body, const Vector6<S>& damping
   return end;
 }
 
-/// A pose after a period at a twist, to fourth order in the angle.
-template <class S>
-Pose<S> carried(const Pose<S>& pose, const Vector6<S>& twist, const S& period) noexcept {
-  Vector6<S> way = period * twist;
-  const Vector3<S> turn = way.template tail<3>();
-  const S tangent = S(1.0) + S(1.0 / 12.0) * turn.squaredNorm();  // of half the angle, over it
-  for (int i = 3; i < 6; ++i) way(i) *= tangent;
-  return stepped(pose, way);
-}
-
 /// D a + C v + G of the estimate (1) [N; N m].
 template <class S>
 Vector6<S> wrench_of_motion(const RigidBody<S>& body, const Matrix3<S>& R_BE, const Vector6<S>& twist,

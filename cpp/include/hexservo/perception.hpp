@@ -72,20 +72,25 @@ inline int encoder_rounds(double period) noexcept {
 /// @param period time between the two readings [s]
 /// @param rounds of Newton's method
 template <class S>
-ForwardKinematics<S> track_pose(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& pose,
+ForwardKinematics<S> track_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& pose,
                                 const Vector6<S>& twist, double period, int rounds) noexcept {
-  const auto squared_distance = [&](const Pose<S>& from) {
-    const Legs<S> legs = inverse_kinematics(hexapod, from.position, rotation_matrix(from.quaternion));
-    return S((legs.lengths - lengths).squaredNorm());
+  const LegVector<S> goal(lengths);
+  const auto at = [&](const Pose<S>& from) {
+    ForwardKinematics<S> start;
+    start.pose = from;
+    start.legs = inverse_kinematics(geometry, from.position, rotation_matrix(from.quaternion));
+    return start;
   };
-  const Vector6<S> motion = S(period) * twist;
-  const Vector3<S> turn = motion.template tail<3>();
-  const S tangent = S(1.0) + S(1.0 / 12.0) * turn.squaredNorm();  // of half the angle over it, to fourth order
-  const Pose<S> moved{pose.position + motion.template head<3>(),
-                      pose.quaternion + quaternion_rate<S>(pose.quaternion, tangent * turn)};
-  const Mask<S> nearer = squared_distance(moved) < squared_distance(pose);
-  const Pose<S> start{select(nearer, moved.position, pose.position), select(nearer, moved.quaternion, pose.quaternion)};
-  return forward_kinematics(hexapod, lengths, start, rounds);
+  const ForwardKinematics<S> moved = at(carried(pose, twist, S(period)));
+  ForwardKinematics<S> start = at(pose);
+  const LegVector<S> from_moved = (goal - moved.legs.lengths).padded(),
+                     from_start = (goal - start.legs.lengths).padded();
+  const auto [moved_distance, start_distance] = dots(from_moved, from_moved, from_start, from_start);  // squared
+  const Mask<S> nearer = moved_distance < start_distance;
+  start.pose.position = select(nearer, moved.pose.position, start.pose.position);
+  start.pose.quaternion = select(nearer, moved.pose.quaternion, start.pose.quaternion);
+  start.legs = select(nearer, moved.legs, start.legs);
+  return solve_pose(geometry, lengths, start, rounds);
 }
 
 /// Poses of the last ticks; memory is taken once, at construction.
@@ -285,7 +290,7 @@ class Perception {
     const Mask<S> first = read_at_ == S(-std::numeric_limits<double>::infinity());
     const double seconds = static_cast<double>(sensing.encoders.period) * sensing.period;
     // A platform may start anywhere; after that it moves.
-    const ForwardKinematics<S> found = track_pose(sensing.hexapod, lengths, now_.pose, now_.twist, seconds,
+    const ForwardKinematics<S> found = track_pose(sensing.legs, lengths, now_.pose, now_.twist, seconds,
                                                   any(first) ? kKinematicsRounds : encoder_rounds(seconds));
     const Mask<S> known = reads & found.converged & now_.usable;  // without a clock there is no rate
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
@@ -297,9 +302,7 @@ class Perception {
       const S elapsed = (S(input.now) - read_at_) * S(sensing.period);
       rates = select(first, Vector6<S>(Vector6<S>::Zero()), Vector6<S>((lengths - lengths_) * (S(1.0) / elapsed)));
     }
-    const WrenchMapSolver<S> solver(
-        sensing.legs, inverse_kinematics(sensing.legs, now_.pose.position, rotation_matrix(now_.pose.quaternion)));
-    now_.twist = select(known, solver.twist(rates), now_.twist);
+    now_.twist = select(known, WrenchMapSolver<S>(sensing.legs, found.legs).twist(rates), now_.twist);
     lengths_ = select(known, lengths, lengths_);
     read_at_ = select(known, S(input.now), read_at_);
   }

@@ -35,7 +35,6 @@ class SampledPlant {
         target_moves_(target_.moves(base_)),
         world_(p),
         state_(start(p)),
-        hexapod_(p.hexapod),
         leg_geometry_(p.hexapod),
         holds_leg_forces_(p.actuators.hold == ActuatorHold::leg_forces),
         frames_(p.frames, p.seed, Lens<S>(p.lens)),
@@ -52,8 +51,9 @@ class SampledPlant {
       positioned_.emplace(p.actuators, period_ / static_cast<double>(substeps_), legs.lengths,
                           legs.rates(twist_of(state_.body)));
     } else if (acts(p.actuators)) {
-      const WrenchMapSolver<S> solver(hexapod_, legs_at(position_of(state_.body), state_.view.R_BE));
-      actuators_.emplace(p.actuators, hexapod_.force_limit, p.step,
+      const WrenchMapSolver<S> solver(leg_geometry_,
+                                      inverse_kinematics(leg_geometry_, position_of(state_.body), state_.view.R_BE));
+      actuators_.emplace(p.actuators, p.hexapod.force_limit, p.step,
                          solver.leg_forces(gravity_wrench(p.body, state_.view.R_BE)));
     }
     read_sensors();
@@ -70,11 +70,14 @@ class SampledPlant {
     Vector6<S> lengths = command.lengths.vector();
     Mask<S> singular = command.singular;
     if (encoders_) {  // the controller's pose is not the platform's
-      const LegsSideBySide<S> legs = inverse_kinematics(leg_geometry_, position_of(state_.body), state_.view.R_BE);
-      const WrenchMapSolver<S> solver(leg_geometry_, legs);
-      lengths = legs.lengths.vector();
-      singular = solver.failed();
-      if (!actuators_) leg_forces_ = solver.leg_forces(wrench_);
+      lengths = legs_.lengths.vector();
+      if (record_.needs_legs() || actuators_) {
+        const WrenchMapSolver<S> solver(leg_geometry_, legs_);
+        singular = solver.failed();
+        if (!actuators_) leg_forces_ = solver.leg_forces(wrench_);
+      } else {
+        singular = Mask<S>(false);
+      }
     }
     if (actuators_) {
       const Actuation<S> actuation =
@@ -111,6 +114,11 @@ class SampledPlant {
     if (stops_where_lost_) record_.stop(StopCause::feature_lost, seen.lost);
     if (any(command.law_failed)) record_.stop(StopCause::not_finite, command.law_failed);
     record_.accept(time(), state_, legs.lengths, solver.failed(), wrench_, leg_forces_, fuzzy_output, seen.unsensed);
+  }
+
+  /// After the last tick.
+  void finish() noexcept {
+    if (encoders_ && !actuators_ && !positioned_ && !motors_) record_.finish();
   }
 
   /// To the next tick, in `substeps` Runge-Kutta steps.
@@ -180,11 +188,11 @@ class SampledPlant {
     for (long long step = 0; step < substeps_; ++step) {
       positioned_->advance();
       if (target_moves_) place_target(static_cast<double>(ticks_) * period_ + static_cast<double>(step + 1) * h);
-      const ForwardKinematics<S> found = forward_kinematics(
-          hexapod_, positioned_->positions(), {position_of(next.body), quaternion_of(next.body)}, kFollowingRounds);
+      const ForwardKinematics<S> found =
+          forward_kinematics(leg_geometry_, positioned_->positions(),
+                             Pose<S>{position_of(next.body), quaternion_of(next.body)}, kFollowingRounds);
       followed = followed & found.converged;
-      const WrenchMapSolver<S> solver(leg_geometry_, inverse_kinematics(leg_geometry_, found.pose.position,
-                                                                        rotation_matrix(found.pose.quaternion)));
+      const WrenchMapSolver<S> solver(leg_geometry_, found.legs);
       next = world_.seen_from(BodyMotion<S>::of(body_state<S>(found.pose, solver.twist(positioned_->rates()))));
       nearest = max(nearest, nearest_depth(next.view.image));
     }
@@ -228,7 +236,7 @@ class SampledPlant {
   [[gnu::noinline]] void place_target(double time) noexcept { world_.place_target(target_.points(time, base_)); }
 
   Legs<S> legs_at(const Vector3<S>& position, const Matrix3<S>& R_BE) const noexcept {
-    return inverse_kinematics(hexapod_, position, R_BE);
+    return Legs<S>::of(inverse_kinematics(leg_geometry_, position, R_BE));
   }
 
   /// What acts on the platform in a state on the way to the next tick, in B [N; N m].
@@ -248,10 +256,10 @@ class SampledPlant {
 
   void read_sensors() noexcept {
     sensed_.now = static_cast<double>(ticks_);
-    if (encoders_)
-      sensed_.joints =
-          encoders_->read(ticks_, legs_at(position_of(state_.body), state_.view.R_BE), twist_of(state_.body));
-    else {
+    if (encoders_) {
+      legs_ = inverse_kinematics(leg_geometry_, position_of(state_.body), state_.view.R_BE);
+      sensed_.joints = encoders_->read(ticks_, legs_, twist_of(state_.body));
+    } else {
       sensed_.pose = {position_of(state_.body), quaternion_of(state_.body)};
       sensed_.twist = twist_of(state_.body);
     }
@@ -268,10 +276,10 @@ class SampledPlant {
   bool base_moves_, target_moves_;
   World<S, N> world_;
   WorldState<S, N> state_;
-  Hexapod<S> hexapod_;
   LegGeometry<S> leg_geometry_;
   bool holds_leg_forces_;
   std::optional<Encoders<S>> encoders_;          ///< where they are the pose's source
+  LegsSideBySide<S> legs_;                       ///< where encoders are
   std::optional<Actuators<S>> actuators_;        ///< where they do anything
   std::optional<PositionedLegs<S>> positioned_;  ///< where they take positions
   std::optional<MotorLegs<S>> motors_;           ///< where motors do
@@ -339,8 +347,8 @@ class SampledLoop {
     act();
   }
 
-  /// After the last tick: each has looked at the legs.
-  void finish() noexcept {}
+  /// After the last tick.
+  void finish() noexcept { plant_.finish(); }
 
   /// Time that was last asked for [s]; lanes that have stopped are behind it.
   double time() const noexcept { return plant_.time(); }
