@@ -26,7 +26,7 @@ Scenario scenario_of(const char* law) {
        {"target.desired_features", "10 10 45 -73 -64 29 -30 -23"},
        {"simulation.mode", "sampled"},
        {"simulation.seed", "5"},
-       {"camera.period", "5"},
+       {"camera.period", "0.005"},
        {"camera.noise", "0.1"},
        {"sensors.pose", "encoders"}}};
   Scenario scenario(hexservo_scenario_create(), &hexservo_scenario_destroy);

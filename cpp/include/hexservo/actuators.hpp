@@ -139,6 +139,7 @@ struct Actuation {
   Vector6<S> leg_forces;  ///< f_c, mean over the tick [N]
   Vector6<S> wrench;      ///< H f_c with H at the tick, in B [N; N m]
   Mask<S> saturated;      ///< where a commanded force of this tick, not yet delayed, is beyond the limit
+  Mask<S> untouched;      ///< where the wrench is as commanded
 };
 
 /// The actuators with what they remember.
@@ -185,8 +186,8 @@ class Actuators {
     out.wrench = legs.wrench(out.leg_forces);
     // Where nothing has changed the wrench, it takes no detour through the legs.
     const bool delayed = p_.delay > 0 || p_.hold == ActuatorHold::leg_forces;
-    const Mask<S> untouched = unchanged_ & !out.saturated & Mask<S>(!delayed);
-    out.wrench = select(untouched, wrench, out.wrench);
+    out.untouched = unchanged_ & !out.saturated & Mask<S>(!delayed);
+    out.wrench = select(out.untouched, wrench, out.wrench);
     return out;
   }
 

@@ -463,15 +463,15 @@ enum class KinematicsStatus { converged, not_converged, singular };
 /// Pose found from leg lengths, with what is left.
 template <class S>
 struct ForwardKinematics {
-  Pose<S> pose;            ///< platform pose in B, unit quaternion
-  LegsSideBySide<S> legs;  ///< there
-  S residual;              ///< max |l(pose) - l| [m]
-  Mask<S> converged;       ///< residual within `kKinematicsTolerance`
-  Mask<S> singular;        ///< a Newton matrix was singular on the way; the pose is the last one before it
+  Pose<S> pose;                        ///< platform pose in B, unit quaternion
+  LegsSideBySide<S> legs;              ///< there
+  S residual{0.0};                     ///< max |l(pose) - l| [m]
+  Mask<S> converged = Mask<S>(false);  ///< residual within `kKinematicsTolerance`
+  Mask<S> singular = Mask<S>(false);   ///< a Newton matrix was singular on the way; the pose is the last one before it
 };
 
 inline constexpr double kKinematicsTolerance = 1e-12;  ///< residual of a converged forward kinematics [m]
-inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds from anywhere, the same for every lane
+inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds from anywhere
 
 /// A pose after a small displacement (m; rad, in B): q <- normalised (1, d_theta/2) (x) q, to second order.
 template <class S>
@@ -515,19 +515,29 @@ inline constexpr double kLastNewtonStep = 1e-8;
 
 /// Newton's method on l(pose) = lengths; steps are limited to r_p and 0.5 rad.
 ///
-/// Each lane ends at its last step, whatever its neighbours do.
+/// Each lane ends at its last step, whatever its neighbours do: one whose square is below rounding, as long as the
+/// lengths are met too. Cranks close to a dead point need more.
 /// @param result pose of a unit quaternion, and legs there, to start from
-/// @param rounds Newton rounds >= 0, at most
+/// @param rounds Newton rounds >= 0 at most, of which a fraction counts as one
 template <class S>
 ForwardKinematics<S> solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, ForwardKinematics<S> result,
-                                int rounds) {
+                                const S& rounds) {
   using std::abs;
   using std::sqrt;
   constexpr double kMaxRotation = 0.5;  // [rad] a round
   const LegVector<S> goal(lengths);
-  result.singular = S(1.0) < S(0.0);
+  const auto residual = [&] {
+    const Vector6<S> left = (goal - result.legs.lengths).vector();
+    S largest = abs(left(0));
+    for (int i = 1; i < 6; ++i) largest = max(largest, S(abs(left(i))));
+    return largest;
+  };
+  result.singular = Mask<S>(false);
+  result.residual = residual();
   Mask<S> moves(true);
-  for (int round = 0; round < rounds && any(moves); ++round) {
+  for (int round = 0;; ++round) {
+    moves = moves & (S(static_cast<double>(round)) < rounds);
+    if (!any(moves)) break;
     const WrenchMapSolver<S> solver(geometry, result.legs);
     result.singular = result.singular | (moves & solver.failed());
     moves = moves & !result.singular;
@@ -541,11 +551,9 @@ ForwardKinematics<S> solve_pose(const LegGeometry<S>& geometry, const Vector6<S>
     result.pose.position = select(moves, next.position, result.pose.position);
     result.pose.quaternion = select(moves, next.quaternion, result.pose.quaternion);
     result.legs = inverse_kinematics(geometry, result.pose.position, rotation_matrix(result.pose.quaternion));
-    moves = moves & !(size <= S(kLastNewtonStep));
+    result.residual = residual();
+    moves = moves & !((size <= S(kLastNewtonStep)) & (result.residual <= S(0.01 * kKinematicsTolerance)));
   }
-  const Vector6<S> left = (goal - result.legs.lengths).vector();
-  result.residual = abs(left(0));
-  for (int i = 1; i < 6; ++i) result.residual = max(result.residual, S(abs(left(i))));
   result.converged = (result.residual <= S(kKinematicsTolerance)) & !result.singular;
   return result;
 }
@@ -563,7 +571,7 @@ ForwardKinematics<S> forward_kinematics(const LegGeometry<S>& geometry, const Ve
   from.pose = start;
   from.pose.quaternion /= sqrt(from.pose.quaternion.squaredNorm());
   from.legs = inverse_kinematics(geometry, from.pose.position, rotation_matrix(from.pose.quaternion));
-  return solve_pose(geometry, lengths, from, rounds);
+  return solve_pose(geometry, lengths, from, S(static_cast<double>(rounds)));
 }
 template <class S>
 ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start) {

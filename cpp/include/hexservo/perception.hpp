@@ -59,8 +59,10 @@ inline constexpr int kEncoderRounds = 12;  ///< most Newton rounds of a reading:
 /// that is r_p and 1 rad away. More than `kEncoderRounds` help only close to singular poses, where the lengths do not
 /// tell one assembly mode from another. Since a reading takes `period`, no millisecond has more than four rounds.
 /// @param period time between two readings [s]
-inline int encoder_rounds(double period) noexcept {
-  return 3 + static_cast<int>(std::ceil(std::min(1e3 * period - 1e-9, kEncoderRounds - 3.0)));
+/// @return of which a fraction counts as one more
+template <class S>
+S encoder_rounds(const S& period) noexcept {
+  return S(3.0) + min(S(S(1e3) * period - S(1e-9)), S(kEncoderRounds - 3.0));
 }
 
 /// Forward kinematics of a reading, from what was known at the reading before.
@@ -73,7 +75,7 @@ inline int encoder_rounds(double period) noexcept {
 /// @param rounds of Newton's method
 template <class S>
 ForwardKinematics<S> track_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& pose,
-                                const Vector6<S>& twist, double period, int rounds) noexcept {
+                                const Vector6<S>& twist, const S& period, const S& rounds) noexcept {
   const LegVector<S> goal(lengths);
   const auto at = [&](const Pose<S>& from) {
     ForwardKinematics<S> start;
@@ -81,7 +83,7 @@ ForwardKinematics<S> track_pose(const LegGeometry<S>& geometry, const Vector6<S>
     start.legs = inverse_kinematics(geometry, from.position, rotation_matrix(from.quaternion));
     return start;
   };
-  const ForwardKinematics<S> moved = at(carried(pose, twist, S(period)));
+  const ForwardKinematics<S> moved = at(carried(pose, twist, period));
   ForwardKinematics<S> start = at(pose);
   const LegVector<S> from_moved = (goal - moved.legs.lengths).padded(),
                      from_start = (goal - start.legs.lengths).padded();
@@ -193,7 +195,8 @@ struct Perceived {
   Mask<S> joints;     ///< pose and twist are numbers to act on
   Mask<S> complete;   ///< every point has been seen at least once
   Mask<S> fresh;      ///< no point's image is older than the timeout
-  Mask<S> lost;       ///< the newest frame does not show every point, and no image may stand for it
+  Mask<S> whole;      ///< the newest frame shows every point
+  Mask<S> lost;       ///< it does not, and no image may stand for it
   Mask<S> usable;     ///< clock and frame of this tick and the image to be used are numbers to act on
   Mask<S> ready() const noexcept { return complete & fresh & (!lost) & usable & joints; }
 };
@@ -214,7 +217,7 @@ class Perception {
     now_.newest = S(-kInfinity);
     // Not used before the first tick; but a state may be copied before it, and a mask without a value may not.
     now_.R_BE.setIdentity();
-    now_.unsensed = now_.joints = now_.complete = now_.fresh = now_.lost = now_.usable = Mask<S>(false);
+    now_.unsensed = now_.joints = now_.complete = now_.fresh = now_.whole = now_.lost = now_.usable = Mask<S>(false);
     held_ = now_.image;
     seen_at_.setConstant(S(-kInfinity));
     lost_.setZero();
@@ -239,7 +242,8 @@ class Perception {
     }
     now_.complete = oldest > S(-std::numeric_limits<double>::infinity());
     now_.fresh = S(input.now) - oldest <= sensing.frames.timeout + S(kTickTolerance);
-    now_.lost = Mask<S>(sensing.frames.on_lost == LostFeature::stop) & (lost > S(0.5));
+    now_.whole = lost < S(0.5);
+    now_.lost = Mask<S>(sensing.frames.on_lost == LostFeature::stop) & !now_.whole;
   }
 
   const Perceived<S, N>& now() const noexcept { return now_; }
@@ -288,22 +292,23 @@ class Perception {
     for (int i = 1; i < 6; ++i) reads = reads | (lengths(i) == lengths(i));
     if (!any(reads)) return;
     const Mask<S> first = read_at_ == S(-std::numeric_limits<double>::infinity());
-    const double seconds = static_cast<double>(sensing.encoders.period) * sensing.period;
+    const S elapsed = select(first, S(0.0), S((S(input.now) - read_at_) * S(sensing.period)));
     // A platform may start anywhere; after that it moves.
-    const ForwardKinematics<S> found = track_pose(sensing.legs, lengths, now_.pose, now_.twist, seconds,
-                                                  any(first) ? kKinematicsRounds : encoder_rounds(seconds));
+    const S rounds = select(first, S(static_cast<double>(kKinematicsRounds)), encoder_rounds(elapsed));
+    const ForwardKinematics<S> found = track_pose(sensing.legs, lengths, now_.pose, now_.twist, elapsed, rounds);
     const Mask<S> known = reads & found.converged & now_.usable;  // without a clock there is no rate
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
     now_.pose.position = select(known, found.pose.position, now_.pose.position);
     now_.pose.quaternion = select(known, found.pose.quaternion, now_.pose.quaternion);
 
     Vector6<S> rates = input.joints.rates;
+    Mask<S> rated = known;
     if (sensing.encoders.rate == RateSource::differences) {
-      const S elapsed = (S(input.now) - read_at_) * S(sensing.period);
       rates = select(first, Vector6<S>(Vector6<S>::Zero()), Vector6<S>((lengths - lengths_) * (S(1.0) / elapsed)));
+      rated = known & (first | (elapsed > S(0.0)));  // the same time again gives no rate
     }
-    now_.twist = select(known, WrenchMapSolver<S>(sensing.legs, found.legs).twist(rates), now_.twist);
-    lengths_ = select(known, lengths, lengths_);
+    now_.twist = select(rated, WrenchMapSolver<S>(sensing.legs, found.legs).twist(rates), now_.twist);
+    lengths_ = select(rated, lengths, lengths_);
     read_at_ = select(known, S(input.now), read_at_);
   }
 
@@ -381,8 +386,9 @@ class Perception {
       for (int k = 2 * i; k < 2 * i + 2; ++k)
         now_.image.features(k) = select(again, projected.features(k), held_.features(k));
       now_.image.depth(i) = select(again, projected.depth(i), held_.depth(i));
-      now_.usable = now_.usable &
-                    usable(sensing, i, now_.image.features(2 * i), now_.image.features(2 * i + 1), now_.image.depth(i));
+      const Mask<S> never = seen_at_(i) == S(-std::numeric_limits<double>::infinity());
+      now_.usable = now_.usable & (never | usable(sensing, i, now_.image.features(2 * i),
+                                                  now_.image.features(2 * i + 1), now_.image.depth(i)));
     }
   }
 

@@ -71,19 +71,19 @@ class SampledPlant {
     Mask<S> singular = command.singular;
     if (encoders_) {  // the controller's pose is not the platform's
       lengths = legs_.lengths.vector();
-      if (record_.needs_legs() || actuators_) {
+      singular = Mask<S>(false);
+      const bool needed = record_.needs_legs() || actuators_;
+      if (needed || any(seen.unsensed)) {  // a singular pose may be why
         const WrenchMapSolver<S> solver(leg_geometry_, legs_);
-        singular = solver.failed();
-        if (!actuators_) leg_forces_ = solver.leg_forces(wrench_);
-      } else {
-        singular = Mask<S>(false);
+        singular = solver.failed() & (Mask<S>(needed) | seen.unsensed);
+        leg_forces_ = solver.leg_forces(wrench_);
       }
     }
     if (actuators_) {
       const Actuation<S> actuation =
-          actuators_->step(wrench_, leg_forces_, legs_at(position_of(state_.body), state_.view.R_BE));
+          actuators_->step(wrench_, command.leg_forces, legs_at(position_of(state_.body), state_.view.R_BE));
       wrench_ = actuation.wrench;
-      leg_forces_ = actuation.leg_forces;
+      leg_forces_ = select(actuation.untouched, leg_forces_, actuation.leg_forces);
     }
     if (stops_where_lost_) record_.stop(StopCause::feature_lost, seen.lost);
     if (any(command.law_failed)) record_.stop(StopCause::not_finite, command.law_failed);

@@ -44,12 +44,11 @@ TargetModel<S, N> target_model(const CameraView<S>& camera, const Eigen::Matrix<
   return model;
 }
 
-inline constexpr int kPoseRounds = 5;          ///< of Levenberg-Marquardt from the start of an estimate
-inline constexpr int kMirrorRounds = 4;        ///< of those from the mirror image of what they find
-inline constexpr int kPolishRounds = 6;        ///< of those from the better of the two
-inline constexpr double kPoseStep = 0.5;       ///< largest first-order step of a round, in mean depths and in rad
-inline constexpr double kLastPoseStep = 1e-8;  ///< of a round, whose square is below rounding, likewise
-inline constexpr double kPoseDamping = 1e-6;   ///< of the first round, times the diagonal of J^T J [1]
+inline constexpr int kPoseRounds = 5;         ///< of Levenberg-Marquardt from the start of an estimate
+inline constexpr int kMirrorRounds = 4;       ///< of those from the mirror image of what they find
+inline constexpr int kPolishRounds = 6;       ///< of those from the better of the two
+inline constexpr double kPoseStep = 0.5;      ///< largest first-order step of a round, in mean depths and in rad
+inline constexpr double kPoseDamping = 1e-6;  ///< of the first round, times the diagonal of J^T J [1]
 /// Sums of squares r^2 cannot be compared below this times r: some hundred roundings of features of 1e3 px [px].
 inline constexpr double kResidualRounding = 1e-11;
 /// The mirror image replaces the pose that was found from the start where its squared residual is below this share [1].
@@ -217,8 +216,7 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
 /// of the two steps is applied if it lowers C. mu follows the ratio of actual to expected decrease (Nielsen 1999).
 /// Where the expected decrease of C is below `kResidualRounding` sqrt(C), the costs differ by their rounding: there the
 /// full step is applied, which follows the gradient alone, and the pose is found to rounding instead of its square
-/// root; a step of Newton's method below `kLastPoseStep` is then the last one of its lane, whatever its neighbours do.
-/// @param rounds at most
+/// root. Always the same number of rounds: mu leaves a share of each step, and the next round takes it.
 /// @param measured features [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param start its quaternion need not be of unit length
 template <class S, int N>
@@ -230,8 +228,7 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
   PoseFit<S, N> best =
       pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(start, Vector6<S>::Zero()), weights);
   S mu(kPoseDamping), growth(2.0);
-  Mask<S> moves(true);
-  for (int round = 0; round < rounds && any(moves); ++round) {
+  for (int round = 0; round < rounds; ++round) {
     const ImageJacobian<S, N> J(camera, S(-1.0), best.features, best.inverse_depth, best.pose.position, best.R_BE);
     const Vector<S, 2 * N> residual = measured - best.features;
     const Vector6<S> gradient = J.pull(weights.times(residual)) + prior.gradient(best.prior_error);
@@ -263,8 +260,7 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
       next.replace((bent.cost < full.cost) & !rounding, bent);
     }
 
-    const Mask<S> better = moves & (rounding | (next.cost < best.cost)) & is_finite(next.cost) & !gauss.failed();
-    moves = moves & !(better & rounding & !newton.failed() & (mu <= S(kPoseDamping)) & (length <= S(kLastPoseStep)));
+    const Mask<S> better = (rounding | (next.cost < best.cost)) & is_finite(next.cost) & !gauss.failed();
     const S surplus = S(2.0) * (best.cost - full.cost) / expected - S(1.0);
     mu *= select(better, clip(S(S(1.0) - surplus * surplus * surplus), S(1.0 / 3.0), S(2.0)), growth);
     mu = clip(mu, S(1e-14), S(1e8));
@@ -411,7 +407,7 @@ struct PoseEstimate {
 ///
 /// The prior pulls the estimate towards the joint sensors even where the image is exact. So the first rounds have all
 /// of its weight, and those from the better of the two poses the `prior_share` of the noise that is measured there
-/// (`unexplained_variance`). The number of rounds is limited, and C is never above that of the start.
+/// (`unexplained_variance`). Always the same number of rounds, and C is never above that of the start.
 /// @param points_T in T [m]
 /// @param features measured [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param joints pose of the joint sensors: start, and centre of the prior; its quaternion need not be of unit length

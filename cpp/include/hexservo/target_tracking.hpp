@@ -236,10 +236,10 @@ template <class S, int N>
 void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, const TrackingPlan<S, N>& plan,
                 const Perceived<S, N>& seen, const SensorInput<S, N>& input, TrackingState<S>& state) noexcept {
   TrackedTarget<S>& target = state.target;
-  Mask<S> fresh = seen.usable & seen.joints & seen.complete & (!seen.lost) & (seen.newest > target.seen_at) &
-                  (input.frame.exposure == seen.newest);
-  for (int i = 0; i < 2 * gains.points; ++i) fresh = fresh & is_finite(S(input.frame.image.features(i)));
+  const Mask<S> fresh = seen.usable & seen.joints & seen.complete & seen.whole & (seen.newest > target.seen_at) &
+                        (input.frame.exposure == seen.newest);
   if (!any(fresh)) return;
+  const S stamp = min(seen.newest, S(input.now));  // which it may be ahead of by rounding; poses are not
 
   Vector2<S> middle = Vector2<S>::Zero();
   S depth(0.0);
@@ -254,7 +254,7 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
     using std::sqrt;
     S squares(0.0);
     for (int i = 0; i < N; ++i) squares += task.weights.share(i) * task.weights.share(i);
-    state.latency.update(state.poses, task.camera, fresh, seen.newest, gains.period, middle, depth, plan.home_centre,
+    state.latency.update(state.poses, task.camera, fresh, stamp, gains.period, middle, depth, plan.home_centre,
                          S(plan.gains.noise * sqrt(squares) / task.camera.focal), plan.jitter);
     state.latency_range = state.latency.range();
   }
@@ -268,7 +268,7 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
   }
   const S period(gains.period), first(state.poses.oldest());
   const auto followed = [&](const S& latency) {
-    const S tick = seen.newest - latency / period;
+    const S tick = stamp - latency / period;
     const Pose<S> at = of_unit_length<S>(state.poses.at(plan.stamped ? tick : max(tick, first)));
     if (!directs) return pose_to_follow<S>(at, target.view, task.target.goal);
     return Pose<S>{lift<S>(task.camera, at.position, rotation_matrix(at.quaternion), middle, depth),
