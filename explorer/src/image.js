@@ -152,6 +152,10 @@ export class ImageView {
     return [this.view.x + (x - this.middle[0]) / this.scale, this.view.y - (y - this.middle[1]) / this.scale];
   }
 
+  gripped(event) {
+    return this.at(event).map((under, k) => under + this.grip[k]);
+  }
+
   near(event) {
     if (!this.shown.movable) return -1;
     const [x, y] = pointIn(this.canvas, event);
@@ -171,6 +175,9 @@ export class ImageView {
     this.held = this.chosen = point;
     this.pointer = event.pointerId;
     this.last = this.shown.goals.slice(2 * point, 2 * point + 2);
+    const under = this.at(event);
+    this.grip = [this.last[0] - under[0], this.last[1] - under[1]]; // a goal is taken where the pointer is, not moved there
+    this.moved = false;
     this.canvas.setPointerCapture(event.pointerId);
     event.preventDefault();
   }
@@ -182,7 +189,8 @@ export class ImageView {
       return;
     }
     if (event.pointerId !== this.pointer) return;
-    this.last = this.at(event);
+    this.last = this.gripped(event);
+    this.moved = true;
     this.set(this.held, this.last, false);
   }
 
@@ -190,7 +198,7 @@ export class ImageView {
     if (this.held < 0 || event.pointerId !== this.pointer) return;
     const point = this.held;
     this.held = -1;
-    this.set(point, event.type === "pointerup" ? this.at(event) : this.last, true); // one that was cancelled is at no place
+    if (this.moved) this.set(point, event.type === "pointerup" ? this.gripped(event) : this.last, true); // one that was cancelled is at no place
   }
 
   set(point, [x, y], final) {

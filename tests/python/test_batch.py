@@ -467,6 +467,32 @@ def test_without_a_metric_of_the_legs_a_run_passes_singular_poses() -> None:
     assert passed.end_time[0] > looked.end_time[0]
 
 
+def test_with_encoders_a_singular_pose_is_the_outcome_whatever_is_measured() -> None:
+    """There the encoders give no pose either, and the pose is why."""
+    changes = {"simulation.mode": "sampled", "sensors.pose": "encoders", "sensors.rate": "true"}
+    scenario = hs.load_scenario("paper-gravity").updated(changes)
+    varied = {"uncertainty.gravity": [0.5, 0.9]}
+    for metrics in (["peak_leg_force"], ["final_error"]):
+        batch = hs.simulate_batch(scenario, varied, "final", metrics=metrics)
+        assert batch.outcome.tolist() == ["singular"] * 2, metrics
+
+
+def test_leg_forces_do_not_depend_on_a_neighbours_actuators() -> None:
+    """With noisy encoders, whose legs are not the platform's."""
+    changes: dict[str, Any] = {
+        "simulation": {"mode": "sampled", "duration": 0.1},
+        "sensors": {"pose": "encoders", "noise": 1e-5},
+    }
+    scenario = hs.load_scenario("paper").updated(changes)
+    alone = hs.simulate_batch(scenario, {"actuators.quantisation": [0.0, 0.0]}, "final")
+    beside = hs.simulate_batch(scenario, {"actuators.quantisation": [0.0, 1e-3]}, "final")
+    assert not np.array_equal(beside.samples["leg_forces"][0], beside.samples["leg_forces"][1])
+    for name in alone.samples:
+        np.testing.assert_array_equal(beside.samples[name][0], alone.samples[name][0], err_msg=name)
+    for name in alone.metrics:
+        np.testing.assert_array_equal(beside.metrics[name][0], alone.metrics[name][0], err_msg=name)
+
+
 @pytest.mark.parametrize("log", ["metrics", "final", "trajectory"])
 def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
     import xarray

@@ -367,3 +367,51 @@ def test_lengths_at_a_wrong_clock_give_no_rate(wrong: float) -> None:
         return out
 
     np.testing.assert_allclose(last(wrong).wrench, last(1.004).wrench, rtol=1e-9, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def read_out() -> hs.Scenario:
+    """Encoders whose differences give the twist."""
+    changes = {"controller.law": "kelly", "sensors.pose": "encoders", "camera.prediction": "none"}
+    return hs.load_scenario("composite-30hz").updated(changes)
+
+
+def test_lengths_at_the_same_time_again_keep_the_rate(read_out: hs.Scenario) -> None:
+    home = np.array(_core.Hexapod(core_parameters(read_out).robot).home_lengths)
+    image: dict[str, Any] = {"features": np.array(read_out.target.initial_features), "depth": np.full(4, -0.5)}
+    controller, once = hs.Controller(read_out), hs.Controller(read_out)
+    for tick in range(4):
+        legs = home + 1e-5 * tick * np.arange(1, 7)
+        given = {**(image if tick == 0 else {}), "leg_lengths": legs, "now": 1.0 + 1e-3 * tick}
+        out, expected = controller.step(**given), once.step(**given)
+    again = controller.step(leg_lengths=legs, now=1.003)
+    assert again.status == "valid"
+    np.testing.assert_array_equal(out.wrench, expected.wrench)
+    np.testing.assert_allclose(again.wrench, expected.wrench, rtol=1e-9, atol=1e-12)
+
+
+def test_a_gap_in_the_readings_is_bridged(read_out: hs.Scenario) -> None:
+    """The platform is 0.3 r_p and 0.3 rad aside at the first reading after 0.2 s without any."""
+    legs = _core.Hexapod(core_parameters(read_out.updated({"robot.stroke": 0.1})).robot)
+    radius = read_out.robot.platform_radius
+    assert radius is not None
+    random = np.random.default_rng(6)
+    for _ in range(20):
+        aside = random.normal(size=(2, 3))
+        aside *= 0.3 / np.linalg.norm(aside, axis=1)[:, None]
+        turn = np.concatenate([[np.cos(0.15)], np.sin(0.15) * aside[1] / 0.3])
+        position = np.asarray(legs.home_position) + radius * aside[0]
+        controller = hs.Controller(read_out)
+        rest = np.array(legs.home_lengths)
+        image = {"features": np.array(read_out.target.initial_features), "depth": np.full(4, -0.5)}
+        assert controller.step(**image, leg_lengths=rest, now=1.0).status == "valid"
+        assert controller.step(leg_lengths=np.full(6, np.nan), now=1.1).status == "unusable"
+        given = {"leg_lengths": legs.leg_lengths(position, turn), **image}
+        assert controller.step(**given, now=1.2).status == "valid"
+
+
+@pytest.mark.parametrize("prediction", ["none", "encoder"])
+def test_before_the_first_frame_the_image_is_missing(prediction: str) -> None:
+    scenario = hs.load_scenario("composite-30hz").updated({"camera.prediction": prediction, "sensors.pose": "true"})
+    joints = {"position": [0.0, 0.0, -0.15], "quaternion": [1.0, 0.0, 0.0, 0.0], "twist": np.zeros(6)}
+    assert hs.Controller(scenario).step(**joints, now=1.0).status == "missing_image"

@@ -405,6 +405,27 @@ def test_a_goal_follows_one_pointer_and_stays_where_that_is_lost(visit: Visit) -
 
 
 @in_browser
+def test_a_goal_is_not_moved_to_the_pointer_that_takes_it(visit: Visit) -> None:
+    """A click changes nothing, and a motion to the right moves a goal to the right alone."""
+    page = visit.page
+    page.mouse.move(*place_of(page, "#image", "grab"))
+    page.mouse.down()
+    page.mouse.up()
+    assert page.evaluate("explorer.state.changes") == {}
+    taken = place_of(page, "#image", "grab")
+    page.mouse.move(*taken)
+    page.mouse.down()
+    page.evaluate("explorer.shown = null")
+    page.mouse.move(*beside(taken, 20, 0))
+    page.mouse.up()
+    page.wait_for_function("explorer.shown !== null")
+    goals = np.asarray(hs.load_scenario("paper").target.desired_features, dtype=float)
+    moved = np.asarray(page.evaluate("explorer.state.changes['target.desired_features']")) - goals
+    assert np.abs(moved[1::2]).max() <= 0.051
+    assert moved[::2].max() > 1.0
+
+
+@in_browser
 def test_the_pane_of_the_target_is_all_between_its_points(visit: Visit) -> None:
     """The points of `paper` do not go round it in the order of their numbers."""
     visit.go("#paper")

@@ -125,6 +125,33 @@ def test_forward_kinematics_finds_every_pose_again(legs: _core.Hexapod) -> None:
         np.testing.assert_allclose(np.abs(found.quaternion @ quaternion(turn)), 1.0, rtol=0, atol=1e-11)
 
 
+def test_forward_kinematics_converges_close_to_dead_points(legs: _core.Hexapod) -> None:
+    """Where a crank and its rod are nearly in line, a small step is not the last one: angles bend by 1/w^3."""
+    random = np.random.default_rng(5)
+    seen = 0
+    while seen < 100:
+        way, turn = random.normal(size=3) * 0.02, random.normal(size=3) * 0.3
+
+        def pose_at(share: float, way: Array = way, turn: Array = turn) -> tuple[Array, Array]:
+            return HOME + share * way, quaternion(share * turn)
+
+        def arm_at(share: float) -> float:  # of the crank that is nearest to its dead point; NaN beyond it
+            return float(np.abs(legs.lever_arms(*pose_at(share))).min() / CRANK)
+
+        closes, beyond = 0.0, 8.0
+        if np.isfinite(arm_at(beyond)):
+            continue
+        for _ in range(40):
+            middle = 0.5 * (closes + beyond)
+            closes, beyond = (middle, beyond) if arm_at(middle) > 0.005 else (closes, middle)
+        pose = pose_at(closes * float(random.uniform(0.999, 1.0)))
+        if legs.singular_values(*pose)[-1] < 0.1 or not np.isfinite(legs.lever_arms(*pose)).all():
+            continue
+        seen += 1
+        start = pose[0] + random.uniform(-1e-8, 1e-8, 3)
+        assert legs.forward_kinematics(legs.leg_lengths(*pose), start, pose[1]).status.name == "converged"
+
+
 def test_angles_count_on_beyond_180_degrees() -> None:
     """With cranks that are at 175 deg at home, angles go beyond 180 deg without a jump."""
     turned = robot()

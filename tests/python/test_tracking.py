@@ -245,6 +245,27 @@ def test_a_pose_is_followed() -> None:
     assert hs.metrics(run)["final_error"] < 1.0
 
 
+def test_a_point_whose_pixel_lies_on_no_ray_is_not_seen() -> None:
+    """The pinhole has no feature for it: as if its pixel had not been found, whatever the others show."""
+    lens = {"brown_conrady": [-0.5, 0.0, 0.0, 0.0, 0.0]}
+    scenario = head(0.0).updated({"camera": {"image_size": None, "distortion": lens}})
+    goal = np.asarray(scenario.target.desired_features)
+    home = np.array(_core.Hexapod(core_parameters(scenario).robot).home_lengths)
+
+    def commands(pixel: float) -> Array:
+        """Legs after a frame with all points, and frames of a moved target with this pixel in place of a point's."""
+        controller = hs.Controller(scenario)
+        for k in range(8):
+            features = goal if k == 0 else goal + 20.0
+            features = np.where((k > 0) & (np.arange(8) < 2), pixel, features)
+            out = controller.step(features, np.full(4, -DISTANCE), leg_lengths=home, now=0.1 + 0.06 * k)
+            assert out.status == "valid"
+        return np.asarray(out.leg_positions)
+
+    np.testing.assert_array_equal(commands(4000.0), commands(np.nan))
+    assert np.abs(commands(float(goal[0])) - commands(np.nan)).max() > 1e-4
+
+
 def test_legs_that_come_to_rest_elsewhere_are_made_up_for() -> None:
     """Encoders report legs that stay 0.01 rad behind: the command shifts by so much, and stops."""
     scenario = head(0.0, gains={"integral": 4.0, "band": 2e-4})
