@@ -43,7 +43,7 @@ class Robot {
     camera_.deliver(tick, frame_);
     input.frame = {frame_.exposure * gains_.period, frame_.image};
     if (gains_.pose_source == hexservo::PoseSource::encoders) {
-      input.joints = encoders_.read(tick, legs(body_), hexservo::twist_of(body_));
+      input.joints = encoders_.read(tick, legs(body_).side_by_side(), hexservo::twist_of(body_));
     } else {
       input.pose = {hexservo::position_of(body_), hexservo::quaternion_of(body_)};
       input.twist = hexservo::twist_of(body_);

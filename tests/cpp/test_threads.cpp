@@ -9,6 +9,7 @@
 #include <cstring>
 #include <functional>
 #include <memory>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -25,7 +26,7 @@ Scenario scenario_of(const char* law) {
       {{"target.initial_features", "30 18 65 -65 -44 37 -10 -15"},
        {"target.desired_features", "10 10 45 -73 -64 29 -30 -23"},
        {"simulation.mode", "sampled"},
-       {"simulation.seed", "5"},
+       {"seed", "5"},
        {"camera.period", "0.005"},
        {"camera.noise", "0.1"},
        {"sensors.pose", "encoders"}}};
@@ -33,7 +34,7 @@ Scenario scenario_of(const char* law) {
   if (hexservo_scenario_set_text(scenario.get(), "controller.law", law) != HEXSERVO_OK) return {nullptr, nullptr};
   for (const auto& [key, value] : values)
     if (hexservo_scenario_set_text(scenario.get(), key, value) != HEXSERVO_OK) {
-      FAIL_CHECK(hexservo_scenario_message(scenario.get()));
+      FAIL_CHECK(std::string(hexservo_scenario_message(scenario.get())));
       return {nullptr, nullptr};
     }
   return scenario;
