@@ -541,10 +541,14 @@ def gcs_with_fault(controller: Controller, query: bytes, reply: bytes | None) ->
 
         def faulty(data: bytes) -> bytes | None:
             nonlocal count
-            count += data.startswith(query)
-            if count == 12 and data.startswith(query):
-                return reply
-            return handle(data)
+            replies = b""
+            for line in data.splitlines(keepends=True):  # one segment may carry a command and the query after it
+                count += line.startswith(query)
+                answer = reply if count == 12 and line.startswith(query) else handle(line)
+                if answer is None:
+                    return None
+                replies += answer
+            return replies
 
         return faulty
 
