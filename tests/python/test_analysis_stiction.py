@@ -245,6 +245,47 @@ def test_what_fuzzy_systems_take_up_is_bounded_by_their_limit(paper: hs.Scenario
     assert np.abs(limited.runs[1].fuzzy_output).max() <= 1e-5 * (1 + 1e-12)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"controller.law": "composite", "controller.composite.drive": 0.0},
+        {"controller.law": "composite", "controller.composite.drive": 0.0, "controller.switching.kind": "tanh"},
+        {"controller.switching.kind": "tanh", "controller.hybrid.fuzzy.adaptation": 0.03},
+    ],
+)
+def test_fuzzy_systems_that_the_twist_alone_drives_hold_a_run_off_its_goal(
+    paper: hs.Scenario, changes: dict[str, Any]
+) -> None:
+    """A spring towards the start: a run ends beyond the set of K_v alone, and within a reported case."""
+    scenario = paper.updated(changes)
+    found = stiction.analyse(scenario)
+    final = np.abs(hs.simulate(scenario).feature_error[-1]).max()
+    section = found.section()
+    if found.kind == "open":
+        assert final > 10.0  # of the 20 px at the start: nothing that creep would leave
+        assert "a spring towards the start" in section.sentences[0]
+        assert section.verdict == "open"
+        return
+    assert found.straight_way is not None
+    alone, with_fuzzy = found.cases[0].ends, found.cases[-1].ends
+    assert alone is not None
+    assert with_fuzzy is not None
+    assert alone.largest < final < with_fuzzy.largest
+    assert section.verdict == "warning"
+
+
+def test_the_verdict_counts_what_the_fuzzy_systems_hold(paper: hs.Scenario) -> None:
+    """A hundredth of K_v holds less than 2 px, the fuzzy systems hold more."""
+    found = stiction.analyse(
+        paper.updated({"controller.hybrid.kv": (0.01 * KV).tolist(), "controller.hybrid.fuzzy.adaptation": 0.1})
+    )
+    alone, with_fuzzy = found.cases[0].ends, found.cases[-1].ends
+    assert alone is not None
+    assert with_fuzzy is not None
+    assert alone.largest < 2.0 < with_fuzzy.largest
+    assert found.section().verdict == "warning"
+
+
 def test_what_one_rule_takes_up_on_the_straight_way(found: stiction.Stiction, paper: hs.Scenario) -> None:
     goals = find_goals(scene_of(paper))
     assert goals is not None
@@ -326,7 +367,7 @@ def test_smooth_switching_creeps_as_fast_as_it_is_said_to(paper: hs.Scenario, ki
 
 
 def test_positive_feedback_does_not_creep_back(paper: hs.Scenario) -> None:
-    changes = {"controller.jacobian": "printed", "controller.switching.kind": "tanh"}
+    changes = {"controller.jacobian": "printed", "controller.switching.kind": "tanh", **NO_FUZZY}
     found = stiction.analyse(paper.updated(changes))
     assert found.creep is not None
     assert found.creep.left is None
