@@ -151,14 +151,17 @@ class Scene:
         jacobian = self.jacobian(features, depth, pose) if seen else np.full((*features.shape, 6), np.nan)
         return View(pose, features, depth, jacobian)
 
-    def jacobian(self, features: Array, depth: Array, poses: Poses) -> Array:
-        """Return the true image Jacobian (..., 2p, 6), with the plant's sign, of images in view; depths as given."""
+    def jacobian(self, features: Array, depth: Array, poses: Poses, *, assumed: bool = False) -> Array:
+        """Return the true image Jacobian (..., 2p, 6), with the plant's sign, of images in view; depths as given.
+
+        With `assumed` it is J-hat, which the controller forms with its own camera, mount and sign.
+        """
         at = poses.rows
         found = self.probe.image_jacobian(
             features.reshape(-1, features.shape[-1]),
             depth.reshape(-1, depth.shape[-1]),
             at.quaternion,
-            False,
+            assumed,
             at.position,
         )
         return found.reshape(*features.shape, 6)
