@@ -801,6 +801,34 @@ def test_the_reason_is_given_where_the_analysis_does_not_apply(name: str, change
         assert "largest_start" in section.sentences[1]
 
 
+def test_a_camera_that_the_controller_has_wrong_is_open() -> None:
+    """Half the focal length doubles the motion that the law asks for: the linear loop of the right one is not this."""
+    right = hs.load_scenario("paper").updated(
+        {
+            "controller.law": "resolved_rate",
+            "controller.resolved_rate.gain": 15.0,
+            "simulation.mode": "sampled",
+            "camera.period": 0.033,
+            "camera.latency": 0.033,
+        }
+    )
+    assert hs.analyse(right, ["camera_rate"]).camera_rate.stable is True
+    wrong = right.updated({"uncertainty.focal_length": -0.5})
+    assert hs.simulate(wrong).outcome == "diverged"
+    for scenario, key in (
+        (wrong, "uncertainty.focal_length"),
+        (right.updated({"uncertainty.principal_point": [0.0, 4.0]}), "uncertainty.principal_point"),
+    ):
+        analysis = hs.analyse(scenario, ["conditioning", "camera_rate"])
+        assert analysis.camera_rate.stable is None
+        conditioning, rate = analysis.sections()
+        assert rate.verdict == "open"
+        assert key in rate.sentences[0]
+        assert "focal length and principal point are taken as those of the camera" in conditioning.sentences[-1]
+    (plain,) = hs.analyse(right, ["conditioning"]).sections()
+    assert not any("principal point" in sentence for sentence in plain.sentences)
+
+
 def test_another_step_in_continuous_mode_brings_its_frames() -> None:
     scenario = hs.load_scenario("paper").updated({"controller.law": "kelly", "simulation.step": 0.005})
     assert camera_rate.analyse(scenario).section().verdict != "open"

@@ -45,6 +45,14 @@ OFFSET = 0.01
 """Largest feature offset from which a check by simulation starts [px]."""
 
 
+_KNOWN = {
+    "camera.smoothing": "features are not filtered",
+    "uncertainty.latency": "latency is known",
+    "uncertainty.focal_length": "focal length is known",
+    "uncertainty.principal_point": "principal point is known",
+}
+
+
 class NotApplicableError(ValueError):
     """The linear analysis does not apply to a scenario; the text gives the reason."""
 
@@ -129,8 +137,8 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
             "a camera as_printed has no points, and so no pose at which the goal is seen; set "
             "camera.convention to eye_in_hand"
         )
-    for key, what in (("camera.smoothing", "features are not filtered"), ("uncertainty.latency", "latency is known")):
-        if value_at(scenario, key) != 0.0:
+    for key, what in _KNOWN.items():
+        if np.any(np.asarray(value_at(scenario, key)) != 0.0):
             raise NotApplicableError(f"the linear loop is of a camera whose {what}, and {key} is not 0")
     calm = quiet(scenario)
     slope = np.zeros(6)
