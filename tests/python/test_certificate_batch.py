@@ -115,6 +115,24 @@ def test_bad_batches_are_refused(
         hs.certify_batch(paper.updated(changes), variations)
 
 
+@pytest.mark.parametrize(
+    ("payload", "variations", "words"),
+    [
+        ({"known": False}, {"robot.payload.mass": [0.0, 0.01]}, "scenario 1: .* a payload that the controller"),
+        (
+            {},
+            {"robot.centre_of_mass": [[0.0, 0.0, 0.0], [0.0, 0.0, 1e-3]], "robot.inertia": [np.diag([2e-4] * 3)] * 2},
+            "scenario 1: .* centre of mass",
+        ),
+    ],
+)
+def test_a_varied_body_that_has_no_certificate_is_refused(
+    paper: hs.Scenario, payload: dict[str, Any], variations: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        hs.certify_batch(paper.updated({**SHORT, "robot.payload": payload}), variations)
+
+
 def test_other_types_are_refused(paper: hs.Scenario) -> None:
     with pytest.raises(TypeError, match="scenario: expected a Scenario"):
         hs.certify_batch("paper", {})  # type: ignore[arg-type]

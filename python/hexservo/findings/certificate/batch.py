@@ -101,8 +101,8 @@ def certify_batch(
     TypeError
         For anything but a `Scenario`, a mapping and the types above.
     ValueError
-        For another law or mode, of which the theorem does not speak, a centre of mass off the platform's origin or an
-        unknown payload, which have no certificate, and as `simulate_batch` for the variations.
+        For another law or mode, of which the theorem does not speak, as `simulate_batch` for the variations, and for a
+        varied scenario with a centre of mass off the platform's origin or an unknown payload, which has no certificate.
     """
     if not isinstance(scenario, Scenario):
         raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
@@ -112,11 +112,12 @@ def certify_batch(
         )
     if scenario.simulation.mode != "continuous":
         raise ValueError("simulation.mode: expected continuous, of which the theorem is, got sampled")
-    if reason := scene_of(scenario).unusual_body:
-        raise ValueError(f"robot: expected the body of the paper, got another: {reason}")
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     scenarios = [scenario.updated(_row(scenario, arrays, index)) for index in range(count)]
+    for index, varied in enumerate(scenarios):
+        if reason := scene_of(varied).unusual_body:
+            raise ValueError(f"scenario {index}: robot: expected the body of the paper, got another: {reason}")
     outcome = np.full(count, "interrupted", dtype="<U16")
     settling_time, eta, margin = np.full(count, np.nan), np.full((count, 6), np.nan), np.full((count, 6), np.nan)
     with contextlib.suppress(KeyboardInterrupt), reporting(progress, "runs certified") as report:
