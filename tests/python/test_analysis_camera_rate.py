@@ -677,6 +677,19 @@ def test_weights_enter_the_linear_law_by_their_slope_alone() -> None:
     assert rest.residual < 2.0
 
 
+def test_runs_of_the_task_start_where_the_scenario_does() -> None:
+    away = {"simulation.start.pose": [0.006, -0.004, 0.003, 0.03, -0.02, 0.05]}
+    scenario = hs.load_scenario("slow-camera").updated({**away, "uncertainty.gravity": 0.001})
+    calm = quiet(scenario).updated({"uncertainty.gravity": 0.001})
+    found = camera_rate.analyse(scenario)
+    for run, matches in ((calm.updated(away), True), (calm, False)):
+        travel = hs.simulate(run).streamed_metrics["peak_leg_excursion"]
+        assert (found.limits["latency"].own.peak == pytest.approx(travel, rel=1e-9)) is matches
+    assert found.at_rest is not None
+    assert found.at_rest.task.simulation.start.pose == scenario.simulation.start.pose
+    assert np.any(found.at_rest.task.simulation.start.pose)
+
+
 def test_the_stroke_limits_what_the_linear_loop_does_not() -> None:
     """The linear loop bears 500 ms of latency; single runs of the task show where a leg leaves its stroke."""
     # without a brake nothing holds the platform before the first image

@@ -190,7 +190,7 @@ class _Worker:
         return self.traits.memory and bool(self.gains.fuzzy.enabled)
 
     def jacobian(self, poses: Poses, features: Array, depth: Array, errors: Array | None = None) -> Array:
-        """Return sqrt(W) J (..., 2p, 6), or with depth errors sqrt(W) J-hat, the law's at Z-hat = (1 + delta) Z, (9)."""
+        """Return sqrt(W) J (..., 2p, 6), or with depth errors sqrt(W) J-hat, the law's at (1 + delta) Z, (9)."""
         if errors is None:
             return self.root * self.rest.jacobian(features, depth, poses)
         return self.root * self.rest.jacobian(features, (1.0 + errors) * depth, poses, assumed=True)

@@ -67,7 +67,7 @@ class LoopAtRest:
     free: SampledLoop  # with K_v = 0
     smooth: SampledLoop | None  # with the slope k_v/width; None for laws without K_v, and where it is 0
     slope: Array  # (6,) of it [N s/m; N m s/rad]
-    gravity: float | tuple[float, ...]  # `uncertainty.gravity` of the scenario itself, which does not act in `scenario`
+    task: Scenario  # sampled and without noise and faults as `scenario`, with its gravity error and its own start
 
 
 def quiet(scenario: Scenario) -> Scenario:
@@ -156,7 +156,8 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     except NoRestError as error:
         raise NotApplicableError(str(error)) from error
     as_if_sampled = scenario.simulation.mode == "continuous"
-    return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, scenario.uncertainty.gravity)
+    own = {key: value_at(scenario, key) for key in ("uncertainty.gravity", *AT_HOME)}
+    return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, calm.updated(own))
 
 
 def loop_with_weights(at_rest: LoopAtRest, weights: Array, *, smooth: bool) -> SampledLoop:

@@ -229,12 +229,12 @@ def _reach_table(found: Workspace) -> Table:
 
 
 def _map(found: Workspace) -> HeatMap:
-    centre = found.goal or found.start
     home = found.scene.home.position
-    lines = [Line("start", np.zeros(1), np.zeros(1), "points")]
-    if found.goal is not None:
-        x, y = 1e3 * (centre.pose.position - home)[:2]
-        lines.append(Line("goal", np.array([x]), np.array([y]), "points"))
+    lines = []
+    for place in (found.start, found.goal):
+        if place is not None:
+            x, y = 1e3 * (place.pose.position - home)[:2]
+            lines.append(Line(place.name, np.array([x]), np.array([y]), "points"))
     where = "goal" if found.goal is not None else "start"
     if _tilts_count(found):
         what, label, scale = "Remaining share of stroke and joint limits", "left of the limit [%]", 100.0
