@@ -41,7 +41,7 @@ class Equilibrium:
     # rounding)
     stability: str
     growth: float | None  # [1/s], largest real part of the loop linearised with its viscous damping; None without any
-    leg_travel: Array  # (6,) [m], against home
+    leg_travel: Array  # (6,) [m], from the middle of the travel
     reachable: bool  # within the stroke, and on home's side of the singular poses
     starts: int  # how many of the searches ended here
 

@@ -123,7 +123,7 @@ def _of_leg(found: Workspace, place: WorkspacePose) -> str:
         if leg.within
         else f"{_beyond(leg.margin)} {units.small} beyond its stroke"
     )
-    return f"leg {leg.leg} is {number(1e3 * abs(leg.travel))} {units.small} from its {units.name} at home, {end}"
+    return f"leg {leg.leg} is {number(1e3 * abs(leg.travel))} {units.small} from the middle of its travel, {end}"
 
 
 def _beyond(margin: float) -> str:
@@ -167,8 +167,8 @@ def _places_table(found: Workspace) -> Table:
             )
             for place in _places(found)
         ],
-        note=f"Travel of the legs from their {units.name}s at home; {number(1e3 * found.stroke)} {units.small} are "
-        f"allowed each way{_tilts_allowed(found)}. {units.effort_name.capitalize()}s hold the weight, estimated and "
+        note=f"Travel of the legs from its middle; {number(1e3 * found.stroke)} {units.small} are allowed each way"
+        f"{_tilts_allowed(found)}. {units.effort_name.capitalize()}s hold the weight, estimated and "
         "actual, without motion.",
         page=PAGE,
     )
