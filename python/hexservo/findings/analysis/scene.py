@@ -170,6 +170,13 @@ class Scene:
         """Return the largest |xi_d - xi|, (...) [px]; NaN where a point is not seen."""
         return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=-1))
 
+    def optical_axis(self, pose: Poses) -> Array:
+        """Return the camera's z axis at one pose of the platform, (3,) in B; that of a camera on the base stays."""
+        ends = self.camera.in_mount(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+        if self.scenario.camera.mount.on == "platform":
+            ends = pose.carried(ends)
+        return np.asarray(ends[1] - ends[0])
+
     def leg_travel(self, poses: Poses) -> Array:
         """Return how much longer each leg is than in the middle of its travel, (..., 6) [m]; that is home as a rule.
 
