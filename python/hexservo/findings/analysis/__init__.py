@@ -13,6 +13,7 @@ import numpy as np
 from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
+from hexservo.scenario.fitted import gains_written
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.motion import moves
 from hexservo.scenario.pixels import on_pinhole
@@ -124,7 +125,8 @@ def analyse(
     if unknown := [part for part in asked if part not in PARTS]:
         raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")
     found = {}
-    pinhole = on_pinhole(scenario)
+    written = gains_written(scenario)  # parts change the goal, to which gains of `auto` would be fitted again
+    pinhole = on_pinhole(scenario.updated(written) if written else scenario)
     for name, (module, _) in PARTS.items():
         if name in asked:
             if progress is not None:
