@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -163,7 +164,9 @@ def slope_of_pose_error(scenario: hs.Scenario, errors: np.ndarray) -> np.ndarray
         },
     ],
 )
-def test_rates_are_those_of_the_pose_error_by_finite_differences(changes: dict, composite: hs.Scenario) -> None:
+def test_rates_are_those_of_the_pose_error_by_finite_differences(
+    changes: dict[str, Any], composite: hs.Scenario
+) -> None:
     """The goal is home: there e and the remaining image error are zero, so E is exact, at the start and at the end."""
     scenario = composite.updated({"target.desired_features": composite.target.initial_features, **changes})
     drives = np.array([4.0, 3.0, 2.0, 5.0, 1.0, 6.0])
@@ -313,6 +316,7 @@ def test_the_start_is_that_of_the_run(composite: hs.Scenario) -> None:
     there = pattern_of(result, WORST)
     assert there.start != pytest.approx(at_home.start, rel=0.01)
     assert there.end is not None
+    assert at_home.end is not None
     np.testing.assert_allclose(there.end, at_home.end, rtol=0, atol=1e-7)  # the same pose, and counted from home
 
 
