@@ -677,6 +677,19 @@ def test_weights_enter_the_linear_law_by_their_slope_alone() -> None:
     assert rest.residual < 2.0
 
 
+def test_runs_of_the_task_start_where_the_scenario_does() -> None:
+    away = {"simulation.start.pose": [0.006, -0.004, 0.003, 0.03, -0.02, 0.05]}
+    scenario = hs.load_scenario("slow-camera").updated({**away, "uncertainty.gravity": 0.001})
+    calm = quiet(scenario).updated({"uncertainty.gravity": 0.001})
+    found = camera_rate.analyse(scenario)
+    for run, matches in ((calm.updated(away), True), (calm, False)):
+        travel = hs.simulate(run).streamed_metrics["peak_leg_excursion"]
+        assert (found.limits["latency"].own.peak == pytest.approx(travel, rel=1e-9)) is matches
+    assert found.at_rest is not None
+    assert found.at_rest.task.simulation.start.pose == scenario.simulation.start.pose
+    assert np.any(found.at_rest.task.simulation.start.pose)
+
+
 def test_the_stroke_limits_what_the_linear_loop_does_not() -> None:
     """The linear loop bears 500 ms of latency; single runs of the task show where a leg leaves its stroke."""
     # without a brake nothing holds the platform before the first image
@@ -799,6 +812,34 @@ def test_the_reason_is_given_where_the_analysis_does_not_apply(name: str, change
     assert set(section.data) == {"open"}
     if not changes:
         assert "largest_start" in section.sentences[1]
+
+
+def test_a_camera_that_the_controller_has_wrong_is_open() -> None:
+    """Half the focal length doubles the motion that the law asks for: the linear loop of the right one is not this."""
+    right = hs.load_scenario("paper").updated(
+        {
+            "controller.law": "resolved_rate",
+            "controller.resolved_rate.gain": 15.0,
+            "simulation.mode": "sampled",
+            "camera.period": 0.033,
+            "camera.latency": 0.033,
+        }
+    )
+    assert hs.analyse(right, ["camera_rate"]).camera_rate.stable is True
+    wrong = right.updated({"uncertainty.focal_length": -0.5})
+    assert hs.simulate(wrong).outcome == "diverged"
+    for scenario, key in (
+        (wrong, "uncertainty.focal_length"),
+        (right.updated({"uncertainty.principal_point": [0.0, 4.0]}), "uncertainty.principal_point"),
+    ):
+        analysis = hs.analyse(scenario, ["conditioning", "camera_rate"])
+        assert analysis.camera_rate.stable is None
+        conditioning, rate = analysis.sections()
+        assert rate.verdict == "open"
+        assert key in rate.sentences[0]
+        assert "focal length and principal point are taken as those of the camera" in conditioning.sentences[-1]
+    (plain,) = hs.analyse(right, ["conditioning"]).sections()
+    assert not any("principal point" in sentence for sentence in plain.sentences)
 
 
 def test_another_step_in_continuous_mode_brings_its_frames() -> None:

@@ -18,6 +18,7 @@ from hexservo.findings.analysis.goal import TOLERANCE, Goals, _turn_rate, find_g
 from hexservo.findings.analysis.placement import DEPTH_SHARE, image_radius, in_circle, place, placements
 from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.analysis.words import along, motion_in_words, number, numbers
+from hexservo.findings.evidence import Curves
 from hexservo.scenario.arrays import Array
 
 CORNERS = np.pi * np.array([1, 3, 5, 7]) / 4
@@ -305,3 +306,16 @@ def test_the_data_are_the_numbers_of_the_findings(paper: hs.Scenario) -> None:
     assert data["goal_reachable"] is True
     assert len(data["placements"]) == 6
     assert data["placements"][-1]["worst_per_px"] == analysis.conditioning.placements[-1].worst
+
+
+def test_curves_of_placements_are_of_home_whatever_the_start(paper: hs.Scenario) -> None:
+    """Placements are judged from home: another start moves none of their curves."""
+    away = paper.updated({"simulation.start.pose": [0.004, -0.003, 0.01, 0.05, 0.02, 0.3]})
+    curves = []
+    for scenario in (paper, away):
+        (section,) = hs.analyse(scenario, ["conditioning"]).sections()
+        (found,) = (item for item in section.items if isinstance(item, Curves) and "placements" in item.title)
+        curves.append(found)
+    for one, other in zip(curves[0].lines, curves[1].lines, strict=True):
+        np.testing.assert_allclose(one.x, other.x, rtol=1e-9)
+        np.testing.assert_allclose(one.y, other.y, rtol=1e-9)

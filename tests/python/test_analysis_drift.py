@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import hexservo as hs
 from hexservo.findings.analysis import drift
 from hexservo.findings.analysis.drift import Drift, Pattern, Size, loop_matrix
 from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.poses import Poses, by_displacement
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of
 
@@ -135,6 +137,60 @@ def test_the_limit_is_where_the_first_pattern_turns(found: Drift, composite: hs.
         assert smallest[0] > 0 > smallest[1]
 
 
+# ---- Against the law's own pose error -------------------------------------------------------------------------------
+
+
+def slope_of_pose_error(scenario: hs.Scenario, errors: np.ndarray) -> np.ndarray:
+    """Minus the derivative of the core's pose error by a displacement from home, (6, 6), for depth errors (p,)."""
+    rest = Rest(scenario)
+
+    def pose_error(poses: Poses) -> np.ndarray:
+        features, depth = rest.image(poses)
+        law = rest.probe.law(features, (1 + errors) * depth, poses.position, poses.quaternion, np.zeros((12, 6)))
+        assert law.pose_error is not None
+        return law.pose_error
+
+    return -by_displacement(pose_error, rest.home, np.full(6, 1e-6))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"target.weights": [1, 1, 0.25, 1]},
+        {"uncertainty.mount.rotation": [0.05, 0.03, 0.4]},
+        {
+            "uncertainty.mount": {"position": [0.01, -0.02, 0.005], "rotation": [0.1, 0, -0.2]},
+            "camera.mount.on": "base",
+        },
+    ],
+)
+def test_rates_are_those_of_the_pose_error_by_finite_differences(
+    changes: dict[str, Any], composite: hs.Scenario
+) -> None:
+    """The goal is home: there e and the remaining image error are zero, so E is exact, at the start and at the end."""
+    scenario = composite.updated({"target.desired_features": composite.target.initial_features, **changes})
+    drives = np.array([4.0, 3.0, 2.0, 5.0, 1.0, 6.0])
+    result = drift.analyse(scenario.updated({"controller.composite.drive": drives.tolist()}))
+    for pattern in size_of(result, 0.3).patterns:
+        slope = slope_of_pose_error(scenario, pattern.errors)
+        # differences of 1e-6 leave about 1e-10 of slope, times the condition of the eigenvectors and the drive
+        rate = np.linalg.eigvals(slope * drives).real.min()
+        assert pattern.rate == pytest.approx(rate, abs=1e-6)
+        assert pattern.start == pytest.approx(np.linalg.eigvals(slope).real.min(), abs=1e-6)
+        if pattern.end is None:
+            assert rate < 0
+            continue
+        np.testing.assert_allclose(pattern.end, 0.0, rtol=0, atol=1e-9)
+        assert pattern.end_rate == pytest.approx(rate, abs=1e-6)
+
+
+def test_points_of_unequal_weight_have_all_their_ends(composite: hs.Scenario) -> None:
+    result = drift.analyse(composite.updated({"target.weights": [1, 1, 0.25, 1]}))
+    patterns = size_of(result, 0.3).patterns
+    assert all(p.start > 0 for p in patterns)
+    assert all(p.end is not None for p in patterns)
+
+
 # ---- Runs -----------------------------------------------------------------------------------------------------------
 
 
@@ -234,6 +290,34 @@ def test_the_scenarios_own_errors_decide_the_verdict(composite: hs.Scenario) -> 
     bad = drift.analyse(composite.updated({"uncertainty.depth": [0.4, -0.4, -0.4, 0.4]})).section()
     assert bad.verdict == "bad"
     assert "drifts away" in bad.sentences[1]
+
+
+def test_without_an_expected_prior_no_end_is_missed(paper: hs.Scenario) -> None:
+    """Damping in the inverse alone bounds no drift: a law that creeps everywhere has a goal, and no end to search."""
+    result = drift.analyse(paper.updated({"controller.law": "resolved_rate", "uncertainty.depth": 1e-4}))
+    assert not result.has_prior
+    assert result.own is not None
+    assert result.own.end is None
+    assert all(p.smallest > 0 for p in size_of(result, 1e-4).patterns)
+    assert result.section().verdict == "good"
+
+
+def test_the_start_is_that_of_the_run(composite: hs.Scenario) -> None:
+    away = [0.004, -0.003, 0.002, 0.02, 0.03, -0.05]
+    scenario = composite.updated({"simulation.start.pose": away})
+    rest = Rest(scenario)
+    features, depth = rest.image(rest.start)
+    result = drift.analyse(scenario)
+    for pattern in size_of(result, 0.3).patterns:
+        known = rest.jacobian(features, (1 + pattern.errors) * depth, rest.start)
+        matrix = loop_matrix(known, rest.jacobian(features, depth, rest.start), PRIOR, PRIOR)
+        assert pattern.start == pytest.approx(np.linalg.eigvals(matrix).real.min(), abs=1e-9)
+    at_home = pattern_of(drift.analyse(composite), WORST)
+    there = pattern_of(result, WORST)
+    assert there.start != pytest.approx(at_home.start, rel=0.01)
+    assert there.end is not None
+    assert at_home.end is not None
+    np.testing.assert_allclose(there.end, at_home.end, rtol=0, atol=1e-7)  # the same pose, and counted from home
 
 
 def test_a_sampled_scenario_has_the_same_numbers(found: Drift, composite: hs.Scenario) -> None:

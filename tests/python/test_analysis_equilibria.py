@@ -13,6 +13,7 @@ from hexservo.findings.analysis.equilibria import Equilibrium
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.words import direction_words
+from hexservo.scenario.parameters import core_parameters
 
 
 @pytest.fixture(scope="module")
@@ -198,6 +199,32 @@ def test_a_gravity_error_moves_the_goal_where_the_forces_balance(gravity: float)
     assert goal.residual == pytest.approx(120 * abs(0.15 / distance - 1), rel=1e-9)
     assert found.gravity_force == pytest.approx(-pull, rel=1e-12)
     assert found.gravity_stiffness == pytest.approx(8 * 1e-4 * (120 / 0.15) ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("down", "words"),
+    [
+        ([1.0, 0.0, 0.0], "along x (down is positive)"),
+        ([0.0, -1.0, 0.0], "along -y (down is positive)"),
+        ([0.0, 0.0, 1.0], "along z (down is positive)"),
+        ([0.0, 0.6, 0.8], "along (0.00, 0.60, 0.80) (down is positive)"),
+    ],
+)
+def test_a_turned_gravity_error_is_judged_along_its_own_direction(down: list[float], words: str) -> None:
+    """Stiffness of the square by hand: 4 K_p (f/Z)^2 across, 8 K_p (h/Z)^2 along the axis, and nothing between them."""
+    gravity = 0.01
+    scenario = on_the_axis(gravity).updated({"robot.gravity": (9.8 * np.array(down)).tolist()})
+    found = equilibria.analyse(scenario)
+    focal = core_parameters(scenario).camera.focal_pixels
+    across, ahead = 4 * 1e-4 * (focal / 0.15) ** 2, 8 * 1e-4 * (120 / 0.15) ** 2
+    assert found.gravity_direction is not None
+    np.testing.assert_allclose(found.gravity_direction, down, rtol=0, atol=1e-12)
+    assert found.gravity_force == pytest.approx(-gravity * 0.06 * 9.8, rel=1e-12)
+    expected = float(np.array([across, across, ahead]) @ np.square(down))
+    assert found.gravity_stiffness == pytest.approx(expected, rel=1e-6)
+    section = found.section()
+    assert f"The gravity error leaves {found.gravity_force:+.3g} N {words} against a stiffness" in section.sentences[0]
+    assert section.data["gravity_direction"] is found.gravity_direction
 
 
 def test_the_goal_repels_where_the_printed_sign_is_used(paper: hs.Scenario) -> None:

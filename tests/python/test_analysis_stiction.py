@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import HalfspaceIntersection
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo.findings.analysis import stiction
@@ -81,7 +83,18 @@ def test_one_axis_by_hand() -> None:
     scene = scene_of(hs.load_scenario("paper").updated(square(100.0, 0.5)))
     view = scene.view(scene.home)
     rest = RestSet(
-        view, np.zeros(8), np.zeros(6), np.diag(springs), -KV, KV, np.eye(6), np.zeros(6), 10.0, 0.1, np.ones(6)
+        view,
+        np.zeros(8),
+        np.zeros(6),
+        np.diag(springs),
+        -KV,
+        KV,
+        np.eye(6),
+        np.zeros(6),
+        10.0,
+        0.1,
+        np.ones(6),
+        np.eye(3)[2],
     )
     ends = extremes(rest)
     assert ends is not None
@@ -147,6 +160,25 @@ def test_linear_programs_reach_what_the_enumerated_vertices_have(paper: hs.Scena
     axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)])
     assert ends.turn == pytest.approx(np.linalg.norm(np.cross(vertices[:, 3:], axis), axis=1).max(), rel=1e-6)
     np.testing.assert_allclose(ends.pose, np.abs(vertices).max(axis=0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("on", ["platform", "base"])
+def test_the_optical_axis_is_that_of_the_camera(paper: hs.Scenario, on: str) -> None:
+    """A camera tilted by 60 degrees about x; on the base its axis stays where it is. Turns about it do not count."""
+    tilt, turned = Rotation.from_rotvec([np.pi / 3, 0.0, 0.0]), np.array([0.1, -0.2, 0.05])
+    mount = {"on": on, "rotation": tilt.as_rotvec().tolist(), "position": [0.0, 0.0, 0.4 if on == "base" else 0.0]}
+    scene = scene_of(paper.updated({"camera.mount": mount}))
+    axis = tilt.apply([0.0, 0.0, 1.0])
+    pose = scene.home.moved(np.array([0.001, 0.002, -0.001, *turned]))
+    there = Rotation.from_rotvec(turned).apply(axis) if on == "platform" else axis
+    np.testing.assert_allclose(scene.optical_axis(pose), there, rtol=0, atol=1e-14)
+
+    springs = np.array([1.0, 1.0, 1.0, 0.01, 0.02, 0.04])  # so stiff that K_v alone limits the set
+    rest = RestSet.at(scene, RestLaw(scene), scene.view(scene.home), -KV, KV)
+    ends = extremes(replace(rest, error=np.zeros(8), wrench=np.zeros(6), stiffness=np.diag(springs)))
+    assert ends is not None
+    corners = (KV / springs)[3:] * np.array(list(itertools.product((-1, 1), repeat=3)))
+    assert ends.turn == pytest.approx(np.linalg.norm(np.cross(corners, axis), axis=1).max(), rel=1e-6)
 
 
 # ---- gravity --------------------------------------------------------------------------------------------------------
@@ -245,6 +277,47 @@ def test_what_fuzzy_systems_take_up_is_bounded_by_their_limit(paper: hs.Scenario
     assert np.abs(limited.runs[1].fuzzy_output).max() <= 1e-5 * (1 + 1e-12)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"controller.law": "composite", "controller.composite.drive": 0.0},
+        {"controller.law": "composite", "controller.composite.drive": 0.0, "controller.switching.kind": "tanh"},
+        {"controller.switching.kind": "tanh", "controller.hybrid.fuzzy.adaptation": 0.03},
+    ],
+)
+def test_fuzzy_systems_that_the_twist_alone_drives_hold_a_run_off_its_goal(
+    paper: hs.Scenario, changes: dict[str, Any]
+) -> None:
+    """A spring towards the start: a run ends beyond the set of K_v alone, and within a reported case."""
+    scenario = paper.updated(changes)
+    found = stiction.analyse(scenario)
+    final = np.abs(hs.simulate(scenario).feature_error[-1]).max()
+    section = found.section()
+    if found.kind == "open":
+        assert final > 10.0  # of the 20 px at the start: nothing that creep would leave
+        assert "a spring towards the start" in section.sentences[0]
+        assert section.verdict == "open"
+        return
+    assert found.straight_way is not None
+    alone, with_fuzzy = found.cases[0].ends, found.cases[-1].ends
+    assert alone is not None
+    assert with_fuzzy is not None
+    assert alone.largest < final < with_fuzzy.largest
+    assert section.verdict == "warning"
+
+
+def test_the_verdict_counts_what_the_fuzzy_systems_hold(paper: hs.Scenario) -> None:
+    """A hundredth of K_v holds less than 2 px, the fuzzy systems hold more."""
+    found = stiction.analyse(
+        paper.updated({"controller.hybrid.kv": (0.01 * KV).tolist(), "controller.hybrid.fuzzy.adaptation": 0.1})
+    )
+    alone, with_fuzzy = found.cases[0].ends, found.cases[-1].ends
+    assert alone is not None
+    assert with_fuzzy is not None
+    assert alone.largest < 2.0 < with_fuzzy.largest
+    assert found.section().verdict == "warning"
+
+
 def test_what_one_rule_takes_up_on_the_straight_way(found: stiction.Stiction, paper: hs.Scenario) -> None:
     goals = find_goals(scene_of(paper))
     assert goals is not None
@@ -326,7 +399,7 @@ def test_smooth_switching_creeps_as_fast_as_it_is_said_to(paper: hs.Scenario, ki
 
 
 def test_positive_feedback_does_not_creep_back(paper: hs.Scenario) -> None:
-    changes = {"controller.jacobian": "printed", "controller.switching.kind": "tanh"}
+    changes = {"controller.jacobian": "printed", "controller.switching.kind": "tanh", **NO_FUZZY}
     found = stiction.analyse(paper.updated(changes))
     assert found.creep is not None
     assert found.creep.left is None

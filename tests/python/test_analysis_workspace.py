@@ -13,6 +13,7 @@ from hexservo.findings.analysis import workspace
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.words import number
+from hexservo.findings.evidence import HeatMap
 from hexservo.scenario.parameters import core_parameters
 
 SEED = 21
@@ -196,6 +197,15 @@ def test_forces_hold_the_weight_by_statics(found: workspace.Workspace, paper: hs
     np.testing.assert_allclose(
         found.goal.travel, np.linalg.norm(legs, axis=1) - np.array(scene.hexapod.home_lengths), atol=1e-9
     )
+
+
+def test_the_map_marks_the_start_of_the_run(paper: hs.Scenario) -> None:
+    start = [0.004, -0.003, 0.002, 0.0, 0.02, 0.0]
+    (section,) = hs.analyse(paper.updated({"simulation.start.pose": start}), ["workspace"]).sections()
+    (heat,) = (item for item in section.items if isinstance(item, HeatMap))
+    marks = {line.name: (line.x, line.y) for line in heat.lines}
+    np.testing.assert_allclose(np.ravel(marks["start"]), [4.0, -3.0], rtol=0, atol=1e-9)  # [mm] from home
+    assert set(marks) == {"start", "goal"}
 
 
 def test_margins_of_the_way_and_of_the_map(found: workspace.Workspace, paper: hs.Scenario) -> None:

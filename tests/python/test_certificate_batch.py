@@ -11,6 +11,7 @@ import pytest
 import hexservo as hs
 from hexservo.findings.certificate import batch as module
 from hexservo.findings.certificate.batch import BatchCertificate
+from hexservo.findings.evidence import Table
 
 SHORT: dict[str, Any] = {"simulation.duration": 0.3}
 
@@ -20,7 +21,13 @@ def made(settling: list[float], margins: list[float]) -> BatchCertificate:
     margin = np.tile(np.array(margins)[:, None], (1, 6))
     outcome = np.where(np.isnan(margins), "interrupted", "completed")
     return BatchCertificate(
-        hs.load_scenario("paper"), {}, outcome, np.array(settling), np.where(np.isnan(margin), np.nan, 1.0), margin
+        hs.load_scenario("paper"),
+        {},
+        outcome,
+        np.array(settling),
+        np.where(np.isnan(margin), np.nan, 1.0),
+        margin,
+        margin >= 0.0,
     )
 
 
@@ -56,6 +63,29 @@ def test_a_batch_is_its_single_runs(paper: hs.Scenario) -> None:
         np.testing.assert_equal(batch.settling_time[index], hs.metrics(result)["settling_time"])
         assert batch.outcome[index] == result.outcome
     assert batch.held.tolist() == [False, True]  # four times k_v is enough about y
+
+
+def test_rounding_breaks_no_assumption(paper: hs.Scenario) -> None:
+    """K_v = 0 about z, where nothing is uncertain: what is left of Delta-tau there is rounding, as for one run."""
+    exact = dict.fromkeys(("inertia", "coriolis", "gravity", "depth"), 0.0)
+    kv = [2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 0.0]
+    scenario = paper.updated(
+        {
+            "simulation.duration": 0.05,
+            "uncertainty": exact,
+            "controller.hybrid": {"kv": kv, "fuzzy": {"enabled": False}},
+        }
+    )
+    single = hs.certify(hs.simulate(scenario)).assumption
+    assert single is not None
+    assert single.margin[5] < 0.0
+    assert single.held.all()
+    batch = hs.certify_batch(scenario, {"uncertainty.gravity": [0.0]})
+    np.testing.assert_array_equal(batch.held_by_axis, [single.held])
+    assert batch.held.tolist() == [True]
+    axes = batch.section().items[1]
+    assert isinstance(axes, Table)
+    assert [row[1] for row in axes.rows] == [1] * 6
 
 
 def test_progress_is_reported_after_every_run(paper: hs.Scenario, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,6 +143,24 @@ def test_bad_batches_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=words):
         hs.certify_batch(paper.updated(changes), variations)
+
+
+@pytest.mark.parametrize(
+    ("payload", "variations", "words"),
+    [
+        ({"known": False}, {"robot.payload.mass": [0.0, 0.01]}, "scenario 1: .* a payload that the controller"),
+        (
+            {},
+            {"robot.centre_of_mass": [[0.0, 0.0, 0.0], [0.0, 0.0, 1e-3]], "robot.inertia": [np.diag([2e-4] * 3)] * 2},
+            "scenario 1: .* centre of mass",
+        ),
+    ],
+)
+def test_a_varied_body_that_has_no_certificate_is_refused(
+    paper: hs.Scenario, payload: dict[str, Any], variations: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        hs.certify_batch(paper.updated({**SHORT, "robot.payload": payload}), variations)
 
 
 def test_other_types_are_refused(paper: hs.Scenario) -> None:

@@ -307,6 +307,16 @@ def test_with_smooth_switching_it_closes_to_the_order_of_the_method(paper: hs.Sc
         assert ledger.closes
 
 
+@pytest.mark.parametrize("law", ["kelly", "hybrid"])
+@pytest.mark.parametrize("steps", [1, 2, 3, 4, 5])
+def test_smooth_runs_of_a_few_steps_close(paper: hs.Scenario, law: str, steps: int) -> None:
+    """Steps of twice the length cover an even number of steps; the last one of an odd number has a bound as well."""
+    changes = {"controller.law": law, "controller.switching.kind": "tanh", "simulation.duration": steps * 1e-3}
+    ledger = ledger_of(paper.updated(changes))
+    assert len(ledger.time) == steps + 1
+    assert ledger.faults == ()
+
+
 def test_with_sign_it_closes_to_first_order(paper: hs.Scenario) -> None:
     """A platform that sticks chatters: every step has a sign change, and misses about h k_v times its change of v."""
     sticking = {"controller.hybrid.kv": [0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3], "simulation.duration": 0.5}

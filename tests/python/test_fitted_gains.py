@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -18,7 +19,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import keys_without_effect, unlikely
 from hexservo.findings.check_gains import image_delay, start_forces
 from hexservo.run.export import gains_header
-from hexservo.scenario.fitted import chosen_keys, fitted_keys, machine_of
+from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, machine_of
 from hexservo.scenario.keys import default_of, value_at
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
@@ -424,3 +425,32 @@ def test_auto_that_fits_nothing_has_no_effect(paper: hs.Scenario) -> None:
     (sentence,) = keys_without_effect(paper.updated({"controller.hybrid.auto.damping": 2.0}))
     assert sentence.endswith("it acts only with controller.hybrid.auto.bandwidth")
     assert keys_without_effect(with_auto(paper, "kelly", 5.0)) == []
+
+
+def test_gains_that_are_written_do_not_follow_the_goal(paper: hs.Scenario) -> None:
+    fitted = with_auto(paper, "composite", 2.0)
+    kept = fitted.updated(gains_written(fitted))
+    goal = {"target.desired_features": paper.target.initial_features}
+    assert gains_written(paper) == {}
+    for key, value in gains_of(fitted).items():
+        np.testing.assert_array_equal(gains_of(kept.updated(goal))[key], value)
+    assert any((gains_of(fitted.updated(goal))[key] != value).any() for key, value in gains_of(fitted).items())
+
+
+@pytest.mark.parametrize(
+    ("law", "bandwidth", "changes", "part"),
+    [
+        ("composite", 4.0, {"controller.composite.fuzzy.enabled": False}, "stiction"),
+        ("composite", 4.0, {}, "camera_rate"),
+        ("kelly", 0.7, {"simulation.duration": 1.0}, "largest_start"),
+    ],
+)
+def test_analyses_have_one_law_for_all_their_goals(
+    paper: hs.Scenario, law: str, bandwidth: float, changes: dict[str, Any], part: str
+) -> None:
+    """Bit for bit those of the numbers that `auto` gave, whatever goals their runs have."""
+    fitted = with_auto(paper, law, bandwidth, **changes)
+    written = {f"controller.{law}.{key}": value.tolist() for key, value in gains_of(fitted).items()}
+    numbers = paper.updated({"controller.law": law, **changes, **written})
+    expected, found = (hs.analyse(scenario, [part]).to_dict() for scenario in (numbers, fitted))
+    assert json.dumps(found) == json.dumps(expected)

@@ -15,12 +15,18 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
 from hexservo.findings.diagnosis.causes import CAUSES
+from hexservo.findings.diagnosis.evidence import SIGNATURES
 from hexservo.findings.diagnosis.ranking import judged, make_cases
 from hexservo.findings.diagnosis.runs import record_of
 from hexservo.findings.diagnosis.words import misses
+from hexservo.findings.evidence import Table
+from hexservo.run.leg_limits import most_used
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.wording import number
 
 Array = NDArray[np.float64]
 KINDS = ("speed", "base_joint", "platform_joint")
@@ -284,3 +290,28 @@ def test_limits_that_are_none_are_refused(paper: hs.Scenario, changes: dict[str,
     with pytest.raises(hs.ScenarioError) as error:
         paper.updated(changes)
     assert words in str(error.value)
+
+
+def test_travel_is_counted_from_its_middle_in_every_sentence(paper: hs.Scenario) -> None:
+    """With the middle 3 mm from home's length, the sentences have the travel from there."""
+    scenario = paper.updated({"robot.stroke_centre": 0.003, "robot.stroke": 0.005, "simulation.duration": 1.0})
+    goals = find_goals(scene_of(scenario))
+    assert goals is not None
+    pose = goals.best.view.pose
+    legs = _core.Hexapod(core_parameters(scenario).robot)
+    travel = np.abs(legs.leg_lengths(pose.position, pose.quaternion) - legs.home_lengths - 0.003)
+    words = f"{number(1e3 * travel.max())} mm from the middle of its travel"
+    (section,) = hs.analyse(scenario, ["workspace"]).sections()
+    assert f"At the goal leg {travel.argmax() + 1} is {words}" in section.sentences[0]
+    table = next(item for item in section.items if isinstance(item, Table))
+    assert "Travel of the legs from its middle" in table.note
+    result = hs.simulate(scenario)
+    case = make_cases([scenario])[0]
+    assert case.goal is not None
+    assert case.goal.leg_travel == pytest.approx(travel.max(), rel=1e-9)
+    evidence = SIGNATURES["leg_limits"](case, record_of(result), judged(scenario, record_of(result)))
+    assert f"a leg is {words}" in evidence.sentence
+    use = most_used(scenario, hs.metrics(result))
+    taken = np.abs(result.leg_lengths - legs.home_lengths - 0.003).max()
+    assert use.peak == pytest.approx(taken, rel=1e-9)
+    assert use.excess.startswith(f"takes a leg {number(1e3 * taken)} mm from the middle of its travel")

@@ -49,9 +49,8 @@ class LimitUse:
         """What a run beyond the limit does, as a clause that follows its subject."""
         unit, scale = readable_unit(self.limit.unit)
         value = f"{number(self.peak * scale)} {unit}"
-        coordinate = "length" if unit == "mm" else "angle"
         return {
-            "stroke": f"takes a leg {value} from its {coordinate} at home, beyond its stroke",
+            "stroke": f"takes a leg {value} from the middle of its travel, beyond its stroke",
             "speed": f"moves a leg at {value}, beyond its speed limit",
             "base_joint": f"tilts a leg by {value} at the base, beyond its joint limit",
             "platform_joint": f"tilts a leg by {value} at the platform, beyond its joint limit",

@@ -30,6 +30,7 @@ __all__ = [
     "chosen_keys",
     "fitted_gains",
     "fitted_keys",
+    "gains_written",
     "machine_of",
     "machine_with",
     "with_fitted_gains",
@@ -333,6 +334,19 @@ def chosen_keys(scenario: Blocks) -> tuple[str, ...]:
     follow = _follow(scenario, law)
     own = getattr(scenario.controller, law)
     return tuple(key for key in fitted_keys(law) if not _same(_at(own, key), follow[key]))
+
+
+def gains_written(scenario: Blocks) -> dict[str, Any]:
+    """Return the changes, by dotted key, that keep the gains that `auto` fits whatever else changes; empty without it.
+
+    They are numbers from then on, as if a user had written them.
+    """
+    if auto_of(scenario).bandwidth is None:
+        return {}
+    law = scenario.controller.law
+    own = getattr(scenario.controller, law)
+    gains = {f"controller.{law}.{path}": _at(own, path) for path in fitted_keys(law)}
+    return {f"controller.{law}.auto.bandwidth": None, **gains}
 
 
 def without_fitted_gains(scenario: Blocks, keys: dict[str, Any]) -> None:

@@ -13,6 +13,8 @@ import numpy as np
 from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
+from hexservo.scenario.fitted import gains_written
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.motion import moves
 from hexservo.scenario.pixels import on_pinhole
 from hexservo.scenario.scenario import Scenario
@@ -27,6 +29,12 @@ _POSITIONS = (
     "it is about a platform that the law's wrench holds, and the legs of this machine follow positions (actuators.kind)"
 )
 _WITH_MOTION = ("largest_start",)  # whose runs are those of the scenario
+_OF_KNOWN_CAMERA = ("camera_rate",)  # is open where the controller has the camera wrong
+_INTRINSICS = ("uncertainty.focal_length", "uncertainty.principal_point")
+_RIGHT_CAMERA = (
+    "The controller's focal length and principal point are taken as those of the camera, also in runs; in this "
+    f"scenario they differ ({' and '.join(_INTRINSICS)})."
+)
 _AT_REST = "Base and target are taken at rest; in this scenario they move."
 
 # name -> (module of this package, its subject). A module has analyse(scenario), which returns a `Part`; the module
@@ -70,9 +78,10 @@ class Analysis(Findings):
         found: Section | NotComputed = _computed(self.scenario, name, part.section)
         section = found.section() if isinstance(found, NotComputed) else found
         moving = moves(self.scenario.base_motion) or self.scenario.target.motion.kind != "none"
-        if not moving or name in _WITH_MOTION:
-            return section
-        return replace(section, sentences=(*section.sentences, _AT_REST))
+        taken = [_AT_REST] if moving and name not in _WITH_MOTION else []
+        if _has_camera_wrong(self.scenario) and name not in _OF_KNOWN_CAMERA:
+            taken.append(_RIGHT_CAMERA)
+        return replace(section, sentences=(*section.sentences, *taken)) if taken else section
 
     def to_dict(self) -> dict[str, Any]:
         """Return all numbers for strict JSON, by part, in SI units and pixels."""
@@ -116,14 +125,21 @@ def analyse(
     if unknown := [part for part in asked if part not in PARTS]:
         raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")
     found = {}
-    pinhole = on_pinhole(scenario)
+    written = gains_written(scenario)  # parts change the goal, to which gains of `auto` would be fitted again
+    pinhole = on_pinhole(scenario.updated(written) if written else scenario)
     for name, (module, _) in PARTS.items():
         if name in asked:
             if progress is not None:
                 progress(name)
             part = import_module(f"hexservo.findings.analysis.{module}").analyse
-            found[name] = _computed(scenario, name, partial(part, pinhole))
+            of = scenario if name in _OF_KNOWN_CAMERA and _has_camera_wrong(scenario) else pinhole
+            found[name] = _computed(scenario, name, partial(part, of))
     return Analysis(scenario, found)
+
+
+def _has_camera_wrong(scenario: Scenario) -> bool:
+    """Return whether the controller has a wrong focal length or principal point, which `on_pinhole` takes away."""
+    return any(np.any(np.asarray(value_at(scenario, key)) != 0.0) for key in _INTRINSICS)
 
 
 def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:

@@ -244,19 +244,14 @@ def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
         return ()
 
 
-def _task(at_rest: LoopAtRest) -> Scenario:
-    """Return the task itself, without noise and faults."""
-    return at_rest.scenario.updated({"uncertainty.gravity": at_rest.gravity})
-
-
 def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> Margins | None:
     """Return the margins at the final weights of the task's own run."""
     if not at_rest.free.axes:  # nothing that learns
         return None
-    weights = learned_weights(_task(at_rest))
+    weights = learned_weights(at_rest.task)
     return None if weights is None else loop_margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
 
 
 def _limit_border(at_rest: LoopAtRest, clock: Clock, key: Literal["period", "latency"], linear: Border) -> LimitBorder:
     """Vary period or latency up to the stability limit of the linear loop."""
-    return limit_border(_task(at_rest), key, clock, linear.stable or getattr(clock, key))
+    return limit_border(at_rest.task, key, clock, linear.stable or getattr(clock, key))

@@ -116,10 +116,11 @@ def _goal_in_words(found: Conditioning) -> str:
 
 def _curves(found: Conditioning) -> Curves:
     """Draw the worst direction over the size of a square, in a plane and with one corner off it."""
-    length = found.start.length
-    own = float(np.hypot(*found.start.view.features.reshape(-1, 2).T).max())
+    placed = found.placements[0]
+    length = float(np.abs(placed.depth).mean())
+    own = float(np.hypot(*placed.features.reshape(-1, 2).T).max())
     radii = np.geomspace(min(20.0, own), max(image_radius(found.scene), own), 30)
-    count = len(found.start.view.depth)
+    count = len(placed.depth)
     plane = np.full(count, -length)
     near = plane.copy()
     near[0] *= 1 - DEPTH_SHARE
@@ -136,7 +137,7 @@ def _curves(found: Conditioning) -> Curves:
         lines=(
             Line(f"{shape_name(count)} in a plane", radii, worst(plane)),
             Line(f"one corner {DEPTH_SHARE:.0%} of the depth nearer", radii, worst(near), "dashed"),
-            Line("as they are", np.array([own]), np.array([1e3 * found.placements[0].worst]), "points"),
+            Line("as they are", np.array([own]), np.array([1e3 * placed.worst]), "points"),
             Line(
                 "best found",
                 np.array([float(np.hypot(*best.features.reshape(-1, 2).T).max())]),

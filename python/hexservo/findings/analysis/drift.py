@@ -163,11 +163,11 @@ class _Worker:
         self.gains = self.rest.gains
         goals = find_goals(scene_of(scenario))
         self.goal = None if goals is None else goals.shown_at
-        places = [self.rest.home] if self.goal is None else [self.rest.home, self.goal]
+        places = [self.rest.start] if self.goal is None else [self.rest.start, self.goal]
         self.places = [(pose, *self.rest.image(pose)) for pose in places]
         root = np.sqrt(np.repeat(self.rest.settings["target.weights"], 2))
         self.root: Array = root[:, None]  # of what each coordinate counts
-        self.true = [self.root * self.rest.jacobian(features, depth, pose) for pose, features, depth in self.places]
+        self.true = [self.jacobian(*place) for place in self.places]
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
         self.drive, self.driven_by = self._drive()
@@ -189,12 +189,22 @@ class _Worker:
         """Whether fuzzy systems are driven by the pose error."""
         return self.traits.memory and bool(self.gains.fuzzy.enabled)
 
+    def jacobian(self, poses: Poses, features: Array, depth: Array, errors: Array | None = None) -> Array:
+        """Return sqrt(W) J (..., 2p, 6), or with depth errors sqrt(W) J-hat, the law's at (1 + delta) Z, (9)."""
+        if errors is None:
+            return self.root * self.rest.jacobian(features, depth, poses)
+        return self.root * self.rest.jacobian(features, (1.0 + errors) * depth, poses, assumed=True)
+
     def known(self, place: int, errors: Array) -> Array:
-        """Return J-hat (n, 2p, 6) at a place for depth errors (n, p): the core's J at Z-hat = (1 + delta) Z, (9)."""
+        """Return sqrt(W) J-hat (n, 2p, 6) at a place for depth errors (n, p)."""
         pose, features, depth = self.places[place]
         count = len(errors)
-        poses = pose.repeated(count)
-        return self.root * self.rest.jacobian(np.tile(features, (count, 1)), (1.0 + errors) * depth, poses)
+        return self.jacobian(pose.repeated(count), np.tile(features, (count, 1)), depth, errors)
+
+    def matrix(self, poses: Poses, features: Array, depth: Array, errors: Array) -> Array:
+        """Return the loop matrix at poses (n,) from which an image is seen, for depth errors (n, p)."""
+        known, true = self.jacobian(poses, features, depth, errors), self.jacobian(poses, features, depth)
+        return loop_matrix(known, true, self.inverse, self.expected)
 
     def smallest(self, place: int, errors: Array, inverse: Array, expected: Array) -> Array:
         """Return the smallest real part of an eigenvalue of the loop matrix, (n,)."""
@@ -240,21 +250,18 @@ class _Worker:
     def ends(self, errors: Array) -> tuple[Poses, Mask]:
         """Search for poses of zero pose error, from the start; return them and which converged."""
         count = len(errors)
-        home = self.rest.home
-        poses = home.repeated(count)
+        poses = self.rest.start.repeated(count)
         last = np.full(count, np.inf)
         for _ in range(_CREEP_ROUNDS if self.expected.any() else 0):
             features, depth = self.rest.image(poses)
             seen = np.asarray(np.isfinite(features).all(axis=1))
             if not seen.any():
                 break
-            there, believed = poses[seen], (1.0 + errors[seen]) * depth[seen]
+            there = poses[seen]
             at = (there.position, there.quaternion, np.zeros((len(there), 6)))
-            error = self.rest.probe.law(features[seen], believed, *at).pose_error
+            error = self.rest.probe.law(features[seen], (1.0 + errors[seen]) * depth[seen], *at).pose_error
             assert error is not None  # a law with a prior regulates one
-            known = self.rest.jacobian(features[seen], believed, there)
-            true = self.rest.jacobian(features[seen], depth[seen], there)
-            slope = loop_matrix(known, true, self.inverse, self.expected)
+            slope = self.matrix(there, features[seen], depth[seen], errors[seen])
             step = np.zeros((count, 6))
             step[seen] = np.linalg.solve(slope, error[..., None])[..., 0]
             scaled = np.abs(step / self.rest.unit).max(axis=1)
@@ -267,10 +274,7 @@ class _Worker:
         result = np.full(len(poses), np.nan)
         if rows.any():
             there = poses[rows]
-            features, depth = self.rest.image(there)
-            known = self.rest.jacobian(features, (1.0 + errors[rows]) * depth, there)
-            true = self.rest.jacobian(features, depth, there)
-            matrix = loop_matrix(known, true, self.inverse, self.expected)
+            matrix = self.matrix(there, *self.rest.image(there), errors[rows])
             result[rows] = np.linalg.eigvals(matrix * self.drive).real.min(axis=1)
         return result
 

@@ -223,7 +223,8 @@ def _chosen(found: Drift) -> Size:
 
 
 def _beyond(found: Drift, pattern: Pattern) -> bool:
-    return pattern.end is None or pattern.end_travel > found.stroke
+    """Return whether a drift leaves the stroke. Without an expected prior it has no end, and none is searched."""
+    return found.has_prior if pattern.end is None else pattern.end_travel > found.stroke
 
 
 def _number(value: float) -> float | None:

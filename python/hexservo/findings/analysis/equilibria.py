@@ -41,7 +41,7 @@ class Equilibrium:
     # rounding)
     stability: str
     growth: float | None  # [1/s], largest real part of the loop linearised with its viscous damping; None without any
-    leg_travel: Array  # (6,) [m], against home
+    leg_travel: Array  # (6,) [m], from the middle of the travel
     reachable: bool  # within the stroke, and on home's side of the singular poses
     starts: int  # how many of the searches ended here
 
@@ -57,8 +57,9 @@ class Equilibria(Part):
     starts_wider: int = 0
     stroke: float = 0.0  # [m]
     depth: float = 0.0  # [m], mean, from home
-    gravity_force: float = 0.0  # [N], what the gravity error leaves along z
-    gravity_stiffness: float | None = None  # [N/m], of the image part along z at the goal without that error
+    gravity_force: float = 0.0  # [N], what the gravity error leaves along `gravity_direction`; negative: upwards
+    gravity_direction: Array | None = None  # (3,) in B, that of the error's force, downwards; None without an error
+    gravity_stiffness: float | None = None  # [N/m], of the image part along it at the goal without that error
     band: float = 0.0  # [px], of settling
     barrier: tuple[Array, Array] | None = None  # the way from a false one to the goal [1], image error on it [px]
     leg_unit: str = "mm"  # a thousandth of the unit of leg travel
@@ -100,9 +101,13 @@ def analyse(scenario: Scenario) -> Equilibria:
     kinds = ["goal" if shown else "false" for shown in level.residual(poses) < SHOWN]
     counts = [len(set(origin[group].tolist())) for group in groups]
     goal_stiffness, gravity = None, rest.gravity_error
-    if gravity.any():
+    force, down = float(np.linalg.norm(gravity[:3])), None
+    if force > 0.0:
+        upwards = float(gravity[:3] @ rest.settings["robot.gravity"]) < 0.0
+        force = -force if upwards else force
+        down = gravity[:3] / force
         if "goal" in kinds:
-            goal_stiffness = _stiffness_along_z(level, poses[[kinds.index("goal")]])
+            goal_stiffness = _stiffness_along(down, level, poses[[kinds.index("goal")]])
         poses, kinds, counts = _with_gravity(bare, rest, starts, poses, kinds, counts)
     found = [_described(rest, poses[[i]], kind, counts[i]) for i, kind in enumerate(kinds)]
     found.sort(key=lambda e: (e.kind == "false", float(np.linalg.norm(e.displacement / rest.unit))))
@@ -114,7 +119,8 @@ def analyse(scenario: Scenario) -> Equilibria:
         len(wider),
         rest.stroke,
         rest.depth,
-        float(gravity[2]),
+        force,
+        down,
         goal_stiffness,
         rest.band,
         leg_unit=rest.units.small,
@@ -165,13 +171,11 @@ def _search(rest: Rest, starts: Poses, weights: Array) -> tuple[Poses, Mask, NDA
     return Poses.joined(low, raw), np.concatenate([low_found, raw_found]), np.concatenate([number, number])
 
 
-def _stiffness_along_z(rest: Rest, pose: Poses) -> float:
-    """Return the force per shift along z, the other five directions held [N/m]."""
-    acceleration = np.zeros((1, 6))
-    acceleration[0, 2] = rest.stiffness(pose)[0, 2, 2]
-    still = np.zeros((1, 6))
-    force, _, _ = rest.probe.estimated_wrenches(pose.quaternion, still, acceleration)
-    return float(force[0, 2] * (1.0 - rest.settings["uncertainty.inertia"][2, 2]))
+def _stiffness_along(direction: Array, rest: Rest, pose: Poses) -> float:
+    """Return the force per shift along a direction (3,) of B, the other five directions held [N/m]."""
+    acceleration = rest.unit * (rest.stiffness(pose)[0, :, :3] @ direction) / rest.depth  # [m/s^2; rad/s^2] per m
+    inertia = rest.probe.inertia(pose.quaternion)[0] * (1.0 - rest.settings["uncertainty.inertia"])
+    return float(direction @ (inertia @ acceleration)[:3])
 
 
 def _with_gravity(

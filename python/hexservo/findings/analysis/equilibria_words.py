@@ -8,7 +8,14 @@ import numpy as np
 
 from hexservo.findings.analysis.equilibria import SEED, Equilibria, Equilibrium
 from hexservo.findings.analysis.scene import WIDER
-from hexservo.findings.analysis.words import direction_words, displacement_words, number, open_section, vector_words
+from hexservo.findings.analysis.words import (
+    along,
+    direction_words,
+    displacement_words,
+    number,
+    open_section,
+    vector_words,
+)
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
 from hexservo.scenario.laws import laws_with
 
@@ -61,7 +68,7 @@ def _sentences(result: Equilibria) -> list[str]:
     elif goal is None:
         words.append(
             _gravity_words(result, goal)
-            if result.gravity_force
+            if result.gravity_direction is not None
             else f"No equilibrium with the goal image was found from {searched}."
         )
     elif goal.kind == "displaced goal":
@@ -82,7 +89,7 @@ def _sentences(result: Equilibria) -> list[str]:
         words.append(f"No false equilibrium that attracts within the stroke was found beside the goal, {searched}.")
     if goal is not None and goal.stability == "attracting":
         words.append(_softness(result, goal))
-    if result.gravity_force and result.traps:
+    if result.gravity_direction is not None and result.traps:
         words.append(_gravity_words(result, goal))
     others = [e for e in result.found if e.kind == "false" and e not in result.traps]
     if others:
@@ -112,7 +119,11 @@ def _softness(result: Equilibria, goal: Equilibrium) -> str:
 
 
 def _gravity_words(result: Equilibria, goal: Equilibrium | None) -> str:
-    text = f"The gravity error leaves {result.gravity_force:+.3g} N along z (down is positive)"
+    assert result.gravity_direction is not None
+    text = (
+        f"The gravity error leaves {result.gravity_force:+.3g} N along {along(result.gravity_direction, signed=True)} "
+        "(down is positive)"
+    )
     if result.gravity_stiffness is not None:
         text += f" against a stiffness of {number(result.gravity_stiffness)} N/m"
     if goal is not None and goal.kind == "displaced goal":
@@ -179,6 +190,7 @@ def _data(result: Equilibria) -> dict[str, Any]:
         "depth": result.depth,
         "false_attracting_reachable": len(result.traps),
         "gravity_force": result.gravity_force,
+        "gravity_direction": result.gravity_direction,
         "gravity_stiffness": result.gravity_stiffness,
         "equilibria": [
             {

@@ -45,6 +45,14 @@ OFFSET = 0.01
 """Largest feature offset from which a check by simulation starts [px]."""
 
 
+_KNOWN = {
+    "camera.smoothing": "features are not filtered",
+    "uncertainty.latency": "latency is known",
+    "uncertainty.focal_length": "focal length is known",
+    "uncertainty.principal_point": "principal point is known",
+}
+
+
 class NotApplicableError(ValueError):
     """The linear analysis does not apply to a scenario; the text gives the reason."""
 
@@ -59,7 +67,7 @@ class LoopAtRest:
     free: SampledLoop  # with K_v = 0
     smooth: SampledLoop | None  # with the slope k_v/width; None for laws without K_v, and where it is 0
     slope: Array  # (6,) of it [N s/m; N m s/rad]
-    gravity: float | tuple[float, ...]  # `uncertainty.gravity` of the scenario itself, which does not act in `scenario`
+    task: Scenario  # sampled and without noise and faults as `scenario`, with its gravity error and its own start
 
 
 def quiet(scenario: Scenario) -> Scenario:
@@ -129,8 +137,8 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
             "a camera as_printed has no points, and so no pose at which the goal is seen; set "
             "camera.convention to eye_in_hand"
         )
-    for key, what in (("camera.smoothing", "features are not filtered"), ("uncertainty.latency", "latency is known")):
-        if value_at(scenario, key) != 0.0:
+    for key, what in _KNOWN.items():
+        if np.any(np.asarray(value_at(scenario, key)) != 0.0):
             raise NotApplicableError(f"the linear loop is of a camera whose {what}, and {key} is not 0")
     calm = quiet(scenario)
     slope = np.zeros(6)
@@ -148,7 +156,8 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     except NoRestError as error:
         raise NotApplicableError(str(error)) from error
     as_if_sampled = scenario.simulation.mode == "continuous"
-    return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, scenario.uncertainty.gravity)
+    own = {key: value_at(scenario, key) for key in ("uncertainty.gravity", *AT_HOME)}
+    return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, calm.updated(own))
 
 
 def loop_with_weights(at_rest: LoopAtRest, weights: Array, *, smooth: bool) -> SampledLoop:

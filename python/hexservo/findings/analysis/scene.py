@@ -151,14 +151,17 @@ class Scene:
         jacobian = self.jacobian(features, depth, pose) if seen else np.full((*features.shape, 6), np.nan)
         return View(pose, features, depth, jacobian)
 
-    def jacobian(self, features: Array, depth: Array, poses: Poses) -> Array:
-        """Return the true image Jacobian (..., 2p, 6), with the plant's sign, of images in view; depths as given."""
+    def jacobian(self, features: Array, depth: Array, poses: Poses, *, assumed: bool = False) -> Array:
+        """Return the true image Jacobian (..., 2p, 6), with the plant's sign, of images in view; depths as given.
+
+        With `assumed` it is J-hat, which the controller forms with its own camera, mount and sign.
+        """
         at = poses.rows
         found = self.probe.image_jacobian(
             features.reshape(-1, features.shape[-1]),
             depth.reshape(-1, depth.shape[-1]),
             at.quaternion,
-            False,
+            assumed,
             at.position,
         )
         return found.reshape(*features.shape, 6)
@@ -166,6 +169,13 @@ class Scene:
     def residual(self, poses: Poses) -> Array:
         """Return the largest |xi_d - xi|, (...) [px]; NaN where a point is not seen."""
         return np.asarray(np.abs(self.desired - self.image(poses)[0]).max(axis=-1))
+
+    def optical_axis(self, pose: Poses) -> Array:
+        """Return the camera's z axis at one pose of the platform, (3,) in B; that of a camera on the base stays."""
+        ends = self.camera.in_mount(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+        if self.scenario.camera.mount.on == "platform":
+            ends = pose.carried(ends)
+        return np.asarray(ends[1] - ends[0])
 
     def leg_travel(self, poses: Poses) -> Array:
         """Return how much longer each leg is than in the middle of its travel, (..., 6) [m]; that is home as a rule.

@@ -58,7 +58,8 @@ class Stiction(Part):
     around_home: StictionCase | None = None  # the set that the runs are compared with
     runs: tuple[Runs, ...] = ()
     creep: Creep | None = None
-    straight_way: Array | None = None  # (6,) [N; N m], what the fuzzy systems take up on the straight way to the goal
+    # (6,) [N; N m], what fuzzy systems driven by the twist alone take up on the straight way to the goal
+    straight_way: Array | None = None
     prior_error: float | None = None  # [px], of the pose that an integrating law goes to
 
     @property
@@ -71,7 +72,7 @@ def analyse(scenario: Scenario) -> Stiction:
     """Compute the poses at which K_v holds the platform, and compare with short runs.
 
     Applies to `hybrid`, and to `composite` where its fuzzy systems do not integrate, with `sign`, `implicit` or
-    `implicit_coupled`. Other cases have a sentence only.
+    `implicit_coupled`; without fuzzy systems also to `tanh` and `saturation`. Other cases have a sentence only.
     """
     scene = scene_of(scenario)
     kind, reason = _kind(scenario)
@@ -94,7 +95,7 @@ def analyse(scenario: Scenario) -> Stiction:
     if np.any(np.asarray(scenario.uncertainty.depth) != 0):
         cases.append(_case(scene, RestLaw(scene, exact_depth=True), goals, "J, exact depths", -kv, kv))
     way = None
-    if block.fuzzy.enabled and not scenario.controller.traits.pose_error:  # driven by the velocity alone
+    if _driven_by_rate(scenario):
         way = _straight_way(block.fuzzy, goals)
         low, high = np.minimum(way, 0.0) - kv, np.maximum(way, 0.0) + kv
         cases.append(_case(scene, law, goals, "J-hat, with the output of the fuzzy systems", low, high))
@@ -153,6 +154,11 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
             )
     kv = np.broadcast_to(np.asarray(block.kv, dtype=float), 6)
     if smooth and (kv > 0).all():
+        if _driven_by_rate(scenario):
+            return "open", (
+                f"Open: {switching.kind} is zero at rest, so within K_v the platform creeps, and the twist alone "
+                "drives the fuzzy systems: their output is a spring towards the start, which the creep ends at."
+            )
         return (
             "creep",
             f"There is no stiction set: {switching.kind} is zero at rest, so within K_v the platform creeps.",
@@ -167,6 +173,14 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
     if switching.kind == "sign":
         return "set", ""
     return "set", f"With {switching.kind} a platform in the set is at rest exactly."
+
+
+def _driven_by_rate(scenario: Scenario) -> bool:
+    """Return whether the twist alone drives the fuzzy systems: their output is then a spring towards the start."""
+    block = scenario.controller.gains
+    if not block.fuzzy.enabled:
+        return False
+    return not (scenario.controller.traits.pose_error and np.any(np.asarray(block.drive) > 0))
 
 
 def _case(scene: Scene, law: RestLaw, goals: Goals, name: str, low: Array, high: Array) -> StictionCase:

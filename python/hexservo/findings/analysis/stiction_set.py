@@ -40,6 +40,7 @@ class RestSet:
     stroke: float  # [m]
     radius: float  # r_p [m]: makes turns comparable with shifts
     span: Array  # (6,) [m; rad]
+    axis: Array  # (3,) in B, of the camera, at the pose
 
     @classmethod
     def at(cls, scene: Scene, law: RestLaw, view: View, low: Array, high: Array) -> RestSet:
@@ -57,6 +58,7 @@ class RestSet:
             stroke=scene.stroke,
             radius=scene.platform_radius,
             span=SPAN * np.repeat([view.mean_depth, 1.0], 3),
+            axis=scene.optical_axis(pose),
         )
 
     def farthest(self, directions: Array, within: float | None = None) -> Array | None:
@@ -142,7 +144,7 @@ class Extremes:
 
     largest: float  # [px], of any coordinate of the image error: linear programs, exact for the linearised set
     rms: float  # [px], over the eight coordinates: best of local searches, a lower bound of the largest
-    turn: float  # [rad], of the optical axis from the linearisation pose: the same
+    turn: float  # [rad], of the camera's optical axis against the target, from the linearisation pose: the same
     displacements: Array  # (k, 6) [m; rad] of the vertices found, largest image error first
     pose: Array  # (6,) [m; rad], largest displacement along each axis from the linearisation pose
 
@@ -158,9 +160,8 @@ def extremes(rest: RestSet) -> Extremes | None:
         None for a set without points.
     """
     jacobian = rest.view.jacobian
-    axis = _optical_axis(rest.view.pose)
     across = np.zeros((6, 6))  # a rotation about the optical axis does not move it
-    across[3:, 3:] = np.eye(3) - np.outer(axis, axis)
+    across[3:, 3:] = np.eye(3) - np.outer(rest.axis, rest.axis)
     sideways = np.linalg.svd(across)[2][:2]
     ways = np.vstack([jacobian, np.eye(6), sideways, sideways.sum(axis=0)])
     ends = _only(rest, 2 * len(ways)) if (rest.low == rest.high).all() else rest.farthest(np.vstack([ways, -ways]))
@@ -221,12 +222,6 @@ def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) ->
             return found
         pose = pose.moved(step[0])
     return found
-
-
-def _optical_axis(pose: Poses) -> Array:
-    """Return z of E in B."""
-    w, x, y, z = pose.quaternion
-    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
 def _only(rest: RestSet, copies: int) -> Array | None:

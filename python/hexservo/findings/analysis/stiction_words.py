@@ -40,10 +40,15 @@ def _verdict(found: Stiction) -> Verdict:
         ends = found.cases[0].ends
         if ends is None:
             return "bad"
-        error = ends.largest if found.creep is None else found.creep.left
+        error = _largest(found) if found.creep is None else found.creep.left
     if error is None:
         return "open"
     return "warning" if error > found.scene.band else "good"
+
+
+def _largest(found: Stiction) -> float:
+    """Return the largest image error of all cases that have poses [px]."""
+    return max(case.ends.largest for case in found.cases if case.ends is not None)
 
 
 def _sentences(found: Stiction) -> list[str]:

@@ -42,7 +42,9 @@ class WorkspacePose:
 
     name: str
     pose: Poses
-    travel: Array  # (6,) [m], longer than at home; of rotary legs angles [rad], as all travel here
+    travel: (
+        Array  # (6,) [m], longer than in the middle of their travel; of rotary legs angles [rad], as all travel here
+    )
     tilts: (
         Array | None
     )  # (2, 6) [rad], of the legs from home, at base and platform; None: the robot has no joint limits
@@ -68,9 +70,10 @@ class Workspace(Part):
     axes: tuple[Reach, ...]  # from home: +x, -x, +y, ..., -z as shifts, then as turns
     least_shift: Reach  # of random directions from home: the shortest
     least_turn: Reach
-    way_left: Array  # (51,) share of the legs' limits left on the straight way from home to `goal`; empty without one
+    # (51,) share of the legs' limits left on the straight way from the start to `goal`; empty without one
+    way_left: Array
     way_within: Mask  # (51,) whether the legs reach it there
-    neighbourhood_singularity: float  # smallest of random poses within reach around the goal, or home
+    neighbourhood_singularity: float  # smallest of random poses within reach around the goal, or the start
     neighbourhood_lever_arm: float  # the same
     neighbourhood_force: float  # [N], largest leg force that holds the actual weight there
     map_x: Array  # (41,) [m], from home

@@ -123,7 +123,7 @@ def _of_leg(found: Workspace, place: WorkspacePose) -> str:
         if leg.within
         else f"{_beyond(leg.margin)} {units.small} beyond its stroke"
     )
-    return f"leg {leg.leg} is {number(1e3 * abs(leg.travel))} {units.small} from its {units.name} at home, {end}"
+    return f"leg {leg.leg} is {number(1e3 * abs(leg.travel))} {units.small} from the middle of its travel, {end}"
 
 
 def _beyond(margin: float) -> str:
@@ -167,8 +167,8 @@ def _places_table(found: Workspace) -> Table:
             )
             for place in _places(found)
         ],
-        note=f"Travel of the legs from their {units.name}s at home; {number(1e3 * found.stroke)} {units.small} are "
-        f"allowed each way{_tilts_allowed(found)}. {units.effort_name.capitalize()}s hold the weight, estimated and "
+        note=f"Travel of the legs from its middle; {number(1e3 * found.stroke)} {units.small} are allowed each way"
+        f"{_tilts_allowed(found)}. {units.effort_name.capitalize()}s hold the weight, estimated and "
         "actual, without motion.",
         page=PAGE,
     )
@@ -229,12 +229,12 @@ def _reach_table(found: Workspace) -> Table:
 
 
 def _map(found: Workspace) -> HeatMap:
-    centre = found.goal or found.start
     home = found.scene.home.position
-    lines = [Line("start", np.zeros(1), np.zeros(1), "points")]
-    if found.goal is not None:
-        x, y = 1e3 * (centre.pose.position - home)[:2]
-        lines.append(Line("goal", np.array([x]), np.array([y]), "points"))
+    lines = []
+    for place in (found.start, found.goal):
+        if place is not None:
+            x, y = 1e3 * (place.pose.position - home)[:2]
+            lines.append(Line(place.name, np.array([x]), np.array([y]), "points"))
     where = "goal" if found.goal is not None else "start"
     if _tilts_count(found):
         what, label, scale = "Remaining share of stroke and joint limits", "left of the limit [%]", 100.0

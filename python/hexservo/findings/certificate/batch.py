@@ -36,6 +36,7 @@ class BatchCertificate(Part):
     settling_time: Array = field(repr=False)  # (n,) [s]; NaN where a run does not settle or was not run
     eta: Array = field(repr=False)  # (n, 6), eta_Delta [N; N m]; NaN where it is not known
     margin: Array = field(repr=False)  # (n, 6), k_v - eta_Delta [N; N m]; likewise
+    held_by_axis: Mask = field(repr=False)  # (n, 6), whether it held, but for rounding; false where it is not known
 
     def __len__(self) -> int:
         """Return the number of scenarios."""
@@ -49,7 +50,7 @@ class BatchCertificate(Part):
     @property
     def held(self) -> Mask:
         """(n,), whether the assumption held on all six axes; false where it is not known."""
-        return np.asarray((self.margin >= 0.0).all(axis=1))
+        return np.asarray(self.held_by_axis.all(axis=1))
 
     @property
     def settled(self) -> Mask:
@@ -101,8 +102,8 @@ def certify_batch(
     TypeError
         For anything but a `Scenario`, a mapping and the types above.
     ValueError
-        For another law or mode, of which the theorem does not speak, a centre of mass off the platform's origin or an
-        unknown payload, which have no certificate, and as `simulate_batch` for the variations.
+        For another law or mode, of which the theorem does not speak, as `simulate_batch` for the variations, and for a
+        varied scenario with a centre of mass off the platform's origin or an unknown payload, which has no certificate.
     """
     if not isinstance(scenario, Scenario):
         raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
@@ -112,23 +113,25 @@ def certify_batch(
         )
     if scenario.simulation.mode != "continuous":
         raise ValueError("simulation.mode: expected continuous, of which the theorem is, got sampled")
-    if reason := scene_of(scenario).unusual_body:
-        raise ValueError(f"robot: expected the body of the paper, got another: {reason}")
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     scenarios = [scenario.updated(_row(scenario, arrays, index)) for index in range(count)]
+    for index, varied in enumerate(scenarios):
+        if reason := scene_of(varied).unusual_body:
+            raise ValueError(f"scenario {index}: robot: expected the body of the paper, got another: {reason}")
     outcome = np.full(count, "interrupted", dtype="<U16")
     settling_time, eta, margin = np.full(count, np.nan), np.full((count, 6), np.nan), np.full((count, 6), np.nan)
+    held = np.zeros((count, 6), dtype=bool)
     with contextlib.suppress(KeyboardInterrupt), reporting(progress, "runs certified") as report:
         for index, varied in enumerate(scenarios):
             result = every_step(varied)
             run = replay_of(result, varied, result.end_time)
             with contextlib.suppress(ArithmeticError):  # no best weights: the run has no verdict
                 assumption = assumption_of(run, uncertainty_of(run, Plant.of(run)), smallest=False)
-                eta[index], margin[index] = assumption.eta, assumption.margin
+                eta[index], margin[index], held[index] = assumption.eta, assumption.margin, assumption.held
             outcome[index], settling_time[index] = result.outcome, metrics(result)["settling_time"]
             report(index + 1, count)
-    return BatchCertificate(scenario, arrays, outcome, settling_time, eta, margin)
+    return BatchCertificate(scenario, arrays, outcome, settling_time, eta, margin, held)
 
 
 def _row(scenario: Scenario, arrays: Mapping[str, Array], index: int) -> dict[str, Any]:

@@ -39,12 +39,12 @@ def section(found: BatchCertificate) -> Section:
         ],
         page=PAGE,
     )
-    known = found.margin[found.finished]
+    margin, held = found.margin[found.finished], found.held_by_axis[found.finished]
     axes = Table(
         "Assumption by axis",
         (Column("axis"), Column("runs where it held"), Column("smallest margin"), Column("unit")),
         [
-            (name, int(np.count_nonzero(known[:, j] >= 0.0)), float(known[:, j].min()), "N" if j < 3 else "N m")
+            (name, int(np.count_nonzero(held[:, j])), float(margin[:, j].min()), "N" if j < 3 else "N m")
             for j, name in enumerate(AXES)
         ]
         if done
@@ -68,5 +68,6 @@ def section(found: BatchCertificate) -> Section:
             "settling_time": found.settling_time,
             "eta": found.eta,
             "margin": found.margin,
+            "held_by_axis": found.held_by_axis,
         },
     )

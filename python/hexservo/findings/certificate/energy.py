@@ -87,9 +87,10 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
     works: dict[str, Array] = {}  # term -> (n - 1, 6)
     tolerance = mismatch = 0.0
     tossed = 0
-    smooth = run.continuous and _smooth(run)
-    if smooth:
+    bounded = 0  # up to this sample steps twice as long bound the error
+    if run.continuous and _smooth(run):
         tolerance += _doubled(run, plant, plain)
+        bounded = (count - 1) // 2 * 2  # a last step without a partner is left
     for stages in stages_of(run, plant):
         wrenches = terms.wrenches(stages, plant)
         rows = len(stages.tick)
@@ -103,8 +104,9 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
             if term == "coriolis":  # turning is of the rotation; shared evenly, since it belongs to no one component
                 work[:, 3:] += stages.step * (turning @ STAGE_WEIGHTS)[:, None] / 3
             np.add.at(works.setdefault(term, np.zeros((count - 1, 6))), stages.tick, work)
-        if not smooth:
-            tolerance += float(_quadrature(stages, plant, inertia_there, turning)[1].sum())
+        if stages.tick[-1] >= bounded:
+            bound = _quadrature(stages, plant, inertia_there, turning)[1]
+            tolerance += float(bound[stages.tick >= bounded].sum())
         difference, signs, doubt = _compare(run, stages, inertia)
         mismatch, tossed, tolerance = max(mismatch, difference), tossed + signs, tolerance + doubt
     total = {term: work.sum(axis=1) for term, work in works.items()}

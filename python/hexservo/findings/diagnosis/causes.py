@@ -20,7 +20,7 @@ IN_COMMON: dict[str, str] = {
     "robot.base_angles": "as platform_radius",
     "robot.platform_joints": "as platform_radius",
     "robot.base_joints": "as platform_radius",
-    "robot.home_position": "as platform_radius: leg travel is counted from home",
+    "robot.home_position": "as platform_radius: the middle of the leg travel is counted from home",
     "robot.home_attitude": "as home_position",
     "robot.legs": "as platform_radius",
     **dict.fromkeys(

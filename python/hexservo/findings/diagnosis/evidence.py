@@ -177,7 +177,7 @@ def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
     if case.goal is None:
         return Signature(None, "")
     sentence = (
-        f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} {units.small} from its {units.name} at home; its "
+        f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} {units.small} from the middle of its travel; its "
         f"stroke is {number(stroke * 1e3)} {units.small}."
     )
     if case.goal.leg_travel <= stroke and not case.goal.within:

@@ -28,7 +28,7 @@ class Goal:
 
     position: Array  # (3,) [m], in B
     quaternion: Array  # (4,) w x y z
-    leg_travel: float  # of the leg that has to go farthest from its length at home [m]
+    leg_travel: float  # of the leg that has to go farthest from the middle of its travel [m]
     within: bool  # whether all legs are within stroke and joint limits there
 
 
