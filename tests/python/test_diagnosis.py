@@ -726,6 +726,19 @@ def test_a_run_that_is_too_short_is_diagnosed() -> None:
     assert diagnosis.too_short == pytest.approx(2.0)
 
 
+def test_a_dwell_time_that_no_run_lasts_is_diagnosed() -> None:
+    """Of four times the duration: a run three times as long is still too short, and the usual dwell time cures it."""
+    scenario = hs.load_scenario("paper-nominal")
+    result = hs.simulate(scenario.updated({"metrics.dwell": 4.0 * scenario.simulation.duration}))
+    diagnosis = hs.diagnose(result)
+    assert [finding.cause for finding in diagnosis.named] == ["duration"]
+    assert diagnosis.named[0].without is not None
+    assert diagnosis.named[0].without.changes == {"metrics.dwell": 0.2}
+    assert diagnosis.too_short is None
+    assert diagnosis.to_dict()["too_short"] is None
+    assert "with a dwell time of 0.2 s the run passes" in diagnosis.section().sentences[0]
+
+
 def test_a_settling_band_narrower_than_an_ordinary_loop_reaches_is_diagnosed() -> None:
     """The paper's loop rests 0.08 px from its goal; noise of 1 px before a band of 1 px is the camera's fault."""
     scenario = hs.load_scenario("paper").updated({"metrics.band": 0.05})
