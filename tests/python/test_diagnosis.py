@@ -35,6 +35,7 @@ from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.evidence import Curves, Table
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
@@ -489,6 +490,32 @@ def test_causes_not_present_in_a_scenario_are_not_tried() -> None:
     as_printed = nominal.updated({"camera.convention": "as_printed", "controller.jacobian": "printed"})
     assert not cause_of("wrong_sign").removals(Case(as_printed, None))
     assert not cause_of("poor_image").removals(Case(as_printed, None))
+
+
+def test_a_bandwidth_that_is_too_low_is_not_too_high() -> None:
+    """0.02 Hz on a machine whose packaged law has 2 Hz."""
+    scenario = hs.load_scenario("pi-h824-positions").updated(
+        {"controller.tracking.bandwidth": 0.02, "actuators.delay": 0.0}
+    )
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["gains_low"]
+
+
+@pytest.mark.parametrize("law", ALL_LAWS)
+def test_gains_that_are_too_high_are_never_raised(law: str) -> None:
+    """With damping or without: more of it is offered then, and only of a law that has some."""
+    name = "paper-nominal" if law in LAWS else "pi-h824-positions"
+    scenario = hs.load_scenario(name).updated({"controller.law": law})
+    head = f"controller.{law}."
+    damping = [name for name in ("kd", "ki", "kv") if hasattr(scenario.controller.gains, name)]
+    for base in (scenario, scenario.updated({head + name: 0.0 for name in damping})):
+        removals = cause_of("gains_high").removals(Case(base, None))
+        assert removals
+        assert ("more damping" in {removal.words for removal in removals}) == bool(damping)
+        for removal in removals:
+            for key, value in removal.changes.items():
+                if key.removeprefix(head) in ("kp", "kt", "gain", "gain_far", "bandwidth"):
+                    assert (np.asarray(value) <= np.asarray(value_at(base, key))).all(), (removal.words, key)
 
 
 def test_the_camera_without_delay_loses_frames_as_before() -> None:

@@ -52,17 +52,22 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
 
 
 def damped(scenario: Scenario, factor: float) -> dict[str, Any]:
-    """Return the changes that damp the loop more."""
+    """Return the changes that damp the loop more: by a factor, or to the law's defaults where nothing damps it."""
     law = scenario.controller.law
-    return _scaled(f"controller.{law}", scenario.controller.gains, dict.fromkeys(_DAMPING, 1.0), factor)
+    more = _scaled(f"controller.{law}", scenario.controller.gains, dict.fromkeys(_DAMPING, 1.0), factor)
+    return more or _raised(scenario, _DAMPING)
 
 
 def not_below_default(scenario: Scenario) -> dict[str, Any]:
     """Return the changes that raise stiffness and damping to the law's defaults where they are lower."""
+    return _raised(scenario, (*_STIFFNESS, *_DAMPING))
+
+
+def _raised(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
     law = scenario.controller.law
     block, default = scenario.controller.gains, getattr(type(scenario.controller)(), law)
     changes = {}
-    for name in (*_STIFFNESS, *_DAMPING):
+    for name in names:
         if hasattr(block, name):
             own, wanted = np.asarray(getattr(block, name)), np.asarray(getattr(default, name))
             if (own < wanted).any():
