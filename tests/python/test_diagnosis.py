@@ -9,7 +9,7 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from diagnosis_statistics import count, failing, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.diagnosis.causes import CAUSES, HARMLESS, IN_COMMON
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
-from hexservo.findings.diagnosis.environment import ORDINARY, ideal, ordinary
+from hexservo.findings.diagnosis.environment import ORDINARY, alone_pairs, ideal, ordinary
 from hexservo.findings.diagnosis.evidence import SIGNATURES
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
@@ -449,6 +449,40 @@ def test_a_batch_of_changes_gives_what_simulate_gives() -> None:
         expected = hs.metrics(hs.simulate(run.scenario.updated(run.changes)))
         for name in ("final_error", "peak_leg_excursion", "peak_displacement"):
             assert record.metrics[name] == pytest.approx(expected[name], rel=1e-8), name
+
+
+@pytest.mark.parametrize("name", ["pi-h824-positions", "rubin-camera-positions"])
+def test_only_what_a_scenario_refuses_has_no_run(name: str) -> None:
+    """All removals and pairs at once, each of 20 steps: numbers that only together are allowed, as step and delay."""
+    scenario = hs.load_scenario(name)
+    runs = []
+    for changes in tried(case_of(scenario)):
+        step = changes.get("simulation.step", scenario.simulation.step)
+        runs.append(Run(scenario, {**changes, "simulation.duration": 20 * step}))
+    assert len(runs) > 50
+    refused = {"simulation.step": 1e-3, "actuators.delay": 0.02}  # 20 ticks, where 8 are the most
+    fine = {"simulation.step": 1e-3, "actuators.delay": 1e-3}
+    runs += [Run(scenario, {**changes, "simulation.duration": 0.04}) for changes in (refused, fine)]
+    for run, record in zip(runs, run_all(runs), strict=True):
+        assert (record is None) == is_refused(scenario, run.changes), run.changes
+
+
+def tried(case: Case) -> Iterator[Mapping[str, Any]]:
+    """Yield the changes of all removals, and of the pairs that put their causes alone."""
+    for cause in CAUSES:
+        for removal in cause.removals(case):
+            yield removal.changes
+            for pair in alone_pairs(cause, case, removal):
+                yield pair.without
+                yield pair.alone
+
+
+def is_refused(scenario: hs.Scenario, changes: Mapping[str, Any]) -> bool:
+    try:
+        scenario.updated(changes)
+    except ValueError:
+        return True
+    return False
 
 
 def test_a_record_of_a_result_is_that_of_a_run() -> None:
