@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.diagnosis.gains import idle_gains
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.parameters import frame_period
@@ -135,6 +136,8 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     ratio = scenario.robot.mass / _MICRO_MASS
     units = {key.name: key.unit for key in _core.scenario_keys(law)}
     changes |= _differences(f"controller.{law}", own, getattr(default, law), ratio, units)
+    for name in idle_gains(scenario):
+        changes.pop(f"controller.{law}.{name}", None)
     sampled = scenario.simulation.mode == "sampled"
     kind = "implicit" if sampled else "sign"
     switching = scenario.controller.switching

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["GAIN_KEYS", "damped", "not_below_default", "slower"]
+__all__ = ["GAIN_KEYS", "damped", "idle_gains", "not_below_default", "slower"]
 
 # How a gain scales with the rate of the loop: forces with its square, dampings and rates with itself.
 _POWERS = {
@@ -41,7 +42,8 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
     law = scenario.controller.law
     block = scenario.controller.gains
     rate = 1.0 / factor
-    changes = _scaled(f"controller.{law}", block, _POWERS, rate)
+    powers = {name: _POWERS[name] for name in _acting(scenario, _POWERS)}
+    changes = _scaled(f"controller.{law}", block, powers, rate)
     if hasattr(block, "fuzzy") and block.fuzzy.enabled:
         powers = dict(_FUZZY_POWERS)
         # Inputs of the systems: a pose error and a velocity, or else forces and their rates.
@@ -54,7 +56,8 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
 def damped(scenario: Scenario, factor: float) -> dict[str, Any]:
     """Return the changes that damp the loop more: by a factor, or to the law's defaults where nothing damps it."""
     law = scenario.controller.law
-    more = _scaled(f"controller.{law}", scenario.controller.gains, dict.fromkeys(_DAMPING, 1.0), factor)
+    powers = dict.fromkeys(_acting(scenario, _DAMPING), 1.0)
+    more = _scaled(f"controller.{law}", scenario.controller.gains, powers, factor)
     return more or _raised(scenario, _DAMPING)
 
 
@@ -67,12 +70,22 @@ def _raised(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
     law = scenario.controller.law
     block, default = scenario.controller.gains, getattr(type(scenario.controller)(), law)
     changes = {}
-    for name in names:
+    for name in _acting(scenario, names):
         if hasattr(block, name):
             own, wanted = np.asarray(getattr(block, name)), np.asarray(getattr(default, name))
             if (own < wanted).any():
                 changes[f"controller.{law}.{name}"] = np.maximum(own, wanted).tolist()
     return changes
+
+
+def idle_gains(scenario: Scenario) -> frozenset[str]:
+    """Return the names of gains that have no effect on the machine; the scenario refuses all but their defaults."""
+    return frozenset({"ki"} if scenario.legs_follow_twists else ())
+
+
+def _acting(scenario: Scenario, names: Iterable[str]) -> list[str]:
+    idle = idle_gains(scenario)
+    return [name for name in names if name not in idle]
 
 
 def _scaled(path: str, block: Any, powers: dict[str, float], rate: float) -> dict[str, Any]:
