@@ -269,6 +269,16 @@ def test_a_cause_within_what_is_ordinary_is_not_named() -> None:
     assert not noise.named
 
 
+def test_a_payload_that_is_not_known_is_not_ordinary() -> None:
+    """20 g on a platform of 60 g: of a law that bears an error of the weight of 2 %, which the scenario has not."""
+    scenario = hs.load_scenario("unknown-payload").updated({"controller.law": "pbvs", "robot.payload.mass": 0.02})
+    assert scenario.uncertainty.gravity == 0.0
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["gravity"]
+    assert diagnosis.named[0].remedy is not None
+    assert diagnosis.named[0].remedy.changes == {"robot.payload.known": True}
+
+
 def test_a_removal_that_cures_by_side_effect_is_not_the_cause() -> None:
     """Noise of the encoders pumps the adaptation: without adaptation the run passes, and the noise is the cause."""
     scenario = hs.load_scenario("paper").updated(

@@ -19,6 +19,7 @@ from hexservo.findings.diagnosis.environment import (
     both_alone,
     ideal,
     known,
+    unknown_payload,
     unusual,
 )
 from hexservo.findings.diagnosis.gains import idle_gains
@@ -229,7 +230,8 @@ def _ordinary_devices(case: Case) -> set[str]:
     found = {cause.key for cause in CAUSES if cause.kind == "device" and cause.keys.isdisjoint(worse)}
     if abs(float(np.mean(scenario.uncertainty.depth))) <= ORDINARY_DEPTH:
         found.add("common_depth")
-    if np.abs(scenario.uncertainty.gravity).max() <= ORDINARY_WEIGHT and scenario.controller.law not in IMAGE_ALONE:
+    weighed = np.abs(scenario.uncertainty.gravity).max() <= ORDINARY_WEIGHT and not unknown_payload(scenario)
+    if weighed and scenario.controller.law not in IMAGE_ALONE:
         found.add("gravity")
     if base.kind == "sinusoid" and base.rotation.kind == "none" and np.abs(base.amplitude).max() <= ORDINARY_BASE:
         found.add("base_motion")
