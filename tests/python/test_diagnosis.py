@@ -259,6 +259,41 @@ def test_a_slower_loop_is_the_same_motion_in_another_time(law: str) -> None:
     assert other.feature_error == pytest.approx(one.feature_error, abs=1e-6)
 
 
+@pytest.mark.parametrize("name", ["fails-stiction", "fails-spring", "fails-saturation", "fails-coarse-step"])
+def test_a_heavier_machine_with_gains_for_its_mass_has_the_same_causes(name: str) -> None:
+    """Every force of plant and laws is 64 times as large, a power of two: no bit of the motion changes."""
+    scenario = hs.load_scenario(name)
+    heavy = scenario.updated(times_as_heavy(scenario, 64.0))
+    found = [hs.diagnose(hs.simulate(one)) for one in (scenario, heavy)]
+    for first, second in zip(found[0].causes, found[1].causes, strict=True):
+        assert (second.cause, second.named, second.alone) == (first.cause, first.named, first.alone)
+        assert second.score == first.score, first.cause
+    assert found[1].controls == found[0].controls
+
+
+def times_as_heavy(scenario: hs.Scenario, factor: float) -> dict[str, Any]:
+    robot = scenario.robot
+    changes: dict[str, Any] = {f"robot.{key}": factor * getattr(robot, key) for key in ("mass", "force_limit")}
+    changes["robot.inertia"] = (factor * np.asarray(robot.inertia)).tolist()
+    powers = {"hybrid": {"kp": 1, "kv": 1}, "composite": {"kp": 1, "kt": 1, "kd": 1, "kv": 1}}
+    powers |= {"pbvs": {"kp": 1, "kd": 1}}  # which is tried in place of another law
+    powers["hybrid"] |= {"fuzzy.adaptation": -1, "fuzzy.error_scale": -1, "fuzzy.rate_scale": -1}
+    powers["composite"] |= {"fuzzy.adaptation": -1}
+    for law, gains in powers.items():
+        for name, power in gains.items():
+            key = f"controller.{law}.{name}"
+            changes[key] = (np.asarray(value_at(scenario, key)) * factor**power).tolist()
+    return changes
+
+
+def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:
+    """To rounding: 0.9 kg is no power of two times the mass of the defaults."""
+    scenario = hs.load_scenario("fails-spring").updated({"controller.law": "hybrid"})
+    heavy = scenario.updated(times_as_heavy(scenario, 0.9 / scenario.robot.mass))
+    assert ordinary(heavy).keys() == ordinary(scenario).keys()
+    assert "controller.hybrid.fuzzy.error_scale" in ordinary(scenario.updated({"robot.mass": 0.9}))
+
+
 def test_a_cause_within_what_is_ordinary_is_not_named() -> None:
     """Noise of 0.3 px before features on a small spot: without noise the run passes, and the target is the cause."""
     diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("fails-poor-image")))
