@@ -38,6 +38,7 @@ from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -699,6 +700,48 @@ def test_a_spread_target_has_its_goal_at_the_same_pose(points: bool) -> None:
     assert gain == pytest.approx(
         pixels_per_metre(*seen_from_home(spread)) / pixels_per_metre(*seen_from_home(scenario))
     )
+
+
+def counted_from_the_corner(scenario: hs.Scenario) -> hs.Scenario:
+    """Return the same camera and target with pixels as OpenCV counts them, u to the right and v down."""
+    width, height = scenario.camera.image_size or (0.0, 0.0)
+    centre = np.array([(width - 1.0) / 2.0, (height - 1.0) / 2.0])
+    changes: dict[str, Any] = {"camera.principal_point": centre.tolist()}
+    for key in ("target.desired_features", "target.initial_features"):
+        changes[key] = (centre + np.reshape(value_at(scenario, key), (-1, 2)) * [1.0, -1.0]).ravel().tolist()
+    return scenario.updated(changes)
+
+
+def test_a_spread_target_is_the_same_however_pixels_count() -> None:
+    """The border moves out on both sides of the image, also where pixels count from its corner."""
+    scenario = hs.load_scenario("fails-poor-image").updated({"camera.image_size": [80, 60]})
+    found = []
+    for one in (scenario, counted_from_the_corner(scenario)):
+        case = case_of(one)
+        assert case.goal is not None
+        spread = one.updated(spread_target(one, case.goal)[0])
+        places = np.concatenate([desired_features(spread), seen_from_home(spread)[1]])
+        assert not points_outside(spread, places).any()
+        found.append([places, spread.camera.image_size, points_outside(spread, 1.5 * places)])
+        diagnosis = hs.diagnose(hs.simulate(one))
+        assert [finding.cause for finding in diagnosis.named] == ["poor_image"]
+    for first, second in zip(*found, strict=True):
+        np.testing.assert_allclose(second, first, rtol=0, atol=1e-6)  # [px], of poses that a search ends at
+
+
+def test_a_larger_image_is_larger_on_all_sides_however_pixels_count() -> None:
+    scenario = counted_from_the_corner(hs.load_scenario("fails-lost-features"))
+    (finding,) = hs.diagnose(hs.simulate(scenario)).named
+    assert finding.cause == "lost_features"
+    assert finding.remedy is not None
+    assert finding.remedy.works
+    larger = scenario.updated(finding.remedy.changes)
+    assert larger.camera.image_size is not None
+    size = np.asarray(larger.camera.image_size)
+    assert (size > scenario.camera.image_size).any()
+    np.testing.assert_allclose(larger.camera.principal_point, (size - 1.0) / 2.0)
+    np.testing.assert_allclose(desired_features(larger), desired_features(scenario), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(seen_from_home(larger)[1], seen_from_home(scenario)[1], rtol=0, atol=1e-9)
 
 
 def test_the_worst_direction_of_a_square_by_hand() -> None:
