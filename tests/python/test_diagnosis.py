@@ -37,7 +37,7 @@ from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.scenario import Scenario
 
@@ -640,6 +640,31 @@ def test_the_weighed_platform_is_the_same_platform() -> None:
         )
         assert (1.0 - np.asarray(model.coriolis)) * one.robot.inertia[0] == pytest.approx(0.875 * 1.5e-4)
     assert told.uncertainty.gravity == 0.0
+    plants = [plant_terms(one) for one in (scenario, told)]
+    np.testing.assert_allclose(plants[1], plants[0], rtol=1e-14)  # products of a few numbers
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_no_remedy_against_a_wrong_weight_changes_the_plant(known: bool) -> None:
+    """With a payload the errors act on both together, and no mass of the platform stands for them."""
+    payload = {"mass": 0.02, "position": [0.0, 0.0, -0.01], "inertia": [1e-6, 1e-6, 1e-6], "known": known}
+    scenario = hs.load_scenario("fails-gravity").updated({"robot.payload": payload})
+    case = case_of(scenario)
+    (removal,) = cause_of("gravity").removals(case)
+    record = run_all([Run(scenario)])[0]
+    assert record is not None
+    *remedies, last = cause_of("gravity").remedies(case, removal, record)
+    assert last is removal  # which does: the estimate is right, and so the weight is another
+    assert remedies
+    for remedy in remedies:
+        np.testing.assert_allclose(plant_terms(scenario.updated(remedy.changes)), plant_terms(scenario), rtol=1e-14)
+
+
+def plant_terms(scenario: hs.Scenario) -> Array:
+    """Return weight (6,) and inertia (3, 3) about the origin that act on the plant: (1 - d) times those of its body."""
+    model, body = scenario.uncertainty, core_parameters(scenario).plant_body
+    weight = (1.0 - np.asarray(model.gravity)) * np.asarray(body.gravity_wrench)
+    return np.concatenate([weight, ((1.0 - np.asarray(model.inertia)) * np.asarray(body.inertia)).ravel()])
 
 
 # ---- The goal -------------------------------------------------------------------------------------------------------

@@ -54,6 +54,7 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
         remedies.append(Removal("the payload in the model of the controller", {"robot.payload.known": True}))
     if (
         model.gravity
+        and robot.payload.mass == 0.0  # the errors act on platform and payload together, of which this is one
         and isinstance(model.gravity, float)
         and isinstance(model.inertia, float)
         and isinstance(model.coriolis, float)
