@@ -134,7 +134,7 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
 
 
 def resized_image(scenario: Scenario, size: Array) -> tuple[dict[str, Any], Array]:
-    """Give the image another size (2,) [px] about the same centre, with the principal point where it was about it.
+    """Return the changes to an image of another size (2,) [px], whose centre stays where it is in the features.
 
     Returns
     -------
