@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo.findings.analysis.loop_of_scenario import clock_of, loop_at_rest
+from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, clock_of, loop_at_rest
 
 control = pytest.importorskip("control", reason="python-control is not installed (extra `control`)")
 
@@ -110,6 +110,14 @@ def test_the_loop_responds_to_the_base_as_a_run_does() -> None:
     response = loop(np.exp(2j * np.pi * frequency * tick))[:8, 6] * amplitude
     # error is goal minus image, and a sinusoid begins as a sine: its phasor is -j
     np.testing.assert_allclose(found, 1j * response, rtol=0, atol=0.03 * np.abs(response).max())
+
+
+@pytest.mark.parametrize("of", ["plant", "loop"])
+@pytest.mark.parametrize("law", ["tracking", "pbvs"])
+def test_a_machine_that_takes_positions_has_no_plant_that_a_wrench_drives(of: str, law: str) -> None:
+    scenario = hs.load_scenario("pi-h824-positions").updated({"controller.law": law})
+    with pytest.raises(NotApplicableError, match=r"the legs of this one follow positions \(actuators.kind\)"):
+        hs.bridges.control(scenario, of)  # type: ignore[arg-type]
 
 
 def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:

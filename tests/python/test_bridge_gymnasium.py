@@ -67,6 +67,35 @@ def test_a_step_is_a_tick_of_a_run_with_a_custom_controller(name: str, monkeypat
         np.testing.assert_array_equal(np.array(rows), np.array(seen)[: len(rows)])
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {},
+        {"uncertainty.principal_point": [10.0, 0.0]},
+        {"uncertainty.focal_length": 0.05, "camera.distortion.brown_conrady": [-0.2, 0.05, 1e-3, -1e-3, 0.0]},
+        {"camera.principal_point": [650.0, 500.0], "camera.axes": "opencv", "uncertainty.principal_point": [-4.0, 7.0]},
+    ],
+)
+def test_the_error_at_the_goal_is_zero_whatever_the_controller_assumes(wrong: dict[str, Any]) -> None:
+    """Desired and seen features go through the same assumed camera: where their pixels are equal, so are they."""
+    packaged = hs.load_scenario("pi-h824")
+    goal = [0.004, -0.003, 0.002, -0.01, -0.015, 0.02]  # the packaged scenario's target.desired_pose
+    camera = {"camera.noise": 0.0, "camera.image_size": None, **wrong}
+    if camera.get("camera.axes") == "opencv":  # which looks along its +z
+        camera["camera.mount.rotation"] = [np.pi, 0.0, 0.0]
+    target = {"target.desired_pose": goal, "target.desired_features": None}
+    scenario = packaged.updated({**SHORT, **camera, **target, "simulation.start.pose": goal, "sensors.resolution": 0.0})
+    env = hs.bridges.gymnasium(scenario, 1)
+    observed, _ = env.reset(seed=0)
+    np.testing.assert_allclose(observed[0, :8], 0.0, rtol=0, atol=1e-9)  # pixels of 1e3 to rounding
+    observed, rewards, *_ = env.step(np.zeros((1, 6), np.float32))
+    assert rewards[0] == pytest.approx(0.0, abs=1e-12)
+    away = hs.bridges.gymnasium(scenario.updated({"simulation.start.pose": [0.0] * 6}), 1)
+    away.reset(seed=0)
+    _, rewards, *_ = away.step(np.zeros((1, 6), np.float32))
+    assert rewards[0] == pytest.approx(-scenario.simulation.step, rel=1e-9)  # e is e_0 at home
+
+
 @pytest.mark.parametrize("action", ["wrench", "twist"])
 def test_the_checker_of_gymnasium_passes(scenario: hs.Scenario, action: Any) -> None:
     from gymnasium.utils.env_checker import check_env

@@ -9,7 +9,7 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +27,18 @@ from diagnosis_statistics import count, failing, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.diagnosis.causes import CAUSES, HARMLESS, IN_COMMON
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
-from hexservo.findings.diagnosis.environment import ORDINARY, ideal, ordinary
+from hexservo.findings.diagnosis.environment import ORDINARY, alone_pairs, ideal, known, ordinary
 from hexservo.findings.diagnosis.evidence import SIGNATURES
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
 from hexservo.findings.diagnosis.model import Case, Removal
-from hexservo.findings.diagnosis.ranking import Study, judged, make_cases, pairs, rank, study
+from hexservo.findings.diagnosis.ranking import Study, controls, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.evidence import Curves, Table
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.parameters import core_parameters, frame_period
+from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -258,6 +260,41 @@ def test_a_slower_loop_is_the_same_motion_in_another_time(law: str) -> None:
     assert other.feature_error == pytest.approx(one.feature_error, abs=1e-6)
 
 
+@pytest.mark.parametrize("name", ["fails-stiction", "fails-spring", "fails-saturation", "fails-coarse-step"])
+def test_a_heavier_machine_with_gains_for_its_mass_has_the_same_causes(name: str) -> None:
+    """Every force of plant and laws is 64 times as large, a power of two: no bit of the motion changes."""
+    scenario = hs.load_scenario(name)
+    heavy = scenario.updated(times_as_heavy(scenario, 64.0))
+    found = [hs.diagnose(hs.simulate(one)) for one in (scenario, heavy)]
+    for first, second in zip(found[0].causes, found[1].causes, strict=True):
+        assert (second.cause, second.named, second.alone) == (first.cause, first.named, first.alone)
+        assert second.score == first.score, first.cause
+    assert found[1].controls == found[0].controls
+
+
+def times_as_heavy(scenario: hs.Scenario, factor: float) -> dict[str, Any]:
+    robot = scenario.robot
+    changes: dict[str, Any] = {f"robot.{key}": factor * getattr(robot, key) for key in ("mass", "force_limit")}
+    changes["robot.inertia"] = (factor * np.asarray(robot.inertia)).tolist()
+    powers = {"hybrid": {"kp": 1, "kv": 1}, "composite": {"kp": 1, "kt": 1, "kd": 1, "kv": 1}}
+    powers |= {"pbvs": {"kp": 1, "kd": 1}}  # which is tried in place of another law
+    powers["hybrid"] |= {"fuzzy.adaptation": -1, "fuzzy.error_scale": -1, "fuzzy.rate_scale": -1}
+    powers["composite"] |= {"fuzzy.adaptation": -1}
+    for law, gains in powers.items():
+        for name, power in gains.items():
+            key = f"controller.{law}.{name}"
+            changes[key] = (np.asarray(value_at(scenario, key)) * factor**power).tolist()
+    return changes
+
+
+def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:
+    """To rounding: 0.9 kg is no power of two times the mass of the defaults."""
+    scenario = hs.load_scenario("fails-spring").updated({"controller.law": "hybrid"})
+    heavy = scenario.updated(times_as_heavy(scenario, 0.9 / scenario.robot.mass))
+    assert ordinary(heavy).keys() == ordinary(scenario).keys()
+    assert "controller.hybrid.fuzzy.error_scale" in ordinary(scenario.updated({"robot.mass": 0.9}))
+
+
 def test_a_cause_within_what_is_ordinary_is_not_named() -> None:
     """Noise of 0.3 px before features on a small spot: without noise the run passes, and the target is the cause."""
     diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("fails-poor-image")))
@@ -266,6 +303,16 @@ def test_a_cause_within_what_is_ordinary_is_not_named() -> None:
     assert noise.without.works
     assert noise.alone is False
     assert not noise.named
+
+
+def test_a_payload_that_is_not_known_is_not_ordinary() -> None:
+    """20 g on a platform of 60 g: of a law that bears an error of the weight of 2 %, which the scenario has not."""
+    scenario = hs.load_scenario("unknown-payload").updated({"controller.law": "pbvs", "robot.payload.mass": 0.02})
+    assert scenario.uncertainty.gravity == 0.0
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["gravity"]
+    assert diagnosis.named[0].remedy is not None
+    assert diagnosis.named[0].remedy.changes == {"robot.payload.known": True}
 
 
 def test_a_removal_that_cures_by_side_effect_is_not_the_cause() -> None:
@@ -450,6 +497,57 @@ def test_a_batch_of_changes_gives_what_simulate_gives() -> None:
             assert record.metrics[name] == pytest.approx(expected[name], rel=1e-8), name
 
 
+@pytest.mark.parametrize("name", ["pi-h824-positions", "rubin-camera-positions", "fails-stick-slip"])
+def test_only_what_a_scenario_refuses_has_no_run(name: str) -> None:
+    """All removals and pairs at once, each of 20 steps: numbers that only together are allowed, as step and delay."""
+    scenario = hs.load_scenario(name)
+    runs = []
+    for changes in tried(case_of(scenario)):
+        step = changes.get("simulation.step", scenario.simulation.step)
+        runs.append(Run(scenario, {**changes, "simulation.duration": 20 * step}))
+    assert len(runs) > 40
+    refused = {"simulation.step": 1e-3, "actuators.delay": 0.02}  # 20 ticks, where 8 are the most
+    fine = {"simulation.step": 1e-3, "actuators.delay": 1e-3}
+    runs += [Run(scenario, {**changes, "simulation.duration": 0.04}) for changes in (refused, fine)]
+    for run, record in zip(runs, run_all(runs), strict=True):
+        assert (record is None) == is_refused(scenario, run.changes), run.changes
+
+
+@pytest.mark.parametrize("name", hs.scenario_names())
+def test_no_change_that_is_tried_is_refused(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    assert [changes for changes in tried(case_of(scenario)) if is_refused(scenario, changes)] == []
+
+
+def test_a_gain_without_effect_is_left_alone() -> None:
+    """Legs that take positions follow a twist by themselves: `ki` is refused there, and would decide nothing."""
+    forces = hs.load_scenario("paper-nominal").updated({"controller.law": "resolved_rate"})
+    positions = hs.load_scenario("fails-stick-slip")
+    for scenario, has in ((forces, True), (positions, False)):
+        keys = set().union(*tried(Case(scenario, None)))
+        assert ("controller.resolved_rate.ki" in keys) is has
+        assert "controller.resolved_rate.gain" in keys
+
+
+def tried(case: Case) -> list[Mapping[str, Any]]:
+    """Return the changes of controls, of all removals, and of the pairs that put their causes alone; each once."""
+    changes = controls(case)
+    for cause in CAUSES:
+        for removal in cause.removals(case):
+            changes.append(dict(removal.changes))
+            for pair in alone_pairs(cause, case, removal):
+                changes += [dict(pair.without), dict(pair.alone)]
+    return list({known(one): one for one in changes}.values())
+
+
+def is_refused(scenario: hs.Scenario, changes: Mapping[str, Any]) -> bool:
+    try:
+        scenario.updated(changes)
+    except ValueError:
+        return True
+    return False
+
+
 def test_a_record_of_a_result_is_that_of_a_run() -> None:
     scenario = hs.load_scenario("paper").updated({"controller.switching.kind": "tanh", "simulation.duration": 2.0})
     one, other = record_of(hs.simulate(scenario)), run_all([Run(scenario)])[0]
@@ -491,6 +589,32 @@ def test_causes_not_present_in_a_scenario_are_not_tried() -> None:
     assert not cause_of("poor_image").removals(Case(as_printed, None))
 
 
+def test_a_bandwidth_that_is_too_low_is_not_too_high() -> None:
+    """0.02 Hz on a machine whose packaged law has 2 Hz."""
+    scenario = hs.load_scenario("pi-h824-positions").updated(
+        {"controller.tracking.bandwidth": 0.02, "actuators.delay": 0.0}
+    )
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["gains_low"]
+
+
+@pytest.mark.parametrize("law", ALL_LAWS)
+def test_gains_that_are_too_high_are_never_raised(law: str) -> None:
+    """With damping or without: more of it is offered then, and only of a law that has some."""
+    name = "paper-nominal" if law in LAWS else "pi-h824-positions"
+    scenario = hs.load_scenario(name).updated({"controller.law": law})
+    head = f"controller.{law}."
+    damping = [name for name in ("kd", "ki", "kv") if hasattr(scenario.controller.gains, name)]
+    for base in (scenario, scenario.updated({head + name: 0.0 for name in damping})):
+        removals = cause_of("gains_high").removals(Case(base, None))
+        assert removals
+        assert ("more damping" in {removal.words for removal in removals}) == bool(damping)
+        for removal in removals:
+            for key, value in removal.changes.items():
+                if key.removeprefix(head) in ("kp", "kt", "gain", "gain_far", "bandwidth"):
+                    assert (np.asarray(value) <= np.asarray(value_at(base, key))).all(), (removal.words, key)
+
+
 def test_the_camera_without_delay_loses_frames_as_before() -> None:
     """The mean wait for lost frames, period d/(1 - d), stays."""
     scenario = hs.load_scenario("dropouts")
@@ -516,6 +640,31 @@ def test_the_weighed_platform_is_the_same_platform() -> None:
         )
         assert (1.0 - np.asarray(model.coriolis)) * one.robot.inertia[0] == pytest.approx(0.875 * 1.5e-4)
     assert told.uncertainty.gravity == 0.0
+    plants = [plant_terms(one) for one in (scenario, told)]
+    np.testing.assert_allclose(plants[1], plants[0], rtol=1e-14)  # products of a few numbers
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_no_remedy_against_a_wrong_weight_changes_the_plant(known: bool) -> None:
+    """With a payload the errors act on both together, and no mass of the platform stands for them."""
+    payload = {"mass": 0.02, "position": [0.0, 0.0, -0.01], "inertia": [1e-6, 1e-6, 1e-6], "known": known}
+    scenario = hs.load_scenario("fails-gravity").updated({"robot.payload": payload})
+    case = case_of(scenario)
+    (removal,) = cause_of("gravity").removals(case)
+    record = run_all([Run(scenario)])[0]
+    assert record is not None
+    *remedies, last = cause_of("gravity").remedies(case, removal, record)
+    assert last is removal  # which does: the estimate is right, and so the weight is another
+    assert remedies
+    for remedy in remedies:
+        np.testing.assert_allclose(plant_terms(scenario.updated(remedy.changes)), plant_terms(scenario), rtol=1e-14)
+
+
+def plant_terms(scenario: hs.Scenario) -> Array:
+    """Return weight (6,) and inertia (3, 3) about the origin that act on the plant: (1 - d) times those of its body."""
+    model, body = scenario.uncertainty, core_parameters(scenario).plant_body
+    weight = (1.0 - np.asarray(model.gravity)) * np.asarray(body.gravity_wrench)
+    return np.concatenate([weight, ((1.0 - np.asarray(model.inertia)) * np.asarray(body.inertia)).ravel()])
 
 
 # ---- The goal -------------------------------------------------------------------------------------------------------
@@ -576,6 +725,49 @@ def test_a_spread_target_has_its_goal_at_the_same_pose(points: bool) -> None:
     assert gain == pytest.approx(
         pixels_per_metre(*seen_from_home(spread)) / pixels_per_metre(*seen_from_home(scenario))
     )
+
+
+def counted_from_the_corner(scenario: hs.Scenario) -> hs.Scenario:
+    """Return the same camera and target with pixels as OpenCV counts them, u to the right and v down."""
+    width, height = scenario.camera.image_size or (0.0, 0.0)
+    centre = np.array([(width - 1.0) / 2.0, (height - 1.0) / 2.0])
+    changes: dict[str, Any] = {"camera.principal_point": centre.tolist()}
+    for key in ("target.desired_features", "target.initial_features"):
+        changes[key] = (centre + np.reshape(value_at(scenario, key), (-1, 2)) * [1.0, -1.0]).ravel().tolist()
+    return scenario.updated(changes)
+
+
+def test_a_spread_target_is_the_same_however_pixels_count() -> None:
+    """The border moves out on both sides of the image, also where pixels count from its corner."""
+    scenario = hs.load_scenario("fails-poor-image").updated({"camera.image_size": [80, 60]})
+    found = []
+    for one in (scenario, counted_from_the_corner(scenario)):
+        case = case_of(one)
+        assert case.goal is not None
+        spread = one.updated(spread_target(one, case.goal)[0])
+        places = np.concatenate([desired_features(spread), seen_from_home(spread)[1]])
+        assert not points_outside(spread, places).any()
+        found.append([places, spread.camera.image_size, points_outside(spread, 1.5 * places)])
+        diagnosis = hs.diagnose(hs.simulate(one))
+        assert [finding.cause for finding in diagnosis.named] == ["poor_image"]
+    for first, second in zip(*found, strict=True):
+        np.testing.assert_allclose(second, first, rtol=0, atol=1e-6)  # [px], of poses that a search ends at
+
+
+def test_a_larger_image_is_larger_on_all_sides_however_pixels_count() -> None:
+    scenario = counted_from_the_corner(hs.load_scenario("fails-lost-features"))
+    (finding,) = hs.diagnose(hs.simulate(scenario)).named
+    assert finding.cause == "lost_features"
+    assert finding.remedy is not None
+    assert finding.remedy.works
+    larger = scenario.updated(finding.remedy.changes)
+    assert larger.camera.image_size is not None
+    size = np.asarray(larger.camera.image_size)
+    assert (size > scenario.camera.image_size).any()
+    assert larger.camera.principal_point is not None
+    np.testing.assert_allclose(np.asarray(larger.camera.principal_point), (size - 1.0) / 2.0)
+    np.testing.assert_allclose(desired_features(larger), desired_features(scenario), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(seen_from_home(larger)[1], seen_from_home(scenario)[1], rtol=0, atol=1e-9)
 
 
 def test_the_worst_direction_of_a_square_by_hand() -> None:
@@ -724,6 +916,19 @@ def test_a_run_that_is_too_short_is_diagnosed() -> None:
     assert hs.diagnose(hs.simulate(hs.load_scenario("fails-stiction"))).too_short is None
     diagnosis = hs.diagnose(hs.simulate(scenario.updated({"simulation.duration": 0.002})))  # no time to fall at all
     assert diagnosis.too_short == pytest.approx(2.0)
+
+
+def test_a_dwell_time_that_no_run_lasts_is_diagnosed() -> None:
+    """Of four times the duration: a run three times as long is still too short, and the usual dwell time cures it."""
+    scenario = hs.load_scenario("paper-nominal")
+    result = hs.simulate(scenario.updated({"metrics.dwell": 4.0 * scenario.simulation.duration}))
+    diagnosis = hs.diagnose(result)
+    assert [finding.cause for finding in diagnosis.named] == ["duration"]
+    assert diagnosis.named[0].without is not None
+    assert diagnosis.named[0].without.changes == {"metrics.dwell": 0.2}
+    assert diagnosis.too_short is None
+    assert diagnosis.to_dict()["too_short"] is None
+    assert "with a dwell time of 0.2 s the run passes" in diagnosis.section().sentences[0]
 
 
 def test_a_settling_band_narrower_than_an_ordinary_loop_reaches_is_diagnosed() -> None:

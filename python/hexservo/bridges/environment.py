@@ -11,8 +11,7 @@ from hexservo import _core
 from hexservo.bridges.extras import extra
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.pixels import desired_features
+from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -56,9 +55,12 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         self._settings = core_parameters(self.scenario)
         self._start: Array = np.array(self._settings["simulation.start.pose"])
         self._spread = _six("start_spread", start_spread)
-        self._desired = desired_features(self.scenario)
+        # as the controller rectifies them, with the camera that it assumes: so are the features that it sees
+        self._desired = _rectified(self._settings, self._settings["target.desired_features"])
         self._tick, self._duration = self.scenario.simulation.step, self.scenario.simulation.duration
-        error = scene.desired - scene.image(scene.home)[0] if scene.has_points else np.ones(1)
+        error = np.ones(1)
+        if scene.has_points:
+            error = self._desired - _rectified(self._settings, scene.camera.pixels(_points(scene.image(scene.home)[0])))
         self._error_unit = float(np.sqrt(np.mean(error**2))) or 1.0
         self._stiffness = _damping(scene, self._tick) if action == "twist" else None
         if action_scale is None:
@@ -253,9 +255,10 @@ def gymnasium(
     -------
     HexapodVectorEnv or HexapodEnv
         Observation, as the controller's sensors give it: desired minus seen features (8,) [px], the newest that are
-        usable; position (3,) in B [m]; quaternion (4,) with w >= 0; twist (6,) in B [m/s; rad/s]. Reward:
-        ``-T_c e/e_0`` with the servo period, the RMS of the seen feature error at the action and that at home; an
-        episode that fails costs 10 for each second that is left. Infos: ``time`` [s].
+        usable, both rectified with the camera that the controller assumes; position (3,) in B [m]; quaternion (4,)
+        with w >= 0; twist (6,) in B [m/s; rad/s]. Reward: ``-T_c e/e_0`` with the servo period, the RMS of the seen
+        feature error at the action and that at home; an episode that fails costs 10 for each second that is left.
+        Infos: ``time`` [s].
 
     Raises
     ------
@@ -274,6 +277,15 @@ def gymnasium(
         start_spread=start_spread,
         autoreset=autoreset,
     )
+
+
+def _points(numbers: Array) -> Array:
+    return numbers.reshape(-1, 2)
+
+
+def _rectified(settings: Settings, pixels: Array) -> Array:
+    """Return the features that the controller takes for pixels of the camera, (2p,) [px]."""
+    return np.asarray(settings.assumed_camera.features(_points(pixels))).ravel()
 
 
 def _first(info: dict[str, Any]) -> dict[str, Any]:

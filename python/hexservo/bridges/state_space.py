@@ -10,7 +10,7 @@ import numpy as np
 from hexservo.bridges.extras import extra
 from hexservo.findings.analysis.linear_law import linear_plant, rest_of
 from hexservo.findings.analysis.linear_loop import SampledLoop
-from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, clock_of, loop_at_rest, quiet
+from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, clock_of, loop_at_rest, quiet, require_forces
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
@@ -38,8 +38,8 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
     Parameters
     ----------
     scenario
-        Any with a law of viscous damping and a camera that projects. Noise, faults and limits do not act, nor does
-        ``uncertainty.gravity``.
+        Any whose machine takes forces, with a law of viscous damping and a camera that projects. Noise, faults and
+        limits do not act, nor does ``uncertainty.gravity``.
     of
         "loop": inputs are disturbances; "plant": the platform without a law, whose inputs are wrench and base
         acceleration.
@@ -102,6 +102,7 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
 
 
 def _resting(scenario: Scenario) -> tuple[RestPose, LinearPlant, float]:
+    require_forces(scenario)
     calm = quiet(scenario)
     rest = rest_of(calm, scene_of(scenario))
     return rest, linear_plant(calm, rest.view.pose), float(calm.simulation.step)

@@ -162,7 +162,7 @@ def fastest_rate(scene: Scene) -> float:
     if controller.traits.output == "pose":
         return 2.0 * math.pi * float(controller.gains.bandwidth)
     calm = on_pinhole(quiet(scene.scenario))  # the linear law is of features
-    if calm.actuators.takes_positions and controller.traits.output == "twist":
+    if calm.legs_follow_twists:
         weightless = calm.updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
         law = linear_law(weightless, scene_of(weightless), scene.home)
         return float(np.abs(np.linalg.eigvals(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose))).max())

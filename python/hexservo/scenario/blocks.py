@@ -471,6 +471,11 @@ class Blocks(Block):
     simulation: Simulation = Field(default_factory=Simulation)
     metrics: Metrics = Field(default_factory=Metrics)
 
+    @property
+    def legs_follow_twists(self) -> bool:
+        """Whether legs follow the law's twist by themselves: what would make a wrench of it (`ki`) has no effect."""
+        return self.actuators.takes_positions and self.controller.traits.output == "twist"
+
 
 @cache
 def preset_values(preset: str) -> dict[str, Any]:

@@ -87,8 +87,8 @@ class Scenario(Blocks):
     def _refuse_keys_without_effect(self) -> None:
         if self.simulation.mode == SAMPLED_MODE:
             gains = self.controller.gains
-            own = self.controller.traits.output == "twist" and gains.auto.bandwidth is None
-            if own and self.actuators.takes_positions and gains.ki != type(gains)().ki:
+            own = self.legs_follow_twists and gains.auto.bandwidth is None
+            if own and gains.ki != type(gains)().ki:
                 raise ValueError(
                     f"controller.{self.controller.law}.ki: has no effect where actuators.kind is not force, since the "
                     "legs follow the commanded twist by themselves; drop it"

@@ -36,6 +36,7 @@ __all__ = [
     "loop_with_weights",
     "proportional_gains",
     "quiet",
+    "require_forces",
     "scaled",
 ]
 
@@ -114,20 +115,32 @@ def clock_of(scenario: Scenario) -> Clock:
     return Clock(max(1, round(frame_period(scenario) / tick)), round(scenario.camera.latency / tick))
 
 
+def require_forces(scenario: Scenario) -> None:
+    """Refuse a machine that takes positions: no wrench moves its platform, and so none is linearised.
+
+    Raises
+    ------
+    NotApplicableError
+        For such a machine.
+    """
+    if scenario.actuators.takes_positions:
+        raise NotApplicableError(
+            "the linear plant and loop are of a machine that takes forces, and the legs of this one follow positions "
+            "(actuators.kind)"
+        )
+
+
 def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     """Linearise a scenario's loop where it rests.
 
     Raises
     ------
     NotApplicableError
-        For a law without viscous damping, a camera without points, and where the loop rests nowhere near its goal.
+        For a machine that takes positions, a law without viscous damping, a camera without points, and where the loop
+        rests nowhere near its goal.
     """
     controller = scenario.controller
-    if scenario.actuators.takes_positions:
-        raise NotApplicableError(
-            "the linear loop is of a machine that takes forces, and the legs of this one follow positions "
-            "(actuators.kind)"
-        )
+    require_forces(scenario)
     if not controller.traits.viscous:
         raise NotApplicableError(
             f"the law {controller.law} has Coulomb damping only, which a linear loop does not describe"

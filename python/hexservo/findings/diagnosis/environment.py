@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.diagnosis.gains import default_gains
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.parameters import frame_period
@@ -58,8 +59,6 @@ OPTICS = frozenset(
 )
 """Keys of what the camera is and where it stands."""
 _OF_THE_TASK = OPTICS | {"camera.convention"}
-_FORCES = ("kp", "kt", "kd", "ki", "kv")  # gains of forces, which grow with the mass
-_MICRO_MASS = 0.06  # [kg], that the defaults of the gains are for
 
 ORDINARY: dict[str, float] = {
     "camera.noise": 0.5,  # [px]
@@ -81,6 +80,7 @@ ORDINARY_WEIGHT = 0.02  # error of the weight, before a law that holds more than
 IMAGE_ALONE = tuple(law for law, has in _core.LAW_TRAITS.items() if has.output == "wrench" and not has.prior)
 """Motions and errors of at most these are no causes, though a scenario without faults has none of them."""
 ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
+_ROUNDING = 1e-9  # relative difference of equal numbers
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary
 _KEPT = frozenset(
     {"sensors.pose", "sensors.rate", "actuators.hold", "actuators.kind"}
@@ -128,20 +128,16 @@ def unknown_payload(scenario: Scenario) -> bool:
 
 def ordinary(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to ordinary settings of the same law: its defaults, and a fine step."""
-    changes: dict[str, Any] = {}
-    law = scenario.controller.law
-    own = scenario.controller.gains
-    default = type(scenario.controller)()
-    ratio = scenario.robot.mass / _MICRO_MASS
-    units = {key.name: key.unit for key in _core.scenario_keys(law)}
-    changes |= _differences(f"controller.{law}", own, getattr(default, law), ratio, units)
+    usual = default_gains(scenario)
+    changes = {key: wanted for key, wanted in usual.items() if _differs(value_at(scenario, key), wanted)}
     sampled = scenario.simulation.mode == "sampled"
     kind = "implicit" if sampled else "sign"
     switching = scenario.controller.switching
     if switching.kind not in (kind, "implicit_coupled"):
         changes["controller.switching.kind"] = kind
-    if switching.width != default.switching.width:
-        changes["controller.switching.width"] = default.switching.width
+    width = type(switching)().width
+    if switching.width != width:
+        changes["controller.switching.width"] = width
     step = scenario.simulation.step
     if step > FINE_STEP:
         step /= math.ceil(step / FINE_STEP - 1e-9)
@@ -151,18 +147,11 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     return changes
 
 
-def _differences(path: str, own: Any, default: Any, ratio: float, units: Mapping[str, str]) -> dict[str, Any]:
-    changes: dict[str, Any] = {}
-    for name in type(own).model_fields:
-        wanted = getattr(default, name)
-        if hasattr(type(wanted), "model_fields"):
-            changes |= _differences(f"{path}.{name}", getattr(own, name), wanted, ratio, units)
-            continue
-        if name in _FORCES and ratio != 1.0 and units[f"{path}.{name}"].startswith("N"):
-            wanted = (np.asarray(wanted, dtype=float) * ratio).tolist()
-        if getattr(own, name) != wanted:
-            changes[f"{path}.{name}"] = list(wanted) if isinstance(wanted, tuple) and name != "table" else wanted
-    return changes
+def _differs(own: Any, wanted: Any) -> bool:
+    """Return whether two values differ, numbers by more than rounding."""
+    if _numeric(own) and _numeric(wanted):
+        return not np.allclose(own, wanted, rtol=_ROUNDING, atol=0.0)
+    return bool(own != wanted)
 
 
 def unusual(scenario: Scenario) -> frozenset[str]:
@@ -206,23 +195,20 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
 def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     """Return one setting of a law alone, relative to the law's stiffness: with other gains it has another effect.
 
-    A loop that is faster as a whole has K_v by the square, and Psi by the inverse square, of what is ordinary.
+    A loop that is faster as a whole has K_v by the square, and Psi by the inverse square, of what is ordinary for the
+    platform's mass.
     """
     scenario = case.scenario
     without = {**ideal(scenario), **ordinary(scenario)}
     law = scenario.controller.law
-    block, default = scenario.controller.gains, getattr(type(scenario.controller)(), law)
-    stiffness = "kt" if hasattr(block, "kt") else "kp"
-    own = np.broadcast_to(
-        np.asarray(getattr(block, stiffness), dtype=float), 6 if stiffness == "kt" else 2 * scenario.target.count
-    )
-    usual = np.broadcast_to(np.asarray(getattr(default, stiffness), dtype=float), own.shape)
+    stiffness = f"controller.{law}." + ("kt" if hasattr(scenario.controller.gains, "kt") else "kp")
+    count = 6 if stiffness.endswith("kt") else 2 * scenario.target.count
+    own = np.broadcast_to(np.asarray(value_at(scenario, stiffness), dtype=float), count)
+    usual = np.broadcast_to(np.asarray(default_gains(scenario)[stiffness], dtype=float), count)
     ratio = float(np.exp(np.mean(np.log(np.maximum(own, 1e-12 * usual) / usual))))
-    value: Any = block
-    for part in name.split("."):
-        value = getattr(value, part)
     key = f"controller.{law}.{name}"
-    return [Alone(without, {**without, key: (np.asarray(value, dtype=float) * ratio**power).tolist()})]
+    value = np.asarray(value_at(scenario, key), dtype=float)
+    return [Alone(without, {**without, key: (value * ratio**power).tolist()})]
 
 
 def both_alone(first: Cause, second: Cause, case: Case) -> Alone:

@@ -67,11 +67,15 @@ class Diagnosis(Part):
 
     @property
     def too_short(self) -> float | None:
-        """A duration with which the run passes, if the cause is that the run is too short [s]; else None."""
+        """A duration with which the run passes, if the cause is that the run is too short [s]; else None.
+
+        None too where the run passes with a shorter dwell time, and not with a longer run.
+        """
         first = self.causes[0] if self.causes else None
         if first is None or not first.named or first.cause != "duration" or first.without is None:
             return None
-        return float(first.without.changes["simulation.duration"])
+        duration = first.without.changes.get("simulation.duration")
+        return None if duration is None else float(duration)
 
     def sections(self) -> tuple[Section, ...]:
         """Return the only section."""

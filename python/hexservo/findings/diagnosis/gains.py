@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from hexservo import _core
+from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["GAIN_KEYS", "damped", "not_below_default", "slower"]
+__all__ = ["GAIN_KEYS", "damped", "default_gains", "idle_gains", "not_below_default", "slower"]
 
 # How a gain scales with the rate of the loop: forces with its square, dampings and rates with itself.
 _POWERS = {
@@ -25,6 +28,7 @@ _POWERS = {
 }
 _FUZZY_POWERS = {"adaptation": -2.0, "initial_scale": 2.0, "weight_limit": 2.0, "leakage": 1.0, "dead_zone": 1.0}
 _STIFFNESS, _DAMPING = ("kp", "kt", "gain", "gain_far", "bandwidth"), ("kd", "ki", "kv")
+_MICRO_MASS = 0.06  # [kg], that the defaults of the gains are for
 GAIN_KEYS = frozenset(f"LAW.{name}" for name in (*_POWERS, "adaptive") if name != "kv") | {
     "LAW.fuzzy.adaptation",
     "LAW.fuzzy.error_scale",
@@ -41,7 +45,8 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
     law = scenario.controller.law
     block = scenario.controller.gains
     rate = 1.0 / factor
-    changes = _scaled(f"controller.{law}", block, _POWERS, rate)
+    powers = {name: _POWERS[name] for name in _acting(scenario, _POWERS)}
+    changes = _scaled(f"controller.{law}", block, powers, rate)
     if hasattr(block, "fuzzy") and block.fuzzy.enabled:
         powers = dict(_FUZZY_POWERS)
         # Inputs of the systems: a pose error and a velocity, or else forces and their rates.
@@ -52,22 +57,55 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
 
 
 def damped(scenario: Scenario, factor: float) -> dict[str, Any]:
-    """Return the changes that damp the loop more."""
+    """Return the changes that damp the loop more: by a factor, or to the law's defaults where nothing damps it."""
     law = scenario.controller.law
-    return _scaled(f"controller.{law}", scenario.controller.gains, dict.fromkeys(_DAMPING, 1.0), factor)
+    powers = dict.fromkeys(_acting(scenario, _DAMPING), 1.0)
+    more = _scaled(f"controller.{law}", scenario.controller.gains, powers, factor)
+    return more or _raised(scenario, _DAMPING)
 
 
 def not_below_default(scenario: Scenario) -> dict[str, Any]:
     """Return the changes that raise stiffness and damping to the law's defaults where they are lower."""
-    law = scenario.controller.law
-    block, default = scenario.controller.gains, getattr(type(scenario.controller)(), law)
-    changes = {}
-    for name in (*_STIFFNESS, *_DAMPING):
-        if hasattr(block, name):
-            own, wanted = np.asarray(getattr(block, name)), np.asarray(getattr(default, name))
+    return _raised(scenario, (*_STIFFNESS, *_DAMPING))
+
+
+def _raised(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
+    usual, changes = default_gains(scenario), {}
+    for key in (f"controller.{scenario.controller.law}.{name}" for name in names):
+        if key in usual:
+            own, wanted = np.asarray(value_at(scenario, key)), np.asarray(usual[key])
             if (own < wanted).any():
-                changes[f"controller.{law}.{name}"] = np.maximum(own, wanted).tolist()
+                changes[key] = np.maximum(own, wanted).tolist()
     return changes
+
+
+def default_gains(scenario: Scenario) -> dict[str, Any]:
+    """Return the settings of a law that suit the platform's mass, by dotted key: its defaults, which are for 60 g.
+
+    Forces grow with the mass, and what divides by a force falls. Gains that the scenario refuses are left out.
+    """
+    law, ratio = scenario.controller.law, scenario.robot.mass / _MICRO_MASS
+    units = {key.name: key.unit for key in _core.scenario_keys(law)}
+    found = {}
+    for key in _acting(scenario, keys_below(f"controller.{law}")):
+        value, unit = default_of(key), units.get(key, "").partition(";")[0]  # that of forces, before that of moments
+        power = 1.0 if unit.startswith("N") else -1.0 if unit.endswith("/N") else 0.0
+        if power and value is not None and ratio != 1.0:
+            with np.errstate(over="ignore", under="ignore"):  # as below
+                value = (np.asarray(value, dtype=float) * np.power(ratio, power)).tolist()
+        found[key] = list(value) if isinstance(value, tuple) else value
+    return found
+
+
+def idle_gains(scenario: Scenario) -> frozenset[str]:
+    """Return the names of gains that have no effect on the machine; the scenario refuses all but their defaults."""
+    return frozenset({"ki"} if scenario.legs_follow_twists else ())
+
+
+def _acting(scenario: Scenario, names: Iterable[str]) -> list[str]:
+    """Return those of some names or dotted keys that have an effect."""
+    idle = idle_gains(scenario)
+    return [name for name in names if name.rpartition(".")[2] not in idle]
 
 
 def _scaled(path: str, block: Any, powers: dict[str, float], rate: float) -> dict[str, Any]:

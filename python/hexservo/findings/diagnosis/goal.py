@@ -15,7 +15,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Goal", "Obstacle", "goal_of", "obstacle_of", "pixels_per_metre", "spread_target"]
+__all__ = ["Goal", "Obstacle", "goal_of", "obstacle_of", "pixels_per_metre", "resized_image", "spread_target"]
 
 _SPREAD = 0.2  # half the side of the square that stands in for a target, in parts of its distance
 _EXACT = 0.5  # [px]: features of a pose are no farther off, with ordinary noise
@@ -118,13 +118,33 @@ def spread_target(scenario: Scenario, goal: Goal) -> tuple[dict[str, Any], float
     points = _core.lift(camera, home.position, home.quaternion, start, start_depth)
     end, _ = _core.take_image(camera, goal.position, goal.quaternion, points)
     gain = pixels_per_metre(camera, start, start_depth, at) / pixels_per_metre(camera, features, depth, at)
-    changes: dict[str, Any] = {"target.desired_features": to_pixels(scenario, end).tolist()}
+    changes: dict[str, Any] = {}
+    moved = np.zeros(2 * len(depth))  # of each pixel
     if scenario.camera.image_size is not None:  # features that leave the image do so as before
         before = np.abs(np.concatenate([features, desired_features(scenario)]).reshape(-1, 2)).max(0)
         after = np.abs(np.concatenate([start, end]).reshape(-1, 2)).max(0)
-        changes["camera.image_size"] = (np.asarray(scenario.camera.image_size) * after / before).tolist()
+        changes, moved = resized_image(scenario, np.asarray(scenario.camera.image_size) * after / before)
+    changes["target.desired_features"] = (to_pixels(scenario, end) + moved).tolist()
     if scenario.target.points is not None:
         changes["target.points"] = points.tolist()
     else:
-        changes |= {"target.initial_features": to_pixels(scenario, start).tolist(), "target.depth": distance}
+        changes["target.initial_features"] = (to_pixels(scenario, start) + moved).tolist()
+        changes["target.depth"] = distance
     return changes, gain
+
+
+def resized_image(scenario: Scenario, size: Array) -> tuple[dict[str, Any], Array]:
+    """Return the changes to an image of another size (2,) [px], whose centre stays where it is in the features.
+
+    Returns
+    -------
+    tuple
+        The changes, and by how much the pixels of features move, (2p,) [px]: by nothing where they count from the
+        centre of the image.
+    """
+    camera, changes = scenario.camera, {"camera.image_size": size.tolist()}
+    moved = np.zeros(2)
+    if camera.principal_point is not None:
+        moved = (size - np.asarray(camera.image_size)) / 2.0
+        changes["camera.principal_point"] = (np.asarray(camera.principal_point) + moved).tolist()
+    return changes, np.tile(moved, scenario.target.count)

@@ -121,7 +121,7 @@ def _gains_high(case: Case) -> list[Removal]:
         for factor in _FACTORS
         if (changes := slower(scenario, factor))
     ]
-    more = {**damped(scenario, 8.0)} or not_below_default(scenario)
+    more = damped(scenario, 8.0)
     return [*removals, Removal("more damping", more)] if more else removals
 
 

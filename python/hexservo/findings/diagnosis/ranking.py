@@ -19,14 +19,16 @@ from hexservo.findings.diagnosis.environment import (
     both_alone,
     ideal,
     known,
+    unknown_payload,
     unusual,
 )
+from hexservo.findings.diagnosis.gains import idle_gains
 from hexservo.findings.diagnosis.goal import goal_of, obstacle_of
 from hexservo.findings.diagnosis.model import Case, Cause, Removal
 from hexservo.findings.diagnosis.runs import Run, run_all
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Study", "Trial", "judged", "make_cases", "pairs", "rank", "study"]
+__all__ = ["Study", "Trial", "controls", "judged", "make_cases", "pairs", "rank", "study"]
 
 _NOT_ALONE = 0.25  # factor of the score for a cause that makes no run fail alone
 _USUAL = 0.15  # the same if no setting of the cause is unusual
@@ -93,17 +95,17 @@ def study(cases: Sequence[Case], before: Sequence[Judgement], threads: int = 1) 
     """Run every removal of every cause, the controls, and each cause that cures alone in a scenario without faults."""
     tried = [(cause, removal) for case in cases for cause in CAUSES for removal in cause.removals(case)]
     counts = [sum(len(cause.removals(case)) for cause in CAUSES) for case in cases]
-    controls = [_controls(case) for case in cases]
+    own_controls = [controls(case) for case in cases]
     runs = [
         Run(case.scenario, removal.changes)
         for case, own in zip(cases, _split(tried, counts), strict=True)
         for _, removal in own
     ]
-    beside = [Run(case.scenario, changes) for case, own in zip(cases, controls, strict=True) for changes in own]
+    beside = [Run(case.scenario, changes) for case, own in zip(cases, own_controls, strict=True) for changes in own]
     records = run_all([*runs, *beside], threads)
     passed = iter(records[len(runs) :])
     studies = []
-    rows = zip(cases, before, _split(tried, counts), _split(records[: len(runs)], counts), controls, strict=True)
+    rows = zip(cases, before, _split(tried, counts), _split(records[: len(runs)], counts), own_controls, strict=True)
     for case, judgement, removals, found, own in rows:
         best: dict[str, Trial] = {}
         for (cause, removal), record in zip(removals, found, strict=True):
@@ -228,7 +230,8 @@ def _ordinary_devices(case: Case) -> set[str]:
     found = {cause.key for cause in CAUSES if cause.kind == "device" and cause.keys.isdisjoint(worse)}
     if abs(float(np.mean(scenario.uncertainty.depth))) <= ORDINARY_DEPTH:
         found.add("common_depth")
-    if np.abs(scenario.uncertainty.gravity).max() <= ORDINARY_WEIGHT and scenario.controller.law not in IMAGE_ALONE:
+    weighed = np.abs(scenario.uncertainty.gravity).max() <= ORDINARY_WEIGHT and not unknown_payload(scenario)
+    if weighed and scenario.controller.law not in IMAGE_ALONE:
         found.add("gravity")
     if base.kind == "sinusoid" and base.rotation.kind == "none" and np.abs(base.amplitude).max() <= ORDINARY_BASE:
         found.add("base_motion")
@@ -255,8 +258,8 @@ def _is_elsewhere(one: Study) -> bool:
 # ---- Parts of it ----------------------------------------------------------------------------------------------------
 
 
-def _controls(case: Case) -> list[dict[str, Any]]:
-    """Yield changes that remove no cause: other seeds where something is random, and small changes of the numbers."""
+def controls(case: Case) -> list[dict[str, Any]]:
+    """Return changes that remove no cause: other seeds where something is random, and small changes of the numbers."""
     scenario = case.scenario
     camera = scenario.camera
     drawn = case.sampled and (
@@ -274,7 +277,7 @@ def _controls(case: Case) -> list[dict[str, Any]]:
     numbers = {
         f"controller.{law}.{name}": getattr(block, name)
         for name in ("kp", "kt", "kd", "ki", "kv", "gain")
-        if hasattr(block, name)
+        if hasattr(block, name) and name not in idle_gains(scenario)
     }
     numbers |= {f"uncertainty.{name}": getattr(scenario.uncertainty, name) for name in ("gravity", "depth", "coriolis")}
     for _ in range(_SEEDS):

@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.environment import unknown_payload
 from hexservo.findings.diagnosis.gains import slower
+from hexservo.findings.diagnosis.goal import resized_image
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.leg_units import leg_units
@@ -53,6 +54,7 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
         remedies.append(Removal("the payload in the model of the controller", {"robot.payload.known": True}))
     if (
         model.gravity
+        and robot.payload.mass == 0.0  # the errors act on platform and payload together, of which this is one
         and isinstance(model.gravity, float)
         and isinstance(model.inertia, float)
         and isinstance(model.coriolis, float)
@@ -99,10 +101,17 @@ def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list
     camera = case.scenario.camera
     if camera.image_size is not None:
         width = rounded_up(2.2 * record.metrics["peak_feature_distance"])
-        size = [max(side, width) for side in camera.image_size]
-        remedies.append(
-            Removal(f"an image of {size[0]:.0f} x {size[1]:.0f} px", {**removal.changes, "camera.image_size": size})
-        )
+        size = np.maximum(camera.image_size, width)
+        larger, moved = resized_image(case.scenario, size)
+        if moved.any():  # the target stays where it is, at other pixels
+            target = case.scenario.target
+            pixels = {"desired_features": target.desired_features, "initial_features": target.initial_features}
+            larger |= {
+                f"target.{key}": (np.asarray(place) + moved).tolist()
+                for key, place in pixels.items()
+                if place is not None
+            }
+        remedies.append(Removal(f"an image of {size[0]:.0f} x {size[1]:.0f} px", {**removal.changes, **larger}))
     if camera.convention == "eye_in_hand" and camera.prediction == "none":
         remedies.append(Removal("prediction of lost features from the joint sensors", {"camera.prediction": "encoder"}))
     return [*remedies, removal]

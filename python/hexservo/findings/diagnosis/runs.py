@@ -55,7 +55,6 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
     """
     cache: dict[int, tuple[str, dict[str, Any]]] = {}
     groups: dict[Any, list[list[tuple[int, dict[str, Array]]]]] = {}
-    settings: dict[Any, tuple[Scenario, dict[str, Any]]] = {}
     for index, run in enumerate(runs):
         scenario = run.scenario
         if id(scenario) not in cache:
@@ -76,20 +75,14 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
             else:
                 others[name] = value
                 numbers.pop(name, None)
-        key = (shared, repr(sorted(others.items())))
-        alike = groups.setdefault(key, [[]])
-        settings.setdefault(key, (scenario, others))
+        alike = groups.setdefault((shared, repr(sorted(others.items()))), [[]])
         if len(alike[-1]) == _MAX_BATCH:
             alike.append([])
         alike[-1].append((index, numbers))
     records: list[Record | None] = [None] * len(runs)
-    for key, alike in groups.items():
-        try:
-            scenario = _thinned(settings[key][0], settings[key][1])
-        except ValueError:  # refused for what is no number
-            continue
+    for alike in groups.values():
         for group in alike:
-            for index, record in _run(scenario, group, runs, threads):
+            for index, record in _run(group, runs, threads):
                 records[index] = record
     return records
 
@@ -102,25 +95,29 @@ def _wide(rule: NumericKey, value: Any) -> Array:
     return np.diag(array) if array.ndim else np.full(shape, array)
 
 
-def _thinned(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
-    """Change a scenario, and let it log `_SAMPLES` samples."""
-    step = float(changes.get("simulation.step", scenario.simulation.step))
-    duration = float(changes.get("simulation.duration", scenario.simulation.duration))
-    return scenario.updated({**changes, "simulation.log_every": max(1, round(duration / step) // _SAMPLES)})
+def _thinned(run: Run) -> Scenario:
+    """Return the scenario of a run with all its changes, which logs `_SAMPLES` samples."""
+    simulation = run.scenario.simulation
+    step = float(run.changes.get("simulation.step", simulation.step))
+    duration = float(run.changes.get("simulation.duration", simulation.duration))
+    return run.scenario.updated({**run.changes, "simulation.log_every": max(1, round(duration / step) // _SAMPLES)})
 
 
 def _run(
-    scenario: Scenario, group: Sequence[tuple[int, Mapping[str, Array]]], runs: Sequence[Run], threads: int
+    group: Sequence[tuple[int, Mapping[str, Array]]], runs: Sequence[Run], threads: int
 ) -> Iterable[tuple[int, Record]]:
-    """Run what shares a batch; one by one where the batch is refused for one of them."""
+    """Run what shares a batch, as variations of the first one; one by one where one of them is refused.
+
+    The first one has all of its changes: some are refused without the others, as a finer step with the old delay.
+    """
     variations = {name: np.stack([numbers[name] for _, numbers in group]) for name in group[0][1]}
     try:
-        batch = whole(simulate_batch(scenario, variations, "trajectory", threads))
+        batch = whole(simulate_batch(_thinned(runs[group[0][0]]), variations, "trajectory", threads))
     except ValueError:
         if len(group) == 1:
             return
         for one in group:
-            yield from _run(scenario, [one], runs, threads)
+            yield from _run([one], runs, threads)
         return
     for row, (index, _) in enumerate(group):
         yield index, _batch_record(batch, row, keep=runs[index].keep)
