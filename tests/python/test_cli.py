@@ -21,6 +21,8 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli import commands as cli
+from hexservo.cli.terminal import load
+from hexservo.scenario.yaml import load_yaml
 from test_leg_limits import METRICS as OF_LIMITS
 
 SHORT = ["--set", "simulation.duration=0.02"]
@@ -180,6 +182,109 @@ def test_settings_change_the_scenario_in_order() -> None:
             "simulation.duration": 2.0,
         }
     )
+
+
+WITH_A_TAG = """\
+name: tag
+robot: {preset: pi_h824, gravity: 9.81}
+camera: {focal_pixels: 1500, image_size: [1280, 1024], mount: {position: [0.0, 0.0, -0.02]}}
+base_motion: {kind: recorded, file: imu.csv, frame_of_acceleration: specific_force}
+target:
+  tag: {size: 0.04, pose: [0.0, 0.0, -0.7, 0.0, 0.0, 0.0]}
+  desired_pose: [0.003, -0.002, 0.002, 0.0, 0.0, 0.02]
+simulation: {mode: sampled, duration: 0.1}
+"""
+
+
+def write_with_a_tag(folder: Path, *changes: tuple[str, str]) -> str:
+    text = WITH_A_TAG
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "imu.csv").write_text("t,ax,ay,az\n0,0.1,0,-9.81\n0.05,0,0.2,-9.5\n0.1,0,0,-9.81\n")
+    (folder / "mine.yaml").write_text(text)
+    return str(folder / "mine.yaml")
+
+
+@pytest.mark.parametrize(
+    ("setting", "old", "new"),
+    [
+        ("camera.focal_pixels=900", "focal_pixels: 1500", "focal_pixels: 900"),
+        ("camera.mount.rotation=[0.0, 0.05, 0.0]", "mount: {", "mount: {rotation: [0.0, 0.05, 0.0], "),
+        ("robot.home_position=[0.0, 0.0, -0.2]", "gravity: 9.81", "gravity: 9.81, home_position: [0.0, 0.0, -0.2]"),
+        ("robot.gravity=9.7", "gravity: 9.81", "gravity: 9.7"),
+        ("target.tag.size=0.05", "size: 0.04", "size: 0.05"),
+        ("target.desired_pose=[0, 0, 0.001, 0, 0, 0]", "[0.003, -0.002, 0.002, 0.0, 0.0, 0.02]", "[0,0,0.001,0,0,0]"),
+    ],
+)
+def test_a_setting_equals_the_key_in_the_file(setting: str, old: str, new: str, tmp_path: Path) -> None:
+    """Also of what tag, goal pose and readings of an accelerometer are read with."""
+    before = write_with_a_tag(tmp_path)
+    plain, changed = load(before, []), load(before, [setting])
+    key, _, value = setting.partition("=")
+    in_python = hs.load_scenario(before, {key: load_yaml(value)})
+    written = hs.load_scenario(write_with_a_tag(tmp_path, (old, new)))
+    assert changed == written == in_python
+    assert (changed.target, changed.base_motion) != (plain.target, plain.base_motion)
+
+
+def test_a_calibration_equals_its_keys_in_the_file(tmp_path: Path) -> None:
+    calibration = tmp_path / "cal.yaml"
+    calibration.write_text("K: [[900, 0, 640], [0, 905, 512], [0, 0, 1]]\nimage_width: 1300\nimage_height: 1000\n")
+    keys = "focal_pixels: [900, 905], principal_point: [640, 512], image_size: [1300, 1000]"
+    old = "focal_pixels: 1500, image_size: [1280, 1024]"
+    before = write_with_a_tag(tmp_path)
+    found = load(before, [], str(calibration))
+    beside = load(before, ["camera={noise: 0.5}", "simulation={duration: 0.05}"], str(calibration))
+    assert found.target.desired_features != load(before, []).target.desired_features
+    assert found == load(write_with_a_tag(tmp_path, (old, keys)), [])
+    assert beside == found.updated({"camera.noise": 0.5, "simulation.duration": 0.05})
+    # the border acts in sampled mode, however that mode is given
+    write_with_a_tag(tmp_path, ("simulation: {mode: sampled, duration: 0.1}", "simulation: {duration: 0.1}"),
+                     (", image_size: [1280, 1024]", ""), ("kind: recorded", "kind: none"),
+                     ("file: imu.csv, frame_of_acceleration: specific_force", "frequency: 1.0"))  # fmt: skip
+    assert load(before, [], str(calibration)).camera.image_size is None
+    assert load(before, ["simulation={mode: sampled}"], str(calibration)).camera.image_size == (1300.0, 1000.0)
+
+
+def test_errors_name_the_option_that_they_are_of(tmp_path: Path) -> None:
+    calibration = tmp_path / "cal.yaml"
+    calibration.write_text("K: [[1e-300, 0, 640], [0, 1e-300, 512], [0, 0, 1]]\n")
+    mine = write_with_a_tag(tmp_path)
+    alone, both = Run("show", mine, "--set", "robot.mas=1"), Run("run", mine, "--camera", str(calibration))
+    assert [line[:18] for line in alone.errors] == ["Error: --set: robo"]
+    assert both.code == 2
+    assert all(line.startswith("Error: --camera: ") for line in both.errors)
+    both = Run("run", mine, "--camera", str(calibration), "--set", "robot.mas=1")
+    assert all(line.startswith("Error: --camera and --set: ") for line in both.errors)
+    (tmp_path / "mine.yaml").write_text(WITH_A_TAG.replace("gravity", "gravty"))
+    found = Run("run", mine, "--set", "seed=1")
+    assert [line.split("?")[0] for line in found.errors] == [
+        f'Error: {mine}: robot.gravty: unknown key; did you mean "gravity"'
+    ]
+
+
+def test_what_a_shown_file_repeats_follows_the_settings(tmp_path: Path) -> None:
+    """The whole of a scenario as a file: a preset's values, the camera's period, gains of `auto`."""
+    for name, setting in (
+        ("paper", "robot.preset=pi_h824"),
+        ("composite-30hz", "target.depth=0.6"),
+        ("paper-composite", "controller.composite.auto.bandwidth=2"),
+        ("reachy-mini", "robot.payload.mass=0.05"),
+    ):
+        key, _, value = setting.partition("=")
+        file = tmp_path / f"{name}.yaml"
+        file.write_text(hs.load_scenario(name).to_yaml(), encoding="utf-8")
+        assert load(str(file), [setting]) == hs.load_scenario(name).updated({key: load_yaml(value)})
+        assert load(str(file), ["description=same"]) == hs.load_scenario(name).updated({"description": "same"})
+
+
+def test_a_setting_may_give_what_a_file_lacks(tmp_path: Path) -> None:
+    mine = write_with_a_tag(tmp_path, ("name: tag\n", ""))
+    assert load(mine, ["name=given"]).name == "given"
+    (tmp_path / "short.yaml").write_text("name: short\ntarget: {points: [[0.1, 0, -0.5], [0, 0.1, -0.5], [-0.1, 0, "
+                                         "-0.5]], desired_pose: [0, 0, 0, 0, 0, 0]}\n")  # fmt: skip
+    assert load(str(tmp_path / "short.yaml"), ["robot.mass=0.1"]).robot.mass == 0.1
 
 
 @pytest.mark.parametrize("command", ["run", "show"])

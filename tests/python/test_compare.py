@@ -382,3 +382,12 @@ def test_residuals_below_what_is_drawn_are_marked() -> None:
     assert "Errors below 0.001 px are drawn at that value, residuals with a <." in figure.texts[-1].get_text()
     above = hs.compare([exact], ["hybrid"])
     assert "Errors below" not in "".join(text.get_text() for text in above.figure().texts)
+
+
+def test_changes_are_read_before_the_goal_pose() -> None:
+    changes = {"camera.focal_pixels": 900.0, "simulation.duration": 0.05}
+    of_name = hs.compare(["pi-h824"], ["pbvs"], changes=changes)
+    assert of_name.scenarios == (hs.load_scenario("pi-h824", changes),)
+    of_scenario = hs.compare([hs.load_scenario("pi-h824")], ["pbvs"], changes=changes)
+    assert of_scenario.scenarios == (hs.load_scenario("pi-h824").updated(changes),)
+    assert of_name.scenarios != of_scenario.scenarios
