@@ -7,6 +7,7 @@ import json
 import os
 import pty
 import re
+import resource
 import signal
 import struct
 import subprocess
@@ -35,12 +36,10 @@ CODES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write one small file in place of the figures."""
 
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
-        path = Path(folder) / "fig3_feature_paths.svg"
-        path.write_text(result.scenario.name, encoding="utf-8")
-        return [path]
+    def paper_images(result: hs.Result) -> dict[str, bytes]:
+        return {"fig3_feature_paths.svg": result.scenario.name.encode()}
 
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_images", paper_images)
 
 
 class Run:
@@ -349,36 +348,49 @@ def test_ctrl_c_during_the_run_keeps_what_was_computed(tmp_path: Path, monkeypat
 
 
 def test_ctrl_c_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+    def paper_images(result: hs.Result) -> dict[str, bytes]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_images", paper_images)
     run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "a" / "out"))
     assert run.code == 130
     assert run.errors == ["Interrupted: no further files were written"]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_results_that_cannot_be_written_are_still_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
-    run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
+def test_results_that_cannot_be_written_are_still_printed(tmp_path: Path) -> None:
+    """A limit on the size of files stops the writing in the figures."""
+    sizes = {path.name: path.stat().st_size for path in folder_of_a_run(tmp_path / "whole").iterdir()}
+    largest = max(sizes, key=lambda name: sizes[name])
+    assert largest.endswith(".png")
+    before = sorted(tmp_path.iterdir())
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (sizes[largest] - 1, limits[1]))
+    try:
+        run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert run.code == 2
     assert "final error" in run.out
     assert "are in" not in run.out
     assert len(run.errors) == 1
-    assert "No space left on device" in run.error
+    assert run.error.startswith("Error: ")
+    assert "File too large" in run.error
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def folder_of_a_run(folder: Path) -> Path:
+    assert Run("run", "paper", *SHORT, "--quiet", "--out", str(folder)).code == 0
+    return folder
 
 
 def test_an_internal_error_is_not_reported_as_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mistake = ValueError("shapes do not match")
 
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+    def paper_images(result: hs.Result) -> dict[str, bytes]:
         raise mistake
 
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_images", paper_images)
     run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
     assert run.result.exception is mistake
     assert run.code == 1

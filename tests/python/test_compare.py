@@ -25,7 +25,7 @@ from hexservo.run.comparison import COLUMNS
 from hexservo.run.files import MARKER
 from hexservo.run.metrics import metric_unit
 from hexservo.scenario.laws import ALL_LAWS, LAWS
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import number as written
 
 SHORT = {"simulation.duration": 0.3, "controller.switching.kind": "tanh"}  # smooth: a lane agrees with a single run
 
@@ -249,7 +249,7 @@ def test_a_limit_that_is_exceeded_has_a_mark(comparison: hs.Comparison) -> None:
     for cells, row in zip(lines, comparison.rows, strict=True):
         assert cells[stroke].endswith("!") == ("stroke" in row.passed_limits)
         assert cells[force].endswith("!") == ("force" in row.passed_limits)
-    excursion = number(1e3 * comparison.row("hybrid", "paper-gravity").metrics["peak_leg_excursion"])
+    excursion = written(1e3 * comparison.row("hybrid", "paper-gravity").metrics["peak_leg_excursion"])
     assert f"| {excursion}! |" in comparison.to_markdown()
     assert f">{excursion}!<" in comparison._repr_html_()
 
@@ -261,7 +261,7 @@ UNITS = {CRANKS: ("mN m", 1e3, "mrad"), LEGS: ("N", 1.0, "mm")}  # of the peaks 
 def shown_legs(row: hs.ComparisonRow, *, with_unit: bool) -> list[str]:
     """What the two columns of the legs show, without marks."""
     effort, scale, travel = UNITS[row.scenario.name]
-    numbers = number(scale * row.metrics["peak_leg_force"]), number(1e3 * row.metrics["peak_leg_excursion"])
+    numbers = written(scale * row.metrics["peak_leg_force"]), written(1e3 * row.metrics["peak_leg_excursion"])
     return [f"{text} {unit}" if with_unit else text for text, unit in zip(numbers, (effort, travel), strict=True)]
 
 

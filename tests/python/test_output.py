@@ -46,13 +46,11 @@ def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def draw_with(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None:
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+    def paper_images(result: hs.Result) -> dict[str, bytes]:
         act()
-        path = Path(folder) / FIGURE
-        path.write_text(f"drawn for {result.scenario.name}", encoding="utf-8")
-        return [path]
+        return {FIGURE: f"drawn for {result.scenario.name}".encode()}
 
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_images", paper_images)
 
 
 def contents(folder: Path) -> dict[str, str]:

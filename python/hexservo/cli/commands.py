@@ -302,15 +302,22 @@ def bench(
         from hexservo.cli.bench import report, write_benchmark
         from hexservo.run.bench import QUICK, Plan, benchmark
         from hexservo.run.files import check_folder, write_folder
+        from hexservo.run.publish import OutputError
 
         plan = replace(QUICK if quick else Plan(), realtime=realtime)
         plan = replace(plan, ticks=ticks or plan.ticks, seconds=seconds or plan.seconds)
         if out is not None:
             check_folder(out, force=force)
         result = benchmark(plan, whisper)
+        failure = None
         if out is not None:
-            write_folder(out, lambda folder: write_benchmark(result, folder), "a benchmark", force=force)
+            try:
+                write_folder(out, lambda folder: write_benchmark(result, folder), "a benchmark", force=force)
+            except OutputError as error:
+                failure = error
         show_parts(*report(result))
+        if failure is not None:
+            raise failure
         if out is not None:
             write(f"bench.json, bench.png and bench.svg are in {out}\n")
 
