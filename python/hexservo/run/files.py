@@ -114,6 +114,11 @@ def _check_parents(path: Path) -> None:
     parent = next(parent for parent in path.parents if os.path.lexists(parent))
     if not parent.is_dir():
         raise OutputError(f"{named(path)}: expected a folder to make it in, got the file {named(parent)}")
+    _check_permission(path, parent)
+
+
+def _check_permission(path: Path, parent: Path) -> None:
+    """Refuse a path whose draft cannot be made in `parent`."""
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(
             f"{named(path)}: expected a place that can be written, but writing into {named(parent)} is not permitted"
@@ -291,6 +296,9 @@ class _Folder(Place):
             )
         if not is_empty:
             self._check_contents(strangers)
+        if os.path.ismount(found):  # which cannot be renamed
+            raise OutputError(f"{named(self.path)}: expected a folder, got a mount point; name a new folder inside it")
+        _check_permission(self.path, self.path.parent)
 
     def _check_contents(self, strangers: list[str] | None) -> None:
         """Refuse a folder that holds more than our results as we left them, or them without `force`."""
@@ -351,6 +359,7 @@ class _File(Place):
                 raise OutputError(
                     f"{named(self.path)}: expected a folder that exists, got {named(self.path.parent)}; make it first"
                 ) from None
+            _check_permission(self.path, self.path.parent)
             return
         if not stat.S_ISREG(mode):
             kind = "a symbolic link" if stat.S_ISLNK(mode) else "a folder" if stat.S_ISDIR(mode) else "something else"
@@ -363,6 +372,7 @@ class _File(Place):
             raise OutputError(
                 f"{named(self.path)}: the file exists; replace it with --force (force=True in Python), or name another"
             )
+        _check_permission(self.path, self.path.parent)
 
     def make(self, draft: Path) -> None:
         draft.touch(exist_ok=False)
