@@ -14,6 +14,7 @@ import subprocess
 import sys
 import termios
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -344,7 +345,22 @@ def test_ctrl_c_during_the_run_keeps_what_was_computed(tmp_path: Path, monkeypat
     assert "interrupted at t = " in run.errors[-1]
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["outcome"] == "interrupted"
+    assert "kept" not in run.error
     assert 0 < metrics["end_time"]["value"] < 1e6
+
+
+@pytest.mark.usefixtures("quick_figures")
+def test_an_interrupted_run_leaves_earlier_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = str(tmp_path / "out")
+    assert Run("run", "paper", *SHORT, "-q", "--out", out).code == 0
+    before = {path.name: path.read_bytes() for path in Path(out).iterdir()}
+    simulate = hs.simulate
+    monkeypatch.setattr(hs, "simulate", lambda scenario: replace(simulate(scenario), outcome="interrupted"))
+    run = Run("run", "paper", *SHORT, "--force", "--out", out)
+    assert run.code == 130
+    assert run.errors[-1].endswith(f"; the earlier results in {out} are kept")
+    assert "are in" not in run.out
+    assert {path.name: path.read_bytes() for path in Path(out).iterdir()} == before
 
 
 def test_ctrl_c_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -538,6 +554,19 @@ def test_output_fits_a_terminal(tmp_path: Path, columns: int) -> None:
         assert columns < 100 or set(meaning.split()) <= words
     assert {"never", "37.58", "mrad/s", "limit"} <= words
     assert "…" not in out
+
+
+def test_a_dumb_terminal_has_its_width_too(tmp_path: Path) -> None:
+    """Of 80 columns the numbers at the right were cut off."""
+    arguments = ["compare", "--scenarios", "paper", "--laws", "hybrid", *SHORT]
+    tables = []
+    for term in ("dumb", "xterm"):
+        code, out = in_terminal(*arguments, columns=170, cwd=tmp_path, TERM=term)
+        assert code == 0
+        out = CODES.sub("", out)
+        tables.append(out[out.index("settles") : out.index("1 run in ")])  # without bar and elapsed time
+    assert tables[0] == tables[1]
+    assert max(map(len, tables[0].splitlines())) > 100
 
 
 @pytest.mark.parametrize("changes", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])

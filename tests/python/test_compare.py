@@ -8,6 +8,7 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -451,3 +452,22 @@ def test_changes_are_read_before_the_goal_pose() -> None:
     of_scenario = hs.compare([hs.load_scenario("pi-h824")], ["pbvs"], changes=changes)
     assert of_scenario.scenarios == (hs.load_scenario("pi-h824").updated(changes),)
     assert of_name.scenarios != of_scenario.scenarios
+
+
+def test_an_interrupted_comparison_leaves_earlier_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["compare", "--scenarios", "paper", "--laws", "hybrid", *QUICK, "--out", str(tmp_path / "out")]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    whole = hs.compare
+
+    def interrupted(*given: Any, **more: Any) -> hs.Comparison:
+        comparison = whole(*given, **more)
+        return replace(comparison, rows=tuple(replace(row, outcome="interrupted") for row in comparison.rows))
+
+    monkeypatch.setattr(hs, "compare", interrupted)
+    found = CliRunner().invoke(app, [*arguments, "--force"])
+    assert found.exit_code == 130
+    assert found.stderr == (
+        f"Interrupted: 0 of 1 runs were finished; the earlier results in {tmp_path / 'out'} are kept\n"
+    )
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before

@@ -102,7 +102,7 @@ def run(
     """
     with errors_as_messages():
         from hexservo.cli.output import write_results
-        from hexservo.run.files import check_folder
+        from hexservo.run.files import check_folder, has_results
         from hexservo.run.publish import OutputError
 
         chosen = load(scenario, settings or [], camera)
@@ -115,18 +115,19 @@ def run(
             raise hs.ScenarioError(str(error).splitlines(), chosen.name) from error
         elapsed = time.perf_counter() - started
         failure = None
-        if out is not None:  # before anything is printed, so that results are not lost to a broken pipe
+        kept = out is not None and result.outcome == "interrupted" and has_results(out)
+        if out is not None and not kept:  # before anything is printed, so that results are not lost to a broken pipe
             try:
                 write_results(result, out, force=force)
             except OutputError as error:
                 failure = error
         if not quiet:
-            written = out if failure is None else None
+            written = out if failure is None and not kept else None
             show_parts(*_report(result, elapsed, written, hint=out is None))
         if failure is not None:
             raise failure
         if result.outcome != "completed":
-            complain(f"{chosen.name}: {ending(result)}", head="Ended early")
+            complain(f"{chosen.name}: {ending(result)}{_kept(out) if kept else ''}", head="Ended early")
             raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
         if require_settled and math.isnan(hs.metrics(result)["settling_time"]):
             residual = number(hs.metrics(result)["final_error"])
@@ -162,7 +163,7 @@ def compare(
     --out writes it as Markdown and CSV too, with a page of plots.
     """
     with errors_as_messages():
-        from hexservo.run.files import check_folder
+        from hexservo.run.files import check_folder, has_results
         from hexservo.run.publish import OutputError
 
         names, chosen_laws = expanded(scenarios), None if laws is None else split(laws)
@@ -181,17 +182,20 @@ def compare(
             raise typer.Exit(INTERRUPTED) from None
         elapsed = time.perf_counter() - started
         failure = None
-        if out is not None:
+        kept = out is not None and comparison.interrupted and has_results(out)
+        if out is not None and not kept:
             try:
                 comparison.write(out, force=force)
             except OutputError as error:
                 failure = error
         if not quiet:
-            show_parts(*_comparison_report(comparison, elapsed, out if failure is None else None, hint=out is None))
+            written = out if failure is None and not kept else None
+            show_parts(*_comparison_report(comparison, elapsed, written, hint=out is None))
         if failure is not None:
             raise failure
         if comparison.interrupted:
-            complain(f"{comparison.finished} of {len(comparison.rows)} runs were finished", head="Interrupted")
+            finished = f"{comparison.finished} of {len(comparison.rows)} runs were finished"
+            complain(f"{finished}{_kept(out) if kept else ''}", head="Interrupted")
             raise typer.Exit(INTERRUPTED)
         unsettled = sum(not row.settled for row in comparison.rows)
         if require_settled and unsettled:
@@ -329,6 +333,10 @@ def version() -> None:
         from hexservo.run.machine import versions
 
         write("".join(f"{name + ':':<11}{value}\n" for name, value in versions().items()))
+
+
+def _kept(folder: str | None) -> str:
+    return f"; the earlier results in {folder} are kept"
 
 
 # ---- Output ---------------------------------------------------------------------------------------------------------

@@ -51,6 +51,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells count
 READER_LEFT = 141  # 128 + SIGPIPE
 
 _ANY_WIDTH = 10_000  # for files and pipes: lines are not wrapped or cut
+_HEIGHT = 25  # lines, which cut nothing; without them rich takes 80 columns for the width where TERM is dumb
 
 ScenarioArgument = Annotated[
     str,
@@ -228,6 +229,7 @@ def show_parts(*parts: RenderableType) -> None:
         file=text,
         force_terminal=True if sys.stdout is not None and sys.stdout.isatty() else None,
         width=width(),
+        height=_HEIGHT,
         color_system=None if os.environ.get("NO_COLOR") else "auto",
         highlight=False,
         markup=False,

@@ -15,7 +15,7 @@ from typing import NoReturn, TypeAlias
 from hexservo.run.publish import OutputError, Place, draft_beside, named, publish, signals_raised, synchronize
 from hexservo.scenario.version import VERSION
 
-__all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "write_file", "write_folder"]
+__all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "has_results", "write_file", "write_folder"]
 
 MARKER = ".hexservo-output"
 """Name of the file that identifies a folder of results; it lists the other files with their SHA-256."""
@@ -40,6 +40,11 @@ def check_folder(folder: str | os.PathLike[str], *, force: bool = False) -> None
         As `write_folder`, as far as it can be checked without writing.
     """
     _Folder(_located(folder), force).check_early()
+
+
+def has_results(folder: str | os.PathLike[str]) -> bool:
+    """Return whether a folder holds earlier results, which `write_folder` with force would replace."""
+    return os.path.lexists(Path(folder, MARKER))
 
 
 def write_folder(
