@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli.bench import spell
+from hexservo.cli.commands import app
 from hexservo.run import bench as module
 from hexservo.run.variant import available_variants, load_kernel
 from hexservo.scenario.laws import LAWS
@@ -124,6 +126,20 @@ def test_ctrl_c_ends_it_and_leaves_nothing(tmp_path: Path) -> None:
     _, error = process.communicate(timeout=30)
     assert process.returncode == 130, error
     assert "Interrupted" in error
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_full_disk_leaves_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("hexservo.run.bench.benchmark", lambda *_: None)
+    monkeypatch.setattr("hexservo.cli.bench.report", lambda _: ["the table"])
+    monkeypatch.setattr("hexservo.cli.bench.write_benchmark", write)
+    found = CliRunner().invoke(app, ["bench", "--out", str(tmp_path / "out")])
+    assert (found.exit_code, found.stdout) == (2, "the table\n")
+    assert len(found.stderr.splitlines()) == 1
+    assert "No space left on device" in found.stderr
     assert not any(tmp_path.iterdir())
 
 

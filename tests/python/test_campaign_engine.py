@@ -147,6 +147,18 @@ def test_a_command_repeats_a_run_of_a_packaged_scenario(tmp_path: Path) -> None:
     assert changed.command(1) == "hexservo run run.yaml"
 
 
+def test_settings_are_read_before_the_goal_pose(tmp_path: Path) -> None:
+    """And a run whose camera varies, under the goal image of the other camera, is no change of the packaged file."""
+    vary = {"camera.focal_pixels": {"uniform": [1600.0, 1700.0]}}
+    file = {"scenario": "pi-h824", "vary": vary, "require": ["outcome == completed"], "runs": 2}
+    changes = {"camera.focal_pixels": 900, "simulation.duration": 0.1}
+    assert load_plan(file, changes).scenario == hs.load_scenario("pi-h824", changes)
+    short = hs.load_scenario("pi-h824").updated({"simulation.duration": 0.1})
+    assert load_plan({**file, "scenario": short}, changes).scenario == short.updated(changes)
+    result = hs.campaign(file, tmp_path / "out")
+    assert result.command(1) == "hexservo run run.yaml"
+
+
 # ---- Interruptions --------------------------------------------------------------------------------------------------
 
 # A process that has computed nothing, so that it may fork, starts the campaign again and again and kills it.

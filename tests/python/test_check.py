@@ -115,6 +115,20 @@ def test_a_slope_of_the_switching_term_counts(paper: hs.Scenario) -> None:
 
 # ---- Keys without effect --------------------------------------------------------------------------------------------
 
+
+def test_a_preset_without_effect_is_noted(paper: hs.Scenario) -> None:
+    """Its name alone was changed in a resolved file: every value of the machine is that of the other preset."""
+    keys = paper.to_mapping()
+    assert keys["robot"]["preset"] == "micro"
+    for preset in ("cubic", "pi_h824", "reachy_mini"):
+        changed = hs.Scenario.from_mapping({**keys, "robot": {**keys["robot"], "preset": preset}})
+        assert changed.robot.mass == paper.robot.mass
+        assert sum(f'robot.preset: "{preset}" has no effect here' in note for note in keys_without_effect(changed)) == 1
+        assert not any("robot.preset" in note for note in keys_without_effect(paper.updated({"robot.preset": preset})))
+    for name in hs.scenario_names():
+        assert not any("robot.preset" in note for note in keys_without_effect(hs.load_scenario(name)))
+
+
 WITHOUT_EFFECT: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({"controller.law": "composite"}, {"controller.hybrid.kp": 2e-6}),
     ({}, {"controller.composite.fuzzy.leakage": 0.1}),

@@ -7,12 +7,14 @@ import json
 import os
 import pty
 import re
+import resource
 import signal
 import struct
 import subprocess
 import sys
 import termios
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,8 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli import commands as cli
+from hexservo.cli.terminal import load
+from hexservo.scenario.yaml import load_yaml
 from test_leg_limits import METRICS as OF_LIMITS
 
 SHORT = ["--set", "simulation.duration=0.02"]
@@ -33,12 +37,10 @@ CODES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write one small file in place of the figures."""
 
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
-        path = Path(folder) / "fig3_feature_paths.svg"
-        path.write_text(result.scenario.name, encoding="utf-8")
-        return [path]
+    def paper_images(result: hs.Result) -> dict[str, bytes]:
+        return {"fig3_feature_paths.svg": result.scenario.name.encode()}
 
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_images", paper_images)
 
 
 class Run:
@@ -182,6 +184,109 @@ def test_settings_change_the_scenario_in_order() -> None:
     )
 
 
+WITH_A_TAG = """\
+name: tag
+robot: {preset: pi_h824, gravity: 9.81}
+camera: {focal_pixels: 1500, image_size: [1280, 1024], mount: {position: [0.0, 0.0, -0.02]}}
+base_motion: {kind: recorded, file: imu.csv, frame_of_acceleration: specific_force}
+target:
+  tag: {size: 0.04, pose: [0.0, 0.0, -0.7, 0.0, 0.0, 0.0]}
+  desired_pose: [0.003, -0.002, 0.002, 0.0, 0.0, 0.02]
+simulation: {mode: sampled, duration: 0.1}
+"""
+
+
+def write_with_a_tag(folder: Path, *changes: tuple[str, str]) -> str:
+    text = WITH_A_TAG
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "imu.csv").write_text("t,ax,ay,az\n0,0.1,0,-9.81\n0.05,0,0.2,-9.5\n0.1,0,0,-9.81\n")
+    (folder / "mine.yaml").write_text(text)
+    return str(folder / "mine.yaml")
+
+
+@pytest.mark.parametrize(
+    ("setting", "old", "new"),
+    [
+        ("camera.focal_pixels=900", "focal_pixels: 1500", "focal_pixels: 900"),
+        ("camera.mount.rotation=[0.0, 0.05, 0.0]", "mount: {", "mount: {rotation: [0.0, 0.05, 0.0], "),
+        ("robot.home_position=[0.0, 0.0, -0.2]", "gravity: 9.81", "gravity: 9.81, home_position: [0.0, 0.0, -0.2]"),
+        ("robot.gravity=9.7", "gravity: 9.81", "gravity: 9.7"),
+        ("target.tag.size=0.05", "size: 0.04", "size: 0.05"),
+        ("target.desired_pose=[0, 0, 0.001, 0, 0, 0]", "[0.003, -0.002, 0.002, 0.0, 0.0, 0.02]", "[0,0,0.001,0,0,0]"),
+    ],
+)
+def test_a_setting_equals_the_key_in_the_file(setting: str, old: str, new: str, tmp_path: Path) -> None:
+    """Also of what tag, goal pose and readings of an accelerometer are read with."""
+    before = write_with_a_tag(tmp_path)
+    plain, changed = load(before, []), load(before, [setting])
+    key, _, value = setting.partition("=")
+    in_python = hs.load_scenario(before, {key: load_yaml(value)})
+    written = hs.load_scenario(write_with_a_tag(tmp_path, (old, new)))
+    assert changed == written == in_python
+    assert (changed.target, changed.base_motion) != (plain.target, plain.base_motion)
+
+
+def test_a_calibration_equals_its_keys_in_the_file(tmp_path: Path) -> None:
+    calibration = tmp_path / "cal.yaml"
+    calibration.write_text("K: [[900, 0, 640], [0, 905, 512], [0, 0, 1]]\nimage_width: 1300\nimage_height: 1000\n")
+    keys = "focal_pixels: [900, 905], principal_point: [640, 512], image_size: [1300, 1000]"
+    old = "focal_pixels: 1500, image_size: [1280, 1024]"
+    before = write_with_a_tag(tmp_path)
+    found = load(before, [], str(calibration))
+    beside = load(before, ["camera={noise: 0.5}", "simulation={duration: 0.05}"], str(calibration))
+    assert found.target.desired_features != load(before, []).target.desired_features
+    assert found == load(write_with_a_tag(tmp_path, (old, keys)), [])
+    assert beside == found.updated({"camera.noise": 0.5, "simulation.duration": 0.05})
+    # the border acts in sampled mode, however that mode is given
+    write_with_a_tag(tmp_path, ("simulation: {mode: sampled, duration: 0.1}", "simulation: {duration: 0.1}"),
+                     (", image_size: [1280, 1024]", ""), ("kind: recorded", "kind: none"),
+                     ("file: imu.csv, frame_of_acceleration: specific_force", "frequency: 1.0"))  # fmt: skip
+    assert load(before, [], str(calibration)).camera.image_size is None
+    assert load(before, ["simulation={mode: sampled}"], str(calibration)).camera.image_size == (1300.0, 1000.0)
+
+
+def test_errors_name_the_option_that_they_are_of(tmp_path: Path) -> None:
+    calibration = tmp_path / "cal.yaml"
+    calibration.write_text("K: [[1e-300, 0, 640], [0, 1e-300, 512], [0, 0, 1]]\n")
+    mine = write_with_a_tag(tmp_path)
+    alone, both = Run("show", mine, "--set", "robot.mas=1"), Run("run", mine, "--camera", str(calibration))
+    assert [line[:18] for line in alone.errors] == ["Error: --set: robo"]
+    assert both.code == 2
+    assert all(line.startswith("Error: --camera: ") for line in both.errors)
+    both = Run("run", mine, "--camera", str(calibration), "--set", "robot.mas=1")
+    assert all(line.startswith("Error: --camera and --set: ") for line in both.errors)
+    (tmp_path / "mine.yaml").write_text(WITH_A_TAG.replace("gravity", "gravty"))
+    found = Run("run", mine, "--set", "seed=1")
+    assert [line.split("?")[0] for line in found.errors] == [
+        f'Error: {mine}: robot.gravty: unknown key; did you mean "gravity"'
+    ]
+
+
+def test_what_a_shown_file_repeats_follows_the_settings(tmp_path: Path) -> None:
+    """The whole of a scenario as a file: a preset's values, the camera's period, gains of `auto`."""
+    for name, setting in (
+        ("paper", "robot.preset=pi_h824"),
+        ("composite-30hz", "target.depth=0.6"),
+        ("paper-composite", "controller.composite.auto.bandwidth=2"),
+        ("reachy-mini", "robot.payload.mass=0.05"),
+    ):
+        key, _, value = setting.partition("=")
+        file = tmp_path / f"{name}.yaml"
+        file.write_text(hs.load_scenario(name).to_yaml(), encoding="utf-8")
+        assert load(str(file), [setting]) == hs.load_scenario(name).updated({key: load_yaml(value)})
+        assert load(str(file), ["description=same"]) == hs.load_scenario(name).updated({"description": "same"})
+
+
+def test_a_setting_may_give_what_a_file_lacks(tmp_path: Path) -> None:
+    mine = write_with_a_tag(tmp_path, ("name: tag\n", ""))
+    assert load(mine, ["name=given"]).name == "given"
+    (tmp_path / "short.yaml").write_text("name: short\ntarget: {points: [[0.1, 0, -0.5], [0, 0.1, -0.5], [-0.1, 0, "
+                                         "-0.5]], desired_pose: [0, 0, 0, 0, 0, 0]}\n")  # fmt: skip
+    assert load(str(tmp_path / "short.yaml"), ["robot.mass=0.1"]).robot.mass == 0.1
+
+
 @pytest.mark.parametrize("command", ["run", "show"])
 def test_all_bad_settings_are_reported_together(command: str) -> None:
     settings = ["name", "=1", "uncertainty.dept=0.1", "robot.mass=-1", "controller.law=[", "simulation.step=on"]
@@ -240,40 +345,68 @@ def test_ctrl_c_during_the_run_keeps_what_was_computed(tmp_path: Path, monkeypat
     assert "interrupted at t = " in run.errors[-1]
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["outcome"] == "interrupted"
+    assert "kept" not in run.error
     assert 0 < metrics["end_time"]["value"] < 1e6
 
 
+@pytest.mark.usefixtures("quick_figures")
+def test_an_interrupted_run_leaves_earlier_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = str(tmp_path / "out")
+    assert Run("run", "paper", *SHORT, "-q", "--out", out).code == 0
+    before = {path.name: path.read_bytes() for path in Path(out).iterdir()}
+    simulate = hs.simulate
+    monkeypatch.setattr(hs, "simulate", lambda scenario: replace(simulate(scenario), outcome="interrupted"))
+    run = Run("run", "paper", *SHORT, "--force", "--out", out)
+    assert run.code == 130
+    assert run.errors[-1].endswith(f"; the earlier results in {out} are kept")
+    assert "are in" not in run.out
+    assert {path.name: path.read_bytes() for path in Path(out).iterdir()} == before
+
+
 def test_ctrl_c_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+    def paper_images(result: hs.Result) -> dict[str, bytes]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_images", paper_images)
     run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "a" / "out"))
     assert run.code == 130
     assert run.errors == ["Interrupted: no further files were written"]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_results_that_cannot_be_written_are_still_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
-    run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
+def test_results_that_cannot_be_written_are_still_printed(tmp_path: Path) -> None:
+    """A limit on the size of files stops the writing in the figures."""
+    sizes = {path.name: path.stat().st_size for path in folder_of_a_run(tmp_path / "whole").iterdir()}
+    largest = max(sizes, key=lambda name: sizes[name])
+    assert largest.endswith(".png")
+    before = sorted(tmp_path.iterdir())
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (sizes[largest] - 1, limits[1]))
+    try:
+        run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert run.code == 2
     assert "final error" in run.out
     assert "are in" not in run.out
     assert len(run.errors) == 1
-    assert "No space left on device" in run.error
+    assert run.error.startswith("Error: ")
+    assert "File too large" in run.error
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def folder_of_a_run(folder: Path) -> Path:
+    assert Run("run", "paper", *SHORT, "--quiet", "--out", str(folder)).code == 0
+    return folder
 
 
 def test_an_internal_error_is_not_reported_as_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mistake = ValueError("shapes do not match")
 
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+    def paper_images(result: hs.Result) -> dict[str, bytes]:
         raise mistake
 
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_images", paper_images)
     run = Run("run", "paper", *SHORT, "--out", str(tmp_path / "out"))
     assert run.result.exception is mistake
     assert run.code == 1
@@ -421,6 +554,19 @@ def test_output_fits_a_terminal(tmp_path: Path, columns: int) -> None:
         assert columns < 100 or set(meaning.split()) <= words
     assert {"never", "37.58", "mrad/s", "limit"} <= words
     assert "…" not in out
+
+
+def test_a_dumb_terminal_has_its_width_too(tmp_path: Path) -> None:
+    """Of 80 columns the numbers at the right were cut off."""
+    arguments = ["compare", "--scenarios", "paper", "--laws", "hybrid", *SHORT]
+    tables = []
+    for term in ("dumb", "xterm"):
+        code, out = in_terminal(*arguments, columns=170, cwd=tmp_path, TERM=term)
+        assert code == 0
+        out = CODES.sub("", out)
+        tables.append(out[out.index("settles") : out.index("1 run in ")])  # without bar and elapsed time
+    assert tables[0] == tables[1]
+    assert max(map(len, tables[0].splitlines())) > 100
 
 
 @pytest.mark.parametrize("changes", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])

@@ -69,7 +69,7 @@ def invoke(*arguments: str | Path) -> tuple[int, str, str]:
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hexservo.draw.plots.paper_figures", lambda *_: [])
+        patch.setattr("hexservo.draw.plots.paper_images", lambda _: {})
         run = hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.02}))
         return write_results(run, tmp_path_factory.mktemp("saved") / "out") / "result.nc"
 

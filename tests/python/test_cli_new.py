@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import shlex
 import signal
 import subprocess
 import sys
@@ -62,6 +63,44 @@ def test_the_inertia_in_brackets_is_one_of_a_body(tmp_path: Path) -> None:
     """0.25 m r^2 has digits here that rounding alone would make more than a body has."""
     done = answered(tmp_path / "mine.yaml", answers(p2="87", p9="1.07"))
     assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("place", ["60 60 0", "30 30 0", "0 0 -10", "500 -300 200"])
+def test_the_inertia_in_brackets_is_a_disc_at_the_centre_of_mass(tmp_path: Path, place: str) -> None:
+    file = tmp_path / "mine.yaml"
+    done = answered(file, answers(p10=place))
+    assert done.exit_code == 0, done.output
+    robot = hs.load_scenario(file).robot
+    centre = np.array(robot.centre_of_mass)
+    np.testing.assert_allclose(centre, 1e-3 * np.array(place.split(), dtype=float))
+    about_origin = np.array(robot.inertia) if np.ndim(robot.inertia) == 2 else np.diag(robot.inertia)
+    own = about_origin - robot.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    # m r^2/4 of 5 kg and 0.1 m; sums of up to 2 kg m^2 have rounding errors of 1e-15
+    np.testing.assert_allclose(own, np.diag([0.0125, 0.0125, 0.025]), rtol=0, atol=1e-14)
+
+
+def test_products_of_inertia_may_be_given(tmp_path: Path) -> None:
+    done = answered(tmp_path / "mine.yaml", answers(p11="0.03 0.04 0.05 0.001 -0.002 0.003"))
+    assert done.exit_code == 0, done.output
+    expected = ((0.03, 0.001, -0.002), (0.001, 0.04, 0.003), (-0.002, 0.003, 0.05))
+    assert hs.load_scenario(tmp_path / "mine.yaml").robot.inertia == expected
+
+
+@pytest.mark.parametrize("name", ["my machine.yaml", "-mine.yaml", ".yaml", "mine!.yaml"])
+def test_a_name_that_no_scenario_has_is_refused_before_the_first_question(tmp_path: Path, name: str) -> None:
+    done = answered(tmp_path / name, answers())
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert done.stderr.startswith('Error: --machine: expected a file with a name of 1 to 60 letters, digits, "-"')
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_next_commands_can_be_pasted(tmp_path: Path) -> None:
+    folder = tmp_path / "my machines"
+    folder.mkdir()
+    done = answered(folder / "mine.yaml", answers())
+    first, second = done.stdout.splitlines()[-2:]
+    assert shlex.split(first) == ["hexservo", "check", str(folder / "mine.yaml")]
+    assert shlex.split(second) == ["hexservo", "report", str(folder / "mine.yaml"), "--out", "mine.html"]
 
 
 def test_numbers_of_a_sheet_become_si_units(tmp_path: Path) -> None:
@@ -223,6 +262,9 @@ def test_cranks_one_by_one(tmp_path: Path) -> None:
         (answers(p6="1 2"), 'expected 3 numbers with blanks between, got "1 2"'),
         (answers(p8="1 15"), 'expected a number <= 0, then one >= 0, got "1 15"'),
         (answers(p11="1 1 3"), 'expected none larger than the sum of the other two, got "1 1 3"'),
+        (answers(p10="60 60 0", p11="0.01 0.01 0.02"), 'expected numbers above 0, got "0.01 0.01 0.02"'),
+        (answers(p11="0.01 0.01 0.02 0.1 0 0"), 'expected numbers above 0, got "0.01 0.01 0.02 0.1 0 0"'),
+        (answers(p11="1 2"), 'expected 3 or 6 numbers with blanks between, got "1 2"'),
         (answers(p24="900"), ': 80 % of the image, got "900"'),
         (["", *answers(p22="grid")[1:24], "5 4"], 'whose product is at most 16, got "5 4"'),
         ([*answers(p22="points")[:24], "17"], 'expected a whole number of 3 to 16, got "17"'),

@@ -8,6 +8,7 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,9 @@ from hexservo.draw.style import our_style
 from hexservo.run import compare
 from hexservo.run.comparison import COLUMNS
 from hexservo.run.files import MARKER
+from hexservo.run.metrics import metric_unit
 from hexservo.scenario.laws import ALL_LAWS, LAWS
+from hexservo.scenario.wording import number as written
 
 SHORT = {"simulation.duration": 0.3, "controller.switching.kind": "tanh"}  # smooth: a lane agrees with a single run
 
@@ -240,6 +243,64 @@ def test_markdown_is_one_table(comparison: hs.Comparison) -> None:
     assert "| paper-gravity | hybrid | not settled | never |" in lines[4]
 
 
+def test_a_limit_that_is_exceeded_has_a_mark(comparison: hs.Comparison) -> None:
+    """In Markdown as in the terminal and in a notebook."""
+    heads, _, *lines = (line.split(" | ") for line in comparison.to_markdown().splitlines())
+    stroke, force = heads.index("stroke [mm]"), heads.index("leg force [N]")
+    for cells, row in zip(lines, comparison.rows, strict=True):
+        assert cells[stroke].endswith("!") == ("stroke" in row.passed_limits)
+        assert cells[force].endswith("!") == ("force" in row.passed_limits)
+    excursion = written(1e3 * comparison.row("hybrid", "paper-gravity").metrics["peak_leg_excursion"])
+    assert f"| {excursion}! |" in comparison.to_markdown()
+    assert f">{excursion}!<" in comparison._repr_html_()
+
+
+CRANKS, LEGS = "reachy-mini-motors", "paper"
+UNITS = {CRANKS: ("mN m", 1e3, "mrad"), LEGS: ("N", 1.0, "mm")}  # of the peaks of effort and travel
+
+
+def shown_legs(row: hs.ComparisonRow, *, with_unit: bool) -> list[str]:
+    """What the two columns of the legs show, without marks."""
+    effort, scale, travel = UNITS[row.scenario.name]
+    numbers = written(scale * row.metrics["peak_leg_force"]), written(1e3 * row.metrics["peak_leg_excursion"])
+    return [f"{text} {unit}" if with_unit else text for text, unit in zip(numbers, (effort, travel), strict=True)]
+
+
+@pytest.mark.parametrize("names", [[CRANKS], [LEGS], [CRANKS, LEGS]])
+def test_units_follow_the_legs(names: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """One unit in the head; of machines of both kinds, a unit beside each number."""
+    from hexservo.cli import terminal
+
+    comparison = hs.compare(names, ["pbvs"], {"simulation.duration": 0.1})
+    mixed = len(names) > 1
+    heads = ["leg force", "stroke"]
+    if not mixed:
+        heads = [f"leg force [{UNITS[names[0]][0]}]", f"stroke [{UNITS[names[0]][2]}]"]
+    first, _, *lines = (line.split(" | ") for line in comparison.to_markdown().splitlines())
+    places = [first.index(head) for head in heads]
+    for cells, row in zip(lines, comparison.rows, strict=True):
+        assert [cells[place].rstrip("!") for place in places] == shown_legs(row, with_unit=mixed)
+    page = comparison._repr_html_()
+    for row in comparison.rows:
+        assert all(f">{text}" in page for text in shown_legs(row, with_unit=mixed))
+
+    rows = list(csv.DictReader(io.StringIO(comparison.to_csv())))
+    for text, row in zip(rows, comparison.rows, strict=True):
+        for name in ("peak_leg_force", "peak_leg_excursion", "peak_displacement"):
+            unit = metric_unit(name, row.scenario.robot)
+            of_legs = mixed and name.startswith("peak_leg")
+            assert float(text[name] if of_legs else text[f"{name} [{unit}]"]) == row.metrics[name]
+            assert not of_legs or text[f"{name} unit"] == unit
+
+    for width in (30, 10_000):
+        monkeypatch.setattr(terminal, "width", lambda width=width: width)
+        arguments = ["compare", "--scenarios", ",".join(names), "--laws", "pbvs", "--set", "simulation.duration=0.1"]
+        shown = " ".join(CliRunner().invoke(app, arguments).stdout.replace("!", "").split())
+        for row in comparison.rows:
+            assert all(text in shown for text in shown_legs(row, with_unit=mixed or width == 30))
+        assert ("[mN m]" in shown) == (width > 30 and names == [CRANKS])
+
+
 def test_the_figure_shows_every_run(comparison: hs.Comparison) -> None:
     figure = comparison.figure()
     figure.canvas.draw()
@@ -382,3 +443,31 @@ def test_residuals_below_what_is_drawn_are_marked() -> None:
     assert "Errors below 0.001 px are drawn at that value, residuals with a <." in figure.texts[-1].get_text()
     above = hs.compare([exact], ["hybrid"])
     assert "Errors below" not in "".join(text.get_text() for text in above.figure().texts)
+
+
+def test_changes_are_read_before_the_goal_pose() -> None:
+    changes = {"camera.focal_pixels": 900.0, "simulation.duration": 0.05}
+    of_name = hs.compare(["pi-h824"], ["pbvs"], changes=changes)
+    assert of_name.scenarios == (hs.load_scenario("pi-h824", changes),)
+    of_scenario = hs.compare([hs.load_scenario("pi-h824")], ["pbvs"], changes=changes)
+    assert of_scenario.scenarios == (hs.load_scenario("pi-h824").updated(changes),)
+    assert of_name.scenarios != of_scenario.scenarios
+
+
+def test_an_interrupted_comparison_leaves_earlier_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["compare", "--scenarios", "paper", "--laws", "hybrid", *QUICK, "--out", str(tmp_path / "out")]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    whole = hs.compare
+
+    def interrupted(*given: Any, **more: Any) -> hs.Comparison:
+        comparison = whole(*given, **more)
+        return replace(comparison, rows=tuple(replace(row, outcome="interrupted") for row in comparison.rows))
+
+    monkeypatch.setattr(hs, "compare", interrupted)
+    found = CliRunner().invoke(app, [*arguments, "--force"])
+    assert found.exit_code == 130
+    assert found.stderr == (
+        f"Interrupted: 0 of 1 runs were finished; the earlier results in {tmp_path / 'out'} are kept\n"
+    )
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before

@@ -397,6 +397,7 @@ def lines_of(count: int, width: int = 12) -> list[str]:
         (f"{HEAD},torque_1\n", "1 other columns"),
         (f"{HEAD},x_1\n", "other columns"),
         ("\n".join([HEAD, *lines_of(3), "1,2"]), "line 5: expected 13 fields, got 2"),
+        ("\n".join(["# a", "#", HEAD, *lines_of(3), " # b", "1,2"]), "line 8: expected 13 fields, got 2"),
         ("\n".join([HEAD, *lines_of(60, 11)]), "line 2: expected 13 fields, got 12"),
         ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "inf", 1), "line 2: expected a finite number"),
         ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "secret", 1), "other text (6 characters)"),

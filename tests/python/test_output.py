@@ -27,7 +27,7 @@ import hexservo as hs
 from fuzz.places import SUBJECTS, Subject, without_exchange
 from hexservo.cli.output import write_results
 from hexservo.run import publish
-from hexservo.run.files import MARKER, _Folder, check_folder
+from hexservo.run.files import MARKER, _Folder, check_file, check_folder, write_file
 from hexservo.run.publish import OutputError, draft_beside
 
 FIGURE = "fig3_feature_paths.svg"
@@ -46,13 +46,11 @@ def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def draw_with(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None:
-    def paper_figures(result: hs.Result, folder: Path) -> list[Path]:
+    def paper_images(result: hs.Result) -> dict[str, bytes]:
         act()
-        path = Path(folder) / FIGURE
-        path.write_text(f"drawn for {result.scenario.name}", encoding="utf-8")
-        return [path]
+        return {FIGURE: f"drawn for {result.scenario.name}".encode()}
 
-    monkeypatch.setattr("hexservo.draw.plots.paper_figures", paper_figures)
+    monkeypatch.setattr("hexservo.draw.plots.paper_images", paper_images)
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -354,6 +352,31 @@ def test_permission_is_asked_of_the_nearest_parent_there_is(
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
     with refused_and_kept(tmp_path, "not permitted"):
         write_results(result, tmp_path / "a" / "out")
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_permission_is_asked_before_long_work(
+    result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool
+) -> None:
+    """Of a file, and of a folder, that is new or that is to be replaced."""
+    if there:
+        write_file("title\n", tmp_path / "file.txt", "title", "a test")
+        write_results(result, tmp_path / "out")
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path and access(path, mode))
+    with refused_and_kept(tmp_path, "not permitted"):
+        check_file(tmp_path / "file.txt", "title", "a test", force=True)
+    with refused_and_kept(tmp_path, "not permitted"):
+        check_folder(tmp_path / "out", force=True)
+
+
+def test_a_mount_point_is_refused_before_long_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is empty, but no other folder can get its name."""
+    (tmp_path / "disk").mkdir()
+    monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == tmp_path / "disk")
+    with refused_and_kept(tmp_path, "got a mount point; name a new folder inside it"):
+        check_folder(tmp_path / "disk")
+    check_folder(tmp_path / "disk" / "out")
 
 
 def test_checking_a_folder_writes_nothing_and_refuses_the_same(result: hs.Result, tmp_path: Path) -> None:

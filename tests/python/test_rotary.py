@@ -399,6 +399,10 @@ def test_units_follow_the_legs(head: hs.Scenario, tmp_path: Path) -> None:
     assert again.scenario == result.scenario
     batch = hs.simulate_batch(scenario.updated({"simulation.duration": 0.01}), {"robot.mass": [0.28, 0.3]})
     assert batch.to_dataframe().attrs["units"]["peak_leg_force"] == "N m"
+    whole = hs.simulate_batch(scenario.updated({"simulation.duration": 0.01}), {"robot.mass": [0.28]}, log="trajectory")
+    of_batch = whole.to_xarray()
+    for name in ("leg_lengths", "leg_forces", "position"):
+        assert of_batch[name].attrs == dataset[name].attrs
     header = gains_header(scenario)
     assert "s.robot.legs = hexservo::LegKind::rotary;" in header
     assert "s.robot.stroke = 0.02;  // [rad]" in header

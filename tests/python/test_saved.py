@@ -20,10 +20,12 @@ import pytest
 import xarray
 
 import hexservo as hs
+from hexservo.campaigns.plan import load_plan
 from hexservo.run.publish import OutputError
 from hexservo.run.saved import _parsed
 from hexservo.run.saving import result_bytes, save_result
 from hexservo.run.sealed import FORMAT, MAX_BYTES, sealed_bytes
+from hexservo.scenario.recording import MAX_SAMPLES
 
 
 @pytest.fixture(scope="module")
@@ -296,3 +298,28 @@ def test_the_damage_that_kept_hdf5_busy(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "x.nc").write_bytes(damaged)
     with pytest.raises(hs.ResultError, match="changed or damaged"):
         hs.load_result(tmp_path / "x.nc")
+
+
+def test_the_largest_scenario_is_read_back(tmp_path: Path) -> None:
+    """Two recordings of the most samples, in the longest numbers that are written."""
+    long = -1.2345678901234567e-100
+    recorded = {"kind": "recorded", "samples": [[long] * 3] * MAX_SAMPLES, "sample_period": 1e-3}
+    attitudes = [[-0.9912345678901234, long, long, long]] * MAX_SAMPLES
+    scenario = hs.load_scenario("real-machine").updated(
+        {
+            "base_motion": {**recorded, "attitudes": attitudes, "rotation": {"kind": "none"}},
+            "target.motion": recorded,
+            "target.frame": "world",
+            "simulation.duration": 0.01,
+        }
+    )
+    text = scenario.to_yaml()
+    assert len(text) > 2_700_000
+    assert hs.Scenario.from_yaml(text) == scenario
+    file = tmp_path / "result.nc"
+    hs.simulate(scenario).save(file)
+    assert hs.load_result(file).scenario == scenario
+    vary = {"robot.mass": {"uniform": [0.05, 0.06]}}
+    plan = {"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": 1}
+    (tmp_path / "plan.yaml").write_text(load_plan(plan).to_yaml(), encoding="utf-8")
+    assert load_plan(tmp_path / "plan.yaml").scenario == scenario

@@ -58,7 +58,7 @@ def campaign(
     out
         Folder: new, empty, or of the same campaign, which may have more runs or a different `until` now.
     changes
-        Of the scenario, as for `Scenario.updated`.
+        Of the scenario, as for `load_scenario`; of a `Scenario`, as for `Scenario.updated`.
     runs, chunk_size
         In place of those of the file.
     threads

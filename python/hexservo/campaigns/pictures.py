@@ -10,7 +10,7 @@ from scipy.stats import rankdata
 from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.evidence import Curves, Line, Section
-from hexservo.run.metrics import METRICS
+from hexservo.run.metrics import metric_unit
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.wording import number
 
@@ -109,7 +109,7 @@ def _distributions(result: CampaignResult) -> list[Curves]:
         if not len(finite):
             continue
         shares = np.linspace(0, 1, _QUANTILES)
-        unit = METRICS[requirement.name][0]
+        unit = metric_unit(requirement.name, result.plan.scenario.robot)
         label = requirement.name.replace("_", " ")
         items.append(
             Curves(

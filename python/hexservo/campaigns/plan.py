@@ -39,7 +39,7 @@ from hexservo.scenario.keys import value_at
 from hexservo.scenario.plain import plain
 from hexservo.scenario.problems import in_words
 from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
-from hexservo.scenario.scenario import Scenario, scenario_names
+from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenario_names
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
@@ -282,7 +282,7 @@ def load_plan(
         One of `campaign_names`, the path of a file, or what a file holds. A packaged name wins over a file of the same
         name in the current folder. A path of a scenario in a file is relative to that file.
     changes
-        Of its scenario, as for `Scenario.updated`.
+        Of its scenario, as for `load_scenario`; of a `Scenario`, as for `Scenario.updated`.
     keys
         In place of keys of the file; None leaves a key as it is.
 
@@ -315,10 +315,14 @@ def load_plan(
 
 
 def _changed(scenario: Any, changes: Mapping[str, Any]) -> Scenario:
+    written = plain(scenario) if isinstance(scenario, Mapping) else scenario
     try:
-        return ScenarioRule().accept(plain(scenario) if isinstance(scenario, Mapping) else scenario).updated(changes)
+        accepted = ScenarioRule().accept(written)
     except ValidationError as error:
         raise ScenarioError([f"scenario: {each['msg']}" for each in error.errors(include_url=False)]) from None
+    if isinstance(written, str):
+        return load_scenario(written, changes)
+    return Document(written).scenario(changes) if isinstance(written, dict) else accepted.updated(changes)
 
 
 def _read(source: str | os.PathLike[str]) -> Any:

@@ -19,6 +19,7 @@ from hexservo.run.sealed import ResultError
 from hexservo.run.variations import known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
+from hexservo.scenario.yaml import ScenarioError
 
 if TYPE_CHECKING:
     import pandas
@@ -146,13 +147,16 @@ class CampaignResult(Findings):
     def command(self, index: int, file: str = "run.yaml") -> str:
         """Return a command that repeats a run.
 
-        It changes the packaged scenario where the campaign varies one; else it names a file to which `scenario(index)`
-        is to be written first.
+        It changes the packaged scenario where the campaign varies one and no goal is read in with the changes (as
+        the goal pose of a camera that varies); else it names a file to which `scenario(index)` is to be written first.
         """
-        name = self.plan.scenario.name
-        if name not in scenario_names() or load_scenario(name) != self.plan.scenario:
+        name, changes, scenario = self.plan.scenario.name, changes_of_run(self.plan, index), self.scenario(index)
+        try:
+            is_the_same = name in scenario_names() and load_scenario(name, changes) == scenario
+        except ScenarioError:  # of a packaged goal pose, beside features that vary
+            is_the_same = False
+        if not is_the_same:
             return f"hexservo run {file}"
-        changes = changes_of_run(self.plan, index)
         return " ".join(
             [f"hexservo run {name}", *(f"--set '{key}={_written(value)}'" for key, value in changes.items())]
         )

@@ -14,7 +14,7 @@ from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
-from hexservo.run.metrics import METRICS
+from hexservo.run.metrics import metric_unit
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
@@ -133,7 +133,7 @@ class TuneResult(Findings):
     def _sentences(self) -> list[str]:
         sentences = []
         names = [name.replace("_", " ") for name in self.minimise]
-        units = [METRICS[name][0] for name in self.minimise]
+        units = [metric_unit(name, self.scenario.robot) for name in self.minimise]
         if self.feasible:
             largest = "; ".join(
                 f"the largest {name} is {_shown(value, unit)}, with the original gains {_shown(before, unit)}"
@@ -220,7 +220,16 @@ class TuneResult(Findings):
             if lines:
                 label = name.replace("_", " ")
                 title = f"Least {label} of feasible candidates"
-                items.append(Curves(title, "runs", f"{label} [{METRICS[name][0]}]", lines, note=note, page=_PAGE))
+                items.append(
+                    Curves(
+                        title,
+                        "runs",
+                        f"{label} [{metric_unit(name, self.scenario.robot)}]",
+                        lines,
+                        note=note,
+                        page=_PAGE,
+                    )
+                )
         return items
 
     def _front_sentences(self) -> list[str]:
@@ -231,7 +240,7 @@ class TuneResult(Findings):
         ]
 
     def _front(self) -> list[Curves]:
-        names = [f"{name.replace('_', ' ')} [{METRICS[name][0]}]" for name in self.minimise]
+        names = [f"{name.replace('_', ' ')} [{metric_unit(name, self.scenario.robot)}]" for name in self.minimise]
         inside = np.array([point.values for point in self.front])
         outside = np.array([point.held_out for point in self.front])
         lines = [

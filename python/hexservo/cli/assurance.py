@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -124,7 +125,8 @@ def campaign(
                 raise hs.ScenarioError(str(error).splitlines()) from error
             more.append(case.section())
             if not quiet:
-                show_parts("", *printed([case.section()]), f"\nthe worst case found: hexservo run {case.path}")
+                command = f"hexservo run {shlex.quote(str(case.path))}"
+                show_parts("", *printed([case.section()]), f"\nthe worst case found: {command}")
         if sensitivity:
             found = hs.sensitivity(result.plan, threads=threads)
             more.append(found.section())
@@ -188,7 +190,7 @@ def tune(
         except ValueError as error:
             raise hs.ScenarioError(str(error).splitlines(), file) from error
         if not quiet:
-            show_parts(*printed([found.section()]), "", f"the gains: hexservo run {found.path}")
+            show_parts(*printed([found.section()]), "", f"the gains: hexservo run {shlex.quote(str(found.path))}")
         if found.held_out is not None:
             _write_report(found.held_out, found.sections(), report=report, pictures=pictures, quiet=quiet)
         if not found.feasible:
@@ -212,7 +214,8 @@ def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[Ren
         command = result.command(result.worst(1)[0].index)
         short = len(command) <= _LONGEST_COMMAND and len(command.split()) > _WORDS_OF_A_FILE
         yield Text("")
-        yield Text(f"the run with the smallest margin: {command if short else f'hexservo run {out}/worst-run.yaml'}")
+        command = command if short else f"hexservo run {shlex.quote(f'{out}/worst-run.yaml')}"
+        yield Text(f"the run with the smallest margin: {command}")
     yield Text(
         f"campaign.yaml, summary.json, worst-run.yaml and chunks/*.parquet are in {out} ({spell_time(elapsed)})",
         style="dim",

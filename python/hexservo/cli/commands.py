@@ -11,7 +11,7 @@ import io
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -43,8 +43,6 @@ from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-    from hexservo.run.comparison import MetricColumn
 
 __all__ = ["app", "main"]
 
@@ -104,7 +102,7 @@ def run(
     """
     with errors_as_messages():
         from hexservo.cli.output import write_results
-        from hexservo.run.files import check_folder
+        from hexservo.run.files import check_folder, has_results
         from hexservo.run.publish import OutputError
 
         chosen = load(scenario, settings or [], camera)
@@ -117,18 +115,19 @@ def run(
             raise hs.ScenarioError(str(error).splitlines(), chosen.name) from error
         elapsed = time.perf_counter() - started
         failure = None
-        if out is not None:  # before anything is printed, so that results are not lost to a broken pipe
+        kept = out is not None and result.outcome == "interrupted" and has_results(out)
+        if out is not None and not kept:  # before anything is printed, so that results are not lost to a broken pipe
             try:
                 write_results(result, out, force=force)
             except OutputError as error:
                 failure = error
         if not quiet:
-            written = out if failure is None else None
+            written = out if failure is None and not kept else None
             show_parts(*_report(result, elapsed, written, hint=out is None))
         if failure is not None:
             raise failure
         if result.outcome != "completed":
-            complain(f"{chosen.name}: {ending(result)}", head="Ended early")
+            complain(f"{chosen.name}: {ending(result)}{_kept(out) if kept else ''}", head="Ended early")
             raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
         if require_settled and math.isnan(hs.metrics(result)["settling_time"]):
             residual = number(hs.metrics(result)["final_error"])
@@ -164,7 +163,7 @@ def compare(
     --out writes it as Markdown and CSV too, with a page of plots.
     """
     with errors_as_messages():
-        from hexservo.run.files import check_folder
+        from hexservo.run.files import check_folder, has_results
         from hexservo.run.publish import OutputError
 
         names, chosen_laws = expanded(scenarios), None if laws is None else split(laws)
@@ -183,17 +182,20 @@ def compare(
             raise typer.Exit(INTERRUPTED) from None
         elapsed = time.perf_counter() - started
         failure = None
-        if out is not None:
+        kept = out is not None and comparison.interrupted and has_results(out)
+        if out is not None and not kept:
             try:
                 comparison.write(out, force=force)
             except OutputError as error:
                 failure = error
         if not quiet:
-            show_parts(*_comparison_report(comparison, elapsed, out if failure is None else None, hint=out is None))
+            written = out if failure is None and not kept else None
+            show_parts(*_comparison_report(comparison, elapsed, written, hint=out is None))
         if failure is not None:
             raise failure
         if comparison.interrupted:
-            complain(f"{comparison.finished} of {len(comparison.rows)} runs were finished", head="Interrupted")
+            finished = f"{comparison.finished} of {len(comparison.rows)} runs were finished"
+            complain(f"{finished}{_kept(out) if kept else ''}", head="Interrupted")
             raise typer.Exit(INTERRUPTED)
         unsettled = sum(not row.settled for row in comparison.rows)
         if require_settled and unsettled:
@@ -304,15 +306,22 @@ def bench(
         from hexservo.cli.bench import report, write_benchmark
         from hexservo.run.bench import QUICK, Plan, benchmark
         from hexservo.run.files import check_folder, write_folder
+        from hexservo.run.publish import OutputError
 
         plan = replace(QUICK if quick else Plan(), realtime=realtime)
         plan = replace(plan, ticks=ticks or plan.ticks, seconds=seconds or plan.seconds)
         if out is not None:
             check_folder(out, force=force)
         result = benchmark(plan, whisper)
+        failure = None
         if out is not None:
-            write_folder(out, lambda folder: write_benchmark(result, folder), "a benchmark", force=force)
+            try:
+                write_folder(out, lambda folder: write_benchmark(result, folder), "a benchmark", force=force)
+            except OutputError as error:
+                failure = error
         show_parts(*report(result))
+        if failure is not None:
+            raise failure
         if out is not None:
             write(f"bench.json, bench.png and bench.svg are in {out}\n")
 
@@ -324,6 +333,10 @@ def version() -> None:
         from hexservo.run.machine import versions
 
         write("".join(f"{name + ':':<11}{value}\n" for name, value in versions().items()))
+
+
+def _kept(folder: str | None) -> str:
+    return f"; the earlier results in {folder} are kept"
 
 
 # ---- Output ---------------------------------------------------------------------------------------------------------
@@ -388,61 +401,58 @@ def _comparison_report(
 
 def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
     """Return as many tables as the columns need, or a list if not even one column fits."""
-    from hexservo.run.comparison import COLUMNS, metric_text
+    from hexservo.run.comparison import COLUMNS, metric_text, shared_unit
 
     labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
     left = [max(map(len, texts)) + _GAP for texts in zip(*labels, strict=True)]
-    cells = {
-        column: [
-            f"{metric_text(row, column)}{'!' if column.limit in row.passed_limits else ''}" for row in comparison.rows
-        ]
-        for column in COLUMNS
-    }
-    parts: list[list[MetricColumn]] = []
+    columns = []
+    for column in COLUMNS:
+        unit = shared_unit(comparison.rows, column)
+        texts = [metric_text(row, column, with_unit=not unit) for row in comparison.rows]
+        columns.append([column.head, f"[{unit}]" if unit else "", *texts])
+    parts: list[list[list[str]]] = []
     room = -1
-    for column, texts in cells.items():
-        needs = max(map(len, (column.head, f"[{column.unit}]", *texts))) + _GAP
+    for cells in columns:
+        needs = max(map(len, cells)) + _GAP
         if needs > room:
             parts.append([])
             room = terminal.width() + _GAP - sum(left if len(parts) == 1 else left[:2])  # the verdict only once
         if needs > room:
-            yield _comparison_list(comparison, cells)
+            yield _comparison_list(comparison)
             return
-        parts[-1].append(column)
+        parts[-1].append(cells)
         room -= needs
-    for place, columns in enumerate(parts):
-        yield _comparison_table(comparison, {column: cells[column] for column in columns}, verdict=place == 0)
+    for place, chosen in enumerate(parts):
+        yield _comparison_table(comparison, chosen, verdict=place == 0)
 
 
-def _comparison_table(
-    comparison: hs.Comparison, cells: Mapping[MetricColumn, Sequence[str]], *, verdict: bool
-) -> RenderableType:
+def _comparison_table(comparison: hs.Comparison, columns: list[list[str]], *, verdict: bool) -> RenderableType:
+    """Return a table of columns, each of its head, its unit and a text for each row."""
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0), header_style="bold")
     for head in ("scenario", "law", *(["verdict"] if verdict else [])):
         table.add_column(head, no_wrap=True)
-    for column in cells:
-        table.add_column(f"{column.head}\n[{column.unit}]", justify="right", no_wrap=True)
+    for head, unit, *_ in columns:
+        table.add_column(f"{head}\n{unit}", justify="right", no_wrap=True)
     before = None
-    for place, row in enumerate(comparison.rows):
+    for place, row in enumerate(comparison.rows, start=2):
         name = "" if row.scenario.name == before else row.scenario.name
         before = row.scenario.name
         style = "green" if row.settled else "bold red"
         judged = [Text(row.verdict, style=style)] if verdict else []
-        table.add_row(name, row.law, *judged, *(texts[place] for texts in cells.values()))
+        table.add_row(name, row.law, *judged, *(cells[place] for cells in columns))
     return table
 
 
-def _comparison_list(comparison: hs.Comparison, cells: Mapping[MetricColumn, Sequence[str]]) -> RenderableType:
+def _comparison_list(comparison: hs.Comparison) -> RenderableType:
     from rich.text import Text
 
+    from hexservo.run.comparison import COLUMNS, metric_text
+
     lines = []
-    for place, row in enumerate(comparison.rows):
+    for row in comparison.rows:
         lines.append(f"{row.scenario.name}, {row.law}: {row.verdict}")
-        lines += [
-            f"  {column.head}: {texts[place]}{f' {column.unit}' if texts[place][0].isdigit() else ''}"
-            for column, texts in cells.items()
-        ]
+        lines += [f"  {column.head}: {metric_text(row, column, with_unit=True)}" for column in COLUMNS]
     return Text("\n".join(lines))

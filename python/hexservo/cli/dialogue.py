@@ -58,9 +58,12 @@ class Dialogue:
 
         return float(self.ask(question, f"{default:g}", one_number, check))
 
-    def numbers(self, question: str, default: str, count: int, check: Check | None = None) -> list[float]:
-        """Return several numbers, given with blanks or commas between."""
-        return list(self.ask(question, default, lambda text: _numbers(text, count), check))
+    def numbers(
+        self, question: str, default: str, count: int | tuple[int, ...], check: Check | None = None
+    ) -> list[float]:
+        """Return several numbers, as many as `count` or one of these, given with blanks or commas between."""
+        counts = (count,) if isinstance(count, int) else count
+        return list(self.ask(question, default, lambda text: _numbers(text, *counts), check))
 
     def choice(self, question: str, choices: tuple[str, ...]) -> str:
         """Return one of some words; the first is the default."""
@@ -76,12 +79,12 @@ def one_number(text: str) -> float:
     return _numbers(text, 1)[0]
 
 
-def _numbers(text: str, count: int) -> list[float]:
-    expected = "a number" if count == 1 else f"{count} numbers"
+def _numbers(text: str, *counts: int) -> list[float]:
+    expected = "a number" if counts == (1,) else f"{' or '.join(map(str, counts))} numbers"
     try:
         values = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
         raise ValueError(f"expected {expected}") from None
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise ValueError(f"expected {expected}{'' if count == 1 else ' with blanks between'}")
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        raise ValueError(f"expected {expected}{'' if counts == (1,) else ' with blanks between'}")
     return values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,7 @@ import hexservo as hs
 from hexservo.cli.dialogue import Check, Dialogue, one_number
 from hexservo.cli.terminal import INTERRUPTED, complain, errors_as_messages, write
 from hexservo.scenario.laws import GENERAL_LAW
+from hexservo.scenario.rules import Name
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -25,6 +27,7 @@ _DEGREE = math.pi / 180.0
 _TICKS = 150  # servo periods in one of the bandwidth, at least: more than `hexservo check` asks for
 _PERIODS = 10  # of the bandwidth in a run
 _MOST_POINTS = 16
+_PRODUCTS = ([0, 0, 1], [1, 2, 2])  # places of xy, xz, yz in an inertia
 
 
 def new(
@@ -41,17 +44,30 @@ def new(
     with errors_as_messages():
         from hexservo.run.files import check_file, write_file
 
+        name = _checked_name(machine)
         check_file(machine, _TITLE, "`hexservo new`", force=force)
         try:
-            text = _scenario_text(Dialogue(sys.stdin is not None and sys.stdin.isatty()), Path(machine).stem)
+            text = _scenario_text(Dialogue(sys.stdin is not None and sys.stdin.isatty()), name)
         except (EOFError, typer.Abort):
             raise hs.ScenarioError(["expected an answer to every question, got the end of standard input"]) from None
         except KeyboardInterrupt:
             complain(f"{machine} was not written", head="Interrupted")
             raise typer.Exit(INTERRUPTED) from None
         write_file(text, machine, _TITLE, "`hexservo new`", force=force)
-        commands = f"hexservo check {machine}\n  hexservo report {machine} --out {Path(machine).stem}.html"
+        quoted = shlex.quote(machine)
+        commands = f"hexservo check {quoted}\n  hexservo report {quoted} --out {shlex.quote(f'{name}.html')}"
         write(f"\n{machine} is written. Next:\n\n  {commands}\n")
+
+
+def _checked_name(file: str) -> str:
+    """Return the name of the scenario in a file, refused before the first question rather than after the last."""
+    name, rule = Path(file).stem, Name()
+    try:
+        return rule.accept(name)
+    except ValueError:
+        raise hs.ScenarioError(
+            [f'--machine: expected a file with {rule.expected} before the ending, got "{name}"']
+        ) from None
 
 
 def _scenario_text(dialogue: Dialogue, name: str) -> str:
@@ -226,16 +242,36 @@ def _default_joints(side: str) -> list[str]:
     return [f"{radius * math.cos(angle):.1f} {radius * math.sin(angle):.1f} 0" for angle in angles]
 
 
-def _inertia(dialogue: Dialogue, robot: dict[str, Any]) -> list[float]:
+def _inertia(dialogue: Dialogue, robot: dict[str, Any]) -> list[float] | list[list[float]]:
+    """Return the platform's inertia about E's origin, as a diagonal or a matrix (3, 3)."""
     radius = robot.get("platform_radius") or max(math.hypot(*joint) for joint in robot["platform_joints"])
     disc = robot["mass"] * radius**2 / 4.0
     about_x = float(f"{disc:.3g}")  # no more than a body has, in these digits too
-    x, y, z = robot.get("centre_of_mass", [0.0] * 3)
-    moved = [robot["mass"] * (a * a + b * b) for a, b in ((y, z), (x, z), (x, y))]
-    default = " ".join(f"{own + more:g}" for own, more in zip((about_x, about_x, 2 * about_x), moved, strict=True))
+    centre = np.asarray(robot.get("centre_of_mass", [0.0] * 3))
+    moved = robot["mass"] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    matrix = np.diag([about_x, about_x, 2.0 * about_x]) + moved
+    entries = [*matrix.diagonal(), *matrix[_PRODUCTS]]
+    default = " ".join(f"{entry + 0.0:.15g}" for entry in entries[: 6 if any(entries[3:]) else 3])
     dialogue.say("The inertia in brackets is that of a disc as large as the platform's joints, with its centre there.")
+    dialogue.say("Six numbers have the products too: xx yy zz xy xz yz of the matrix, where xy is the sum of -m x y.")
 
-    return dialogue.numbers("Inertia about the platform frame's axes x y z [kg m^2]", default, 3, _of_body)
+    def check(values: list[float]) -> str | None:
+        problem = _of_body(np.linalg.eigvalsh(_tensor(values) - moved).tolist())
+        if problem is None or not moved.any():
+            return problem
+        return f"of the principal moments about the centre of mass, less mass times distance squared: {problem}"
+
+    values = dialogue.numbers("Inertia about the platform frame's axes x y z [kg m^2]", default, (3, 6), check)
+    return values if len(values) == 3 else _tensor(values).tolist()
+
+
+def _tensor(values: list[float]) -> np.ndarray:
+    """Return the matrix (3, 3) of its diagonal and, with six values, its products xy, xz, yz."""
+    matrix = np.diag(values[:3])
+    if len(values) > 3:
+        matrix[_PRODUCTS] = values[3:]
+        matrix.T[_PRODUCTS] = values[3:]
+    return matrix
 
 
 def _of_body(values: list[float], least: float = 1e-300) -> str | None:

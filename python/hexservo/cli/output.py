@@ -31,13 +31,14 @@ def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool
 
 
 def _write_files(result: Result, folder: Path) -> None:
-    from hexservo.draw.plots import paper_figures
+    from hexservo.draw.plots import paper_images
     from hexservo.run.saving import result_bytes
 
     (folder / "scenario.yaml").write_text(result.scenario.to_yaml(), encoding="utf-8")
     (folder / "metrics.json").write_text(_metrics_json(result), encoding="utf-8")
     (folder / "result.nc").write_bytes(result_bytes(result))
-    paper_figures(result, folder)
+    for name, content in paper_images(result).items():
+        (folder / name).write_bytes(content)
 
 
 def _metrics_json(result: Result) -> str:

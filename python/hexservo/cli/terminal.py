@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 import hexservo as hs
+from hexservo.scenario.block import SAMPLED_MODE
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+    from hexservo.scenario.scenario import Document
 
 __all__ = [
     "BAD_INPUT",
@@ -48,6 +51,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells count
 READER_LEFT = 141  # 128 + SIGPIPE
 
 _ANY_WIDTH = 10_000  # for files and pipes: lines are not wrapped or cut
+_HEIGHT = 25  # lines, which cut nothing; without them rich takes 80 columns for the width where TERM is dumb
 
 ScenarioArgument = Annotated[
     str,
@@ -80,23 +84,42 @@ SettingsOption = Annotated[
 
 
 def load(scenario: str, settings: list[str], camera: str | None = None) -> hs.Scenario:
-    """Load a scenario and apply the changes of --camera and --set; all errors of the settings are reported together."""
-    loaded = _read_standard_input() if scenario == "-" else hs.load_scenario(scenario)
-    changes, problems = _changes_of(settings)
-    if camera is not None:
-        from hexservo.scenario.calibration import camera_from_file
+    """Load a scenario with the changes of --camera and --set in its file; all errors of them are reported together.
 
-        calibrated = camera_from_file(camera)
-        if changes.get("simulation.mode", loaded.simulation.mode) == "continuous":
-            calibrated.pop("image_size", None)  # the border acts in sampled mode
-        changes = {"camera": calibrated, **changes}
+    A key that both change is that of --set.
+    """
+    from hexservo.scenario.scenario import read_document
+
+    document = _read_standard_input() if scenario == "-" else read_document(scenario)
+    changes, problems = _changes_of(settings)
+    options = ["--set"] if settings else []
+    if camera is not None:
+        changes = {**_calibrated(camera, document, changes), **changes}
+        options.insert(0, "--camera")
     try:
-        changed = loaded.updated(changes) if changes else loaded
+        loaded = document.scenario(changes)
     except hs.ScenarioError as error:
+        if error.source is not None:  # of the file, whatever is changed in it
+            raise
         problems += error.problems
     if problems:
-        raise hs.ScenarioError(problems, "--set")
-    return changed
+        raise hs.ScenarioError(problems, " and ".join(options))
+    return loaded
+
+
+def _calibrated(camera: str, document: Document, changes: dict[str, object]) -> dict[str, object]:
+    """Return the keys of a calibration file; without the border of the image in continuous mode, where it is none."""
+    from hexservo.scenario.calibration import camera_from_file
+    from hexservo.scenario.plain import plain, put
+
+    keys = camera_from_file(camera)
+    written = plain(document.keys) if isinstance(document.keys, dict) else {}
+    for key, value in changes.items():
+        put(written, key, value)  # its errors come later
+    simulation = written.get("simulation")
+    if not isinstance(simulation, dict) or simulation.get("mode") != SAMPLED_MODE:
+        keys.pop("image_size", None)
+    return {f"camera.{key}": value for key, value in keys.items()}
 
 
 def changes_of(settings: list[str]) -> dict[str, object]:
@@ -154,12 +177,13 @@ def expanded(names: str) -> list[str]:
     return chosen
 
 
-def _read_standard_input() -> hs.Scenario:
-    from hexservo.scenario.yaml import MAX_BYTES, decoded
+def _read_standard_input() -> Document:
+    from hexservo.scenario.scenario import Document
+    from hexservo.scenario.yaml import MAX_BYTES, decoded, load_yaml
 
     source = "standard input"
     content = b"" if sys.stdin is None else sys.stdin.buffer.read(MAX_BYTES + 1)
-    return hs.Scenario.from_yaml(decoded(content, "YAML", source), source)
+    return Document(load_yaml(decoded(content, "YAML", source), source), source)
 
 
 @contextlib.contextmanager
@@ -205,6 +229,7 @@ def show_parts(*parts: RenderableType) -> None:
         file=text,
         force_terminal=True if sys.stdout is not None and sys.stdout.isatty() else None,
         width=width(),
+        height=_HEIGHT,
         color_system=None if os.environ.get("NO_COLOR") else "auto",
         highlight=False,
         markup=False,

@@ -80,7 +80,15 @@ if TYPE_CHECKING:
     from hexservo.run.result import Result
     from hexservo.scenario.scenario import Scenario
 
-__all__ = ["control_wrench", "feature_errors", "feature_paths", "paper_figures", "platform_motion", "rule_table"]
+__all__ = [
+    "control_wrench",
+    "feature_errors",
+    "feature_paths",
+    "paper_figures",
+    "paper_images",
+    "platform_motion",
+    "rule_table",
+]
 
 _AXES_INKS = (Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT))
 _POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE)
@@ -406,6 +414,17 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
         The folder cannot be made or written to.
     """
     target = Path(folder)
+    try:
+        return write_figures(target, paper_images(result))
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise ValueError(
+            f'folder: expected a writable folder, or one that can be created, got "{target}" ({reason})'
+        ) from error
+
+
+def paper_images(result: Result) -> dict[str, bytes]:
+    """Return the files of `paper_figures` by name."""
     controller = result.scenario.controller
     has_table = "fuzzy" in type(controller.gains).model_fields
     figures = {
@@ -416,18 +435,11 @@ def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
         "fig5_wrench": control_wrench(result),
         **({"legs": leg_limits(result)} if len(limits_of_motion(result.scenario)) > 1 else {}),
     }
-    images = {
+    return {
         f"{name}.{extension}": image_bytes(figure, extension)
         for name, figure in figures.items()
         for extension in ("svg", "png")
     }
-    try:
-        return write_figures(target, images)
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise ValueError(
-            f'folder: expected a writable folder, or one that can be created, got "{target}" ({reason})'
-        ) from error
 
 
 # ---- The image ------------------------------------------------------------------------------------------------------

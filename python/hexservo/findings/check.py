@@ -14,11 +14,14 @@ from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
 from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.blocks import Robot, preset_values
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
 from hexservo.scenario.pixels import on_pinhole, points_outside
+from hexservo.scenario.plain import plain
+from hexservo.scenario.presets import ROBOT_PRESETS
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
@@ -299,12 +302,38 @@ _CONDITIONS = (
 )
 
 
+_OF_PRESETS = (  # in which machines differ
+    *(f"{side}_{what}" for side in ("platform", "base") for what in ("radius", "angles", "joints")),
+    *("home_position", "mass", "inertia", "stroke", "force_limit"),
+)
+
+
+def _of_preset(robot: Robot) -> Iterator[str]:
+    """Find a preset that gives a machine next to nothing, as where only its name was changed in a resolved file."""
+    if robot.preset is None:
+        return
+    given = plain(robot)
+    equal = {
+        name: [given[key] == value for key in _OF_PRESETS if (value := preset_values(name)[key]) is not None]
+        for name in ROBOT_PRESETS
+    }
+    other = next((name for name in ROBOT_PRESETS if name != robot.preset and all(equal[name])), None)
+    if other is not None or sum(equal[robot.preset]) <= 1:
+        whose = "" if other is None else f', those of "{other}"'
+        yield (
+            f'robot.preset: "{robot.preset}" has no effect here, since other values of the machine are given{whose}; '
+            "drop those keys, and the preset gives them"
+        )
+
+
 def keys_without_effect(scenario: Scenario) -> list[str]:
     """Return a sentence for each group of keys that differ from their defaults and have no effect.
 
+    So does a preset of the robot whose keys have, nearly all, other values.
+
     They are legal: a scenario keeps them when its law is replaced in a comparison or its outliers are switched off.
     """
-    sentences = []
+    sentences = list(_of_preset(scenario.robot))
     for condition in _CONDITIONS:
         if condition.acts(scenario):
             continue

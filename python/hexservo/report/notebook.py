@@ -22,7 +22,7 @@ from hexservo.findings.wording import VERDICTS
 from hexservo.report.evidence_html import table_html
 from hexservo.report.html import Html, element, paragraphs
 from hexservo.run.batch import BatchResult
-from hexservo.run.comparison import COLUMNS, Comparison, metric_text
+from hexservo.run.comparison import COLUMNS, Comparison, metric_text, shared_unit
 from hexservo.run.display import batch_text, comparison_text
 from hexservo.run.metrics import METRICS, readable, shown_metrics
 from hexservo.run.result import Result
@@ -106,14 +106,20 @@ def _batch_html(batch: BatchResult) -> str:
 
 def _comparison_html(comparison: Comparison) -> str:
     """Return a comparison's table and its figures."""
+    units = {column: shared_unit(comparison.rows, column) for column in COLUMNS}
     heads = (
         Column("scenario"),
         Column("law"),
         Column("verdict"),
-        *(Column(column.head, column.unit) for column in COLUMNS),
+        *(Column(column.head, unit) for column, unit in units.items()),
     )
     rows = [
-        (row.scenario.name, row.law, row.verdict, *(metric_text(row, column) for column in COLUMNS))
+        (
+            row.scenario.name,
+            row.law,
+            row.verdict,
+            *(metric_text(row, column, with_unit=not unit) for column, unit in units.items()),
+        )
         for row in comparison.rows
     ]
     return _page(

@@ -19,10 +19,11 @@ from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
 from hexservo.run.metrics import METRICS, asked_metrics, metric_unit
 from hexservo.run.progress import ProgressCallback, progress_bar
-from hexservo.run.result import TERMS, WRENCH, quantities
+from hexservo.run.result import TERMS, WRENCH, leg_words, quantities
 from hexservo.run.variant import chosen_kernel
 from hexservo.run.variations import checked_variations, columns_of, fitted_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
@@ -126,13 +127,14 @@ class BatchResult:
         """
         import xarray
 
+        robot = self.scenario.robot
         data: dict[str, Any] = {
             "outcome": ("scenario", self.outcome, {"long_name": "how the run ended"}),
             "cause": ("scenario", self.cause, {"long_name": "why the run stopped early"}),
             "end_time": ("scenario", self.end_time, {"units": "s", "long_name": "time of the last good sample"}),
         }
         for name, values in self.metrics.items():
-            unit, meaning = metric_unit(name, self.scenario.robot), METRICS[name][1]
+            unit, meaning = metric_unit(name, robot), METRICS[name][1]
             data[f"metric_{name}"] = ("scenario", values, {"units": unit, "long_name": meaning})
         for key, values in self.variations.items():
             whole = np.broadcast_to(values, (len(self), *values.shape[1:]))
@@ -149,7 +151,8 @@ class BatchResult:
                 coords |= {"wrench_component": WRENCH, "error_term": TERMS, "rate_term": TERMS}
             else:
                 dimension, labels, unit, meaning = quantities(self.scenario.target.count)[name]
-                data[name] = (["scenario", *middle, dimension], values, {"units": unit, "long_name": meaning})
+                attributes = {"units": unit_of(robot, name, unit), "long_name": leg_words(robot, name, meaning)}
+                data[name] = (["scenario", *middle, dimension], values, attributes)
                 coords[dimension] = labels
         return xarray.Dataset(
             data,

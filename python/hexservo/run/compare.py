@@ -18,7 +18,7 @@ from hexservo.run.result import Result
 from hexservo.run.shared import shared_by, variations_of
 from hexservo.run.simulation import simulate
 from hexservo.scenario.laws import ALL_LAWS, LAWS
-from hexservo.scenario.scenario import Scenario, load_scenario
+from hexservo.scenario.scenario import Scenario, read_document
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
@@ -52,7 +52,8 @@ def compare(
     laws
         Names of laws, each once; None: all of any machine, and `tracking` where a scenario has it.
     changes
-        Applied to every scenario before its law is replaced, as `Scenario.updated` does.
+        Applied to every scenario before its law is replaced, as `load_scenario` does to a name or path, and
+        `Scenario.updated` to a `Scenario`.
     threads
         As for `simulate_batch`.
     progress
@@ -135,11 +136,15 @@ def _checked_scenarios(
         raise TypeError("scenarios: expected a sequence of scenarios, names or paths, got one of them")
     loaded = []
     for given in scenarios:
-        scenario = given if isinstance(given, Scenario) else load_scenario(given)
+        document = given if isinstance(given, Scenario) else read_document(given)
         try:
-            loaded.append(scenario.updated(changes) if changes else scenario)
+            if isinstance(document, Scenario):
+                loaded.append(document.updated(changes) if changes else document)
+            else:
+                loaded.append(document.scenario(changes))
         except ScenarioError as error:
-            raise ScenarioError(error.problems, scenario.name) from None
+            name = document.name if isinstance(document, Scenario) else document.source
+            raise ScenarioError(error.problems, name) from None
     names = [scenario.name for scenario in loaded]
     twice = sorted({name for name in names if names.count(name) > 1})
     if not names or twice:

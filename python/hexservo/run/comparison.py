@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ from hexservo.run.display import comparison_text
 from hexservo.run.drawn import figure_of, html_of, image_of
 from hexservo.run.files import write_folder
 from hexservo.run.leg_limits import leg_limits
-from hexservo.run.metrics import METRICS
+from hexservo.run.metrics import METRICS, metric_unit, readable_unit
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
@@ -83,29 +83,27 @@ class ComparisonRow:
 
 @dataclass(frozen=True)
 class MetricColumn:
-    """A column of numbers of the table."""
+    """A column of numbers of the table, in the unit that people read."""
 
     metric: str
     head: str
-    unit: str
-    scale: float = 1.0  # of these units in one of the metric's
     limit: str = ""  # of `ComparisonRow.passed_limits`, which it shows
 
 
 COLUMNS = (
-    MetricColumn("settling_time", "settles", "s"),
-    MetricColumn("final_error", "residual", "px"),
-    MetricColumn("rms_error", "RMS", "px"),
-    MetricColumn("overshoot", "overshoot", "px"),
-    MetricColumn("relative_overshoot", "overshoot", "%", 100.0),
-    MetricColumn("peak_feature_distance", "farthest", "px"),
-    MetricColumn("peak_line_deviation", "off line", "px"),
-    MetricColumn("peak_displacement", "camera", "mm", 1e3),
-    MetricColumn("peak_rotation", "camera", "mrad", 1e3),
-    MetricColumn("effort", "effort", "N^2 s"),
-    MetricColumn("chatter", "chatter", "N/s"),
-    MetricColumn("peak_leg_force", "leg force", "N", limit="force"),
-    MetricColumn("peak_leg_excursion", "stroke", "mm", 1e3, limit="stroke"),
+    MetricColumn("settling_time", "settles"),
+    MetricColumn("final_error", "residual"),
+    MetricColumn("rms_error", "RMS"),
+    MetricColumn("overshoot", "overshoot"),
+    MetricColumn("relative_overshoot", "overshoot"),
+    MetricColumn("peak_feature_distance", "farthest"),
+    MetricColumn("peak_line_deviation", "off line"),
+    MetricColumn("peak_displacement", "camera"),
+    MetricColumn("peak_rotation", "camera"),
+    MetricColumn("effort", "effort"),
+    MetricColumn("chatter", "chatter"),
+    MetricColumn("peak_leg_force", "leg force", limit="force"),
+    MetricColumn("peak_leg_excursion", "stroke", limit="stroke"),
 )
 """What the table for people shows, in this order; `to_csv` has all metrics."""
 
@@ -153,23 +151,41 @@ class Comparison:
         raise KeyError(f'law, scenario: expected a pair that was compared, got "{law}", "{scenario}"')
 
     def to_markdown(self) -> str:
-        """Return the table for people as Markdown; an exclamation mark follows values beyond a limit of the legs."""
-        head = ["scenario", "law", "verdict", *(f"{column.head} [{column.unit}]" for column in COLUMNS), "why"]
-        lines = [head, ["---", "---", "---", *("---:" for _ in COLUMNS), "---"]]
-        lines += [
-            [row.scenario.name, row.law, row.verdict, *(metric_text(row, column) for column in COLUMNS), row.why]
-            for row in self.rows
+        """Return the table for people as Markdown; an exclamation mark follows values beyond a limit of the legs.
+
+        Where the scenarios have both legs that change their length and cranks, each number of the legs has its unit.
+        """
+        units = {column: shared_unit(self.rows, column) for column in COLUMNS}
+        heads = (f"{column.head} [{unit}]" if unit else column.head for column, unit in units.items())
+        lines = [
+            ["scenario", "law", "verdict", *heads, "why"],
+            ["---", "---", "---", *("---:" for _ in COLUMNS), "---"],
         ]
+        for row in self.rows:
+            numbers = (metric_text(row, column, with_unit=not unit) for column, unit in units.items())
+            lines.append([row.scenario.name, row.law, row.verdict, *numbers, row.why])
         return "".join(f"| {' | '.join(_escaped(cell) for cell in line)} |\n" for line in lines)
 
     def to_csv(self) -> str:
-        """Return every metric of every run as CSV in SI units and pixels; empty where a number has no meaning."""
+        """Return every metric of every run as CSV in SI units and pixels; empty where a number has no meaning.
+
+        Where the scenarios have both legs that change their length and cranks, a column of units follows each metric of
+        the legs.
+        """
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        names = {name: f"{name} [{unit}]" for name, (unit, _) in METRICS.items()}
-        writer.writerow(["scenario", "law", "outcome", "settled", "end_time [s]", *names.values(), "limits", "why"])
+        units = {name: sorted({metric_unit(name, each.robot) for each in self.scenarios}) for name in METRICS}
+        heads = [
+            head
+            for name, known in units.items()
+            for head in ([f"{name} [{known[0]}]"] if len(known) == 1 else [name, f"{name} unit"])
+        ]
+        writer.writerow(["scenario", "law", "outcome", "settled", "end_time [s]", *heads, "limits", "why"])
         for row in self.rows:
-            numbers = [row.end_time, *(row.metrics.get(name, math.nan) for name in names)]
+            cells = [_exact(row.end_time)]
+            for name, known in units.items():
+                cells.append(_exact(row.metrics.get(name, math.nan)))
+                cells += [metric_unit(name, row.scenario.robot)] if len(known) > 1 else []
             settled = "" if row.outcome in ("refused", "interrupted") else "yes" if row.settled else "no"
             writer.writerow(
                 [
@@ -177,7 +193,7 @@ class Comparison:
                     row.law,
                     row.outcome,
                     settled,
-                    *("" if math.isnan(number) else repr(float(number)) for number in numbers),
+                    *cells,
                     " ".join(row.passed_limits),
                     row.why,
                 ]
@@ -213,12 +229,29 @@ class Comparison:
             (folder / f"{scenario.name}.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
 
 
-def metric_text(row: ComparisonRow, column: MetricColumn) -> str:
+def shared_unit(rows: Iterable[ComparisonRow], column: MetricColumn) -> str:
+    """Return the unit that people read in a column; empty where rows differ, of cranks and legs of variable length."""
+    units = {_unit(row, column)[0] for row in rows}
+    return units.pop() if len(units) == 1 else ""
+
+
+def metric_text(row: ComparisonRow, column: MetricColumn, *, with_unit: bool = False) -> str:
     """Write one number of the table; "-" where there is none, "!" if it exceeds a limit."""
-    value = row.metrics.get(column.metric, math.nan) * column.scale
+    unit, scale = _unit(row, column)
+    value = row.metrics.get(column.metric, math.nan) * scale
     if math.isnan(value):
         return "never" if column.metric == "settling_time" and row.outcome == "completed" else "-"
-    return number(value)
+    exceeded = "!" if column.limit in row.passed_limits else ""
+    return f"{number(value)}{f' {unit}' if with_unit else ''}{exceeded}"
+
+
+def _unit(row: ComparisonRow, column: MetricColumn) -> tuple[str, float]:
+    """Return the unit that people read, and how many of it make one of the metric's."""
+    return readable_unit(metric_unit(column.metric, row.scenario.robot))
+
+
+def _exact(number: float) -> str:
+    return "" if math.isnan(number) else repr(float(number))
 
 
 def _escaped(cell: str) -> str:

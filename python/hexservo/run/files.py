@@ -15,7 +15,7 @@ from typing import NoReturn, TypeAlias
 from hexservo.run.publish import OutputError, Place, draft_beside, named, publish, signals_raised, synchronize
 from hexservo.scenario.version import VERSION
 
-__all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "write_file", "write_folder"]
+__all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "has_results", "write_file", "write_folder"]
 
 MARKER = ".hexservo-output"
 """Name of the file that identifies a folder of results; it lists the other files with their SHA-256."""
@@ -40,6 +40,11 @@ def check_folder(folder: str | os.PathLike[str], *, force: bool = False) -> None
         As `write_folder`, as far as it can be checked without writing.
     """
     _Folder(_located(folder), force).check_early()
+
+
+def has_results(folder: str | os.PathLike[str]) -> bool:
+    """Return whether a folder holds earlier results, which `write_folder` with force would replace."""
+    return os.path.lexists(Path(folder, MARKER))
 
 
 def write_folder(
@@ -114,6 +119,11 @@ def _check_parents(path: Path) -> None:
     parent = next(parent for parent in path.parents if os.path.lexists(parent))
     if not parent.is_dir():
         raise OutputError(f"{named(path)}: expected a folder to make it in, got the file {named(parent)}")
+    _check_permission(path, parent)
+
+
+def _check_permission(path: Path, parent: Path) -> None:
+    """Refuse a path whose draft cannot be made in `parent`."""
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(
             f"{named(path)}: expected a place that can be written, but writing into {named(parent)} is not permitted"
@@ -291,6 +301,9 @@ class _Folder(Place):
             )
         if not is_empty:
             self._check_contents(strangers)
+        if os.path.ismount(found):  # which cannot be renamed
+            raise OutputError(f"{named(self.path)}: expected a folder, got a mount point; name a new folder inside it")
+        _check_permission(self.path, self.path.parent)
 
     def _check_contents(self, strangers: list[str] | None) -> None:
         """Refuse a folder that holds more than our results as we left them, or them without `force`."""
@@ -351,6 +364,7 @@ class _File(Place):
                 raise OutputError(
                     f"{named(self.path)}: expected a folder that exists, got {named(self.path.parent)}; make it first"
                 ) from None
+            _check_permission(self.path, self.path.parent)
             return
         if not stat.S_ISREG(mode):
             kind = "a symbolic link" if stat.S_ISLNK(mode) else "a folder" if stat.S_ISDIR(mode) else "something else"
@@ -363,6 +377,7 @@ class _File(Place):
             raise OutputError(
                 f"{named(self.path)}: the file exists; replace it with --force (force=True in Python), or name another"
             )
+        _check_permission(self.path, self.path.parent)
 
     def make(self, draft: Path) -> None:
         draft.touch(exist_ok=False)

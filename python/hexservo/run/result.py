@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+    from hexservo.scenario.blocks import Robot
     from hexservo.scenario.scenario import Scenario
 
 __all__ = ["LimitEvent", "LimitKind", "Outcome", "Result"]
@@ -77,10 +78,10 @@ def quantities(points: int) -> dict[str, Quantity]:
     }
 
 
-def leg_words(result: Result, name: str, meaning: str) -> str:
+def leg_words(robot: Robot, name: str, meaning: str) -> str:
     """Return the meaning of a quantity for the legs that a robot has."""
     rotary = {"leg_lengths": "angles of the cranks", "leg_forces": "torques of the cranks"}
-    return rotary.get(name, meaning) if result.scenario.robot.legs == "rotary" else meaning
+    return rotary.get(name, meaning) if robot.legs == "rotary" else meaning
 
 
 @dataclass(frozen=True)
@@ -217,12 +218,13 @@ class Result:
         """
         import xarray
 
+        robot = self.scenario.robot
         data = {
             name: xarray.DataArray(
                 getattr(self, name),
                 dims=("time", dimension),
                 coords={"time": self.time, dimension: labels},
-                attrs={"units": unit_of(self.scenario.robot, name, unit), "long_name": leg_words(self, name, meaning)},
+                attrs={"units": unit_of(robot, name, unit), "long_name": leg_words(robot, name, meaning)},
             )
             for name, (dimension, labels, unit, meaning) in quantities(self.scenario.target.count).items()
         }

@@ -56,7 +56,7 @@ from hexservo.scenario.tag import CORNERS, Grid, GridRule, Tag, TagRule, require
 
 __all__ = ["Actuators", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
 
-_DEFAULT_PRESET = "micro"
+DEFAULT_PRESET = "micro"
 _FOCAL_KEYS = ("focal_length", "pixel_scale")
 _SIDES = ("platform", "base")
 DEFAULT_DEPTH = float(core_default("target.depth"))  # [m], docs/model.md section 4
@@ -158,7 +158,7 @@ class Robot(Block):
         other |= {f"{side}_joints": None for side in _SIDES if not given.keys().isdisjoint(_circle(side))}
         # An unknown preset is reported at its own key; any values do to check the others.
         known = isinstance(preset, str) and preset in ROBOT_PRESETS
-        values = preset_values(preset if known else _DEFAULT_PRESET)
+        values = preset_values(preset if known else DEFAULT_PRESET)
         if isinstance(cranks := given.get("cranks"), dict):
             given["cranks"] = {**values["cranks"], **cranks}
         return {**values, **other, **given}
@@ -460,7 +460,7 @@ class Blocks(Block):
     name: Annotated[str, Name()]
     description: Annotated[str, LineRule()] = ""  # what it shows, for lists
     seed: Annotated[int, Integer(0, 2**64 - 1), SAMPLED] = 0  # of everything random
-    robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": _DEFAULT_PRESET}))
+    robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": DEFAULT_PRESET}))
     camera: Camera = Field(default_factory=Camera)
     sensors: Annotated[Sensors, SAMPLED] = Field(default_factory=Sensors)
     actuators: Annotated[Actuators, SAMPLED] = Field(default_factory=Actuators)

@@ -16,7 +16,7 @@ from hexservo.scenario.yaml import ScenarioError, read_text
 __all__ = ["MAX_SAMPLES", "Recording", "kinematic", "read_base_motion", "read_target_motion"]
 
 MAX_SAMPLES = 10_000
-"""Most samples of a recording: a scenario holds them itself, and is still a small file."""
+"""Most samples of a recording: a scenario holds them itself, whose file can still be read (`yaml.MAX_BYTES`)."""
 
 _TIME = "t"
 _ACCELERATION = ("ax", "ay", "az")

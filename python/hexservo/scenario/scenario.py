@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, cast
@@ -16,7 +17,7 @@ from typing import Any, cast
 from pydantic import ValidationError, model_validator
 
 from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.blocks import DEFAULT_DEPTH, Blocks, preset_values
+from hexservo.scenario.blocks import DEFAULT_DEPTH, DEFAULT_PRESET, Blocks, preset_values
 from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.fitted import with_fitted_gains, without_fitted_gains
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
@@ -28,7 +29,7 @@ from hexservo.scenario.rules import did_you_mean, is_number, shown_value
 from hexservo.scenario.tag import require_counts_elsewhere
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
 
-__all__ = ["Scenario", "load_scenario", "scenario_names"]
+__all__ = ["Document", "Scenario", "load_scenario", "read_document", "scenario_names"]
 
 
 class Scenario(Blocks):
@@ -118,7 +119,7 @@ class Scenario(Blocks):
         ScenarioError
             With one line for each problem.
         """
-        return _from_document(load_yaml(text, source), source)
+        return Document(load_yaml(text, source), source).scenario()
 
     def updated(self, changes: Mapping[str, Any]) -> Scenario:
         """Return a copy with some keys changed, validated again.
@@ -129,18 +130,16 @@ class Scenario(Blocks):
             Values by dotted key, as ``{"uncertainty.depth": -0.3}``. A mapping as the value of a block changes the
             keys it names and leaves the others alone. Changing ``robot.preset`` brings that preset's values, except
             where this scenario differs from its own preset. To give the target's points in the other form, set the
-            keys of the first form to None.
+            keys of the first form to None. What was read into other keys stays as it was read: a tag, a grid and a
+            desired pose are points and features by now, which another camera, mount or home leaves alone.
+            `load_scenario` with changes, and ``--set``, read them afterwards.
 
         Raises
         ------
         ScenarioError
             With one line for each problem; an unknown key comes with the nearest known one.
         """
-        keys = self._written()
-        problems = [problem for path, value in plain(changes).items() if (problem := put(keys, path, value))]
-        if problems:
-            raise ScenarioError(problems)
-        return type(self)(**keys)
+        return Scenario(**_changed(self._written(), changes))
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the whole scenario, every default filled in, as dicts, lists, text and numbers."""
@@ -173,7 +172,43 @@ def scenario_names() -> tuple[str, ...]:
     return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml")))
 
 
-def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
+@dataclass(frozen=True)
+class Document:
+    """A scenario as it is written: tags, grids, goal poses and recordings are not read into other keys yet."""
+
+    keys: Any  # plain data
+    source: str | None = None  # file or name, for errors
+
+    def scenario(self, changes: Mapping[str, Any] | None = None) -> Scenario:
+        """Make the scenario, of the keys as they are or with changes by dotted key, as for `Scenario.updated`.
+
+        With changes it is the scenario of a file that has them, except that keys which only repeat what follows from
+        others, as in the output of ``hexservo show``, follow the changes too.
+
+        Raises
+        ------
+        ScenarioError
+            With one line for each problem, headed by the source where the keys are not valid without the changes.
+        """
+        keys, source = self._with(changes) if changes and isinstance(self.keys, dict) else (self.keys, self.source)
+        try:
+            return Scenario(**_as_block(keys))
+        except ScenarioError as error:
+            raise ScenarioError(error.problems, source) from None
+
+    def _with(self, changes: Mapping[str, Any]) -> tuple[dict[str, Any], str | None]:
+        """Return the keys with changes, and what heads errors: the source if it is not valid without them."""
+        keys, source = plain(self.keys), None
+        try:
+            whole = self.scenario()
+        except ScenarioError:  # the changes may have what is missing
+            source = self.source
+        else:
+            keys = _chosen(keys, whole.to_mapping(), whole._written())
+        return _changed({"robot": {"preset": DEFAULT_PRESET}, **keys}, changes), source
+
+
+def load_scenario(name_or_path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> Scenario:
     """Load a packaged scenario by its name, or one from a YAML file.
 
     Parameters
@@ -181,18 +216,26 @@ def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
     name_or_path
         One of `scenario_names`, or the path of a file. A packaged name wins over a file of the same name in the
         current folder, which is reached by ``./name`` or as a `pathlib.Path`.
+    changes
+        Values by dotted key, as for `Scenario.updated`, but put into the file before anything in it is read into other
+        keys: with ``{"camera.focal_pixels": 900}`` a tag and a goal pose have their image in that camera.
 
     Raises
     ------
     ScenarioError
         No such scenario (with the nearest name), a file that cannot be read, or a scenario that is not valid: then
-        with one line for each problem, headed by the file's name.
+        with one line for each problem, headed by the file's name unless the changes are the cause.
     """
+    return read_document(name_or_path).scenario(changes)
+
+
+def read_document(name_or_path: str | os.PathLike[str]) -> Document:
+    """Return what a packaged scenario or a file has written, with the arguments and errors of `load_scenario`."""
     names = scenario_names()
     if isinstance(name_or_path, str):
         if name_or_path in names:
             text = (resources.files("hexservo") / "scenarios" / f"{name_or_path}.yaml").read_text(encoding="utf-8")
-            return Scenario.from_yaml(text, name_or_path)
+            return Document(load_yaml(text, name_or_path), name_or_path)
         if not os.path.lexists(name_or_path):
             stem = name_or_path.removesuffix(".yaml")
             what = "no such file"
@@ -201,17 +244,29 @@ def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
             nearest = did_you_mean(stem.rpartition("/")[2], names)
             raise ScenarioError(f'"{name_or_path}": {what}{nearest or "; `hexservo scenarios` lists what is packaged"}')
     path = os.fsdecode(name_or_path)
-    return _from_document(read_yaml(name_or_path), path, Path(path).parent)
+    document, folder = read_yaml(name_or_path), Path(path).parent  # to which paths of recordings are relative
+    return Document(_in_folder(_in_folder(document, folder, "base_motion"), folder, "target", "motion"), path)
 
 
-def _from_document(document: Any, source: str | None, folder: Path | None = None) -> Scenario:
-    """Make a scenario; the path of a recording is relative to `folder`, else to the current one."""
-    if folder is not None:
-        document = _in_folder(_in_folder(document, folder, "base_motion"), folder, "target", "motion")
-    try:
-        return Scenario(**_as_block(document))
-    except ScenarioError as error:
-        raise ScenarioError(error.problems, source) from None
+def _chosen(keys: dict[str, Any], whole: dict[str, Any], written: dict[str, Any]) -> dict[str, Any]:
+    """Return a block without the keys that repeat what follows from others: in the whole of it, but not `written`."""
+    return {
+        key: _chosen(value, whole[key], written[key]) if _are_blocks(value, whole[key], written.get(key)) else value
+        for key, value in keys.items()
+        if key in written or value != whole[key]
+    }
+
+
+def _are_blocks(*values: Any) -> bool:
+    return all(isinstance(value, dict) for value in values)
+
+
+def _changed(keys: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Put changes by dotted key into a scenario's keys (changed in place)."""
+    problems = [problem for path, value in plain(changes).items() if (problem := put(keys, path, value))]
+    if problems:
+        raise ScenarioError(problems)
+    return keys
 
 
 def _in_folder(document: Any, folder: Path, *blocks: str) -> Any:

@@ -31,8 +31,9 @@ __all__ = [
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What a document holds: nothing but the types of the YAML core schema."""
 
-MAX_BYTES = 1_000_000
-"""Largest document that is parsed [bytes]; a scenario needs about two thousand."""
+MAX_BYTES = 4_000_000
+"""Largest document that is parsed [bytes]; most scenarios need a few thousand, two recordings of the most samples with
+all digits of their numbers 2.8 million."""
 
 MAX_DEPTH = 32
 """Deepest nesting of lists and mappings that is read; a scenario needs seven."""

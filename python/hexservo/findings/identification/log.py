@@ -137,7 +137,7 @@ def _parsed(lines: Iterable[str], source: str) -> Log:
     columns: Mapping[str, int] | None = None
     points = 0
     rows: list[list[float]] = []
-    reader = csv.reader(line for line in lines if not line.lstrip().startswith("#"))
+    reader = csv.reader("\n" if line.lstrip().startswith("#") else line for line in lines)  # each line counts
     for cells in reader:
         if not cells:
             continue
