@@ -130,7 +130,7 @@ class Scenario(Blocks):
             Values by dotted key, as ``{"uncertainty.depth": -0.3}``. A mapping as the value of a block changes the
             keys it names and leaves the others alone. Changing ``robot.preset`` brings that preset's values, except
             where this scenario differs from its own preset. To give the target's points in the other form, set the
-            keys of the first form to None. What was read into other keys stays as it was read: a tag, a grid and a
+            keys of the first form to None. What was read into other keys is unchanged: a tag, a grid and a
             desired pose are points and features by now, which another camera, mount or home leaves alone.
             `load_scenario` with changes, and ``--set``, read them afterwards.
 
