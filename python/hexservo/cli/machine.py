@@ -262,7 +262,8 @@ def _inertia(dialogue: Dialogue, robot: dict[str, Any]) -> list[float] | list[li
         return f"of the principal moments about the centre of mass, less mass times distance squared: {problem}"
 
     values = dialogue.numbers("Inertia about the platform frame's axes x y z [kg m^2]", default, (3, 6), check)
-    return values if len(values) == 3 else _tensor(values).tolist()
+    rows: list[list[float]] = _tensor(values).tolist()
+    return values if len(values) == 3 else rows
 
 
 def _tensor(values: list[float]) -> np.ndarray:

@@ -18,7 +18,7 @@ from hexservo.run.result import Result
 from hexservo.run.shared import shared_by, variations_of
 from hexservo.run.simulation import simulate
 from hexservo.scenario.laws import ALL_LAWS, LAWS
-from hexservo.scenario.scenario import Scenario, read_document
+from hexservo.scenario.scenario import Document, Scenario, read_document
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
@@ -136,7 +136,7 @@ def _checked_scenarios(
         raise TypeError("scenarios: expected a sequence of scenarios, names or paths, got one of them")
     loaded = []
     for given in scenarios:
-        document = given if isinstance(given, Scenario) else read_document(given)
+        document: Scenario | Document = given if isinstance(given, Scenario) else read_document(given)
         try:
             if isinstance(document, Scenario):
                 loaded.append(document.updated(changes) if changes else document)

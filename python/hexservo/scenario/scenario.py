@@ -198,7 +198,8 @@ class Document:
 
     def _with(self, changes: Mapping[str, Any]) -> tuple[dict[str, Any], str | None]:
         """Return the keys with changes, and what heads errors: the source if it is not valid without them."""
-        keys, source = plain(self.keys), None
+        keys: dict[str, Any] = plain(self.keys)
+        source: str | None = None
         try:
             whole = self.scenario()
         except ScenarioError:  # the changes may have what is missing
