@@ -403,7 +403,7 @@ def test_a_gap_in_the_readings_is_bridged(read_out: hs.Scenario) -> None:
         position = np.asarray(legs.home_position) + radius * aside[0]
         controller = hs.Controller(read_out)
         rest = np.array(legs.home_lengths)
-        image = {"features": np.array(read_out.target.initial_features), "depth": np.full(4, -0.5)}
+        image: dict[str, Any] = {"features": np.array(read_out.target.initial_features), "depth": np.full(4, -0.5)}
         assert controller.step(**image, leg_lengths=rest, now=1.0).status == "valid"
         assert controller.step(leg_lengths=np.full(6, np.nan), now=1.1).status == "unusable"
         given = {"leg_lengths": legs.leg_lengths(position, turn), **image}
@@ -413,5 +413,5 @@ def test_a_gap_in_the_readings_is_bridged(read_out: hs.Scenario) -> None:
 @pytest.mark.parametrize("prediction", ["none", "encoder"])
 def test_before_the_first_frame_the_image_is_missing(prediction: str) -> None:
     scenario = hs.load_scenario("composite-30hz").updated({"camera.prediction": prediction, "sensors.pose": "true"})
-    joints = {"position": [0.0, 0.0, -0.15], "quaternion": [1.0, 0.0, 0.0, 0.0], "twist": np.zeros(6)}
+    joints: dict[str, Any] = {"position": [0.0, 0.0, -0.15], "quaternion": [1.0, 0.0, 0.0, 0.0], "twist": np.zeros(6)}
     assert hs.Controller(scenario).step(**joints, now=1.0).status == "missing_image"
