@@ -18,6 +18,7 @@ from hexservo.cli import commands as cli
 from hexservo.cli import terminal
 from hexservo.findings.evidence import Table
 from hexservo.scenario.wording import number, quantity
+from hexservo.scenario.yaml import MAX_BYTES
 from test_cli import environment
 
 SHORT = ["--set", "simulation.duration=0.2"]
@@ -168,8 +169,8 @@ def test_a_scenario_may_come_from_standard_input(paper: hs.Scenario) -> None:
     code, _, error = invoke("check", "-", stdin=text + "sed: 1\n")
     assert code == 2
     assert error.startswith('Error: standard input: sed: unknown key; did you mean "seed"?')
-    code, _, error = invoke("run", "-", stdin="a: " + "x" * 1_000_001)
-    assert (code, error) == (2, "Error: standard input: expected at most 1000000 bytes of YAML, got more\n")
+    code, _, error = invoke("run", "-", stdin="a: " + "x" * MAX_BYTES)
+    assert (code, error) == (2, f"Error: standard input: expected at most {MAX_BYTES} bytes of YAML, got more\n")
 
 
 def test_a_missing_file_is_called_that() -> None:
