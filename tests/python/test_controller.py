@@ -348,17 +348,22 @@ def test_masked_features_are_a_missing_image_and_integers_may_be_masked(paper: h
     assert hs.Controller(paper).step(**{**given, "quaternion": whole}).status == "unusable"
 
 
-@pytest.mark.parametrize("wrong", [0.5, np.inf, np.nan])
-def test_lengths_at_a_wrong_clock_give_no_rate(wrong: float) -> None:
-    """Legs of constant speed: differences over one tick and over two are the same, whatever the clock was between."""
+@pytest.fixture(scope="module")
+def read_out() -> hs.Scenario:
+    """Encoders whose differences give the twist."""
     changes = {"controller.law": "kelly", "sensors.pose": "encoders", "camera.prediction": "none"}
-    scenario = hs.load_scenario("composite-30hz").updated(changes)
-    home = np.array(_core.Hexapod(core_parameters(scenario).robot).home_lengths)
-    features = np.array(scenario.target.initial_features)
+    return hs.load_scenario("composite-30hz").updated(changes)
+
+
+@pytest.mark.parametrize("wrong", [0.5, np.inf, np.nan])
+def test_lengths_at_a_wrong_clock_give_no_rate(read_out: hs.Scenario, wrong: float) -> None:
+    """Legs of constant speed: differences over one tick and over two are the same, whatever the clock was between."""
+    home = np.array(_core.Hexapod(core_parameters(read_out).robot).home_lengths)
+    features = np.array(read_out.target.initial_features)
     image: dict[str, Any] = {"features": features, "depth": np.full(4, -0.5), "exposure": 1.0}
 
     def last(clock: float) -> hs.ControllerOutput:
-        controller = hs.Controller(scenario)
+        controller = hs.Controller(read_out)
         for tick in range(6):
             now = clock if tick == 4 else 1.0 + 1e-3 * tick
             legs = home + 1e-5 * tick * np.arange(1, 7)
@@ -367,13 +372,6 @@ def test_lengths_at_a_wrong_clock_give_no_rate(wrong: float) -> None:
         return out
 
     np.testing.assert_allclose(last(wrong).wrench, last(1.004).wrench, rtol=1e-9, atol=1e-12)
-
-
-@pytest.fixture(scope="module")
-def read_out() -> hs.Scenario:
-    """Encoders whose differences give the twist."""
-    changes = {"controller.law": "kelly", "sensors.pose": "encoders", "camera.prediction": "none"}
-    return hs.load_scenario("composite-30hz").updated(changes)
 
 
 def test_lengths_at_the_same_time_again_keep_the_rate(read_out: hs.Scenario) -> None:

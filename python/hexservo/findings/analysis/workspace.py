@@ -42,9 +42,8 @@ class WorkspacePose:
 
     name: str
     pose: Poses
-    travel: (
-        Array  # (6,) [m], longer than in the middle of their travel; of rotary legs angles [rad], as all travel here
-    )
+    # (6,) [m], longer than in the middle of their travel; of rotary legs angles [rad], as all travel here
+    travel: Array
     tilts: (
         Array | None
     )  # (2, 6) [rad], of the legs from home, at base and platform; None: the robot has no joint limits
