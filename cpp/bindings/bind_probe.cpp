@@ -40,10 +40,10 @@ Shape prefixed(py::ssize_t first, const Shape& rest) {
 }
 Shape staged(const Shape& rest) { return prefixed(kStages, rest); }
 
-/// An array of doubles; nothing where that would turn text into numbers or leave out imaginary parts.
+/// An array of doubles; nothing where there are no real numbers.
 Array real_numbers(const py::object& value) {
   const py::array given = py::array::ensure(value);
-  const bool real = given && std::string_view("SUc").find(given.dtype().kind()) == std::string_view::npos;
+  const bool real = given && !holds_no_real_numbers(given);
   return real ? Array::ensure(given) : py::reinterpret_steal<Array>(py::handle());
 }
 

@@ -44,6 +44,12 @@ void require_finite(const char* name, const Eigen::MatrixBase<Derived>& value) {
     throw std::invalid_argument(std::string(name) + ": expected finite numbers, got NaN or infinity");
 }
 
+/// Whether an array holds text or complex numbers: a conversion would turn digits into numbers, or leave out imaginary
+/// parts.
+inline bool holds_no_real_numbers(const py::array& array) {
+  return std::string_view("SUc").find(array.dtype().kind()) != std::string_view::npos;
+}
+
 /// A pose from position [m] and quaternion (w, x, y, z) of any length but zero.
 inline Pose<double> checked_pose(const Vector3<double>& position, const Vector4<double>& quaternion) {
   require_finite("position", position);

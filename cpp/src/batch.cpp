@@ -33,9 +33,8 @@ class Scenarios {
     base_.robot.off_centre |= std::ranges::any_of(items_, [](const Item& item) {
       return item.key->name == "robot.centre_of_mass" || item.key->name.starts_with("robot.payload.");
     });
-    base_.target.weighted |= std::ranges::any_of(items_, [](const Item& item) {
-      return item.key->name == "target.weights" && std::ranges::any_of(item.values, [](double w) { return w != 1.0; });
-    });
+    base_.target.weighted |=
+        std::ranges::any_of(items_, [](const Item& item) { return item.key->name == "target.weights"; });
   }
 
   std::size_t count() const { return count_; }

@@ -504,10 +504,14 @@ void hexservo_scenario_destroy(hexservo_scenario* scenario) { delete scenario; }
 const char* hexservo_scenario_message(const hexservo_scenario* scenario) { return scenario->message.c_str(); }
 
 size_t hexservo_scenario_key_count(const hexservo_scenario* scenario) {
-  return scenario_keys(scenario->settings.law()).size();
+  try {
+    return scenario_keys(scenario->settings.law()).size();
+  } catch (...) {  // too little memory for the table
+    return 0;
+  }
 }
 
-int hexservo_scenario_key(const hexservo_scenario* scenario, size_t index, hexservo_key* key) {
+int hexservo_scenario_key(const hexservo_scenario* scenario, size_t index, hexservo_key* key) try {
   const LawId law = scenario->settings.law();
   const std::vector<ScenarioKey>& keys = scenario_keys(law);
   if (index >= keys.size()) return 0;
@@ -520,6 +524,8 @@ int hexservo_scenario_key(const hexservo_scenario* scenario, size_t index, hexse
   if (from.type == KeyType::samples) key->rows = 0, key->columns = from.field.columns;
   if (from.per_point > 0) key->rows = from.per_point * scenario->settings.target.count() / from.columns;
   return 1;
+} catch (...) {  // too little memory for the table
+  return 0;
 }
 
 size_t hexservo_scenario_points(const hexservo_scenario* scenario) {
@@ -727,9 +733,10 @@ void hexservo_input_clear(hexservo_input* input) {
 
 void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hexservo_input* input,
                    hexservo_output* output) {
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();  // no frame
   const ControllerInputOf<kMostPoints> taken{
       input->now,
-      {input->exposure,
+      {input->features != nullptr && input->depth != nullptr ? input->exposure : kNone,
        {read<2 * kMostPoints>(input->features, 2 * gains->points), read<kMostPoints>(input->depth, gains->points)}},
       {read<3>(input->position), read<4>(input->quaternion)},
       read<6>(input->twist),

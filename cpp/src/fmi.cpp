@@ -572,11 +572,11 @@ FMI const char* fmi2GetVersion() { return "2.0"; }
 FMI int fmi2SetDebugLogging(void*, int, std::size_t, const char* const*) { return ok; }
 
 FMI void* fmi2Instantiate(const char* name, int type, const char* guid, const char* resources,
-                          const Fmi2Callbacks* callbacks, int, int) {
+                          const Fmi2Callbacks* callbacks, int, int) try {
   Unit::Log log;
   if (callbacks != nullptr && callbacks->logger != nullptr)
-    log = [logger = callbacks->logger, environment = callbacks->environment, given = std::string(name)](
-              bool failed, const char* message) {
+    log = [logger = callbacks->logger, environment = callbacks->environment,
+           given = std::string(name == nullptr ? "" : name)](bool failed, const char* message) {
       logger(environment, given.c_str(), failed ? error : warning, failed ? "logStatusError" : "logStatusWarning", "%s",
              message);
     };
@@ -584,11 +584,9 @@ FMI void* fmi2Instantiate(const char* name, int type, const char* guid, const ch
     if (log) log(true, "expected co-simulation, which is all that this unit has");
     return nullptr;
   }
-  try {
-    return made(path_of(resources), guid, log);
-  } catch (...) {
-    return nullptr;
-  }
+  return made(path_of(resources), guid, log);
+} catch (...) {
+  return nullptr;
 }
 FMI void fmi2FreeInstance(void* instance) { delete static_cast<Unit*>(instance); }
 

@@ -82,7 +82,10 @@ struct SampledRun::BooksOf final : Books {
       plant.command(Vector6<double>::Zero());
       rows.emplace(request, plant.record(), no_weights);
     }
+    RunAnswer& answer = log.answer();
     detail::answer(plant.record(), no_weights, static_cast<double>(plant.plant().ticks()), !complete, 0, request);
+    // Also where only the command of the last tick is missing, whose step has been made.
+    answer.interrupted = !complete && answer.cause == static_cast<int>(StopCause::none);
     rows->end(0);
     return log.finish(step, hexapod);
   }

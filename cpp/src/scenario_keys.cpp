@@ -92,7 +92,10 @@ void put(const ScenarioKey& key, Eigen::Matrix<double, R, C, options, max_rows, 
 }
 
 void put(const ScenarioKey& /*key*/, double& to, Numbers from) { to = from[0]; }
-void put(const ScenarioKey& /*key*/, bool& to, Numbers from) { to = from[0] != 0.0; }
+void put(const ScenarioKey& key, bool& to, Numbers from) {
+  if (from[0] != 0.0 && from[0] != 1.0) refuse(key.name, "1 or 0", words(from[0]));
+  to = from[0] == 1.0;
+}
 void put(const ScenarioKey& key, long long& to, Numbers from) {
   if (!(std::abs(from[0]) <= kMostWhole) || from[0] != std::floor(from[0]))
     refuse(key.name, detail::expected(key.field.bound, true), words(from[0]));

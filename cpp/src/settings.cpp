@@ -1,6 +1,7 @@
 #include "hexservo/settings.hpp"
 
 #include "hexservo/position_actuators.hpp"
+#include "hexservo/simulation.hpp"
 #include "motion.hpp"
 #include "walk.hpp"
 
@@ -311,7 +312,6 @@ template <class Law, int N>
 void require_motion(const Settings& settings, const LoopParameters<double, Law, N>& p) {
   if (p.mode != LoopMode::sampled || !takes_positions(p.actuators.kind)) return;
   const std::string block = words("controller.", Law::traits.name, ".");
-  const Vector6<double> inertia = mass_matrix(p.body, Matrix3<double>(Matrix3<double>::Identity())).diagonal();
   if constexpr (requires { Law::viscosity(p.gains); }) {
     if (!(Law::viscosity(p.gains).minCoeff() > 0.0))
       refuse(block + (Law::traits.output == LawOutput::twist ? "ki" : "kd"),
@@ -323,12 +323,26 @@ void require_motion(const Settings& settings, const LoopParameters<double, Law, 
              "other numbers");
   }
   constexpr double kStable = 2.5;  // of the Runge-Kutta method on the negative axis, 2.78
-  for (int i = 0; i < 6; ++i)
-    if (!(p.virtual_damping(i) * p.step <= kStable * inertia(i)))
-      refuse(
-          words("controller.virtual_platform.damping[", i, "]"),
-          words("at most ", kStable * inertia(i) / p.step, ", that of a motion which lasts longer than a servo period"),
-          words(p.virtual_damping(i)));
+  const Matrix3<double> R_BE = rotation_matrix(home_pose(p.hexapod).quaternion);
+  const Matrix6<double> mobility = mass_matrix(p.body, R_BE).inverse();
+  for (int i = 0; i < 6; ++i) {
+    const double most = kStable / (mobility(i, i) * p.step);  // of this one alone
+    if (!(p.virtual_damping(i) <= most))
+      refuse(words("controller.virtual_platform.damping[", i, "]"),
+             words("at most ", most, ", that of a motion which lasts longer than a servo period"),
+             words(p.virtual_damping(i)));
+  }
+  const Vector6<double> root = p.virtual_damping.cwiseSqrt();
+  const double fastest =
+      Eigen::SelfAdjointEigenSolver<Matrix6<double>>(root.asDiagonal() * mobility * root.asDiagonal(),
+                                                     Eigen::EigenvaluesOnly)
+          .eigenvalues()(5) *
+      p.step;
+  if (!(fastest <= kStable))  // entries that are coupled by the inertia are faster together
+    refuse("controller.virtual_platform.damping",
+           words("at most ", kStable / fastest, " of these numbers, which together make a motion last less than a servo ",
+                 "period"),
+           words(fastest, " per period"));
 }
 
 /// That the legs' steps follow their motors: the midpoint rule is stable for (kv + damping) a h < 2 and for an
@@ -377,12 +391,25 @@ std::string nearest_grid(double step, double duration) {
                above * step);
 }
 
-/// Why a run would stop before its first step.
+/// That a run would not stop before its first step.
 template <class Law, int N>
-StopCause cause_at_start(const LoopParameters<double, Law, N>& p) {
-  const double cause = p.mode == LoopMode::sampled ? SampledLoop<double, Law, N>(p).record().cause()
-                                                   : ClosedLoop<double, Law, N>(p).record().cause();
-  return static_cast<StopCause>(static_cast<int>(cause));
+void require_running_start(const LoopParameters<double, Law, N>& p) {
+  const auto require = [](const LoopRecord<double, N>& record) {
+    const auto cause = static_cast<StopCause>(static_cast<int>(record.cause()));
+    if (cause == StopCause::none) return;
+    const std::string why = "one where " + describe(cause, 0.0, static_cast<int>(record.limit_leg()));
+    if (cause == StopCause::solver_failed)
+      refuse("sensors", "encoders whose first readings belong to a pose (noise, resolution)", why);
+    if (cause == StopCause::feature_lost)
+      refuse("camera.image_size", "an image that shows every point at the start, where camera.on_lost is stop", why);
+    if (cause == StopCause::singular || outcome_of(cause) == Outcome::leg_limit)
+      refuse("simulation.start", "a start from which the run goes on", why);
+    refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
+  };
+  if (p.mode == LoopMode::sampled)
+    require(SampledLoop<double, Law, N>(p).record());
+  else
+    require(ClosedLoop<double, Law, N>(p).record());
 }
 
 }  // namespace
@@ -414,11 +441,12 @@ long long step_count(const SimulationSettings& simulation) {
   return static_cast<long long>(steps);
 }
 
-SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, double delay) {
+SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, const Matrix3<double>& R_BE,
+                             double delay) {
   detail::require_bounds("controller.safe", settings);
   const double w = std::min(kFastestBrake, kBrakePhase / delay);
-  Vector6<double> inertia;
-  inertia << Vector3<double>::Constant(body.mass), body.inertia_E.diagonal();
+  Vector6<double> inertia;  // the brake acts in B, as the twist does
+  inertia << Vector3<double>::Constant(body.mass), inertia_in_base(body, R_BE).diagonal();
   return {settings.damping.value_or(2.0 * w * inertia), settings.hold.value_or(w * w * inertia)};
 }
 
@@ -508,7 +536,7 @@ void prepare_devices(const Settings& settings, SceneParameters<double, N>& p) {
   const double delay = p.step * static_cast<double>((p.pose_source == PoseSource::encoders ? p.encoders.period : 1) +
                                                     p.actuators.delay) +
                        1.0 / (2.0 * kPi * p.actuators.bandwidth);
-  p.safe = safe_gains(settings.controller.safe, p.body, delay);
+  p.safe = safe_gains(settings.controller.safe, p.body, rotation_matrix(home_pose(p.hexapod).quaternion), delay);
   detail::prepare_motions(settings, p);
   p.on_limit = settings.robot.on_limit;
   p.seed = seed_halves(settings.seed);
@@ -694,11 +722,7 @@ LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const H
   }
   require_motion(settings, p);
   require_steps_for_motors(p);
-  const StopCause cause = cause_at_start(p);
-  if (cause == StopCause::solver_failed)
-    refuse("sensors.noise", "encoders whose first readings belong to a pose", words(p.encoders.noise, " m"));
-  if (cause != StopCause::none)
-    refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
+  require_running_start(p);
   return p;
 }
 

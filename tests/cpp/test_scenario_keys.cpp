@@ -103,6 +103,8 @@ TEST_CASE("another count, a fraction of a whole number and unknown choices are r
   CHECK(refused("controller.hybrid.kp", std::vector<double>(34, 1.0)));
   CHECK(refused("base_motion.samples", {1.0, 2.0}));
   CHECK(refused("simulation.substeps", {1.5}));
+  CHECK(refused("actuators.saturation", {0.5}));
+  CHECK(refused("actuators.saturation", {kNaN}));
   CHECK(refused("camera.convention", {1.0}));
   CHECK(is_about(refusal([&] { set_choice(settings, scenario_key(settings.law(), "camera.on_lost"), "wait"); }),
                  "camera.on_lost"));

@@ -8,6 +8,7 @@
 #include "scenarios.hpp"
 
 #include <functional>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -358,6 +359,53 @@ TEST_CASE("gains whose wrench overflows at the start are refused: a finite wrenc
     s.gains<Hybrid>().fuzzy.table.setConstant(1e10);
   });
   CHECK(unused == weights);
+}
+
+TEST_CASE("a start from which a run would stop at once is refused with its cause") {
+  const auto refused = [](const Change& change) {
+    PaperSettings settings = paper_settings();
+    settings.simulation.mode = LoopMode::sampled;
+    change(settings);
+    return refusal([&] { check_settings(settings); });
+  };
+  const std::string beyond = refused([](PaperSettings& s) {
+    s.robot.on_limit = LimitPolicy::stop;
+    s.simulation.start.pose(2) = 0.03;  // some 22 mm of leg travel
+  });
+  CHECK(is_about(beyond, "simulation.start"));
+  CHECK(beyond.find("passed its stroke") != std::string::npos);
+  const std::string fast = refused([](PaperSettings& s) {
+    s.robot.on_limit = LimitPolicy::stop;
+    s.robot.speed_limit = 0.01;
+    s.simulation.start.twist(2) = 0.1;
+  });
+  CHECK(is_about(fast, "simulation.start"));
+  CHECK(fast.find("passed its speed limit") != std::string::npos);
+  const std::string hidden = refused([](PaperSettings& s) {
+    s.camera.on_lost = LostFeature::stop;
+    s.camera.image_size = Vector2<double>(100.0, 100.0);
+  });
+  CHECK(is_about(hidden, "camera.image_size"));
+}
+
+TEST_CASE("the brake is that of the machine, however its platform's frame is turned") {
+  Random random(9301);
+  CAPTURE(random.seed());
+  const Vector3<double> rod(1e-5, 1.5e-4, 1.5e-4);
+  PaperSettings plain = paper_settings(), turned = paper_settings();
+  plain.simulation.mode = turned.simulation.mode = LoopMode::sampled;
+  plain.robot.inertia = rod.asDiagonal();
+  turned.robot.inertia = Vector3<double>(rod(1), rod(0), rod(2)).asDiagonal();  // E turned by 90 degrees about z
+  turned.robot.home_attitude = {0.0, 0.0, std::numbers::pi / 2.0};
+  turned.robot.platform_angles.array() -= std::numbers::pi / 2.0;
+  const auto expected = loop_parameters<Hybrid>(plain), found = loop_parameters<Hybrid>(turned);
+  const auto legs = [](const auto& p) {
+    return inverse_kinematics(p.hexapod, p.hexapod.home_position, rotation_matrix(home_pose(p.hexapod).quaternion));
+  };
+  REQUIRE(distance(legs(found).lengths, legs(expected).lengths) <= 1e-15);  // the same machine
+  CHECK(relative_distance(found.safe.damping, expected.safe.damping) <= 1e-14);
+  CHECK(relative_distance(found.safe.hold, expected.safe.hold) <= 1e-14);
+  CHECK(expected.safe.damping(3) < 0.1 * expected.safe.damping(4));
 }
 
 TEST_CASE("simulate refuses what check_settings refuses, with the same words") {

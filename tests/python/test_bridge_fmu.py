@@ -208,6 +208,15 @@ def test_the_loop_is_the_run_bit_for_bit(make: Any, fmi: int, name: str) -> None
         np.testing.assert_array_equal(unit.get(f"metric_{metric}"), value, err_msg=metric)
 
 
+def test_what_has_no_effect_is_no_parameter(make: Any) -> None:
+    loop = make(hs.load_scenario("paper").updated(SHORT), 2).instance()
+    loop.start()
+    assert not {"camera.noise", "camera.latency", "actuators.kind", "sensors.noise"} & set(loop.references)
+    sampled = make(hs.load_scenario("paper").updated({**SHORT, "simulation.mode": "sampled"}), 2).instance()
+    sampled.start()
+    assert {"camera.noise", "camera.latency", "actuators.kind", "sensors.noise"} <= set(sampled.references)
+
+
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_parameters_reset_and_several_instances(make: Any, fmi: int) -> None:
     scenario = hs.load_scenario("paper").updated(SHORT)

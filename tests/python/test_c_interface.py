@@ -157,6 +157,8 @@ def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CD
         ("simulation.mode", "slow", "simulation.mode: expected one of continuous, sampled"),
         ("seed", "-1", "seed: expected a whole number from 0 to 2^64 - 1"),
         ("simulation.substeps", "1.5", "simulation.substeps: expected a whole number"),
+        ("actuators.saturation", "nan", "actuators.saturation: expected 1 or 0, got nan"),
+        ("actuators.saturation", "7", "actuators.saturation: expected 1 or 0, got 7"),
     ):
         before = scenario.get(key)
         assert scenario.set(key, text) == REFUSED

@@ -140,6 +140,19 @@ def test_ctrl_c_keeps_what_was_computed(sampled: hs.Scenario) -> None:
     assert 0.045 <= result.end_time <= 0.055
 
 
+def test_a_run_without_the_command_of_its_last_tick_is_interrupted(sampled: hs.Scenario) -> None:
+    last = round(sampled.simulation.duration / sampled.simulation.step)
+
+    def presses(seen: hs.Observation) -> np.ndarray[Any, Any]:
+        if seen.tick == last:
+            os.kill(os.getpid(), signal.SIGINT)
+        return hold(seen)
+
+    result = hs.simulate(sampled, controller=presses)
+    assert result.outcome == "interrupted"
+    assert result.end_time < sampled.simulation.duration
+
+
 def test_it_is_for_sampled_mode(sampled: hs.Scenario, paper: hs.Scenario) -> None:
     with pytest.raises(ValueError, match=r"simulation\.mode: expected sampled for a custom controller"):
         hs.simulate(paper, controller=hold)

@@ -228,6 +228,13 @@ def test_weights_vary_in_a_batch(paper: hs.Scenario) -> None:
     for index, weights in enumerate(rows):
         run = hs.simulate(scenario.updated({"target.weights": weights.tolist()}))
         np.testing.assert_allclose(batch.samples["position"][index], run.position[-1], rtol=1e-9)
+    alone = hs.simulate_batch(scenario, {"target.weights": rows[:1]}, threads=1)
+    for name in batch.metrics:
+        np.testing.assert_array_equal(batch.metrics[name][0], alone.metrics[name][0], err_msg=name)
+    weighted = scenario.updated({"target.weights": rows[1].tolist()})
+    replaced = hs.simulate_batch(weighted, {"target.weights": rows[:1]}, threads=1)
+    for name in batch.metrics:
+        np.testing.assert_array_equal(replaced.metrics[name], alone.metrics[name], err_msg=name)
     with pytest.raises(ValueError, match=r"target.weights: expected shape \(n,\) or \(n, 4\)"):
         hs.simulate_batch(scenario, {"target.weights": np.ones((2, 5))})
 

@@ -355,6 +355,17 @@ def test_a_batch_is_its_single_runs(law: str) -> None:
         ({"controller.safe.hold": 1.0}, "controller.safe.hold"),
         ({"camera.convention": "as_printed"}, "camera.convention"),
         ({"controller.virtual_platform.damping": 1e4}, "controller.virtual_platform.damping[0]"),
+        (  # E's x, of half the inertia of z, lies along B's z
+            {"robot.home_attitude": [0.0, 1.5707963, 0.0], "controller.virtual_platform.damping": [0.0] * 5 + [0.5]},
+            "controller.virtual_platform.damping[5]",
+        ),
+        (  # each may act alone
+            {
+                "robot.inertia": [[3e-4, 0, 2.4e-4], [0, 3e-4, 0], [2.4e-4, 0, 3e-4]],
+                "controller.virtual_platform.damping": [0.0, 0.0, 0.0, 0.2, 0.0, 0.2],
+            },
+            "controller.virtual_platform.damping: expected at most",
+        ),
         (
             {"controller.law": "pbvs", "uncertainty.depth": 0.0, "controller.virtual_platform.damping": 1.0},
             "controller.virtual_platform.damping",

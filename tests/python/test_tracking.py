@@ -245,6 +245,32 @@ def test_a_pose_is_followed() -> None:
     assert hs.metrics(run)["final_error"] < 1.0
 
 
+def test_what_is_followed_stands_still_after_a_second_without_frames() -> None:
+    """The command ends where the target is predicted then, not where its velocity points from there."""
+    velocity = 0.1
+    scenario = head(0.0).updated(
+        {
+            "target.motion": {"kind": "velocity", "velocity": [0.0, velocity, 0.0]},
+            "camera": {"noise": 0.0, "image_size": None},
+            "simulation.duration": 1.5,
+        }
+    )
+    ticks = ticks_of(scenario)
+    controller = hs.Controller(scenario)
+    for k in range(len(ticks["now"])):
+        out = step(controller, ticks, k)
+    for _ in range(250):  # 5 s; the legs follow
+        out = controller.step(leg_lengths=out.leg_positions)
+        assert out.status == "valid"
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    pose = hexapod.forward_kinematics(out.leg_positions, hexapod.home_position, hexapod.home_quaternion)
+    ray = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).apply([1.0, 0.0, 0.0])
+    aimed = CENTRE[1] + DISTANCE * ray[1] / ray[0]
+    predicted = velocity * (np.nanmax(ticks["exposure"]) + 1.0)
+    print(f"aimed at {1e3 * aimed:.1f} mm, predicted {1e3 * predicted:.1f} mm")
+    assert aimed == pytest.approx(predicted, abs=0.02 * velocity)  # the filter's velocity, and a ray from home
+
+
 def test_a_point_whose_pixel_lies_on_no_ray_is_not_seen() -> None:
     """The pinhole has no feature for it: as if its pixel had not been found, whatever the others show."""
     lens = {"brown_conrady": [-0.5, 0.0, 0.0, 0.0, 0.0]}

@@ -60,11 +60,12 @@ template <class S>
 class Lens {
  public:
   explicit Lens(const LensParameters<S>& p = {}) : p_(p) {
-    converts_ = p.model != LensModel::pinhole ||
-                !all((p.focal(0) == p.f) & (p.focal(1) == -p.f) & (p.centre(0) == S(0.0)) & (p.centre(1) == S(0.0)));
+    differ_ = Mask<S>(p.model != LensModel::pinhole) |
+              !((p.focal(0) == p.f) & (p.focal(1) == -p.f) & (p.centre(0) == S(0.0)) & (p.centre(1) == S(0.0)));
+    converts_ = any(differ_);
   }
 
-  /// Whether pixels differ from features, in any lane: otherwise both are left as they are.
+  /// Whether pixels differ from features, in any lane. Where they do not, both are left as they are, to the bit.
   bool converts() const noexcept { return converts_; }
 
   /// Distortion of n.
@@ -143,14 +144,20 @@ class Lens {
   Vector<S, M> pixels(const Vector<S, M>& features) const noexcept {
     if (!converts_) return features;
     Vector<S, M> out;
-    for (int i = 0; i < M; i += 2) out.template segment<2>(i) = pixel(Vector2<S>(features.template segment<2>(i)));
+    for (int i = 0; i < M; i += 2) {
+      const Vector2<S> same = features.template segment<2>(i);
+      out.template segment<2>(i) = select(differ_, pixel(same), same);
+    }
     return out;
   }
   template <int M>
   Vector<S, M> features(const Vector<S, M>& pixels) const noexcept {
     if (!converts_) return pixels;
     Vector<S, M> out;
-    for (int i = 0; i < M; i += 2) out.template segment<2>(i) = feature(Vector2<S>(pixels.template segment<2>(i)));
+    for (int i = 0; i < M; i += 2) {
+      const Vector2<S> same = pixels.template segment<2>(i);
+      out.template segment<2>(i) = select(differ_, feature(same), same);
+    }
     return out;
   }
 
@@ -171,6 +178,7 @@ class Lens {
   }
 
   LensParameters<S> p_;
+  Mask<S> differ_;
   bool converts_ = false;
 };
 

@@ -357,12 +357,13 @@ template <class S, int N>
 void pose_ahead(const TrackingPlan<S, N>& plan, const TrackingState<S>& state, double now, const S& period,
                 Pose<S>& pose, Vector6<S>& twist) noexcept {
   const TrackedTarget<S>& target = state.target;
-  const S ahead =
-      min(S((S(now + plan.delay) - target.seen_at) * period + state.latency_range.estimate + S(0.5 * plan.jitter)),
-          S(kLongestPrediction));
+  const S age =
+      (S(now + plan.delay) - target.seen_at) * period + state.latency_range.estimate + S(0.5 * plan.jitter);
+  const S ahead = min(age, S(kLongestPrediction));
   twist = target.twist.cwiseProduct(target.moving);
   const Mask<S> rests = largest_abs(target.moving) == S(0.0);
   pose = select_pose<S>(rests, target.mean, carried<S>(target.place, twist, select(target.known, ahead, S(0.0))));
+  twist *= select(age > S(kLongestPrediction), S(0.0), S(1.0));  // what is followed stands still from there on
   if (plan.follow == Follow::pose) {
     pose = of_unit_length<S>(pose);
     return;

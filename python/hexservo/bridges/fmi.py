@@ -50,7 +50,8 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     ----------
     scenario
         What the unit starts with. Every key of the core that holds numbers or a name is a parameter, array entries one
-        by one: ``robot.mass`` [kg], ``uncertainty.gravity[3]``.
+        by one: ``robot.mass`` [kg], ``uncertainty.gravity[3]``. In continuous mode those that act in sampled mode alone
+        are none.
     fmi
         Version of the standard: 2 (2.0) or 3 (3.0).
     what
@@ -145,11 +146,14 @@ def _is_ours(path: Path) -> bool:
 
 
 def _parameters(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
-    """Yield every key of the core's table that has a finite value: arrays entry by entry."""
+    """Yield every key of the core's table that has a finite value and acts in the mode: arrays entry by entry."""
     texts = flat(scenario)
+    sampled = scenario.simulation.mode == "sampled"
     for key in _core.scenario_keys(settings.law):
         text = texts[key.name]
         if key.type not in _TYPES or key.name in _LEFT_OUT or (text == "none" and key.type != "choice"):
+            continue
+        if key.sampled and not sampled:
             continue
         kind = _TYPES[key.type]
         if kind == "text":
