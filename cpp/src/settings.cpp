@@ -333,15 +333,14 @@ void require_motion(const Settings& settings, const LoopParameters<double, Law, 
              words(p.virtual_damping(i)));
   }
   const Vector6<double> root = p.virtual_damping.cwiseSqrt();
-  const double fastest =
-      Eigen::SelfAdjointEigenSolver<Matrix6<double>>(root.asDiagonal() * mobility * root.asDiagonal(),
-                                                     Eigen::EigenvaluesOnly)
-          .eigenvalues()(5) *
-      p.step;
+  const double fastest = Eigen::SelfAdjointEigenSolver<Matrix6<double>>(
+                             root.asDiagonal() * mobility * root.asDiagonal(), Eigen::EigenvaluesOnly)
+                             .eigenvalues()(5) *
+                         p.step;
   if (!(fastest <= kStable))  // entries that are coupled by the inertia are faster together
     refuse("controller.virtual_platform.damping",
-           words("at most ", kStable / fastest, " of these numbers, which together make a motion last less than a servo ",
-                 "period"),
+           words("at most ", kStable / fastest,
+                 " of these numbers, which together make a motion last less than a servo ", "period"),
            words(fastest, " per period"));
 }
 

@@ -293,8 +293,8 @@ long long step_count(const SimulationSettings& simulation);
 ///
 ///     K_h = w^2 D,  K_s = 2 w D,  w = min(100 rad/s, 0.2/delay)
 ///
-/// with the diagonal D of the estimated inertia at home, in B, and as delay the time between two readings of the joints plus what the
-/// actuators are late.
+/// with the diagonal D of the estimated inertia at home, in B, and as delay the time between two readings of the joints
+/// plus what the actuators are late.
 /// @param R_BE attitude of home
 /// @param delay [s]
 /// @throws std::invalid_argument for a gain that is negative or not finite

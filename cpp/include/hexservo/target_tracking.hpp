@@ -357,8 +357,7 @@ template <class S, int N>
 void pose_ahead(const TrackingPlan<S, N>& plan, const TrackingState<S>& state, double now, const S& period,
                 Pose<S>& pose, Vector6<S>& twist) noexcept {
   const TrackedTarget<S>& target = state.target;
-  const S age =
-      (S(now + plan.delay) - target.seen_at) * period + state.latency_range.estimate + S(0.5 * plan.jitter);
+  const S age = (S(now + plan.delay) - target.seen_at) * period + state.latency_range.estimate + S(0.5 * plan.jitter);
   const S ahead = min(age, S(kLongestPrediction));
   twist = target.twist.cwiseProduct(target.moving);
   const Mask<S> rests = largest_abs(target.moving) == S(0.0);
