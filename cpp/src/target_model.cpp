@@ -78,11 +78,11 @@ std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eig
     least = std::min(least, fit.squared_residual);
   };
   for (const Pose<double>& start : goal_starts(camera, centroid, home)) {
-    const Fit fit = fit_pose<double, N>(camera, points, desired_features, none, start, kGoalRounds, weights);
+    const Fit fit = fit_pose<double, N>(camera, points, desired_features, none, start, {kGoalRounds}, weights);
     keep(fit);
     if (least <= kExactGoal) break;
     keep(fit_pose<double, N>(camera, points, desired_features, none,
-                             mirrored_pose<double, N>(camera, points_T, fit.pose, weights), kGoalRounds, weights));
+                             mirrored_pose<double, N>(camera, points_T, fit.pose, weights), {kGoalRounds}, weights));
   }
   return found;
 }

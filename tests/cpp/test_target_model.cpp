@@ -287,7 +287,7 @@ TEST_CASE("the unexplained variance is that of the noise, whatever the prior") {
       const Pose<double> truth = moved(kHome, random.matrix<3>(0.015), random.matrix<3>(0.1));
       const Features measured = noisy(seen_from(truth, points), sigma, random);
       const PosePrior<double> prior{truth, strong};
-      const auto fit = fit_pose<double, 4>(kFocal, Vectors3<double, 4>(points), measured, prior, truth, kPoseRounds);
+      const auto fit = fit_pose<double, 4>(kFocal, Vectors3<double, 4>(points), measured, prior, truth, {kPoseRounds});
       const double variance = unexplained_variance<double, 4>(kFocal, fit, measured),
                    unexplained = residual_parts(fit.pose, points, measured).unexplained;
       CHECK(std::abs(variance - unexplained * unexplained / 2.0) <= 1e-6 * measured.squaredNorm() * kEpsilon / 1e-13);
@@ -330,7 +330,7 @@ TEST_CASE("without noise a prior that contradicts the image gives way: the targe
     const PosePrior<double> prior{truth, strong};
     fixed = std::max(
         fixed,
-        largest_residual(fit_pose<double, 4>(kFocal, Vectors3<double, 4>(believed), measured, prior, truth, 15).pose,
+        largest_residual(fit_pose<double, 4>(kFocal, Vectors3<double, 4>(believed), measured, prior, truth, {15}).pose,
                          believed, measured));
   }
   MESSAGE("seed ", random.seed(), ": at most ", worst, " px off, with a fixed prior ", fixed, " px");
@@ -357,6 +357,63 @@ TEST_CASE("a prior takes the noise out of what the image hardly constrains") {
   MESSAGE("seed ", random.seed(), ": ", 1e3 * std::sqrt(without / 500), " mm, with a prior ",
           1e3 * std::sqrt(with / 500), " mm");
   CHECK(with < 0.04 * without);
+}
+
+TEST_CASE("a fit that ends early ends where endless rounds do, to rounding") {
+  Random random(9117);
+  CAPTURE(random.seed());
+  const Points points = paper_points();
+  const Vectors3<double, 4> packed(points);
+  const PosePrior<double> none{kHome, kImageAlone};
+  double worst = 0.0;
+  for (int trial = 0; trial < 1000; ++trial) {
+    CAPTURE(trial);
+    const Pose<double> truth = moved(kHome, random.matrix<3>(0.015), random.matrix<3>(0.1)),
+                       start = moved(truth, random.matrix<3>(0.002), random.matrix<3>(0.005));
+    const PosePrior<double> prior{start, linear_angular<double>(1e5, 16000.0)};
+    const Features measured = noisy(seen_from(truth, points), 0.2, random);
+    const auto early = fit_pose<double, 4>(kFocal, packed, measured, prior, start, {kPoseRounds + kPolishRounds});
+    const auto endless = fit_pose<double, 4>(kFocal, packed, measured, prior, start, {100, 0.0});
+    worst = std::max(worst, far_from(early.pose, endless.pose));
+  }
+  MESSAGE("seed ", random.seed(), ": ", worst, " m or rad apart");
+  CHECK(worst <= 1e-13);
+}
+
+TEST_CASE("where the prior decides no other pose is better, and a prior that is weak decides nothing") {
+  Random random(9118);
+  CAPTURE(random.seed());
+  Points points;  // a square that looks small, where the two poses are apart
+  for (int i = 0; i < 4; ++i)
+    points.col(i) = kHome.position + Vector3<double>(i < 2 ? 0.025 : -0.025, i % 2 == 0 ? 0.025 : -0.025, -0.5);
+  const Vectors3<double, 4> packed(points);
+  const Vector3<double> centroid = points.rowwise().mean();
+  int decided = 0, better = 0, open = 0;
+  for (int trial = 0; trial < 4000; ++trial) {
+    CAPTURE(trial);
+    const Vector6<double> weight = std::pow(10.0, random.uniform(-7.0, 1.0)) * linear_angular<double>(1e5, 16000.0);
+    Pose<double> truth = moved(kHome, Vector3<double>::Zero(), random.matrix<3>(0.7));
+    truth.position = centroid - rotation_of(truth.quaternion) * (centroid - kHome.position);  // tilted about the points
+    // sensors at the truth, or at the pose that looks alike
+    const Pose<double> joints = trial % 2 == 0 ? moved(truth, random.matrix<3>(0.005), random.matrix<3>(0.02))
+                                               : mirrored_pose<double, 4>(kFocal, points, truth);
+    const PosePrior<double> prior{joints, weight};
+    const Features measured = noisy(seen_from(truth, points), std::pow(10.0, random.uniform(-3.0, 0.0)), random);
+    const auto fit = fit_pose<double, 4>(kFocal, packed, measured, prior, joints, {kPoseRounds});
+    const auto other =
+        fit_pose<double, 4>(kFocal, packed, measured, prior, mirrored_pose<double, 4>(kFocal, points, fit.pose), {60});
+    const bool decides = prior_decides<double, 4>(kFocal, points, prior, fit);
+    const bool clearly = other.cost < kMirrorShare * fit.cost;
+    decided += decides;
+    better += clearly;
+    if (decides) CHECK_FALSE(clearly);
+    const PosePrior<double> one_free{joints, (Vector6<double>() << 1e9, 1e9, 1e9, 1e9, 1e9, 0.0).finished()};
+    open += !prior_decides<double, 4>(kFocal, points, one_free, fit);
+  }
+  MESSAGE("seed ", random.seed(), ": the prior decides ", decided, ", another pose is better for ", better);
+  CHECK(decided > 200);
+  CHECK(better > 200);
+  CHECK(open == 4000);
 }
 
 TEST_CASE("the mirrored pose turns the points' plane over about the line of sight, and gives nearly the same image") {
@@ -406,7 +463,7 @@ TEST_CASE("planar ambiguity: from the wrong side the estimate changes to the tru
     // exact image, start beside the mirrored pose
     const Pose<double> start = mirrored_pose<double, 4>(kFocal, points, truth);
     const PoseFit<double, 4> near =
-        fit_pose<double, 4>(kFocal, Vectors3<double, 4>(points), exact, kNoPrior, start, kPoseRounds + kPolishRounds);
+        fit_pose<double, 4>(kFocal, Vectors3<double, 4>(points), exact, kNoPrior, start, {kPoseRounds + kPolishRounds});
     const PoseEstimate<double> found = estimate_pose<double, 4>(kFocal, points, exact, start, kImageAlone);
     fooled += far_from(near.pose, truth) > 0.05;
     wrong += far_from(found.pose, truth) > 1e-6;
@@ -427,7 +484,7 @@ TEST_CASE("a step is limited, and what cannot be solved is marked") {
   Points points = random_points(random);
   const Features good = seen_from(kHome, points);
   const PoseFit<double, 4> far =
-      fit_pose<double, 4>(kFocal, Vectors3<double, 4>(points), 100.0 * good, kNoPrior, kHome, 1);
+      fit_pose<double, 4>(kFocal, Vectors3<double, 4>(points), 100.0 * good, kNoPrior, kHome, {1});
   CHECK(far_from(far.pose, kHome) <= 3.0 * 0.5 * 1.01);  // three first-order steps of a mean depth of 0.5 m, or rad
   CHECK(far_from(far.pose, kHome) > 0.0);
 

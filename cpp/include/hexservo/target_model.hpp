@@ -44,11 +44,16 @@ TargetModel<S, N> target_model(const CameraView<S>& camera, const Eigen::Matrix<
   return model;
 }
 
-inline constexpr int kPoseRounds = 5;         ///< of Levenberg-Marquardt from the start of an estimate
+inline constexpr int kPoseRounds = 6;         ///< of Levenberg-Marquardt from the start of an estimate
 inline constexpr int kMirrorRounds = 4;       ///< of those from the mirror image of what they find
-inline constexpr int kPolishRounds = 6;       ///< of those from the better of the two
+inline constexpr int kPolishRounds = 9;       ///< of those from the better of the two
 inline constexpr double kPoseStep = 0.5;      ///< largest first-order step of a round, in mean depths and in rad
-inline constexpr double kPoseDamping = 1e-6;  ///< of the first round, times the diagonal of J^T J [1]
+inline constexpr double kPoseDamping = 1e-6;  ///< after the first step that is refused, times the diagonal of J^T J [1]
+/// A step whose square is below the rounding of a pose: the last one of Newton's method [mean depths; rad].
+inline constexpr double kSettledFit = 1e-8;
+/// One whose square is below what a choice between two poses and a prior's share need [mean depths; rad].
+inline constexpr double kRoughFit = 1e-4;
+inline constexpr double kStraightStep = 1e-3;  ///< below it no line search can gain [mean depths; rad]
 /// Sums of squares r^2 cannot be compared below this times r: some hundred roundings of features of 1e3 px [px].
 inline constexpr double kResidualRounding = 1e-11;
 /// The mirror image replaces the pose that was found from the start where its squared residual is below this share [1].
@@ -205,6 +210,14 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
   return sum;
 }
 
+/// When a fit of a pose ends, beside its largest number of rounds.
+template <class S>
+struct FitEnd {
+  int rounds;                 ///< at most
+  double step = kSettledFit;  ///< a whole undamped step of Newton's method below it was the last one [mean depths; rad]
+  S hopeless = S(std::numeric_limits<double>::infinity());  ///< a fit whose cost ends above it is of no use [px^2]
+};
+
 /// Levenberg-Marquardt on the reprojection error: the pose from which known points look as measured, in the least
 /// squares, weighed against a prior: the minimum of C = |xi - xi(pose)|^2 + e^T M e, with the points' weights W. Never
 /// worse than its start, but for `kResidualRounding`.
@@ -212,34 +225,43 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
 /// Each round solves (A + mu diag(A)) d = J^T (xi - xi(pose)) + M e, A = J^T J + M, for a small displacement d in B and
 /// shortens it to `kPoseStep`. Where it is positive definite, Newton's matrix takes the place of A: it has the
 /// `feature_curvature` of the residual as well, with which the last rounds converge quadratically. What the full step
-/// changes beyond J d is the features' curvature along d, and `quartic_line_search` takes it into account; the better
-/// of the two steps is applied if it lowers C. mu follows the ratio of actual to expected decrease (Nielsen 1999).
-/// Where the expected decrease of C is below `kResidualRounding` sqrt(C), the costs differ by their rounding: there the
-/// full step is applied, which follows the gradient alone, and the pose is found to rounding instead of its square
-/// root. Always the same number of rounds: mu leaves a share of each step, and the next round takes it.
+/// changes beyond J d is the features' curvature along d, and `quartic_line_search` takes it into account where d is
+/// longer than `kStraightStep`; the better of the two steps is applied if it lowers C. mu follows the ratio of actual
+/// to expected decrease (Nielsen 1999), and is 0 after a decrease by what was expected, since it leaves a share of each
+/// step. Where the expected decrease of C is below `kResidualRounding` sqrt(C), the costs differ by their rounding:
+/// there the full step is applied, which follows the gradient alone, and the pose is found to rounding instead of its
+/// square root.
+///
+/// A lane ends by itself (`FitEnd`), so that its pose does not depend on its neighbours; the rounds end with the last.
 /// @param measured features [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param start its quaternion need not be of unit length
 template <class S, int N>
 PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points_T, const Vector<S, 2 * N>& measured,
-                       const PosePrior<S>& prior, const Pose<S>& start, int rounds,
+                       const PosePrior<S>& prior, const Pose<S>& start, const FitEnd<S>& end,
                        const PointWeights<S, N>& weights = {}) noexcept {
   using std::abs;
   using std::sqrt;
   PoseFit<S, N> best =
       pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(start, Vector6<S>::Zero()), weights);
-  S mu(kPoseDamping), growth(2.0);
-  for (int round = 0; round < rounds; ++round) {
+  S mu(0.0), growth(2.0);
+  Mask<S> ended(false);
+  for (int round = 0; round < end.rounds && !all(ended); ++round) {
     const ImageJacobian<S, N> J(camera, S(-1.0), best.features, best.inverse_depth, best.pose.position, best.R_BE);
     const Vector<S, 2 * N> residual = measured - best.features;
     const Vector6<S> gradient = J.pull(weights.times(residual)) + prior.gradient(best.prior_error);
     Matrix6<S> A = J.normal_matrix(weights);
     A.diagonal() += prior.weight;
+    const Mask<S> damped = mu > S(0.0);
     const Vector6<S> damping = mu * A.diagonal();
     A.diagonal() += damping;
-    const Cholesky<S, 6> gauss(A);
-    A -= feature_curvature<S, N>(camera, best, weights.times(residual));
-    const Cholesky<S, 6> newton(A);
-    Vector6<S> d = select(newton.failed(), gauss.solve(gradient), newton.solve(gradient));
+    const Cholesky<S, 6> newton(Matrix6<S>(A - feature_curvature<S, N>(camera, best, weights.times(residual))));
+    Vector6<S> d = newton.solve(gradient);
+    Mask<S> unsolved = newton.failed();
+    if (any(unsolved)) {
+      const Cholesky<S, 6> gauss(A);
+      d = select(unsolved, gauss.solve(gradient), d);
+      unsolved = unsolved & gauss.failed();
+    }
 
     S mean_depth(0.0);
     for (int i = 0; i < N; ++i) mean_depth += weights.share(i) / abs(best.inverse_depth(i));
@@ -250,22 +272,29 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
     const S expected = larger(S(d.dot(damping.cwiseProduct(d) + gradient)), S(1e-300));
     const Mask<S> rounding = expected * expected < S(kResidualRounding * kResidualRounding) *
                                                        (best.cost + S(kResidualRounding * kResidualRounding));
+    const Mask<S> straight = rounding | (length < S(kStraightStep));
     PoseFit<S, N> next = full;
-    if (!all(rounding)) {
+    if (!all(straight | ended)) {
       const Vector<S, 2 * N> Jd = J.push(d), bend = S(2.0) * (full.features - best.features - Jd);
       const S t =
           quartic_line_search<S, 2 * N>(weights.root_times(residual), weights.root_times(Jd), weights.root_times(bend));
       const PoseFit<S, N> bent =
           pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(best.pose, t * d), weights);
-      next.replace((bent.cost < full.cost) & !rounding, bent);
+      next.replace((bent.cost < full.cost) & !straight, bent);
     }
 
-    const Mask<S> better = (rounding | (next.cost < best.cost)) & is_finite(next.cost) & !gauss.failed();
+    const Mask<S> better = (rounding | (next.cost < best.cost)) & is_finite(next.cost) & !unsolved;
     const S surplus = S(2.0) * (best.cost - full.cost) / expected - S(1.0);
-    mu *= select(better, clip(S(S(1.0) - surplus * surplus * surplus), S(1.0 / 3.0), S(2.0)), growth);
-    mu = clip(mu, S(1e-14), S(1e8));
+    const Mask<S> as_expected = rounding | (surplus > S(0.5)),
+                  quadratic = better & straight & !newton.failed() & !damped;
+    const Mask<S> hopeless =
+        quadratic & as_expected & (expected < S(0.25) * best.cost) & (next.cost > S(2.0) * end.hopeless);
+    best.replace(better & !ended, next);
+    ended = ended | hopeless | (quadratic & (length < S(end.step)));
+    const S slower = clip(S(S(1.0) - surplus * surplus * surplus), S(1.0 / 3.0), S(2.0)) * mu;
+    mu = clip(select(better, select(as_expected, S(0.0), slower), S(larger(mu, S(kPoseDamping)) * growth)), S(0.0),
+              S(1e8));
     growth = select(better, S(2.0), S(larger(S(1.0), S(S(2.0) * growth))));
-    best.replace(better, next);
   }
   return best;
 }
@@ -385,6 +414,32 @@ S prior_share(const S& variance) noexcept {
   return larger(S(S(1.0) - S(kHalf) / (variance + S(kHalf - kExact))), S(kLeastPrior));  // 1 for an infinite variance
 }
 
+/// Whether the prior leaves no pose beside a fitted one whose cost is below `kMirrorShare` of its cost C.
+///
+/// Both poses would be within sqrt(C) of the prior's, in its norm |d|_M, and C is convex between them where the
+/// residual, less than 2 sqrt(C), times the second derivative of the weighed features is at most |d|_M^2. With Z the
+/// depth of a point, c >= 1 and at least its distance from E's origin over Z, n its normalised coordinates and w its
+/// weight, that derivative along d = (v, theta) is at most 3 f c^2 sqrt(w (1 + |n|^2)) (|v|/Z + |theta|)^2 for each
+/// point, and (|v|/Z + |theta|)^2 <= |d|_M^2 (1/(m_v Z^2) + 1/m_theta) with the least weights m_v and m_theta of M.
+template <class S, int N>
+Mask<S> prior_decides(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T, const PosePrior<S>& prior,
+                      const PoseFit<S, N>& fit, const PointWeights<S, N>& weights = {}) noexcept {
+  const Vector6<S>& m = prior.weight;
+  const S give_v = S(1.0) / min(min(m(0), m(1)), m(2)), give_theta = S(1.0) / min(min(m(3), m(4)), m(5));
+  const S f = camera.f, inverse_f = S(1.0) / f;
+  S squares(0.0);
+  for (int i = 0; i < N; ++i) {
+    Vector3<S> arm = points_T.col(i);
+    if (!camera.on_base()) arm -= fit.pose.position;
+    const S inverse_depth = fit.inverse_depth(i), closeness = inverse_depth * inverse_depth;
+    const S x = inverse_f * fit.features(2 * i), y = inverse_f * fit.features(2 * i + 1);
+    const S far = larger(S(closeness * arm.squaredNorm()), S(1.0));  // c^2
+    const S bound = far * (closeness * give_v + give_theta);
+    squares += weights.of_row(i, S((S(1.0) + x * x + y * y) * bound * bound));
+  }
+  return fit.cost * S(36.0) * f * f * squares <= S(1.0);
+}
+
 /// Pose estimated from an image.
 template <class S>
 struct PoseEstimate {
@@ -403,11 +458,12 @@ struct PoseEstimate {
 /// A planar target has two poses that look alike. The mirror image of what is found from the start is followed as well
 /// (`mirrored_pose`), and taken where its cost C is below `kMirrorShare` of the first one's: the pose near
 /// the joint sensors' stays unless the other one explains the image clearly better, so that noise alone does not make
-/// the estimate change sides from one image to the next.
+/// the estimate change sides from one image to the next. It need not be looked at where the first one explains the
+/// image to rounding, or `prior_decides`.
 ///
 /// The prior pulls the estimate towards the joint sensors even where the image is exact. So the first rounds have all
 /// of its weight, and those from the better of the two poses the `prior_share` of the noise that is measured there
-/// (`unexplained_variance`). Always the same number of rounds, and C is never above that of the start.
+/// (`unexplained_variance`). The number of rounds is bounded, and C is never above that of the start.
 /// @param points_T in T [m]
 /// @param features measured [px], by a camera that projects (`CameraConvention::eye_in_hand`)
 /// @param joints pose of the joint sensors: start, and centre of the prior; its quaternion need not be of unit length
@@ -419,16 +475,22 @@ PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S
                               const PointWeights<S, N>& weights = {}) noexcept {
   const Vectors3<S, N> points(points_T);
   PosePrior<S> prior{displaced<S>(joints, Vector6<S>::Zero()), prior_weight};
-  PoseFit<S, N> fit = fit_pose<S, N>(camera, points, features, prior, joints, kPoseRounds, weights);
-  const PoseFit<S, N> mirror =
-      fit_pose<S, N>(camera, points, features, prior, mirrored_pose<S, N>(camera, points_T, fit.pose, weights),
-                     kMirrorRounds, weights);
+  PoseFit<S, N> fit = fit_pose<S, N>(camera, points, features, prior, joints, {kPoseRounds, kRoughFit}, weights);
   PoseEstimate<S> estimate;
-  estimate.mirrored = mirror.cost < S(kMirrorShare) * fit.cost;
-  fit.replace(estimate.mirrored, mirror);
+  estimate.mirrored = Mask<S>(false);
+  const Mask<S> explained = fit.cost < S(kResidualRounding * kResidualRounding),
+                may_be_mirrored = !(explained | prior_decides<S, N>(camera, points_T, prior, fit, weights));
+  if (any(may_be_mirrored)) {
+    const S bound = S(kMirrorShare) * fit.cost;
+    const PoseFit<S, N> mirror =
+        fit_pose<S, N>(camera, points, features, prior, mirrored_pose<S, N>(camera, points_T, fit.pose, weights),
+                       {kMirrorRounds, kRoughFit, bound}, weights);
+    estimate.mirrored = may_be_mirrored & (mirror.cost < bound);
+    fit.replace(estimate.mirrored, mirror);
+  }
   estimate.prior_share = prior_share(unexplained_variance<S, N>(camera, fit, features, weights));
   prior.weight *= estimate.prior_share;
-  fit = fit_pose<S, N>(camera, points, features, prior, fit.pose, kPolishRounds, weights);
+  fit = fit_pose<S, N>(camera, points, features, prior, fit.pose, {kPolishRounds}, weights);
 
   const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
   Matrix6<S> A = J.normal_matrix(weights);
