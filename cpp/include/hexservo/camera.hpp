@@ -481,13 +481,18 @@ class ImageJacobian {
     return J;
   }
 
-  /// J^T W J, 6 x 6: information in the image about a displacement in B [px^2/m^2 ... px^2/rad^2]; J is not formed.
+  /// J^T W J, 6 x 6: information in the image about a displacement in B [px^2/m^2 ... px^2/rad^2]; J is not formed. Of
+  /// packs the lower triangle, which `Cholesky` reads; of one number all of it, whose columns fill registers.
   Matrix6<S> normal_matrix(const PointWeights<S, N>& weights = {}) const {
     Matrix6<S> sum = Matrix6<S>::Zero();
     for (int i = 0; i < N; ++i) {
       const Vector6<S> x = row(i, S(1.0), S(0.0)), y = row(i, S(0.0), S(1.0));
       const Vector6<S>&wx = weights.of_row(i, x), &wy = weights.of_row(i, y);
-      for (int column = 0; column < 6; ++column) sum.col(column) += wx * x(column) + wy * y(column);
+      for (int column = 0; column < 6; ++column)
+        if constexpr (kLanes<S> > 1)
+          for (int k = column; k < 6; ++k) sum(k, column) += wx(k) * x(column) + wy(k) * y(column);
+        else
+          sum.col(column) += wx * x(column) + wy * y(column);
     }
     return sum;
   }

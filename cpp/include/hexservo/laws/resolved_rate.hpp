@@ -90,7 +90,7 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
       for (int j = 0; j < 6; ++j) {
         const S& Jw = task.weights.of_row(row / 2, J(row, j));
         pulled(j) += Jw * feature_error(row);
-        for (int i = 0; i < 6; ++i) information(i, j) += J(row, i) * Jw;
+        for (int i = kLanes<S> > 1 ? j : 0; i < 6; ++i) information(i, j) += J(row, i) * Jw;  // of packs the half
       }
     for (int j = 0; j < 6; ++j) information(j, j) += gains.damping(j);
     const S lambda = velocity_gain(gains, task.weights.largest(feature_error));
