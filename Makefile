@@ -112,7 +112,7 @@ test:
 
 # One after another; the first that fails ends it.
 test-all: test
-	@python -m pytest -m slow --numprocesses auto
+	@python -m pytest -m slow --numprocesses auto --durations 0 --durations-min 10
 	$(SETUP) explorer-test
 	$(SETUP) docs
 	$(SETUP) wheel-test
