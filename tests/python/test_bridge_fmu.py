@@ -364,9 +364,18 @@ def test_a_plant_that_is_commanded_no_number_diverges(make: Any, fmi: int) -> No
     assert unit.get("outcome") == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "changes", "more"),
+    [
+        ("composite-30hz", {}, {}),
+        ("pi-h824-positions", {"camera.latency_known": False}, {"leg_positions": 6, "latency": 3}),
+    ],
+)
 @pytest.mark.parametrize("fmi", VERSIONS)
-def test_the_controller_is_the_tick_bit_for_bit(make: Any, fmi: int) -> None:
-    scenario = hs.load_scenario("composite-30hz").updated(SHORT)
+def test_the_controller_is_the_tick_bit_for_bit(
+    make: Any, fmi: int, name: str, changes: dict[str, Any], more: dict[str, int]
+) -> None:
+    scenario = hs.load_scenario(name).updated({**SHORT, **changes})
     recorded = _core.recorded_ticks(core_parameters(scenario))
     unit = make(scenario, fmi, "controller").instance()
     unit.start()
@@ -376,11 +385,11 @@ def test_the_controller_is_the_tick_bit_for_bit(make: Any, fmi: int) -> None:
             unit.set("exposure", exposure)
             unit.put("features", recorded["features"][row])
             unit.put("depth", recorded["depth"][row])
-        for name in ("position", "quaternion", "twist", "leg_lengths", "leg_rates"):
-            unit.put(name, recorded[name][row])
+        for given in ("position", "quaternion", "twist", "leg_lengths", "leg_rates"):
+            unit.put(given, recorded[given][row])
         unit.step(scenario.simulation.step)
-        for name in ("wrench", "leg_forces", "fuzzy_output"):
-            np.testing.assert_array_equal(unit.get(name, 6), recorded[name][row], err_msg=f"{name} at {row}")
+        for output, width in {"wrench": 6, "leg_forces": 6, "fuzzy_output": 6, **more}.items():
+            np.testing.assert_array_equal(unit.get(output, width), recorded[output][row], err_msg=f"{output} at {row}")
         assert unit.get("status") == recorded["status"][row, 0]
 
 

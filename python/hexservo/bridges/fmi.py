@@ -247,3 +247,5 @@ def _of_controller(scenario: Scenario, settings: _core.Settings) -> Iterator[Uni
     yield UnitVariable("output", "whole", "saturated", "saturated")
     if scenario.actuators.takes_positions:
         yield from _array("output", "leg_positions", legs.coordinate, count=6)
+    if not scenario.camera.latency_known:
+        yield from _array("output", "latency", "s", count=3)
