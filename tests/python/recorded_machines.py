@@ -19,6 +19,11 @@ Array = NDArray[np.float64]
 FINE = 200  # steps in a tick of a drive with limits
 
 
+def _clip(number: float, limit: float) -> float:
+    """Limit one number; NumPy takes twenty times as long for it, and there are 1e8."""
+    return max(-limit, min(number, limit))
+
+
 @dataclass(frozen=True)
 class Drive:
     """A second-order response with limits, and its delay in ticks."""
@@ -43,16 +48,14 @@ class Drive:
                 state = after @ state + by[:, 0] * command
             return out
         h = period / FINE
-        q, v = commands[0], 0.0
-        for tick, command in enumerate(delayed):
+        q, v = float(commands[0]), 0.0
+        for tick, command in enumerate(delayed.tolist()):
             out[tick] = q
             for _ in range(FINE):  # explicit midpoints: errors of 1e-6 of a tick's motion
-                rate = np.clip(w * w * (command - q) - 2 * self.damping * w * v, -self.acceleration, self.acceleration)
-                vm = np.clip(v + h / 2 * rate, -self.speed, self.speed)
-                rate = np.clip(
-                    w * w * (command - q - h / 2 * v) - 2 * self.damping * w * vm, -self.acceleration, self.acceleration
-                )
-                q, v = q + h * vm, float(np.clip(v + h * rate, -self.speed, self.speed))
+                rate = _clip(w * w * (command - q) - 2 * self.damping * w * v, self.acceleration)
+                vm = _clip(v + h / 2 * rate, self.speed)
+                rate = _clip(w * w * (command - q - h / 2 * v) - 2 * self.damping * w * vm, self.acceleration)
+                q, v = q + h * vm, _clip(v + h * rate, self.speed)
         return out
 
 
