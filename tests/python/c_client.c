@@ -155,7 +155,7 @@ static int tick(hexservo_scenario* scenario, long ticks) {
     if (k % 100 == 99) print("tick", sum, 18);
   }
   /* An input without depths has no frame, whatever its exposure. */
-  for (i = 0; i < 2; ++i) {
+  for (i = 0; ticks > 0 && i < 2; ++i) {
     state = hexservo_state_create(gains);
     if (state == NULL) return 3;
     input.depth = depth;
@@ -168,7 +168,7 @@ static int tick(hexservo_scenario* scenario, long ticks) {
     hexservo_state_destroy(state);
     if (without[i].status != HEXSERVO_VALID) return 7;
   }
-  if (memcmp(without[0].wrench, without[1].wrench, sizeof output.wrench) != 0) return 7;
+  if (ticks > 0 && memcmp(without[0].wrench, without[1].wrench, sizeof output.wrench) != 0) return 7;
   free(features);
   free(depth);
   return 0;

@@ -494,15 +494,21 @@ def test_leg_forces_do_not_depend_on_a_neighbours_actuators() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "plain", "other"),
-    [("uncertainty.principal_point", [0.0, 0.0], [3.0, -2.0]), ("camera.focal_pixels", [580.0, 580.0], [582.0, 580.0])],
+    ("key", "plain", "other", "camera"),
+    [
+        ("uncertainty.principal_point", [0.0, 0.0], [3.0, -2.0], {}),
+        ("camera.focal_pixels", [580.0, 580.0], [582.0, 580.0], {"focal_length": None, "pixel_scale": None}),
+    ],
 )
-def test_features_do_not_depend_on_a_neighbours_pixels(key: str, plain: list[float], other: list[float]) -> None:
+def test_features_do_not_depend_on_a_neighbours_pixels(
+    key: str, plain: list[float], other: list[float], camera: dict[str, Any]
+) -> None:
     """A camera whose pixels are its features keeps them to the bit, beside one whose pixels are not."""
-    scenario = hs.load_scenario("paper").updated({"simulation": {"mode": "sampled", "duration": 0.1}, key: plain})
+    changes = {"simulation": {"mode": "sampled", "duration": 0.1}, "camera": camera, key: plain}
+    scenario = hs.load_scenario("paper").updated(changes)
     alone = hs.simulate_batch(scenario, {key: [plain, plain]}, "final")
     beside = hs.simulate_batch(scenario, {key: [plain, other]}, "final")
-    assert not np.array_equal(beside.samples["features"][0], beside.samples["features"][1])
+    assert not np.array_equal(beside.samples["feature_error"][0], beside.samples["feature_error"][1])
     for name in alone.samples:
         np.testing.assert_array_equal(beside.samples[name][0], alone.samples[name][0], err_msg=name)
     for name in alone.metrics:

@@ -361,8 +361,8 @@ def test_a_batch_is_its_single_runs(law: str) -> None:
         ),
         (  # each may act alone
             {
-                "robot.inertia": [[3e-4, 0, 2.4e-4], [0, 3e-4, 0], [2.4e-4, 0, 3e-4]],
-                "controller.virtual_platform.damping": [0.0, 0.0, 0.0, 0.2, 0.0, 0.2],
+                "robot.inertia": [[3e-4, 0, 1.4e-4], [0, 3e-4, 0], [1.4e-4, 0, 3e-4]],
+                "controller.virtual_platform.damping": [0.0, 0.0, 0.0, 0.5, 0.0, 0.5],
             },
             "controller.virtual_platform.damping: expected at most",
         ),
