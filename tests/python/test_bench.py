@@ -421,6 +421,23 @@ def test_the_cost_of_a_step_goes_to_the_innermost_part(tmp_path: Path, monkeypat
     assert lines[-1] == "| **all** | 5 | 4 | 0 | 1 | 0 | 2 | 0 | 0 | 100% |"
 
 
+def test_comparisons_are_arithmetic_of_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mnemonics as objdump prints them, all of them from the modules."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    step_cost = importlib.import_module("step_cost")
+    expected = {
+        "arithmetic": "vcmpltpd vcmpneqpd vcmpnltsd vcmpgt_oqpd vcomisd vucomisd vmaxpd vminsd vaddpd vsubsd vmulpd "
+        "vhaddpd vfmadd231pd vfnmadd132sd vfmsub213pd vfnmsub231pd vfmaddsub132pd vfmsubadd132pd",
+        "divisions": "vdivpd vdivsd vsqrtpd vsqrtsd",
+        "moves": "vmovapd vmovsd mov movq vbroadcastsd vpermpd vperm2f128 vunpckhpd vinsertf128 vextractf128 vshufpd "
+        "vblendvpd",
+        "others": "vandpd vxorpd vpcmpeqq cmp cmpq cmove lea",
+    }
+    for kind, mnemonics in expected.items():
+        for mnemonic in mnemonics.split():
+            assert step_cost.kind_of(mnemonic) == kind, mnemonic
+
+
 def test_times_are_spelled_with_their_unit() -> None:
     spelled = [spell(time) for time in (2e-8, 4.412e-7, 1.234e-6, 1.5e-5, 2.65e-3, 1.2)]
     assert spelled == ["20.0 ns", "441 ns", "1.23 µs", "15.0 µs", "2.65 ms", "1.2 s"]
