@@ -26,6 +26,7 @@ from urllib.parse import unquote, urlsplit
 
 import hexservo as hs
 from gallery import gallery
+from hexservo.report.explorer import ExplorerError, checked_page
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ROOT / "docs" / "site"
@@ -376,6 +377,11 @@ def main() -> None:
     out = options.out.resolve()
     sources = out.with_name(f"{out.name}-sources")
     explorer = options.explorer if options.explorer.is_file() else None
+    if explorer is not None:
+        try:
+            checked_page(explorer.read_text(encoding="utf-8"))
+        except ExplorerError as error:
+            raise SystemExit(f"{explorer}: {error}") from None
     builder, target = ("linkcheck", out.with_name(f"{out.name}-links")) if options.links else ("html", out)
     emptied(sources, target)
     stage(sources, out.with_name("gallery"), explorer)

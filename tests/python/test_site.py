@@ -179,6 +179,15 @@ def test_only_an_earlier_site_is_replaced(links: bool, tmp_path: Path, monkeypat
     assert begun == 2 * [out.with_name("public-sources")]
 
 
+def test_a_page_of_another_version_is_not_part_of_the_site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "explorer.html"
+    page.write_text('<meta name="hexservo" content="0.0.1 0">', encoding="utf-8")
+    monkeypatch.setattr(sys, "argv", ["build_site.py", "--out", str(tmp_path / "site"), "--explorer", str(page)])
+    with pytest.raises(SystemExit, match=f"explorer.html: explorer: expected the page of hexservo {hs.__version__}"):
+        build_site.main()
+    assert list(tmp_path.iterdir()) == [page]
+
+
 def test_gallery_draws_a_scenario_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hs, "scenario_names", lambda: ("paper",))
     (first,) = gallery(tmp_path)
