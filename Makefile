@@ -21,7 +21,7 @@ PACKAGE := .venv/.stamp-package
 # Folders are listed too: their time changes when a file is removed.
 # docs with its slash: `docs` is a target, which would be made before the package.
 SOURCES := CMakeLists.txt pyproject.toml README.md LICENSE \
-  $(shell find cpp docs/ python -name __pycache__ -prune -o -print 2>/dev/null)
+  $(shell find cpp docs/ licenses python -name __pycache__ -prune -o -print 2>/dev/null)
 CXX_FILES = $$(find cpp tests/cpp examples explorer benchmarks \( -name '*.cpp' -o -name '*.hpp' \) 2>/dev/null)
 
 help:

@@ -99,6 +99,30 @@ def test_bill_of_materials_names_what_is_compiled_in_and_what_is_required(tmp_pa
     }  # fmt: skip
 
 
+def test_wheel_and_page_have_the_texts_of_their_licences() -> None:
+    """Exact copies: each is compared with what is installed here, where it is."""
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.11 brings it")
+    given = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["license-files"]
+    names = {file.relative_to(ROOT).as_posix() for pattern in given for file in ROOT.glob(pattern)}
+    assert {"LICENSE", "licenses/MPL-2.0.txt", *(f"licenses/{part}.txt" for part in build_wheels.KNOWN_PARTS)} <= names
+    assert {file.relative_to(ROOT).as_posix() for file in (ROOT / "licenses").iterdir()} <= names
+    modules = ROOT / "build" / "explorer" / "npm" / "node_modules"
+    originals = {
+        "MPL-2.0": [Path("/usr/share/common-licenses/MPL-2.0")],
+        "pybind11": [
+            Path(str(file.locate()))
+            for file in importlib.metadata.files("pybind11") or []
+            if file.parts[-2:] == ("licenses", "LICENSE")
+        ],
+        "three": [modules / "three" / "LICENSE"],
+        "uplot": [modules / "uplot" / "LICENSE"],
+    }
+    for name, files in originals.items():
+        for file in files:
+            if file.is_file():
+                assert (ROOT / "licenses" / f"{name}.txt").read_bytes() == file.read_bytes(), file
+
+
 def test_every_extra_is_tried_in_a_new_system_and_described_on_the_site() -> None:
     tomllib = pytest.importorskip("tomllib", reason="Python 3.11 brings it")
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
@@ -116,6 +140,8 @@ def test_commands_of_a_release_are_those_of_the_makefile() -> None:
     for line in commands[1].splitlines():
         for words in re.findall(r"\bmake ([\w ,-]+?)(?= [A-Z]+=| &&|  |$)", line):
             assert set(words.split()) <= known, line
+    for target in ("bench", "bench-peers"):  # whose tables name the version
+        assert re.search(rf"\bmake {target}(?= )", commands[1]), target
     version = re.search(r"project\(hexservo VERSION ([\d.]+)", (ROOT / "CMakeLists.txt").read_text(encoding="utf-8"))
     assert version is not None
     assert version[1] == hs.__version__
