@@ -30,6 +30,7 @@ from hexservo.run.publish import OutputError
 from hexservo.run.variant import load_kernel
 from hexservo.scenario.flat import core_values
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.schema import schema
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -774,7 +775,7 @@ def test_the_page_of_another_version_is_refused(tmp_path: Path, monkeypatch: pyt
 
 def test_a_page_is_for_keys_metrics_and_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
     found = {built_for()}
-    entries = explorer.schema()
+    entries = schema()
     for name, value in (
         ("schema", lambda: entries[1:]),
         ("METRICS", METRICS | {"final_error": ("mm", "")}),

@@ -182,7 +182,7 @@ esac
 
 def tree(folder: Path) -> Path:
     """A folder with the Makefile, some sources, and an environment whose pip saves a source while it builds."""
-    for name in ("CMakeLists.txt", "pyproject.toml", "README.md", "LICENSE", "cpp/core.cpp", "docs/a.md"):
+    for name in ("CMakeLists.txt", "pyproject.toml", "README.md", "LICENSE", "cpp/core.cpp", "docs/model.md"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text("", encoding="utf-8")
     shutil.copy(ROOT / "Makefile", folder)

@@ -154,7 +154,7 @@ def test_only_an_earlier_site_is_replaced(links: bool, tmp_path: Path, monkeypat
 
     begun: list[Path] = []
     monkeypatch.setattr(build_site, "stage", lambda folder, *_: begun.append(folder))
-    failed = subprocess.CompletedProcess([], 7)
+    failed: subprocess.CompletedProcess[str] = subprocess.CompletedProcess([], 7)
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: failed)  # Sphinx, which begins and does not end
     written = "public-links" if links else "public"
     for number, name in enumerate((written, "public-sources")):
