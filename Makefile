@@ -21,7 +21,7 @@ PACKAGE := .venv/.stamp-package
 # Folders are listed too: their time changes when a file is removed.
 # docs with its slash: `docs` is a target, which would be made before the package.
 SOURCES := CMakeLists.txt pyproject.toml README.md LICENSE \
-  $(shell find cpp docs/ python -name __pycache__ -prune -o -print 2>/dev/null)
+  $(shell find cpp docs/ licenses python -name __pycache__ -prune -o -print 2>/dev/null)
 CXX_FILES = $$(find cpp tests/cpp examples explorer benchmarks \( -name '*.cpp' -o -name '*.hpp' \) 2>/dev/null)
 
 help:
@@ -41,7 +41,7 @@ help:
 	make tsan     run the C++ tests under the thread sanitizer
 	make fuzz     random scenarios, ticks, files and kills for SECONDS=60, from SEED= (drawn and printed without one)
 	make format   format the C++ and Python files
-	make clean    remove what the others built (.venv, build, caches), not the results in out
+	make clean    remove what the others built (.venv, build, dist, the explorer, caches), not the results in out
 	The first two install what is missing, Debian packages included, and are quick the second time.
 	PYTHON=python3.12 chooses the interpreter (at least 3.10) that .venv is made from.
 	END
@@ -70,7 +70,12 @@ docs docs-links: $(PACKAGE) $(VENV)
 
 # With the explorer in it where npm is there. The test builds twice, and uses the wheels in new Debian systems.
 wheel wheel-test: $(BUILD_TOOLS)
-	@if command -v npm >/dev/null; then $(SETUP) explorer; else echo "npm was not found: a wheel without the explorer."; fi
+	@if command -v npm >/dev/null; then
+	  $(SETUP) explorer
+	else
+	  echo "npm was not found: a wheel without the explorer."
+	  rm -f $(PAGE)  # of an earlier build
+	fi
 	python -m pip install --quiet --group release
 	python release/build_wheels.py --out dist $(foreach python,$(PYTHONS),--python $(python)) $(if $(filter wheel-test,$@),--again)
 	if [ $@ = wheel ]; then exit 0; fi
@@ -192,7 +197,7 @@ format: $(ALL_TOOLS)
 	clang-format -i $(CXX_FILES)
 
 clean:
-	@rm -rf .venv build dist .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	@rm -rf .venv build dist $(PAGE) .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find cpp python tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 setup: $(PACKAGE)
@@ -283,10 +288,11 @@ $(ALL_TOOLS): pyproject.toml $(VENV) | system
 $(PACKAGE): $(SOURCES) $(BUILD_TOOLS) | system
 	@echo "Building and installing hexservo into .venv (the first time: some 5 minutes of processor time)"
 	mkdir -p build
+	touch $@.begun  # the stamp's time: what is saved during the build is newer than the stamp
 	if ! python -m pip install --verbose --no-build-isolation . 2>&1 | tee build/install.log \
 	  | sed -unE 's#.*\[([0-9]+)/([0-9]+)\] Building.*#  built \1 of \2#p'; then
 	  tail -n 60 build/install.log >&2
 	  echo "The build failed; its output is in build/install.log" >&2
 	  exit 1
 	fi
-	touch $@
+	mv $@.begun $@

@@ -47,7 +47,7 @@ FILES = {
     "loop": r"/(closed_loop|runge_kutta|run_loop)\.hpp$",
 }
 KINDS = {  # of instructions
-    "arithmetic": re.compile(r"v(fn?m(add|sub)\w*|mul|add|sub|max|min|cmp)[ps]d"),
+    "arithmetic": re.compile(r"v(fn?m(add|sub)\w*|mul|h?add|sub|max|min|cmp\w*|u?comi)[ps]d"),
     "divisions": re.compile(r"v(div|sqrt)[ps]d"),
     "moves": re.compile(r"v?mov\w*|vbroadcast\w*|vperm\w*|vunpck\w*|vinsert\w*|vextract\w*|vshuf\w*|vblend\w*"),
 }
@@ -198,6 +198,11 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
+def kind_of(mnemonic: str) -> str:
+    """Return which of `KINDS` an instruction is, or others."""
+    return next((kind for kind, pattern in KINDS.items() if pattern.fullmatch(mnemonic)), "others")
+
+
 def costs(module: Path, lanes: int) -> dict[str, Cost]:
     """Return the cost of a step by part, the dearest first."""
     with tempfile.TemporaryDirectory() as name:
@@ -208,8 +213,7 @@ def costs(module: Path, lanes: int) -> dict[str, Cost]:
     found: defaultdict[str, Cost] = defaultdict(Cost)
     for address, (instructions, loads, stores, misses) in counts.items():
         cost = found[parts[address]]
-        kind = next((kind for kind, pattern in KINDS.items() if pattern.fullmatch(kinds[address])), "others")
-        cost.kinds[kind] += instructions
+        cost.kinds[kind_of(kinds[address])] += instructions
         cost.loads += loads
         cost.stores += stores
         cost.misses += misses

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import gzip
+import html
 import json
 import os
 import shutil
@@ -13,8 +14,10 @@ from pathlib import Path
 
 import data
 import wasm
+from hexservo.report.explorer import built_for
 
 HERE = Path(__file__).resolve().parent
+LICENCES = ("LICENSE", *(f"licenses/{name}.txt" for name in ("uplot", "three", "eigen", "musl", "cloudlibc", "zig")))
 MODULES = wasm.OBJECTS / "npm"
 MOST_BYTES = 1_000_000
 
@@ -23,12 +26,14 @@ def tools() -> Path:
     """Install the page's libraries and esbuild below build/, and return their folder."""
     MODULES.mkdir(parents=True, exist_ok=True)
     wanted = [HERE / "package.json", HERE / "package-lock.json"]
-    if any(
-        not (MODULES / file.name).exists() or (MODULES / file.name).read_bytes() != file.read_bytes() for file in wanted
-    ):
+    text = b"".join(file.read_bytes() for file in wanted)
+    installed = MODULES / "installed"  # for what the folder is complete
+    if not installed.exists() or installed.read_bytes() != text:
+        installed.unlink(missing_ok=True)
         for file in wanted:
             shutil.copy(file, MODULES)
         subprocess.run(["npm", "ci", "--silent", "--no-audit", "--no-fund"], cwd=MODULES, check=True)
+        installed.write_bytes(text)
     return MODULES / "node_modules"
 
 
@@ -48,6 +53,12 @@ def packed(part: str | bytes) -> str:
     return base64.b64encode(gzip.compress(part if isinstance(part, bytes) else part.encode(), 9, mtime=0)).decode()
 
 
+def licences() -> str:
+    """Return the notices of all that is in the page."""
+    texts = [(HERE.parent / name).read_text(encoding="utf-8").strip() for name in LICENCES]
+    return "\n".join(f"<pre>{html.escape(text)}</pre>" for text in texts)
+
+
 def build(out: Path) -> None:
     """Compile, bundle, and write the page."""
     module = wasm.OBJECTS / "hexservo.wasm"
@@ -58,6 +69,8 @@ def build(out: Path) -> None:
         "style": (modules / "uplot" / "dist" / "uPlot.min.css").read_text(encoding="utf-8")
         + (HERE / "src" / "style.css").read_text(encoding="utf-8"),
         "version": known["version"],
+        "built_for": built_for(),
+        "licences": licences(),
         "core": packed(module.read_bytes()),
         "data": packed(json.dumps(known, separators=(",", ":"), allow_nan=False)),
         "worker": packed(bundled("worker.js", "iife", modules)),

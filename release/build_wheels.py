@@ -172,17 +172,26 @@ def version_of(python: str) -> str:
     return subprocess.run([python, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
 
 
+def build_group() -> str:
+    """Return the list of the tools of a build, as it stands in pyproject.toml."""
+    found = re.search(r"^build = (\[.*?\])$", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.M | re.S)
+    if found is None:
+        raise SystemExit("pyproject.toml: expected the dependency group build, found none")
+    return found[1]
+
+
 def tools(version: str, python: str | None = None) -> Path:
     """Return an interpreter of a version with the tools of a build: this one, or that of an environment for it."""
     if version == f"{sys.version_info.major}.{sys.version_info.minor}":
         return Path(sys.executable)
     folder = ROOT / "build" / "release" / version
     interpreter = folder / "bin" / "python"
-    if not (folder / "complete").exists():
+    complete, group = folder / "complete", build_group()  # what was installed last, and what has to be
+    if not complete.exists() or complete.read_text(encoding="utf-8") != group:
         run(python or f"python{version}", "-m", "venv", "--clear", folder)
         run(interpreter, "-m", "pip", "install", "--quiet", "--upgrade", "pip>=25.1")
         run(interpreter, "-m", "pip", "install", "--quiet", "--group", f"{ROOT / 'pyproject.toml'}:build")
-        (folder / "complete").touch()
+        complete.write_text(group, encoding="utf-8")
     return interpreter
 
 

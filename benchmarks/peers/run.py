@@ -1,7 +1,8 @@
 """Entry of `make bench-peers`: hexservo and its peers, in the same run, on the same work, with the answers compared.
 
 The method is in BENCHMARKS.md, section "Peers". A peer that is not installed is reported, and the run goes on.
-Exit code 1 where a peer breaks or its answer is wrong, or where the ratio to NumPy is below what is asserted.
+Exit code 1 where a kernel program does not compile, a peer breaks or its answer is wrong, or where the ratio to NumPy
+is below what is asserted.
 """
 
 from __future__ import annotations
@@ -32,11 +33,17 @@ def _measured(rows: Iterable[Row]) -> list[Row]:
     return done
 
 
-def _full(rounds: int) -> list[Row]:
+def _built() -> list[str]:
+    """Build the kernel programs; return what failed. A library that is not there is no failure."""
     try:
         kernels.build()
     except kernels.MissingError as error:
         print(f"Some kernel programs are missing: {error}", file=sys.stderr)
+        return [f"kernel programs: {str(error).splitlines()[0]} (see the start of the output)"]
+    return []
+
+
+def _full(rounds: int) -> list[Row]:
     return _measured(single_rows(rounds)) + _measured(batch_rows(rounds)) + _measured(part_rows(rounds))
 
 
@@ -52,6 +59,7 @@ def main() -> int:
         parser.error(f"--rounds: expected a whole number of at least 2, got {arguments.rounds}")
 
     machine = describe_machine()
+    problems = [] if arguments.quick else _built()
     rows = _measured([numpy_row(QUICK_DURATION, QUICK_ROUNDS)]) if arguments.quick else _full(arguments.rounds)
     write_json(arguments.json, machine, rows)
     print(f"written: {arguments.json}")
@@ -59,7 +67,7 @@ def main() -> int:
         update_block(arguments.markdown, markdown(machine, rows))
         print(f"written: the table of {arguments.markdown}")
 
-    problems = [sentence(row) for row in rows if row.status in ("wrong answer", "failed")]
+    problems += [sentence(row) for row in rows if row.status in ("wrong answer", "failed")]
     comparison = rows[0].comparison  # NumPy is always there
     if comparison is None or comparison.ratio is None:
         problems.append(f"NumPy: expected a measurement, got: {sentence(rows[0])}")

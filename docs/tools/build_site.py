@@ -26,6 +26,7 @@ from urllib.parse import unquote, urlsplit
 
 import hexservo as hs
 from gallery import gallery
+from hexservo.report.explorer import ExplorerError, checked_page
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ROOT / "docs" / "site"
@@ -34,6 +35,7 @@ GROUPS = {"analysis": "Before a run: analysis", "certificate": "After a run: cer
 # Pages of docs/ that the front page lists by name; all others are guides.
 LISTED = {"model", "errata", "proof", "robustness", "testing", "your-machine"}
 EXPLORER = ROOT / "python" / "hexservo" / "explorer.html"
+MARKER = ".hexservo-site"  # in every folder that is written here
 
 # Public names by what they are for, in the order of the reference; a name that is missing here is an error.
 REFERENCE = {
@@ -333,6 +335,20 @@ def pages_apart(site: Path) -> list[str]:
 # ---- The whole ------------------------------------------------------------------------------------------------------
 
 
+def emptied(*folders: Path) -> None:
+    """Make empty folders with `MARKER`; earlier contents are removed if all of the folders may be replaced.
+
+    Replaced are folders with `MARKER`, and those below the repository's build folder; others have to be empty.
+    """
+    for folder in folders:
+        ours = (folder / MARKER).is_file() or ROOT / "build" in folder.parents
+        if folder.exists() and not ours and (not folder.is_dir() or any(folder.iterdir())):
+            raise SystemExit(f"--out: expected an empty folder or an earlier site, got {folder}: choose another --out")
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
+        write(folder / MARKER, "Written by docs/tools/build_site.py, which replaces this folder the next time.\n")
+
+
 def stage(folder: Path, kept: Path, explorer: Path | None) -> None:
     """Put Sphinx's sources together in a folder."""
     names = stage_pages(folder)
@@ -361,9 +377,13 @@ def main() -> None:
     out = options.out.resolve()
     sources = out.with_name(f"{out.name}-sources")
     explorer = options.explorer if options.explorer.is_file() else None
+    if explorer is not None:
+        try:
+            checked_page(explorer.read_text(encoding="utf-8"))
+        except ExplorerError as error:
+            raise SystemExit(f"{explorer}: {error}") from None
     builder, target = ("linkcheck", out.with_name(f"{out.name}-links")) if options.links else ("html", out)
-    for old in (sources, target):
-        shutil.rmtree(old, ignore_errors=True)
+    emptied(sources, target)
     stage(sources, out.with_name("gallery"), explorer)
     sphinx = [sys.executable, "-m", "sphinx", "-q", "-E", "-W", "--keep-going", "-b", builder, "-c", str(PARTS)]
     cache = out.with_name(f"{out.name}-cache")

@@ -11,18 +11,12 @@ import hashlib
 import json
 import warnings
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import hexservo as hs
-from hexservo import _core
 
 PACKAGE = Path(hs.__file__).parent
-DRAWN_BY = (
-    Path(__file__),
-    PACKAGE / "draw" / "plots.py",
-    PACKAGE / "draw" / "panels.py",
-    PACKAGE / "draw" / "style.py",
-)
 
 
 @dataclass(frozen=True)
@@ -37,12 +31,18 @@ class Shown:
     why: str  # one sentence
 
 
+@cache
+def code_of(package: Path) -> bytes:
+    """Return the digest of this file, and of every Python file and compiled module of a package."""
+    digest = hashlib.sha256()
+    for file in (Path(__file__), *sorted(package.rglob("*.py")), *sorted(package.glob("*.so"))):
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.digest()
+
+
 def key_of(scenario: hs.Scenario) -> str:
-    """Return what a picture depends on, as a digest: the scenario, the compiled core and the code that draws."""
-    digest = hashlib.sha256(scenario.to_yaml().encode())
-    for file in (Path(_core.__file__), *DRAWN_BY):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
+    """Return what a picture and its verdict depend on, as a digest: the scenario and all code of the package."""
+    return hashlib.sha256(code_of(PACKAGE) + scenario.to_yaml().encode()).hexdigest()
 
 
 def draw(scenario: hs.Scenario, picture: Path) -> Shown:

@@ -282,6 +282,52 @@ def test_one_run_outruns_numpy(tmp_path: Path) -> None:
     assert row["comparison"]["ratio"] >= 100.0
 
 
+def test_a_kernel_program_that_does_not_compile_is_a_failure(tmp_path: Path) -> None:
+    """The other rows are measured nevertheless; a library that is not there is no failure."""
+    program = """
+import sys
+import kernels, run
+from rows import Row
+from timing import Comparison
+file, state = sys.argv[1:]
+def build():
+    if state == "broken":
+        raise kernels.MissingError("cmake --build failed:\\nkernels.cpp:1: error")
+kernels.build = build
+row = Row("a run", "run", "NumPy", "", "", comparison=Comparison(1.0, 0.001, 1000.0, (999.0, 1001.0), None, None, 2))
+run.single_rows, run.batch_rows, run.part_rows = (lambda rounds: [row]), (lambda rounds: []), (lambda rounds: [])
+sys.argv = ["run.py", "--json", file]
+sys.exit(run.main())
+"""
+    folder = str(ROOT / "benchmarks" / "peers")
+    for state, code in (("whole", 0), ("broken", 1)):
+        command = [sys.executable, "-c", f"import sys; sys.path.insert(0, {folder!r})\n{program}"]
+        found = subprocess.run(
+            [*command, str(tmp_path / "peers.json"), state], capture_output=True, text=True, check=False
+        )
+        assert found.returncode == code, found.stderr
+        last = "kernel programs: cmake --build failed: (see the start of the output)\n"
+        assert found.stderr.endswith(last) == (state == "broken")
+        assert ("kernels.cpp:1: error" in found.stderr) == (state == "broken")
+        assert len(json.loads((tmp_path / "peers.json").read_text(encoding="utf-8"))["rows"]) == 1
+
+
+def test_a_campaign_is_timed_if_every_metric_is_that_of_the_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    campaign = importlib.import_module("campaign")
+    campaign.main("campaign-paper", "8", "1")
+    simulate = hs.simulate_batch
+
+    def other(*arguments: Any, **options: Any) -> hs.BatchResult:
+        batch = simulate(*arguments, **options)
+        batch.metrics["chatter"][5] = np.nextafter(batch.metrics["chatter"][5], np.inf)
+        return batch
+
+    monkeypatch.setattr(hs, "simulate_batch", other)
+    with pytest.raises(SystemExit, match="chatter: expected that of simulate_batch, bit for bit"):
+        campaign.main("campaign-paper", "8", "1")
+
+
 # ---- Tables ---------------------------------------------------------------------------------------------------------
 
 
@@ -373,6 +419,23 @@ def test_the_cost_of_a_step_goes_to_the_innermost_part(tmp_path: Path, monkeypat
     cost = step_cost.Cost(step_cost.Counter(arithmetic=3200, moves=800), 1600, 400, 0, 30)
     lines = step_cost.lines_of({"legs": cost}, 2)
     assert lines[-1] == "| **all** | 5 | 4 | 0 | 1 | 0 | 2 | 0 | 0 | 100% |"
+
+
+def test_comparisons_are_arithmetic_of_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mnemonics as objdump prints them, all of them from the modules."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    step_cost = importlib.import_module("step_cost")
+    expected = {
+        "arithmetic": "vcmpltpd vcmpneqpd vcmpnltsd vcmpgt_oqpd vcomisd vucomisd vmaxpd vminsd vaddpd vsubsd vmulpd "
+        "vhaddpd vfmadd231pd vfnmadd132sd vfmsub213pd vfnmsub231pd vfmaddsub132pd vfmsubadd132pd",
+        "divisions": "vdivpd vdivsd vsqrtpd vsqrtsd",
+        "moves": "vmovapd vmovsd mov movq vbroadcastsd vpermpd vperm2f128 vunpckhpd vinsertf128 vextractf128 vshufpd "
+        "vblendvpd",
+        "others": "vandpd vxorpd vpcmpeqq cmp cmpq cmove lea",
+    }
+    for kind, mnemonics in expected.items():
+        for mnemonic in mnemonics.split():
+            assert step_cost.kind_of(mnemonic) == kind, mnemonic
 
 
 def test_times_are_spelled_with_their_unit() -> None:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import html
+import importlib.util
 import json
 import math
+import re
 import runpy
 import shutil
+import subprocess
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,16 +23,19 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
-from hexservo.report.explorer import ExplorerError, explorer_page, write_explorer
+from hexservo.report import explorer
+from hexservo.report.explorer import ExplorerError, built_for, checked_page, explorer_page, write_explorer
 from hexservo.run.metrics import METRICS
 from hexservo.run.publish import OutputError
 from hexservo.run.variant import load_kernel
 from hexservo.scenario.flat import core_values
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.schema import schema
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+ROOT = Path(__file__).parents[2]
 MOST_ROWS = 800  # that the page draws
 CHROMIUM = shutil.which("chromium")
 PATIENCE = 120e3  # milliseconds: the machine may be busy
@@ -679,7 +687,7 @@ def test_the_picture_follows_a_slider_within_a_frame_or_some(visit: Visit) -> No
 
 def test_the_page_has_every_law_and_the_gains_of_no_other() -> None:
     """A key of a law that the page does not know would be set for every law, and each run refused."""
-    file = Path(__file__).parents[2] / "explorer" / "data.py"
+    file = ROOT / "explorer" / "data.py"
     known = runpy.run_path(str(file))["data"]()
     assert known["laws"] == list(_core.LAW_TRAITS)
     for law in known["laws"]:
@@ -688,7 +696,97 @@ def test_the_page_has_every_law_and_the_gains_of_no_other() -> None:
         assert keys == {key.name for key in _core.scenario_keys(law)}, law
 
 
+@pytest.fixture
+def builder(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """`explorer/build.py`."""
+    file = ROOT / "explorer" / "build.py"
+    monkeypatch.syspath_prepend(str(file.parent))
+    spec = importlib.util.spec_from_file_location("explorer_build", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_libraries_of_the_page_are_installed_until_that_succeeds(
+    builder: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An npm that fails the first time, in the middle."""
+    npm = tmp_path / "bin" / "npm"
+    npm.parent.mkdir()
+    npm.write_text("#!/bin/sh\necho >>calls\nmkdir -p node_modules\ntest $(wc -l <calls) -gt 1\n", encoding="utf-8")
+    npm.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{npm.parent}:/usr/bin:/bin")
+    monkeypatch.setattr(builder, "MODULES", tmp_path / "npm")
+    monkeypatch.setattr(builder, "HERE", tmp_path)
+    for name in ("package.json", "package-lock.json"):
+        (tmp_path / name).write_text("1", encoding="utf-8")
+    calls = tmp_path / "npm" / "calls"
+
+    with pytest.raises(subprocess.CalledProcessError):
+        builder.tools()
+    for lock, count in (("1", 2), ("1", 2), ("2", 3), ("2", 3)):
+        (tmp_path / "package-lock.json").write_text(lock, encoding="utf-8")
+        assert builder.tools() == tmp_path / "npm" / "node_modules"
+        assert len(calls.read_text().splitlines()) == count
+        assert (tmp_path / "npm" / "package-lock.json").read_text(encoding="utf-8") == lock
+
+
+def test_the_page_has_the_notices_of_what_is_in_it(builder: ModuleType) -> None:
+    shown = html.unescape(builder.licences())
+    assert set((ROOT / "licenses").iterdir()) - {ROOT / name for name in builder.LICENCES} == {
+        ROOT / "licenses" / name for name in ("MPL-2.0.txt", "pybind11.txt")  # Eigen's notice names it; not in the page
+    }  # fmt: skip
+    for name in builder.LICENCES:
+        assert (ROOT / name).read_text(encoding="utf-8").strip() in shown, name
+    for library, holder in (("uplot", "2022 Leon Sorokin"), ("three", "three.js authors")):
+        assert re.search(rf"Copyright .*{holder}\n\nPermission is hereby granted", shown), library
+    page = (ROOT / "explorer" / "src" / "page.html").read_text(encoding="utf-8")
+    parts = set(re.findall(r'^        "(\w+)": ', (ROOT / "explorer" / "build.py").read_text(encoding="utf-8"), re.M))
+    assert set(re.findall(r"{{(\w+)}}", page)) == parts
+
+
 # --- the command
+
+
+def test_the_page_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    version, digest = built_for().split()
+    assert version == hs.__version__
+
+    def page(text: str) -> str:
+        return f'<!doctype html>\n<meta name="hexservo" content="{text}">'
+
+    assert checked_page(page(built_for())) == page(built_for())
+    for other in (page(f"0.0.1 {digest}"), page(f"{version} {'0' * 16}"), "<!doctype html>"):
+        with pytest.raises(ExplorerError, match="`make explorer`"):
+            checked_page(other)
+
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "scenarios").symlink_to(str(resources.files("hexservo") / "scenarios"))
+    (package / "explorer.html").write_text(page("0.0.1 0"), encoding="utf-8")
+    monkeypatch.setattr(resources, "files", lambda _: package)
+    result = CliRunner().invoke(app, ["explore", "paper", "--out", str(tmp_path / "page.html"), "--no-open"])
+    assert result.exit_code == 2
+    assert f"expected the page of hexservo {version} {digest}, got that of 0.0.1 0" in " ".join(result.stderr.split())
+    assert list(tmp_path.iterdir()) == [package]
+
+
+def test_a_page_is_for_keys_metrics_and_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {built_for()}
+    entries = schema()
+    for name, value in (
+        ("schema", lambda: entries[1:]),
+        ("METRICS", METRICS | {"final_error": ("mm", "")}),
+        ("scenario_names", lambda: hs.scenario_names()[1:]),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(explorer, name, value)
+            found.add(built_for())
+    assert len(found) == 4
+    monkeypatch.setattr(explorer, "schema", lambda: [entry | {"default": None} for entry in entries])
+    assert built_for() in found
 
 
 @built

@@ -7,23 +7,27 @@ import json
 import math
 import subprocess
 import sys
+import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from face_tracking import table
+from face_tracking import ours, table
 from face_tracking.__main__ import main
 from face_tracking.machine import COUNT, MOTORS, PACKAGE, TICK, Head, exported_model, kinematics, package_model
 from face_tracking.published import Frame, ImageFilter, PublishedLaw
 from face_tracking.scene import CASES, EYE, FRONT, HEAD, LANDMARKS, NOSE, Camera, Case, Face, turns
-from face_tracking.trial import Record, figures, run
+from face_tracking.trial import Figures, Record, figures, run
 from hexservo.scenario.arrays import Array
 
 EXACT = Camera(noise=0.0)
+NOTHING = Figures(**dict.fromkeys(table.FIGURES, math.nan))
 
 
 @pytest.fixture(scope="module")
@@ -279,6 +283,66 @@ def test_a_package_that_is_no_model_is_an_error(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 1, "", ""))
     with pytest.raises(OSError, match=f"pip download {PACKAGE}: no wheel"):
         package_model(tmp_path)
+
+
+def test_a_package_that_was_unpacked_in_part_is_unpacked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = "reachy_mini/descriptions/reachy_mini/mjcf"
+    with zipfile.ZipFile(tmp_path / "reachy_mini-1.13.0-py3-none-any.whl", "w") as wheel:
+        wheel.writestr(f"{folder}/reachy_mini.xml", '<mujoco><include file="body.xml"/></mujoco>')
+        wheel.writestr(f"{folder}/body.xml", '<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
+
+    def interrupted(wheel: zipfile.ZipFile, path: Path) -> None:
+        wheel.extract(f"{folder}/reachy_mini.xml", path)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(zipfile.ZipFile, "extractall", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            package_model(tmp_path)
+    assert package_model(tmp_path).ngeom == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["reachy_mini-1.13.0-py3-none-any.whl", "unpacked"]
+
+
+def test_the_library_of_an_exported_header_is_built_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its headers are today's; CMake compiles what has changed."""
+    commands: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: commands.append(command))
+    scenario = ours.settings("resolved_rate", 15.0, Camera(), False, {})
+    library = tmp_path / "core" / "libhexservo_core.a"
+    library.parent.mkdir()
+    library.write_bytes(b"of yesterday")
+    for _ in range(2):
+        ours.compiled(scenario, tmp_path)
+    assert [command[:2] for command in commands[:3]] == [["cmake", "-S"], ["cmake", "--build"], ["g++", "-std=c++20"]]
+    assert commands[3:] == commands[:3]
+    assert str(library) in commands[2]
+
+
+def test_a_header_that_does_not_compile_is_a_failure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(table, "trials", lambda todo, _: ((one, NOTHING) for one in todo))
+    folders = "--out", str(tmp_path / "out"), "--package", str(tmp_path / "package")
+    small = "--quick", "--own", "--header", "--laws", "tracking", "--cases", "yaw", "--seeds", "0", "--no-picture"
+    for problem, code, words in (
+        (OSError("g++ was not found"), 0, "The exported header was not compiled: g++ was not found."),
+        (subprocess.CalledProcessError(2, ["cmake", "--build"]), 1, "not compiled: cmake gave code 2; see above."),
+    ):
+        monkeypatch.setattr(ours, "compiled", Mock(side_effect=problem))
+        assert program(monkeypatch, *small, *folders, "--no-identification") == code
+        assert words in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("count", [5, 20])
+def test_medians_have_one_definition_with_and_without_never(count: int) -> None:
+    """The middle of the sorted values, or the mean of the two there; that of a number and "never" is "never"."""
+    trial = table.Trial("fix", "freed", "yaw", 15.0, "unknown", 0.6, 0)
+    for never in range(count + 1):
+        settled = [1.0 + index**2 for index in range(count - never)] + [math.inf] * never
+        (row,) = table.medians((trial, replace(NOTHING, settled=value)) for value in settled)
+        below, above = settled[(count - 1) // 2], settled[count // 2]
+        assert row.values["settled"] == ((below + above) / 2, settled[-1])
+        assert math.isnan(row.values["lag"][0])
 
 
 def test_landmarks_are_around_the_point_to_look_at() -> None:

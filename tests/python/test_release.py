@@ -1,12 +1,16 @@
-"""Wheels: finished archives, bills of materials, and the recipe of a release. `make wheel-test` builds wheels."""
+"""Wheels: finished archives, bills of materials, recipes of make and of a release. `make wheel-test` builds wheels."""
 
 from __future__ import annotations
 
 import base64
 import csv
 import hashlib
+import importlib.metadata
 import json
+import os
 import re
+import shutil
+import subprocess
 import zipfile
 from pathlib import Path
 
@@ -95,6 +99,30 @@ def test_bill_of_materials_names_what_is_compiled_in_and_what_is_required(tmp_pa
     }  # fmt: skip
 
 
+def test_wheel_and_page_have_the_texts_of_their_licences() -> None:
+    """Exact copies: each is compared with what is installed here, where it is."""
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.11 brings it")
+    given = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["license-files"]
+    names = {file.relative_to(ROOT).as_posix() for pattern in given for file in ROOT.glob(pattern)}
+    assert {"LICENSE", "licenses/MPL-2.0.txt", *(f"licenses/{part}.txt" for part in build_wheels.KNOWN_PARTS)} <= names
+    assert {file.relative_to(ROOT).as_posix() for file in (ROOT / "licenses").iterdir()} <= names
+    modules = ROOT / "build" / "explorer" / "npm" / "node_modules"
+    originals = {
+        "MPL-2.0": [Path("/usr/share/common-licenses/MPL-2.0")],
+        "pybind11": [
+            Path(str(file.locate()))
+            for file in importlib.metadata.files("pybind11") or []
+            if file.parts[-2:] == ("licenses", "LICENSE")
+        ],
+        "three": [modules / "three" / "LICENSE"],
+        "uplot": [modules / "uplot" / "LICENSE"],
+    }
+    for name, files in originals.items():
+        for file in files:
+            if file.is_file():
+                assert (ROOT / "licenses" / f"{name}.txt").read_bytes() == file.read_bytes(), file
+
+
 def test_every_extra_is_tried_in_a_new_system_and_described_on_the_site() -> None:
     tomllib = pytest.importorskip("tomllib", reason="Python 3.11 brings it")
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
@@ -112,6 +140,92 @@ def test_commands_of_a_release_are_those_of_the_makefile() -> None:
     for line in commands[1].splitlines():
         for words in re.findall(r"\bmake ([\w ,-]+?)(?= [A-Z]+=| &&|  |$)", line):
             assert set(words.split()) <= known, line
+    for target in ("bench", "bench-peers"):  # whose tables name the version
+        assert re.search(rf"\bmake {target}(?= )", commands[1]), target
     version = re.search(r"project\(hexservo VERSION ([\d.]+)", (ROOT / "CMakeLists.txt").read_text(encoding="utf-8"))
     assert version is not None
     assert version[1] == hs.__version__
+
+
+# ---- Tools of other interpreters ------------------------------------------------------------------------------------
+
+
+def test_tools_of_a_build_are_installed_again_where_others_are_wanted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands: list[tuple[str | Path, ...]] = []
+
+    def run(*command: str | Path) -> None:
+        commands.append(command)
+        (tmp_path / "build" / "release" / "3.99").mkdir(parents=True, exist_ok=True)
+
+    monkeypatch.setattr(build_wheels, "ROOT", tmp_path)
+    monkeypatch.setattr(build_wheels, "run", run)
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    counts = []
+    for text in (project, project, project + "# more\n", project.replace("pybind11>=3", "pybind11>=3.99")):
+        (tmp_path / "pyproject.toml").write_text(text, encoding="utf-8")
+        build_wheels.tools("3.99")
+        counts.append(len(commands))
+    assert counts == [3, 3, 3, 6]
+
+
+# ---- Recipes of make ------------------------------------------------------------------------------------------------
+
+PIP = """#!/bin/sh
+case "$*" in
+  "-c "*) echo works;;
+  *" install "*) sleep 0.05; if [ -e saved ]; then mv saved cpp/core.cpp; touch cpp/core.cpp; fi; sleep 0.05;;
+esac
+"""
+
+
+def tree(folder: Path) -> Path:
+    """A folder with the Makefile, some sources, and an environment whose pip saves a source while it builds."""
+    for name in ("CMakeLists.txt", "pyproject.toml", "README.md", "LICENSE", "cpp/core.cpp", "docs/model.md"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("", encoding="utf-8")
+    shutil.copy(ROOT / "Makefile", folder)
+    (folder / "python" / "hexservo").mkdir(parents=True)
+    python = folder / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(PIP, encoding="utf-8")
+    python.chmod(0o755)
+    for name in ("venv", "build-tools"):
+        (folder / ".venv" / f".stamp-{name}").touch()
+    return folder
+
+
+def make(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run make without what a make above the tests has in the environment, and without a look at the system."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))} | environment
+    command = ["make", "-o", "system", *arguments]
+    return subprocess.run(command, cwd=folder, env=kept, capture_output=True, text=True, check=False)
+
+
+def test_a_source_saved_during_the_build_is_built_the_next_time(tmp_path: Path) -> None:
+    folder, stamp = tree(tmp_path), ".venv/.stamp-package"
+    (folder / "saved").write_text("new", encoding="utf-8")
+    for saved in (True, False):  # the second build saves nothing
+        assert make(folder, "--question", stamp).returncode == 1
+        found = make(folder, stamp)
+        assert found.returncode == 0, found.stderr
+        assert (folder / "cpp" / "core.cpp").read_text(encoding="utf-8") == "new"
+        assert make(folder, "--question", stamp).returncode == (1 if saved else 0)
+
+
+def test_an_explorer_of_an_earlier_build_is_not_packed_where_npm_is_missing(tmp_path: Path) -> None:
+    folder = tree(tmp_path)
+    page = folder / "python" / "hexservo" / "explorer.html"
+    programs = folder / "programs"
+    programs.mkdir()
+    for name in ("bash", "make", "sh", "rm", "find", "touch", "mv", "sleep"):
+        found = shutil.which(name)
+        assert found is not None
+        (programs / name).symlink_to(found)
+    for target in ("wheel", "clean"):
+        page.write_text("old", encoding="utf-8")
+        found = make(folder, target, PATH=str(programs))
+        assert found.returncode == 0, found.stderr
+        assert ("a wheel without the explorer" in found.stdout) == (target == "wheel")
+        assert not page.exists()

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import build_site
+import gallery as gallery_module
 import hexservo as hs
 from gallery import Shown, gallery
 from hexservo.scenario.yaml import load_yaml
@@ -143,6 +144,50 @@ def test_the_site_is_made_where_it_is_asked_for() -> None:
         assert "Circular" not in told.stderr
 
 
+@pytest.mark.parametrize("links", [False, True])
+def test_only_an_earlier_site_is_replaced(links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the folder that is asked for nor those beside it lose files that others made."""
+
+    def built(out: Path) -> None:
+        monkeypatch.setattr(sys, "argv", ["build_site.py", "--out", str(out), *(["--links"] if links else [])])
+        build_site.main()
+
+    begun: list[Path] = []
+    monkeypatch.setattr(build_site, "stage", lambda folder, *_: begun.append(folder))
+    failed: subprocess.CompletedProcess[str] = subprocess.CompletedProcess([], 7)
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: failed)  # Sphinx, which begins and does not end
+    written = "public-links" if links else "public"
+    for number, name in enumerate((written, "public-sources")):
+        out = tmp_path / str(number) / "public"
+        mine = out.with_name(name) / "mine.html"
+        build_site.write(mine, "mine")
+        with pytest.raises(
+            SystemExit, match=re.escape(f"expected an empty folder or an earlier site, got {mine.parent}")
+        ):
+            built(out)
+        assert mine.read_text(encoding="utf-8") == "mine"
+        assert list(out.parent.iterdir()) == [mine.parent]
+    assert begun == []
+
+    out = tmp_path / "new" / "public"
+    for _ in range(2):  # the second one replaces the first, which was interrupted
+        with pytest.raises(SystemExit, match="7"):
+            built(out)
+        old = out.with_name(written) / "old.html"
+        assert not old.exists()
+        old.write_text("old", encoding="utf-8")
+    assert begun == 2 * [out.with_name("public-sources")]
+
+
+def test_a_page_of_another_version_is_not_part_of_the_site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "explorer.html"
+    page.write_text('<meta name="hexservo" content="0.0.1 0">', encoding="utf-8")
+    monkeypatch.setattr(sys, "argv", ["build_site.py", "--out", str(tmp_path / "site"), "--explorer", str(page)])
+    with pytest.raises(SystemExit, match=f"explorer.html: explorer: expected the page of hexservo {hs.__version__}"):
+        build_site.main()
+    assert list(tmp_path.iterdir()) == [page]
+
+
 def test_gallery_draws_a_scenario_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hs, "scenario_names", lambda: ("paper",))
     (first,) = gallery(tmp_path)
@@ -151,3 +196,18 @@ def test_gallery_draws_a_scenario_once(tmp_path: Path, monkeypatch: pytest.Monke
     picture.write_text("kept")
     assert gallery(tmp_path) == [Shown(**dataclasses.asdict(first))]
     assert picture.read_text() == "kept"
+
+
+def test_gallery_draws_again_after_any_change_of_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Verdicts are made by hexservo.run, runs by the compiled modules of the processor's instruction sets."""
+    paper, keys = hs.load_scenario("paper"), set()
+    assert gallery_module.PACKAGE / "run" / "compare.py" in set(gallery_module.PACKAGE.rglob("*.py"))
+    package = tmp_path / "package"
+    monkeypatch.setattr(gallery_module, "PACKAGE", package)
+    for text in ("a", "b"):
+        for name in ("__init__.py", "run/compare.py", "_core.so", "_core_avx2.so"):
+            build_site.write(package / name, text)
+            gallery_module.code_of.cache_clear()
+            keys.add(gallery_module.key_of(paper))
+    assert len(keys) == 8
+    gallery_module.code_of.cache_clear()

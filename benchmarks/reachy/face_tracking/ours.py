@@ -173,7 +173,7 @@ def compiled(scenario: hs.Scenario, folder: Path, library: Path | None = None) -
     folder
         For sources and program, made where it is missing.
     library
-        `libhexservo_core.a`; None: it is built by CMake, which takes minutes once.
+        `libhexservo_core.a` of the headers' version; None: CMake builds it, which takes minutes the first time.
 
     Raises
     ------
@@ -188,13 +188,11 @@ def compiled(scenario: hs.Scenario, folder: Path, library: Path | None = None) -
     if library is None:
         core = folder / "core"
         library = core / "libhexservo_core.a"
-        if not library.is_file():
-            subprocess.run(
-                ["cmake", "-S", ROOT, "-B", core, "-DCMAKE_BUILD_TYPE=Release"], check=True, stdout=subprocess.DEVNULL
-            )
-            subprocess.run(
-                ["cmake", "--build", core, "--target", "hexservo_core"], check=True, stdout=subprocess.DEVNULL
-            )
+        for command in (
+            ["cmake", "-S", str(ROOT), "-B", str(core), "-DCMAKE_BUILD_TYPE=Release"],
+            ["cmake", "--build", str(core), "--target", "hexservo_core"],  # compiles what has changed
+        ):
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     header, program = gains_header(scenario), folder / "controller"
     places = 4 if len(LANDMARKS) == 4 else 16
     (folder / "gains.hpp").write_text(header, encoding="utf-8")

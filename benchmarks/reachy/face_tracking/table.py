@@ -158,9 +158,8 @@ def _row(group: list[tuple[Trial, Figures]]) -> Row:
     values = {}
     for name in FIGURES:
         numbers = np.array([getattr(found, name) for _, found in group])
-        # A median between a number and "never" is "never"; NaN is in all of them or in none.
-        middle = np.sort(numbers)[len(numbers) // 2] if np.isinf(numbers).any() else np.median(numbers)
-        values[name] = float(middle), float(numbers.max())
+        # The middle of a number and "never" is "never"; NaN is in all of them or in none.
+        values[name] = float(np.median(numbers)), float(numbers.max())
     return Row(group[0][0], values, tuple(trial.seed for trial, _ in group))
 
 

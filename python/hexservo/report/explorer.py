@@ -2,22 +2,57 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import re
 from importlib import resources
 
 from hexservo.run.files import write_file
+from hexservo.run.metrics import METRICS
 from hexservo.scenario.flat import core_values
 from hexservo.scenario.scenario import Scenario, scenario_names
+from hexservo.scenario.schema import schema
+from hexservo.scenario.version import VERSION
 
-__all__ = ["ExplorerError", "explorer_page", "write_explorer"]
+__all__ = ["ExplorerError", "built_for", "checked_page", "explorer_page", "write_explorer"]
 
 _TITLE = "<!doctype html><!-- hexservo explorer, format 1 -->"
+_BUILT_FOR = re.compile(r'<meta name="hexservo" content="([^"]*)">')
 _PLACE = '<script type="application/json" id="own">null</script>'
 
 
 class ExplorerError(RuntimeError):
-    """The package has no page: it was not built."""
+    """The package has no page, or that of another version: it has to be built."""
+
+
+def built_for() -> str:
+    """Return what a page is built for: the version, and a digest of the core's keys, the metrics and the scenarios.
+
+    Defaults are left out, since their last digits depend on the processor's library.
+    """
+    keys = [{name: value for name, value in entry.items() if name != "default"} for entry in schema()]
+    digest = hashlib.sha256(json.dumps([keys, METRICS]).encode())
+    for name in scenario_names():
+        digest.update((resources.files("hexservo") / "scenarios" / f"{name}.yaml").read_bytes())
+    return f"{VERSION} {digest.hexdigest()[:16]}"
+
+
+def checked_page(page: str) -> str:
+    """Return a page, or refuse it.
+
+    Raises
+    ------
+    ExplorerError
+        Where it was built for another version, or for other keys, metrics or scenarios.
+    """
+    found, wanted = _BUILT_FOR.search(page), built_for()
+    if found is None or found[1] != wanted:
+        raise ExplorerError(
+            f"explorer: expected the page of hexservo {wanted}, got that of {found[1] if found else 'an earlier one'}: "
+            "`make explorer` in the source tree builds it again"
+        )
+    return page
 
 
 def explorer_page(scenario: Scenario | str = "paper") -> str:
@@ -31,7 +66,7 @@ def explorer_page(scenario: Scenario | str = "paper") -> str:
     Raises
     ------
     ExplorerError
-        Where the package was installed without the page.
+        Where the package was installed without the page, or with one that `checked_page` refuses.
     """
     file = resources.files("hexservo") / "explorer.html"
     if not file.is_file():
@@ -39,7 +74,7 @@ def explorer_page(scenario: Scenario | str = "paper") -> str:
             "the explorer is not part of this installation: `make explorer` in the source tree builds it "
             "(one HTML file; CONTRIBUTING.md)"
         )
-    page = file.read_text(encoding="utf-8")
+    page = checked_page(file.read_text(encoding="utf-8"))
     own: dict[str, object] = {"start": scenario}
     if isinstance(scenario, Scenario):
         name = scenario.name + (" (file)" if scenario.name in scenario_names() else "")
