@@ -1,7 +1,8 @@
 // A servo loop: read the sensors, take a tick, command the legs, sleep until the next period. No Python, no heap.
 //
 // Camera, joint sensors and legs are simulated here by `Robot`; its two functions are what a real program would
-// replace. gains.hpp was written by `hexservo export paper --header gains.hpp`; any other scenario's header will do.
+// replace. gains.hpp was written by `hexservo export paper --header gains.hpp`; any other scenario's header will do,
+// whatever number of points its target has.
 //
 //   servo [SECONDS]    how long to run, 1 s if not given; exit code 0 if the features settle at their goal
 #include "gains.hpp"
@@ -19,15 +20,16 @@ namespace {
 
 namespace exported = HEXSERVO_GAINS;
 using exported::Law;
-using hexservo::ControllerInput;
 using hexservo::ControllerOutput;
 
 /// The scenario's robot, with errors: inertia and depths are not what the controller estimates.
+/// @tparam N places for points, those of the header's gains
+template <int N>
 class Robot {
  public:
-  explicit Robot(const hexservo::ControllerGains<Law>& gains)
+  explicit Robot(const hexservo::ControllerGains<Law, N>& gains)
       : gains_(gains),
-        points_B_(hexservo::loop_parameters<exported::Law>(exported::settings()).points_T),
+        points_B_(hexservo::loop_parameters<Law, N>(exported::settings()).points_T),
         plant_(gains.task.body, errors()),
         body_(hexservo::body_state<double>(hexservo::home_pose(gains.hexapod), hexservo::Vector6<double>::Zero())),
         camera_(gains.frames, {}),
@@ -36,9 +38,9 @@ class Robot {
   }
 
   /// What camera and joint sensors give at a tick; a frame arrives with the latency of the scenario.
-  ControllerInput read_sensors(long tick) {
-    ControllerInput input;
-    input.now = static_cast<double>(tick) * gains_.period;
+  hexservo::ControllerInputOf<N> read_sensors(long tick) {
+    hexservo::ControllerInputOf<N> input;
+    input.now = static_cast<double>(tick) * gains_.period;  // on a robot its clock, since periods may be dropped
     camera_.expose(tick, hexservo::measured_image(image(), depth_error_));
     camera_.deliver(tick, frame_);
     input.frame = {frame_.exposure * gains_.period, frame_.image};
@@ -76,17 +78,17 @@ class Robot {
   hexservo::Legs<double> legs(const hexservo::BodyState<double>& body) const {
     return hexservo::inverse_kinematics(gains_.hexapod, hexservo::position_of(body), attitude(body));
   }
-  hexservo::Image<double> image() const {
+  hexservo::Image<double, N> image() const {
     return hexservo::take_image(gains_.camera, hexservo::position_of(body_), attitude(body_), points_B_);
   }
 
-  const hexservo::ControllerGains<Law>& gains_;
-  Eigen::Matrix<double, 3, 4> points_B_;
+  const hexservo::ControllerGains<Law, N>& gains_;
+  Eigen::Matrix<double, 3, N> points_B_;
   hexservo::Plant<double> plant_;
-  hexservo::Vector4<double> depth_error_;
+  hexservo::Vector<double, N> depth_error_;
   hexservo::BodyState<double> body_;
-  hexservo::Frames<double> camera_;
-  hexservo::Frame<double> frame_;
+  hexservo::Frames<double, N> camera_;
+  hexservo::Frame<double, N> frame_;
   hexservo::Encoders<double> encoders_;
 };
 
@@ -112,7 +114,7 @@ int main(int argc, char** argv) {
   long missed = 0, invalid = 0;
   Clock::time_point deadline = Clock::now();
   for (long tick = 0; tick < ticks; ++tick) {
-    const ControllerInput input = robot.read_sensors(tick);
+    const auto input = robot.read_sensors(tick);
     const Clock::time_point before = Clock::now();
     const ControllerOutput output = hexservo::step(gains, state, input);
     slowest = std::max(slowest, Clock::now() - before);
@@ -120,8 +122,11 @@ int main(int argc, char** argv) {
 
     invalid += output.invalid_input() ? 1 : 0;
     if (!(robot.error() <= settling.band)) within_since = static_cast<double>(tick + 1) * gains.period;
-    deadline += period;  // an absolute clock: a late tick does not move the later ones
-    if (Clock::now() > deadline) ++missed;
+    deadline += period;  // an absolute clock: a tick that begins late does not move the later ones
+    if (const Clock::time_point now = Clock::now(); now > deadline) {
+      ++missed;
+      deadline = now + period;  // periods that passed are dropped: a burst of commands would move the legs too fast
+    }
     std::this_thread::sleep_until(deadline);
   }
 

@@ -39,11 +39,11 @@ def connect(
     stack.callback(images.close)
     camera = Camera(images, len(scenario.target.desired_features or ()) // 2, clock)
     hexapod = GcsHexapod(GcsLink(line), camera, Kinematics(scenario))
-    hexapod.start(VELOCITY, clock, interrupted)
+    hexapod.start(options.velocity, clock, interrupted)
     return hexapod
 
 
-PROGRAM = Program("gcs", "pi-h824", 0.05, 1e-4, 0.5, connect, __doc__ or "", camera=True)
+PROGRAM = Program("gcs", "pi-h824", 0.05, 1e-4, 0.5, connect, __doc__ or "", camera=True, velocity=VELOCITY)
 
 if __name__ == "__main__":
     sys.exit(main(PROGRAM))

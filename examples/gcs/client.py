@@ -2,8 +2,8 @@
 
 Positions are in mm and degrees, axes X, Y, Z, U, V, W; a command is a line, a query ends in a question mark, and in a
 reply of several lines all but the last end with a blank. Commands have no reply: ``ERR?`` asks what became of them.
-What is here is from publicly available manuals, and has not run on such a controller: try it with a small velocity and
-the emergency stop at hand.
+What is here is from publicly available manuals, and has not run on such a controller: try it with a small velocity
+(``--velocity``) and the emergency stop at hand.
 
 U, V and W are rotations about the axes of the moving platform, first U, then V, then W: R = Rx(U) Ry(V) Rz(W).
 """
@@ -77,12 +77,13 @@ class GcsLink:
         return int(reply)
 
     def query(self, text: str, count: int) -> list[str]:
-        """Return the lines of a reply, as many as are expected."""
+        """Return the lines of a reply, as many as are expected, within one time limit."""
+        deadline = self._line.deadline()
         self._line.send(text.encode("ascii") + b"\n")
         lines: list[str] = []
         while True:
             try:
-                lines.append(self._line.receive().decode("ascii"))
+                lines.append(self._line.receive(deadline).decode("ascii"))
             except UnicodeDecodeError:
                 raise LinkError(f"{text}: expected text, got other bytes") from None
             if not lines[-1].endswith(" ") or len(lines) > _MOST_LINES:
@@ -96,7 +97,7 @@ class GcsLink:
         found: dict[str, float] = {}
         for line in self.query(query, len(AXES)):
             axis, equals, number = (part.strip() for part in line.partition("="))
-            if not equals or axis not in AXES or axis in found or not _NUMBER.fullmatch(number):
+            if not equals or axis not in tuple(AXES) or axis in found or not _NUMBER.fullmatch(number):
                 raise LinkError(
                     f"{query}: expected a line like X=1.5 for each of {', '.join(AXES)}, got something else"
                 )
@@ -153,12 +154,13 @@ class GcsHexapod:
         clock, interrupted
             For the way home.
         timeout
-            Of the way home [s].
+            Of the way home, beyond what it takes from the farthest limit at this velocity [s].
 
         Raises
         ------
         Stop
-            Where the hexapod is not referenced, or does not arrive.
+            Where the hexapod is not referenced, or does not arrive. After this and any other failure on the way home
+            it is stopped.
         LinkError
             For a lost link, an error of the controller, or a reply that is not as expected.
         """
@@ -172,12 +174,13 @@ class GcsHexapod:
         self._link.command(f"VLS {velocity:.6f}")
         try:
             self._link.move(np.zeros(6))
-            due = clock.now() + timeout
+            limit = timeout + float(np.maximum(-self._lowest, self._highest).max()) / velocity
+            due = clock.now() + limit
             while not self._link.values("ONT?").all():
                 if interrupted.is_set() or clock.now() >= due:
-                    raise Stop("interrupted" if interrupted.is_set() else f"home was not reached within {timeout} s")
+                    raise Stop("interrupted" if interrupted.is_set() else f"home was not reached within {limit:.1f} s")
                 clock.wait_until(clock.now() + 0.05, interrupted)
-        except (Stop, LinkError):
+        except BaseException:
             with contextlib.suppress(LinkError):  # the first reason is the one to report
                 self.stop()
             raise

@@ -54,16 +54,21 @@ class SimulatedClock:
 
 @contextlib.contextmanager
 def interrupts() -> Iterator[threading.Event]:
-    """Set an event at Ctrl-C or SIGTERM, so that the loop ends where it can stop the machine.
+    """Set an event at Ctrl-C, SIGTERM or SIGHUP, so that the loop ends where it can stop the machine.
 
-    A second Ctrl-C ends the program at once. For the main thread.
+    A second Ctrl-C ends the program at once; the other two may come twice by themselves, as when a terminal closes. A
+    SIGHUP that is ignored, as under nohup, stays so. For the main thread.
     """
     event = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in numbers}
 
     def interrupt(number: int, _: object) -> None:
         event.set()
-        signal.signal(number, signal.SIG_DFL)
+        if number == signal.SIGINT:
+            signal.signal(number, signal.SIG_DFL)
 
     for number in before:
         signal.signal(number, interrupt)

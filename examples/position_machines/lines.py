@@ -65,10 +65,20 @@ class Line:
         except OSError as error:
             raise self._lost(f"nothing can be sent ({error})") from None
 
-    def receive(self) -> bytes:
-        """Return the next line without its end."""
+    def deadline(self) -> float:
+        """Return when an operation that begins now has to be over, a time of `time.monotonic` [s]."""
+        return time.monotonic() + self.timeout
+
+    def receive(self, deadline: float | None = None) -> bytes:
+        """Return the next line without its end.
+
+        Parameters
+        ----------
+        deadline
+            Of the operation that this line is part of, from `deadline`; None: the line is all of it.
+        """
         link = self._open()
-        deadline = time.monotonic() + self.timeout
+        deadline = self.deadline() if deadline is None else deadline
         while b"\n" not in self._received:
             if len(self._received) > LONGEST:
                 raise self._lost(f"expected lines of at most {LONGEST} bytes, got a longer one")

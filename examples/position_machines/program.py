@@ -23,6 +23,8 @@ __all__ = ["Connect", "Program", "arguments", "main"]
 Connect = Callable[[contextlib.ExitStack, argparse.Namespace, hs.Scenario, Clock, threading.Event], Machine]
 """Connects to the machine: makes what `run` needs, closed with the stack; may raise `LinkError` and `Stop`."""
 
+_APPROACH = 10.0  # [s] that a leg would take from one end of its travel to the other on the way to the first jump
+
 
 @dataclass(frozen=True)
 class Program:
@@ -36,6 +38,7 @@ class Program:
     connect: Connect
     text: str
     camera: bool = False  # the camera has its own port
+    velocity: float | None = None  # of the platform that the program sets unless a smaller one is given [mm/s]
 
 
 def arguments(program: Program) -> argparse.ArgumentParser:
@@ -44,7 +47,8 @@ def arguments(program: Program) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True)
     record = commands.add_parser("record", help="move the legs in jumps and write a log")
     record.add_argument("--out", required=True, metavar="FILE", help="log to write, a new CSV file")
-    record.add_argument("--jump", type=float, default=program.jump, help="largest jump of a leg [m; rad]")
+    jump = "largest distance of a leg from home [m; rad]; a jump is up to twice as long"
+    record.add_argument("--jump", type=float, default=program.jump, help=jump)
     record.add_argument("--seed", type=int, default=0, help="of the jumps")
     track = commands.add_parser("track", help="move until the image is the scenario's goal")
     track.add_argument("--out", metavar="FILE", help="log to write, a new CSV file")
@@ -55,6 +59,9 @@ def arguments(program: Program) -> argparse.ArgumentParser:
         each.add_argument("--port", type=int, help="of the machine")
         if program.camera:
             each.add_argument("--camera-port", type=int, help="of the program with the images, on this computer")
+        if program.velocity is not None:
+            velocity = f"of the platform [mm/s], at most {program.velocity:g}, which is the default"
+            each.add_argument("--velocity", type=float, default=program.velocity, help=velocity)
         each.add_argument(
             "--simulated", action="store_true", help="start a simulated machine on the loopback interface"
         )
@@ -71,23 +78,25 @@ def main(program: Program, given: Sequence[str] | None = None) -> int:
         parser.error(f"expected --port{' and --camera-port' if program.camera else ''}, or --simulated")
     if not 0.0 < options.seconds <= 3600.0:
         parser.error(f"--seconds: expected more than 0 and at most 3600, got {options.seconds:g}")
+    if program.velocity is not None and not 0.0 < options.velocity <= program.velocity:
+        parser.error(f"--velocity: expected more than 0 and at most {program.velocity:g}, got {options.velocity:g}")
     clock = RealClock() if options.real_time or not options.simulated else SimulatedClock()
     log = None
     with contextlib.ExitStack() as stack:
         try:
             scenario = _scenario(options, program)
-            if options.out is not None:
-                points = len(scenario.target.desired_features or ()) // 2
-                log = LogFile(options.out, points, frame_period(scenario))
-                stack.callback(log.close)
             kinematics = Kinematics(scenario)
             limits = Limits.of(kinematics)
             if options.command == "record":
-                decide = excitation(kinematics.home_legs, options.jump, program.hold, options.seed)
-                limits.check(kinematics.home_legs + abs(options.jump), "would be sent by a jump")
-                limits.check(kinematics.home_legs - abs(options.jump), "would be sent by a jump")
+                _check_jump(options.jump, kinematics.home_legs, limits)
+                speed = float((limits.highest - limits.lowest).max()) / _APPROACH
+                decide = excitation(kinematics.home_legs, options.jump, program.hold, speed, options.seed)
             else:
                 decide = tracking(hs.Controller(scenario, program.period), limits)
+            if options.out is not None:  # before anything moves, and at last: what fails before it leaves no file
+                points = len(scenario.target.desired_features or ()) // 2
+                log = LogFile(options.out, points, frame_period(scenario))
+                stack.callback(log.close)
         except (hs.ScenarioError, ValueError, OSError, Stop) as error:
             print(f"{program.name}: {error}", file=sys.stderr)
             return 2
@@ -101,6 +110,19 @@ def main(program: Program, given: Sequence[str] | None = None) -> int:
         last = _Last(machine)
         ending = run(last, decide, limits, program.period, options.seconds, clock, interrupted, log)
     return _report(program, options, scenario, last, ending)
+
+
+def _check_jump(size: float, home: Array, limits: Limits) -> None:
+    """Refuse a size of which some jump would end the loop."""
+    if not size > 0.0:
+        raise ValueError(f"--jump: expected more than 0, got {size:g}")
+    limits.check(home + size, "would be sent by a jump")
+    limits.check(home - size, "would be sent by a jump")
+    if 2.0 * size > limits.lag:
+        raise ValueError(
+            f"--jump: expected at most {limits.lag / 2:.4g}, got {size:g}: a jump is up to twice as long, and legs may "
+            f"be {limits.lag:.4g} away from their commands"
+        )
 
 
 def _scenario(options: argparse.Namespace, program: Program) -> hs.Scenario:

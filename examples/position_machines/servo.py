@@ -85,7 +85,7 @@ class Limits:
     highest: Array  # (6,)
     lag: float  # most that a leg may be away from its command [m; rad]
     frame_age: float = 0.4  # of the newest image [s]
-    late: float = 0.25  # most that a tick may be behind its time [s]
+    late: float = 0.25  # most that a tick may begin or end behind its time [s]
     invalid: float = 0.3  # longest that the law may be unable to act [s]
 
     @classmethod
@@ -108,6 +108,30 @@ class Limits:
             raise Stop(
                 f"leg {leg + 1} {what} at {legs[leg]:.4g}, expected {self.lowest[leg]:.4g} to {self.highest[leg]:.4g}"
             )
+
+    def check_lag(self, command: Array, legs: Array) -> None:
+        """Refuse a command that is far from where the legs are.
+
+        Raises
+        ------
+        Stop
+            With the leg that is farthest away.
+        """
+        away = np.abs(command - legs)
+        leg = int(np.argmax(away))
+        if away[leg] > self.lag:
+            raise Stop(f"leg {leg + 1} is {away[leg]:.4g} away from its command, expected at most {self.lag:.4g}")
+
+    def check_time(self, behind: float) -> None:
+        """Refuse a tick that is so far behind its time [s].
+
+        Raises
+        ------
+        Stop
+            With the time.
+        """
+        if behind > self.late:
+            raise Stop(f"a tick came {behind:.3f} s late, expected at most {self.late} s")
 
 
 @dataclass
@@ -134,20 +158,23 @@ def is_new(frame: Frame, before: Frame | None, period: float) -> bool:
 
 
 class LogFile:
-    """A log for `hexservo identify` (docs/identification.md)."""
+    """A log for `hexservo identify` (docs/identification.md), in a new file."""
 
     def __init__(self, path: str, points: int, period: float) -> None:
+        self._path = Path(path)
+        self._empty = True
         names = ["time", *(f"{kind}_{leg}" for kind in ("command", "joint") for leg in range(1, 7))]
         image = [f"{axis}_{point}" for point in range(1, points + 1) for axis in "xy"]
         self._blank = [""] * (len(image) + 1)
         self._period = period  # of the camera [s]
         self._seen: Frame | None = None
-        self._file = Path(path).open("x", newline="", encoding="utf-8")  # noqa: SIM115  closed by `close`
+        self._file = self._path.open("x", newline="", encoding="utf-8")  # closed by `close`
         self._writer = csv.writer(self._file)
         self._writer.writerow([*names, *image, "arrival"])
 
     def write(self, now: float, command: Array, reading: Reading) -> None:
         """Write a tick; an image only where it is new. Its time of exposure is left for `identify` to find."""
+        self._empty = False
         image: list[str] = self._blank
         if reading.frame is not None and is_new(reading.frame, self._seen, self._period):
             self._seen = reading.frame
@@ -155,8 +182,10 @@ class LogFile:
         self._writer.writerow([f"{now:.9g}", *(f"{number:.9g}" for number in (*command, *reading.legs)), *image])
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file; one without a tick is removed, so that the next attempt may have its name."""
         self._file.close()
+        if self._empty:
+            self._path.unlink(missing_ok=True)
 
 
 def run(
@@ -171,12 +200,15 @@ def run(
 ) -> Ending:
     """Command the machine every period, until the time is over or something is wrong, and then stop it.
 
+    A command is a step of what the legs do in a period. So periods that pass during a tick are dropped, and the next
+    tick begins a period after its end: commands that made up for them in a burst would be faster than the legs may be.
+
     Parameters
     ----------
     decide
         Where the legs are sent.
     limits
-        What ends the loop; commands beyond the range of the legs are not sent.
+        What ends the loop; commands beyond the range of the legs, or far from where they are, are not sent.
     period, seconds
         Of a tick, and of the whole [s].
     interrupted
@@ -185,30 +217,30 @@ def run(
         Where each tick is written.
     """
     start = clock.now()
+    dropped = 0.0  # time of the periods that were [s]
     ending = Ending("", False, 0)
-    command: Array | None = None
     try:
-        while ending.ticks * period < seconds:
-            due = start + ending.ticks * period
+        while dropped + ending.ticks * period < seconds:
+            due = start + dropped + ending.ticks * period
             clock.wait_until(due, interrupted)
             if interrupted.is_set():
                 ending.interrupted = True
                 raise Stop("interrupted")
             now = clock.now()
-            if now - due > limits.late:
-                raise Stop(f"a tick came {now - due:.3f} s late, expected at most {limits.late} s")
+            limits.check_time(now - due)
             reading = machine.read()
             limits.check(reading.legs, "is")
-            if command is not None and np.abs(command - reading.legs).max() > limits.lag:
-                leg = int(np.argmax(np.abs(command - reading.legs)))
-                away = abs(command[leg] - reading.legs[leg])
-                raise Stop(f"leg {leg + 1} is {away:.4g} away from its command, expected at most {limits.lag:.4g}")
             command = decide(now - start, _since(reading, start))
             limits.check(command, "was to be sent")
+            limits.check_lag(command, reading.legs)
             machine.command(command)
             if log is not None:
                 log.write(now - start, command, reading)
             ending.ticks += 1
+            behind = clock.now() - (due + period)
+            limits.check_time(behind)
+            if behind >= 0.0:
+                dropped += behind + period
     except (Stop, LinkError, OSError) as error:
         ending.reason = str(error)
     finally:
@@ -217,6 +249,8 @@ def run(
             ending.stopped = True
         except LinkError as error:
             ending.details.append(f"the machine did not confirm that it stops: {error}")
+    if dropped > 0.0:
+        ending.details.append(f"the computer was late: {dropped:.3f} s passed without commands, ticks are uneven")
     return ending
 
 
@@ -260,25 +294,34 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
     return decide
 
 
-def excitation(middle: Array, size: float, hold: float, seed: int = 0) -> Decision:
-    """Return a decision for a log: jumps of all legs about a middle.
+def excitation(middle: Array, size: float, hold: float, speed: float, seed: int = 0) -> Decision:
+    """Return a decision for a log: a slow way to a middle, from wherever the legs are, then jumps of all legs about it.
 
     Parameters
     ----------
     middle
         (6,) [m; rad].
     size
-        Largest jump away from the middle [m; rad].
+        Largest distance of a leg from the middle [m; rad]; a jump is up to twice as long.
     hold
         Mean time between jumps [s]. Jumps come at random times, so that they excite a band of frequencies.
+    speed
+        Of the leg that is farthest away, on the way to the middle [m/s; rad/s].
     seed
         Of the jumps.
     """
     random = np.random.default_rng(seed)
-    target, next_jump = middle, 0.5
+    start: Array | None = None
+    target, arrival, next_jump = middle, 0.0, 0.5
 
-    def decide(now: float, _: Reading) -> Array:
-        nonlocal target, next_jump
+    def decide(now: float, reading: Reading) -> Array:
+        nonlocal start, target, arrival, next_jump
+        if start is None:
+            start = reading.legs
+            arrival = float(np.abs(middle - start).max()) / speed
+            next_jump = max(next_jump, arrival)
+        if now < arrival:
+            return start + now / arrival * (middle - start)
         if now >= next_jump:
             target = middle + random.uniform(-size, size, 6)
             next_jump = now + random.uniform(0.2, 1.8) * hold

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,12 +25,12 @@ import hexservo as hs
 import reachy.__main__
 from gcs.client import AXES, GcsHexapod, GcsLink, from_pose, to_pose
 from gcs.controller import Controller
-from position_machines.clock import SimulatedClock
+from position_machines.clock import SimulatedClock, interrupts
 from position_machines.frames import Camera, camera_server, frame_of, numbers, object_of
 from position_machines.kinematics import Kinematics
 from position_machines.lines import LONGEST, Line, LinkError, Server, answering
 from position_machines.program import main
-from position_machines.servo import Ending, Frame, Limits, LogFile, Reading, Stop, is_new, run, tracking
+from position_machines.servo import Ending, Frame, Limits, LogFile, Reading, Stop, excitation, is_new, run, tracking
 from position_machines.simulated import Drives, SimulatedMachine
 from reachy.head import DRIVES, WATCHDOG, Head, head_handler, head_server, simulated_scenario
 from recorded_machines import Drive, wandering
@@ -226,14 +228,24 @@ def test_scenarios_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.Ca
     ):
         assert main(reachy.__main__.PROGRAM, ["track", "--simulated", "--scenario", scenario]) == 2
         assert words in capsys.readouterr().err
-    jump = ["record", "--simulated", "--jump", "2", "--out", str(tmp_path / "log.csv")]
-    assert main(reachy.__main__.PROGRAM, jump) == 2
-    assert "would be sent by a jump at" in capsys.readouterr().err
+    for size, words in (
+        ("2", "would be sent by a jump at"),
+        ("0.3", "--jump: expected at most 0.2566, got 0.3: a jump is up to twice as long, and legs may be 0.5131 away"),
+        ("0", "--jump: expected more than 0, got 0"),
+        ("nan", "--jump: expected more than 0, got nan"),
+    ):
+        jump = ["record", "--simulated", "--jump", size, "--out", str(tmp_path / "log.csv")]
+        assert main(reachy.__main__.PROGRAM, jump) == 2
+        assert words in capsys.readouterr().err
     for wrong in (["track"], ["track", "--simulated", "--port", "1"], ["track", "--simulated", "--seconds", "nan"]):
         with pytest.raises(SystemExit, match="2"):
             main(reachy.__main__.PROGRAM, wrong)
-    assert main(reachy.__main__.PROGRAM, ["record", "--port", "1", "--out", str(tmp_path / "b.csv")]) == 1
-    assert "no connection" in capsys.readouterr().err
+    for _ in range(2):  # the first leaves no log that would be in the way of the second
+        assert main(reachy.__main__.PROGRAM, ["record", "--port", "1", "--out", str(tmp_path / "log.csv")]) == 1
+        assert "no connection" in capsys.readouterr().err
+    nowhere = ["record", "--port", "1", "--out", str(tmp_path / "folder" / "log.csv")]
+    assert main(reachy.__main__.PROGRAM, nowhere) == 2  # before anything is asked of the machine
+    assert "No such file" in capsys.readouterr().err
 
 
 def with_fault(machine: SimulatedMachine, request: int, reply: bytes | None) -> Server:
@@ -368,6 +380,122 @@ def test_stale_images_blocked_legs_and_late_ticks_end_the_loop(
     assert "s late, expected at most 0.25 s" in ending_of(computer_sleeps).reason
 
 
+class Followed:
+    """Legs that are at once where they are sent, and the times of the commands [s]."""
+
+    def __init__(self, clock: SimulatedClock, legs: Array) -> None:
+        self._clock, self.legs = clock, legs
+        self.times: list[float] = []
+        self.commands: list[Array] = []
+        self.stopped = False
+
+    def read(self) -> Reading:
+        return Reading(self.legs, None)
+
+    def command(self, legs: Array) -> None:
+        self.times.append(self._clock.now())
+        self.commands.append(legs)
+        self.legs = legs
+
+    def stop(self) -> None:
+        self.stopped = True
+
+
+def test_periods_that_pass_during_a_tick_are_not_made_up_for(clock: SimulatedClock) -> None:
+    """A decision moves by a step of a period, and so do the legs, however long the computer was busy with a tick."""
+    limits = Limits.of(Kinematics(head_scenario()))
+    home, speed, hang = Kinematics(head_scenario()).home_legs, 0.5, 0.2
+    machine = Followed(clock, home)
+
+    def decide(now: float, _: Reading) -> Array:
+        if now == 10 * PERIOD:
+            clock.wait_until(clock.now() + hang, threading.Event())
+        return home + speed * PERIOD * len(machine.commands)
+
+    ending = run(machine, decide, limits, PERIOD, 1.0, clock, threading.Event())
+    gaps = np.diff(machine.times)
+    assert not ending.reason
+    assert (gaps > 0.0).all()
+    assert (np.abs(np.diff(machine.commands, axis=0)).max(axis=1) <= speed * gaps * (1 + 1e-9)).all()
+    assert machine.times[-1] < 1.0
+    assert ending.ticks == 50 - round(hang / PERIOD)
+    assert ending.details == ["the computer was late: 0.200 s passed without commands, ticks are uneven"]
+
+
+def test_the_law_goes_on_after_dropped_periods(clock: SimulatedClock, head: SimulatedMachine) -> None:
+    """Times of images and readings are those of the clock: a missing tick leaves latency and lag as they are."""
+    scenario = head_scenario()
+    limits = Limits.of(Kinematics(scenario))
+    with head_server(head) as server:
+        machine = Head(Line("127.0.0.1", server.port, 5.0), 4, clock)
+        decide = tracking(hs.Controller(scenario), limits)
+        hung: list[float] = []
+
+        def hanging(now: float, reading: Reading) -> Array:
+            if now > 0.3 + 0.4 * len(hung) and len(hung) < 3:
+                hung.append(now)
+                clock.wait_until(clock.now() + 0.2, threading.Event())
+            return decide(now, reading)
+
+        ending = run(machine, hanging, limits, PERIOD, 3.0, clock, threading.Event())
+        assert not ending.reason
+        assert len(hung) == 3
+        assert head.error() < 5.0
+
+
+def test_a_command_far_from_the_legs_is_not_sent(clock: SimulatedClock) -> None:
+    kinematics = Kinematics(head_scenario())
+    limits = Limits.of(kinematics)
+    machine = Followed(clock, kinematics.home_legs + 0.6)
+    ending = run(machine, lambda *_: kinematics.home_legs, limits, PERIOD, 1.0, clock, threading.Event())
+    assert "is 0.6 away from its command, expected at most 0.5131" in ending.reason
+    assert machine.stopped
+    assert not machine.commands
+
+
+def test_a_log_begins_where_the_head_is(clock: SimulatedClock) -> None:
+    kinematics = Kinematics(head_scenario())
+    jump, speed = 0.15, 0.2
+    machine = Followed(clock, kinematics.home_legs + 0.6)
+    decide = excitation(kinematics.home_legs, jump, 0.4, speed)
+    ending = run(machine, decide, Limits.of(kinematics), PERIOD, 6.0, clock, threading.Event())
+    assert not ending.reason
+    commands = np.array(machine.commands)
+    way = np.array(machine.times) < 0.6 / speed
+    np.testing.assert_allclose(commands[0], kinematics.home_legs + 0.6, rtol=0, atol=1e-12)
+    assert np.abs(np.diff(commands[way], axis=0)).max() <= speed * PERIOD * (1 + 1e-9)
+    assert np.abs(commands[~way] - kinematics.home_legs).max() <= jump
+    assert np.abs(commands[~way] - kinematics.home_legs).max() > 0.9 * jump
+
+
+def test_record_moves_a_head_that_is_not_at_home_slowly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home, away = Kinematics(simulated_scenario()).home_legs, 0.6 * np.array([1, -1, 1, -1, 1, -1])  # up
+    sent: list[Array] = []
+
+    class Elsewhere(SimulatedMachine):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            for share in np.linspace(0.0, 1.0, 10):  # a pose is found from one that is near
+                self._kinematics.pose(home + share * away)
+            self._state[0] += away
+            self._command = self._state[0].copy()
+
+        def command(self, legs: Array, at: float | None = None) -> None:
+            sent.append(np.array(legs))
+            super().command(legs, at)
+
+    monkeypatch.setattr(reachy.__main__, "SimulatedMachine", Elsewhere)
+    given = ["record", "--simulated", "--seconds", "5", "--out", str(tmp_path / "log.csv")]
+    assert main(reachy.__main__.PROGRAM, given) == 0, capsys.readouterr().err
+    limits = Limits.of(Kinematics(simulated_scenario()))
+    legs = np.array([[float(row.split(",")[7])] for row in (tmp_path / "log.csv").read_text().splitlines()[1:]])
+    assert np.abs(np.array(sent)[:, :1] - legs).max() < limits.lag
+    assert np.abs(sent[0] - home - away).max() < simulated_scenario().sensors.resolution
+    assert np.abs(sent[-1] - home).max() <= 0.15
+
+
 def test_an_interrupt_stops_the_head(clock: SimulatedClock, head: SimulatedMachine) -> None:
     event = threading.Event()
     event.set()
@@ -378,8 +506,10 @@ def test_an_interrupt_stops_the_head(clock: SimulatedClock, head: SimulatedMachi
         assert head.holds
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_program_after_the_stop(tmp_path: Path, number: signal.Signals) -> None:
+    if number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN:
+        pytest.skip("a hangup that is ignored here is ignored in the program too")
     path = tmp_path / "head.yaml"
     path.write_text(head_scenario().to_yaml(), encoding="utf-8")
     command = [sys.executable, "-m", "reachy", "track", "--simulated", "--scenario", str(path), "--seconds", "3600"]
@@ -390,10 +520,27 @@ def test_a_signal_ends_the_program_after_the_stop(tmp_path: Path, number: signal
         assert program.stdout is not None
         assert program.stdout.readline() == "reachy: running, Ctrl-C stops\n"
         program.send_signal(number)
+        if number != signal.SIGINT:  # a terminal that closes sends two of them
+            program.send_signal(number)
         _, errors = program.communicate(timeout=30)
     assert program.returncode == 130
     assert "interrupted" in errors
     assert "did not confirm" not in errors
+
+
+def test_a_hangup_that_is_ignored_stays_so() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    try:
+        with interrupts() as event:
+            signal.raise_signal(signal.SIGHUP)
+            assert not event.is_set()
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        with interrupts() as event:
+            signal.raise_signal(signal.SIGHUP)
+            assert event.is_set()
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 # ---- Lines ----------------------------------------------------------------------------------------------------------
@@ -532,8 +679,8 @@ def test_the_hexapod_reaches_its_goal(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "--port and --camera-port" in capsys.readouterr().err
 
 
-def gcs_with_fault(controller: Controller, query: bytes, reply: bytes | None) -> Server:
-    """A controller that gives this reply to the twelfth query of a kind."""
+def gcs_with_fault(controller: Controller, query: bytes, reply: bytes | None, place: int = 12) -> Server:
+    """A controller that gives this reply to the query of a kind at a place."""
     count = 0
 
     def handler() -> Handler:
@@ -544,7 +691,7 @@ def gcs_with_fault(controller: Controller, query: bytes, reply: bytes | None) ->
             replies = b""
             for line in data.splitlines(keepends=True):  # one segment may carry a command and the query after it
                 count += line.startswith(query)
-                answer = reply if count == 12 and line.startswith(query) else handle(line)
+                answer = reply if count == place and line.startswith(query) else handle(line)
                 if answer is None:
                     return None
                 replies += answer
@@ -566,6 +713,8 @@ GCS_FAULTS: dict[str, tuple[bytes, bytes | None, str]] = {
     "one": (b"POS?", b"X=1\n", "POS?: expected 6 lines, got 1"),
     "endless": (b"POS?", b"X=1 \n" * 50, "POS?: expected 6 lines, got 33"),
     "twice": (b"POS?", b" \n".join([b"X=1"] * 6) + b"\n", "expected a line like X=1.5"),
+    "axis": (b"POS?", positions().replace(b"Y=", b"XY="), "expected a line like X=1.5"),
+    "no axis": (b"POS?", positions().replace(b"Y=", b"="), "expected a line like X=1.5"),
     "nan": (b"POS?", positions(W=float("nan")), "expected a line like X=1.5"),
     "overflow": (b"POS?", positions().replace(b"Y=0.0", b"Y=1e999"), "expected finite numbers"),
     "oversized": (b"POS?", b"X=" + b"1" * (LONGEST + 5000), f"at most {LONGEST} bytes"),
@@ -588,6 +737,92 @@ def test_the_hexapod_is_stopped_whatever_comes(
         assert ending.stopped
         assert not controller.moving()
     assert at_rest(controller.machine, clock)
+
+
+def away_from_home(clock: SimulatedClock, line: Line) -> None:
+    """Move the platform of a controller by 10 mm, and end the connection."""
+    link = GcsLink(line)
+    link.command("SVO X 1 Y 1 Z 1 U 1 V 1 W 1")
+    link.command("VLS 20")
+    link.move(np.array([10.0, 0, 0, 0, 0, 0]))
+    clock.wait_until(clock.now() + 2.0, threading.Event())
+    assert link.values("ONT?").all()
+    link.close()
+
+
+def test_a_hexapod_on_its_way_home_is_stopped_whatever_comes(
+    clock: SimulatedClock, controller: Controller, connect: Callable[..., Line], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def started(port: int) -> None:
+        GcsHexapod(GcsLink(connect(port)), None, Kinematics(hexapod_scenario())).start(  # type: ignore[arg-type]
+            20.0, clock, threading.Event()
+        )
+
+    def fails(*_: object) -> None:
+        raise RuntimeError("the clock fails")
+
+    damaged = positions().replace(b"Y=", b"XY=")
+    with controller.server() as server, gcs_with_fault(controller, b"ONT?", damaged, place=3) as faulty:
+        away_from_home(clock, connect(server.port))
+        with pytest.raises(LinkError, match=r"expected a line like X=1\.5"):
+            started(faulty.port)
+        assert not controller.moving()
+        assert 1.0 < controller.position()[0] < 10.0  # on its way
+        with monkeypatch.context() as patch:
+            patch.setattr(clock, "wait_until", fails)
+            with pytest.raises(RuntimeError, match="the clock fails"):
+                started(server.port)
+        assert not controller.moving()
+    assert at_rest(controller.machine, clock)
+
+
+def test_a_small_velocity_has_the_time_that_it_takes(
+    clock: SimulatedClock, controller: Controller, connect: Callable[..., Line]
+) -> None:
+    with controller.server() as server:
+        away_from_home(clock, connect(server.port))
+        hexapod = GcsHexapod(GcsLink(connect(server.port)), None, Kinematics(hexapod_scenario()))  # type: ignore[arg-type]
+        begin = clock.now()
+        hexapod.start(0.5, clock, threading.Event())
+        assert "VLS 0.500000" in controller.commands
+        assert clock.now() - begin == pytest.approx(10.0 / 0.5, abs=1.0)
+        assert not controller.moving()
+
+
+def test_the_velocity_is_checked(capsys: pytest.CaptureFixture[str]) -> None:
+    for wrong in ("0", "-1", "20.1", "nan"):
+        with pytest.raises(SystemExit, match="2"):
+            main(gcs.__main__.PROGRAM, ["track", "--simulated", "--velocity", wrong])
+        assert f"--velocity: expected more than 0 and at most 20, got {wrong}" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main(reachy.__main__.PROGRAM, ["track", "--simulated", "--velocity", "1"])
+
+
+def test_a_reply_of_several_lines_has_one_time_limit() -> None:
+    """Of a controller that sends a line whenever the limit for a single one is nearly over."""
+    ends = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def trickle() -> None:
+            connection, _ = listening.accept()
+            with connection:
+                for axis in AXES:
+                    if ends.wait(0.4):
+                        return
+                    connection.sendall(f"{axis}=0 \n".encode())
+
+        thread = threading.Thread(target=trickle)
+        thread.start()
+        line = Line("127.0.0.1", listening.getsockname()[1], 0.5)
+        begin = time.monotonic()
+        try:
+            with pytest.raises(LinkError, match=r"no reply within 0\.5 s"):
+                GcsLink(line).values("POS?")
+            assert time.monotonic() - begin < 1.0
+        finally:
+            ends.set()
+            line.close()
+            thread.join()
 
 
 def test_a_hexapod_that_is_not_ready_does_not_move(clock: SimulatedClock, connect: Callable[..., Line]) -> None:

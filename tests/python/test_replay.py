@@ -9,6 +9,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ import hexservo as hs
 from hexservo.run import variant
 from hexservo.run.export import gains_header
 from hexservo.scenario.laws import ALL_LAWS, LAWS
-from points import scattered, with_points
+from points import GOAL, scattered, with_points
 from recorded_ticks import step, ticks_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -268,9 +269,29 @@ def test_a_state_of_another_controller_is_refused() -> None:
     np.testing.assert_array_equal(one.state(), state)
 
 
-@pytest.mark.parametrize(("name", "law"), [("real-machine", "pbvs"), ("slow-camera", "composite")])
-def test_the_example_compiles_with_any_header(tmp_path: Path, library: Path, name: str, law: str) -> None:
-    text = gains_header(hs.load_scenario(name).updated({"controller.law": law}))
+GRID = {
+    "target.initial_features": None,
+    "target.depth": None,
+    "target.grid": {"rows": 3, "columns": 3, "spacing": 0.05, "pose": [0.0, 0.0, -0.65, 0.0, 0.0, 0.0]},
+    "target.desired_features": None,
+    "target.desired_pose": GOAL,
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("real-machine", {"controller.law": "pbvs"}),
+        ("slow-camera", {"controller.law": "composite"}),
+        ("real-machine", GRID),
+        ("real-machine", {"target.weights": [1.0, 1.0, 1.0, 0.5]}),
+    ],
+    ids=["pbvs", "composite", "grid", "weights"],
+)
+def test_the_example_compiles_with_any_header(
+    tmp_path: Path, library: Path, name: str, changes: dict[str, Any]
+) -> None:
+    text = gains_header(hs.load_scenario(name).updated(changes))
     example = (ROOT / "examples" / "servo.cpp").read_text(encoding="utf-8")
     program = compiled(tmp_path, library, example, ("gains.hpp", text))
     run = subprocess.run([program, "0.2"], capture_output=True, text=True, check=False)

@@ -32,7 +32,7 @@ LAST_LINES = {
     "camera": r"\(605\.0, 604\.0\)",
     "campaign": r"\d+ of 400 runs fails?: the failure probability is between .*",
     "paper": r"0\.55 s",
-    "robot": r"\(6,\) \(6,\)",
+    "robot": r"valid",
 }
 
 
