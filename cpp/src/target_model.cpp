@@ -12,6 +12,7 @@ namespace {
 constexpr int kGoalRounds = 60;        // from each start
 constexpr double kGoalMinimum = 4e-6;  // a fit whose first-order step would still gain more is no minimum [px^2]
 constexpr double kGoalShare = 4.0;     // minima with squared residuals within it of the least count as equal
+constexpr double kSameMinimum = 1e-6;  // minima whose distances from home differ by less are one
 constexpr double kExactGoal = 1e-12;   // squared residuals below it are rounding [px^2]
 
 /// Where a search begins: home, and home turned, moved and tilted, with the camera still facing the points.
@@ -106,7 +107,7 @@ Pose<double> goal_pose(const CameraView<double>& camera, const Eigen::Matrix<dou
     if (minimum.squared_residual > std::max(kGoalShare * least, kExactGoal)) continue;
     if (minimum.squared_residual > least && minimum.largest_residual > kGoalResidual) continue;
     const double far = pose_difference(minimum.pose, home).norm();
-    if (far < nearest) {
+    if (far < (1.0 - kSameMinimum) * nearest) {  // of starts that end at one minimum the first
       goal = &minimum;
       nearest = far;
     }

@@ -132,7 +132,7 @@ def _nominal(scenario: Blocks, law: str = "kelly", **gains: Any) -> Settings:
 def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Array, Array, Array, Array]:
     """Return pose (1, 3), (1, 4), depths Z (1, n) [m] and displacement (6,) of the goal; home's and NaN without one.
 
-    The law `pbvs` with unit stiffness gives the displacement from home to the goal as a wrench, beside the weight.
+    What the law `pbvs` regulates at home is the displacement from there to the goal.
     """
     home = _core.Hexapod(settings.robot)
     position, quaternion = np.array(home.home_position)[None], np.array(home.home_quaternion)[None]
@@ -144,8 +144,9 @@ def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Arr
     except ValueError:  # no pose shows the goal image
         return position, quaternion, depth, np.full(6, np.nan)
     still = np.zeros((1, 6))
-    wrench = asked.law(features, depth, position, quaternion, still, None).wrench
-    displacement = (wrench - settings.body.weight(quaternion[0]))[0]
+    error = asked.law(features, depth, position, quaternion, still, None).pose_error
+    assert error is not None
+    displacement = error[0]
     shift, turn = np.split(displacement, 2)
     angle = float(np.linalg.norm(turn))
     w, v = np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * turn
