@@ -215,8 +215,8 @@ class Controller final : public Model {
   }
 
   Places places() const override {
-    return {{"wrench", output_.wrench}, {"leg_forces", output_.leg_forces}, {"fuzzy_output", output_.fuzzy_output},
-            {"status", &status_},       {"saturated", &saturated_},         {"leg_positions", output_.leg_positions},
+    return {{"wrench", output_.wrench},  {"leg_forces", output_.leg_forces}, {"fuzzy_output", output_.fuzzy_output},
+            {"status", &status_},        {"saturated", &saturated_},         {"leg_positions", output_.leg_positions},
             {"latency", output_.latency}};
   }
 
