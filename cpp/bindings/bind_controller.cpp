@@ -25,7 +25,8 @@ py::object without_mask(const py::object& value) {
 void take_numbers(const char* name, const py::object& value, py::ssize_t count, double* to) {
   const auto given = py::array::ensure(without_mask(value));
   using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
-  const auto array = given && !holds_no_real_numbers(given) ? Doubles::ensure(given) : py::reinterpret_steal<Doubles>(py::handle());
+  const auto array =
+      given && !holds_no_real_numbers(given) ? Doubles::ensure(given) : py::reinterpret_steal<Doubles>(py::handle());
   const auto refuse = [&](const std::string& got) {
     throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(count) + " numbers, got " + got);
   };
