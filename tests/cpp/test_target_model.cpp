@@ -364,7 +364,6 @@ TEST_CASE("a fit that ends early ends where endless rounds do, to rounding") {
   CAPTURE(random.seed());
   const Points points = paper_points();
   const Vectors3<double, 4> packed(points);
-  const PosePrior<double> none{kHome, kImageAlone};
   double worst = 0.0;
   for (int trial = 0; trial < 1000; ++trial) {
     CAPTURE(trial);
