@@ -204,6 +204,8 @@ def test_a_batch_fits_each_run(paper: hs.Scenario, law: str) -> None:
                 )
     with pytest.raises(ValueError, match=rf"^{auto}\.damping: expected {auto}\.bandwidth beside it, got null$"):
         hs.simulate_batch(short, {f"{auto}.damping": [1.0, 2.0]})
+    with pytest.raises(ValueError, match=rf"^{auto}\.damping: expected {auto}\.bandwidth beside it, got null$"):
+        hs.simulate_batch(short, {f"{auto}.damping": [1.0, 2.0], "robot.mass": [0.06]})
 
 
 def test_gains_without_a_pose_of_the_goal_are_those_of_home(paper: hs.Scenario) -> None:

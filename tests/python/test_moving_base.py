@@ -594,6 +594,16 @@ def test_what_is_refused(sampled: hs.Scenario, changes: dict[str, Any], sentence
     assert sentence in str(caught.value)
 
 
+def test_specific_forces_of_a_base_that_turns_need_its_attitudes(sampled: hs.Scenario, tmp_path: Path) -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    file = written(tmp_path / "rest.csv", {"t": time, **axes("ax ay az", np.tile([0.0, 0.0, -9.8], (len(time), 1)))})
+    still = {"kind": "recorded", "file": file, "frame_of_acceleration": "specific_force"}
+    assert not np.any(sampled.updated({"base_motion": still}).base_motion.samples)
+    turning = {**still, "rotation": {"kind": "sinusoid", "amplitude": [0.1, 0.0, 0.0], "frequency": 0.5}}
+    with pytest.raises(hs.ScenarioError, match=r"^base_motion\.frame_of_acceleration: expected kinematic"):
+        sampled.updated({"base_motion": turning})
+
+
 def test_continuous_mode_refuses_motion(paper: hs.Scenario) -> None:
     for key, value in (("target.frame", "world"), ("target.motion.kind", "velocity"), ("base_motion.kind", "road")):
         with pytest.raises(hs.ScenarioError, match=f"{key}: has no effect in continuous mode"):

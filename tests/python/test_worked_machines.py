@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,6 +129,40 @@ def test_a_preset_gives_way_to_joints_of_a_different_form() -> None:
     assert robot.platform_joints is None
     assert robot.platform_radius == circle["platform_radius"]
     assert robot.base_joints is not None
+
+
+@pytest.mark.parametrize(
+    ("changes", "lacking"),
+    [
+        ({"robot.base_angles": [0.8, 2.3, 2.9, 4.4, 5.0, 6.1]}, "base_radius"),
+        ({"robot.base_radius": 0.7}, "base_angles"),
+    ],
+)
+def test_half_a_circle_does_not_take_the_place_of_joints(changes: dict[str, Any], lacking: str) -> None:
+    """The core would take another machine's radius or angles."""
+    rubin = hs.load_scenario("rubin-camera-hexapod")
+    with pytest.raises(hs.ScenarioError, match=f"^robot.{lacking}: expected a value, since base_joints is null, got"):
+        rubin.updated(changes)
+
+
+def test_a_batch_does_not_leave_out_circles_of_a_machine_with_joints() -> None:
+    rubin = hs.load_scenario("rubin-camera-hexapod")
+    circle = {"robot.base_radius": [0.7], "robot.base_angles": [[0.8, 2.3, 2.9, 4.4, 5.0, 6.1]]}
+    with pytest.raises(ValueError, match=r"^robot\.base_radius: expected a robot whose base joints are on a circle"):
+        hs.simulate_batch(rubin, circle)
+
+
+def test_joints_may_vary_where_the_gains_fit_the_machine() -> None:
+    """In place of a circle, as one by one."""
+    scenario = hs.load_scenario("pi-h824").updated({"simulation.duration": 0.2})
+    robot = scenario.robot
+    angles = np.array(robot.platform_angles)
+    joints = np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=1) * robot.platform_radius
+    rows = np.stack([joints, joints + [0.0, 0.0, 1e-3]])
+    batch = hs.simulate_batch(scenario, {"robot.platform_joints": rows}, "final")
+    for index, row in enumerate(rows):
+        run = hs.simulate(scenario.updated({"robot.platform_joints": row.tolist()}))
+        np.testing.assert_allclose(batch.samples["position"][index], run.position[-1], atol=1e-9)
 
 
 def test_a_report_of_joints_anywhere(tmp_path: Path) -> None:

@@ -46,6 +46,13 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
         if length not in (1, count):
             longest = max(lengths, key=lambda name: lengths[name])
             raise ValueError(f"{key}: expected 1 or {count} scenarios, as {longest} has, got {length}")
+    for side in ("platform", "base"):  # the core takes joints where there are both
+        for key in (f"robot.{side}_radius", f"robot.{side}_angles"):
+            if key in arrays and getattr(scenario.robot, f"{side}_joints") is not None:
+                raise ValueError(
+                    f"{key}: expected a robot whose {side} joints are on a circle, got one with robot.{side}_joints: "
+                    "give it both keys by Scenario.updated first"
+                )
     # The first scenario, checked as a whole: what the other keys of its block allow.
     try:
         scenario.updated({key: plain_row(known_key(key, law), values[0]) for key, values in arrays.items()})
@@ -72,7 +79,7 @@ def fitted_variations(scenario: Scenario, arrays: Mapping[str, NDArray[Any]]) ->
     auto = auto_of(scenario)
     bandwidth, damping = (arrays.get(key, getattr(auto, name)) for name, key in keys.items())
     if bandwidth is None:
-        if not others:
+        if keys["damping"] in arrays:
             raise ValueError(f"{keys['damping']}: expected {keys['bandwidth']} beside it, got null")
         return others
     given = {key for key in fitted_keys(law) if head + key in others} | set(chosen_keys(scenario))

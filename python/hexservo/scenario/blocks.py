@@ -174,6 +174,15 @@ class Robot(Block):
         ]
         if both:
             raise refusal(*both)
+        lacking = [
+            ((key,), f"expected a value, since {side}_joints is null, got null")
+            for side in _SIDES
+            if getattr(self, f"{side}_joints") is None
+            for key in _circle(side)
+            if getattr(self, key) is None
+        ]
+        if lacking:
+            raise refusal(*lacking)
         return self
 
 

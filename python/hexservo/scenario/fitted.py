@@ -116,6 +116,9 @@ def machine_with(scenario: Blocks, changes: Mapping[str, Any]) -> Machine:
         As `machine_of`.
     """
     blocks = {name: plain(getattr(scenario, name)) for name in _BLOCKS}
+    for side in ("platform", "base"):
+        if f"robot.{side}_joints" in changes:  # in place of a circle
+            blocks["robot"] |= {f"{side}_radius": None, f"{side}_angles": None}
     for key, value in changes.items():
         put(blocks, key, value)
     return machine_of(Blocks.model_validate(blocks))

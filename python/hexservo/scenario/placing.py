@@ -41,10 +41,21 @@ def read_target(scenario: Blocks) -> None:
 
 
 def read_motion(scenario: Blocks) -> None:
-    """Replace the specific forces that a scenario's base recorded by the accelerations of its origin in W."""
+    """Replace the specific forces that a scenario's base recorded by the accelerations of its origin in W.
+
+    Raises
+    ------
+    ValueError
+        Where the base turns, and the recording has no attitudes.
+    """
     motion = scenario.base_motion
     if motion.frame_of_acceleration == "kinematic" or motion.samples is None:
         return
+    if motion.attitudes is None and motion.rotation.kind != "none":
+        raise ValueError(
+            "base_motion.frame_of_acceleration: expected kinematic for a recording without attitudes of a base that "
+            "turns by base_motion.rotation, got specific_force, of which the weight cannot be taken out"
+        )
     samples = kinematic(motion.samples, motion.attitudes, scenario.robot.gravity)
     changes = {"frame_of_acceleration": "kinematic", "samples": samples}
     # blocks are frozen for everyone else

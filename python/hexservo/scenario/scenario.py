@@ -131,8 +131,9 @@ class Scenario(Blocks):
             keys it names and leaves the others alone. Changing ``robot.preset`` brings that preset's values, except
             where this scenario differs from its own preset. To give the target's points in the other form, set the
             keys of the first form to None. What was read into other keys is unchanged: a tag, a grid and a
-            desired pose are points and features by now, which another camera, mount or home leaves alone.
-            `load_scenario` with changes, and ``--set``, read them afterwards.
+            desired pose are points and features by now, which another camera, mount or home leaves alone, and specific
+            forces are kinematic accelerations: give ``base_motion.frame_of_acceleration`` beside another recording of
+            them. `load_scenario` with changes, and ``--set``, read them afterwards.
 
         Raises
         ------
