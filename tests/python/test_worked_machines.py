@@ -158,7 +158,7 @@ def test_joints_may_vary_where_the_gains_fit_the_machine() -> None:
     robot = scenario.robot
     angles = np.array(robot.platform_angles)
     joints = np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=1) * robot.platform_radius
-    rows = np.stack([joints, joints + [0.0, 0.0, 1e-3]])
+    rows = np.stack([joints, joints + np.array([0.0, 0.0, 1e-3])])
     batch = hs.simulate_batch(scenario, {"robot.platform_joints": rows}, "final")
     for index, row in enumerate(rows):
         run = hs.simulate(scenario.updated({"robot.platform_joints": row.tolist()}))
