@@ -225,7 +225,7 @@ def test_an_explorer_of_an_earlier_build_is_not_packed_where_npm_is_missing(tmp_
         (programs / name).symlink_to(found)
     for target in ("wheel", "clean"):
         page.write_text("old", encoding="utf-8")
-        found = make(folder, target, PATH=str(programs))
-        assert found.returncode == 0, found.stderr
-        assert ("a wheel without the explorer" in found.stdout) == (target == "wheel")
+        made = make(folder, target, PATH=str(programs))
+        assert made.returncode == 0, made.stderr
+        assert ("a wheel without the explorer" in made.stdout) == (target == "wheel")
         assert not page.exists()
