@@ -147,7 +147,7 @@ def test_half_a_circle_does_not_take_the_place_of_joints(changes: dict[str, Any]
 
 def test_a_batch_does_not_leave_out_circles_of_a_machine_with_joints() -> None:
     rubin = hs.load_scenario("rubin-camera-hexapod")
-    circle = {"robot.base_radius": [0.7], "robot.base_angles": [[0.8, 2.3, 2.9, 4.4, 5.0, 6.1]]}
+    circle: dict[str, Any] = {"robot.base_radius": [0.7], "robot.base_angles": [[0.8, 2.3, 2.9, 4.4, 5.0, 6.1]]}
     with pytest.raises(ValueError, match=r"^robot\.base_radius: expected a robot whose base joints are on a circle"):
         hs.simulate_batch(rubin, circle)
 
