@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.blocks import SIDES, circle_keys
 from hexservo.scenario.fitted import (
     acts_on_gains,
     auto_of,
@@ -46,8 +47,8 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
         if length not in (1, count):
             longest = max(lengths, key=lambda name: lengths[name])
             raise ValueError(f"{key}: expected 1 or {count} scenarios, as {longest} has, got {length}")
-    for side in ("platform", "base"):  # the core takes joints where there are both
-        for key in (f"robot.{side}_radius", f"robot.{side}_angles"):
+    for side in SIDES:  # the core takes joints where there are both
+        for key in (f"robot.{key}" for key in circle_keys(side)):
             if key in arrays and getattr(scenario.robot, f"{side}_joints") is not None:
                 raise ValueError(
                     f"{key}: expected a robot whose {side} joints are on a circle, got one with robot.{side}_joints: "

@@ -58,7 +58,7 @@ __all__ = ["Actuators", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "
 
 DEFAULT_PRESET = "micro"
 _FOCAL_KEYS = ("focal_length", "pixel_scale")
-_SIDES = ("platform", "base")
+SIDES = ("platform", "base")
 DEFAULT_DEPTH = float(core_default("target.depth"))  # [m], docs/model.md section 4
 
 
@@ -89,15 +89,15 @@ def _travel(stroke: Any, centre: Any) -> dict[str, float]:
         return {}  # refused at its own place, if it is no number
     shortest, longest = map(float, stroke)
     if not shortest <= 0.0 <= longest or shortest == longest:
-        raise refusal(
-            (("stroke",), f"expected [shortest, longest] travel with home between them, got {shown_value(stroke)}")
-        )
+        expected = "expected [shortest, longest] travel with home between them"
+        raise refusal((("stroke",), f"{expected}, got {shown_value(stroke)}"))
     if centre:
         raise refusal((("stroke_centre",), f"expected null beside [shortest, longest], got {shown_value(centre)}"))
     return {"stroke": (longest - shortest) / 2, "stroke_centre": (longest + shortest) / 2}
 
 
-def _circle(side: str) -> tuple[str, str]:
+def circle_keys(side: str) -> tuple[str, str]:
+    """Return the two keys of a robot that place the joints of a side on a circle, in place of `<side>_joints`."""
     return f"{side}_radius", f"{side}_angles"
 
 
@@ -150,12 +150,12 @@ class Robot(Block):
         given = {key: value for key, value in data.items() if value is not None}
         given |= _travel(given.get("stroke"), given.get("stroke_centre"))
         # Joints given one by one leave no circle.
-        other = {key: None for side in _SIDES if f"{side}_joints" in given for key in _circle(side)}
+        other = {key: None for side in SIDES if f"{side}_joints" in given for key in circle_keys(side)}
         preset = given.get("preset")
         if preset is None:
             return {**other, **given}
         # A circle leaves no joints of a preset.
-        other |= {f"{side}_joints": None for side in _SIDES if not given.keys().isdisjoint(_circle(side))}
+        other |= {f"{side}_joints": None for side in SIDES if not given.keys().isdisjoint(circle_keys(side))}
         # An unknown preset is reported at its own key; any values do to check the others.
         known = isinstance(preset, str) and preset in ROBOT_PRESETS
         values = preset_values(preset if known else DEFAULT_PRESET)
@@ -167,18 +167,18 @@ class Robot(Block):
     def _has_one_form(self) -> Robot:
         both = [
             ((key,), f"expected null beside {side}_joints, got {shown_value(map_lists(value, list))}")
-            for side in _SIDES
+            for side in SIDES
             if getattr(self, f"{side}_joints") is not None
-            for key in _circle(side)
+            for key in circle_keys(side)
             if (value := getattr(self, key)) is not None
         ]
         if both:
             raise refusal(*both)
         lacking = [
             ((key,), f"expected a value, since {side}_joints is null, got null")
-            for side in _SIDES
+            for side in SIDES
             if getattr(self, f"{side}_joints") is None
-            for key in _circle(side)
+            for key in circle_keys(side)
             if getattr(self, key) is None
         ]
         if lacking:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.blocks import Blocks
+from hexservo.scenario.blocks import SIDES, Blocks, circle_keys
 from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.keys import sampled_keys
 from hexservo.scenario.laws import ALL_LAWS, LAWS, Auto
@@ -116,9 +116,9 @@ def machine_with(scenario: Blocks, changes: Mapping[str, Any]) -> Machine:
         As `machine_of`.
     """
     blocks = {name: plain(getattr(scenario, name)) for name in _BLOCKS}
-    for side in ("platform", "base"):
-        if f"robot.{side}_joints" in changes:  # in place of a circle
-            blocks["robot"] |= {f"{side}_radius": None, f"{side}_angles": None}
+    for side in SIDES:
+        if f"robot.{side}_joints" in changes:
+            blocks["robot"] |= dict.fromkeys(circle_keys(side))
     for key, value in changes.items():
         put(blocks, key, value)
     return machine_of(Blocks.model_validate(blocks))
