@@ -64,8 +64,17 @@ export class Runner {
 /** Runs many scenarios that differ in some keys. */
 export class Crew {
   constructor() {
+    this.count = Math.max(1, Math.min(8, navigator.hardwareConcurrency ?? 2));
     this.workers = [];
     this.id = 0;
+  }
+
+  /** Once: a map that is asked for while the first one waits for its workers has the same. */
+  start() {
+    this.started ??= Promise.all(Array.from({ length: this.count }, () => worker((message) => this.answer?.(message)))).then((workers) => {
+      this.workers = workers;
+    });
+    return this.started;
   }
 
   /**
@@ -77,10 +86,9 @@ export class Crew {
    */
   async map(scenario, names, cells, answer, refuse) {
     const id = ++this.id;
-    const count = Math.max(1, Math.min(8, navigator.hardwareConcurrency ?? 2));
-    while (this.workers.length < count) this.workers.push(await worker((message) => this.answer?.(message)));
+    await this.start();
     if (id !== this.id) return;
-    let running = count;
+    let running = this.count;
     this.answer = (message) => {
       if (message.id !== this.id) return;
       if (message.refusal) {
@@ -91,7 +99,7 @@ export class Crew {
       if (message.finished) running -= 1;
       answer(message.cells, running === 0);
     };
-    this.workers.forEach((made, k) => made.postMessage({ id, map: { scenario, names, cells: cells.filter((_, i) => i % count === k) } }));
+    this.workers.forEach((made, k) => made.postMessage({ id, map: { scenario, names, cells: cells.filter((_, i) => i % this.count === k) } }));
   }
 
   stop() {

@@ -38,6 +38,21 @@ def goals_of(scenario: hs.Scenario) -> Goals:
     return goals
 
 
+def test_a_point_that_does_not_count_makes_no_pose_more_certain() -> None:
+    """Four points, and the same with a fifth of weight 0; of weight 4 each, the pose is twice as certain."""
+    four = hs.load_scenario("paper")
+    features = [*four.target.initial_features, 100.0, 20.0]  # type: ignore[misc]
+    target = {"initial_features": features, "desired_features": [*four.target.desired_features, 105.0, 25.0]}
+
+    def sigma(weights: list[float]) -> NDArray[np.float64]:
+        return conditioning.analyse(four.updated({"target": {**target, "weights": weights}})).start.pose_sigma
+
+    alone = conditioning.analyse(four).start.pose_sigma
+    np.testing.assert_allclose(sigma([1.0, 1.0, 1.0, 1.0, 0.0]), alone, rtol=1e-9)
+    np.testing.assert_allclose(sigma([4.0] * 5), 0.5 * sigma([1.0] * 5), rtol=1e-9)
+    assert (sigma([1.0] * 5) < alone).all()
+
+
 # ---- what a pixel is ------------------------------------------------------------------------------------------------
 
 
@@ -47,7 +62,7 @@ def test_a_square_worked_out_by_hand(size: float, depth: float) -> None:
     scene = scene_of(hs.load_scenario("paper"))
     features, z = in_circle(np.sqrt(2) * size, CORNERS), np.full(4, -depth)
     view = View(scene.home, features, z, scene.jacobian(features, z, scene.home))
-    found = conditioning.sight("start", view, depth)
+    found = conditioning.sight("start", view, depth, scene.root_weights)
     f, a = scene.camera.focal_pixels, size
     across = depth * np.sqrt((f**2 + a**2) ** 2 + a**4) / (2 * f * a**2)
     tilt = f / (2 * a**2)

@@ -15,6 +15,7 @@ from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, by_displacement
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of
+from test_positions import positioned
 
 WORST = "(+,-,-,+)"
 PRIOR = np.array([1e4, 1e4, 1e4, 1600, 1600, 1600])
@@ -342,6 +343,43 @@ def test_an_image_that_no_pose_shows_leaves_the_goal_out(composite: hs.Scenario)
     assert all(math.isnan(p.goal) for p in size_of(result, 0.3).patterns)
     data = hs.analyse(composite.updated({"target.desired_features": bent}), ["drift"]).to_dict()["drift"]
     assert data["sizes"][0]["patterns"][0]["smallest_eigenvalue_goal"] is None
+
+
+def test_a_virtual_platform_with_damping_creeps_slower(paper: hs.Scenario) -> None:
+    """As much damping as the law has halves the rate of `composite` without fuzzy systems (docs/analysis/drift.md)."""
+    changes = {"controller__law": "composite", "controller__composite__fuzzy__enabled": False}
+    scenario = positioned(paper, **changes)
+    kd = scenario.controller.gains.kd
+    without, damped = (
+        drift.analyse(scenario.updated({"controller.virtual_platform.damping": damping})).own for damping in (0.0, kd)
+    )
+    assert without is not None
+    assert damped is not None
+    assert damped.rate == pytest.approx(0.5 * without.rate, rel=1e-9)
+    torque = positioned(paper, controller__law="computed_torque")
+    scene = Rest(torque)
+    (inertia,) = scene.probe.inertia(scene.home.rows.quaternion)
+    own = np.diag(inertia) * np.broadcast_to(torque.controller.gains.kd, 6)
+    slow = drift.analyse(torque.updated({"controller.virtual_platform.damping": (0.1 * own).tolist()})).own
+    fast = drift.analyse(torque).own
+    assert slow is not None
+    assert fast is not None
+    np.testing.assert_allclose(inertia, np.diag(np.diag(inertia)), atol=1e-15)  # so that it is the same in every axis
+    assert slow.rate == pytest.approx(fast.rate / 1.1, rel=1e-9)
+
+
+def test_an_end_beyond_a_joint_limit_is_a_warning(composite: hs.Scenario) -> None:
+    own = drift.analyse(composite).own
+    assert own is not None
+    assert own.end is not None
+    rest = Rest(composite)
+    tilt = float(rest.leg_tilts(rest.home.moved(own.end))[0].max())
+    wide, narrow = (
+        drift.analyse(composite.updated({"robot.joint_limit": [share * tilt, 3.0]})) for share in (1.05, 0.95)
+    )
+    assert wide.section().verdict == "good"
+    assert narrow.section().verdict == "warning"
+    assert any("beyond a joint limit" in sentence for sentence in narrow.section().sentences)
 
 
 def test_directions_are_those_of_the_eigenvectors(found: Drift, composite: hs.Scenario) -> None:

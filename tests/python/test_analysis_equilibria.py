@@ -201,6 +201,17 @@ def test_a_gravity_error_moves_the_goal_where_the_forces_balance(gravity: float)
     assert found.gravity_stiffness == pytest.approx(8 * 1e-4 * (120 / 0.15) ** 2, rel=1e-6)
 
 
+def test_a_displaced_goal_that_does_not_attract_is_said_not_to(paper: hs.Scenario) -> None:
+    found = equilibria.analyse(
+        paper.updated({"controller.law": "kelly", "controller.jacobian": "printed", "uncertainty.gravity": 1e-5})
+    )
+    assert found.goals[0].kind == "displaced goal"
+    section = found.section()
+    assert section.verdict == "bad"
+    assert any("does not attract" in sentence for sentence in section.sentences)
+    assert any("gravity error" in sentence for sentence in section.sentences)
+
+
 @pytest.mark.parametrize(
     ("down", "words"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 import hexservo as hs
 from camera_frames import PICTURE, picture
 from hexservo import _core
+from hexservo.campaigns.loop_numbers import delay_margin
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features, on_pinhole, to_features, to_pixels
@@ -349,3 +351,17 @@ def test_the_command_takes_a_calibration(tmp_path: Path, plain_camera: hs.Scenar
 def test_the_picture_of_the_frames_is_up_to_date() -> None:
     """Its command writes the file that the page shows."""
     assert PICTURE.read_text(encoding="utf-8") == picture(), "type: python docs/tools/camera_frames.py"
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_linear_loop_is_that_of_the_pinhole(plain_camera: hs.Scenario, lens: str) -> None:
+    """Its law takes features; the pixels of the lens are what the controller makes features of."""
+    seen = in_pixels(plain_camera.updated({"controller.law": "kelly"}), lens)
+    expected = delay_margin(on_pinhole(seen))
+    assert math.isfinite(expected)
+    assert delay_margin(seen) == pytest.approx(expected, abs=1e-12)
+    control = pytest.importorskip("control", reason="python-control is not installed (extra `control`)")
+    assert control is not None
+    for of in ("loop", "plant"):
+        found, same = (np.sort_complex(hs.bridges.control(one, of=of).poles()) for one in (seen, on_pinhole(seen)))
+        np.testing.assert_allclose(found, same, rtol=0, atol=1e-9)

@@ -21,7 +21,8 @@ from test_terminal import assert_fit_for_a_terminal, invoke
 
 PAGE = ROOT / "docs" / "campaigns.md"
 RESULTS = ROOT / "docs" / "robustness.md"
-SHORT = ["--set", "simulation.duration=0.2", "--chunk-size", "50"]
+SHORT = ["--set", "simulation.duration=0.2", "--set", "metrics.dwell=0.2", "--set", "metrics.rms_start=0.1"]
+SHORT += ["--chunk-size", "50"]
 
 
 def test_a_campaign_is_run_continued_and_enlarged(tmp_path: Path) -> None:

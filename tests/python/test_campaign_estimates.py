@@ -158,6 +158,25 @@ def test_sobol_indices_of_a_single_input_are_one(outputs: int) -> None:
         np.testing.assert_allclose([found.first, found.total], 1.0, rtol=0, atol=0.02)
 
 
+def test_what_has_no_effect_has_indices_of_zero_with_their_interval() -> None:
+    (found,) = sobol_indices(lambda inputs: inputs[:1] + inputs[1:2] ** 2, 3, 16, 3)
+    assert found is not None
+    assert (found.first[2], found.total[2]) == (0.0, 0.0)
+    np.testing.assert_array_equal([found.first_interval[2], found.total_interval[2]], 0.0)
+    assert np.isfinite([found.first_interval, found.total_interval]).all()
+
+
+def test_an_output_that_varies_only_between_both_halves_has_no_indices() -> None:
+    """Constant in the first two sets of inputs, of which the variance is, and not in the mixed ones."""
+    calls = []
+
+    def function(inputs: Array) -> Array:
+        calls.append(inputs)
+        return np.full((1, inputs.shape[1]), 1.0) if len(calls) <= 2 else inputs[:1]
+
+    assert sobol_indices(function, 2, 16, 3) == [None]
+
+
 def test_estimates_of_a_campaign() -> None:
     """The estimate of a probability that plain runs measure too, and the inputs that decide it."""
     plan = load_plan(FILE)

@@ -219,6 +219,7 @@ def test_packaged_campaigns_are_valid(name: str) -> None:
 
 
 VARIED = {"uncertainty.gravity": {"uniform": [-0.1, 0.1]}}
+SHORT_LIVED = hs.load_scenario("paper").updated({"simulation.duration": 0.04})
 REFUSED = [
     (
         {"vary": {"uncertainty.gravty": {"uniform": [0, 1]}}},
@@ -243,6 +244,10 @@ REFUSED = [
     ({"vary": {"camera.noise": {"choice": []}}}, "vary.camera.noise.choice: expected a list of at least one number"),
     ({"vary": {"camera.noise": {"uniform": [0, "1"]}}}, 'vary.camera.noise.uniform: expected .*, got "1" in it'),
     ({"vary": {"camera.noise": {"uniform": [0, math.inf]}}}, "vary.camera.noise: expected a finite number, got inf"),
+    (
+        {"vary": {"camera.noise": {"choice": [0, 1], "clip": [0, 2]}}},
+        "vary.camera.noise.clip: expected none beside choice",
+    ),
     (
         {"vary": {"camera.noise": {"uniform": [0, 1], "clip": [2, 3]}}},
         "vary.camera.noise.clip: expected limits that leave",
@@ -303,6 +308,19 @@ REFUSED = [
     ({"require": ["overshoot <= 0"]}, r"require\[0\]: expected a scale for a bound of 0"),
     ({"require": [{"holds": "overshoot <= 0", "scale": 0}]}, r"require\[0\].scale: expected a number > 0, got 0"),
     ({"require": ["effort <= 1", "effort <= 1.0"]}, 'require: "effort <= 1.0": duplicate requirement'),
+    (
+        {"require": ["effort <= 1", "peak_leg_speed <= 0.2"]},
+        r"require\[1\]: peak_leg_speed: expected robot.speed_limit in the scenario",
+    ),
+    ({"require": ["peak_base_joint <= 0.2"]}, r"require\[0\]: peak_base_joint: expected robot.joint_limit"),
+    (
+        {"scenario": SHORT_LIVED, "require": ["rms_error <= 2"]},
+        r"require\[0\]: rms_error: expected metrics.rms_start within the 0.04 s of a run, got 1 s",
+    ),
+    (
+        {"scenario": SHORT_LIVED, "require": ["settling_time <= 2"]},
+        r"require\[0\]: settling_time: expected metrics.dwell within the 0.04 s of a run, got 0.2 s",
+    ),
     ({"runs": None}, "runs: expected a number of runs, or until, got neither"),
     ({"runs": 0}, "runs: expected an integer from 1 to"),
     ({"until": {"probability": 1}}, r"until: expected \{probability_below: p\}"),

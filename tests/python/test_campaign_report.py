@@ -14,7 +14,8 @@ import hexservo as hs
 from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.pictures import campaign_sections, influential
 from hexservo.draw.evidence import item_figure
-from hexservo.findings.evidence import Bars, Curves, Section
+from hexservo.findings.evidence import Bars, Curves, Section, Share
+from hexservo.report.charts import bars
 from test_campaign_engine import FILE, RUNS
 from test_campaign_search import SHORT
 from test_report import CHROMIUM, in_browser
@@ -69,6 +70,47 @@ def test_the_most_influential_number_is_found(tmp_path: Path) -> None:
     names = influential(hs.campaign(file, tmp_path / "out"))
     assert [name for name, _ in names] == ["uncertainty.gravity", "robot.stroke"]
     assert names[0][1] > 0.8 > 0.3 > names[1][1]
+
+
+def test_one_number_for_several_entries_is_named_once(tmp_path: Path) -> None:
+    file = {
+        "scenario": hs.load_scenario("paper").updated({"simulation.duration": 0.2, "metrics.rms_start": 0.0}),
+        "vary": {"target.translation": {"uniform": [-5e-3, 5e-3]}, "uncertainty.gravity": {"normal": [0.0, 0.1]}},
+        "require": ["peak_leg_excursion <= 0.02"],
+        "runs": 50,
+    }
+    names = [name for name, _ in influential(hs.campaign(file, tmp_path / "out"))]
+    assert {name.partition("[")[0] for name in names} == {"target.translation", "uncertainty.gravity"}
+    seeds = {"scenario": "slow-camera", "vary": {"seed": "each"}, "require": ["final_error <= 9"], "runs": 3}
+    found = campaign_sections(hs.campaign(seeds, tmp_path / "seeds"))[-1]
+    assert found.sentences == ["Nothing but seeds varies."]
+
+
+def test_a_run_that_ends_early_is_not_within_the_bound(tmp_path: Path) -> None:
+    """Every second run leaves its stroke at once; what it has reached until then is below the bound."""
+    short = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.2, "robot.on_limit": "stop"})
+    file = {
+        "scenario": short,
+        "vary": {"robot.stroke": {"choice": [1e-5, 0.5]}},
+        "require": ["peak_leg_force <= 1e9", {"holds": "overshoot <= 0", "scale": 5.0}, "peak_leg_force >= 1e-9"],
+        "runs": 40,
+    }
+    result = hs.campaign(file, tmp_path / "out")
+    ended = int((result.to_dataframe().outcome != "completed").sum())
+    assert 0 < ended < 40
+    (section,) = (one for one in campaign_sections(result) if one.name == "distributions")
+    force, overshoot, _ = (item for item in section.items if isinstance(item, Curves))
+    assert force.lines[0].y.max() == pytest.approx(1 - ended / 40)
+    assert force.note == f"{ended} of 40 runs ended early or have no value."
+    assert not overshoot.x_log  # its bound is 0
+    hs.write_campaign_report(result, pictures=True)
+    names = {path.name for path in (result.folder / "pictures").glob("distributions-*.svg")}
+    assert names == {f"distributions-{name}.svg" for name in ("peak-leg-force", "overshoot", "peak-leg-force-2")}
+
+
+def test_a_bar_without_an_interval_has_none_in_the_page() -> None:
+    share = Share("first order", np.zeros(2), np.array([[np.nan, np.nan], [0.0, 0.1]]))
+    assert "chart" in str(bars(Bars("Indices", "share", ["a", "b"], [share])))
 
 
 def test_a_campaign_without_runs_and_without_failures(tmp_path: Path) -> None:
@@ -163,7 +205,8 @@ def test_the_page_in_a_browser(result: hs.CampaignResult, more: tuple[Section, .
 
 def test_the_command_writes_the_page(tmp_path: Path) -> None:
     arguments = ["campaign", "campaign-composite-30hz", "--out", str(tmp_path / "out"), "--runs", "20", "--pictures"]
-    code, out, err = invoke(*arguments, "--set", "simulation.duration=0.1")
+    shorter = ("simulation.duration=0.1", "metrics.rms_start=0.05", "metrics.dwell=0.01")
+    code, out, err = invoke(*arguments, *(word for change in shorter for word in ("--set", change)))
     assert (code, err) == (0, "")
     assert f"report: {tmp_path}/out/report.html" in out
     assert "20 of 20 runs fail" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

@@ -113,6 +113,38 @@ def test_what_cannot_hold_is_named_with_its_relaxation(tmp_path: Path) -> None:
     assert 19.9 < float(found[1]) < 40
 
 
+def test_a_metric_without_a_value_is_named_where_the_requirements_hold(tmp_path: Path) -> None:
+    """No candidate settles; the requirements ask for no settling."""
+    tune = FILE["tune"] | {"minimise": "settling_time", "over": 2}
+    file = FILE | {
+        "scenario": BASE.updated({"metrics.band": 1e-12}),
+        "require": ["peak_leg_force <= 100"],
+        "tune": tune,
+    }
+    result = hs.tune(file, tmp_path / "out", generations=1, rounds=1)
+    assert not result.feasible
+    assert result.margin > 0
+    assert result.section().sentences[0] == (
+        "No gains were found with which every run has the metrics to minimise. The requirements hold, but in some "
+        "variation the run has no settling_time."
+    )
+    (tmp_path / "file.yaml").write_text(load_plan(file).to_yaml(), encoding="utf-8")
+    arguments = ("tune", str(tmp_path / "file.yaml"), "--out", str(tmp_path / "out"), "--report")
+    code, _, err = invoke(*arguments, "--generations", "1", "--rounds", "1")
+    assert code == 1
+    assert "no report, which is one of the held-out campaign" in err
+
+
+def test_a_minimised_metric_is_kept_of_the_runs_that_judge_it(tmp_path: Path) -> None:
+    tune = FILE["tune"] | {"over": 2}
+    result = hs.tune(
+        FILE | {"metrics": ["final_error"], "tune": tune, "runs": 5}, tmp_path / "out", generations=2, rounds=1
+    )
+    assert result.held_out is not None
+    assert result.held_out.plan.kept_metrics()[:2] == ("final_error", "rms_error")
+    assert (tmp_path / "out" / "tuning.json").exists()
+
+
 @pytest.mark.parametrize(
     ("changes", "require"),
     [

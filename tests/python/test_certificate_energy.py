@@ -407,6 +407,24 @@ def test_a_platform_that_rests_at_its_goal_closes(paper: hs.Scenario) -> None:
     assert ledger.closes
 
 
+def test_a_platform_that_coasts_closes_though_nothing_is_turned_over(paper: hs.Scenario) -> None:
+    """A rotation about a principal axis, without gravity, gains and switching: every work is zero, the energy is not."""
+    coasting = paper.updated(
+        {
+            "controller.law": "kelly",
+            "controller.kelly": {"kp": 0.0, "kd": 0.0},
+            "robot.gravity": [0.0, 0.0, 0.0],
+            "simulation.start.twist": [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+            "simulation.duration": 0.1,
+        }
+    )
+    ledger = hs.certify(hs.simulate(coasting)).energy
+    assert ledger is not None
+    assert ledger.turnover < 1e-9 * ledger.energy.max()
+    assert ledger.closes
+    assert "closes" in " ".join(hs.certify(hs.simulate(coasting)).sections()[-1].sentences)
+
+
 def test_a_step_that_is_too_coarse_is_flagged(paper: hs.Scenario) -> None:
     """Switching of 2 N at 20 ms steps is nothing but chatter."""
     scenario = varied(

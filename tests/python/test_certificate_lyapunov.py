@@ -345,6 +345,7 @@ def test_the_sections_of_the_paper(paper: hs.Scenario) -> None:
     # V grows at single instants only: the assumption fails about y, where the best weights leave 2.6 times k_v.
     np.testing.assert_array_equal(certificate.assumption.held if certificate.assumption else None, [1, 1, 1, 1, 0, 1])
     assert data["lyapunov"]["change"] < 0
+    assert data["lyapunov"]["rises"]
     assert all(rise["axis"] == 4 for rise in data["lyapunov"]["rises"])
 
 

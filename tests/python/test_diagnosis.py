@@ -497,6 +497,19 @@ def test_a_batch_of_changes_gives_what_simulate_gives() -> None:
             assert record.metrics[name] == pytest.approx(expected[name], rel=1e-8), name
 
 
+def test_gains_that_fit_the_machine_fit_it_with_a_change_too() -> None:
+    """The payload of the packaged simulator: gains for the platform alone are six times as soft."""
+    scenario = hs.load_scenario("moog-6dof2000e").updated({"robot.payload.known": False, "simulation.duration": 0.5})
+    scenario = scenario.updated({"metrics.rms_start": 0.0})
+    changes = {"robot.payload.known": True}
+    (record,) = run_all([Run(scenario, changes)])
+    assert record is not None
+    expected, frozen = (hs.metrics(hs.simulate(one)) for one in (scenario.updated(changes), scenario))
+    for name in ("final_error", "peak_leg_force", "peak_displacement"):
+        assert record.metrics[name] == pytest.approx(expected[name], rel=1e-8), name
+    assert expected["final_error"] != pytest.approx(frozen["final_error"], rel=0.1)
+
+
 @pytest.mark.parametrize("name", ["pi-h824-positions", "rubin-camera-positions", "fails-stick-slip"])
 def test_only_what_a_scenario_refuses_has_no_run(name: str) -> None:
     """All removals and pairs at once, each of 20 steps: numbers that only together are allowed, as step and delay."""
@@ -889,7 +902,9 @@ def test_two_causes_at_once_are_named_together() -> None:
             assert trial.judgement.failed
             changes |= trial.removal.changes
     assert hs.diagnose(hs.simulate(scenario.updated(changes))).failed is False
-    assert "two make it fail together" in hs.diagnose(hs.simulate(scenario)).section().sentences[0]
+    verdict = hs.diagnose(hs.simulate(scenario)).section().sentences[0]
+    assert "two make it fail together" in verdict
+    assert verdict.endswith("It passes only without both. Without other faults both together fail as well.")
 
 
 def test_causes_that_fail_only_together_are_named_together() -> None:
@@ -905,6 +920,8 @@ def test_causes_that_fail_only_together_are_named_together() -> None:
             assert finding.without is not None
             assert finding.without.works
             assert finding.alone is False
+    verdict = diagnosis.section().sentences[0]
+    assert verdict.endswith("Without other faults both together fail as well, and neither does alone.")
 
 
 def test_a_run_that_is_too_short_is_diagnosed() -> None:
@@ -1044,6 +1061,64 @@ def test_a_custom_controller_is_diagnosed_from_the_recorded_signals_alone() -> N
     assert all(finding.without is None and finding.cure is None for finding in diagnosis.causes)
     assert "custom controller is not run again" in diagnosis.section().sentences[0]
     assert {"wrong_sign", "stiction", "spring"}.isdisjoint(finding.cause for finding in diagnosis.causes)
+
+
+def test_recorded_signals_that_fit_no_cause_name_none() -> None:
+    """No wrench at all: the platform stays where it is, far from the goal. Scores up to 0.3 speak for no cause."""
+    scenario = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.3, "metrics.rms_start": 0.0})
+    scenario = scenario.updated({"robot.gravity": [0.0, 0.0, 0.0], "base_motion.kind": "none", "camera.noise": 2.0})
+    diagnosis = hs.diagnose(hs.simulate(scenario, controller=lambda seen: np.zeros(6)))
+    assert diagnosis.failed
+    weak = tuple(dataclasses.replace(cause, score=min(cause.score, 0.3)) for cause in diagnosis.causes)
+    section = dataclasses.replace(diagnosis, causes=weak).section()
+    assert section.sentences[0].startswith("Not explained")
+    assert "fit no cause" in section.sentences[0]
+    table = section.items[0]
+    assert isinstance(table, Table)
+    assert table.note.startswith("Not present in this scenario, or not tried: ")
+    assert "noise of the features" in table.note  # present, and without a signature
+
+
+def test_a_controller_that_is_named_as_a_law_is_not_taken_for_it() -> None:
+    scenario = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.1, "metrics.rms_start": 0.0})
+
+    def composite(seen: hs.Observation) -> Any:
+        return np.zeros(6)
+
+    composite.__qualname__ = "composite"  # as of a function outside of others
+    result = hs.simulate(scenario, controller=composite)
+    assert result.controller == "composite()"
+    assert all(finding.without is None for finding in hs.diagnose(result).causes)
+
+
+def test_a_cause_that_fails_alone_and_is_not_named_is_not_said_to_fail_nowhere() -> None:
+    diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("fails-spring")))
+    first = diagnosis.causes[0]
+    assert first.alone
+    assert first.without is not None
+    unnamed = dataclasses.replace(
+        diagnosis, controls=(True, True, False), causes=(dataclasses.replace(first, named=False), *diagnosis.causes[1:])
+    )
+    (sentence,) = (
+        words
+        for words in unnamed.section().sentences
+        if words.startswith(f"The run also passes with {first.without.words}")
+    )
+    assert "alone it makes a scenario without other faults fail too" in sentence
+
+
+def test_a_sufficient_image_is_no_remedy_against_lost_frames() -> None:
+    scenario = hs.load_scenario("composite-30hz").updated({"camera.image_size": [1280, 1024], "camera.dropout": 0.3})
+    record = record_of(hs.simulate(scenario))
+    (cause,) = (cause for cause in CAUSES if cause.key == "lost_features")
+    case = case_of(scenario)
+    offered = cause.remedies(case, cause.removals(case)[0], record)
+    assert not any(remedy.words.startswith("an image of") for remedy in offered)
+    small = scenario.updated({"camera.image_size": [150, 150]})
+    case = case_of(small)
+    (larger, *_) = cause.remedies(case, cause.removals(case)[0], record)
+    assert larger.words.startswith("an image of")
+    assert "camera.dropout" not in larger.changes
 
 
 def test_an_interrupted_run_is_not_judged() -> None:

@@ -456,3 +456,12 @@ def test_analyses_have_one_law_for_all_their_goals(
     numbers = paper.updated({"controller.law": law, **changes, **written})
     expected, found = (hs.analyse(scenario, [part]).to_dict() for scenario in (numbers, fitted))
     assert json.dumps(found) == json.dumps(expected)
+
+
+def test_a_machine_that_follows_twists_is_analysed_with_fitted_gains() -> None:
+    """`ki` of resolved_rate has no effect there, and is refused where it is written."""
+    scenario = hs.load_scenario("reachy-mini").updated(
+        {"controller.law": "resolved_rate", "controller.resolved_rate.auto.bandwidth": 1.0}
+    )
+    (section,) = hs.analyse(scenario, ["conditioning"]).sections()
+    assert section.verdict != "open"

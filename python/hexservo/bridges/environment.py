@@ -94,6 +94,8 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         options
             ``reset_mask``: (num_envs,) of bool.
         """
+        if isinstance(seed, np.integer):
+            seed = int(seed)
         seeds = [seed] * self.num_envs if seed is None or isinstance(seed, int) else list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: expected one number or {self.num_envs}, got {len(seeds)}")

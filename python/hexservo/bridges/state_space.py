@@ -10,7 +10,14 @@ import numpy as np
 from hexservo.bridges.extras import extra
 from hexservo.findings.analysis.linear_law import linear_plant, rest_of
 from hexservo.findings.analysis.linear_loop import SampledLoop
-from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, clock_of, loop_at_rest, quiet, require_forces
+from hexservo.findings.analysis.loop_of_scenario import (
+    LoopAtRest,
+    clock_of,
+    loop_at_rest,
+    quiet,
+    require_forces,
+    with_features,
+)
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
@@ -103,6 +110,7 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
 
 def _resting(scenario: Scenario) -> tuple[RestPose, LinearPlant, float]:
     require_forces(scenario)
+    scenario = with_features(scenario)
     calm = quiet(scenario)
     rest = rest_of(calm, scene_of(scenario))
     return rest, linear_plant(calm, rest.view.pose), float(calm.simulation.step)

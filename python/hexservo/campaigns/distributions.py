@@ -153,6 +153,10 @@ def variation_of(value: Any) -> Variation:
     ):
         raise refusal(((kind,), f"expected {_KINDS[kind]}, got {shown_value(value[kind])}"))
     clip = None
+    if "clip" in value and kind == "choice":
+        raise refusal(
+            (("clip",), f"expected none beside choice, whose numbers are listed, got {shown_value(value['clip'])}")
+        )
     if "clip" in value:
         low, high = _numbers(value["clip"], ("clip",), "[low, high], low < high", 2)
         if low >= high:

@@ -22,7 +22,7 @@ from hexservo.campaigns.store import ShorterChunkError, Store, new_record
 from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.publish import OutputError, named
 from hexservo.run.sealed import ResultError
-from hexservo.scenario.wording import number, wrong_type
+from hexservo.scenario.wording import above, number, wrong_type
 
 __all__ = ["campaign"]
 
@@ -277,7 +277,7 @@ def _reporting(progress: bool | ProgressCallback | None) -> Iterator[_Report]:
                 needed = _planned(state)
                 planned = max(needed or 0, runs)
                 share = None if needed is None else runs / planned
-                draw(runs, planned, share, f"{rate}{failures} failures, probability <= {high:.2g}")
+                draw(runs, planned, share, f"{rate}{failures} failures, probability <= {above(high, 2)}")
 
             yield report
     else:

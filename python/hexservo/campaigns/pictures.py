@@ -12,7 +12,7 @@ from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.evidence import Curves, Line, Section
 from hexservo.run.metrics import metric_unit
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import above, below
 
 __all__ = ["campaign_sections", "influential"]
 
@@ -46,14 +46,17 @@ def influential(result: CampaignResult, count: int = 2) -> list[tuple[str, float
     """Return the varied numbers that the margin depends on most, with the size of their rank correlation.
 
     Of each number the correlation with its value and with its distance from the median is taken, and the larger one
-    counts: an error may matter whatever its sign. Seeds are left out.
+    counts: an error may matter whatever its sign. Of entries that are one number the first is named; seeds are left
+    out.
     """
     table = result.to_arrow()
     ranks = rankdata(table.column("margin").to_numpy())
     inputs = [name for name in table.column_names[1 : table.column_names.index("outcome")] if name != "seed"]
-    sizes = {}
+    sizes: dict[str, float] = {}
     for name in inputs:
         values: Array = table.column(name).to_numpy()
+        if any(np.array_equal(values, table.column(other).to_numpy()) for other in sizes):
+            continue  # one number for all entries, or the other half of a symmetric matrix
         sizes[name] = max(_correlation(ranks, part) for part in (values, np.abs(values - np.median(values))))
     return sorted(sizes.items(), key=lambda item: -item[1])[:count]
 
@@ -69,7 +72,7 @@ def _correlation(ranks: Array, values: Array) -> float:
 def _interval_sentences(result: CampaignResult) -> Sequence[str]:
     low, high = result.interval
     return [
-        f"After {len(result)} runs it is {number(low)} to {number(high)}, with a confidence of "
+        f"After {len(result)} runs it is {below(low)} to {above(high)}, with a confidence of "
         f"{result.plan.confidence:.4g}."
     ]
 
@@ -104,7 +107,9 @@ def _distributions(result: CampaignResult) -> list[Curves]:
     for requirement in result.plan.require:
         if requirement.name == "outcome":
             continue
-        values: Array = result.to_arrow([requirement.name]).column(0).to_numpy()
+        table = result.to_arrow([requirement.name, "outcome"])
+        ended = np.array(table.column("outcome").to_pylist()) != "completed"  # fails, whatever was reached until then
+        values: Array = np.where(ended, np.nan, table.column(0).to_numpy())
         finite = values[np.isfinite(values)]
         if not len(finite):
             continue
@@ -125,7 +130,7 @@ def _distributions(result: CampaignResult) -> list[Curves]:
                         "dashed",
                     ),
                 ],
-                x_log=bool(finite.min() > 0 and finite.max() > 100 * finite.min()),
+                x_log=bool(min(finite.min(), requirement.bound) > 0 and finite.max() > 100 * finite.min()),
                 note=_without(len(values) - len(finite), len(values)),
                 page=_PAGE,
             )
@@ -134,12 +139,14 @@ def _distributions(result: CampaignResult) -> list[Curves]:
 
 
 def _without(missing: int, runs: int) -> str:
-    return f"{missing} of {runs} runs have no value." if missing else ""
+    return f"{missing} of {runs} runs ended early or have no value." if missing else ""
 
 
 def _failures(result: CampaignResult, failed: Mask) -> Section:
     """Return passing and failing runs in the plane of the two numbers that matter most."""
     names = influential(result)
+    if not names:
+        return Section("failures", "Where the failures lie", ["Nothing but seeds varies."])
     listed = " and ".join(f"{name} ({size:.2f})" for name, size in names)
     sentences = [
         f"Largest rank correlation of the margin, with a number or with its distance from the median: {listed}."

@@ -47,6 +47,12 @@ __all__ = ["CampaignPlan", "campaign_names", "load_plan"]
 
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
+_OF_LIMITS = {  # metrics that only some scenarios have
+    "peak_leg_speed": "robot.speed_limit",
+    "peak_base_joint": "robot.joint_limit",
+    "peak_platform_joint": "robot.joint_limit",
+}
+_OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": "metrics.dwell"}  # metrics of runs that are long enough
 _MOST_CORNERS = 10  # numbers that vary; each doubles the corners
 
 
@@ -99,12 +105,15 @@ class CampaignPlan(Block):
                 (("vary", key), f"expected nothing that places the points beside {PLACED[0]} and {PLACED[1]}")
                 for key in both
             ]
+        asked = [(("require", index), one.name) for index, one in enumerate(self.require)]
         if self.tune is not None:
+            asked += [(("tune", "minimise"), name) for name in self.tune.minimise]
             problems += [
                 (("tune", "variables", key), sentence)
                 for key, variable in self.tune.variables.items()
                 if (sentence := _unfit_variable(self.scenario, key, variable, self.vary))
             ]
+        problems += [(place, sentence) for place, name in asked if (sentence := _without_value(self, name))]
         if problems:
             raise refusal(*problems)
         drawing = self.drawing()
@@ -232,6 +241,17 @@ def _unfit(scenario: Scenario, key: str, variation: Variation) -> str:
     reached = np.array([low + base.min(), high + base.max()])
     if not (rule.whole or rule.within(reached).all()):
         return f"expected {rule.expected}, but it reaches {reached[0]:.4g} ... {reached[1]:.4g}; clip it or narrow it"
+    return ""
+
+
+def _without_value(plan: CampaignPlan, metric: str) -> str:
+    """Return why no run of a campaign has a value of a metric; "" where some may."""
+    limit = _OF_LIMITS.get(metric)
+    if limit is not None and limit not in plan.vary and value_at(plan.scenario, limit) is None:
+        return f"{metric}: expected {limit} in the scenario, without which no run has a value, got null"
+    span, needed = plan.scenario.simulation.duration, _OF_TIMES.get(metric)
+    if needed is not None and needed not in plan.vary and value_at(plan.scenario, needed) > span:
+        return f"{metric}: expected {needed} within the {span:g} s of a run, got {value_at(plan.scenario, needed):g} s"
     return ""
 
 

@@ -209,13 +209,16 @@ def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: i
         with _global_generator(seed):
             spread = found.bootstrap(confidence_level=0.95, n_resamples=_RESAMPLES)
     everything = np.concatenate([values.reshape(len(values), -1) for values in calls], axis=1)
-    usable = [bool(np.isfinite(row).all() and np.ptp(row) > 0) for row in everything]
+    drawn = np.concatenate([values.reshape(len(values), -1) for values in calls[:2]], axis=1)  # whose variance it is
+    usable = [bool(np.isfinite(row).all() and np.ptp(own) > 0) for row, own in zip(everything, drawn, strict=True)]
     shape = (len(usable), dimension)  # SciPy drops axes of length one
     first, total = (np.reshape(part, shape) for part in (found.first_order, found.total_order))
     ends = [
         np.stack([np.reshape(end, shape) for end in (part.confidence_interval.low, part.confidence_interval.high)], -1)
         for part in (spread.first_order, spread.total_order)
     ]
+    for each in ends:  # without any effect every resample gives 0, of which the bootstrap makes 0/0
+        each[total == 0.0] = 0.0
     return [
         Indices(first[row], ends[0][row], total[row], ends[1][row]) if fits else None for row, fits in enumerate(usable)
     ]

@@ -86,9 +86,15 @@ class TuneResult(Findings):
 
     @property
     def advice(self) -> str:
-        """The requirement that cannot hold with the others, with its smallest relaxation; empty if all hold."""
+        """The requirement that cannot hold with the others, with its smallest relaxation, or what has no value.
+
+        Empty for gains that are feasible.
+        """
         if self.feasible:
             return ""
+        if self.margin >= 0.0:
+            lost = [name for name, value in zip(self.minimise, self.worst, strict=True) if not math.isfinite(value)]
+            return f"The requirements hold, but in some variation the run has no {' and no '.join(lost)}."
         if not self.relaxations:
             least = f"the smallest margin of the best gains is {number(self.margin)}"
             if self.margin > -1.0:  # below it is a run that does not end, or a metric without a value
@@ -144,7 +150,8 @@ class TuneResult(Findings):
             )
             sentences.append(f"The requirements hold in all {self.variations} variations of the search; {largest}.")
         else:
-            sentences.append(f"No gains were found with which the requirements hold. {self.advice}")
+            wanted = "the requirements hold" if self.margin < 0.0 else "every run has the metrics to minimise"
+            sentences.append(f"No gains were found with which {wanted}. {self.advice}")
         if self.held_out is not None:
             table = self.held_out.to_arrow([*self.minimise, "margin"])
             parts = [

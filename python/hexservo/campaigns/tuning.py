@@ -213,7 +213,9 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     write_text(folder / _TUNED, scenario.to_yaml())
     held_out: CampaignResult | None = None
     front: tuple[FrontPoint, ...] = ()
-    other = plan.changed(scenario=scenario, stream=plan.stream + 1, until=None)
+    assert plan.tune is not None
+    metrics = plan.metrics if plan.metrics == "all" else tuple(dict.fromkeys((*plan.metrics, *plan.tune.minimise)))
+    other = plan.changed(scenario=scenario, stream=plan.stream + 1, until=None, metrics=metrics)
     if not feasible or not _goes_on(folder / _HELD_OUT, other):
         _set_aside(folder / _HELD_OUT)
     if not feasible:
@@ -225,7 +227,6 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
             raise KeyboardInterrupt
     if front:
         write_text(folder / _FRONT, _front_csv(front, candidates))
-    assert plan.tune is not None
     result = TuneResult(
         scenario=scenario,
         feasible=feasible,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hexservo.findings.evidence import Cell, Column, Section, Table
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import above, below, number
 
 __all__ = ["summary_section", "verdict_sentences"]
 
@@ -17,7 +17,7 @@ def summary_section(summary: dict[str, Any]) -> Section:
     """Return a summary with its tables: requirements, outcomes and the worst runs."""
     share = f"{summary['joint_confidence']:.4g}"
     requirements: list[list[Cell]] = [
-        [one["holds"], one["failures"], *one["interval"]] for one in summary["requirements"]
+        [one["holds"], one["failures"], *_ends(one["interval"])] for one in summary["requirements"]
     ]
     tables = [
         Table(
@@ -50,13 +50,17 @@ def summary_section(summary: dict[str, Any]) -> Section:
     )
 
 
+def _ends(interval: tuple[float, float]) -> tuple[str, str]:
+    return below(interval[0]), above(interval[1])
+
+
 def verdict_sentences(summary: dict[str, Any]) -> list[str]:
     """Return the verdict: how many runs fail, and the intervals of the failure probability."""
     low, high = summary["interval"]
     runs, failures = summary["runs"], summary["failures"]
     counted = f"{failures} of {runs} runs {'fails' if failures == 1 else 'fail'}"
     sentences = [
-        f"{counted}: the failure probability is between {number(low)} and {number(high)}, with a confidence of "
+        f"{counted}: the failure probability is between {below(low)} and {above(high)}, with a confidence of "
         f"{summary['confidence']:.4g} that holds at whatever number of runs one stops."
     ]
     if (until := _decided(summary)) is not None:
@@ -65,7 +69,7 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
         low, high = summary["clopper_pearson"]
         sentences.append(
             f"The number of runs was fixed before the first one. For that case alone, the interval of Clopper and "
-            f"Pearson is {number(low)} to {number(high)}."
+            f"Pearson is {below(low)} to {above(high)}."
         )
     if not summary["complete"]:
         planned = summary["planned_runs"]

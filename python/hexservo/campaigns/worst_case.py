@@ -58,8 +58,8 @@ class WorstCase(Findings):
             f"own runs is {number(self.drawn_margin)}.",
             f"It is the worst of {self.runs} runs of a search (seed {self.seed}), which proves no bound.",
         ]
-        if self.diagnosis is not None and self.diagnosis.causes:
-            sentences.append(f"Most likely cause: {self.diagnosis.causes[0].title}.")
+        if self.diagnosis is not None and self.diagnosis.failed:
+            sentences.append(self.diagnosis.section().sentences[0])
         rows: list[list[Cell]] = [["all together", self.margin]]
         rows += [[name, margin] for name, margin in self.margins]
         table = Table("Smallest margin found", (Column("requirement"), Column("margin")), rows, "", "docs/campaigns.md")
@@ -141,8 +141,15 @@ def worst_case(
         float(result.summary["worst"][0]["margin"]),
         judge.runs,
         seed,
-        diagnose(simulate(scenario)) if margin < 0 else None,
+        _diagnosed(scenario) if margin < 0 else None,
     )
+
+
+def _diagnosed(scenario: Scenario) -> Diagnosis:
+    run = simulate(scenario)
+    if run.outcome == "interrupted":
+        raise KeyboardInterrupt
+    return diagnose(run)
 
 
 def smallest_in_box(

@@ -193,6 +193,8 @@ def tune(
             show_parts(*printed([found.section()]), "", f"the gains: hexservo run {shlex.quote(str(found.path))}")
         if found.held_out is not None:
             _write_report(found.held_out, found.sections(), report=report, pictures=pictures, quiet=quiet)
+        elif (report or pictures) and not quiet:
+            complain("no report, which is one of the held-out campaign; tuning.json has the course", head="Warning")
         if not found.feasible:
             raise typer.Exit(NOT_FEASIBLE)
 

@@ -397,7 +397,7 @@ def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:
     """Write what follows from the answers: travel along each axis, and warnings."""
     from hexservo.findings.check import unlikely
 
-    dialogue.say("\nWhat follows: travel from home until a leg is at its end, one direction at a time")
+    dialogue.say("\nWhat follows: travel from home to a leg's end or a singular pose, one direction at a time")
     for axis, (label, unit, scale) in enumerate(
         [(f"{name}", "mm", 1e3) for name in "xyz"] + [(f"about {name}", "deg", 1.0 / _DEGREE) for name in "xyz"]
     ):
@@ -408,13 +408,13 @@ def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:
 
 
 def _travel(scenario: hs.Scenario, axis: int, sign: float) -> float:
-    """Return how far the platform goes along one axis [m or rad], by bisection."""
+    """Return how far the platform goes along one axis [m or rad] within all limits, by bisection."""
     low, high = 0.0, 1e-4
     pose = [0.0] * 6
 
     def inside(amount: float) -> bool:
         pose[axis] = sign * amount
-        return hs.reachable(scenario, pose).margin >= 0
+        return hs.reachable(scenario, pose).within
 
     while inside(high) and high < 3.0:
         low, high = high, 1.5 * high

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -70,11 +71,15 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
 
 def _write_pictures(folder: Path, sections: Sequence[Section]) -> None:
     """Write the pictures of sections into a folder; the same picture gives the same bytes."""
+    names: Counter[str] = Counter()
     for section in sections:
         for item in section.items:
             if isinstance(item, Table):
                 continue
             name = f"{section.name}-{re.sub('[^a-z0-9]+', '-', item.title.lower()).strip('-')}"
+            names[name] += 1
+            if names[name] > 1:  # as of two bounds of one metric
+                name = f"{name}-{names[name]}"
             figure = item_figure(item)
             for kind in ("svg", "png"):
                 write_bytes(folder / f"{name}.{kind}", image_bytes(figure, kind))

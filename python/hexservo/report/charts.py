@@ -187,8 +187,8 @@ def bars(item: Bars) -> Html:
             "error_x": {
                 "type": "data",
                 "symmetric": False,
-                "array": (share.intervals[:, 1] - share.values).tolist(),
-                "arrayminus": (share.values - share.intervals[:, 0]).tolist(),
+                "array": encoded(share.intervals[:, 1] - share.values),
+                "arrayminus": encoded(share.values - share.intervals[:, 0]),
                 "thickness": 1,
                 "width": 2,
                 "color": "@ink",

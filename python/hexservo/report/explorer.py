@@ -80,7 +80,7 @@ def explorer_page(scenario: Scenario | str = "paper") -> str:
         name = scenario.name + (" (file)" if scenario.name in scenario_names() else "")
         preset = {"name": name, "description": scenario.description, "values": core_values(scenario)}
         own = {"start": name, "preset": preset}
-    text = json.dumps(own, allow_nan=False).replace("</", "<\\/")
+    text = json.dumps(own, allow_nan=False).replace("<", "\\u003c")
     return page.replace(_PLACE, _PLACE.replace("null", text), 1)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
@@ -99,8 +100,9 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
 
 
 def function_name(function: object) -> str:
-    """Return the name under which results keep a custom controller."""
-    return str(getattr(function, "__qualname__", type(function).__qualname__))
+    """Return the name under which results keep a custom controller: never that of a law."""
+    name = str(getattr(function, "__qualname__", type(function).__qualname__))
+    return f"{name}()" if name in ALL_LAWS else name
 
 
 def _six(what: str, command: ArrayLike, seen: Observation) -> Array:

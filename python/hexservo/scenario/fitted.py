@@ -349,7 +349,8 @@ def gains_written(scenario: Blocks) -> dict[str, Any]:
         return {}
     law = scenario.controller.law
     own = getattr(scenario.controller, law)
-    gains = {f"controller.{law}.{path}": _at(own, path) for path in fitted_keys(law)}
+    idle = {"ki"} if scenario.legs_follow_twists else set()  # without effect there, and refused where it is written
+    gains = {f"controller.{law}.{path}": _at(own, path) for path in fitted_keys(law) if path not in idle}
     return {f"controller.{law}.auto.bandwidth": None, **gains}
 
 

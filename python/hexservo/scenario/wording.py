@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-__all__ = ["joules", "number", "quantity", "quoted", "wrong_type"]
+import decimal
+
+__all__ = ["above", "below", "joules", "number", "quantity", "quoted", "wrong_type"]
 
 
 def number(value: float, digits: int = 3) -> str:
     """Write a number with so many digits, and without an exponent below a million: "0.0123", "190", "28800"."""
     rounded = float(f"{value:.{digits}g}") + 0.0  # minus zero is zero
     return f"{rounded:.0f}" if 10.0**digits <= abs(rounded) < 1e6 else f"{rounded:.{digits}g}"
+
+
+def below(value: float, digits: int = 3) -> str:
+    """Write the lower end of an interval, as `number` but rounded down: the interval that is written has all of it."""
+    return _rounded(value, digits, decimal.ROUND_FLOOR)
+
+
+def above(value: float, digits: int = 3) -> str:
+    """Write the upper end of an interval, as `number` but rounded up."""
+    return _rounded(value, digits, decimal.ROUND_CEILING)
+
+
+def _rounded(value: float, digits: int, direction: str) -> str:
+    return number(float(decimal.Context(digits, direction).create_decimal_from_float(value)), digits)
 
 
 _PREFIXES = (("", 1.0), ("m", 1e3), ("u", 1e6), ("n", 1e9))

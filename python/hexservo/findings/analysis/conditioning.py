@@ -87,15 +87,17 @@ def analyse(scenario: Scenario) -> Conditioning:
     start = scene.view(scene.start)
     return Conditioning(
         scene=scene,
-        start=sight("start", start, start.mean_depth),
-        goal=None if goals is None else sight("goal", goals.best.view, start.mean_depth),
-        nearest=None if goals is None else sight("nearest goal", goals.nearest.view, start.mean_depth),
+        start=sight("start", start, start.mean_depth, scene.root_weights),
+        goal=None if goals is None else sight("goal", goals.best.view, start.mean_depth, scene.root_weights),
+        nearest=None
+        if goals is None
+        else sight("nearest goal", goals.nearest.view, start.mean_depth, scene.root_weights),
         goals=goals,
         placements=placements(scene),
     )
 
 
-def sight(place: str, view: View, length: float) -> Sight:
+def sight(place: str, view: View, length: float, root_weights: Array) -> Sight:
     """Decompose the image Jacobian of a view by singular values.
 
     Parameters
@@ -106,9 +108,12 @@ def sight(place: str, view: View, length: float) -> Sight:
         With the true Jacobian.
     length
         L, of what turns are multiplied by [m].
+    root_weights
+        As `Scene.root_weights`: a point of weight w counts as one whose noise has 1/w of the variance.
     """
+    jacobian = root_weights * view.jacobian
     units = np.repeat([1.0, length], 3)
-    _, scaled_values, rows = np.linalg.svd(view.jacobian / units, full_matrices=False)
+    _, scaled_values, rows = np.linalg.svd(jacobian / units, full_matrices=False)
     rows = without_sign(rows)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = np.sqrt(((rows / scaled_values[:, None]) ** 2).sum(axis=0)) / units
@@ -116,7 +121,7 @@ def sight(place: str, view: View, length: float) -> Sight:
         place=place,
         view=view,
         length=length,
-        values=np.asarray(np.linalg.svd(view.jacobian, compute_uv=False), dtype=float),
+        values=np.asarray(np.linalg.svd(jacobian, compute_uv=False), dtype=float),
         scaled_values=scaled_values,
         directions=rows / units,
         pose_sigma=sigma,

@@ -40,6 +40,7 @@ class Pattern:
     end_rate: float  # [1/s], as `rate`, there
     end_error: float  # [px], largest |xi_d - xi| there
     end_travel: float  # [m], largest leg travel there
+    end_left: float  # share of its limits that the leg nearest to one has left there; negative: out of reach
 
     @property
     def smallest(self) -> float:
@@ -165,24 +166,32 @@ class _Worker:
         self.goal = None if goals is None else goals.shown_at
         places = [self.rest.start] if self.goal is None else [self.rest.start, self.goal]
         self.places = [(pose, *self.rest.image(pose)) for pose in places]
-        root = np.sqrt(np.repeat(self.rest.settings["target.weights"], 2))
-        self.root: Array = root[:, None]  # of what each coordinate counts
+        self.root = self.rest.root_weights
         self.true = [self.jacobian(*place) for place in self.places]
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
         self.drive, self.driven_by = self._drive()
 
     def _drive(self) -> tuple[Array, str]:
-        """Return the diagonal from a small pose error to a velocity [1/s], where all else is faster."""
+        """Return the matrix (6, 6) from a small pose error to a velocity [1/s], where all else is faster."""
         gains = self.gains
         if self.traits.output == "twist":
-            return np.full(6, float(gains.gain)), "its gain times the eigenvalue"
+            return float(gains.gain) * np.eye(6), "its gain times the eigenvalue"
         if self.integrates:
-            return np.array(gains.drive), "Lambda times the eigenvalue"
+            return np.diag(gains.drive), "Lambda times the eigenvalue"
         spring = "kt" if hasattr(gains, "kt") else "kp"  # K_p of a law with an image spring is that of the image
         friction = ", K_v aside" if self.traits.switching else ""
-        drive = np.array(getattr(gains, spring)) / np.array(gains.kd)
-        return drive, f"K_{spring[1]}/K_d times the eigenvalue{friction}"
+        pulls, damps = np.diag(getattr(gains, spring)), np.diag(gains.kd)
+        ratio = f"K_{spring[1]}/K_d"
+        scenario = self.rest.scenario
+        resists = np.broadcast_to(scenario.controller.virtual_platform.damping, 6)
+        if scenario.actuators.takes_positions and resists.any():  # what moves is the virtual platform
+            if spring == "kp":  # accelerations
+                inertia = self.rest.probe.inertia(self.rest.home.rows.quaternion)[0]
+                pulls, damps = inertia @ pulls, inertia @ damps
+            damps = damps + np.diag(resists)
+            ratio = f"K_{spring[1]}/(K_d + D_v)"
+        return np.linalg.solve(damps, pulls), f"{ratio} times the eigenvalue{friction}"
 
     @property
     def integrates(self) -> bool:
@@ -216,12 +225,13 @@ class _Worker:
         matrix = loop_matrix(self.known(0, errors), self.true[0], self.inverse, self.expected)
         unit = self.rest.unit
         values, vectors = np.linalg.eig(matrix * unit / unit[:, None])
-        rates = np.linalg.eigvals(matrix * self.drive).real.min(axis=1)
+        rates = np.linalg.eigvals(matrix @ self.drive).real.min(axis=1)
         ends, ended = self.ends(errors)
         end_rates = self.rates_at(ends, errors, ended)
         ended &= end_rates > 0.0  # an end that does not attract is none
         seen = self.rest.image(ends)[0]
         travel = np.abs(self.rest.leg_travel(ends)).max(axis=1)
+        left = self.rest.limits_left(ends)
         moved = ends.displacement_from(self.rest.home)
         if len(self.places) > 1:
             at_goal = self.smallest(1, errors, self.inverse, self.expected)
@@ -243,6 +253,7 @@ class _Worker:
                     float(end_rates[i]) if ended[i] else np.nan,
                     float(np.abs(self.rest.desired - seen[i]).max()) if ended[i] else np.nan,
                     float(travel[i]) if ended[i] else np.nan,
+                    float(left[i]) if ended[i] else np.nan,
                 )
             )
         return tuple(found)
@@ -275,7 +286,7 @@ class _Worker:
         if rows.any():
             there = poses[rows]
             matrix = self.matrix(there, *self.rest.image(there), errors[rows])
-            result[rows] = np.linalg.eigvals(matrix * self.drive).real.min(axis=1)
+            result[rows] = np.linalg.eigvals(matrix @ self.drive).real.min(axis=1)
         return result
 
     def size(self, size: float) -> Size:

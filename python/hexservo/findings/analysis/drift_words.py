@@ -90,9 +90,11 @@ def _end_words(found: Drift, pattern: Pattern) -> str:
         f" and {pattern.end_time_constant:.3g} s at its end, {away:.3g} mm from home, with "
         f"{pattern.end_error:.3g} px and {1e3 * pattern.end_travel:.3g} {found.leg_unit} of leg travel"
     )
-    return text + (
-        f", beyond the stroke of {1e3 * found.stroke:.3g} {found.leg_unit}" if _beyond(found, pattern) else ""
-    )
+    if not _beyond(found, pattern):
+        return text
+    if pattern.end_travel > found.stroke:
+        return f"{text}, beyond the stroke of {1e3 * found.stroke:.3g} {found.leg_unit}"
+    return f"{text}, beyond a joint limit"
 
 
 def _items(found: Drift) -> list[Item]:
@@ -223,8 +225,8 @@ def _chosen(found: Drift) -> Size:
 
 
 def _beyond(found: Drift, pattern: Pattern) -> bool:
-    """Return whether a drift leaves the stroke. Without an expected prior it has no end, and none is searched."""
-    return found.has_prior if pattern.end is None else pattern.end_travel > found.stroke
+    """Return whether a drift leaves the legs' limits. Without an expected prior it has no end, and none is searched."""
+    return found.has_prior if pattern.end is None else pattern.end_left < 0.0
 
 
 def _number(value: float) -> float | None:

@@ -55,6 +55,8 @@ def _sentences(result: Equilibria) -> list[str]:
             f"damping of {result.law} is too small for the oscillation that it feeds, which grows by "
             f"{goal.growth:.3g} 1/s."
         )
+    if goal is not None and goal.kind == "displaced goal" and not result.traps:
+        words.append(_gravity_words(result, goal))
     if result.traps:
         trap = max(result.traps, key=lambda e: e.starts)
         text = (
@@ -71,8 +73,6 @@ def _sentences(result: Equilibria) -> list[str]:
             if result.gravity_direction is not None
             else f"No equilibrium with the goal image was found from {searched}."
         )
-    elif goal.kind == "displaced goal":
-        words.append(_gravity_words(result, goal))
     elif goal.stability == "undecided":
         words.append(
             f"Whether the goal attracts is not decided: along {direction_words(goal.weakest, result.depth)} its "
@@ -85,7 +85,7 @@ def _sentences(result: Equilibria) -> list[str]:
             f"platform away along {direction_words(goal.weakest, result.depth)}, where its eigenvalue is "
             f"{number(goal.eigenvalues[0].real)} 1/s^2 (the largest is {number(goal.eigenvalues[-1].real)})."
         )
-    else:
+    elif goal.kind != "displaced goal":
         words.append(f"No false equilibrium that attracts within the stroke was found beside the goal, {searched}.")
     if goal is not None and goal.stability == "attracting":
         words.append(_softness(result, goal))
@@ -172,7 +172,8 @@ def _items(result: Equilibria) -> list[Item]:
                 "part of the way [1]",
                 "root of the weighted mean square error [px]",
                 [Line("straight path in pose", *result.barrier)],
-                note="The law only decreases this error, so the platform cannot pass the maximum.",
+                note="With exact depths and weight the energy of this error and of motion only falls: a platform that "
+                "rests below a maximum of this path does not pass it along the path.",
                 page=PAGE,
             )
         )

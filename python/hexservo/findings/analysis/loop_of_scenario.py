@@ -21,8 +21,10 @@ from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
 from hexservo.findings.analysis.scene import AT_HOME, AT_REST, scene_of
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fitted import gains_written
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.pixels import on_pinhole
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
@@ -109,6 +111,12 @@ def quiet(scenario: Scenario) -> Scenario:
         raise NotApplicableError(f"the sampled loop refuses the scenario's times: {error}") from error
 
 
+def with_features(scenario: Scenario) -> Scenario:
+    """Return the scenario with its pixels as features of a pinhole, of which the linear law is, and the same gains."""
+    written = gains_written(scenario)  # `auto` would fit them to the other camera
+    return on_pinhole(scenario.updated(written) if written else scenario)
+
+
 def clock_of(scenario: Scenario) -> Clock:
     """Return the camera's period and latency in ticks."""
     tick = scenario.simulation.step
@@ -153,6 +161,7 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     for key, what in _KNOWN.items():
         if np.any(np.asarray(value_at(scenario, key)) != 0.0):
             raise NotApplicableError(f"the linear loop is of a camera whose {what}, and {key} is not 0")
+    scenario = with_features(scenario)
     calm = quiet(scenario)
     slope = np.zeros(6)
     if controller.traits.switching:

@@ -132,8 +132,8 @@ def _but(point: int, count: int, factor: float) -> Array:
 
 
 def _scaled(scene: Scene, features: Array, depth: Array, length: float) -> Array:
-    """Return the image Jacobian at home with rotations scaled by a length, (2p, 6) [px/m]."""
-    return np.asarray(scene.jacobian(features, depth, scene.home) / np.repeat([1.0, length], 3))
+    """Return sqrt(W) J at home with rotations scaled by a length, (2p, 6) [px/m]."""
+    return np.asarray(scene.root_weights * scene.jacobian(features, depth, scene.home) / np.repeat([1.0, length], 3))
 
 
 def _search(scene: Scene, radius: float, length: float, tested: list[Placement]) -> tuple[Array, Array]:

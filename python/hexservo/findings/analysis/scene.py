@@ -192,6 +192,11 @@ class Scene:
         found = np.abs([self.hexapod.lever_arms(*pose) for pose in pairs]) / (self.scenario.robot.cranks.length or 1.0)
         return np.nan_to_num(found).reshape(*poses.shape, 6)
 
+    @property
+    def root_weights(self) -> Array:
+        """(2p, 1), root of what each coordinate counts: rows of a Jacobian times it have the same noise."""
+        return np.sqrt(np.repeat(np.asarray(self.settings["target.weights"], dtype=float), 2))[:, None]
+
     def limits_left(self, poses: Poses) -> Array:
         """Return which share of its limits the leg nearest to one has left, (...); negative beyond it."""
         return np.asarray(1.0 - self.limits_used(poses).max(axis=(-2, -1)))

@@ -56,7 +56,7 @@ def _sentences(found: Stiction) -> list[str]:
         words = [found.reason]
         if found.prior_error is not None:
             words.append(
-                f"There the image is {number(found.prior_error)} px off: the prior, which expects the start, "
+                f"There the image is {number(found.prior_error)} px off: the prior, which expects home, "
                 "dominates the poorly observable directions."
             )
         return words

@@ -58,10 +58,11 @@ class EnergyLedger(Part):
             )
         if not abs(self.residual) <= self.tolerance:
             found.append(f"a residual of {abs(self.residual):.3g} J is beyond the tolerance of {self.tolerance:.3g} J")
-        if not self.tolerance <= max(COARSE * self.turnover, self.negligible):
+        whole = max(self.turnover, float(self.energy.max()))  # a platform that coasts turns nothing over
+        if not self.tolerance <= max(COARSE * whole, self.negligible):
             found.append(
-                f"the tolerance itself is {number(100 * self.tolerance / self.turnover, 2)} % of the energy turned "
-                "over: the step is too coarse for a ledger"
+                f"the tolerance itself is {number(100 * self.tolerance / whole, 2)} % of the energy turned over: the "
+                "step is too coarse for a ledger"
             )
         return tuple(found)
 

@@ -137,7 +137,9 @@ def _stiction(case: Case, record: Record, judgement: Judgement) -> Signature:
     last = record.time >= (1.0 - _TAIL) * record.end_time
     unit = leg_units(case.scenario.robot).coordinate
     travel = float(np.ptp(record.samples["leg_lengths"][last], axis=0).max())
-    if judgement.early or judgement.error <= 1.0 or travel > _AT_REST * case.scenario.robot.stroke:
+    if judgement.early or judgement.error <= 1.0:
+        return Signature(0.0, "")
+    if travel > _AT_REST * case.scenario.robot.stroke:
         return Signature(
             0.0, f"The platform does not rest: its legs move {number(travel * 1e3, 2)} m{unit} in the last quarter."
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo.findings.diagnosis.causes import CAUSES
-from hexservo.findings.diagnosis.findings import Diagnosis
+from hexservo.findings.diagnosis.findings import Diagnosis, Finding
 from hexservo.findings.diagnosis.goal import Obstacle
 from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence, spelt
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
@@ -17,6 +17,7 @@ __all__ = ["section"]
 _PAGE = "docs/diagnosis/ranking.md"
 _TITLES = {cause.key: cause.title for cause in CAUSES}
 _FLOOR = 1e-3  # [px], of the curves
+_WEAK = 0.3  # score up to which recorded signals speak for no cause
 _HELPERS = 3  # most removals that are named which help and are not the cause
 
 
@@ -56,21 +57,34 @@ def _verdict(found: Diagnosis) -> str:
             f"The most likely cause is {first.title}: with {first.without.words} the run "
             f"{how(first.without, unit)}; the original run {was}."
         )
-    if first is not None and first.without is None:
+    if found.result.controller != found.result.scenario.controller.law:
+        if first is None or first.score <= _WEAK:
+            return (
+                f"Not explained: it {was}, and the recorded signals fit no cause; a custom controller is not run again."
+            )
         return (
             f"From the recorded signals alone the most likely cause is {first.title}: a custom controller is not "
             "run again."
         )
     if found.together:
-        together = joined([_TITLES[key] for key in found.together])
-        return (
-            f"Not explained by one cause: two make it fail together, {together}; the original run {was}. Without "
-            "other faults both together fail as well, and neither does alone."
-        )
+        return _of_two(found, was)
     words = f"Not explained: it {was}, and none of the {len(found.causes)} causes that were tried explains it."
     if first is not None and first.without is not None and first.cure:
         words += f" The most effective change was {first.without.words}: the run then {how(first.without, unit)}."
     return words
+
+
+def _of_two(found: Diagnosis, was: str) -> str:
+    """Return the verdict on two causes: what is known of each alone depends on whether the run passes without it."""
+    two = [finding for finding in found.causes if finding.cause in found.together]
+    words = (
+        f"Not explained by one cause: two make it fail together, {joined([_TITLES[key] for key in found.together])}; "
+        f"the original run {was}. "
+    )
+    if not all(finding.without is not None and finding.without.works for finding in two):
+        return f"{words}It passes only without both. Without other faults both together fail as well."
+    alone = ", and neither does alone" if all(finding.alone is False for finding in two) else ""
+    return f"{words}It passes without either of them. Without other faults both together fail as well{alone}."
 
 
 def _unit(found: Diagnosis) -> str:
@@ -99,21 +113,30 @@ def _sureness(found: Diagnosis) -> list[str]:
             f"Near the limit: with other seeds, or numbers changed randomly by 5 %, the run passes {passing} of "
             f"{len(found.controls)} times, so the cause is less certain."
         )
-    others = [
-        finding.without.words
-        for finding in found.causes
-        if not finding.named and finding.without is not None and finding.without.works
-    ]
-    if others and found.obstacle is None:
-        more = f", and {len(others) - _HELPERS} others" if len(others) > _HELPERS else ""
-        words.append(
-            f"The run also passes with {'; with '.join(others[:_HELPERS])}{more}: that helps, but alone it "
-            "makes no scenario without other faults fail, so it is not the cause."
+    if found.obstacle is None:
+        helps = [f for f in found.causes if not f.named and f.without is not None and f.without.works]
+        words += _helpers(
+            [finding for finding in helps if finding.alone is False],
+            "that helps, but alone it makes no scenario without other faults fail, so it is not the cause.",
+        )
+        words += _helpers(
+            [finding for finding in helps if finding.alone],
+            "alone it makes a scenario without other faults fail too, but it is not named: its settings are ordinary, "
+            "small random changes cure the run as well, or the run has not come to rest.",
         )
     also = [finding.title for finding in found.named[1:]]
     if also:
         words.append(f"Equally likely: {joined(also)}; each was removed alone.")
     return words
+
+
+def _helpers(findings: list[Finding], meaning: str) -> list[str]:
+    """Return a sentence on removals that cure the run, though their causes are not named; without any, none."""
+    removals = [finding.without.words for finding in findings if finding.without is not None]
+    if not removals:
+        return []
+    more = f", and {len(removals) - _HELPERS} others" if len(removals) > _HELPERS else ""
+    return [f"The run also passes with {'; with '.join(removals[:_HELPERS])}{more}: {meaning}"]
 
 
 def _table(found: Diagnosis) -> Table:
@@ -146,7 +169,7 @@ def _table(found: Diagnosis) -> Table:
         if run is not None:
             after = (run.words, spelt(run.outcome), run.error, 1e3 * run.leg_travel)
         rows.append((finding.title, finding.score, *after, alone))
-    note = f"Not present in this scenario: {', '.join(found.absent)}." if found.absent else ""
+    note = f"Not present in this scenario, or not tried: {', '.join(found.absent)}." if found.absent else ""
     return Table("Causes, each removed alone", columns, rows, note, _PAGE)
 
 

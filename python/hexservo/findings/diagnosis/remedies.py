@@ -111,7 +111,8 @@ def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list
                 for key, place in pixels.items()
                 if place is not None
             }
-        remedies.append(Removal(f"an image of {size[0]:.0f} x {size[1]:.0f} px", {**removal.changes, **larger}))
+        if (size > camera.image_size).any():
+            remedies.append(Removal(f"an image of {size[0]:.0f} x {size[1]:.0f} px", larger))
     if camera.convention == "eye_in_hand" and camera.prediction == "none":
         remedies.append(Removal("prediction of lost features from the joint sensors", {"camera.prediction": "encoder"}))
     return [*remedies, removal]

@@ -13,8 +13,10 @@ from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.run.result import Result
 from hexservo.run.shared import numbers_of, shared_by
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fitted import acts_on_gains, auto_of
 from hexservo.scenario.keys import NumericKey, acting_keys
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.yaml import ScenarioError
 
 __all__ = ["Run", "record_of", "run_all"]
 
@@ -75,6 +77,8 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
             else:
                 others[name] = value
                 numbers.pop(name, None)
+        if auto_of(scenario).bandwidth is not None and any(map(acts_on_gains, run.changes)):
+            numbers |= _fitted_again(run, numbers)
         alike = groups.setdefault((shared, repr(sorted(others.items()))), [[]])
         if len(alike[-1]) == _MAX_BATCH:
             alike.append([])
@@ -85,6 +89,16 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
             for index, record in _run(group, runs, threads):
                 records[index] = record
     return records
+
+
+def _fitted_again(run: Run, numbers: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the gains, of these numbers, that fit the machine of a run with its changes, as the caller would get."""
+    try:
+        changed = run.scenario.updated(run.changes)
+    except ScenarioError:
+        return {}  # refused when it is run
+    head = f"controller.{run.scenario.controller.law}."
+    return {name: values for name, values in numbers_of(changed).items() if name.startswith(head) and name in numbers}
 
 
 def _wide(rule: NumericKey, value: Any) -> Array:
