@@ -408,7 +408,7 @@ def test_a_platform_that_rests_at_its_goal_closes(paper: hs.Scenario) -> None:
 
 
 def test_a_platform_that_coasts_closes_though_nothing_is_turned_over(paper: hs.Scenario) -> None:
-    """A rotation about a principal axis, without gravity, gains and switching: every work is zero, the energy is not."""
+    """A rotation about a principal axis, without gravity and gains: every work is zero, the energy is not."""
     coasting = paper.updated(
         {
             "controller.law": "kelly",

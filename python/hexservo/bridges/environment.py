@@ -83,7 +83,7 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         self._over: Mask = np.zeros(num_envs, dtype=bool)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | np.integer[Any] | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Start all episodes again, or those of ``options["reset_mask"]``.
 
@@ -94,13 +94,11 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         options
             ``reset_mask``: (num_envs,) of bool.
         """
-        if isinstance(seed, np.integer):
-            seed = int(seed)
-        seeds = [seed] * self.num_envs if seed is None or isinstance(seed, int) else list(seed)
+        seeds = [seed] * self.num_envs if seed is None or isinstance(seed, int | np.integer) else list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: expected one number or {self.num_envs}, got {len(seeds)}")
-        if isinstance(seed, int):
-            seeds = [seed + index for index in range(self.num_envs)]
+        if isinstance(seed, int | np.integer):
+            seeds = [int(seed) + index for index in range(self.num_envs)]
         if not self._generators:
             self._generators = [np.random.default_rng(each) for each in seeds]
         mask = np.ones(self.num_envs, dtype=bool)

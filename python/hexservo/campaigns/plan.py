@@ -105,7 +105,9 @@ class CampaignPlan(Block):
                 (("vary", key), f"expected nothing that places the points beside {PLACED[0]} and {PLACED[1]}")
                 for key in both
             ]
-        asked = [(("require", index), one.name) for index, one in enumerate(self.require)]
+        asked: list[tuple[tuple[str | int, ...], str]] = [
+            (("require", index), one.name) for index, one in enumerate(self.require)
+        ]
         if self.tune is not None:
             asked += [(("tune", "minimise"), name) for name in self.tune.minimise]
             problems += [

@@ -195,7 +195,7 @@ class Scene:
     @property
     def root_weights(self) -> Array:
         """(2p, 1), root of what each coordinate counts: rows of a Jacobian times it have the same noise."""
-        return np.sqrt(np.repeat(np.asarray(self.settings["target.weights"], dtype=float), 2))[:, None]
+        return np.asarray(np.sqrt(np.repeat(self.settings["target.weights"], 2))[:, None])
 
     def limits_left(self, poses: Poses) -> Array:
         """Return which share of its limits the leg nearest to one has left, (...); negative beyond it."""
