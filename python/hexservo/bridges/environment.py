@@ -94,11 +94,15 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         options
             ``reset_mask``: (num_envs,) of bool.
         """
-        seeds = [seed] * self.num_envs if seed is None or isinstance(seed, int | np.integer) else list(seed)
+        seeds: list[int | None]
+        if seed is None:
+            seeds = [None] * self.num_envs
+        elif isinstance(seed, int | np.integer):
+            seeds = [int(seed) + index for index in range(self.num_envs)]
+        else:
+            seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: expected one number or {self.num_envs}, got {len(seeds)}")
-        if isinstance(seed, int | np.integer):
-            seeds = [int(seed) + index for index in range(self.num_envs)]
         if not self._generators:
             self._generators = [np.random.default_rng(each) for each in seeds]
         mask = np.ones(self.num_envs, dtype=bool)
