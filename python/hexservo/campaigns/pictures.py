@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from hashlib import sha256
 
 import numpy as np
 from scipy.stats import rankdata
@@ -53,10 +54,13 @@ def influential(result: CampaignResult, count: int = 2) -> list[tuple[str, float
     ranks = rankdata(table.column("margin").to_numpy())
     inputs = [name for name in table.column_names[1 : table.column_names.index("outcome")] if name != "seed"]
     sizes: dict[str, float] = {}
+    seen: set[bytes] = set()
     for name in inputs:
         values: Array = table.column(name).to_numpy()
-        if any(np.array_equal(values, table.column(other).to_numpy()) for other in sizes):
+        digest = sha256(values.tobytes()).digest()
+        if digest in seen:
             continue  # one number for all entries, or the other half of a symmetric matrix
+        seen.add(digest)
         sizes[name] = max(_correlation(ranks, part) for part in (values, np.abs(values - np.median(values))))
     return sorted(sizes.items(), key=lambda item: -item[1])[:count]
 
@@ -103,13 +107,12 @@ def _interval(result: CampaignResult, failed: Mask) -> Curves:
 
 def _distributions(result: CampaignResult) -> list[Curves]:
     """Return for each bounded metric the share of runs up to a value, with the bound."""
+    bounded = [requirement for requirement in result.plan.require if requirement.name != "outcome"]
+    table = result.to_arrow(list(dict.fromkeys(["outcome", *(requirement.name for requirement in bounded)])))
+    ended = np.array(table.column("outcome").to_pylist()) != "completed"  # fails, whatever was reached until then
     items = []
-    for requirement in result.plan.require:
-        if requirement.name == "outcome":
-            continue
-        table = result.to_arrow([requirement.name, "outcome"])
-        ended = np.array(table.column("outcome").to_pylist()) != "completed"  # fails, whatever was reached until then
-        values: Array = np.where(ended, np.nan, table.column(0).to_numpy())
+    for requirement in bounded:
+        values: Array = np.where(ended, np.nan, table.column(requirement.name).to_numpy())
         finite = values[np.isfinite(values)]
         if not len(finite):
             continue

@@ -76,7 +76,7 @@ def figures(result: Result) -> list[tuple[str, list[Html]]]:
 
 def _is_of_the_paper(result: Result) -> bool:
     """Return whether a run is that of the packaged scenario `paper`, whose figures have the paper's numbers."""
-    if result.scenario.name != "paper" or result.controller != result.scenario.controller.law:
+    if result.scenario.name != "paper" or not result.by_law:
         return False
     own, paper = result.scenario.to_mapping(), load_scenario("paper").to_mapping()
     for mapping in (own, paper):

@@ -151,6 +151,11 @@ class Result:
         return html_of(self)
 
     @property
+    def by_law(self) -> bool:
+        """Whether a law of the scenario controlled the run; False for a custom controller."""
+        return self.controller == self.scenario.controller.law
+
+    @property
     def features(self) -> Array:
         """True features of the camera's pinhole, (n, 2p) [px]; `pixels` are those of its image."""
         return desired_features(self.scenario) - self.feature_error

@@ -20,8 +20,7 @@ def summary_sentences(result: Result) -> list[str]:
 
 
 def _outcome(result: Result) -> str:
-    ours = result.controller == result.scenario.controller.law
-    law = f"the law {result.controller}" if ours else f"the function {result.controller}"
+    law = f"the law {result.controller}" if result.by_law else f"the function {result.controller}"
     steps = f"{result.end_time:.4g} s in {result.scenario.simulation.mode} mode, controlled by {law}"
     if result.outcome == "completed":
         return f"The run completed: {steps}."

@@ -8,13 +8,26 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import core_parameters
 
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks, Camera
     from hexservo.scenario.scenario import Scenario
 
-__all__ = ["desired_features", "has_pixels", "on_pinhole", "points_outside", "to_features", "to_pixels"]
+__all__ = [
+    "WRONG_CAMERA",
+    "desired_features",
+    "has_camera_wrong",
+    "has_pixels",
+    "on_pinhole",
+    "points_outside",
+    "to_features",
+    "to_pixels",
+]
+
+WRONG_CAMERA = ("uncertainty.focal_length", "uncertainty.principal_point")
+"""Keys of what the controller has wrong about the camera."""
 
 
 def has_pixels(camera: Camera) -> bool:
@@ -24,6 +37,11 @@ def has_pixels(camera: Camera) -> bool:
         value is not None
         for value in (camera.focal_pixels, camera.principal_point, lens.brown_conrady, lens.kannala_brandt)
     )
+
+
+def has_camera_wrong(scenario: Blocks) -> bool:
+    """Return whether the controller has a wrong focal length or principal point, which `on_pinhole` takes away."""
+    return any(np.any(np.asarray(value_at(scenario, key)) != 0.0) for key in WRONG_CAMERA)
 
 
 def to_features(scenario: Blocks, pixels: Any) -> Array:
@@ -74,14 +92,11 @@ def on_pinhole(scenario: Scenario) -> Scenario:
     Points, poses and laws stay; lens, principal point and what the controller has wrong about them do not act. Noise,
     rounding and border keep their numbers of pixels.
     """
-    if not has_pixels(scenario.camera) and scenario.simulation.mode == "continuous":
+    if not has_pixels(scenario.camera) and not has_camera_wrong(scenario):
         return scenario
     settings = core_parameters(scenario)
     camera = settings.camera
-    changes: dict[str, Any] = {
-        "uncertainty.focal_length": 0.0,
-        "uncertainty.principal_point": [0.0, 0.0],
-    }
+    changes: dict[str, Any] = dict(zip(WRONG_CAMERA, (0.0, [0.0, 0.0]), strict=True))
     if has_pixels(scenario.camera):
         centre, *axes = camera.in_mount(np.vstack([np.zeros(3), np.eye(3)]))
         error = np.asarray(scenario.uncertainty.mount.rotation)

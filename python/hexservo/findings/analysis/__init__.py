@@ -10,13 +10,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from hexservo.findings.analysis.loop_of_scenario import with_features
 from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
-from hexservo.scenario.fitted import gains_written
-from hexservo.scenario.keys import value_at
 from hexservo.scenario.motion import moves
-from hexservo.scenario.pixels import on_pinhole
+from hexservo.scenario.pixels import WRONG_CAMERA, has_camera_wrong
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
@@ -30,10 +29,9 @@ _POSITIONS = (
 )
 _WITH_MOTION = ("largest_start",)  # whose runs are those of the scenario
 _OF_KNOWN_CAMERA = ("camera_rate",)  # is open where the controller has the camera wrong
-_INTRINSICS = ("uncertainty.focal_length", "uncertainty.principal_point")
 _RIGHT_CAMERA = (
     "The controller's focal length and principal point are taken as those of the camera, also in runs; in this "
-    f"scenario they differ ({' and '.join(_INTRINSICS)})."
+    f"scenario they differ ({' and '.join(WRONG_CAMERA)})."
 )
 _AT_REST = "Base and target are taken at rest; in this scenario they move."
 
@@ -79,7 +77,7 @@ class Analysis(Findings):
         section = found.section() if isinstance(found, NotComputed) else found
         moving = moves(self.scenario.base_motion) or self.scenario.target.motion.kind != "none"
         taken = [_AT_REST] if moving and name not in _WITH_MOTION else []
-        if _has_camera_wrong(self.scenario) and name not in _OF_KNOWN_CAMERA:
+        if has_camera_wrong(self.scenario) and name not in _OF_KNOWN_CAMERA:
             taken.append(_RIGHT_CAMERA)
         return replace(section, sentences=(*section.sentences, *taken)) if taken else section
 
@@ -125,21 +123,15 @@ def analyse(
     if unknown := [part for part in asked if part not in PARTS]:
         raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")
     found = {}
-    written = gains_written(scenario)  # parts change the goal, to which gains of `auto` would be fitted again
-    pinhole = on_pinhole(scenario.updated(written) if written else scenario)
+    pinhole = with_features(scenario)  # parts change the goal, to which gains of `auto` would be fitted again
     for name, (module, _) in PARTS.items():
         if name in asked:
             if progress is not None:
                 progress(name)
             part = import_module(f"hexservo.findings.analysis.{module}").analyse
-            of = scenario if name in _OF_KNOWN_CAMERA and _has_camera_wrong(scenario) else pinhole
+            of = scenario if name in _OF_KNOWN_CAMERA and has_camera_wrong(scenario) else pinhole
             found[name] = _computed(scenario, name, partial(part, of))
     return Analysis(scenario, found)
-
-
-def _has_camera_wrong(scenario: Scenario) -> bool:
-    """Return whether the controller has a wrong focal length or principal point, which `on_pinhole` takes away."""
-    return any(np.any(np.asarray(value_at(scenario, key)) != 0.0) for key in _INTRINSICS)
 
 
 def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:

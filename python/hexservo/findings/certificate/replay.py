@@ -93,7 +93,7 @@ def replay(result: Result) -> Replay:
     if not isinstance(result, Result):
         raise wrong_type("result", "a Result (see hs.simulate)", result)
     scenario = result.scenario
-    own = result.controller != scenario.controller.law
+    own = not result.by_law
     if own and scenario.simulation.log_every != 1:
         raise ValueError(
             f"result: expected simulation.log_every = 1 of a run with a custom controller ({result.controller}), "

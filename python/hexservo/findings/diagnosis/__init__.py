@@ -54,7 +54,7 @@ def diagnose(result: Result) -> Diagnosis:
         return Diagnosis(result, False, criteria, warnings=warnings, record=record, judgement=before)
     case = make_cases([result.scenario])[0]
     criteria = misses(result, record, before)
-    if result.controller != result.scenario.controller.law:
+    if not result.by_law:
         findings, absent = _by_looks(case, record, before)
         return Diagnosis(
             result,

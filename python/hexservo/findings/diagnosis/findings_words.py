@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo.findings.diagnosis.causes import CAUSES
-from hexservo.findings.diagnosis.findings import Diagnosis, Finding
+from hexservo.findings.diagnosis.findings import Diagnosis
 from hexservo.findings.diagnosis.goal import Obstacle
 from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence, spelt
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
@@ -19,6 +19,11 @@ _TITLES = {cause.key: cause.title for cause in CAUSES}
 _FLOOR = 1e-3  # [px], of the curves
 _WEAK = 0.3  # score up to which recorded signals speak for no cause
 _HELPERS = 3  # most removals that are named which help and are not the cause
+_NOT_NAMED = {  # fails alone -> why a removal that helps is not the cause
+    False: "that helps, but alone it makes no scenario without other faults fail, so it is not the cause.",
+    True: "alone it makes a scenario without other faults fail too, but it is not named: its settings are ordinary, "
+    "small random changes cure the run as well, or the run has not come to rest.",
+}
 
 
 def section(found: Diagnosis) -> Section:
@@ -57,7 +62,7 @@ def _verdict(found: Diagnosis) -> str:
             f"The most likely cause is {first.title}: with {first.without.words} the run "
             f"{how(first.without, unit)}; the original run {was}."
         )
-    if found.result.controller != found.result.scenario.controller.law:
+    if not found.result.by_law:
         if first is None or first.score <= _WEAK:
             return (
                 f"Not explained: it {was}, and the recorded signals fit no cause; a custom controller is not run again."
@@ -114,29 +119,16 @@ def _sureness(found: Diagnosis) -> list[str]:
             f"{len(found.controls)} times, so the cause is less certain."
         )
     if found.obstacle is None:
-        helps = [f for f in found.causes if not f.named and f.without is not None and f.without.works]
-        words += _helpers(
-            [finding for finding in helps if finding.alone is False],
-            "that helps, but alone it makes no scenario without other faults fail, so it is not the cause.",
-        )
-        words += _helpers(
-            [finding for finding in helps if finding.alone],
-            "alone it makes a scenario without other faults fail too, but it is not named: its settings are ordinary, "
-            "small random changes cure the run as well, or the run has not come to rest.",
-        )
+        helpers = [(f.alone, f.without.words) for f in found.causes if not f.named and f.without and f.without.works]
+        for alone, meaning in _NOT_NAMED.items():
+            removals = [removal for one, removal in helpers if one is alone]
+            more = f", and {len(removals) - _HELPERS} others" if len(removals) > _HELPERS else ""
+            if removals:
+                words.append(f"The run also passes with {'; with '.join(removals[:_HELPERS])}{more}: {meaning}")
     also = [finding.title for finding in found.named[1:]]
     if also:
         words.append(f"Equally likely: {joined(also)}; each was removed alone.")
     return words
-
-
-def _helpers(findings: list[Finding], meaning: str) -> list[str]:
-    """Return a sentence on removals that cure the run, though their causes are not named; without any, none."""
-    removals = [finding.without.words for finding in findings if finding.without is not None]
-    if not removals:
-        return []
-    more = f", and {len(removals) - _HELPERS} others" if len(removals) > _HELPERS else ""
-    return [f"The run also passes with {'; with '.join(removals[:_HELPERS])}{more}: {meaning}"]
 
 
 def _table(found: Diagnosis) -> Table:
