@@ -195,10 +195,18 @@ def test_a_planted_optimum_on_a_constraint_is_found() -> None:
             2,
             seed,
         )
-        best = best_candidate(planted, np.array([0.9, 0.9]), 40, nothing)
+        best = best_candidate(planted, np.array([[0.9, 0.9]]), 40, nothing)
         found = planted.judged(best[None])
         assert found.smallest[0] >= 0
         assert found.values[0, 0] == pytest.approx(1 - 0.3 * math.sqrt(2), abs=0.01), f"seed {seed}"
+
+
+def test_a_candidate_that_was_known_is_not_lost() -> None:
+    """Feasible places too few for a search of one generation to find: it ends with the known one among them, whichever
+    of the known ones it begins at."""
+    known = np.array([[0.3, 0.3], [0.9, 0.9]])
+    planted: Any = Planted([lambda p: 1e-6 - np.hypot(p[:, 0] - 0.3, p[:, 1] - 0.3)], [lambda p: p[:, 0]], 2, 0)
+    assert best_candidate(planted, known, 1, nothing) == pytest.approx(known[0], abs=0)
 
 
 def test_the_smallest_relaxation_is_found() -> None:

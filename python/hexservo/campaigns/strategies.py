@@ -25,10 +25,14 @@ Generation = Callable[[Judged, NDArray[np.intp]], object]
 
 
 def best_candidate(
-    candidates: Candidates, start: Array, generations: int, after: Generation, metric: int = 0, seed: int = 0
+    candidates: Candidates, known: Array, generations: int, after: Generation, metric: int = 0, seed: int = 0
 ) -> Array:
-    """Return the best candidate that CMA-ES (Hansen 2016) finds from a place, by its rank in `Judged.order`."""
-    finalists = [start]
+    """Return the best candidate that CMA-ES (Hansen 2016) finds from the last of known ones, by `Judged.order`.
+
+    It is compared with the known ones, (k, dimension), over the variations of now: a search ends with nothing worse.
+    """
+    start = known[-1]
+    finalists: list[Array] = []
 
     def ranks(places: Array) -> NDArray[np.intp]:
         found = candidates.judged(places)
@@ -38,7 +42,7 @@ def best_candidate(
         return order
 
     favourite = _evolve(candidates, start, generations, ranks, seed)
-    last = np.stack([start, favourite, *finalists[-_FINALISTS:]])
+    last = np.stack([*known, favourite, *finalists[-_FINALISTS:]])
     candidates.renew()
     best: Array = last[candidates.judged(last).order(metric)[0]]
     return best

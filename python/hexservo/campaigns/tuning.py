@@ -124,6 +124,7 @@ class _Search:
         self.metrics = len(candidates.asked.minimise)
         self.start = candidates.place_of(candidates.plan.scenario)
         self.best = self.start
+        self.known = [self.start]  # with the winner of each round
         self.front: Array = np.empty((0, candidates.dimension))
         self.history: list[Generation] = []
         self.round = 0
@@ -150,19 +151,21 @@ class _Search:
 
     def _search(self) -> None:
         if self.metrics < 2:
-            self.best = best_candidate(self.candidates, self.best, self.generations, self._note)
+            self.best = best_candidate(self.candidates, np.stack(self.known), self.generations, self._note)
+            self.known.append(self.best)
             return
         known = self.front if len(self.front) else self.best[None]
         if self.round == 1:  # the ends of the front, each by itself
             known = np.stack(
                 [
                     best_candidate(
-                        self.candidates, self.best, max(self.generations // 2, 1), self._note, metric, metric
+                        self.candidates, self.best[None], max(self.generations // 2, 1), self._note, metric, metric
                     )
                     for metric in range(self.metrics)
                 ]
             )
-        self.front = front_of(self.candidates, known[:: -(-len(known) // 24)], self.generations, self._note)
+        known = np.concatenate([known[:: -(-len(known) // 24)], self.start[None]])
+        self.front = front_of(self.candidates, known, self.generations, self._note)
         self.best = knee(self.candidates, self.front) if len(self.front) else known[0]
 
     def _worse_cases(self) -> tuple[list[dict[str, NDArray[Any]]], float]:
