@@ -1,9 +1,10 @@
 """Tunes every law on two scenarios, and compares the gains with those of the scenario on runs that no search used.
 
 Run it as ``python benchmarks/tune_laws.py``; ``--help`` has the options. Each law is searched by `hexservo.tune` over
-drawn machines and starts (`VARY`, `REQUIRE`), with runs of `SEARCHED` seconds; campaigns of the scenario's own duration
-judge both gains. All is kept in a folder, and the same command goes on after an interruption. The tables are Markdown.
-For each scenario a file with the tuned gains of all laws is written, for ``hexservo compare``.
+drawn machines and starts (`VARY`), with a share of each bound left (`BOUNDS`, `RESERVE`), in runs of `SEARCHED` seconds;
+campaigns of the scenario's own duration judge both gains by the bounds. All is kept in a folder, and the same command
+goes on after an interruption. The tables are Markdown. For each scenario a file with the tuned gains of all laws is
+written, for ``hexservo compare``.
 """
 
 from __future__ import annotations
@@ -33,13 +34,17 @@ VARY: dict[str, dict[str, Any]] = {
     | {"camera.dropout": {"uniform": [0.0, 0.05]}, "base_motion.level": {"log": [1.0e-6, 1.0e-4]}},
     "slow-camera": ERRORS | {"camera.latency": {"choice": [0.05, 0.066, 0.08]}},  # [s]
 }
-REQUIRE = [
-    "outcome == completed",
-    "settling_time <= 1.0",  # [s]
-    "rms_error <= 0.5",  # [px]
-    "peak_leg_excursion <= 0.017",  # [m]
-    "peak_leg_force <= 0.9",  # [N], a reserve to the limit of 1 N
-]
+BOUNDS = {
+    "settling_time": 1.0,  # [s]
+    "rms_error": 0.5,  # [px]
+    "peak_leg_excursion": 0.017,  # [m]
+    "peak_leg_force": 0.9,  # [N], a reserve to the limit of 1 N
+}
+# Of the laws that cannot keep 0.5 px with the other bounds, as their searches said.
+RELAXED = {("real-machine", "hybrid"): {"rms_error": 0.75}, ("real-machine", "kelly"): {"rms_error": 0.75}}  # [px]
+RESERVE = (
+    0.1  # share of each bound that a search leaves, since it ends at a bound, for variations that it does not draw
+)
 SEARCHED = 2.0  # [s], duration of the runs of a search
 HALVES = [3, 3]  # forces share a gain, and moments do
 VARIABLES: dict[str, dict[str, Any]] = {
@@ -79,12 +84,18 @@ VARIABLES: dict[str, dict[str, Any]] = {
 }
 
 
+def required(scenario: str, law: str, reserve: float = 0.0) -> list[str]:
+    """Return the requirements, with a share of each bound left."""
+    bounds = BOUNDS | RELAXED.get((scenario, law), {})
+    return ["outcome == completed", *(f"{name} <= {(1 - reserve) * bound:g}" for name, bound in bounds.items())]
+
+
 def plan_of(scenario: str, law: str, over: int) -> CampaignPlan:
     """Return the file of a search: one law on one scenario."""
     return CampaignPlan(
         scenario=hs.load_scenario(scenario).updated({"controller.law": law, "simulation.duration": SEARCHED}),
         vary=VARY[scenario],
-        require=REQUIRE,
+        require=required(scenario, law, RESERVE),
         runs=200,
         tune={
             "variables": {f"controller.{law}.{key}": each for key, each in VARIABLES[law].items()},
@@ -111,9 +122,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/tuned"), help="folder (%(default)s)")
     parser.add_argument("--scenarios", default=",".join(VARY), help="(%(default)s)")
     parser.add_argument("--laws", default=",".join(LAWS), help="(%(default)s)")
-    parser.add_argument("--generations", type=int, default=25, help="of each round (%(default)s)")
+    parser.add_argument("--generations", type=int, default=60, help="of each round (%(default)s)")
     parser.add_argument("--rounds", type=int, default=6, help="at most (%(default)s)")
-    parser.add_argument("--over", type=int, default=12, help="drawn variations of a search (%(default)s)")
+    parser.add_argument("--over", type=int, default=100, help="drawn variations of a search (%(default)s)")
     parser.add_argument("--runs", type=int, default=2000, help="of each campaign (%(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the searches (%(default)s)")
     parser.add_argument("--threads", type=int, help="(one for each core)")
@@ -135,7 +146,12 @@ def main() -> None:
             )
             whole = {"simulation.duration": hs.load_scenario(scenario).simulation.duration}
             plans = [
-                plan.changed(scenario=each.updated(whole), runs=given.runs, stream=plan.stream + 2)
+                plan.changed(
+                    scenario=each.updated(whole),
+                    require=required(scenario, law),
+                    runs=given.runs,
+                    stream=plan.stream + 2,
+                )
                 for each in (plan.scenario, found.scenario)
             ]
             hand, judged = (

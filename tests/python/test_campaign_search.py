@@ -18,7 +18,7 @@ import pytest
 
 import hexservo as hs
 from hexservo.campaigns.candidates import Judged
-from hexservo.campaigns.loop_numbers import delay_margin
+from hexservo.campaigns.loop_numbers import decay_rate, delay_margin
 from hexservo.campaigns.strategies import best_candidate, front_of, not_dominated, relax
 from hexservo.findings.analysis import camera_rate
 from hexservo.run.publish import OutputError
@@ -320,6 +320,35 @@ def test_the_delay_margin_is_that_of_the_analysis() -> None:
         print(f"{factor}: {expected} s")
         assert delay_margin(changed) == pytest.approx(expected, nan_ok=True, abs=1e-12)
     assert math.isnan(delay_margin(scenario.updated({"controller.law": "hybrid"})))
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.1, 0.3, 0.5])
+def test_the_decay_rate_is_that_of_the_characteristic_equation(latency: float) -> None:
+    """Computed torque without model errors: each axis is s^2 + k_d s exp(-s hold) + k_p exp(-s delay) = 0, whose
+    rightmost root is found by Newton's method. A wrench is held for half a tick on average, and a frame for half a
+    period, which is exact but for |s period|^2/24 of k_p, below 1e-4 of it."""
+    kp, kd, period, tick = 16.0, 4.0, 0.01, 0.001
+    scenario = hs.load_scenario("paper").updated(
+        {
+            "uncertainty": {"inertia": 0.0, "coriolis": 0.0, "gravity": 0.0, "depth": 0.0},
+            "simulation": {"mode": "sampled", "step": tick},
+            "camera": {"period": period, "latency": latency},
+            "controller": {"law": "computed_torque", "computed_torque": {"kp": kp, "kd": kd, "prior": 0.0}},
+        }
+    )
+    delay, hold = latency + period / 2, tick / 2
+
+    def of(s: Any) -> Any:
+        return s**2 + kd * s * np.exp(-s * hold) + kp * np.exp(-s * delay)
+
+    s = np.add.outer(np.linspace(-10, 5, 31), 1j * np.linspace(0, 12, 25)).ravel()
+    with np.errstate(all="ignore"):
+        for _ in range(60):
+            s = s - of(s) / (2 * s + kd * (1 - hold * s) * np.exp(-s * hold) - delay * kp * np.exp(-s * delay))
+        roots = s[np.abs(of(s)) < 1e-9]
+    print(f"latency {latency} s: {decay_rate(scenario)} 1/s, by hand {-roots.real.max()}")
+    assert decay_rate(scenario) == pytest.approx(-roots.real.max(), abs=4e-4)
+    assert math.isnan(decay_rate(scenario.updated({"controller.law": "hybrid"})))
 
 
 def test_a_required_delay_margin_holds(tmp_path: Path) -> None:

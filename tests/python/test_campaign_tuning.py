@@ -191,7 +191,7 @@ REFUSED = [
     ({"subject_to": "delay_margin >= 0.1"}, "tune.subject_to: expected a list of requirements, got"),
     (
         {"subject_to": ["rms_error <= 1"]},
-        r'tune.subject_to\[0\]: unknown number of the loop "rms_error"; known: delay_margin',
+        r'tune.subject_to\[0\]: unknown number of the loop "rms_error"; known: decay_rate, delay_margin',
     ),
     ({"over": 0}, "tune.over: expected an integer from 1 to"),
     ({"over": ["corners", 3, 4]}, r"tune.over: expected a number of variations, corners, or \[corners, number\], got"),

@@ -4,10 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["LOOP_NUMBERS", "delay_margin"]
+if TYPE_CHECKING:
+    from hexservo.findings.analysis.camera_rate import CameraRate
+
+__all__ = ["LOOP_NUMBERS", "decay_rate", "delay_margin"]
+
+
+def decay_rate(scenario: Scenario) -> float:
+    """Return the rate at which the slowest mode of the linear loop decays [1/s]; negative if a mode grows.
+
+    NaN where the analysis does not apply (docs/analysis/camera_rate.md).
+    """
+    rate = _camera_rate(scenario, borders=False)
+    return math.nan if rate is None or rate.acting is None else -rate.acting.rate
 
 
 def delay_margin(scenario: Scenario) -> float:
@@ -17,6 +30,14 @@ def delay_margin(scenario: Scenario) -> float:
     analysis does not apply (docs/analysis/camera_rate.md). A loop that no latency makes unstable has the largest one
     that is looked at.
     """
+    rate = _camera_rate(scenario, borders=True)
+    if rate is None or rate.acting is None or rate.clock is None or rate.acting.latency.stable is None:
+        return math.nan
+    return float((rate.acting.latency.stable - rate.clock.latency) * rate.scenario.simulation.step)
+
+
+def _camera_rate(scenario: Scenario, *, borders: bool) -> CameraRate | None:
+    """Return the analysis of the camera's rate without its runs; None where it does not apply."""
     from hexservo.findings.analysis.camera_margins import loop_margins, most_frames
     from hexservo.findings.analysis.camera_rate import CameraRate
     from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, clock_of, loop_at_rest
@@ -25,16 +46,16 @@ def delay_margin(scenario: Scenario) -> float:
         at_rest = loop_at_rest(scenario)
         clock = clock_of(at_rest.scenario)
         if clock.latency > most_frames(at_rest.free) * clock.period:
-            return math.nan
-        free = loop_margins(at_rest.free, clock)
-        smooth = None if at_rest.smooth is None else loop_margins(at_rest.smooth, clock)
+            return None
+        free = loop_margins(at_rest.free, clock, borders=borders)
+        smooth = None if at_rest.smooth is None else loop_margins(at_rest.smooth, clock, borders=borders)
     except NotApplicableError:
-        return math.nan
-    acting = CameraRate(scenario, None, at_rest, clock, free, smooth).acting
-    if acting is None or acting.latency.stable is None:
-        return math.nan
-    return float((acting.latency.stable - clock.latency) * at_rest.scenario.simulation.step)
+        return None
+    return CameraRate(at_rest.scenario, None, at_rest, clock, free, smooth)
 
 
-LOOP_NUMBERS: Mapping[str, tuple[str, Callable[[Scenario], float]]] = {"delay_margin": ("s", delay_margin)}
+LOOP_NUMBERS: Mapping[str, tuple[str, Callable[[Scenario], float]]] = {
+    "decay_rate": ("1/s", decay_rate),
+    "delay_margin": ("s", delay_margin),
+}
 """Name -> (unit, function of the scenario)."""
