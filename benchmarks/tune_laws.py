@@ -1,7 +1,7 @@
 """Tunes every law on two scenarios, and compares the gains with those of the scenario on runs that no search used.
 
 Run it as ``python benchmarks/tune_laws.py``; ``--help`` has the options. Each law is searched by `hexservo.tune` over
-drawn machines and starts (`VARY`), with a share of each bound left (`BOUNDS`, `RESERVE`), in runs of `SEARCHED` seconds;
+drawn machines and starts (`VARY`), with a share of each bound left (`BOUNDS`, `RESERVE`), in runs of `SEARCHED` s;
 campaigns of the scenario's own duration judge both gains by the bounds. All is kept in a folder, and the same command
 goes on after an interruption. The tables are Markdown. For each scenario a file with the tuned gains of all laws is
 written, for ``hexservo compare``.
