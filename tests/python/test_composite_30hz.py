@@ -135,7 +135,7 @@ def test_the_file_of_the_search_is_for_the_same_loop(scenario: hs.Scenario) -> N
     same = plan.scenario.updated({**gains, **errors_of_both, "description": scenario.description})
     assert same == scenario
     limits = [requirement.bound for requirement in plan.require[1:]]
-    assert limits == [LIMITS[name] for name in ("settling", "rms", "force", "stroke")]
+    assert all(limit < LIMITS[name] for limit, name in zip(limits, ("settling", "rms", "force", "stroke"), strict=True))
     assert plan.tune.corners
     bounds = np.array([plan.vary[f"uncertainty.{key}"].box for key in errors])
     magnitudes = np.array([corners.INERTIA, corners.CORIOLIS, corners.GRAVITY, corners.DEPTH])

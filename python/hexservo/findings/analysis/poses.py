@@ -51,6 +51,8 @@ class Poses:
 
     def moved(self, displacement: Array) -> Poses:
         """Return the poses after displacements: one per row, or one for all."""
+        if displacement.ndim == 1 and not displacement.any():
+            return self
         half = 0.5 * displacement[..., 3:]
         angle = np.sqrt((half * half).sum(axis=-1))
         vector = np.sinc(angle / np.pi)[..., None] * half  # sin(angle)/angle, also at zero
@@ -111,14 +113,11 @@ def without_sign(directions: Array) -> Array:
 
 def _product(first: Array, second: Array) -> Array:
     """Multiply quaternions (..., 4): the rotation of the second, then that of the first, both in B."""
-    a, b, c, d = np.moveaxis(first, -1, 0)
-    w, x, y, z = np.moveaxis(second, -1, 0)
-    return np.stack(
-        [
-            a * w - b * x - c * y - d * z,
-            a * x + b * w + c * z - d * y,
-            a * y - b * z + c * w + d * x,
-            a * z + b * y - c * x + d * w,
-        ],
-        axis=-1,
-    )
+    a, b, c, d = (first[..., i] for i in range(4))
+    w, x, y, z = (second[..., i] for i in range(4))
+    product = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    product[..., 0] = a * w - b * x - c * y - d * z
+    product[..., 1] = a * x + b * w + c * z - d * y
+    product[..., 2] = a * y - b * z + c * w + d * x
+    product[..., 3] = a * z + b * y - c * x + d * w
+    return product
