@@ -151,13 +151,17 @@ def test_limits_of_the_legs_are_not_overrun(limits: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("lead", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("delay", [0.0, 0.04])
-def test_the_mean_lag_behind_a_steady_target_is_that_of_the_lead(lead: float, delay: float) -> None:
-    """A second-order response is 2 zeta/w behind a ramp; the command leads by its share; the hold does not count."""
+@pytest.mark.parametrize("feedback", [0.0, 1.0])
+def test_the_mean_lag_behind_a_steady_target_is_that_of_the_lead(lead: float, delay: float, feedback: float) -> None:
+    """A second-order response is 2 zeta/w behind a ramp; the command leads by its share; the hold does not count.
+
+    What is left the feedback k divides by 1 + k: q* - q = 2 zeta/w v = lead 2 zeta/w v + (1 + k) (q_r - q).
+    """
     speed, (bandwidth, damping) = 0.1, (6.0, 1.2)
     scenario = head(
         -18.0,
         turned=False,
-        gains={"lead": lead, "noise": 0.01, "bandwidth": 3.0},
+        gains={"lead": lead, "noise": 0.01, "bandwidth": 3.0, "feedback": feedback},
     ).updated(
         {
             "camera.noise": 0.01,
@@ -170,7 +174,7 @@ def test_the_mean_lag_behind_a_steady_target_is_that_of_the_lead(lead: float, de
     run = hs.simulate(scenario)
     target = still(-18.0) + np.outer(run.time, [0.0, speed, 0.0])
     rate = np.gradient(np.arctan2(target[:, 1], target[:, 0]), run.time)
-    expected = (1.0 - lead) * 2.0 * damping / (2.0 * np.pi * bandwidth)
+    expected = (1.0 - lead) * 2.0 * damping / (2.0 * np.pi * bandwidth) / (1.0 + feedback)
     # A target seen aslant has its middle aside: as much before the camera looks straight ahead as after.
     middle = np.abs(run.time + target[0, 1] / speed) < 0.5
     lag = (angle_to(run, target) / rate)[middle].mean()
@@ -322,6 +326,66 @@ def test_legs_that_come_to_rest_elsewhere_are_made_up_for() -> None:
     assert np.abs(np.diff(moves[-100:], axis=0)).max() <= 1e-9  # at rest: nothing integrates
 
 
+@pytest.mark.parametrize("held", [False, True])
+def test_the_feedback_divides_what_legs_stay_short_by(held: bool) -> None:
+    """Legs s beside their command come to be s/(1 + k) beside the reference, which stays at home.
+
+    From tick to tick x <- s - k x. Within the band it is held once the legs count as resting, after the five ticks of
+    4 (2 zeta/w)/(1 + k) + 2 T_c = 0.109 s.
+    """
+    feedback = 0.5
+    scenario = head(0.0, gains={"feedback": feedback, "band": 1.0 if held else 1e-5})
+    controller = hs.Controller(scenario)
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    home = np.array(hexapod.home_lengths)
+    sag = np.array([0.01, -0.01] * 3)
+    lengths, moves = home, []
+    for _ in range(200):
+        pose = hexapod.forward_kinematics(lengths, hexapod.home_position, hexapod.home_quaternion)
+        turn = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).as_rotvec()
+        features = hs.project(scenario, [*(pose.position - hexapod.home_position), *turn])
+        out = controller.step(features, np.full(4, -DISTANCE), leg_lengths=lengths)
+        moves.append(out.leg_positions)
+        lengths = out.leg_positions + sag
+    terms = (-feedback) ** np.arange(5 if held else 200)
+    np.testing.assert_allclose(lengths - home, sag * terms.sum(), atol=1e-7)
+    assert np.abs(np.diff(moves[-50:], axis=0)).max() <= 1e-9
+
+
+def test_a_command_is_no_farther_from_stuck_legs_than_their_speed_limit_takes() -> None:
+    bandwidth, damping, speed = 23.0, 1.88, 0.6
+    drive = {"actuators.position": {"bandwidth": bandwidth, "damping": damping, "speed_limit": speed}}
+    reach = (0.6 * 2.0 * damping / (2.0 * np.pi * bandwidth) + TICK) * speed
+    for feedback, most in ((0.0, np.inf), (1.0, reach)):
+        scenario = head(20.0, gains={"feedback": feedback}).updated(drive)
+        controller = hs.Controller(scenario)
+        home = np.array(_core.Hexapod(core_parameters(scenario).robot).home_lengths)
+        seen = hs.project(scenario, [0.0] * 6)
+        ways = []
+        for _ in range(100):
+            out = controller.step(seen, np.full(4, -DISTANCE), leg_lengths=home)
+            ways.append(np.abs(out.leg_positions - home).max())
+        print(f"feedback {feedback:g}: at most {max(ways):.4f} rad from the legs, expected {most:.4f}")
+        assert max(ways) == pytest.approx(reach, abs=1e-9) if feedback else max(ways) > 2.0 * reach
+
+
+@pytest.mark.parametrize("reading", [None, np.full(6, np.nan), np.full(6, 1e6)])
+def test_a_bad_reading_leaves_nothing_behind_in_the_feedback(reading: Any) -> None:
+    """Commands stay finite and near, and are again those of before once the readings are back."""
+    scenario = head(10.0, gains={"feedback": 1.0}).updated({"actuators.position.speed_limit": 1.0})
+    ticks = ticks_of(scenario)
+    controller, commands = hs.Controller(scenario), []
+    for k in range(len(ticks["now"])):
+        if 40 <= k < 43:
+            out = controller.step(leg_lengths=reading, now=TICK * k)
+        else:
+            out = step(controller, ticks, k)
+        commands.append(out.leg_positions)
+    assert np.isfinite(commands[1:]).all()
+    assert np.abs(np.diff(commands[1:], axis=0)).max() < 0.2
+    assert np.abs(commands[-1] - ticks["leg_positions"][-1]).max() < 5e-3
+
+
 # ---- Diagnosis and checks ------------------------------------------------------------------------------------------
 
 SWAYING = {
@@ -390,9 +454,10 @@ UNKNOWN = {"camera.latency_known": False, "camera.latency_jitter": 0.0, "camera.
 
 
 LIMITED = {"actuators.position.speed_limit": 1.0}
+FED_BACK = {**LIMITED, "controller.tracking.feedback": 1.0, "controller.tracking.integral": 2.0, "sensors.noise": 1e-3}
 
 
-@pytest.mark.parametrize("changes", [{}, UNKNOWN, LIMITED], ids=["stamped", "unknown", "limited"])
+@pytest.mark.parametrize("changes", [{}, UNKNOWN, LIMITED, FED_BACK], ids=["stamped", "unknown", "limited", "fed back"])
 def test_the_tick_answers_as_the_run_does(changes: dict[str, Any]) -> None:
     scenario = head(20.0).updated(changes)
     ticks = ticks_of(scenario)
@@ -409,7 +474,7 @@ def test_the_tick_answers_as_the_run_does(changes: dict[str, Any]) -> None:
             others = [pickle.loads(pickle.dumps(controller)), copy.deepcopy(controller)]
 
 
-@pytest.mark.parametrize("changes", [{}, UNKNOWN], ids=["stamped", "unknown"])
+@pytest.mark.parametrize("changes", [{}, UNKNOWN, FED_BACK], ids=["stamped", "unknown", "fed back"])
 def test_a_batch_is_its_single_runs(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(variant, "_CHOSEN", variant.load_kernel("baseline"))  # the others fuse products and sums
     scenario = head(15.0).updated({"camera.latency_jitter": 0.02, **changes, "simulation.duration": 1.0})

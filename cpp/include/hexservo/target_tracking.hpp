@@ -18,9 +18,11 @@
 /// pole at exp(-2 pi bandwidth T_c), within the limits of the legs. The command leads it by the legs' own response
 /// turned around,
 ///
-///     q* = q_r + (2 zeta/w - T_c/2) q-dot_r + q-ddot_r/w^2 + o
+///     q* = q_r + (2 zeta/w - T_c/2) q-dot_r + q-ddot_r/w^2 + b + o
 ///
-/// (T_c/2: the command is held), and o makes up for where legs with friction or load come to rest.
+/// (T_c/2: the command is held). What that response lacks, such as friction, load and the coupling of the legs, is made
+/// up for by b, `feedback` times how far the measured legs are behind the reference of this instant, and by o where
+/// they come to rest elsewhere.
 #pragma once
 
 #include "hexservo/latency_estimator.hpp"
@@ -37,6 +39,8 @@ inline constexpr int kPointingRounds = 6;          ///< of the camera's place in
 /// Share of the legs' acceleration limit that the reference brakes with: a command that is held asks more of them [1].
 inline constexpr double kBraking = 0.6;
 inline constexpr double kSettled = 4.0;  ///< lags after which the legs are at rest [1]
+/// Share of the lead of legs at their speed limit that a command is ahead of the measured legs at most [1].
+inline constexpr double kReach = 0.6;
 
 /// What tracking needs, prepared.
 template <class S, int N = kPoints>
@@ -44,8 +48,9 @@ struct TrackingPlan {
   Follow follow = Follow::pose;
   bool stamped = true;
   TrackingGains<S, N> gains;
-  S approach{0.0}, braking{0.0};             ///< (1 - p)^2/T_c [1/s] and 1 - p^2 of the double pole p
-  S lead{0.0}, lead_change{0.0};             ///< of the command [s], [s^2]
+  S approach{0.0}, braking{0.0};                         ///< (1 - p)^2/T_c [1/s] and 1 - p^2 of the double pole p
+  S lead{0.0}, lead_change{0.0};                         ///< of the command [s], [s^2]
+  S reach = S(std::numeric_limits<double>::infinity());  ///< of a command from the measured legs, with feedback
   S settling{0.0};                           ///< time after which the legs are where they were commanded [s]
   double jitter = 0.0;                       ///< most that a latency no frame carries is longer for a frame [s]
   double delay = 0.0;                        ///< of the legs [ticks]
@@ -97,6 +102,8 @@ struct TrackingState {
   LatencyEstimator<S> latency;  ///< where frames carry no exposure
   LatencyRange<S> latency_range = latency.range();
   Vector6<S> offset = Vector6<S>::Zero();  ///< o [m], or [rad]
+  Vector6<S> behind = Vector6<S>::Zero();  ///< b, likewise
+  Vector6<S> reading = unknown_six<S>();   ///< legs of the newest reading
   S still{0.0};                            ///< time since the reference came to rest [s]
   Mask<S> integrating = Mask<S>(false);
 
@@ -110,6 +117,8 @@ struct TrackingState {
       latency_range = latency.range();
     }
     f(offset);
+    f(behind);
+    f(reading);
     f(still);
     f(integrating);
   }
@@ -200,7 +209,9 @@ TrackingPlan<S, N> tracking_plan(const LoopParameters<S, Tracking, N>& p, const 
   plan.lead_change = p.gains.lead / (w * w);
   plan.jitter = p.frames.stamped ? 0.0 : static_cast<double>(p.frames.jitter) * p.step;
   plan.delay = static_cast<double>(p.actuators.delay);
-  plan.settling = S(kSettled) * lag + S((plan.delay + 2.0) * p.step);
+  plan.settling = S(kSettled) * lag / (S(1.0) + p.gains.feedback) + S((plan.delay + 2.0) * p.step);
+  const S reach = (S(kReach) * lag + period) * p.actuators.position.speed_limit;
+  plan.reach = select(is_finite(reach), reach, plan.reach);
   plan.home = home_pose(p.hexapod);
   const Matrix3<S> R_BE = rotation_matrix(plan.home.quaternion);
   plan.home_centre = CameraView<S>(task.camera).centre(plan.home.position, R_BE);
@@ -442,18 +453,26 @@ template <class S, int N>
   state.integrating = settled & ((state.integrating & off) | far);
   const S rate = plan.gains.integral * period;
   const Vector6<S> seen_lengths = seen_legs.lengths.vector();
+  const Mask<S> corrected = out.acts & sensed & (plan.gains.feedback > S(0.0)) & is_finite(S(seen_lengths.sum()));
+  const Mask<S> follows = corrected & ((!settled) | state.integrating);  // at rest what was added stays
   for (int i = 0; i < 6; ++i) {
     const S moved = clip(S(state.offset(i) + rate * (legs.lengths(i) - seen_lengths(i))), S(-gains.hexapod.stroke),
                          gains.hexapod.stroke);
     state.offset(i) = select(state.integrating, moved, state.offset(i));  // not a reading that is no number
+    const S due = legs.lengths(i) - S(plan.delay) * period * before(i);   // where the legs should be by now
+    state.behind(i) = select(follows, S(plan.gains.feedback * (due - seen_lengths(i))), state.behind(i));
   }
 
   Vector6<S> command;
   for (int i = 0; i < 6; ++i) {
     const S wanted = reference(i) + plan.lead * feasible(i) + plan.lead_change * (feasible(i) - before(i)) / period +
-                     state.offset(i);
+                     state.behind(i) + state.offset(i);
+    const S way = seen_lengths(i) - state.reading(i);
+    const S acted_on = seen_lengths(i) + S(plan.delay + 0.5) * select(is_finite(way), way, S(0.0));
+    const S near_legs = select(corrected, clip(wanted, S(acted_on - plan.reach), S(acted_on + plan.reach)), wanted);
+    state.reading(i) = select(sensed, seen_lengths(i), state.reading(i));
     const S middle = gains.hexapod.mid_lengths(i);
-    command(i) = clip(wanted, S(middle - gains.hexapod.stroke), S(middle + gains.hexapod.stroke));
+    command(i) = clip(near_legs, S(middle - gains.hexapod.stroke), S(middle + gains.hexapod.stroke));
   }
   out.wrench = wrench_of_motion(gains.body, R_BE, motion.twist, Vector6<S>((twist - motion.twist) * (S(1.0) / period)));
   out.leg_forces = solver.leg_forces(out.wrench);

@@ -263,6 +263,8 @@ class Tracking(Block):
     certainty: Annotated[float, NOT_NEGATIVE] = from_core("controller.tracking.certainty")
     # share of the legs' lag that the command leads by [1]
     lead: Annotated[float, NOT_NEGATIVE] = from_core("controller.tracking.lead")
+    # gain on how far the measured legs are behind the reference [1]
+    feedback: Annotated[float, NOT_NEGATIVE] = from_core("controller.tracking.feedback")
     # rate at which the command makes up for where the legs come to rest [1/s]
     integral: Annotated[float, NOT_NEGATIVE] = from_core("controller.tracking.integral")
     # of such a pose error that is left [m] x3, [rad] x3

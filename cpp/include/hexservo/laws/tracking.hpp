@@ -26,6 +26,7 @@ struct TrackingGains {
   S jump{6.0};       ///< standard deviations of what is expected, beyond which the target is somewhere else [1], 6
   S certainty{2.5};  ///< standard deviations that a velocity has to be of, to count [1], 2.5
   S lead{1.0};       ///< share of the legs' lag that the command leads by [1], 1
+  S feedback{0.0};   ///< gain on how far the legs are behind the reference [1], 0
   S integral{0.0};   ///< rate at which the command makes up for where the legs come to rest [1/s], 0
   Vector6<S> band = linear_angular<S>(1e-4, 2e-3);  ///< of such a pose error that is left [m; rad], 1e-4 x3, 2e-3 x3
 
@@ -42,6 +43,7 @@ struct TrackingGains {
     v(Field{"jump", "1", kPositive}, self.jump...);
     v(Field{"certainty", "1", kNotNegative}, self.certainty...);
     v(Field{"lead", "1", kNotNegative}, self.lead...);
+    v(Field{"feedback", "1", kNotNegative}, self.feedback...);
     v(Field{"integral", "1/s", kNotNegative}, self.integral...);
     v(Field{"band", "m; rad", kPositive}, self.band...);
   }

@@ -20,10 +20,16 @@ _LEAST_NOISE = 0.02  # [px], that the filter assumes for features without noise
 # of what is led, followed and seen
 _CONTEXT = ("actuators.position", "target.motion", "camera.period", "camera.latency", "camera.latency_jitter")
 
-NEVER_ACTING = dict.fromkeys(
-    (f"{_BLOCK}.integral", f"{_BLOCK}.band"),
-    "acts on legs that come to rest elsewhere than commanded, as motors with friction do: `motors`, `stick_slip`",
-)
+NEVER_ACTING = {
+    f"{_BLOCK}.feedback": (
+        "makes up for legs that do not respond as `actuators.position` has it, as motors under load do: `motors`, "
+        "`stick_slip`"
+    ),
+    **dict.fromkeys(
+        (f"{_BLOCK}.integral", f"{_BLOCK}.band"),
+        "acts on legs that come to rest elsewhere than commanded, as motors with friction do: `motors`, `stick_slip`",
+    ),
+}
 """Keys of the law without a cause, each with the reason."""
 
 
