@@ -56,9 +56,10 @@ inline constexpr double kRoughFit = 1e-4;
 inline constexpr double kStraightStep = 1e-3;  ///< below it no line search can gain [mean depths; rad]
 inline constexpr int kNearRounds = 4;          ///< of Newton's method from a start close to a minimum
 inline constexpr double kNearStart = 1e-2;     ///< a start is not close beyond such a step [mean depths; rad]
-inline constexpr double kStillFit = 1e-11;     ///< a step for which that curvature does not matter [mean depths; rad]
-inline constexpr double kStraightFit = 1e-13;  ///< the same for such a step times the residual [px; px rad]
-inline constexpr double kExactFit = 1e-8;      ///< a residual whose curvature Newton's method can do without [px]
+// Where the features' curvature does not change a step of Newton's method by more than rounding:
+inline constexpr double kStillFit = 1e-11;     ///< steps below it [mean depths; rad]
+inline constexpr double kStraightFit = 1e-13;  ///< steps that are below it times the residual [px]
+inline constexpr double kExactFit = 1e-8;      ///< residuals below it [px]
 /// Sums of squares r^2 cannot be compared below this times r: some hundred roundings of features of 1e3 px [px].
 inline constexpr double kResidualRounding = 1e-11;
 /// The mirror image replaces the pose that was found from the start where its squared residual is below this share [1].
@@ -544,7 +545,7 @@ PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S
   const Mask<S> one = is_only_pose<S, N>(camera, points_T, prior, fit, weights);
   if (!all(one)) {
     const PoseFit<S, N> mirror = mirror_fit<S, N>(camera, points_T, points, features, prior, fit, weights);
-    estimate.mirrored = !one & (mirror.cost < S(kMirrorShare) * fit.cost);
+    estimate.mirrored = (!one) & (mirror.cost < S(kMirrorShare) * fit.cost);
     fit.replace(estimate.mirrored, mirror);
   }
   estimate.rough = fit.pose;
@@ -628,11 +629,11 @@ struct SettledFit {
 
 /// Newton's method for the minimum of `fit_pose` from a start close to it, without damping and comparisons: whole steps
 /// until one is below `kSettledFit`. It gives up where one is above `kNearStart`. The features' curvature is left out
-/// where it does not matter: where the image is exact to `kExactFit`, and where the first step is below `kStillFit`
-/// without it.
+/// where it does not matter (`kStillFit`, `kStraightFit`, `kExactFit`).
 ///
-/// A `coarse` fit, whose pose is nothing but a start, takes no step where it could only be below `kSettledFit` with the
-/// prior alone, and no curvature where it is without one.
+/// A `coarse` fit, of which the pose itself is not asked, takes no step where the prior alone keeps it below
+/// `kSettledFit`, and leaves the curvature out of a first step that is below it.
+///
 /// A lane ends by itself, so that its pose does not depend on its neighbours; the rounds end with the last.
 /// @param start its quaternion need not be of unit length
 template <bool coarse, class S, int N>
@@ -702,8 +703,8 @@ SettledFit<S, N> settle_pose(const CameraView<S>& camera, const Vectors3<S, N>& 
 /// `estimate_pose` started where the last one ended, relative to the joint sensors' pose, and the same minimum to
 /// rounding: `memory` changes what it takes and not what it gives.
 ///
-/// The two fits are those of `estimate_pose`, by `settle_pose` from `memory`. Where one does not settle, or another
-/// pose might explain the image clearly better than the first one, the estimate starts at the joint sensors' pose.
+/// The two fits are those of `estimate_pose`, by `settle_pose` from `memory`. Where one does not settle, or the mirror
+/// image of the first one is clearly better, the estimate is that of `estimate_pose`.
 /// @param memory of the last estimate, becomes that of this one
 /// @return NaN where there is no estimate
 template <class S, int N>
