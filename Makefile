@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper explorer explorer-test docs docs-links wheel wheel-test test test-all fuzz asan tsan bench bench-step bench-peers bench-reachy format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper explorer explorer-test docs docs-links wheel wheel-test test test-all fuzz asan tsan bench bench-step bench-ratios bench-peers bench-reachy format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -35,6 +35,7 @@ help:
 	make test-all  the same, the site, the wheel, and the explorer's tests (make explorer-test), slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-step  what a step costs by part: instructions, loads, stores, time; written to BENCHMARKS.md (needs valgrind)
+	make bench-ratios  packs to a bare loop, sampled to continuous mode, pbvs to composite: ratios in one run; written to BENCHMARKS.md
 	make bench-peers  compare with NumPy, SciPy, numba, JAX, MuJoCo, fuzzylite and ViSP (installed too; APT=no: not the last two)
 	make bench-reachy  face tracking on the model of a robot that others built, beside its own law (OPTIONS=--quick: a minute)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
@@ -177,6 +178,9 @@ bench-reachy: $(PACKAGE) $(ALL_TOOLS)
 bench-step: $(PACKAGE) $(ALL_TOOLS)
 	@if [ "$(APT)" != no ]; then $(SETUP) system PEER=valgrind PEER_PROGRAM=valgrind || echo "Going on without valgrind."; fi
 	python benchmarks/step_cost.py
+
+bench-ratios: $(PACKAGE)
+	@python benchmarks/ratios.py $(OPTIONS)
 
 peer-setup: $(BUILD_TOOLS)
 	@if [ ! -e .venv/.stamp-peers ] || [ pyproject.toml -nt .venv/.stamp-peers ]; then

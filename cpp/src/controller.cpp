@@ -39,6 +39,7 @@ struct NumberWriter {
     numbers.resize(numbers.size() + kWeightNumbers);
     detail::write_weights(weights, 0, numbers.data() + numbers.size() - kWeightNumbers);
   }
+  void operator()(PoseMemory<double>& memory) { memory.for_each_member(*this); }
   void operator()(const NoState<double>& /*law*/) {}
 };
 
@@ -58,6 +59,7 @@ struct NumberReader {
     weights = detail::weights_from(next);
     next += kWeightNumbers;
   }
+  void operator()(PoseMemory<double>& memory) { memory.for_each_member(*this); }
   void operator()(NoState<double>& /*law*/) {}
 
   double whole(double most) {

@@ -26,8 +26,8 @@ void write_weights(const FuzzyWeights<S>& weights, int lane, double* to) {
 }
 
 /// A law without weights has zeros.
-template <class S>
-void write_weights(const NoState<S>& /*weights*/, int /*lane*/, double* to) {
+template <class State>
+void write_weights(const State& /*no_weights*/, int /*lane*/, double* to) {
   std::fill_n(to, kWeightNumbers, 0.0);
 }
 

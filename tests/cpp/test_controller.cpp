@@ -100,6 +100,11 @@ bool same_bits(const FuzzyWeights<double>& a, const FuzzyWeights<double>& b) {
 
 bool same_bits(const NoState<double>& /*a*/, const NoState<double>& /*b*/) { return true; }
 
+bool same_bits(const PoseMemory<double>& a, const PoseMemory<double>& b) {
+  return same_bits(a.rough.position, b.rough.position) && same_bits(a.rough.quaternion, b.rough.quaternion) &&
+         same_bits(a.found.position, b.found.position) && same_bits(a.found.quaternion, b.found.quaternion);
+}
+
 template <class Law>
 bool same_bits(const ControllerState<Law>& a, const ControllerState<Law>& b) {
   if (!same_bits(a.law, b.law)) return false;

@@ -54,6 +54,12 @@ inline constexpr double kSettledFit = 1e-8;
 /// One whose square is below what a choice between two poses and a prior's share need [mean depths; rad].
 inline constexpr double kRoughFit = 1e-4;
 inline constexpr double kStraightStep = 1e-3;  ///< below it no line search can gain [mean depths; rad]
+inline constexpr int kNearRounds = 4;          ///< of Newton's method from a start close to a minimum
+inline constexpr double kNearStart = 1e-2;     ///< a start is not close beyond such a step [mean depths; rad]
+// Where the features' curvature does not change a step of Newton's method by more than rounding:
+inline constexpr double kStillFit = 1e-11;     ///< steps below it [mean depths; rad]
+inline constexpr double kStraightFit = 1e-13;  ///< steps that are below it times the residual [px]
+inline constexpr double kExactFit = 1e-8;      ///< residuals below it [px]
 /// Sums of squares r^2 cannot be compared below this times r: some hundred roundings of features of 1e3 px [px].
 inline constexpr double kResidualRounding = 1e-11;
 /// The mirror image replaces the pose that was found from the start where its squared residual is below this share [1].
@@ -90,6 +96,12 @@ struct PosePrior {
     const S cosine = sqrt(larger(S(S(1.0) - half.squaredNorm()), S(0.0)));
     slope.template tail<3>() = cosine * moment - cross<S>(half, moment);
     return slope;
+  }
+
+  /// Least 1/m_v and 1/m_theta of M: |v|^2 <= give_v |d|_M^2 of a displacement d = (v, theta), |theta|^2 likewise.
+  Vector2<S> gives() const noexcept {
+    const Vector6<S>& m = weight;
+    return {S(1.0) / min(min(m(0), m(1)), m(2)), S(1.0) / min(min(m(3), m(4)), m(5))};
   }
 };
 
@@ -138,14 +150,28 @@ PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points
   return fit;
 }
 
+/// The same pose with a quaternion of unit length.
+template <class S>
+Pose<S> unit_pose(const Pose<S>& pose) noexcept {
+  using std::sqrt;
+  return {pose.position, pose.quaternion / sqrt(S(pose.quaternion.squaredNorm()))};
+}
+
 /// The pose moved and turned by a small displacement in B, q <- q + 1/2 (0, d_theta) (x) q, normalised.
 template <class S>
 Pose<S> displaced(const Pose<S>& pose, const Vector6<S>& d) noexcept {
-  using std::sqrt;
-  Pose<S> next{pose.position + d.template head<3>(),
-               pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>())};
-  next.quaternion /= sqrt(S(next.quaternion.squaredNorm()));
-  return next;
+  return unit_pose<S>({pose.position + d.template head<3>(),
+                       pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>())});
+}
+
+/// A pose beside another one, and back: the difference number by number.
+template <class S>
+Pose<S> beside(const Pose<S>& pose, const Pose<S>& difference) noexcept {
+  return {pose.position + difference.position, pose.quaternion + difference.quaternion};
+}
+template <class S>
+Pose<S> from_to(const Pose<S>& from, const Pose<S>& to) noexcept {
+  return {to.position - from.position, to.quaternion - from.quaternion};
 }
 
 /// Where along a displacement the residual is smallest, by the features' second-order model [1].
@@ -191,7 +217,10 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
     a.template tail<3>() = cross<S>(g, w);
     b.template head<3>() = -inverse_depth * axis;
     b.template tail<3>() = inverse_depth * cross<S>(axis, w);
-    for (int column = 0; column < 6; ++column) sum.col(column) -= a * b(column) + b * a(column);
+#pragma GCC unroll 6
+    for (int column = 0; column < 6; ++column)
+#pragma GCC unroll 6
+      for (int row = column; row < 6; ++row) sum(row, column) -= a(row) * b(column) + b(row) * a(column);
     if (!on_base) {
       sum(4, 0) -= g(2);
       sum(5, 0) += g(1);
@@ -392,16 +421,24 @@ Pose<S> mirrored_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>&
 ///
 /// All of the residual counts where the image does not determine the pose.
 /// @param measured features that were fitted [px]
+/// @param information J^T W J of the fit
 template <class S, int N>
 S unexplained_variance(const CameraView<S>& camera, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& measured,
-                       const PointWeights<S, N>& weights = {}) noexcept {
+                       const Matrix6<S>& information, const PointWeights<S, N>& weights = {}) noexcept {
   const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
   const Vector<S, 2 * N> residual = measured - fit.features;
-  const Cholesky<S, 6> solver(J.normal_matrix(weights));
+  const Cholesky<S, 6> solver(information);
   // The vector first: a difference of squares would carry the rounding of the larger, explained part.
   const Vector<S, 2 * N> rest = residual - J.push(solver.solve(J.pull(weights.times(residual))));
   const Vector<S, 2 * N> unexplained = select(solver.failed(), residual, rest);
   return weights.root_times(unexplained).squaredNorm() * weights.per_freedom();
+}
+
+template <class S, int N>
+S unexplained_variance(const CameraView<S>& camera, const PoseFit<S, N>& fit, const Vector<S, 2 * N>& measured,
+                       const PointWeights<S, N>& weights = {}) noexcept {
+  const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
+  return unexplained_variance<S, N>(camera, fit, measured, J.normal_matrix(weights), weights);
 }
 
 /// Share of a prior's weight for a measured variance: s/(s + sigma_0^2) of its excess s over `kExactImage` squared,
@@ -414,18 +451,21 @@ S prior_share(const S& variance) noexcept {
   return larger(S(S(1.0) - S(kHalf) / (variance + S(kHalf - kExact))), S(kLeastPrior));  // 1 for an infinite variance
 }
 
-/// Whether the prior leaves no pose beside a fitted one whose cost is below `kMirrorShare` of its cost C.
+/// Whether the prior leaves no pose beside a fitted one whose cost is below `kMirrorShare` k of its cost C.
 ///
-/// Both poses would be within sqrt(C) of the prior's, in its norm |d|_M, and C is convex between them where the
-/// residual, less than 2 sqrt(C), times the second derivative of the weighed features is at most |d|_M^2. With Z the
-/// depth of a point, c >= 1 and at least its distance from E's origin over Z, n its normalised coordinates and w its
-/// weight, that derivative along d = (v, theta) is at most 3 f c^2 sqrt(w (1 + |n|^2)) (|v|/Z + |theta|)^2 for each
-/// point, and (|v|/Z + |theta|)^2 <= |d|_M^2 (1/(m_v Z^2) + 1/m_theta) with the least weights m_v and m_theta of M.
+/// Its residual would be at most sqrt(k C), as would its distance from the prior's pose in that one's norm |d|_M, and
+/// d, from the fitted pose to it, at most (1 + sqrt(k)) sqrt(C). With the second derivative of the weighed features
+/// along d at most K |d|_M^2, the residual between them is at most R = max(|r|, sqrt(k C)) + K |d|_M^2/8. The cost,
+/// which does not fall at the fitted pose, is convex between them where R K <= 1: then it is not below C at the other.
+/// With Z the depth of a point, c >= 1 and at least its distance from E's origin over Z, n its normalised coordinates
+/// and w its weight, that derivative along d = (v, theta) is at most 3 f c^2 sqrt(w (1 + |n|^2)) (|v|/Z + |theta|)^2
+/// for each point, and (|v|/Z + |theta|)^2 <= |d|_M^2 (1/(m_v Z^2) + 1/m_theta) with the least weights m_v and m_theta
+/// of M.
 template <class S, int N>
 Mask<S> prior_decides(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T, const PosePrior<S>& prior,
                       const PoseFit<S, N>& fit, const PointWeights<S, N>& weights = {}) noexcept {
-  const Vector6<S>& m = prior.weight;
-  const S give_v = S(1.0) / min(min(m(0), m(1)), m(2)), give_theta = S(1.0) / min(min(m(3), m(4)), m(5));
+  const Vector2<S> gives = prior.gives();
+  const S give_v = gives(0), give_theta = gives(1);
   const S f = camera.f, inverse_f = S(1.0) / f;
   S squares(0.0);
   for (int i = 0; i < N; ++i) {
@@ -437,7 +477,30 @@ Mask<S> prior_decides(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>&
     const S bound = far * (closeness * give_v + give_theta);
     squares += weights.of_row(i, S((S(1.0) + x * x + y * y) * bound * bound));
   }
-  return fit.cost * S(36.0) * f * f * squares <= S(1.0);
+  using std::sqrt;
+  constexpr double root = 0.2;  // of k
+  static_assert(root * root > kMirrorShare - 1e-12 && root * root < kMirrorShare + 1e-12);
+  const S K = S(3.0) * f * sqrt(squares), least = S(kMirrorShare) * fit.cost;
+  const S R = sqrt(larger(fit.squared_residual, least)) + S((1.0 + root) * (1.0 + root) / 8.0) * K * fit.cost;
+  return R * K <= S(1.0);
+}
+
+/// Whether no other pose explains the image clearly better than a fitted one: that one does to rounding, or the prior
+/// decides.
+template <class S, int N>
+Mask<S> is_only_pose(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T, const PosePrior<S>& prior,
+                     const PoseFit<S, N>& fit, const PointWeights<S, N>& weights = {}) noexcept {
+  return (fit.cost < S(kResidualRounding * kResidualRounding)) |
+         prior_decides<S, N>(camera, points_T, prior, fit, weights);
+}
+
+/// The fit from the mirror image of a fitted pose; it ends where its cost will not be below `kMirrorShare` of that.
+template <class S, int N>
+PoseFit<S, N> mirror_fit(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T,
+                         const Vectors3<S, N>& points, const Vector<S, 2 * N>& measured, const PosePrior<S>& prior,
+                         const PoseFit<S, N>& fit, const PointWeights<S, N>& weights) noexcept {
+  return fit_pose<S, N>(camera, points, measured, prior, mirrored_pose<S, N>(camera, points_T, fit.pose, weights),
+                        {kMirrorRounds, kRoughFit, S(S(kMirrorShare) * fit.cost)}, weights);
 }
 
 /// Pose estimated from an image.
@@ -448,6 +511,7 @@ struct PoseEstimate {
   S prior_share;       ///< of the given weight that the prior had in the end [1]
   S decrement;         ///< what a first-order step would still gain, |P_J (xi - xi(pose))|^2 without a prior; 0 at a
                        ///< minimum [px^2]
+  Pose<S> rough;       ///< that with all of the prior's weight, from which it was found
   Mask<S> mirrored;    ///< it was found from the mirror image of the pose near the start
   Mask<S> failed;      ///< a point is not in front of the camera, or the image does not determine the pose
 };
@@ -478,16 +542,13 @@ PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S
   PoseFit<S, N> fit = fit_pose<S, N>(camera, points, features, prior, joints, {kPoseRounds, kRoughFit}, weights);
   PoseEstimate<S> estimate;
   estimate.mirrored = Mask<S>(false);
-  const Mask<S> explained = fit.cost < S(kResidualRounding * kResidualRounding),
-                may_be_mirrored = !(explained | prior_decides<S, N>(camera, points_T, prior, fit, weights));
-  if (any(may_be_mirrored)) {
-    const S bound = S(kMirrorShare) * fit.cost;
-    const PoseFit<S, N> mirror =
-        fit_pose<S, N>(camera, points, features, prior, mirrored_pose<S, N>(camera, points_T, fit.pose, weights),
-                       {kMirrorRounds, kRoughFit, bound}, weights);
-    estimate.mirrored = may_be_mirrored & (mirror.cost < bound);
+  const Mask<S> one = is_only_pose<S, N>(camera, points_T, prior, fit, weights);
+  if (!all(one)) {
+    const PoseFit<S, N> mirror = mirror_fit<S, N>(camera, points_T, points, features, prior, fit, weights);
+    estimate.mirrored = (!one) & (mirror.cost < S(kMirrorShare) * fit.cost);
     fit.replace(estimate.mirrored, mirror);
   }
+  estimate.rough = fit.pose;
   estimate.prior_share = prior_share(unexplained_variance<S, N>(camera, fit, features, weights));
   prior.weight *= estimate.prior_share;
   fit = fit_pose<S, N>(camera, points, features, prior, fit.pose, {kPolishRounds}, weights);
@@ -503,6 +564,174 @@ PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S
   estimate.decrement = gradient.dot(solver.solve(gradient));
   estimate.failed = solver.failed() | !is_finite(fit.squared_residual);
   return estimate;
+}
+
+/// Where the two minima of an estimate are beside the pose of the joint sensors, number by number: a start for the next
+/// one (`estimate_pose_near`). Zero: at that pose.
+template <class S>
+struct PoseMemory {
+  Pose<S> rough{Vector3<S>::Zero(), Vector4<S>::Zero()};  ///< of the fit with all of the prior's weight
+  Pose<S> found{Vector3<S>::Zero(), Vector4<S>::Zero()};  ///< of the fit with its share
+
+  /// Calls `f` with each member, always in the same order.
+  template <class F>
+  void for_each_member(F&& f) {
+    f(rough.position), f(rough.quaternion), f(found.position), f(found.quaternion);
+  }
+
+  void replace(const Mask<S>& where, const PoseMemory& other) {
+    rough.position = select(where, other.rough.position, rough.position);
+    rough.quaternion = select(where, other.rough.quaternion, rough.quaternion);
+    found.position = select(where, other.found.position, found.position);
+    found.quaternion = select(where, other.found.quaternion, found.quaternion);
+  }
+};
+
+namespace detail {
+
+/// The estimates of the lanes that have none yet, from the joint sensors' pose; out of line, since they are rare.
+template <class S, int N>
+[[gnu::noinline, gnu::cold]] void estimate_pose_afresh(const CameraView<S>& camera,
+                                                       const Eigen::Matrix<S, 3, N>& points_T,
+                                                       const Vector<S, 2 * N>& features, const Pose<S>& joints,
+                                                       const Vector6<S>& prior_weight,
+                                                       const PointWeights<S, N>& weights, const Mask<S>& known,
+                                                       Pose<S>& pose, PoseMemory<S>& memory) noexcept {
+  const PoseEstimate<S> found = estimate_pose<S, N>(camera, points_T, features, joints, prior_weight, weights);
+  const Pose<S> from = unit_pose(joints);
+  PoseMemory<S> next;
+  next.replace(!(found.failed | found.mirrored), {from_to<S>(from, found.rough), from_to<S>(from, found.pose)});
+  memory.replace(!known, next);
+  const S unknown(std::numeric_limits<double>::quiet_NaN()), none = select(found.failed, unknown, S(0.0));
+  pose.position = select(known, pose.position, Vector3<S>(found.pose.position + Vector3<S>::Constant(none)));
+  pose.quaternion = select(known, pose.quaternion, Vector4<S>(found.pose.quaternion + Vector4<S>::Constant(none)));
+}
+
+/// Whether the mirror image of a fit is clearly better; out of line, since the question is rare.
+template <class S, int N>
+[[gnu::noinline, gnu::cold]] Mask<S> is_mirrored(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T,
+                                                 const Vector<S, 2 * N>& features, const PosePrior<S>& prior,
+                                                 const PoseFit<S, N>& fit, const PointWeights<S, N>& weights) noexcept {
+  const Vectors3<S, N> points(points_T);
+  return mirror_fit<S, N>(camera, points_T, points, features, prior, fit, weights).cost < S(kMirrorShare) * fit.cost;
+}
+
+}  // namespace detail
+
+/// A minimum found by Newton's method.
+template <class S, int N>
+struct SettledFit {
+  PoseFit<S, N> fit;       ///< at most `kSettledFit` from it
+  Matrix6<S> information;  ///< J^T W J of `fit`
+  Pose<S> pose;            ///< the minimum, to rounding
+  Mask<S> settled;         ///< otherwise there is no meaning
+};
+
+/// Newton's method for the minimum of `fit_pose` from a start close to it, without damping and comparisons: whole steps
+/// until one is below `kSettledFit`. It gives up where one is above `kNearStart`. The features' curvature is left out
+/// where it does not matter (`kStillFit`, `kStraightFit`, `kExactFit`).
+///
+/// A `coarse` fit, of which the pose itself is not asked, takes no step where the prior alone keeps it below
+/// `kSettledFit`, and leaves the curvature out of a first step that is below it.
+///
+/// A lane ends by itself, so that its pose does not depend on its neighbours; the rounds end with the last.
+/// @param start its quaternion need not be of unit length
+template <bool coarse, class S, int N>
+SettledFit<S, N> settle_pose(const CameraView<S>& camera, const Vectors3<S, N>& points_T,
+                             const Vector<S, 2 * N>& measured, const PosePrior<S>& prior, const Pose<S>& start,
+                             const PointWeights<S, N>& weights = {}) noexcept {
+  constexpr double kLast = kSettledFit * kSettledFit, kFar = kNearStart * kNearStart;
+  SettledFit<S, N> out;
+  out.fit = pose_fit<S, N>(camera, points_T, measured, prior, unit_pose(start), weights);
+  out.pose = out.fit.pose;
+  out.settled = Mask<S>(false);
+  Mask<S> going(true);
+  for (int round = 0; round < kNearRounds; ++round) {
+    const PoseFit<S, N>& fit = out.fit;
+    const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
+    const Vector<S, 2 * N> residual = weights.times(measured - fit.features);
+    const Vector6<S> gradient = J.pull(residual) + prior.gradient(fit.prior_error);
+    out.information = J.normal_matrix(weights);
+    S closeness(0.0);
+    for (int i = 0; i < N; ++i) closeness += weights.share(i) * fit.inverse_depth(i);
+    going = going & is_finite(fit.squared_residual);
+    if (coarse && round == 0) {  // |d|_M^2 <= g^T M^-1 g
+      const Vector2<S> gives = prior.gives();
+      const S most =
+          gives(0) * gradient.template head<3>().squaredNorm() + gives(1) * gradient.template tail<3>().squaredNorm();
+      const Mask<S> held = going & (max(S(closeness * closeness * gives(0)), gives(1)) * most < S(kLast));
+      out.settled = held;
+      going = going & !held;
+      if (!any(going)) break;
+    }
+    const auto squared_length = [&closeness](const Vector6<S>& d) {
+      return max(S(closeness * closeness * d.template head<3>().squaredNorm()), S(d.template tail<3>().squaredNorm()));
+    };
+    Matrix6<S> A = out.information;
+    A.diagonal() += prior.weight;
+    Mask<S> straight = fit.squared_residual < S(kExactFit * kExactFit), failed(false);
+    Vector6<S> d = Vector6<S>::Zero();
+    if (round == 0 || any(straight)) {
+      const Cholesky<S, 6> gauss(A);
+      d = gauss.solve(gradient);
+      failed = gauss.failed();
+      if (round == 0) {
+        const S length = squared_length(d);
+        straight = straight | (length < S(coarse ? kLast : kStillFit * kStillFit)) |
+                   (length * fit.squared_residual < S(kStraightFit * kStraightFit));
+      }
+    }
+    if (!all(straight | !going)) {
+      const Cholesky<S, 6> newton(Matrix6<S>(A - feature_curvature<S, N>(camera, fit, residual)));
+      d = select(straight, d, newton.solve(gradient));
+      failed = (failed & straight) | (newton.failed() & !straight);
+    }
+    const S length = squared_length(d);
+    going = going & !failed & (length < S(kFar));
+    const Mask<S> last = going & (length < S(kLast));
+    const Pose<S> next = displaced<S>(fit.pose, d);
+    out.pose.position = select(going, next.position, out.pose.position);
+    out.pose.quaternion = select(going, next.quaternion, out.pose.quaternion);
+    out.settled = out.settled | last;
+    going = going & !last;
+    if (!any(going)) break;
+    out.fit.replace(going, pose_fit<S, N>(camera, points_T, measured, prior, next, weights));
+  }
+  return out;
+}
+
+/// `estimate_pose` started where the last one ended, relative to the joint sensors' pose, and the same minimum to
+/// rounding: `memory` changes what it takes and not what it gives.
+///
+/// The two fits are those of `estimate_pose`, by `settle_pose` from `memory`. Where one does not settle, or the mirror
+/// image of the first one is clearly better, the estimate is that of `estimate_pose`.
+/// @param memory of the last estimate, becomes that of this one
+/// @return NaN where there is no estimate
+template <class S, int N>
+Pose<S> estimate_pose_near(const CameraView<S>& camera, const Eigen::Matrix<S, 3, N>& points_T,
+                           const Vector<S, 2 * N>& features, const Pose<S>& joints, const Vector6<S>& prior_weight,
+                           PoseMemory<S>& memory, const PointWeights<S, N>& weights = {}) noexcept {
+  const Vectors3<S, N> points(points_T);
+  PosePrior<S> prior{unit_pose(joints), prior_weight};
+  const SettledFit<S, N> rough =
+      settle_pose<true, S, N>(camera, points, features, prior, beside<S>(prior.pose, memory.rough), weights);
+  Mask<S> near = rough.settled;
+  const Mask<S> one = is_only_pose<S, N>(camera, points_T, prior, rough.fit, weights) | !near;
+  if (!all(one))
+    near = near & (one | !detail::is_mirrored<S, N>(camera, points_T, features, prior, rough.fit, weights));
+  Pose<S> pose = rough.pose;
+  if (any(near)) {
+    prior.weight *= prior_share(unexplained_variance<S, N>(camera, rough.fit, features, rough.information, weights));
+    const SettledFit<S, N> found =
+        settle_pose<false, S, N>(camera, points, features, prior, beside<S>(prior.pose, memory.found), weights);
+    near = near & found.settled;
+    pose = found.pose;
+    memory.rough = from_to<S>(prior.pose, rough.pose);
+    memory.found = from_to<S>(prior.pose, found.pose);
+  }
+  if (!all(near)) [[unlikely]]
+    detail::estimate_pose_afresh<S, N>(camera, points_T, features, joints, prior_weight, weights, near, pose, memory);
+  return pose;
 }
 
 /// A pose with a local minimum of the distance between the image of given points and a desired one.

@@ -3,8 +3,11 @@
 /// (docs/model.md, section 5).
 #pragma once
 
-#include "hexservo/laws/pose_error.hpp"
-#include "hexservo/laws/stateless_law.hpp"
+#include "hexservo/laws/law.hpp"
+#include "hexservo/target_model.hpp"
+
+#include <array>
+#include <cstddef>
 
 namespace hexservo {
 
@@ -30,10 +33,47 @@ struct PbvsGains {
   }
 };
 
-/// The law as a policy of the loop.
-struct Pbvs : StatelessLaw<PbvsGains> {
+/// The law as a policy of the loop. Its state is where the last estimate was, which changes how fast one is found
+/// alone.
+struct Pbvs {
   static constexpr LawTraits traits = {
       .name = "pbvs", .type = "Pbvs", .parts = {LawPart::damping, LawPart::pose_spring}, .points = true, .prior = true};
+
+  template <class S, int N = kPoints>
+  using Gains = PbvsGains<S, N>;
+
+  /// The same gains, prepared for evaluation.
+  template <class S, int N = kPoints>
+  struct Constants : Gains<S, N> {
+    explicit Constants(const Gains<S, N>& gains) : Gains<S, N>(gains) {}
+  };
+
+  template <class S>
+  using State = PoseMemory<S>;
+  /// What an evaluation leaves to the next one.
+  template <class S>
+  using Rate = PoseMemory<S>;
+
+  /// Where the estimate of an evaluation starts: at that of the stage before, or of the step before.
+  template <class S>
+  struct Stage {
+    explicit Stage(const State<S>* state, const Rate<S>* before = nullptr, const S& /*scale*/ = S(0.0))
+        : near(before == nullptr ? *state : *before) {}
+    const PoseMemory<S>& near;
+  };
+
+  /// The wrench at one instant.
+  template <class S>
+  struct Evaluation {
+    Rate<S> rate;
+    Vector6<S> fuzzy_output = Vector6<S>::Zero();  ///< stays zero [N; N m]
+    Vector6<S> wrench;                             ///< tau, in B [N; N m]
+  };
+
+  template <class S, int N>
+  static State<S> initial_state(const Gains<S, N>& /*gains*/) {
+    return {};
+  }
 
   /// What the wrench changes with the twist by: at K_d^-1 K_p (chi_goal - chi-hat) it is G.
   template <class S, int N>
@@ -41,21 +81,28 @@ struct Pbvs : StatelessLaw<PbvsGains> {
     return gains.kd;
   }
 
-  /// tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat from the features by `estimate_pose`, started at
-  /// the pose of the joint sensors and, with M > 0, weighed against it as far as the image is noisy. NaN where there is
-  /// no estimate.
+  /// tau = K_p (chi_goal - chi-hat) - K_d chi-dot + G, with chi-hat from the features by `estimate_pose_near`: the pose
+  /// of the joint sensors is where a search starts and, with M > 0, weighed against the image as far as that is noisy.
+  /// NaN where there is no estimate.
   template <class S, int N, class Listener = NoListener>
-  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
+  static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& stage,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
-    const PoseEstimate<S> estimate =
-        estimate_pose<S, N>(task.camera, task.target.points_T, input.features, input.pose, gains.prior, task.weights);
-    const Vector6<S> error =
-        select(estimate.failed, unknown_six<S>(), pose_difference(task.target.goal, estimate.pose));
+    out.rate = stage.near;
+    const Pose<S> estimate = estimate_pose_near<S, N>(task.camera, task.target.points_T, input.features, input.pose,
+                                                      gains.prior, out.rate, task.weights);
+    const Vector6<S> error = pose_difference(task.target.goal, estimate);
     out.wrench = gains.kp.cwiseProduct(error) - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
     task.add_weight_moment(input.R_BE, out.wrench);
     listener.pose_error([&] { return error; });
     listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.kd.cwiseProduct(input.twist)); });
     listener.part(LawPart::pose_spring, [&] { return Vector6<S>(gains.kp.cwiseProduct(error)); });
+  }
+
+  /// Keeps what the last evaluation left.
+  template <class S, int N, std::size_t K>
+  static void advance(const Constants<S, N>& /*constants*/, State<S>& state, const std::array<const Rate<S>*, K>& rates,
+                      const std::array<S, K>& /*scales*/, const Mask<S>& active) noexcept {
+    state.replace(active, *rates.back());
   }
 };
 
