@@ -467,8 +467,8 @@ template <class S, int N>
   for (int i = 0; i < 6; ++i) {
     const S wanted = reference(i) + plan.lead * feasible(i) + plan.lead_change * (feasible(i) - before(i)) / period +
                      state.behind(i) + state.offset(i);
-    const S way = seen_lengths(i) - state.reading(i);
-    const S acted_on = seen_lengths(i) + S(plan.delay + 0.5) * select(is_finite(way), way, S(0.0));
+    const S change = seen_lengths(i) - state.reading(i);
+    const S acted_on = seen_lengths(i) + S(plan.delay + 0.5) * select(is_finite(change), change, S(0.0));
     const S near_legs = select(corrected, clip(wanted, S(acted_on - plan.reach), S(acted_on + plan.reach)), wanted);
     state.reading(i) = select(sensed, seen_lengths(i), state.reading(i));
     const S middle = gains.hexapod.mid_lengths(i);

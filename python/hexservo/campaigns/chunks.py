@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import re
 from collections import Counter
@@ -115,13 +114,14 @@ def chunk_bytes(table: pa.Table, identity: Mapping[str, Any]) -> bytes:
 
     Its metadata have the identity, and the SHA-256 of all bytes, computed with zeros in place of its digits.
     """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    file = io.BytesIO()
+    file = pa.BufferOutputStream()
     with pq.ParquetWriter(file, table.schema, use_dictionary=["outcome"], store_schema=False) as writer:
         writer.write_table(table)
         writer.add_key_value_metadata({_IDENTITY: json.dumps(identity), _SEAL: _BLANK})
-    content = file.getvalue()
+    content = file.getvalue().to_pybytes()
     start, end = _seal(content)
     return content[:start] + hashlib.sha256(content).hexdigest().encode() + content[end:]
 
@@ -134,6 +134,7 @@ def unsealed_chunk(content: bytes) -> tuple[pa.Table, dict[str, Any]]:
     ResultError
         The bytes are not those that `chunk_bytes` gave; the text has the difference, without a place.
     """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     start, end = _seal(content)
@@ -142,8 +143,9 @@ def unsealed_chunk(content: bytes) -> tuple[pa.Table, dict[str, Any]]:
     blank.update(memoryview(content)[end:])
     if blank.hexdigest().encode() != content[start:end]:
         raise ResultError("the SHA-256 of its bytes differs from the recorded one")
-    file = pq.ParquetFile(io.BytesIO(content))
-    return file.read(), dict(json.loads(file.metadata.metadata[_IDENTITY]))
+    # In this thread alone: a thread of pyarrow's that still held a Python object at exit would end the process.
+    file = pq.ParquetFile(pa.BufferReader(content), pre_buffer=False)
+    return file.read(use_threads=False), dict(json.loads(file.metadata.metadata[_IDENTITY]))
 
 
 def _seal(content: bytes) -> tuple[int, int]:

@@ -102,7 +102,7 @@ class SearchSteps:
         differing += [key for key in ours if key not in free and ours[key] != theirs[key]]
         raise OutputError(
             f"{named(self.folder)}: expected a folder of this search, got one that differs in "
-            f"{', '.join(differing)}; name a new folder"
+            f"{', '.join(differing) or 'the keys that scenarios had then'}; name a new folder"
         )
 
     def take(
