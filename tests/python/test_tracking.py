@@ -376,10 +376,8 @@ def test_a_bad_reading_leaves_nothing_behind_in_the_feedback(reading: Any) -> No
     ticks = ticks_of(scenario)
     controller, commands = hs.Controller(scenario), []
     for k in range(len(ticks["now"])):
-        if 40 <= k < 43:
-            out = controller.step(leg_lengths=reading, now=TICK * k)
-        else:
-            out = step(controller, ticks, k)
+        bad = 40 <= k < 43
+        out = controller.step(leg_lengths=reading, now=TICK * k) if bad else step(controller, ticks, k)
         commands.append(out.leg_positions)
     assert np.isfinite(commands[1:]).all()
     assert np.abs(np.diff(commands[1:], axis=0)).max() < 0.2
