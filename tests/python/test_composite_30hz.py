@@ -136,7 +136,7 @@ def test_the_file_of_the_search_is_for_the_same_loop(scenario: hs.Scenario) -> N
     assert same == scenario
     limits = [requirement.bound for requirement in plan.require[1:]]
     assert all(limit < LIMITS[name] for limit, name in zip(limits, ("settling", "rms", "force", "stroke"), strict=True))
-    assert plan.tune.corners
+    assert plan.tune.over
     bounds = np.array([plan.vary[f"uncertainty.{key}"].box for key in errors])
     magnitudes = np.array([corners.INERTIA, corners.CORIOLIS, corners.GRAVITY, corners.DEPTH])
     np.testing.assert_allclose(bounds, np.stack([-magnitudes, magnitudes], axis=1), rtol=1e-12)
