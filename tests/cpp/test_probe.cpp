@@ -62,6 +62,20 @@ struct Stages {
   }
 };
 
+/// Whether the probe's numbers are the loop's, bit for bit. `pbvs` starts a fit where the last one ended, of which a
+/// probe of one instant has none: there both are the same minimum, to the rounding of a fit.
+template <class Law, class A, class B>
+bool alike(const A& probed, const B& of_loop) {
+  if constexpr (std::is_same_v<Law, Pbvs>) {
+    using Numbers = Eigen::Map<const Eigen::VectorXd>;
+    const Numbers a(std::data(probed), static_cast<Eigen::Index>(std::size(probed)));
+    const Numbers b(std::data(of_loop), static_cast<Eigen::Index>(std::size(of_loop)));
+    return (a - b).cwiseAbs().maxCoeff() <= 1e-10;
+  } else {
+    return probed == of_loop;
+  }
+}
+
 /// Follows a loop for some steps, each of which the probe takes as well; the first that differs fails.
 template <class Law>
 void follow_law(const Settings& settings, int steps) {
@@ -81,16 +95,18 @@ void follow_law(const Settings& settings, int steps) {
     probe.stages({rows(features), rows(depth), rows<3>(start.position), rows<4>(start.quaternion), rows<6>(start.twist),
                   weights},
                  s.out(fuzzy));
-    CHECK(Vector6<double>(Eigen::Map<Vector6<double>>(s.wrench.data())) == start.wrench);
+    const Vector6<double> wrench = Eigen::Map<Vector6<double>>(s.wrench.data());
+    CHECK(alike<Law>(wrench, start.wrench));
     CHECK(Vector6<double>(Eigen::Map<Vector6<double>>(s.fuzzy_output.data())) == start.fuzzy_output);
     loop.advance();
     const Sample<double> end = loop.record().sample();
     REQUIRE(loop.record().running());
-    CHECK(s.next_position == end.position);
-    CHECK(s.next_quaternion == end.quaternion);
-    CHECK(s.next_twist == end.twist);
-    CHECK(s.next_depth == end.depth);
-    CHECK(p.desired_features - s.next_features == end.feature_error);
+    CHECK(alike<Law>(s.next_position, end.position));
+    CHECK(alike<Law>(s.next_quaternion, end.quaternion));
+    CHECK(alike<Law>(s.next_twist, end.twist));
+    CHECK(alike<Law>(s.next_depth, end.depth));
+    const Vector<double, 8> error = p.desired_features - s.next_features;
+    CHECK(alike<Law>(error, end.feature_error));
     if constexpr (fuzzy) CHECK(s.next_weights == numbers_of(loop.law_state()));
   }
 }

@@ -294,7 +294,7 @@ def _short_tag(tag: str) -> str:
 def _in_words(error: yaml.YAMLError) -> str:
     """Describe a syntax error on one line, with its place."""
     if isinstance(error, yaml.MarkedYAMLError):
-        if error.problem == "exceeded maximum nesting depth":  # libyaml reads ahead, to a limit of its own
+        if error.problem == "exceeded maximum nesting depth":  # libyaml reads ahead, and has a limit too
             return f"nested more than {MAX_DEPTH} levels deep"
         parts = [part for part in (error.context, error.problem) if part]
         mark = error.problem_mark or error.context_mark
