@@ -231,7 +231,7 @@ def test_a_campaign_ignores_the_block() -> None:
 
 def test_the_page_and_the_command(tmp_path: Path) -> None:
     text = PAGE.read_text(encoding="utf-8")
-    yaml, _ = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    yaml, *_ = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
     (tmp_path / "mine.yaml").write_text(yaml.replace("runs: 1000", "runs: 20"), encoding="utf-8")
     arguments = [
         "tune",

@@ -121,7 +121,7 @@ def chunk_bytes(table: pa.Table, identity: Mapping[str, Any]) -> bytes:
     with pq.ParquetWriter(file, table.schema, use_dictionary=["outcome"], store_schema=False) as writer:
         writer.write_table(table)
         writer.add_key_value_metadata({_IDENTITY: json.dumps(identity), _SEAL: _BLANK})
-    content = file.getvalue().to_pybytes()
+    content: bytes = file.getvalue().to_pybytes()
     start, end = _seal(content)
     return content[:start] + hashlib.sha256(content).hexdigest().encode() + content[end:]
 
