@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo.campaigns.candidates import Judged
+from hexservo.campaigns.candidates import Judged, violation_of
 from hexservo.campaigns.loop_numbers import decay_rate, delay_margin
 from hexservo.campaigns.strategies import best_candidate, front_of, not_dominated, relax
 from hexservo.findings.analysis import camera_rate
@@ -179,7 +179,7 @@ class Planted:
         for column in range(len(self.nearest)):
             kept = (np.delete(margins, column, axis=1) >= 0).all(axis=1)
             self.nearest[column] = max([self.nearest[column], *margins[kept, column]])
-        return Judged(margins, values, margins)
+        return Judged(margins, values, margins, violation_of(margins))
 
 
 def nothing(judged: Judged, order: Any) -> None:

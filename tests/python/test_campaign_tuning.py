@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo.campaigns.candidates import Candidates, ranking
+from hexservo.campaigns.candidates import Candidates, ranking, violation_of
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import LAWS
@@ -47,9 +47,22 @@ FILE: dict[str, Any] = {
 def test_feasible_candidates_come_first() -> None:
     margins = np.array([[0.5, -0.1], [0.2, 0.3], [0.0, 0.9], [-2.0, 1.0], [0.1, 0.1]])
     values = np.array([0.0, 0.4, 0.3, 0.0, math.nan])
-    assert ranking(margins, values).tolist() == [2, 1, 4, 0, 3]
+    assert ranking(violation_of(margins), values).tolist() == [2, 1, 4, 0, 3]
     unsettled = np.array([[-1.0, -0.7], [-1.0, 0.2], [-1.0, -0.1]])
-    assert ranking(unsettled, np.full(3, math.nan)).tolist() == [1, 2, 0]
+    assert ranking(violation_of(unsettled), np.full(3, math.nan)).tolist() == [1, 2, 0]
+
+
+def test_a_run_that_diverges_does_not_hide_the_others() -> None:
+    """A run of ten that diverges counts ln(1e6 + 1) / 10 = 1.38, ten that miss a bound by half of it ln 1.5 = 0.41."""
+    runs = np.full((4, 10), 0.1)
+    runs[0, 0] = -1e6
+    runs[1, :] = -0.5
+    runs[2, 0] = -0.5
+    runs[3, 0] = -1e3
+    one_fails = np.log1p([1e6, 0.5, 1e3]) / 10
+    violations = violation_of(runs).mean(axis=1, keepdims=True)
+    assert violations[[0, 2, 3], 0] == pytest.approx(one_fails, rel=1e-14)
+    assert ranking(violations, np.zeros(4)).tolist() == [2, 1, 3, 0]
 
 
 def test_tuned_gains_are_better_where_it_was_promised(tmp_path: Path) -> None:

@@ -33,13 +33,15 @@ _NONE = 1e9  # stands for a metric without a value, in the search for its larges
 class Judged:
     """The worst of every candidate over the variations: margins (n, r), minimised metrics (n, m).
 
-    `distances` (n, r) are the margins, but NaN where one is no distance from a bound.
+    `distances` (n, r) are the margins, but NaN where one is no distance from a bound; `violations` (n, r) the means of
+    `violation_of` over the variations.
     """
 
-    def __init__(self, margins: Array, values: Array, distances: Array) -> None:
+    def __init__(self, margins: Array, values: Array, distances: Array, violations: Array) -> None:
         self.margins = margins
         self.values = values
         self.distances = distances
+        self.violations = violations
         self.smallest: Array = margins.min(axis=1)
 
     @property
@@ -50,24 +52,27 @@ class Judged:
     def order(self, metric: int = 0) -> NDArray[np.intp]:
         """Return the candidates, the best first, by one of the minimised metrics; without any by their margins."""
         none = self.values.shape[1] == 0
-        return ranking(self.margins, -self.smallest if none else self.values[:, metric])
+        return ranking(self.violations, -self.smallest if none else self.values[:, metric])
 
 
-def ranking(margins: Array, values: Array) -> NDArray[np.intp]:
-    """Return candidates, the best first: feasible ones by their values, then the others by their smallest margins.
+def violation_of(margins: Array) -> Array:
+    """Return how far margins are below zero, as ln(1 + distance); 0 where a requirement holds.
 
-    Of equal margins, as of candidates that all have a run which does not settle, the larger sum of negative ones is
-    better.
+    The logarithm keeps an order among runs that diverge, and lets none of them hide what happens in the others.
+    """
+    return np.log1p(np.maximum(-margins, 0.0))
+
+
+def ranking(violations: Array, values: Array) -> NDArray[np.intp]:
+    """Return candidates, the best first: feasible ones by their values, then the others by their violations.
 
     Parameters
     ----------
-    margins, values
-        (n, r), (n,); a value of NaN comes after all others.
+    violations, values
+        (n, r), which are summed, and (n,); a value of NaN comes after all others.
     """
-    smallest = margins.min(axis=1)
-    feasible = smallest >= 0
-    violation = -np.minimum(margins, 0.0).sum(axis=1)
-    return np.lexsort((violation, np.where(feasible, np.nan_to_num(values, nan=np.inf), -smallest), ~feasible))
+    violation = violations.sum(axis=1)
+    return np.lexsort((np.where(violation > 0, violation, np.nan_to_num(values, nan=np.inf)), violation > 0))
 
 
 class Candidates:
@@ -154,10 +159,12 @@ class Candidates:
         found = self._judged(self.gains_of(places), self.numbers, len(places))
         if self.asked.subject_to:
             distances = self._loop_distances(places)
+            margins = np.nan_to_num(distances, nan=-1.0)
             found = Judged(
-                np.concatenate([found.margins, np.nan_to_num(distances, nan=-1.0)], axis=1),
+                np.concatenate([found.margins, margins], axis=1),
                 found.values,
                 np.concatenate([found.distances, distances], axis=1),
+                np.concatenate([found.violations, violation_of(margins)], axis=1),
             )
         for column in range(found.margins.shape[1]):
             others = np.delete(found.margins, column, axis=1)
@@ -197,11 +204,13 @@ class Candidates:
             lost = without_distance(self.plan.require, batch.outcome, batch.metrics)
             distances = np.where(lost, np.nan, margins)
             worst = {"margins": margins, "distances": distances}
-            return {name: each.reshape(*shape, -1).min(axis=1) for name, each in worst.items()} | {"values": values}
+            found = {name: each.reshape(*shape, -1).min(axis=1) for name, each in worst.items()}
+            violations = violation_of(margins).reshape(*shape, -1).mean(axis=1)
+            return found | {"values": values, "violations": violations}
 
         found = self.steps.take({**numbers, **gains, "shape": np.array(shape)}, compute)
         self.runs += shape[0] * shape[1]
-        return Judged(found["margins"], found["values"], found["distances"])
+        return Judged(found["margins"], found["values"], found["distances"], found["violations"])
 
     def worse_cases(self, place: Array) -> tuple[list[dict[str, NDArray[Any]]], float]:
         """Return variations that are worse for a candidate than those of the search, and the smallest margin found.

@@ -22,7 +22,7 @@ from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
 __all__ = ["SearchSteps"]
 
-FORMAT = 3
+FORMAT = 4
 """Of a search's folder: raised with every change of the order in which a search simulates, or of what a step keeps."""
 
 PLAN = "tune.yaml"

@@ -53,10 +53,7 @@ def relax(candidates: Candidates, start: Array, generations: int, column: int) -
 
     def order(places: Array) -> NDArray[np.intp]:
         found = candidates.judged(places)
-        others = np.delete(found.margins, column, axis=1)
-        if others.shape[1] == 0:
-            return np.argsort(-found.margins[:, column], kind="stable")
-        return ranking(others, -found.margins[:, column])
+        return ranking(np.delete(found.violations, column, axis=1), -found.margins[:, column])
 
     _evolve(candidates, start, generations, order, column + 1)
 
@@ -137,7 +134,7 @@ def front_of(candidates: Candidates, known: Array, generations: int, after: Gene
         found = candidates.judged(places)
         after(found, found.order())
         objectives = np.nan_to_num(found.values, nan=1e9, posinf=1e9)
-        Evaluator().eval(StaticProblem(problem, F=objectives, G=-found.smallest[:, None]), population)
+        Evaluator().eval(StaticProblem(problem, F=objectives, G=found.violations.sum(axis=1)[:, None]), population)
         strategy.tell(infills=population)
         archive = np.concatenate([archive, places[found.feasible]])
         values = np.concatenate([values, found.values[found.feasible]])

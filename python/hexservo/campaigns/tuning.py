@@ -54,7 +54,7 @@ def tune(
 
     CMA-ES (Hansen 2016) compares candidates over the same variations with the same noise, which is other noise in each
     generation. Candidates that keep all requirements come first, by the largest value of the minimised metric; then
-    those that do not, by their smallest margin. After each round worse cases of the winner are searched and join the
+    those that do not, by their violations. After each round worse cases of the winner are searched and join the
     variations, until none is found. The winner is then judged by a campaign with another ``stream``.
 
     Every batch is kept in the folder when it is simulated. After an interruption the same call goes on, and ends with
