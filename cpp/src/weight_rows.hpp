@@ -4,7 +4,7 @@
 
 #include "hexservo/fuzzy.hpp"
 #include "hexservo/lanes.hpp"
-#include "hexservo/laws/stateless_law.hpp"
+#include "hexservo/laws/law_without_fuzzy.hpp"
 #include "kernel.hpp"
 
 #include <algorithm>

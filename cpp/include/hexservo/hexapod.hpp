@@ -457,6 +457,13 @@ class WrenchMapSolver {
   Cholesky<S, 6> gram_;
 };
 
+/// Legs at a pose, and the solver there.
+template <class S>
+struct SolvedLegs {
+  LegsSideBySide<S> legs;
+  WrenchMapSolver<S> solver;
+};
+
 /// How forward kinematics ended.
 enum class KinematicsStatus { converged, not_converged, singular };
 
@@ -473,15 +480,18 @@ struct ForwardKinematics {
 inline constexpr double kKinematicsTolerance = 1e-12;  ///< residual of a converged forward kinematics [m]
 inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds from anywhere
 
+/// The same pose with a quaternion of unit length.
+template <class S>
+Pose<S> unit_pose(const Pose<S>& pose) noexcept {
+  using std::sqrt;
+  return {pose.position, Vector4<S>(pose.quaternion * S(S(1.0) / sqrt(S(pose.quaternion.squaredNorm()))))};
+}
+
 /// A pose after a small displacement (m; rad, in B): q <- normalised (1, d_theta/2) (x) q, to second order.
 template <class S>
-Pose<S> stepped(const Pose<S>& pose, const Vector6<S>& d) {
-  using std::sqrt;
-  Pose<S> next;
-  next.position = pose.position + d.template head<3>();
-  next.quaternion = pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>());
-  next.quaternion /= sqrt(next.quaternion.squaredNorm());
-  return next;
+Pose<S> stepped(const Pose<S>& pose, const Vector6<S>& d) noexcept {
+  return unit_pose<S>({pose.position + d.template head<3>(),
+                       pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>())});
 }
 
 /// A pose after a period at a twist, to fourth order in the angle.
@@ -542,9 +552,12 @@ ForwardKinematics<S> solve_pose(const LegGeometry<S>& geometry, const Vector6<S>
     result.singular = result.singular | (moves & solver.failed());
     moves = moves & !result.singular;
     Vector6<S> d = solver.displacement(goal - result.legs.lengths);
-    const S size = max(S(sqrt(d.template head<3>().squaredNorm()) * geometry.inverse_radius),
-                       S(sqrt(d.template tail<3>().squaredNorm()) / S(kMaxRotation)));
-    d *= select(size > S(1.0), S(S(1.0) / size), S(1.0));
+    const S squared_size =
+        max(S(d.template head<3>().squaredNorm() * (geometry.inverse_radius * geometry.inverse_radius)),
+            S(d.template tail<3>().squaredNorm() * S(1.0 / (kMaxRotation * kMaxRotation))));
+    const Mask<S> too_large = squared_size > S(1.0);
+    if (any(too_large)) [[unlikely]]
+      d *= select(too_large, S(S(1.0) / sqrt(squared_size)), S(1.0));
     if (geometry.rotary) [[unlikely]]
       d *= followed_share(geometry, result.pose, d, lengths);
     const Pose<S> next = stepped(result.pose, d);
@@ -552,7 +565,8 @@ ForwardKinematics<S> solve_pose(const LegGeometry<S>& geometry, const Vector6<S>
     result.pose.quaternion = select(moves, next.quaternion, result.pose.quaternion);
     result.legs = inverse_kinematics(geometry, result.pose.position, rotation_matrix(result.pose.quaternion));
     result.residual = residual();
-    moves = moves & !((size <= S(kLastNewtonStep)) & (result.residual <= S(0.01 * kKinematicsTolerance)));
+    moves = moves & !((squared_size <= S(kLastNewtonStep * kLastNewtonStep)) &
+                      (result.residual <= S(0.01 * kKinematicsTolerance)));
   }
   result.converged = (result.residual <= S(kKinematicsTolerance)) & !result.singular;
   return result;
@@ -566,10 +580,8 @@ ForwardKinematics<S> solve_pose(const LegGeometry<S>& geometry, const Vector6<S>
 template <class S>
 ForwardKinematics<S> forward_kinematics(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& start,
                                         int rounds = kKinematicsRounds) {
-  using std::sqrt;
   ForwardKinematics<S> from;
-  from.pose = start;
-  from.pose.quaternion /= sqrt(from.pose.quaternion.squaredNorm());
+  from.pose = unit_pose(start);
   from.legs = inverse_kinematics(geometry, from.pose.position, rotation_matrix(from.pose.quaternion));
   return solve_pose(geometry, lengths, from, S(static_cast<double>(rounds)));
 }

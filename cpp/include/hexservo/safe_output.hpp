@@ -77,30 +77,14 @@ struct Command {
   Mask<S> saturated;      ///< a leg force is beyond `SafetyGains::saturation_limit`
 };
 
-/// The law's wrench where it may act, and the safe one elsewhere.
-/// @param wrench of the law [N; N m]; may be anything where the law may not act
+/// The safe wrench where the law's does not act.
+/// @param wrench of the law [N; N m]
+/// @param solver at the pose of the joint sensors
 template <class S, int N>
-void decide(const SafetyGains<S, N>& gains, SafetyState<S, N>& state, const Vector6<S>& wrench,
-            Command<S>& out) noexcept {
+[[gnu::noinline, gnu::cold]] void stop_safely(const SafetyGains<S, N>& gains, SafetyState<S, N>& state,
+                                              const Vector6<S>& wrench, const WrenchMapSolver<S>& solver,
+                                              Command<S>& out) noexcept {
   const Perceived<S, N>& seen = state.perception.now();
-  const LegsSideBySide<S> legs = inverse_kinematics(gains.legs, seen.pose.position, seen.R_BE);
-  const WrenchMapSolver<S> solver(gains.legs, legs);
-  out.lengths = legs.lengths;
-  out.singular = solver.failed();
-  out.wrench = wrench;
-  out.leg_forces = solver.leg_forces(wrench);
-  const Mask<S> may_act = seen.ready() & (!out.singular);
-  // Forces that are finite come of a wrench that is.
-  const Mask<S> finite = is_finite(S(out.leg_forces.sum()));
-  out.law_failed = may_act & (!finite);
-  out.acts = may_act & finite;
-  out.saturated = out.acts & (largest_abs(out.leg_forces) > gains.saturation_limit);
-  if (all(out.acts)) {
-    state.last_pose = seen.pose;
-    state.braking = Mask<S>(false);
-    return;
-  }
-
   const Mask<S> known = seen.joints & (!out.singular);
   const Mask<S> begins = known & (!out.acts) & (!state.braking);
   state.stop_pose.position = select(begins, seen.pose.position, state.stop_pose.position);
@@ -122,6 +106,44 @@ void decide(const SafetyGains<S, N>& gains, SafetyState<S, N>& state, const Vect
   const Mask<S> here = out.acts | brakes;
   state.last_pose.position = select(here, seen.pose.position, state.last_pose.position);
   state.last_pose.quaternion = select(here, seen.pose.quaternion, state.last_pose.quaternion);
+}
+
+/// The law's wrench where it may act, and the safe one elsewhere, with legs and solver at the pose of the joint
+/// sensors.
+template <class S, int N>
+void decide_at(const SafetyGains<S, N>& gains, SafetyState<S, N>& state, const Vector6<S>& wrench,
+               const LegsSideBySide<S>& legs, const WrenchMapSolver<S>& solver, Command<S>& out) noexcept {
+  const Perceived<S, N>& seen = state.perception.now();
+  out.lengths = legs.lengths;
+  out.singular = solver.failed();
+  out.wrench = wrench;
+  out.leg_forces = solver.leg_forces(wrench);
+  const Mask<S> may_act = seen.ready() & (!out.singular);
+  // Forces that are finite come of a wrench that is.
+  const Mask<S> finite = is_finite(S(out.leg_forces.sum()));
+  out.law_failed = may_act & (!finite);
+  out.acts = may_act & finite;
+  out.saturated = out.acts & (largest_abs(out.leg_forces) > gains.saturation_limit);
+  if (all(out.acts)) {
+    state.last_pose = seen.pose;
+    state.braking = Mask<S>(false);
+  } else {
+    stop_safely(gains, state, wrench, solver, out);
+  }
+}
+
+/// The law's wrench where it may act, and the safe one elsewhere.
+/// @param wrench of the law [N; N m]; may be anything where the law may not act
+template <class S, int N>
+void decide(const SafetyGains<S, N>& gains, SafetyState<S, N>& state, const Vector6<S>& wrench,
+            Command<S>& out) noexcept {
+  const Perceived<S, N>& seen = state.perception.now();
+  if (seen.legs) {
+    decide_at(gains, state, wrench, seen.legs->legs, seen.legs->solver, out);
+  } else {
+    const LegsSideBySide<S> legs = inverse_kinematics(gains.legs, seen.pose.position, seen.R_BE);
+    decide_at(gains, state, wrench, legs, WrenchMapSolver<S>(gains.legs, legs), out);
+  }
 }
 
 }  // namespace hexservo

@@ -150,20 +150,6 @@ PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points
   return fit;
 }
 
-/// The same pose with a quaternion of unit length.
-template <class S>
-Pose<S> unit_pose(const Pose<S>& pose) noexcept {
-  using std::sqrt;
-  return {pose.position, pose.quaternion / sqrt(S(pose.quaternion.squaredNorm()))};
-}
-
-/// The pose moved and turned by a small displacement in B, q <- q + 1/2 (0, d_theta) (x) q, normalised.
-template <class S>
-Pose<S> displaced(const Pose<S>& pose, const Vector6<S>& d) noexcept {
-  return unit_pose<S>({pose.position + d.template head<3>(),
-                       pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>())});
-}
-
 /// A pose beside another one, and back: the difference number by number.
 template <class S>
 Pose<S> beside(const Pose<S>& pose, const Pose<S>& difference) noexcept {
@@ -270,8 +256,7 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
                        const PointWeights<S, N>& weights = {}) noexcept {
   using std::abs;
   using std::sqrt;
-  PoseFit<S, N> best =
-      pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(start, Vector6<S>::Zero()), weights);
+  PoseFit<S, N> best = pose_fit<S, N>(camera, points_T, measured, prior, unit_pose(start), weights);
   S mu(0.0), growth(2.0);
   Mask<S> ended(false);
   for (int round = 0; round < end.rounds && !all(ended); ++round) {
@@ -297,7 +282,7 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
     const S length = max(S(sqrt(S(d.template head<3>().squaredNorm())) / mean_depth),
                          S(sqrt(S(d.template tail<3>().squaredNorm()))));
     d *= select(length > S(kPoseStep), S(S(kPoseStep) / length), S(1.0));
-    const PoseFit<S, N> full = pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(best.pose, d), weights);
+    const PoseFit<S, N> full = pose_fit<S, N>(camera, points_T, measured, prior, stepped<S>(best.pose, d), weights);
     const S expected = larger(S(d.dot(damping.cwiseProduct(d) + gradient)), S(1e-300));
     const Mask<S> rounding = expected * expected < S(kResidualRounding * kResidualRounding) *
                                                        (best.cost + S(kResidualRounding * kResidualRounding));
@@ -308,7 +293,7 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
       const S t =
           quartic_line_search<S, 2 * N>(weights.root_times(residual), weights.root_times(Jd), weights.root_times(bend));
       const PoseFit<S, N> bent =
-          pose_fit<S, N>(camera, points_T, measured, prior, displaced<S>(best.pose, t * d), weights);
+          pose_fit<S, N>(camera, points_T, measured, prior, stepped<S>(best.pose, t * d), weights);
       next.replace((bent.cost < full.cost) & !straight, bent);
     }
 
@@ -538,7 +523,7 @@ PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S
                               const Vector<S, 2 * N>& features, const Pose<S>& joints, const Vector6<S>& prior_weight,
                               const PointWeights<S, N>& weights = {}) noexcept {
   const Vectors3<S, N> points(points_T);
-  PosePrior<S> prior{displaced<S>(joints, Vector6<S>::Zero()), prior_weight};
+  PosePrior<S> prior{unit_pose(joints), prior_weight};
   PoseFit<S, N> fit = fit_pose<S, N>(camera, points, features, prior, joints, {kPoseRounds, kRoughFit}, weights);
   PoseEstimate<S> estimate;
   estimate.mirrored = Mask<S>(false);
@@ -689,7 +674,7 @@ SettledFit<S, N> settle_pose(const CameraView<S>& camera, const Vectors3<S, N>& 
     const S length = squared_length(d);
     going = going & !failed & (length < S(kFar));
     const Mask<S> last = going & (length < S(kLast));
-    const Pose<S> next = displaced<S>(fit.pose, d);
+    const Pose<S> next = stepped<S>(fit.pose, d);
     out.pose.position = select(going, next.position, out.pose.position);
     out.pose.quaternion = select(going, next.quaternion, out.pose.quaternion);
     out.settled = out.settled | last;

@@ -157,12 +157,6 @@ Pose<S> select_pose(const Mask<S>& where, const Pose<S>& yes, const Pose<S>& no)
   return {select(where, yes.position, no.position), select(where, yes.quaternion, no.quaternion)};
 }
 
-template <class S>
-Pose<S> of_unit_length(const Pose<S>& pose) {
-  using std::sqrt;
-  return {pose.position, Vector4<S>(pose.quaternion * (S(1.0) / sqrt(S(pose.quaternion.squaredNorm()))))};
-}
-
 /// chi o chi-hat^-1 o goal: where the platform sees the target as from `goal` if it sees it as from `view` at `at`.
 template <class S>
 Pose<S> pose_to_follow(const Pose<S>& at, const Pose<S>& view, const Pose<S>& goal) {
@@ -280,7 +274,7 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
   const S period(gains.period), first(state.poses.oldest());
   const auto followed = [&](const S& latency) {
     const S tick = stamp - latency / period;
-    const Pose<S> at = of_unit_length<S>(state.poses.at(plan.stamped ? tick : max(tick, first)));
+    const Pose<S> at = unit_pose<S>(state.poses.at(plan.stamped ? tick : max(tick, first)));
     if (!directs) return pose_to_follow<S>(at, target.view, task.target.goal);
     return Pose<S>{lift<S>(task.camera, at.position, rotation_matrix(at.quaternion), middle, depth),
                    plan.home.quaternion};
@@ -375,7 +369,7 @@ void pose_ahead(const TrackingPlan<S, N>& plan, const TrackingState<S>& state, d
   pose = select_pose<S>(rests, target.mean, carried<S>(target.place, twist, select(target.known, ahead, S(0.0))));
   twist *= select(age > S(kLongestPrediction), S(0.0), S(1.0));  // what is followed stands still from there on
   if (plan.follow == Follow::pose) {
-    pose = of_unit_length<S>(pose);
+    pose = unit_pose<S>(pose);
     return;
   }
   const Vector3<S> place = pose.position, later = place + period * twist.template head<3>();

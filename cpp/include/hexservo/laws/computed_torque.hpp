@@ -4,7 +4,7 @@
 #pragma once
 
 #include "hexservo/laws/pose_error.hpp"
-#include "hexservo/laws/stateless_law.hpp"
+#include "hexservo/laws/law_without_fuzzy.hpp"
 
 namespace hexservo {
 

@@ -3,7 +3,7 @@
 /// section 5): the potential energy of an image spring, and nothing else but damping.
 #pragma once
 
-#include "hexservo/laws/stateless_law.hpp"
+#include "hexservo/laws/law_without_fuzzy.hpp"
 
 namespace hexservo {
 

@@ -3,7 +3,7 @@
 /// (docs/model.md, section 5).
 #pragma once
 
-#include "hexservo/laws/law.hpp"
+#include "hexservo/laws/law_without_fuzzy.hpp"
 #include "hexservo/target_model.hpp"
 
 #include <array>
@@ -35,24 +35,9 @@ struct PbvsGains {
 
 /// The law as a policy of the loop. Its state is where the last estimate was, which changes how fast one is found
 /// alone.
-struct Pbvs {
+struct Pbvs : LawWithoutFuzzy<PbvsGains, PoseMemory> {
   static constexpr LawTraits traits = {
       .name = "pbvs", .type = "Pbvs", .parts = {LawPart::damping, LawPart::pose_spring}, .points = true, .prior = true};
-
-  template <class S, int N = kPoints>
-  using Gains = PbvsGains<S, N>;
-
-  /// The same gains, prepared for evaluation.
-  template <class S, int N = kPoints>
-  struct Constants : Gains<S, N> {
-    explicit Constants(const Gains<S, N>& gains) : Gains<S, N>(gains) {}
-  };
-
-  template <class S>
-  using State = PoseMemory<S>;
-  /// What an evaluation leaves to the next one.
-  template <class S>
-  using Rate = PoseMemory<S>;
 
   /// Where the estimate of an evaluation starts: at that of the stage before, or of the step before.
   template <class S>
@@ -61,19 +46,6 @@ struct Pbvs {
         : near(before == nullptr ? *state : *before) {}
     const PoseMemory<S>& near;
   };
-
-  /// The wrench at one instant.
-  template <class S>
-  struct Evaluation {
-    Rate<S> rate;
-    Vector6<S> fuzzy_output = Vector6<S>::Zero();  ///< stays zero [N; N m]
-    Vector6<S> wrench;                             ///< tau, in B [N; N m]
-  };
-
-  template <class S, int N>
-  static State<S> initial_state(const Gains<S, N>& /*gains*/) {
-    return {};
-  }
 
   /// What the wrench changes with the twist by: at K_d^-1 K_p (chi_goal - chi-hat) it is G.
   template <class S, int N>

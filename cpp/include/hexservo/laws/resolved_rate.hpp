@@ -5,7 +5,7 @@
 
 #include "hexservo/elementary.hpp"
 #include "hexservo/laws/pose_error.hpp"
-#include "hexservo/laws/stateless_law.hpp"
+#include "hexservo/laws/law_without_fuzzy.hpp"
 
 namespace hexservo {
 
