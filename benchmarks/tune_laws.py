@@ -43,13 +43,14 @@ BOUNDS = {
 }
 # Of the laws whose searches found no gains that keep 0.5 px with the other bounds.
 RELAXED = {
-    (scenario, law): {"rms_error": 0.75}  # [px]
-    for scenario, laws in {
-        "real-machine": ("hybrid", "kelly", "resolved_rate"),
-        "slow-camera": ("hybrid", "kelly"),
-    }.items()
-    for law in laws
+    ("real-machine", "hybrid"): {"rms_error": 0.75},  # [px]
+    ("real-machine", "kelly"): {"rms_error": 0.75},
+    ("slow-camera", "hybrid"): {"rms_error": 0.75},
+    ("slow-camera", "kelly"): {"rms_error": 0.75},
 }
+# Of a law that does not settle at all in rare runs where it settles fastest: instead of the settling time, the distance
+# to all bounds counts, among them this one.
+SETTLES_WITHIN = {"pbvs": 0.27}  # [s]; its gains by hand take 0.3 s
 RESERVE = 0.1  # share of each bound that a search leaves, since it ends at a bound
 WIDER = 1.2  # by which errors and starts of a search are larger: few variations miss what fails in one of a thousand
 SEARCHED = 2.0  # [s], duration of the runs of a search
@@ -91,10 +92,21 @@ VARIABLES: dict[str, dict[str, Any]] = {
 }
 
 
-def required(scenario: str, law: str, reserve: float = 0.0) -> list[str]:
-    """Return the requirements, with a share of each bound left."""
+def required(scenario: str, law: str) -> list[str]:
+    """Return the requirements."""
+    return bounded(BOUNDS | RELAXED.get((scenario, law), {}))
+
+
+def searched(scenario: str, law: str) -> list[str]:
+    """Return the requirements of a search, which leave a share of each bound."""
     bounds = BOUNDS | RELAXED.get((scenario, law), {})
-    return ["outcome == completed", *(f"{name} <= {(1 - reserve) * bound:g}" for name, bound in bounds.items())]
+    reserved = {name: (1 - RESERVE) * bound for name, bound in bounds.items()}
+    return bounded(reserved | ({"settling_time": SETTLES_WITHIN[law]} if law in SETTLES_WITHIN else {}))
+
+
+def bounded(bounds: dict[str, float]) -> list[str]:
+    """Return requirements that a run completes, and keeps bounds."""
+    return ["outcome == completed", *(f"{name} <= {bound:g}" for name, bound in bounds.items())]
 
 
 def widened(distribution: Any) -> Any:
@@ -112,11 +124,11 @@ def plan_of(scenario: str, law: str, over: int) -> CampaignPlan:
     return CampaignPlan(
         scenario=hs.load_scenario(scenario).updated({"controller.law": law, "simulation.duration": SEARCHED}),
         vary={key: widened(distribution) for key, distribution in VARY[scenario].items()},
-        require=required(scenario, law, RESERVE),
+        require=searched(scenario, law),
         runs=200,
         tune={
             "variables": {f"controller.{law}.{key}": each for key, each in VARIABLES[law].items()},
-            "minimise": "settling_time",
+            "minimise": None if law in SETTLES_WITHIN else "settling_time",
             "over": over,
         },
     )

@@ -460,6 +460,7 @@ class WrenchMapSolver {
 /// Legs at a pose, and the solver there.
 template <class S>
 struct SolvedLegs {
+  SolvedLegs(const LegGeometry<S>& geometry, const LegsSideBySide<S>& there) : legs(there), solver(geometry, legs) {}
   LegsSideBySide<S> legs;
   WrenchMapSolver<S> solver;
 };
@@ -522,36 +523,47 @@ template <class S>
 
 /// Size of a Newton step, over r_p or 0.5 rad, whose square is below rounding: the last one.
 inline constexpr double kLastNewtonStep = 1e-8;
+/// Size of one whose third power is: the step that follows needs no new matrix, which differs by as much.
+inline constexpr double kSmallNewtonStep = 1e-5;
 
 /// Newton's method on l(pose) = lengths; steps are limited to r_p and 0.5 rad.
 ///
 /// Each lane ends at its last step, whatever its neighbours do: one whose square is below rounding, as long as the
-/// lengths are met too. Cranks close to a dead point need more.
-/// @param result pose of a unit quaternion, and legs there, to start from
+/// lengths are met too. Cranks close to a dead point need more. After a small step the next one has the same matrix.
 /// @param rounds Newton rounds >= 0 at most, of which a fraction counts as one
+/// @param result pose of a unit quaternion, and legs there, to start from
+/// @param there the solver at that pose, where it is known
 template <class S>
-ForwardKinematics<S> solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, ForwardKinematics<S> result,
-                                const S& rounds) {
+void solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const S& rounds,
+                ForwardKinematics<S>& result, const WrenchMapSolver<S>* there = nullptr) {
   using std::abs;
   using std::sqrt;
   constexpr double kMaxRotation = 0.5;  // [rad] a round
   const LegVector<S> goal(lengths);
-  const auto residual = [&] {
-    const Vector6<S> left = (goal - result.legs.lengths).vector();
-    S largest = abs(left(0));
-    for (int i = 1; i < 6; ++i) largest = max(largest, S(abs(left(i))));
-    return largest;
+  LegVector<S> left;
+  const auto measure = [&] {
+    left = goal - result.legs.lengths;
+    result.residual = largest_abs(left.vector());
   };
   result.singular = Mask<S>(false);
-  result.residual = residual();
-  Mask<S> moves(true);
+  measure();
+  std::optional<WrenchMapSolver<S>> own;
+  const WrenchMapSolver<S>* matrix = there;
+  Mask<S> moves(true), keeps(false);  // which lanes go on, and which of them with the matrix of the round before
   for (int round = 0;; ++round) {
     moves = moves & (S(static_cast<double>(round)) < rounds);
     if (!any(moves)) break;
-    const WrenchMapSolver<S> solver(geometry, result.legs);
-    result.singular = result.singular | (moves & solver.failed());
-    moves = moves & !result.singular;
-    Vector6<S> d = solver.displacement(goal - result.legs.lengths);
+    Vector6<S> d;
+    if (any(moves & !keeps)) {
+      if (any(keeps)) d = matrix->displacement(left);
+      if (round > 0 || matrix == nullptr) matrix = &own.emplace(geometry, result.legs);
+      const Vector6<S> fresh = matrix->displacement(left);
+      d = any(keeps) ? select(keeps, d, fresh) : fresh;
+      result.singular = result.singular | (moves & (!keeps) & matrix->failed());
+      moves = moves & !result.singular;
+    } else {
+      d = matrix->displacement(left);
+    }
     const S squared_size =
         max(S(d.template head<3>().squaredNorm() * (geometry.inverse_radius * geometry.inverse_radius)),
             S(d.template tail<3>().squaredNorm() * S(1.0 / (kMaxRotation * kMaxRotation))));
@@ -564,12 +576,12 @@ ForwardKinematics<S> solve_pose(const LegGeometry<S>& geometry, const Vector6<S>
     result.pose.position = select(moves, next.position, result.pose.position);
     result.pose.quaternion = select(moves, next.quaternion, result.pose.quaternion);
     result.legs = inverse_kinematics(geometry, result.pose.position, rotation_matrix(result.pose.quaternion));
-    result.residual = residual();
+    measure();
     moves = moves & !((squared_size <= S(kLastNewtonStep * kLastNewtonStep)) &
                       (result.residual <= S(0.01 * kKinematicsTolerance)));
+    keeps = moves & (!keeps) & (squared_size <= S(kSmallNewtonStep * kSmallNewtonStep)) & Mask<S>(!geometry.rotary);
   }
   result.converged = (result.residual <= S(kKinematicsTolerance)) & !result.singular;
-  return result;
 }
 
 /// Forward kinematics by Newton's method from a start pose.
@@ -583,7 +595,8 @@ ForwardKinematics<S> forward_kinematics(const LegGeometry<S>& geometry, const Ve
   ForwardKinematics<S> from;
   from.pose = unit_pose(start);
   from.legs = inverse_kinematics(geometry, from.pose.position, rotation_matrix(from.pose.quaternion));
-  return solve_pose(geometry, lengths, from, S(static_cast<double>(rounds)));
+  solve_pose(geometry, lengths, S(static_cast<double>(rounds)), from);
+  return from;
 }
 template <class S>
 ForwardKinematics<S> forward_kinematics(const Hexapod<S>& hexapod, const Vector6<S>& lengths, const Pose<S>& start) {

@@ -45,6 +45,7 @@ template <class S, int N>
   Perceived<S, N>& carried = state.carried;
   carried = seen;
   carried.pose = motion.pose;
+  carried.legs.reset();
   carried.R_BE = rotation_matrix(motion.pose.quaternion);
   carried.twist = motion.twist;
   Eigen::Matrix<S, 3, N> points_B;

@@ -71,33 +71,33 @@ S encoder_rounds(const S& period) noexcept {
 /// Newton's method starts at the pose before, or at that pose moved on with the twist before, whichever has lengths
 /// that are nearer to the reading: what the platform may do within a period is then limited by the change of its twist.
 /// @param lengths of the legs, as read [m]
-/// @param before the reading that gave `pose` [m]; where there was none it is of no consequence
 /// @param pose, twist at the reading before, in B [m/s; rad/s]; a twist that is not finite is not used
+/// @param there legs and solver at that pose, where they are known
 /// @param period time between the two readings [s]
 /// @param rounds of Newton's method
 template <class S>
-ForwardKinematics<S> track_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Vector6<S>& before,
-                                const Pose<S>& pose, const Vector6<S>& twist, const S& period,
+ForwardKinematics<S> track_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& pose,
+                                const Vector6<S>& twist, const std::optional<SolvedLegs<S>>& there, const S& period,
                                 const S& rounds) noexcept {
-  const auto at = [&](const Pose<S>& from) {
-    ForwardKinematics<S> start;
-    start.pose = from;
-    start.legs = inverse_kinematics(geometry, from.position, rotation_matrix(from.quaternion));
-    return start;
+  const auto legs_at = [&](const Pose<S>& at) {
+    return inverse_kinematics(geometry, at.position, rotation_matrix(at.quaternion));
   };
-  ForwardKinematics<S> start = at(carried(pose, twist, period));
+  ForwardKinematics<S> found;
+  found.pose = carried(pose, twist, period);
+  found.legs = legs_at(found.pose);
+  std::optional<LegsSideBySide<S>> computed;
+  const LegsSideBySide<S>& start = there ? there->legs : computed.emplace(legs_at(pose));
   const LegVector<S> goal(lengths);
-  const LegVector<S> from_moved = (goal - start.legs.lengths).padded(),
-                     from_pose = (goal - LegVector<S>(before)).padded();
-  const auto [moved_distance, distance] = dots(from_moved, from_moved, from_pose, from_pose);  // squared
-  const Mask<S> nearer = moved_distance < distance;
+  const LegVector<S> from_moved = (goal - found.legs.lengths).padded(), from_start = (goal - start.lengths).padded();
+  const auto [moved_distance, start_distance] = dots(from_moved, from_moved, from_start, from_start);  // squared
+  const Mask<S> nearer = moved_distance < start_distance;
   if (!all(nearer)) {
-    const ForwardKinematics<S> stays = at(pose);
-    start.pose.position = select(nearer, start.pose.position, stays.pose.position);
-    start.pose.quaternion = select(nearer, start.pose.quaternion, stays.pose.quaternion);
-    start.legs = select(nearer, start.legs, stays.legs);
+    found.pose.position = select(nearer, found.pose.position, pose.position);
+    found.pose.quaternion = select(nearer, found.pose.quaternion, pose.quaternion);
+    found.legs = select(nearer, found.legs, start);
   }
-  return solve_pose(geometry, lengths, start, rounds);
+  solve_pose(geometry, lengths, rounds, found, there && !any(nearer) ? &there->solver : nullptr);
+  return found;
 }
 
 /// Poses of the last ticks; memory is taken once, at construction.
@@ -203,7 +203,7 @@ struct Perceived {
   Mask<S> whole;      ///< the newest frame shows every point
   Mask<S> lost;       ///< it does not, and no image may stand for it
   Mask<S> usable;     ///< clock and frame of this tick and the image to be used are numbers to act on
-  /// At `pose`, where this tick's forward kinematics has them for all lanes
+  /// At `pose`, where the forward kinematics of the newest reading has them: no more than that pose tells.
   std::optional<SolvedLegs<S>> legs;
   Mask<S> ready() const noexcept { return complete & fresh & (!lost) & usable & joints; }
 };
@@ -235,7 +235,6 @@ class Perception {
   /// Takes over what the sensors gave.
   void update(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
     now_.usable = Mask<S>(input.now >= clock_ && std::isfinite(input.now));
-    now_.legs.reset();
     clock_ = std::isfinite(input.now) ? std::max(clock_, input.now) : clock_;
     sense_joints(sensing, input);
     if (lifts_points(sensing.frames) && any(now_.usable & now_.joints))
@@ -304,7 +303,7 @@ class Perception {
     // A platform may start anywhere; after that it moves.
     const S rounds = select(first, S(static_cast<double>(kKinematicsRounds)), encoder_rounds(elapsed));
     const ForwardKinematics<S> found =
-        track_pose(sensing.legs, lengths, lengths_, now_.pose, now_.twist, elapsed, rounds);
+        track_pose(sensing.legs, lengths, now_.pose, now_.twist, now_.legs, elapsed, rounds);
     const Mask<S> known = reads & found.converged & now_.usable;  // without a clock there is no rate
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
     now_.pose.position = select(known, found.pose.position, now_.pose.position);
@@ -316,9 +315,9 @@ class Perception {
       rates = select(first, Vector6<S>(Vector6<S>::Zero()), Vector6<S>((lengths - lengths_) * (S(1.0) / elapsed)));
       rated = known & (first | (elapsed > S(0.0)));  // the same time again gives no rate
     }
-    const WrenchMapSolver<S> solver(sensing.legs, found.legs);
-    now_.twist = select(rated, solver.twist(rates), now_.twist);
-    if (all(known)) now_.legs.emplace(SolvedLegs<S>{found.legs, solver});
+    now_.legs.emplace(sensing.legs, found.legs);
+    now_.twist = select(rated, now_.legs->solver.twist(rates), now_.twist);
+    if (!all(known)) now_.legs.reset();
     lengths_ = select(rated, lengths, lengths_);
     read_at_ = select(known, S(input.now), read_at_);
   }
