@@ -248,6 +248,23 @@ def test_a_pickled_controller_continues_bit_for_bit(law: str, changes: dict[str,
     assert differs, "a controller without the state gave the same: nothing was tested"
 
 
+def test_a_controller_that_is_set_back_repeats_itself() -> None:
+    """Nothing that it keeps beside its stored state, as legs at the newest pose, is left of the ticks in between."""
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {"sensors.pose": "encoders", "sensors.period": 0.002, "sensors.noise": 1e-6, "simulation.duration": 0.2}
+    )
+    ticks = ticks_of(scenario)
+    controller = hs.Controller(scenario)
+    count = len(ticks["now"])
+    for k in range(count // 2):
+        step(controller, ticks, k)
+    state = controller._core.state()
+    expected = [step(controller, ticks, k) for k in range(count // 2, count)]
+    controller._core.restore(state)
+    for k, once in zip(range(count // 2, count), expected, strict=True):
+        assert_equal(step(controller, ticks, k), once)
+
+
 def assert_equal(one: hs.ControllerOutput, other: hs.ControllerOutput) -> None:
     for name in one._fields:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))

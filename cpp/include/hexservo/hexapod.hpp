@@ -457,12 +457,23 @@ class WrenchMapSolver {
   Cholesky<S, 6> gram_;
 };
 
+/// The solver as the matrix of Newton's method: one piece of code, so that a lane has the same bits where its
+/// neighbours have the matrix of another round.
+template <class S>
+class NewtonMatrix : public WrenchMapSolver<S> {
+ public:
+  [[gnu::noinline]] NewtonMatrix(const LegGeometry<S>& geometry, const LegsSideBySide<S>& legs)
+      : WrenchMapSolver<S>(geometry, legs) {}
+
+  [[gnu::noinline]] Vector6<S> step(const LegVector<S>& left) const { return this->displacement(left); }
+};
+
 /// Legs at a pose, and the solver there.
 template <class S>
 struct SolvedLegs {
   SolvedLegs(const LegGeometry<S>& geometry, const LegsSideBySide<S>& there) : legs(there), solver(geometry, legs) {}
   LegsSideBySide<S> legs;
-  WrenchMapSolver<S> solver;
+  NewtonMatrix<S> solver;
 };
 
 /// How forward kinematics ended.
@@ -535,7 +546,7 @@ inline constexpr double kSmallNewtonStep = 1e-5;
 /// @param there the solver at that pose, where it is known
 template <class S>
 void solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const S& rounds,
-                ForwardKinematics<S>& result, const WrenchMapSolver<S>* there = nullptr) {
+                ForwardKinematics<S>& result, const NewtonMatrix<S>* there = nullptr) {
   using std::abs;
   using std::sqrt;
   constexpr double kMaxRotation = 0.5;  // [rad] a round
@@ -547,22 +558,22 @@ void solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const
   };
   result.singular = Mask<S>(false);
   measure();
-  std::optional<WrenchMapSolver<S>> own;
-  const WrenchMapSolver<S>* matrix = there;
+  std::optional<NewtonMatrix<S>> own;
+  const NewtonMatrix<S>* matrix = there;
   Mask<S> moves(true), keeps(false);  // which lanes go on, and which of them with the matrix of the round before
   for (int round = 0;; ++round) {
     moves = moves & (S(static_cast<double>(round)) < rounds);
     if (!any(moves)) break;
     Vector6<S> d;
-    if (any(moves & !keeps)) {
-      if (any(keeps)) d = matrix->displacement(left);
+    if (!any(moves & !keeps)) {
+      d = matrix->step(left);
+    } else {
+      if (any(keeps)) d = matrix->step(left);
       if (round > 0 || matrix == nullptr) matrix = &own.emplace(geometry, result.legs);
-      const Vector6<S> fresh = matrix->displacement(left);
+      const Vector6<S> fresh = matrix->step(left);
       d = any(keeps) ? select(keeps, d, fresh) : fresh;
       result.singular = result.singular | (moves & (!keeps) & matrix->failed());
       moves = moves & !result.singular;
-    } else {
-      d = matrix->displacement(left);
     }
     const S squared_size =
         max(S(d.template head<3>().squaredNorm() * (geometry.inverse_radius * geometry.inverse_radius)),

@@ -273,6 +273,7 @@ class Perception {
     f(lost_);
     f(lengths_);
     f(read_at_);
+    now_.legs.reset();  // of the pose before
   }
 
  private:
@@ -317,7 +318,9 @@ class Perception {
     }
     now_.legs.emplace(sensing.legs, found.legs);
     now_.twist = select(rated, now_.legs->solver.twist(rates), now_.twist);
-    if (!all(known)) now_.legs.reset();
+    if (!all(known)) [[unlikely]]
+      now_.legs.emplace(sensing.legs,
+                        inverse_kinematics(sensing.legs, now_.pose.position, rotation_matrix(now_.pose.quaternion)));
     lengths_ = select(rated, lengths, lengths_);
     read_at_ = select(known, S(input.now), read_at_);
   }
