@@ -283,10 +283,11 @@ def test_every_law_has_a_search_on_both_scenarios() -> None:
             assert all(key.startswith(f"controller.{law}.") for key in plan.tune.variables)
 
 
-def test_the_file_of_tuned_gains_differs_from_the_packaged_one_in_gains_only() -> None:
-    tuned, packaged = hs.load_scenario(ROOT / "examples" / "real-machine-tuned.yaml"), hs.load_scenario("real-machine")
+@pytest.mark.parametrize("name", ["real-machine", "slow-camera"])
+def test_the_file_of_tuned_gains_differs_from_the_packaged_one_in_gains_only(name: str) -> None:
+    tuned, packaged = hs.load_scenario(ROOT / "examples" / f"{name}-tuned.yaml"), hs.load_scenario(name)
     keys, others = tuned.to_mapping(), packaged.to_mapping()
-    assert keys.pop("name") == "real-machine-tuned"
+    assert keys.pop("name") == f"{name}-tuned"
     others.pop("name")
     gains, hand = keys.pop("controller"), others.pop("controller")
     assert keys == others
