@@ -17,7 +17,7 @@ from hexservo.run.variant import load_kernel
 ROOT = Path(__file__).resolve().parents[2]
 
 # Where a ratio is not what is aimed at, the largest measured with AVX-512 and AVX2.
-MEASURED = {"the same with encoders": 1.21}
+MEASURED = {"the same with encoders": 1.05}
 SLACK = 1.25  # for other machines, and for neighbours
 
 
