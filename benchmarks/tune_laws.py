@@ -49,6 +49,9 @@ RELAXED = {
     ("slow-camera", "hybrid"): {"rms_error": 0.75},
     ("slow-camera", "kelly"): {"rms_error": 0.75},
 }
+# Of a search for `pbvs`: in one frame of some 10 000 its estimate follows the image alone (docs/model.md), too seldom
+# for the runs of a search, and a platform jumps the less the weaker its gains are.
+WEAKER = {"pbvs": {"peak_leg_force": 0.3}}  # [N]
 RESERVE = 0.1  # share of each bound that a search leaves, since it ends at a bound
 WIDER = 1.2  # by which errors and starts of a search are larger: few variations miss what fails in one of a thousand
 SEARCHED = 2.0  # [s], duration of the runs of a search
@@ -98,7 +101,7 @@ def required(scenario: str, law: str) -> list[str]:
 def searched(scenario: str, law: str) -> list[str]:
     """Return the requirements of a search, which leave a share of each bound."""
     bounds = BOUNDS | RELAXED.get((scenario, law), {})
-    return bounded({name: (1 - RESERVE) * bound for name, bound in bounds.items()})
+    return bounded({name: (1 - RESERVE) * bound for name, bound in bounds.items()} | WEAKER.get(law, {}))
 
 
 def bounded(bounds: dict[str, float]) -> list[str]:
