@@ -492,30 +492,6 @@ struct ForwardKinematics {
 inline constexpr double kKinematicsTolerance = 1e-12;  ///< residual of a converged forward kinematics [m]
 inline constexpr int kKinematicsRounds = 30;           ///< Newton rounds from anywhere
 
-/// The same pose with a quaternion of unit length.
-template <class S>
-Pose<S> unit_pose(const Pose<S>& pose) noexcept {
-  using std::sqrt;
-  return {pose.position, Vector4<S>(pose.quaternion * S(S(1.0) / sqrt(S(pose.quaternion.squaredNorm()))))};
-}
-
-/// A pose after a small displacement (m; rad, in B): q <- normalised (1, d_theta/2) (x) q, to second order.
-template <class S>
-Pose<S> stepped(const Pose<S>& pose, const Vector6<S>& d) noexcept {
-  return unit_pose<S>({pose.position + d.template head<3>(),
-                       pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>())});
-}
-
-/// A pose after a period at a twist, to fourth order in the angle.
-template <class S>
-Pose<S> carried(const Pose<S>& pose, const Vector6<S>& twist, const S& period) {
-  Vector6<S> way = period * twist;
-  const Vector3<S> turn = way.template tail<3>();
-  const S tangent = S(1.0) + S(1.0 / 12.0) * turn.squaredNorm();  // of half the angle, over it
-  for (int i = 3; i < 6; ++i) way(i) *= tangent;
-  return stepped(pose, way);
-}
-
 /// What of a Newton step rotary legs follow: it is halved until the cranks close and their angles come nearer.
 template <class S>
 [[gnu::noinline, gnu::cold]] S followed_share(const LegGeometry<S>& geometry, const Pose<S>& pose, const Vector6<S>& d,

@@ -142,6 +142,30 @@ template <class S>
   return Vector4<S>(-dot<S>(half, v), q(0) * half(0) + turn(0), q(0) * half(1) + turn(1), q(0) * half(2) + turn(2));
 }
 
+/// The same pose with a quaternion of unit length.
+template <class S>
+Pose<S> unit_pose(const Pose<S>& pose) noexcept {
+  using std::sqrt;
+  return {pose.position, Vector4<S>(pose.quaternion * S(S(1.0) / sqrt(S(pose.quaternion.squaredNorm()))))};
+}
+
+/// A pose after a small displacement (m; rad, in B): q <- normalised (1, d_theta/2) (x) q, to second order.
+template <class S>
+Pose<S> stepped(const Pose<S>& pose, const Vector6<S>& d) noexcept {
+  return unit_pose<S>({pose.position + d.template head<3>(),
+                       pose.quaternion + quaternion_rate<S>(pose.quaternion, d.template tail<3>())});
+}
+
+/// A pose after a period at a twist, to fourth order in the angle.
+template <class S>
+Pose<S> carried(const Pose<S>& pose, const Vector6<S>& twist, const S& period) {
+  Vector6<S> way = period * twist;
+  const Vector3<S> turn = way.template tail<3>();
+  const S tangent = S(1.0) + S(1.0 / 12.0) * turn.squaredNorm();  // of half the angle, over it
+  for (int i = 3; i < 6; ++i) way(i) *= tangent;
+  return stepped(pose, way);
+}
+
 /// State of a body for the integrator: p_BE (3), quaternion (4), twist (6).
 template <class S>
 using BodyState = Vector<S, 13>;
