@@ -250,7 +250,7 @@ typedef struct hexservo_gains_memory {
  * `uncertainty.latency` are 320 ticks in all; where `camera.latency_known` is false, the first two count as 0.25 s. For
  * more `hexservo_state_size` answers how much. */
 typedef struct hexservo_state_memory {
-  double place[4096];
+  double place[4608];
 } hexservo_state_memory;
 
 /** What the sensors give at a tick; a number that is not known is NaN. */

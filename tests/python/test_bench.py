@@ -315,7 +315,7 @@ sys.exit(run.main())
 def test_a_campaign_is_timed_if_every_metric_is_that_of_the_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     campaign = importlib.import_module("campaign")
-    campaign.main("campaign-paper", "8", "1")
+    campaign.against_a_batch("campaign-paper", 8, 1)
     simulate = hs.simulate_batch
 
     def other(*arguments: Any, **options: Any) -> hs.BatchResult:
@@ -325,7 +325,18 @@ def test_a_campaign_is_timed_if_every_metric_is_that_of_the_batch(monkeypatch: p
 
     monkeypatch.setattr(hs, "simulate_batch", other)
     with pytest.raises(SystemExit, match="chatter: expected that of simulate_batch, bit for bit"):
-        campaign.main("campaign-paper", "8", "1")
+        campaign.against_a_batch("campaign-paper", 8, 1)
+
+
+def test_the_memory_of_a_campaign_is_measured(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    monkeypatch.setattr(sys, "argv", ["campaign.py", "campaign-paper", "--runs", "64", "--memory"])
+    importlib.import_module("campaign").main()
+    printed = capsys.readouterr().out
+    assert "campaign-paper, ten steps each: 64 runs in " in printed
+    assert float(printed.split("at most ")[1].split(" MB")[0]) > 10.0
 
 
 # ---- Tables ---------------------------------------------------------------------------------------------------------

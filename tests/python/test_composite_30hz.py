@@ -135,7 +135,9 @@ def test_the_file_of_the_search_is_for_the_same_loop(scenario: hs.Scenario) -> N
     same = plan.scenario.updated({**gains, **errors_of_both, "description": scenario.description})
     assert same == scenario
     limits = [requirement.bound for requirement in plan.require[1:]]
-    assert all(limit <= LIMITS[name] for limit, name in zip(limits, ("settling", "rms", "force", "stroke"), strict=True))
+    assert all(
+        limit <= LIMITS[name] for limit, name in zip(limits, ("settling", "rms", "force", "stroke"), strict=True)
+    )
     assert plan.tune.over
     bounds = np.array([plan.vary[f"uncertainty.{key}"].box for key in errors])
     magnitudes = np.array([corners.INERTIA, corners.CORIOLIS, corners.GRAVITY, corners.DEPTH])

@@ -341,7 +341,10 @@ def test_a_batch_is_its_single_runs(law: str) -> None:
     for index in range(3):
         single = hs.simulate(scenario.updated({key: values[index] for key, values in variations.items()}))
         for name, value in hs.metrics(single).items():
-            np.testing.assert_allclose(batch.metrics[name][index], value, rtol=1e-9, atol=1e-12, err_msg=name)
+            # A rounding of a leg's length of 0.2 m, over 1 ms and 0.1 m, is 2e-13 rad/s; a second-order drive passes on
+            # some tens of them.
+            atol = 1e-11 if name.endswith("speed") else 1e-12
+            np.testing.assert_allclose(batch.metrics[name][index], value, rtol=1e-9, atol=atol, err_msg=name)
 
 
 @pytest.mark.parametrize(

@@ -203,7 +203,7 @@ struct Perceived {
   Mask<S> whole;      ///< the newest frame shows every point
   Mask<S> lost;       ///< it does not, and no image may stand for it
   Mask<S> usable;     ///< clock and frame of this tick and the image to be used are numbers to act on
-  /// At `pose`, where the forward kinematics of the newest reading has them: no more than that pose tells.
+  /// At `pose`, where the forward kinematics of the newest reading has them: nothing that this pose does not give.
   std::optional<SolvedLegs<S>> legs;
   Mask<S> ready() const noexcept { return complete & fresh & (!lost) & usable & joints; }
 };
