@@ -3,8 +3,8 @@
 /// (docs/model.md, section 5).
 #pragma once
 
-#include "hexservo/laws/pose_error.hpp"
 #include "hexservo/laws/law_without_fuzzy.hpp"
+#include "hexservo/laws/pose_error.hpp"
 
 namespace hexservo {
 

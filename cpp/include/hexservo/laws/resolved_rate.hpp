@@ -4,8 +4,8 @@
 #pragma once
 
 #include "hexservo/elementary.hpp"
-#include "hexservo/laws/pose_error.hpp"
 #include "hexservo/laws/law_without_fuzzy.hpp"
+#include "hexservo/laws/pose_error.hpp"
 
 namespace hexservo {
 

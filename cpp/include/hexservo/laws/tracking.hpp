@@ -4,8 +4,8 @@
 /// exposure, which no other law asks for.
 #pragma once
 
-#include "hexservo/laws/pose_error.hpp"
 #include "hexservo/laws/law_without_fuzzy.hpp"
+#include "hexservo/laws/pose_error.hpp"
 
 namespace hexservo {
 
