@@ -523,7 +523,6 @@ inline constexpr double kSmallNewtonStep = 1e-5;
 template <class S>
 void solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const S& rounds,
                 ForwardKinematics<S>& result, const NewtonMatrix<S>* there = nullptr) {
-  using std::abs;
   using std::sqrt;
   constexpr double kMaxRotation = 0.5;  // [rad] a round
   const LegVector<S> goal(lengths);
@@ -559,9 +558,7 @@ void solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const
       d *= select(too_large, S(S(1.0) / sqrt(squared_size)), S(1.0));
     if (geometry.rotary) [[unlikely]]
       d *= followed_share(geometry, result.pose, d, lengths);
-    const Pose<S> next = stepped(result.pose, d);
-    result.pose.position = select(moves, next.position, result.pose.position);
-    result.pose.quaternion = select(moves, next.quaternion, result.pose.quaternion);
+    result.pose = select_pose(moves, stepped(result.pose, d), result.pose);
     result.legs = inverse_kinematics(geometry, result.pose.position, rotation_matrix(result.pose.quaternion));
     measure();
     moves = moves & !((squared_size <= S(kLastNewtonStep * kLastNewtonStep)) &

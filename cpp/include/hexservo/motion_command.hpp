@@ -154,8 +154,7 @@ template <class S, int N>
   Vector6<S> twist = select(limited, solver.twist(feasible), wanted);
   const Pose<S> as_legs_can = carried(motion.pose, twist, S(gains.period));
   const Mask<S> as_it_moves = out.acts & (!limited) & Mask<S>(!law.massless);
-  pose.position = select(as_it_moves, pose.position, as_legs_can.position);
-  pose.quaternion = select(as_it_moves, pose.quaternion, as_legs_can.quaternion);
+  pose = select_pose(as_it_moves, pose, as_legs_can);
 
   const Vector6<S> target =
       inverse_kinematics(gains.legs, pose.position, rotation_matrix(pose.quaternion)).lengths.vector();
@@ -167,8 +166,7 @@ template <class S, int N>
   out.leg_forces = solver.leg_forces(out.wrench);
   motion.twist = twist;
   motion.legs = select(reachable, target, motion.legs);
-  motion.pose.position = select(reachable, pose.position, motion.pose.position);
-  motion.pose.quaternion = select(reachable, pose.quaternion, motion.pose.quaternion);
+  motion.pose = select_pose(reachable, pose, motion.pose);
 }
 
 }  // namespace hexservo

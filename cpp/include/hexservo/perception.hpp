@@ -92,8 +92,7 @@ ForwardKinematics<S> track_pose(const LegGeometry<S>& geometry, const Vector6<S>
   const auto [moved_distance, start_distance] = dots(from_moved, from_moved, from_start, from_start);  // squared
   const Mask<S> nearer = moved_distance < start_distance;
   if (!all(nearer)) {
-    found.pose.position = select(nearer, found.pose.position, pose.position);
-    found.pose.quaternion = select(nearer, found.pose.quaternion, pose.quaternion);
+    found.pose = select_pose(nearer, found.pose, pose);
     found.legs = select(nearer, found.legs, start);
   }
   solve_pose(geometry, lengths, rounds, found, there && !any(nearer) ? &there->solver : nullptr);
@@ -118,8 +117,7 @@ class PoseHistory {
     if (all(active) || count_ == 0) {
       entry.pose = pose;
     } else {
-      entry.pose.position = select(active, pose.position, entries_[last].pose.position);
-      entry.pose.quaternion = select(active, pose.quaternion, entries_[last].pose.quaternion);
+      entry.pose = select_pose(active, pose, entries_[last].pose);
     }
     if (!replaces) ++count_;
   }
@@ -135,8 +133,7 @@ class PoseHistory {
       S one(0.0);
       set_lane(one, lane, 1.0);
       const Mask<S> here = one > S(0.5);
-      pose.position = select(here, found.position, pose.position);
-      pose.quaternion = select(here, found.quaternion, pose.quaternion);
+      pose = select_pose(here, found, pose);
     }
     return pose;
   }
@@ -307,8 +304,7 @@ class Perception {
         track_pose(sensing.legs, lengths, now_.pose, now_.twist, now_.legs, elapsed, rounds);
     const Mask<S> known = reads & found.converged & now_.usable;  // without a clock there is no rate
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
-    now_.pose.position = select(known, found.pose.position, now_.pose.position);
-    now_.pose.quaternion = select(known, found.pose.quaternion, now_.pose.quaternion);
+    now_.pose = select_pose(known, found.pose, now_.pose);
 
     Vector6<S> rates = input.joints.rates;
     Mask<S> rated = known;

@@ -142,6 +142,12 @@ template <class S>
   return Vector4<S>(-dot<S>(half, v), q(0) * half(0) + turn(0), q(0) * half(1) + turn(1), q(0) * half(2) + turn(2));
 }
 
+/// One of two poses in each lane.
+template <class S>
+Pose<S> select_pose(const Mask<S>& where, const Pose<S>& yes, const Pose<S>& no) {
+  return {select(where, yes.position, no.position), select(where, yes.quaternion, no.quaternion)};
+}
+
 /// The same pose with a quaternion of unit length.
 template <class S>
 Pose<S> unit_pose(const Pose<S>& pose) noexcept {

@@ -87,8 +87,7 @@ template <class S, int N>
   const Perceived<S, N>& seen = state.perception.now();
   const Mask<S> known = seen.joints & (!out.singular);
   const Mask<S> begins = known & (!out.acts) & (!state.braking);
-  state.stop_pose.position = select(begins, seen.pose.position, state.stop_pose.position);
-  state.stop_pose.quaternion = select(begins, seen.pose.quaternion, state.stop_pose.quaternion);
+  state.stop_pose = select_pose(begins, seen.pose, state.stop_pose);
   state.braking = (!out.acts) & (known | state.braking);
   const Vector6<S> weight = gravity_wrench(gains.body, seen.R_BE);
   const Vector6<S> brake = weight - gains.safe.damping.cwiseProduct(seen.twist) +
@@ -104,8 +103,7 @@ template <class S, int N>
   out.wrench = select(out.acts, wrench, select(brakes, brake, rest));
   out.leg_forces = select(out.acts, out.leg_forces, select(brakes, brake_forces, rest_forces));
   const Mask<S> here = out.acts | brakes;
-  state.last_pose.position = select(here, seen.pose.position, state.last_pose.position);
-  state.last_pose.quaternion = select(here, seen.pose.quaternion, state.last_pose.quaternion);
+  state.last_pose = select_pose(here, seen.pose, state.last_pose);
 }
 
 /// The law's wrench where it may act, and the safe one elsewhere, with legs and solver at the pose of the joint

@@ -118,8 +118,7 @@ struct PoseFit {
 
   /// Takes over another fit in the lanes of `where`.
   void replace(const Mask<S>& where, const PoseFit& other) {
-    pose.position = select(where, other.pose.position, pose.position);
-    pose.quaternion = select(where, other.pose.quaternion, pose.quaternion);
+    pose = select_pose(where, other.pose, pose);
     R_BE = select(where, other.R_BE, R_BE);
     features = select(where, other.features, features);
     inverse_depth = select(where, other.inverse_depth, inverse_depth);
@@ -565,10 +564,8 @@ struct PoseMemory {
   }
 
   void replace(const Mask<S>& where, const PoseMemory& other) {
-    rough.position = select(where, other.rough.position, rough.position);
-    rough.quaternion = select(where, other.rough.quaternion, rough.quaternion);
-    found.position = select(where, other.found.position, found.position);
-    found.quaternion = select(where, other.found.quaternion, found.quaternion);
+    rough = select_pose(where, other.rough, rough);
+    found = select_pose(where, other.found, found);
   }
 };
 
@@ -675,8 +672,7 @@ SettledFit<S, N> settle_pose(const CameraView<S>& camera, const Vectors3<S, N>& 
     going = going & !failed & (length < S(kFar));
     const Mask<S> last = going & (length < S(kLast));
     const Pose<S> next = stepped<S>(fit.pose, d);
-    out.pose.position = select(going, next.position, out.pose.position);
-    out.pose.quaternion = select(going, next.quaternion, out.pose.quaternion);
+    out.pose = select_pose(going, next, out.pose);
     out.settled = out.settled | last;
     going = going & !last;
     if (!any(going)) break;

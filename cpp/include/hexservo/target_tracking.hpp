@@ -152,11 +152,6 @@ Vector4<S> quaternion_product(const Vector4<S>& a, const Vector4<S>& b) {
   return out;
 }
 
-template <class S>
-Pose<S> select_pose(const Mask<S>& where, const Pose<S>& yes, const Pose<S>& no) {
-  return {select(where, yes.position, no.position), select(where, yes.quaternion, no.quaternion)};
-}
-
 /// chi o chi-hat^-1 o goal: where the platform sees the target as from `goal` if it sees it as from `view` at `at`.
 template <class S>
 Pose<S> pose_to_follow(const Pose<S>& at, const Pose<S>& view, const Pose<S>& goal) {

@@ -72,7 +72,8 @@ def ranking(violations: Array, values: Array) -> NDArray[np.intp]:
         (n, r), which are summed, and (n,); a value of NaN comes after all others.
     """
     violation = violations.sum(axis=1)
-    return np.lexsort((np.where(violation > 0, violation, np.nan_to_num(values, nan=np.inf)), violation > 0))
+    violated = violation != 0.0
+    return np.lexsort((np.where(violated, violation, np.nan_to_num(values, nan=np.inf)), violated))
 
 
 class Candidates:
