@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -157,9 +158,17 @@ class Candidates:
 
     def judged(self, places: Array) -> Judged:
         """Return the worst of candidates, (n, dimension), over the variations."""
-        found = self._judged(self.gains_of(places), self.numbers, len(places))
+        with ThreadPoolExecutor(1, "loop") as beside:  # the batch leaves this thread's interpreter to it
+            loop: list[Future[Array]] = []
+
+            def simulating() -> None:
+                if self.asked.subject_to:
+                    loop.append(beside.submit(self._loop_values, places))
+
+            found = self._judged(self.gains_of(places), self.numbers, len(places), simulating)
+            if self.asked.subject_to:
+                distances = self._loop_distances(places, loop)
         if self.asked.subject_to:
-            distances = self._loop_distances(places)
             margins = np.nan_to_num(distances, nan=-1.0)
             found = Judged(
                 np.concatenate([found.margins, margins], axis=1),
@@ -178,27 +187,46 @@ class Candidates:
         scenario = self.plan.scenario.updated(self.gains(place))
         return [LOOP_NUMBERS[one.name][1](scenario) for one in self.asked.subject_to]
 
-    def _loop_distances(self, places: Array) -> Array:
+    def _loop_values(self, places: Array) -> Array:
+        return np.array([self.loop_numbers(place) for place in places])
+
+    def _loop_distances(self, places: Array, begun: Sequence[Future[Array]]) -> Array:
         """Return the margins of what is required of the loop, (n, s); NaN for a number that has no value."""
 
         def compute() -> dict[str, Array]:
-            return {"values": np.array([self.loop_numbers(place) for place in places])}
+            return {"values": begun[0].result() if begun else self._loop_values(places)}
 
         values = self.steps.take({"places": places}, compute)["values"]
         margins = [one.margin(column) for one, column in zip(self.asked.subject_to, values.T, strict=True)]
         return np.stack(margins, axis=1)
 
-    def _judged(self, gains: Mapping[str, Array], numbers: Mapping[str, NDArray[Any]], count: int) -> Judged:
+    def _judged(
+        self,
+        gains: Mapping[str, Array],
+        numbers: Mapping[str, NDArray[Any]],
+        count: int,
+        simulating: Callable[[], object],
+    ) -> Judged:
         """Run every candidate on every variation, in one batch."""
         size = len(next(iter(numbers.values())))
         drawn = {key: np.tile(values, (count, *[1] * (values.ndim - 1))) for key, values in numbers.items()}
         repeated = {key: np.repeat(values, size, axis=0) for key, values in gains.items()}
-        return self._step(drawn, repeated, (count, size))
+        return self._step(drawn, repeated, (count, size), simulating)
 
-    def _step(self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, Array], shape: tuple[int, int]) -> Judged:
-        """Run a batch of (candidates, variations), or take it from what is kept."""
+    def _step(
+        self,
+        numbers: Mapping[str, NDArray[Any]],
+        gains: Mapping[str, Array],
+        shape: tuple[int, int],
+        simulating: Callable[[], object] = lambda: None,
+    ) -> Judged:
+        """Run a batch of (candidates, variations), or take it from what is kept.
+
+        `simulating` is called before it runs, and not where it is kept.
+        """
 
         def compute() -> dict[str, Array]:
+            simulating()
             margins, batch = self.judge.judged(numbers, gains)
             metrics = [batch.metrics[name].reshape(shape).max(axis=1) for name in self.asked.minimise]  # NaN stays NaN
             values = np.stack(metrics, axis=1) if metrics else np.empty((shape[0], 0))
