@@ -369,15 +369,15 @@ template <class S>
 }
 
 /// Inverse kinematics: s_i = x_p + R p_i - b_i (docs/model.md, section 2).
+/// @param[out] legs in place, since legs of a pack are 42 registers
 template <class S>
-LegsSideBySide<S> inverse_kinematics(const LegGeometry<S>& geometry, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
+void inverse_kinematics(const LegGeometry<S>& geometry, const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
+                        LegsSideBySide<S>& legs) {
   using std::sqrt;
   using R = typename LegVector<S>::Register;
-  LegsSideBySide<S> legs;
   if (geometry.rotary) [[unlikely]] {
-    const LegsSideBySide<S> rotary = rotary_inverse_kinematics(geometry, p_BE, R_BE);
-    legs = rotary;
-    return legs;
+    legs = rotary_inverse_kinematics(geometry, p_BE, R_BE);
+    return;
   }
   const Vector3<R> position = broadcast<R>(p_BE);
   const Matrix3<R> attitude = broadcast<R>(R_BE);
@@ -390,6 +390,11 @@ LegsSideBySide<S> inverse_kinematics(const LegGeometry<S>& geometry, const Vecto
     legs.directions_B.set_part(r, Vector3<R>(x * inverse_length, y * inverse_length, z * inverse_length));
     legs.arms_B.set_part(r, arm);
   }
+}
+template <class S>
+LegsSideBySide<S> inverse_kinematics(const LegGeometry<S>& geometry, const Vector3<S>& p_BE, const Matrix3<S>& R_BE) {
+  LegsSideBySide<S> legs;
+  inverse_kinematics(geometry, p_BE, R_BE, legs);
   return legs;
 }
 template <class S>
@@ -468,12 +473,27 @@ class NewtonMatrix : public WrenchMapSolver<S> {
   [[gnu::noinline]] Vector6<S> step(const LegVector<S>& left) const { return this->displacement(left); }
 };
 
+/// Legs at a pose of a unit quaternion: one piece of code too, for who keeps them and who computes them again.
+template <class S>
+[[gnu::noinline]] void place_legs(const LegGeometry<S>& geometry, const Pose<S>& pose, LegsSideBySide<S>& legs) {
+  inverse_kinematics(geometry, pose.position, rotation_matrix(pose.quaternion), legs);
+}
+
 /// Legs at a pose, and the solver there.
 template <class S>
 struct SolvedLegs {
   SolvedLegs(const LegGeometry<S>& geometry, const LegsSideBySide<S>& there) : legs(there), solver(geometry, legs) {}
+  SolvedLegs(const LegGeometry<S>& geometry, const Pose<S>& pose)
+      : legs(placed(geometry, pose)), solver(geometry, legs) {}
   LegsSideBySide<S> legs;
   NewtonMatrix<S> solver;
+
+ private:
+  static LegsSideBySide<S> placed(const LegGeometry<S>& geometry, const Pose<S>& pose) {
+    LegsSideBySide<S> legs;
+    place_legs(geometry, pose, legs);
+    return legs;
+  }
 };
 
 /// How forward kinematics ended.
@@ -508,64 +528,119 @@ template <class S>
   return share;
 }
 
+inline constexpr double kLargestTurn = 0.5;  ///< of a Newton step [rad]
 /// Size of a Newton step, over r_p or 0.5 rad, whose square is below rounding: the last one.
 inline constexpr double kLastNewtonStep = 1e-8;
-/// Size of one whose third power is: the step that follows needs no new matrix, which differs by as much.
+/// Size of one whose third power is: with what the lengths are curved along it, the last one too.
 inline constexpr double kSmallNewtonStep = 1e-5;
+/// Size of one whose fourth power is.
+inline constexpr double kCloseBy = 1e-4;
+inline constexpr double kRoundingOfLengths = 0.01 * kKinematicsTolerance;  ///< residual of a last step [m]
+
+/// What of the lengths of prismatic legs is of second order in a displacement (m; rad, in B) [m].
+///
+/// With m = v + w x a the way of a joint, l + c.m + (|m|^2 - (c.m)^2)/(2 l) + c.(w x (w x a))/2 is the length.
+template <class S>
+LegVector<S> curvature(const LegsSideBySide<S>& legs, const Vector6<S>& d) {
+  using R = typename LegVector<S>::Register;
+  const Vector3<R> shift = broadcast<R>(Vector3<S>(d.template head<3>()));
+  const Vector3<R> turn = broadcast<R>(Vector3<S>(d.template tail<3>()));
+  LegVector<S> change;
+  for (std::size_t r = 0; r < LegVector<S>::registers; ++r) {
+    const Vector3<R> c = legs.directions_B.part(r), across = cross<R>(turn, legs.arms_B.part(r)), way = shift + across;
+    const R along = dot<R>(c, way);
+    change.part[r] =
+        R(0.5) * ((dot<R>(way, way) - along * along) / legs.lengths.part[r] + dot<R>(c, cross<R>(turn, across)));
+  }
+  return change;
+}
+
+/// Square of the size of a Newton step, over r_p or 0.5 rad.
+template <class S>
+S squared_step_size(const LegGeometry<S>& geometry, const Vector6<S>& d) {
+  return max(S(d.template head<3>().squaredNorm() * (geometry.inverse_radius * geometry.inverse_radius)),
+             S(d.template tail<3>().squaredNorm() * S(1.0 / (kLargestTurn * kLargestTurn))));
+}
+
+/// Newton's step d on, by what the lengths of prismatic legs are curved along it (Chebyshev's method).
+template <class S>
+[[gnu::noinline]] Vector6<S> curved_step(const NewtonMatrix<S>& matrix, const LegsSideBySide<S>& legs,
+                                         const Vector6<S>& d) {
+  return d - matrix.step(curvature(legs, d));
+}
+
+/// Goes to a pose, and measures there.
+template <class S>
+void go_to(const LegGeometry<S>& geometry, const LegVector<S>& goal, const Pose<S>& pose,
+           ForwardKinematics<S>& result) {
+  result.pose = pose;
+  place_legs(geometry, pose, result.legs);
+  result.residual = largest_abs((goal - result.legs.lengths).vector());
+}
 
 /// Newton's method on l(pose) = lengths; steps are limited to r_p and 0.5 rad.
 ///
-/// Each lane ends at its last step, whatever its neighbours do: one whose square is below rounding, as long as the
-/// lengths are met too. Cranks close to a dead point need more. After a small step the next one has the same matrix.
+/// Each lane ends at its last step, whatever its neighbours do: one whose square is below rounding, or of prismatic
+/// legs, which follow the curvature too, one whose third power is; as long as the lengths are met. Cranks close to a
+/// dead point need more.
 /// @param rounds Newton rounds >= 0 at most, of which a fraction counts as one
-/// @param result pose of a unit quaternion, and legs there, to start from
-/// @param there the solver at that pose, where it is known
+/// @param result pose of a unit quaternion to start from, with legs and residual there
 template <class S>
 void solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const S& rounds,
-                ForwardKinematics<S>& result, const NewtonMatrix<S>* there = nullptr) {
+                ForwardKinematics<S>& result) {
   using std::sqrt;
-  constexpr double kMaxRotation = 0.5;  // [rad] a round
   const LegVector<S> goal(lengths);
-  LegVector<S> left;
-  const auto measure = [&] {
-    left = goal - result.legs.lengths;
-    result.residual = largest_abs(left.vector());
-  };
   result.singular = Mask<S>(false);
-  measure();
-  std::optional<NewtonMatrix<S>> own;
-  const NewtonMatrix<S>* matrix = there;
-  Mask<S> moves(true), keeps(false);  // which lanes go on, and which of them with the matrix of the round before
+  Mask<S> moves(true);  // which lanes go on
   for (int round = 0;; ++round) {
     moves = moves & (S(static_cast<double>(round)) < rounds);
     if (!any(moves)) break;
-    Vector6<S> d;
-    if (!any(moves & !keeps)) {
-      d = matrix->step(left);
-    } else {
-      if (any(keeps)) d = matrix->step(left);
-      if (round > 0 || matrix == nullptr) matrix = &own.emplace(geometry, result.legs);
-      const Vector6<S> fresh = matrix->step(left);
-      d = any(keeps) ? select(keeps, d, fresh) : fresh;
-      result.singular = result.singular | (moves & (!keeps) & matrix->failed());
-      moves = moves & !result.singular;
-    }
-    const S squared_size =
-        max(S(d.template head<3>().squaredNorm() * (geometry.inverse_radius * geometry.inverse_radius)),
-            S(d.template tail<3>().squaredNorm() * S(1.0 / (kMaxRotation * kMaxRotation))));
+    const NewtonMatrix<S> matrix(geometry, result.legs);
+    Vector6<S> d = matrix.step(goal - result.legs.lengths);
+    result.singular = result.singular | (moves & matrix.failed());
+    moves = moves & !result.singular;
+    const S squared_size = squared_step_size(geometry, d);
     const Mask<S> too_large = squared_size > S(1.0);
     if (any(too_large)) [[unlikely]]
       d *= select(too_large, S(S(1.0) / sqrt(squared_size)), S(1.0));
-    if (geometry.rotary) [[unlikely]]
+    Mask<S> last = squared_size <= S(kLastNewtonStep * kLastNewtonStep);
+    if (geometry.rotary) [[unlikely]] {
       d *= followed_share(geometry, result.pose, d, lengths);
-    result.pose = select_pose(moves, stepped(result.pose, d), result.pose);
-    result.legs = inverse_kinematics(geometry, result.pose.position, rotation_matrix(result.pose.quaternion));
-    measure();
-    moves = moves & !((squared_size <= S(kLastNewtonStep * kLastNewtonStep)) &
-                      (result.residual <= S(0.01 * kKinematicsTolerance)));
-    keeps = moves & (!keeps) & (squared_size <= S(kSmallNewtonStep * kSmallNewtonStep)) & Mask<S>(!geometry.rotary);
+    } else {
+      const Mask<S> small = squared_size <= S(kSmallNewtonStep * kSmallNewtonStep);
+      if (any(moves & small & !last)) d = select(small & !last, curved_step(matrix, result.legs, d), d);
+      last = small;
+    }
+    go_to(geometry, goal, select_pose(moves, stepped(result.pose, d), result.pose), result);
+    moves = moves & !(last & (result.residual <= S(kRoundingOfLengths)));
   }
   result.converged = (result.residual <= S(kKinematicsTolerance)) & !result.singular;
+}
+
+/// Forward kinematics of prismatic legs close to a pose whose solver is known, which serves all steps.
+///
+/// Three steps: Newton's with what the lengths are curved along it, and where that does not do another one, whose error
+/// is the fourth power of the first one's size.
+/// @param[out] result where it is found
+/// @return which lanes are found, whatever their neighbours are
+template <class S>
+Mask<S> pose_close_by(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& start,
+                      const SolvedLegs<S>& there, ForwardKinematics<S>& result) {
+  if (geometry.rotary) return Mask<S>(false);
+  const LegVector<S> goal(lengths);
+  const Vector6<S> d = there.solver.step(goal - there.legs.lengths);
+  const Mask<S> close = (squared_step_size(geometry, d) <= S(kCloseBy * kCloseBy)) & !there.solver.failed();
+  if (!any(close)) return close;
+  go_to(geometry, goal, stepped(start, curved_step(there.solver, there.legs, d)), result);
+  const Mask<S> done = result.residual <= S(kRoundingOfLengths);
+  if (any(close & !done)) {
+    const Vector6<S> rest = there.solver.step(goal - result.legs.lengths);
+    go_to(geometry, goal, select_pose(done, result.pose, stepped(result.pose, rest)), result);
+  }
+  const Mask<S> found = close & (result.residual <= S(kRoundingOfLengths));
+  result.converged = found;
+  result.singular = Mask<S>(false);
+  return found;
 }
 
 /// Forward kinematics by Newton's method from a start pose.
@@ -577,8 +652,7 @@ template <class S>
 ForwardKinematics<S> forward_kinematics(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& start,
                                         int rounds = kKinematicsRounds) {
   ForwardKinematics<S> from;
-  from.pose = unit_pose(start);
-  from.legs = inverse_kinematics(geometry, from.pose.position, rotation_matrix(from.pose.quaternion));
+  go_to(geometry, LegVector<S>(lengths), unit_pose(start), from);
   solve_pose(geometry, lengths, S(static_cast<double>(rounds)), from);
   return from;
 }

@@ -68,35 +68,35 @@ S encoder_rounds(const S& period) noexcept {
 
 /// Forward kinematics of a reading, from what was known at the reading before.
 ///
-/// Newton's method starts at the pose before, or at that pose moved on with the twist before, whichever has lengths
-/// that are nearer to the reading: what the platform may do within a period is then limited by the change of its twist.
+/// Where the reading is not close by, Newton's method starts at the pose before, or at that pose moved on with the
+/// twist before, whichever has lengths that are nearer to the reading: what the platform may do within a period is then
+/// limited by the change of its twist.
 /// @param lengths of the legs, as read [m]
 /// @param pose, twist at the reading before, in B [m/s; rad/s]; a twist that is not finite is not used
-/// @param there legs and solver at that pose, where they are known
+/// @param there legs and solver at that pose
 /// @param period time between the two readings [s]
 /// @param rounds of Newton's method
+/// @param[out] found
 template <class S>
-ForwardKinematics<S> track_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& pose,
-                                const Vector6<S>& twist, const std::optional<SolvedLegs<S>>& there, const S& period,
-                                const S& rounds) noexcept {
-  const auto legs_at = [&](const Pose<S>& at) {
-    return inverse_kinematics(geometry, at.position, rotation_matrix(at.quaternion));
-  };
-  ForwardKinematics<S> found;
-  found.pose = carried(pose, twist, period);
-  found.legs = legs_at(found.pose);
-  std::optional<LegsSideBySide<S>> computed;
-  const LegsSideBySide<S>& start = there ? there->legs : computed.emplace(legs_at(pose));
+void track_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const Pose<S>& pose, const Vector6<S>& twist,
+                const SolvedLegs<S>& there, const S& period, const S& rounds, ForwardKinematics<S>& found) noexcept {
+  const Mask<S> close = pose_close_by(geometry, lengths, pose, there, found);
+  if (all(close)) return;
   const LegVector<S> goal(lengths);
-  const LegVector<S> from_moved = (goal - found.legs.lengths).padded(), from_start = (goal - start.lengths).padded();
+  const bool mixed = any(close);
+  ForwardKinematics<S> beside;
+  ForwardKinematics<S>& far = mixed ? beside : found;
+  go_to(geometry, goal, carried(pose, twist, period), far);
+  const LegVector<S> from_moved = (goal - far.legs.lengths).padded(), from_start = (goal - there.legs.lengths).padded();
   const auto [moved_distance, start_distance] = dots(from_moved, from_moved, from_start, from_start);  // squared
   const Mask<S> nearer = moved_distance < start_distance;
-  if (!all(nearer)) {
-    found.pose = select_pose(nearer, found.pose, pose);
-    found.legs = select(nearer, found.legs, start);
+  if (!all(nearer)) go_to(geometry, goal, select_pose(nearer, far.pose, pose), far);
+  solve_pose(geometry, lengths, rounds, far);
+  if (mixed) {
+    found.pose = select_pose(close, found.pose, far.pose);
+    found.legs = select(close, found.legs, far.legs);
+    found.converged = close | far.converged;
   }
-  solve_pose(geometry, lengths, rounds, found, there && !any(nearer) ? &there->solver : nullptr);
-  return found;
 }
 
 /// Poses of the last ticks; memory is taken once, at construction.
@@ -300,8 +300,9 @@ class Perception {
     const S elapsed = select(first, S(0.0), S((S(input.now) - read_at_) * S(sensing.period)));
     // A platform may start anywhere; after that it moves.
     const S rounds = select(first, S(static_cast<double>(kKinematicsRounds)), encoder_rounds(elapsed));
-    const ForwardKinematics<S> found =
-        track_pose(sensing.legs, lengths, now_.pose, now_.twist, now_.legs, elapsed, rounds);
+    if (!now_.legs) now_.legs.emplace(sensing.legs, now_.pose);
+    ForwardKinematics<S> found;
+    track_pose(sensing.legs, lengths, now_.pose, now_.twist, *now_.legs, elapsed, rounds, found);
     const Mask<S> known = reads & found.converged & now_.usable;  // without a clock there is no rate
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
     now_.pose = select_pose(known, found.pose, now_.pose);
@@ -315,8 +316,7 @@ class Perception {
     now_.legs.emplace(sensing.legs, found.legs);
     now_.twist = select(rated, now_.legs->solver.twist(rates), now_.twist);
     if (!all(known)) [[unlikely]]
-      now_.legs.emplace(sensing.legs,
-                        inverse_kinematics(sensing.legs, now_.pose.position, rotation_matrix(now_.pose.quaternion)));
+      now_.legs.emplace(sensing.legs, now_.pose);
     lengths_ = select(rated, lengths, lengths_);
     read_at_ = select(known, S(input.now), read_at_);
   }

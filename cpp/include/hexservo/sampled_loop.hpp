@@ -257,7 +257,7 @@ class SampledPlant {
   void read_sensors() noexcept {
     sensed_.now = static_cast<double>(ticks_);
     if (encoders_) {
-      legs_ = inverse_kinematics(leg_geometry_, position_of(state_.body), state_.view.R_BE);
+      inverse_kinematics(leg_geometry_, position_of(state_.body), state_.view.R_BE, legs_);
       sensed_.joints = encoders_->read(ticks_, legs_, twist_of(state_.body));
     } else {
       sensed_.pose = {position_of(state_.body), quaternion_of(state_.body)};
