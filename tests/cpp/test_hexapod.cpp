@@ -1,5 +1,6 @@
 // Leg geometry, kinematics both ways, wrench map, limits of what is accepted.
 #include "hexservo/hexapod.hpp"
+#include "hexservo/perception.hpp"
 
 #include "compare.hpp"
 #include "random.hpp"
@@ -294,6 +295,115 @@ TEST_CASE("the last Newton step is the one whose square is below rounding: two f
       CHECK(twice.converged);
       CHECK(all.pose.position == twice.pose.position);
       CHECK(all.pose.quaternion == twice.pose.quaternion);
+    }
+  }
+}
+
+TEST_CASE("curvature is the second order of the leg lengths: what it leaves falls by eight where the step is halved") {
+  Random random(7412);
+  CAPTURE(random.seed());
+  for_each_preset([&](const RobotParameters&, const Hexapod<double>& hexapod) {
+    const LegGeometry<double> geometry(hexapod);
+    for (int trial = 0; trial < 50; ++trial) {
+      const Pose<double> pose = pose_within_stroke(hexapod, random);
+      const LegsSideBySide<double> legs = legs_at(hexapod, pose).side_by_side();
+      const Vector6<double> d = random.six(0.02 * hexapod.platform_radius, 0.02);
+      const auto left = [&](const Vector6<double>& step) {
+        const Legs<double> there = legs_at(hexapod, stepped(pose, step));
+        const Legs<double> here = Legs<double>::of(legs);
+        return (there.lengths - here.lengths - here.rates(step) - curvature(legs, step).vector()).norm();
+      };
+      const double whole = left(d), half = left(0.5 * d);
+      CHECK(whole <= 0.2 * curvature(legs, d).vector().norm());  // a joint's way over a leg is 0.06 at most
+      CHECK(whole / half == doctest::Approx(8.0).epsilon(0.25));
+    }
+  });
+}
+
+TEST_CASE("a pose close by is found with the solver of the one before, to rounding, and not where it is not close by") {
+  Random random(7413);
+  CAPTURE(random.seed());
+  for_each_preset([&](const RobotParameters&, const Hexapod<double>& hexapod) {
+    const LegGeometry<double> geometry(hexapod);
+    for (const double size : {0.0, 1e-9, 1e-7, 1e-5, 5e-5, 1e-3, 0.1}) {
+      CAPTURE(size);
+      for (int trial = 0; trial < 100; ++trial) {
+        const Pose<double> start = pose_within_stroke(hexapod, random);
+        // The turn counts half, and a size is that of the larger part: between 0.1 and sqrt(3) times `size`.
+        Vector6<double> d = random.six(size * hexapod.platform_radius, 0.5 * size);
+        d(0) = size * hexapod.platform_radius;
+        const Pose<double> pose = stepped(start, d);
+        const SolvedLegs<double> there(geometry, start);
+        ForwardKinematics<double> found;
+        const bool is_found = pose_close_by(geometry, legs_at(hexapod, pose).lengths, start, there, found);
+        CHECK(is_found == (size < kCloseBy));
+        if (!is_found) continue;
+        CHECK(found.converged);
+        CHECK(found.residual <= kRoundingOfLengths);
+        // A residual of 1e-14 m in each leg, over sigma_min > 0.5, and the rounding of lengths of 0.2 m.
+        CHECK(distance(found.pose.position, pose.position) <= 1e-13);
+        CHECK(angle_between(found.pose, pose) <= 1e-13 / hexapod.platform_radius);
+        CHECK(distance(Legs<double>::of(found.legs).lengths, legs_at(hexapod, found.pose).lengths) <=
+              kRoundingOfLengths);
+      }
+    }
+    const Pose<double> home = home_of(hexapod);
+    const SolvedLegs<double> there(geometry, home);
+    ForwardKinematics<double> found;
+    for (const double bad : {kNaN, kInfinity}) {
+      Vector6<double> lengths = hexapod.home_lengths;
+      lengths(2) = bad;
+      CHECK_FALSE(pose_close_by(geometry, lengths, home, there, found));
+    }
+  });
+  const Hexapod<double> micro = make_hexapod(robot_preset("micro"));
+  const Pose<double> flat{Vector3<double>(0.01, 0.0, 0.0), Pose<double>{}.quaternion};
+  const SolvedLegs<double> singular(LegGeometry<double>(micro), flat);
+  ForwardKinematics<double> found;
+  CHECK_FALSE(pose_close_by(LegGeometry<double>(micro), legs_at(micro, flat).lengths, flat, singular, found));
+}
+
+TEST_CASE("lanes of readings close by and far away are tracked as if they were alone") {
+  Random random(7414);
+  CAPTURE(random.seed());
+  using S = Lanes<4>;
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  Hexapod<S> pack;
+  for (int lane = 0; lane < 4; ++lane) set_lane(pack, lane, hexapod);
+  const LegGeometry<S> geometry(pack);
+  for (int trial = 0; trial < 50; ++trial) {
+    const std::array<double, 4> sizes = {1e-8, 1e-2, 3e-5, 0.0};
+    std::array<Vector6<S>, 5> lengths, twist;  // all lanes, and each one alone
+    std::array<Pose<S>, 5> start;
+    for (int lane = 0; lane < 4; ++lane) {
+      const Pose<double> from = pose_within_stroke(hexapod, random);
+      const Vector6<double> d = random.six(sizes[static_cast<std::size_t>(lane)] * hexapod.platform_radius,
+                                           sizes[static_cast<std::size_t>(lane)]);
+      const Vector6<double> there = legs_at(hexapod, stepped(from, d)).lengths;
+      const Vector6<double> rate = 1e3 * d + random.six(1e-3, 1e-2);
+      const auto put = [&](std::size_t set, int place) {
+        set_lane(lengths[set], place, there);
+        set_lane(twist[set], place, rate);
+        set_lane(start[set].position, place, from.position);
+        set_lane(start[set].quaternion, place, from.quaternion);
+      };
+      put(4, lane);
+      for (int place = 0; place < 4; ++place) put(static_cast<std::size_t>(lane), place);
+    }
+    const auto track = [&](std::size_t set) {
+      ForwardKinematics<S> found;
+      track_pose(geometry, lengths[set], start[set], twist[set], SolvedLegs<S>(geometry, start[set]), S(1e-3), S(4.0),
+                 found);
+      return found;
+    };
+    const ForwardKinematics<S> together = track(4);
+    for (int lane = 0; lane < 4; ++lane) {
+      CAPTURE(lane);
+      const ForwardKinematics<S> alone = track(static_cast<std::size_t>(lane));
+      CHECK(together.converged[lane]);
+      CHECK(lane_of(together.pose.position, lane) == lane_of(alone.pose.position, 0));
+      CHECK(lane_of(together.pose.quaternion, lane) == lane_of(alone.pose.quaternion, 0));
+      CHECK(lane_of(together.legs.lengths.vector(), lane) == lane_of(alone.legs.lengths.vector(), 0));
     }
   }
 }
