@@ -3,6 +3,7 @@
 #include "hexservo/position_actuators.hpp"
 #include "hexservo/simulation.hpp"
 #include "motion.hpp"
+#include "start_of_run.hpp"
 #include "walk.hpp"
 
 #include <Eigen/Eigenvalues>
@@ -307,21 +308,9 @@ void require_tracking(const Settings& settings) {
   }
 }
 
-/// The same of the law's keys, and that there is a motion which its wrench stands for.
-template <class Law, int N>
-void require_motion(const Settings& settings, const LoopParameters<double, Law, N>& p) {
-  if (p.mode != LoopMode::sampled || !takes_positions(p.actuators.kind)) return;
-  const std::string block = words("controller.", Law::traits.name, ".");
-  if constexpr (requires { Law::viscosity(p.gains); }) {
-    if (!(Law::viscosity(p.gains).minCoeff() > 0.0))
-      refuse(block + (Law::traits.output == LawOutput::twist ? "ki" : "kd"),
-             "numbers > 0 where actuators.kind is not force: the commanded twist is what the law adds, over them",
-             words(Law::viscosity(p.gains).minCoeff()));
-    if (settings.controller.virtual_platform.damping != Vector6<double>::Zero())
-      refuse("controller.virtual_platform.damping",
-             words("0 with the law ", Law::traits.name, ", whose platform moves at a commanded twist, without mass"),
-             "other numbers");
-  }
+/// That the virtual platform's steps follow its damping.
+template <int N>
+void require_damping(const SceneParameters<double, N>& p) {
   constexpr double kStable = 2.5;  // of the Runge-Kutta method on the negative axis, 2.78
   const Matrix3<double> R_BE = rotation_matrix(home_pose(p.hexapod).quaternion);
   const Matrix6<double> mobility = mass_matrix(p.body, R_BE).inverse();
@@ -344,10 +333,29 @@ void require_motion(const Settings& settings, const LoopParameters<double, Law, 
            words(fastest, " per period"));
 }
 
+/// What of a law's keys has no effect on legs that take positions, and that there is a motion which its wrench stands
+/// for.
+template <class Law, int N>
+void require_motion(const Settings& settings, const LoopParameters<double, Law, N>& p) {
+  if (p.mode != LoopMode::sampled || !takes_positions(p.actuators.kind)) return;
+  const std::string block = words("controller.", Law::traits.name, ".");
+  if constexpr (requires { Law::viscosity(p.gains); }) {
+    if (!(Law::viscosity(p.gains).minCoeff() > 0.0))
+      refuse(block + (Law::traits.output == LawOutput::twist ? "ki" : "kd"),
+             "numbers > 0 where actuators.kind is not force: the commanded twist is what the law adds, over them",
+             words(Law::viscosity(p.gains).minCoeff()));
+    if (settings.controller.virtual_platform.damping != Vector6<double>::Zero())
+      refuse("controller.virtual_platform.damping",
+             words("0 with the law ", Law::traits.name, ", whose platform moves at a commanded twist, without mass"),
+             "other numbers");
+  }
+  require_damping(p);
+}
+
 /// That the legs' steps follow their motors: the midpoint rule is stable for (kv + damping) a h < 2 and for an
 /// oscillation only as long as it is resolved, a being the largest mobility of the legs with their armature.
-template <class Law, int N>
-void require_steps_for_motors(const LoopParameters<double, Law, N>& p) {
+template <int N>
+void require_steps_for_motors(const SceneParameters<double, N>& p) {
   if (p.mode != LoopMode::sampled || p.actuators.kind != ActuatorKind::position_torque) return;
   const MotorParameters<double>& motor = p.actuators.motor;
   const Matrix3<double> R_BE = rotation_matrix(p.start.quaternion);
@@ -393,22 +401,16 @@ std::string nearest_grid(double step, double duration) {
 /// That a run would not stop before its first step.
 template <class Law, int N>
 void require_running_start(const LoopParameters<double, Law, N>& p) {
-  const auto require = [](const LoopRecord<double, N>& record) {
-    const auto cause = static_cast<StopCause>(static_cast<int>(record.cause()));
-    if (cause == StopCause::none) return;
-    const std::string why = "one where " + describe(cause, 0.0, static_cast<int>(record.limit_leg()));
-    if (cause == StopCause::solver_failed)
-      refuse("sensors", "encoders whose first readings belong to a pose (noise, resolution)", why);
-    if (cause == StopCause::feature_lost)
-      refuse("camera.image_size", "an image that shows every point at the start, where camera.on_lost is stop", why);
-    if (cause == StopCause::singular || outcome_of(cause) == Outcome::leg_limit)
-      refuse("simulation.start", "a start from which the run goes on", why);
-    refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
-  };
-  if (p.mode == LoopMode::sampled)
-    require(SampledLoop<double, Law, N>(p).record());
-  else
-    require(ClosedLoop<double, Law, N>(p).record());
+  const auto [cause, leg] = detail::start_of_run(p);
+  if (cause == StopCause::none) return;
+  const std::string why = "one where " + describe(cause, 0.0, leg);
+  if (cause == StopCause::solver_failed)
+    refuse("sensors", "encoders whose first readings belong to a pose (noise, resolution)", why);
+  if (cause == StopCause::feature_lost)
+    refuse("camera.image_size", "an image that shows every point at the start, where camera.on_lost is stop", why);
+  if (cause == StopCause::singular || outcome_of(cause) == Outcome::leg_limit)
+    refuse("simulation.start", "a start from which the run goes on", why);
+  refuse("controller", "gains that give a finite wrench at the start", "a wrench that is not finite");
 }
 
 }  // namespace
