@@ -191,6 +191,22 @@ def test_lag_behind_a_moving_face_and_rates_of_commands() -> None:
 # ---- Trials ---------------------------------------------------------------------------------------------------------
 
 
+def test_a_face_at_rest_is_at_one_place_however_the_camera_is_turned() -> None:
+    """Of assumed depths: the point that the tracking law lifts may move by what the landmarks are apart in depth."""
+    camera, random = Camera(noise=0.0), np.random.default_rng(5)
+    scenario = ours.settings("tracking", 15.0, camera, True, {})
+    points, places = Face(CASES["yaw"]).points(0.0), []
+    for yaw in np.deg2rad([0.0, 10.0, 25.0, 35.0]):
+        axes = turns(np.array([yaw, 0.0])).apply(FRONT.T).T
+        pixels = camera.image(points, HEAD + EYE, axes, random)
+        assert pixels is not None
+        depth = -ours.depths_of(Frame(pixels, 0.0, 0.0, True), scenario.camera).mean()
+        ray = np.append((pixels.mean(axis=0) - camera.centre) / camera.focal, 1.0)
+        places.append(axes @ ray * depth)
+    assert np.ptp(places, axis=0).max() < 0.005
+    assert np.linalg.norm(places[0]) == pytest.approx(1.0, abs=0.005)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_order_of_the_laws(seed: int) -> None:
     """A latency that is not known: the shipped law overshoots more than the fix, and that more than hexservo."""

@@ -124,7 +124,7 @@ def _with_headers(given: argparse.Namespace, folder: Path | None) -> bool:
         except subprocess.CalledProcessError as error:
             print(f"The exported header was not compiled: {error.cmd[0]} gave code {error.returncode}; see above.")
             return False
-        exported = ours.ExportedController(program, not scenario.camera.latency_known)
+        exported = ours.ExportedController(program, scenario)
         found = run(table.head_of(like), exported, CASES["yaw"], Camera(), like.rate, like.latency, like.seed)
         exported.close()
         apart = np.abs(found.commands - table.record_of(like).commands).max()

@@ -22,7 +22,6 @@ __all__ = ["LAWS", "ExportedController", "OurController", "compiled", "settings"
 ROOT = Path(__file__).resolve().parents[3]
 _LONGEST = 0.24  # [s], latency for which the controller keeps poses
 _DISTANCE = 1.0  # [m], assumed of every face
-_DEPTH = -(_DISTANCE + LANDMARKS[:, 2])
 
 LAWS = ("resolved_rate", "tracking")
 """Of hexservo; one set of settings each, for all motors, cases and latencies. What the motors do is identified."""
@@ -30,13 +29,13 @@ LAWS = ("resolved_rate", "tracking")
 _GAINS: dict[str, dict[str, Any]] = {
     # Frames without stamps count as exposed when they arrive, up to 0.2 s late: a larger gain overshoots.
     "resolved_rate": {"camera.prediction": "encoder", "controller.resolved_rate.gain": 2.5},
-    "tracking": {  # chosen with seeds 0 to 9, all motors
+    "tracking": {  # chosen with seeds 0 to 39, all motors
         "camera.prediction": "none",
         "controller.tracking.follow": "direction",
-        "controller.tracking.bandwidth": 4.0,  # at most that of the motors
+        "controller.tracking.bandwidth": 4.5,  # at most that of the motors
         "controller.tracking.noise": 0.6,
         "controller.tracking.acceleration": 1.0,
-        "controller.tracking.certainty": 1.25,
+        "controller.tracking.certainty": 1.3,
         "controller.tracking.feedback": 1.25,
         "controller.tracking.integral": 8.0,
         "controller.tracking.band": [1e-4, 1e-4, 1e-4, 7e-4, 7e-4, 7e-4],
@@ -114,12 +113,22 @@ def stamp_of(frame: Frame, now: float, finds_latency: bool) -> float:
     return frame.arrival if finds_latency else now
 
 
+def depths_of(frame: Frame, camera: hs.Camera) -> Array:
+    """Return the depths (5,) [m] of the landmarks of a face at the assumed distance, along the ray to its middle.
+
+    A distance along the axis in its place would have a face that rests come nearer while the camera turns to it.
+    """
+    ray = (frame.pixels.mean(axis=0) - np.asarray(camera.principal_point)) / np.asarray(camera.focal_pixels)
+    return np.asarray(-(_DISTANCE / np.sqrt(1.0 + ray @ ray) + LANDMARKS[:, 2]))
+
+
 class OurController:
     """Crank angles at each tick, from `hs.Controller`."""
 
     def __init__(self, scenario: hs.Scenario) -> None:
         """`scenario` is one of `settings`."""
         self._controller = hs.Controller(scenario)
+        self._camera = scenario.camera
         self._command = np.asarray(kinematics().home_lengths)
         self._finds_latency = not scenario.camera.latency_known
 
@@ -127,7 +136,7 @@ class OurController:
         """Return the commanded angles (6,) [rad]."""
         out = self._controller.step(
             None if frame is None else frame.pixels.ravel(),
-            None if frame is None else _DEPTH,
+            None if frame is None else depths_of(frame, self._camera),
             leg_lengths=reading,
             exposure=None if frame is None else stamp_of(frame, now, self._finds_latency),
             now=now,
@@ -140,9 +149,10 @@ class OurController:
 class ExportedController:
     """The same from the exported header: a C++ program that answers every tick over a pipe."""
 
-    def __init__(self, program: Path, finds_latency: bool) -> None:
-        """`program` is one of `compiled`; whether its law finds the latency."""
-        self._finds_latency = finds_latency
+    def __init__(self, program: Path, scenario: hs.Scenario) -> None:
+        """`program` is that of `compiled` for the scenario."""
+        self._camera = scenario.camera
+        self._finds_latency = not scenario.camera.latency_known
         self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self._command = np.asarray(kinematics().home_lengths)
 
@@ -158,7 +168,7 @@ class ExportedController:
         row[0], row[-6:] = now, reading
         if frame is not None:
             row[1] = stamp_of(frame, now, self._finds_latency)
-            row[2:-6] = [*frame.pixels.ravel(), *_DEPTH]
+            row[2:-6] = [*frame.pixels.ravel(), *depths_of(frame, self._camera)]
         self._process.stdin.write(row.tobytes())
         self._process.stdin.flush()
         answer = np.array(struct.unpack("6d", self._process.stdout.read(48)))
