@@ -1,5 +1,6 @@
 /// @file
-/// How a run is before its first step: compiled where the loops are, which takes a second.
+/// How a run is before its first step: compiled once, with the loops, since every file that includes their templates
+/// compiles them again.
 #pragma once
 
 #include "hexservo/settings.hpp"

@@ -329,7 +329,7 @@ TEST_CASE("a pose close by is found with the solver of the one before, to roundi
       CAPTURE(size);
       for (int trial = 0; trial < 100; ++trial) {
         const Pose<double> start = pose_within_stroke(hexapod, random);
-        // The turn counts half, and a size is that of the larger part: between 0.1 and sqrt(3) times `size`.
+        // The turn counts half, and a size is that of the larger part: between one and sqrt(3) times `size`.
         Vector6<double> d = random.six(size * hexapod.platform_radius, 0.5 * size);
         d(0) = size * hexapod.platform_radius;
         const Pose<double> pose = stepped(start, d);

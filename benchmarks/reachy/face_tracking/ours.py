@@ -29,7 +29,7 @@ LAWS = ("resolved_rate", "tracking")
 _GAINS: dict[str, dict[str, Any]] = {
     # Frames without stamps count as exposed when they arrive, up to 0.2 s late: a larger gain overshoots.
     "resolved_rate": {"camera.prediction": "encoder", "controller.resolved_rate.gain": 2.5},
-    "tracking": {  # chosen with seeds 0 to 39, all motors
+    "tracking": {  # chosen with seeds 0 to 39, of soft motors 0 to 19
         "camera.prediction": "none",
         "controller.tracking.follow": "direction",
         "controller.tracking.bandwidth": 4.5,  # at most that of the motors

@@ -619,8 +619,8 @@ void solve_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const
 
 /// Forward kinematics of prismatic legs close to a pose whose solver is known, which serves all steps.
 ///
-/// Three steps: Newton's with what the lengths are curved along it, and where that does not do another one, whose error
-/// is the fourth power of the first one's size.
+/// Two steps at most: Newton's with what the lengths are curved along it, and where that does not do, another one,
+/// whose error is the fourth power of the first one's size.
 /// @param[out] result where it is found
 /// @return which lanes are found, whatever their neighbours are
 template <class S>

@@ -158,24 +158,7 @@ class Candidates:
 
     def judged(self, places: Array) -> Judged:
         """Return the worst of candidates, (n, dimension), over the variations."""
-        with ThreadPoolExecutor(1, "loop") as beside:  # the batch leaves this thread's interpreter to it
-            loop: list[Future[Array]] = []
-
-            def simulating() -> None:
-                if self.asked.subject_to:
-                    loop.append(beside.submit(self._loop_values, places))
-
-            found = self._judged(self.gains_of(places), self.numbers, len(places), simulating)
-            if self.asked.subject_to:
-                distances = self._loop_distances(places, loop)
-        if self.asked.subject_to:
-            margins = np.nan_to_num(distances, nan=-1.0)
-            found = Judged(
-                np.concatenate([found.margins, margins], axis=1),
-                found.values,
-                np.concatenate([found.distances, distances], axis=1),
-                np.concatenate([found.violations, violation_of(margins)], axis=1),
-            )
+        found = self._with_loop(places) if self.asked.subject_to else self._simulated(places)
         for column in range(found.margins.shape[1]):
             others = np.delete(found.margins, column, axis=1)
             kept = found.distances[(others >= 0).all(axis=1), column]
@@ -186,6 +169,20 @@ class Candidates:
         """Return the numbers of the loop that are required, of the scenario with a candidate's gains."""
         scenario = self.plan.scenario.updated(self.gains(place))
         return [LOOP_NUMBERS[one.name][1](scenario) for one in self.asked.subject_to]
+
+    def _with_loop(self, places: Array) -> Judged:
+        """Run candidates, and compute the numbers of their loops while the batch leaves the interpreter to that."""
+        with ThreadPoolExecutor(1, "loop") as beside:
+            begun: list[Future[Array]] = []
+            found = self._simulated(places, lambda: begun.append(beside.submit(self._loop_values, places)))
+            distances = self._loop_distances(places, begun)
+        margins = np.nan_to_num(distances, nan=-1.0)
+        return Judged(
+            np.concatenate([found.margins, margins], axis=1),
+            found.values,
+            np.concatenate([found.distances, distances], axis=1),
+            np.concatenate([found.violations, violation_of(margins)], axis=1),
+        )
 
     def _loop_values(self, places: Array) -> Array:
         return np.array([self.loop_numbers(place) for place in places])
@@ -200,14 +197,9 @@ class Candidates:
         margins = [one.margin(column) for one, column in zip(self.asked.subject_to, values.T, strict=True)]
         return np.stack(margins, axis=1)
 
-    def _judged(
-        self,
-        gains: Mapping[str, Array],
-        numbers: Mapping[str, NDArray[Any]],
-        count: int,
-        simulating: Callable[[], object],
-    ) -> Judged:
+    def _simulated(self, places: Array, simulating: Callable[[], object] = lambda: None) -> Judged:
         """Run every candidate on every variation, in one batch."""
+        gains, numbers, count = self.gains_of(places), self.numbers, len(places)
         size = len(next(iter(numbers.values())))
         drawn = {key: np.tile(values, (count, *[1] * (values.ndim - 1))) for key, values in numbers.items()}
         repeated = {key: np.repeat(values, size, axis=0) for key, values in gains.items()}
