@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import hexservo as hs
@@ -334,7 +335,8 @@ def test_the_feedback_divides_what_legs_stay_short_by(held: bool) -> None:
     4 (2 zeta/w)/(1 + k) + 2 T_c = 0.109 s.
     """
     feedback = 0.5
-    scenario = head(0.0, gains={"feedback": feedback, "band": 1.0 if held else 1e-5})
+    drive = {"actuators.position": {"bandwidth": 23.0 / 1.88, "damping": 1.0}}  # without a slow pole b has no lag
+    scenario = head(0.0, gains={"feedback": feedback, "band": 1.0 if held else 1e-5}).updated(drive)
     controller = hs.Controller(scenario)
     hexapod = _core.Hexapod(core_parameters(scenario).robot)
     home = np.array(hexapod.home_lengths)
@@ -352,10 +354,89 @@ def test_the_feedback_divides_what_legs_stay_short_by(held: bool) -> None:
     assert np.abs(np.diff(moves[-50:], axis=0)).max() <= 1e-9
 
 
+@pytest.mark.parametrize(("bandwidth", "damping"), [(11.2, 6.6), (9.7, 1.1), (3.3, 0.75)])
+def test_the_feedback_of_legs_with_a_slow_pole_lags(bandwidth: float, damping: float) -> None:
+    """By half of what its time constant is longer: b goes to -k s after legs have slipped by s; the reference rests."""
+    feedback, ticks = 0.5, 12
+    drive = {"actuators.position": {"bandwidth": bandwidth, "damping": damping}}
+    scenario = head(0.0, gains={"feedback": feedback, "band": 1e-5}).updated(drive)
+    controller = hs.Controller(scenario)
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    home, slip = np.array(hexapod.home_lengths), np.array([1e-3, -1e-3] * 3)
+    moves = []
+    for legs in [home] * 3 + [home + slip] * ticks:
+        pose = hexapod.forward_kinematics(legs, hexapod.home_position, hexapod.home_quaternion)
+        turn = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).as_rotvec()
+        seen = hs.project(scenario, [*(pose.position - hexapod.home_position), *turn])
+        moves.append(controller.step(seen, np.full(4, -DISTANCE), leg_lengths=legs).leg_positions - home)
+    w = 2.0 * np.pi * bandwidth
+    fast, slow = sorted(np.abs(1.0 / np.roots([1.0, 2.0 * damping * w, w * w])))
+    share = np.ones(ticks)
+    if damping > 1.0:
+        share -= np.exp(-TICK * np.arange(1, ticks + 1) / (0.5 * (slow - fast)))
+    np.testing.assert_allclose(moves[3:], -feedback * np.outer(share, slip), atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("bandwidth", "damping", "delay"), [(9.7, 1.1, 1), (3.3, 0.75, 1), (1.8, 0.65, 2), (11.2, 6.6, 3)]
+)
+def test_legs_oscillate_from_the_margin_of_their_feedback_on(bandwidth: float, damping: float, delay: int) -> None:
+    """A head that follows a steady target, with 0.9 and 1.1 of the margin, from the step at the start on."""
+    drive = {
+        "actuators.delay": delay * TICK,
+        "actuators.position": {"bandwidth": bandwidth, "damping": damping},
+        "simulation.duration": 4.0,
+        "camera.noise": 0.0,
+        "target.motion": {"kind": "velocity", "velocity": [0.0, 0.03, 0.0]},
+    }
+    scenario = head(-8.0, turned=False, gains={"noise": 0.01, "bandwidth": 1.5}).updated(drive)
+    margin = hs.feedback_margin(scenario)
+    shakes = []
+    for share in (0.9, 1.1):
+        run = hs.simulate(scenario.updated({"controller.tracking.feedback": share * margin}))
+        ticks = np.searchsorted(run.time, TICK * np.arange(round(4.0 / TICK)) - 1e-9)
+        shake = np.abs(np.diff(run.leg_lengths[ticks], 4, axis=0)).max(axis=1)  # a fast motion alone
+        early, late = shake[50:100].max(), shake[-50:].max()
+        shakes.append(late / early)
+    print(f"margin {margin:.3f}: from second 1 to the end times {shakes[0]:.2g} below it and {shakes[1]:.2g} above")
+    assert shakes[0] < 0.8
+    assert shakes[1] > 1.25
+
+
+@pytest.mark.parametrize("delay", [1, 2, 5])
+def test_the_margin_of_a_feedback_is_that_of_the_textbook(delay: int) -> None:
+    """Legs that are at once where they are commanded: 1; slow ones: two lags, and a dead time of delay and hold.
+
+    Without the steps of the hold, which are short: 2 atan(x/w) + x D = pi, k = 1 + (x/w)^2.
+    """
+    legs = {"actuators.delay": delay * TICK}
+    fast = head(0.0).updated({**legs, "actuators.position": {"bandwidth": 1e3, "damping": 1.0}})
+    assert hs.feedback_margin(fast) == pytest.approx(1.0, rel=1e-6)
+    slow = head(0.0).updated({**legs, "actuators.position": {"bandwidth": 0.02, "damping": 1.0}})
+    w, dead = 2.0 * np.pi * 0.02, (delay + 0.5) * TICK
+    across = brentq(lambda x: 2.0 * np.arctan(x / w) + x * dead - np.pi, w, np.pi / dead)
+    expected = 1.0 + (across / w) ** 2
+    print(f"{hs.feedback_margin(slow):.2f}, expected {expected:.2f}")
+    assert hs.feedback_margin(slow) == pytest.approx(expected, rel=(across * TICK) ** 2 / 6.0)
+
+
+def test_a_feedback_of_more_than_half_its_margin_is_noted() -> None:
+    scenario = head(0.0)
+    margin = hs.feedback_margin(scenario)
+    assert margin == hs.feedback_margin(scenario.updated({"actuators.delay": TICK}))  # one tick is taken at least
+    for share, noted in ((0.49, False), (0.51, True)):
+        sentences = unlikely(scenario.updated({"controller.tracking.feedback": share * margin}))
+        assert any(words.startswith("controller.tracking.feedback: ") for words in sentences) == noted
+    with pytest.raises(
+        ValueError, match="expected position or position_torque for the margin of a feedback, got force"
+    ):
+        hs.feedback_margin(hs.load_scenario("paper"))
+
+
 def test_a_command_is_no_farther_from_stuck_legs_than_their_speed_limit_takes() -> None:
     bandwidth, damping, speed = 23.0, 1.88, 0.6
     drive = {"actuators.position": {"bandwidth": bandwidth, "damping": damping, "speed_limit": speed}}
-    reach = (0.6 * 2.0 * damping / (2.0 * np.pi * bandwidth) + TICK) * speed
+    reach = (0.61 * 2.0 * damping / (2.0 * np.pi * bandwidth) + TICK) * speed
     for feedback, most in ((0.0, np.inf), (1.0, reach)):
         scenario = head(20.0, gains={"feedback": feedback}).updated(drive)
         controller = hs.Controller(scenario)

@@ -34,9 +34,9 @@ _GAINS: dict[str, dict[str, Any]] = {
         "controller.tracking.follow": "direction",
         "controller.tracking.bandwidth": 4.5,  # at most that of the motors
         "controller.tracking.noise": 0.6,
-        "controller.tracking.acceleration": 1.0,
-        "controller.tracking.certainty": 1.3,
-        "controller.tracking.feedback": 1.25,
+        "controller.tracking.acceleration": 0.6,
+        "controller.tracking.certainty": 1.8,
+        "controller.tracking.feedback": 1.5,  # at most half of what makes the motors oscillate
         "controller.tracking.integral": 8.0,
         "controller.tracking.band": [1e-4, 1e-4, 1e-4, 7e-4, 7e-4, 7e-4],
     },
@@ -100,6 +100,8 @@ def settings(law: str, rate: float, camera: Camera, known: bool, motors: Mapping
         changes["camera.latency_known"] = known
         motors_bandwidth = motors.get("actuators.position.bandwidth", scenario.actuators.position.bandwidth)
         changes["controller.tracking.bandwidth"] = min(_GAINS[law]["controller.tracking.bandwidth"], motors_bandwidth)
+        margin = hs.feedback_margin(scenario.updated(changes))
+        changes["controller.tracking.feedback"] = min(_GAINS[law]["controller.tracking.feedback"], 0.5 * margin)
     return scenario.updated(changes)
 
 

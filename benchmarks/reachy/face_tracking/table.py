@@ -247,8 +247,8 @@ WANTED = (
     Wanted("freed", ("yaw", "pitch", "both"), {"overshoot": (0.5, 0.8), "settled": (0.55, 0.65), **_ALWAYS}),
     Wanted("shipped", ("yaw", "pitch"), {"overshoot": (0.4, 0.5), "settled": (0.65, 0.80), **_ALWAYS}),
     Wanted("shipped", ("both",), {"overshoot": (0.4, 0.5), "settled": (1.1, 1.3), **_ALWAYS}),
-    Wanted("freed", ("moving",), {"lag": (1.0, 1.0), "overshoot": (1.8, 1.8), **_ALWAYS}),
-    Wanted("shipped", ("moving",), {"lag": (1.5, 1.5), "overshoot": (2.3, 2.3), **_ALWAYS}),
+    Wanted("freed", ("moving",), {"lag": (1.0, 1.0), "overshoot": (1.8, 2.3), **_ALWAYS}),
+    Wanted("shipped", ("moving",), {"lag": (1.5, 1.5), "overshoot": (1.8, 2.3), **_ALWAYS}),
     Wanted("xc330", ("yaw", "pitch", "both"), {"settled": (2.0, 2.0)}),
     Wanted("xl330", ("yaw", "pitch", "both"), {"settled": (2.0, 2.0)}),
 )

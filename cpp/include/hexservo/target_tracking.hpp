@@ -21,8 +21,8 @@
 ///     q* = q_r + (2 zeta/w - T_c/2) q-dot_r + q-ddot_r/w^2 + b + o
 ///
 /// (T_c/2: the command is held). What that response lacks, such as friction, load and the coupling of the legs, is made
-/// up for by b, `feedback` times how far the measured legs are behind the reference of this instant, and by o where
-/// they come to rest elsewhere.
+/// up for by b, `feedback` times how far the measured legs are behind the reference of this instant (with a lag where
+/// one pole of the response is much slower than the other), and by o where they come to rest elsewhere.
 #pragma once
 
 #include "hexservo/latency_estimator.hpp"
@@ -40,7 +40,10 @@ inline constexpr int kPointingRounds = 6;          ///< of the camera's place in
 inline constexpr double kBraking = 0.6;
 inline constexpr double kSettled = 4.0;  ///< lags after which the legs are at rest [1]
 /// Share of the lead of legs at their speed limit that a command is ahead of the measured legs at most [1].
-inline constexpr double kReach = 0.6;
+inline constexpr double kReach = 0.61;
+/// Share of what the slow pole of legs is slower than the fast one, by which their feedback lags: where one motion of
+/// the platform is slow, others are faster than the response that each leg has in the mean.
+inline constexpr double kEase = 0.5;
 
 /// What tracking needs, prepared.
 template <class S, int N = kPoints>
@@ -51,6 +54,7 @@ struct TrackingPlan {
   S approach{0.0}, braking{0.0};                         ///< (1 - p)^2/T_c [1/s] and 1 - p^2 of the double pole p
   S lead{0.0}, lead_change{0.0};                         ///< of the command [s], [s^2]
   S reach = S(std::numeric_limits<double>::infinity());  ///< of a command from the measured legs, with feedback
+  S ease{1.0};                                           ///< share of its way that the feedback moves in a tick [1]
   S settling{0.0};                           ///< time after which the legs are where they were commanded [s]
   double jitter = 0.0;                       ///< most that a latency no frame carries is longer for a frame [s]
   double delay = 0.0;                        ///< of the legs [ticks]
@@ -199,6 +203,9 @@ TrackingPlan<S, N> tracking_plan(const LoopParameters<S, Tracking, N>& p, const 
   plan.jitter = p.frames.stamped ? 0.0 : static_cast<double>(p.frames.jitter) * p.step;
   plan.delay = static_cast<double>(p.actuators.delay);
   plan.settling = S(kSettled) * lag / (S(1.0) + p.gains.feedback) + S((plan.delay + 2.0) * p.step);
+  const S slower = S(2.0) * sqrt(max(S(p.actuators.position.damping * p.actuators.position.damping - S(1.0)), S(0.0)));
+  plan.ease =
+      S(-1.0) * expm1_of_negative(max(S(S(-1.0) * period * w / max(S(S(kEase) * slower), S(1e-300))), S(-700.0)));
   const S reach = (S(kReach) * lag + period) * p.actuators.position.speed_limit;
   plan.reach = select(is_finite(reach), reach, plan.reach);
   plan.home = home_pose(p.hexapod);
@@ -449,7 +456,8 @@ template <class S, int N>
                          gains.hexapod.stroke);
     state.offset(i) = select(state.integrating, moved, state.offset(i));  // not a reading that is no number
     const S due = legs.lengths(i) - S(plan.delay) * period * before(i);   // where the legs should be by now
-    state.behind(i) = select(follows, S(plan.gains.feedback * (due - seen_lengths(i))), state.behind(i));
+    const S pull = plan.gains.feedback * (due - seen_lengths(i));
+    state.behind(i) = select(follows, S(state.behind(i) + plan.ease * (pull - state.behind(i))), state.behind(i));
   }
 
   Vector6<S> command;

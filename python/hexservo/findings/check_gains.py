@@ -9,6 +9,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.leg_feedback import feedback_margin
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, machine_of
@@ -25,6 +26,7 @@ _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow
 _LEFT = 0.02  # share of the image error that may be slow, or stay
 _TURNED = 0.9  # share of rotations in the common motion of the features
+_OF_MARGIN = 0.5  # share of its gain margin that a feedback may have: 6 dB are left
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -51,6 +53,16 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         yield from _of_image(scene, key)
     elif fastest is not None:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
+    if scenario.controller.traits.output == "pose":
+        yield from _of_feedback(scenario, f"controller.{law}.feedback")
+
+
+def _of_feedback(scenario: Scenario, key: str) -> Iterator[str]:
+    feedback, most = value_at(scenario, key), feedback_margin(scenario)
+    if feedback > _OF_MARGIN * most * _ROUNDING:
+        yield (
+            f"{key}: {number(feedback)} is more than half of {number(most)}, with which legs of this response oscillate"
+        )
 
 
 def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
