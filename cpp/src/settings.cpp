@@ -352,20 +352,12 @@ void require_motion(const Settings& settings, const LoopParameters<double, Law, 
   require_damping(p);
 }
 
-/// That the legs' steps follow their motors: the midpoint rule is stable for (kv + damping) a h < 2 and for an
-/// oscillation only as long as it is resolved, a being the largest mobility of the legs with their armature.
+/// That the legs' steps follow their motors.
 template <int N>
 void require_steps_for_motors(const SceneParameters<double, N>& p) {
   if (p.mode != LoopMode::sampled || p.actuators.kind != ActuatorKind::position_torque) return;
-  const MotorParameters<double>& motor = p.actuators.motor;
-  const Matrix3<double> R_BE = rotation_matrix(p.start.quaternion);
-  const Matrix6<double> H = inverse_kinematics(p.hexapod, p.start.position, R_BE).wrench_map();
-  const Matrix6<double> mass =
-      Plant<double>(p.plant_body, p.dynamics_error).mass_matrix_at(R_BE) + motor.armature * H * H.transpose();
-  const Matrix6<double> mobility = H.transpose() * mass.ldlt().solve(H);
-  const double a = Eigen::SelfAdjointEigenSolver<Matrix6<double>>(mobility, Eigen::EigenvaluesOnly).eigenvalues()(5);
-  const double rate = std::max((motor.kv + motor.damping) * a, 2.0 * std::sqrt(motor.kp * a));  // times a step: up to 1
-  const double substeps = std::ceil(rate * p.step / kMotorSteps);
+  const double substeps =
+      motor_substeps(Plant<double>(p.plant_body, p.dynamics_error), p.hexapod, p.start, p.actuators.motor, p.step);
   if (!(static_cast<double>(p.substeps) >= substeps))
     refuse("simulation.substeps",
            words("at least ", substeps, ", with which the steps of the legs follow their motors and what these move"),
@@ -414,6 +406,17 @@ void require_running_start(const LoopParameters<double, Law, N>& p) {
 }
 
 }  // namespace
+
+double motor_substeps(const Plant<double>& plant, const Hexapod<double>& hexapod, const Pose<double>& pose,
+                      const MotorParameters<double>& motor, double period) {
+  const Matrix3<double> R_BE = rotation_matrix(pose.quaternion);
+  const Matrix6<double> H = inverse_kinematics(hexapod, pose.position, R_BE).wrench_map();
+  const Matrix6<double> mass = plant.mass_matrix_at(R_BE) + motor.armature * H * H.transpose();
+  const Matrix6<double> mobility = H.transpose() * mass.ldlt().solve(H);
+  const double a = Eigen::SelfAdjointEigenSolver<Matrix6<double>>(mobility, Eigen::EigenvaluesOnly).eigenvalues()(5);
+  const double rate = std::max((motor.kv + motor.damping) * a, 2.0 * std::sqrt(motor.kp * a));  // times a step: up to 1
+  return std::ceil(rate * period / kMotorSteps);
+}
 
 Camera assumed_camera(const Settings& settings) {
   Camera camera = settings.camera;

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from face_tracking import ours, table
+from face_tracking.identified import prediction
 from face_tracking.machine import MOTORS, PACKAGE, package_model
 from face_tracking.picture import draw
 from face_tracking.scene import CASES, Camera
@@ -72,6 +73,9 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument(
         "--no-identification", action="store_true", help="motors as the scenario reachy-mini has them, no log"
+    )
+    parser.add_argument(
+        "--models", action="store_true", help="only print how well models of the motors predict a log of each"
     )
     parser.add_argument("--header", action="store_true", help="drive a trial with the compiled header of each law, too")
     parser.add_argument("--core", type=Path, help="libhexservo_core.a for --header; built if not given")
@@ -132,6 +136,18 @@ def _with_headers(given: argparse.Namespace, folder: Path | None) -> bool:
     return True
 
 
+def _print_models(given: argparse.Namespace, folder: Path | None) -> int:
+    print("RMS of the predicted angles in the last 7 s of a log, which nothing was fitted to [deg]")
+    print("motors   limit  response of each leg  six motors and the head  their kp, damping, armature, friction")
+    for motors, limit in product(given.motors, given.limits):
+        head = table.head_of(table.Trial("tracking", motors, "yaw", 15.0, "unknown", limit, 0, folder=folder))
+        scenario, alone, together = prediction(head)
+        motor = scenario.actuators.motor
+        values = ", ".join(f"{value:.3g}" for value in (motor.kp, motor.damping, motor.armature, motor.friction))
+        print(f"{motors:8}{limit or 'none':>6}{alone:22.2f}{together:25.2f}  {values}", flush=True)
+    return 0
+
+
 def main() -> int:
     """Run, print and write."""
     given = _arguments()
@@ -146,6 +162,8 @@ def main() -> int:
     if folder is None:
         given.motors = [name for name in given.motors if MOTORS[name].freed]
         print("hexservo's model of the head has no friction in its ball joints: without the motors `shipped`.")
+    if given.models:
+        return _print_models(given, folder)
     found: table.Responses = {}
     if not given.no_identification and set(given.laws) & set(ours.LAWS):
         found = table.responses(list(product(given.motors, given.limits)), folder, given.jobs)

@@ -10,7 +10,7 @@ import hexservo as hs
 from face_tracking.machine import TICK, Head, kinematics
 from face_tracking.scene import Array, turns
 
-__all__ = ["recorded", "response"]
+__all__ = ["prediction", "recorded", "response"]
 
 _DURATION, _HOLD, _SEED = 24.0, 0.6, 7  # [s], [s]
 _FARTHEST = np.deg2rad([20.0, 12.0])  # yaw, pitch
@@ -39,3 +39,17 @@ def response(head: Head) -> dict[str, Any]:
     """Return the keys of `actuators` that follow from a log of a head; the others are the scenario's own."""
     found = hs.identify(recorded(head), hs.load_scenario("reachy-mini")).changes
     return {key: value for key, value in found.items() if key.startswith("actuators.")}
+
+
+def prediction(head: Head) -> tuple[hs.Scenario, float, float]:
+    """Return what a log gives with motors, and by how much two models miss the part of the log that is kept apart.
+
+    The errors are RMS [deg]: of a response for each leg, and of six motors with the head that they move.
+    """
+    machine = hs.load_scenario("reachy-mini").updated({"robot.force_limit": head.limit})
+    found = hs.identify(recorded(head), machine, motors=True)
+    if found.motors is None:
+        raise RuntimeError("expected six legs that move, in a log of jumps")
+    alone = hs.identify(recorded(head), machine).drives  # with the delay that suits it
+    error = float(np.sqrt(np.mean((alone.predicted - alone.measured) ** 2)))
+    return found.scenario, float(np.rad2deg(error)), float(np.rad2deg(found.motors.error))

@@ -307,6 +307,15 @@ RigidBody<double> estimated_body(const RobotParameters& robot);
 /// What the platform carries, known or not, but for the relative errors of its dynamics.
 RigidBody<double> plant_body(const RobotParameters& robot);
 
+/// Fewest Runge-Kutta steps in a servo period with which the steps of the legs follow motors that hold positions.
+///
+/// The midpoint rule is stable for (kv + damping) a h < 2 and for an oscillation only as long as it is resolved, a
+/// being the largest mobility of the legs with their armature.
+/// @param pose of the platform
+/// @param period of the servo [s]
+double motor_substeps(const Plant<double>& plant, const Hexapod<double>& hexapod, const Pose<double>& pose,
+                      const MotorParameters<double>& motor, double period);
+
 /// Image of the target from a displacement (m; rad) of home, as of `moved`, 2 n [px]; the goal's image is not used.
 /// @throws std::invalid_argument naming the scenario key: robot, camera or target that are wrong, a camera
 /// `as_printed`, a displacement that is not finite, or that has a point behind the camera

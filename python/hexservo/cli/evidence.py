@@ -174,11 +174,11 @@ def _exit_as(result: hs.Result) -> None:
         raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
 
 
-def identified(log: str, machine: str, settings: list[str] | None) -> hs.Identification:
+def identified(log: str, machine: str, settings: list[str] | None, *, motors: bool = False) -> hs.Identification:
     """Identify a log with a bar on a terminal; Ctrl-C ends the command."""
     try:
         watched = sys.stderr is not None and sys.stderr.isatty()
-        return hs.identify(log, load(machine, settings or []), progress=watched)
+        return hs.identify(log, load(machine, settings or []), motors=motors, progress=watched)
     except KeyboardInterrupt:
         complain("nothing was written", head="Interrupted")
         raise typer.Exit(INTERRUPTED) from None

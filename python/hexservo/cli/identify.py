@@ -22,6 +22,9 @@ def identify(
         str, typer.Option("--machine", "-m", metavar="SCENARIO", help="The machine: name or path of a scenario.")
     ],
     out: Annotated[str | None, typer.Option("--out", "-o", metavar="FILE", help="Write the scenario there.")] = None,
+    motors: Annotated[
+        bool, typer.Option("--motors", help="Also fit stiffness, damping, friction and armature of the motors.")
+    ] = False,
     settings: SettingsOption = None,
     json: JsonOption = None,
     force: ForceOption = False,
@@ -29,7 +32,8 @@ def identify(
     """Find a machine's drives and camera from a log.
 
     The machine takes positions. Bandwidth, damping, delay and limits of each leg and the latency of the camera have
-    95 % intervals. `hexservo diagnose LOG --machine SCENARIO` goes on with the model that is found.
+    95 % intervals. With --motors the six legs couple through the platform, whose mass the machine gives. `hexservo
+    diagnose LOG --machine SCENARIO` goes on with the model that is found.
     """
     with errors_as_messages():
         from hexservo.cli.print_sections import printed
@@ -39,7 +43,7 @@ def identify(
             check_file(out, _TITLE, "`hexservo identify`", force=force)
         if json is not None:
             check_json("identify", json, force)
-        found = identified(log, machine, settings)
+        found = identified(log, machine, settings, motors=motors)
         if out is not None:
             write_file(f"{_TITLE}\n{found.scenario.to_yaml()}", out, _TITLE, "`hexservo identify`", force=force)
         if json is not None:

@@ -34,7 +34,8 @@ def feedback_margin(scenario: Scenario) -> float:
     -------
     float
         Gain k [1], the smallest positive one with ``1 + k F(z) z^-n G(z) = 0`` for a z on the unit circle; F is
-        the law's lag, G the leg with a zero-order hold (Franklin, Powell, Workman: Digital Control of Dynamic Systems, 3rd ed., section 4.3).
+        the law's lag, G the leg with a zero-order hold (Franklin, Powell, Workman: Digital Control of Dynamic
+        Systems, 3rd ed., section 4.3).
 
     Raises
     ------

@@ -14,12 +14,13 @@ from hexservo.findings.identification.changes import Changes, changes_of
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.log import Log, read_log
+from hexservo.findings.identification.motors import MotorFit, fit_motors
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
-__all__ = ["CameraFit", "DriveFit", "Drives", "Identification", "Log", "identify", "read_log"]
+__all__ = ["CameraFit", "DriveFit", "Drives", "Identification", "Log", "MotorFit", "identify", "read_log"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,10 +32,11 @@ class Identification(Findings):
     changes: dict[str, Any]  # keys of the scenario that the log gives, by dotted name
     drives: Drives
     camera: CameraFit | None  # None where the log has no image
+    motors: MotorFit | None = None  # None where they were not asked for, or not all legs moved
 
     def sections(self) -> Sequence[Section]:
         """Return the findings as sentences, tables and curves."""
-        parts = [self.drives.section(), *([] if self.camera is None else [self.camera.section()])]
+        parts = [part.section() for part in (self.drives, self.motors, self.camera) if part is not None]
         given = {key: _value(self.machine, key) for key in self.changes}
         return [*parts, Changes(self.changes, given).section()]
 
@@ -45,7 +47,11 @@ class Identification(Findings):
 
 
 def identify(
-    log: Log | str | os.PathLike[str], machine: Scenario, *, progress: bool | ProgressCallback = False
+    log: Log | str | os.PathLike[str],
+    machine: Scenario,
+    *,
+    motors: bool = False,
+    progress: bool | ProgressCallback = False,
 ) -> Identification:
     """Find the model of a machine that takes positions from a log of it.
 
@@ -55,8 +61,12 @@ def identify(
         Record, or the CSV or MCAP file that `read_log` reads.
     machine
         Its legs, and camera and target where the log has images. What the log gives replaces its keys.
+    motors
+        Also fit motors that hold positions, six alike with the platform that they move: `actuators.kind` is then
+        `position_torque`, with the drives' response as what the controller takes the legs for. Mass, inertia and
+        `robot.force_limit` are the machine's. It takes some 15 s for half a minute of a log.
     progress
-        Draw a bar on standard error, or call a function with the legs that are done, and 6.
+        Draw a bar on standard error, or call a function with the legs that are done, and 6, then with the delays.
 
     Returns
     -------
@@ -77,8 +87,14 @@ def identify(
     with reporting(progress, "legs identified") as report:
         drives = fit_drives(record, leg_units(machine.robot), report)
     camera = None if record.frames is None else fit_camera(record, Scene(machine))
-    changes = changes_of(record, drives, camera)
-    return Identification(machine, machine.updated(changes), changes, drives, camera)
+    found = None
+    if motors:
+        with reporting(progress, "delays of motors tried") as report:
+            found = fit_motors(record, machine, drives, report)
+        if found is not None:  # one delay for the motors and for what the controller takes them for
+            drives = fit_drives(record, leg_units(machine.robot), delays=(found.delay,))
+    changes = changes_of(record, drives, camera) | ({} if found is None else found.changes)
+    return Identification(machine, machine.updated(changes), changes, drives, camera, found)
 
 
 def _value(scenario: Scenario, key: str) -> Any:

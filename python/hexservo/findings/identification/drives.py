@@ -107,7 +107,9 @@ class _Record:
         return _core.drive_response(commands, place, rate, self.period, bandwidth, damping, speed, acceleration)
 
 
-def fit_drives(log: Log, units: LegUnits, report: ProgressCallback | None = None) -> Drives:
+def fit_drives(
+    log: Log, units: LegUnits, report: ProgressCallback | None = None, delays: Sequence[int] = range(MOST_DELAY + 1)
+) -> Drives:
     """Fit the response of each leg's drive to a log.
 
     Parameters
@@ -118,12 +120,14 @@ def fit_drives(log: Log, units: LegUnits, report: ProgressCallback | None = None
         Of a leg's coordinate.
     report
         Is called with the legs done, and 6.
+    delays
+        Those that are tried [ticks].
     """
     fitted = int(FITTED * len(log.time))
     records = [_record(log, leg, fitted) for leg in range(6)]
     found: list[list[_Model]] = []
     for leg, record in enumerate(records):
-        found.append(_search(record) if record.moves else [])
+        found.append(_search(record, delays) if record.moves else [])
         if report is not None:
             report(leg + 1, 6)
     _compare_legs(records, found)
@@ -148,9 +152,8 @@ def _record(log: Log, leg: int, fitted: int) -> _Record:
     return _Record(with_friction(commands, joints, rests), joints, log.period, fitted, rests)
 
 
-def _search(record: _Record) -> list[_Model]:
-    """Fit all delays, and those that are likely with each limit that may act."""
-    delays = range(MOST_DELAY + 1)
+def _search(record: _Record, delays: Sequence[int]) -> list[_Model]:
+    """Fit the delays, and those that are likely with each limit that may act."""
     speed, acceleration = _extremes(record)
     free, bound = (
         {delay: _start(record, delay, limits) for delay in delays} for limits in (_NONE, (speed, acceleration))

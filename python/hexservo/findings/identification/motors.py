@@ -1,0 +1,210 @@
+"""What the motors of a machine do, six with the platform that they move: stiffness, damping, friction and armature.
+
+Output error as in drives.py, by the core's own plant of docs/model.md ("Motors that hold positions"): the legs couple
+through the platform, whose weight and inertia, known of the machine, make the stiffness visible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from hexservo import _core
+from hexservo.findings.identification.drives import MOST_DELAY, Drives
+from hexservo.findings.identification.interval import Interval, correlated, deviations, half_width
+from hexservo.findings.identification.log import FITTED, Log
+from hexservo.findings.part import Part
+from hexservo.run.progress import ProgressCallback
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.leg_units import LegUnits, leg_units
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.scenario import Scenario
+
+__all__ = ["MotorFit", "fit_motors"]
+
+_KEYS = ("kp", "damping", "armature", "friction")  # of `actuators.motor`, the last one may be zero
+_LEG_STEP = 1.25e-3  # [s], most of a step of the legs
+_STEPS = 8  # of the legs in one of the loop: `kMotorSteps`
+_STIFFNESSES = np.geomspace(1e-3, 1e1, 13)  # tried first, times the limit over how far the legs were sent
+_DELAYS = (-1, 0, 1, 2)  # beside that of the drives, which takes a part of it for lag [ticks]
+_SMALLEST = 1e-4  # friction and armature that are looked for at least, as shares of what acts
+_CURVE = 2000  # samples of a figure at most
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MotorFit(Part):
+    """Motors of one kind, which all six legs have."""
+
+    kp: Interval  # [N/m], of cranks [N m/rad]
+    damping: Interval  # [N s/m], or [N m s/rad]: `kv` and `damping`, which act alike below the limit
+    armature: Interval  # [kg], or [kg m^2]
+    friction: Interval  # [N], or [N m]
+    delay: int  # [ticks]
+    limit: float  # `robot.force_limit` [N], or [N m], as the machine has it
+    noise: float  # standard deviation of what the fit leaves [m], or [rad]
+    correlated: float  # ticks over which that is correlated
+    error: float  # root mean square of the prediction's error in the part kept apart [m], or [rad]
+    error_of_drives: float  # the same of six responses without coupling (`Drives`)
+    units: LegUnits = field(repr=False)
+    time: Array = field(repr=False)  # (k,) of the part kept apart, thinned [s]
+    measured: Array = field(repr=False)  # (k, 6)
+    predicted: Array = field(repr=False)  # (k, 6)
+
+    substeps: int  # of the loop in a tick, with which its legs follow such motors
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """The keys of a scenario with these motors, by dotted name."""
+        found = {key: getattr(self, key).value for key in _KEYS}
+        return {
+            "simulation.substeps": self.substeps,
+            "actuators.kind": "position_torque",
+            "actuators.motor.kv": 0.0,
+            **{f"actuators.motor.{key}": float(f"{value:.6g}") for key, value in found.items()},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    delay: int
+    logs: Array  # (4,) of the values of `_KEYS`
+    jacobian: Array  # (6 n, 4)
+    left: Array  # (6 n,) residuals, in shares of the motion
+    cost: float
+
+
+class _Plant:
+    """The machine on motors, driven by the commands of a log."""
+
+    def __init__(self, log: Log, machine: Scenario) -> None:
+        self._commands = np.ascontiguousarray(log.commands)
+        self._step = float(f"{log.period:.9g}")
+        self._settings = core_parameters(machine)
+        self._settings["simulation.step"] = self._step
+        self._settings["simulation.substeps"] = max(1, math.ceil(self._step / (_STEPS * _LEG_STEP)))
+        self._settings["actuators.motor.kv"] = 0.0
+        hexapod = _core.Hexapod(self._settings.robot)
+        self._start = hexapod.forward_kinematics(log.joints[0], hexapod.home_position, hexapod.home_quaternion)
+
+    def response(self, delay: int, values: Mapping[str, float]) -> Array:
+        """Return the legs' coordinates at each tick, (n, 6)."""
+        self._settings["actuators.delay"] = delay * self._step
+        for key, value in values.items():
+            self._settings[f"actuators.motor.{key}"] = value
+        return _core.motor_response(self._settings, self._commands, self._start.position, self._start.quaternion)
+
+    def substeps(self) -> int:
+        """Return how many steps of the loop a tick needs with the last values, and a quarter more."""
+        least = math.ceil(1.25 * _core.motor_substeps(self._settings))
+        return max(least, int(self._settings["simulation.substeps"]))
+
+
+def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCallback | None = None) -> MotorFit | None:
+    """Fit motors that hold positions to a log: one kind for all six legs.
+
+    Parameters
+    ----------
+    log
+        In which the legs were commanded to move, from a platform at rest on.
+    machine
+        Legs, mass, centre of mass and inertia of the platform, and `robot.force_limit`, which are taken as they are.
+    drives
+        Of the same log: where the search begins.
+    report
+        Is called with the delays done, and 4.
+
+    Returns
+    -------
+    MotorFit or None
+        None where not all six legs moved.
+    """
+    if len(drives.moved) < 6:
+        return None
+    plant, fitted = _Plant(log, machine), int(FITTED * len(log.time))
+    measured = log.joints[:fitted]
+    scale = float(np.std(measured - measured.mean(axis=0)))
+
+    def residuals(delay: int, logs: Array) -> Array:
+        left = (plant.response(delay, _values(logs))[:fitted] - measured) / scale
+        return np.asarray(np.where(np.isfinite(left), np.clip(left, -1e3, 1e3), 1e3).ravel())
+
+    around = round(float(np.median([fit.delay.value for fit in drives.moved if fit.delay is not None])))
+    delays = [delay for delay in (around + more for more in _DELAYS) if 0 <= delay <= MOST_DELAY]
+    fits: list[_Fit] = []
+    for done, delay in enumerate(delays):
+        start = _start(log, machine, drives, lambda logs, delay=delay: residuals(delay, logs))
+        edge = np.log(1e6)
+        found = least_squares(
+            lambda logs, delay=delay: residuals(delay, logs),
+            start,
+            bounds=(start - edge, start + edge),
+            x_scale=0.3,  # of logarithms: a third of a value
+            diff_step=1e-4,
+            max_nfev=40,
+        )
+        fits.append(_Fit(delay, found.x, found.jac, found.fun, float(found.cost)))
+        if report is not None:
+            report(done + 1, len(delays))
+    return _result(log, machine, drives, plant, min(fits, key=lambda fit: fit.cost), fitted, scale)
+
+
+def _values(logs: Array) -> dict[str, float]:
+    return {key: float(value) for key, value in zip(_KEYS, np.exp(logs), strict=True)}
+
+
+def _start(log: Log, machine: Scenario, drives: Drives, residuals: Any) -> Array:
+    """Return the best of some stiffnesses; inertia and damping of a leg follow from each by the drives' response.
+
+    kp = I w^2 and d = 2 zeta w I of a leg that moves I alone; half of I is the motor's at first.
+    """
+    w = 2.0 * np.pi * np.median([fit.bandwidth.value for fit in drives.moved if fit.bandwidth is not None])
+    zeta = np.median([fit.damping.value for fit in drives.moved if fit.damping is not None])
+    way = float(np.abs(np.diff(log.commands, axis=0)).max())
+    limit = machine.robot.force_limit if math.isfinite(machine.robot.force_limit) else 1.0
+    tried = []
+    for kp in _STIFFNESSES * limit / way:
+        logs = np.log([kp, 2.0 * zeta * kp / w, 0.5 * kp / w**2, 10.0 * _SMALLEST * kp * way])
+        tried.append((float((residuals(logs) ** 2).sum()), logs))
+    return min(tried, key=lambda one: one[0])[1]
+
+
+def _result(
+    log: Log, machine: Scenario, drives: Drives, plant: _Plant, best: _Fit, fitted: int, scale: float
+) -> MotorFit:
+    values = _values(best.logs)
+    legs = best.left.reshape(-1, 6)
+    together = max(correlated(legs[:, leg]) for leg in range(6))
+    sigma = deviations(best.jacobian, best.left, len(best.left) / together)
+    intervals = {}
+    for key, one in zip(_KEYS, sigma, strict=True):
+        with np.errstate(over="ignore"):
+            factor = float(np.exp(half_width(float(one))))
+        intervals[key] = Interval(values[key], values[key] / factor, values[key] * factor)
+    way = float(np.abs(np.diff(log.commands, axis=0)).max())
+    if intervals["friction"].value < _SMALLEST * values["kp"] * way:  # no different from none
+        intervals["friction"] = Interval(0.0, 0.0, intervals["friction"].high)
+    predicted, measured = plant.response(best.delay, values)[fitted:], log.joints[fitted:]
+    every = max(1, -(-len(measured) // _CURVE))
+    return MotorFit(
+        **intervals,
+        delay=best.delay,
+        limit=machine.robot.force_limit,
+        noise=scale * float(np.sqrt(2.0 * best.cost / (len(best.left) - len(_KEYS)))),
+        correlated=together,
+        error=_rms(predicted - measured),
+        error_of_drives=_rms(drives.predicted - drives.measured),
+        units=leg_units(machine.robot),
+        time=log.time[fitted:][::every],
+        measured=measured[::every],
+        predicted=predicted[::every],
+        substeps=plant.substeps(),
+    )
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt((errors**2).mean()))
