@@ -7,11 +7,13 @@ from dataclasses import asdict
 import numpy as np
 
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
-from hexservo.findings.identification.drives_words import PAGE, with_interval
+from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.scenario.wording import number
 
 __all__ = ["section"]
+
+PAGE = "docs/identification.md"
 
 _KEPT = ("kp", "damping", "armature", "friction", "delay", "limit", "noise", "error", "error_of_drives")
 
