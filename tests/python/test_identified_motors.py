@@ -6,20 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 import hexservo as hs
 from hexservo import _core
-from hexservo.bridges.mujoco_model import mjcf
 from hexservo.cli.commands import app
 from hexservo.findings.identification.log import Log
 from hexservo.scenario.blocks import Motors
 from hexservo.scenario.parameters import core_parameters
 from test_identification import commands_of, within
-from test_motors import on_motors, rotary
+from test_motors import in_mujoco, on_motors, rotary
 
-Array = NDArray[np.float64]
 TICK, DELAY, SEED = 0.01, 2, 31
 # At the limit kv does not act, and damping does: what is found as one number is one here.
 MOTOR = {"kp": 150.0, "kv": 0.0, "damping": 2.0, "friction": 0.02, "armature": 0.02}
@@ -36,30 +33,12 @@ def given(machine: hs.Scenario) -> hs.Scenario:
     return machine.updated({"actuators.kind": "position", "actuators.delay": 0.0, "simulation.substeps": 1, **usual})
 
 
-def in_mujoco(scenario: hs.Scenario, commands: Array) -> Array:
-    """Legs (n, 6) of the exported model at the ticks, each before its command."""
-    mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_string(mjcf(scenario))
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"))
-    mujoco.mj_forward(model, data)
-    legs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"leg{leg}") for leg in range(1, 7)]
-    steps, found = round(TICK / model.opt.timestep), np.empty_like(commands)
-    first = data.actuator_length[legs].copy()
-    for tick in range(len(commands)):
-        found[tick] = data.actuator_length[legs]
-        data.ctrl[legs] = commands[tick - DELAY] if tick >= DELAY else first
-        mujoco.mj_step(model, data, steps)
-        mujoco.mj_forward(model, data)
-    return found
-
-
 @pytest.mark.parametrize("kind", ["prismatic", pytest.param("rotary", marks=pytest.mark.slow)])
 def test_motors_are_found_from_a_log_of_mujoco(paper: hs.Scenario, kind: str) -> None:
     """To 3 % and the delay; they predict the rest of the record ten times as well as six responses by themselves."""
     machine = machine_of(paper, kind)
     commands = commands_of(machine, np.random.default_rng(SEED), 600, TICK, 0.004)
-    joints = in_mujoco(machine, commands)
+    joints = in_mujoco(machine, commands, len(commands), DELAY, "home")
     found = hs.identify(Log(TICK * np.arange(600.0), TICK, commands, joints, None), given(machine), motors=True)
     motors, true = found.motors, machine.actuators.motor
     assert motors is not None

@@ -58,6 +58,32 @@ def commands(scenario: hs.Scenario) -> Array:
     return np.asarray(_core.recorded_ticks(core_parameters(scenario))["leg_positions"])
 
 
+def in_mujoco(
+    scenario: hs.Scenario, commands: Array, rows: int, delay: int, key: str, first: Array | None = None
+) -> Array:
+    """Legs (rows, 6) of the exported model at the ticks, each before its command, `delay` ticks late; from a keyframe.
+
+    `first` acts before the first command arrives; None: where the legs are.
+    """
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(mjcf(scenario))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, key))
+    tick = scenario.simulation.step
+    steps = round(tick / model.opt.timestep)
+    assert model.opt.timestep * steps == pytest.approx(tick, rel=1e-12)
+    mujoco.mj_forward(model, data)
+    legs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"leg{leg}") for leg in range(1, 7)]
+    held = data.actuator_length[legs].copy() if first is None else first
+    found = np.empty((rows, 6))
+    for row in range(rows):
+        found[row] = data.actuator_length[legs]
+        data.ctrl[legs] = commands[row - delay] if row >= delay else held
+        mujoco.mj_step(model, data, steps)
+        mujoco.mj_forward(model, data)
+    return found
+
+
 @pytest.fixture
 def baseline(monkeypatch: pytest.MonkeyPatch) -> None:
     """The variant that the recorded ticks are of."""
@@ -87,7 +113,6 @@ def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, mac
     MuJoCo yields to friction and limits of a crank by 1e-4 of its mobility without its rod, so that cranks have an
     armature where these act.
     """
-    mujoco = pytest.importorskip("mujoco")
     motor, changes = CASES[case]
     changes = {
         "controller__law": "resolved_rate",
@@ -103,19 +128,7 @@ def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, mac
     run = hs.simulate(scenario)
     assert run.outcome == "completed", run.detail
     wanted, tick, delay = commands(scenario), scenario.simulation.step, 2
-    model = mujoco.MjModel.from_xml_string(mjcf(scenario))
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "start"))
-    steps = round(tick / model.opt.timestep)
-    assert model.opt.timestep * steps == pytest.approx(tick, rel=1e-12)
-    mujoco.mj_forward(model, data)
-    legs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"leg{leg}") for leg in range(1, 7)]
-    found = np.empty_like(run.leg_lengths)
-    for row in range(len(run.time)):
-        found[row] = data.actuator_length[legs]
-        data.ctrl[legs] = wanted[row - delay] if row >= delay else run.leg_lengths[0]
-        mujoco.mj_step(model, data, steps)
-        mujoco.mj_forward(model, data)
+    found = in_mujoco(scenario, wanted, len(run.time), delay, "start", run.leg_lengths[0])
     scale = 1.0 if machine == "rotary" else 1.0 / CRANK
     difference = scale * np.abs(found - run.leg_lengths).max()
     moved = scale * np.abs(run.leg_lengths - run.leg_lengths[0]).max()

@@ -50,6 +50,4 @@ def prediction(head: Head) -> tuple[hs.Scenario, float, float]:
     found = hs.identify(recorded(head), machine, motors=True)
     if found.motors is None:
         raise RuntimeError("expected six legs that move, in a log of jumps")
-    alone = hs.identify(recorded(head), machine).drives  # with the delay that suits it
-    error = float(np.sqrt(np.mean((alone.predicted - alone.measured) ** 2)))
-    return found.scenario, float(np.rad2deg(error)), float(np.rad2deg(found.motors.error))
+    return found.scenario, float(np.rad2deg(found.motors.error_of_drives)), float(np.rad2deg(found.motors.error))

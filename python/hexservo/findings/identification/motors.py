@@ -7,8 +7,9 @@ through the platform, whose weight and inertia, known of the machine, make the s
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -137,10 +138,11 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
     delays = [delay for delay in (around + more for more in _DELAYS) if 0 <= delay <= MOST_DELAY]
     fits: list[_Fit] = []
     for done, delay in enumerate(delays):
-        start = _start(log, machine, drives, lambda logs, delay=delay: residuals(delay, logs))
+        left = partial(residuals, delay)
+        start = _start(log, machine, drives, left)
         edge = np.log(1e6)
         found = least_squares(
-            lambda logs, delay=delay: residuals(delay, logs),
+            left,
             start,
             bounds=(start - edge, start + edge),
             x_scale=0.3,  # of logarithms: a third of a value
@@ -157,14 +159,14 @@ def _values(logs: Array) -> dict[str, float]:
     return {key: float(value) for key, value in zip(_KEYS, np.exp(logs), strict=True)}
 
 
-def _start(log: Log, machine: Scenario, drives: Drives, residuals: Any) -> Array:
+def _start(log: Log, machine: Scenario, drives: Drives, residuals: Callable[[Array], Array]) -> Array:
     """Return the best of some stiffnesses; inertia and damping of a leg follow from each by the drives' response.
 
     kp = I w^2 and d = 2 zeta w I of a leg that moves I alone; half of I is the motor's at first.
     """
     w = 2.0 * np.pi * np.median([fit.bandwidth.value for fit in drives.moved if fit.bandwidth is not None])
     zeta = np.median([fit.damping.value for fit in drives.moved if fit.damping is not None])
-    way = float(np.abs(np.diff(log.commands, axis=0)).max())
+    way = _farthest(log)
     limit = machine.robot.force_limit if math.isfinite(machine.robot.force_limit) else 1.0
     tried = []
     for kp in _STIFFNESSES * limit / way:
@@ -185,8 +187,7 @@ def _result(
         with np.errstate(over="ignore"):
             factor = float(np.exp(half_width(float(one))))
         intervals[key] = Interval(values[key], values[key] / factor, values[key] * factor)
-    way = float(np.abs(np.diff(log.commands, axis=0)).max())
-    if intervals["friction"].value < _SMALLEST * values["kp"] * way:  # no different from none
+    if intervals["friction"].value < _SMALLEST * values["kp"] * _farthest(log):  # no different from none
         intervals["friction"] = Interval(0.0, 0.0, intervals["friction"].high)
     predicted, measured = plant.response(best.delay, values)[fitted:], log.joints[fitted:]
     every = max(1, -(-len(measured) // _CURVE))
@@ -204,6 +205,11 @@ def _result(
         predicted=predicted[::every],
         substeps=plant.substeps(),
     )
+
+
+def _farthest(log: Log) -> float:
+    """Return the longest jump of a leg's command."""
+    return float(np.abs(np.diff(log.commands, axis=0)).max())
 
 
 def _rms(errors: Array) -> float:

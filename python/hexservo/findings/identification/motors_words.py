@@ -35,7 +35,6 @@ def section(found: MotorFit) -> Section:
         note="Damping is `kv` and `damping` together, which act alike below the limit of the effort.",
         page=PAGE,
     )
-    better = found.error_of_drives / max(found.error, np.finfo(float).tiny)
     words = [
         f"Six motors with the platform predict the part kept apart to {number(1e3 * found.error)} {unit} (RMS), six "
         f"responses without coupling to {number(1e3 * found.error_of_drives)} {unit}.",
@@ -58,12 +57,11 @@ def section(found: MotorFit) -> Section:
         ],
         page=PAGE,
     )
-    data = {key: getattr(found, key) for key in _KEPT}
     return Section(
         name="motors",
         title="Motors of the legs",
         sentences=words,
         items=(table, curves),
-        verdict="good" if better >= 1.0 else "warning",
-        data={key: asdict(value) if key in _KEPT[:4] else value for key, value in data.items()},
+        verdict="good" if found.error <= found.error_of_drives else "warning",
+        data={key: value for key, value in asdict(found).items() if key in _KEPT},
     )
