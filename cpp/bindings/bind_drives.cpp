@@ -2,6 +2,7 @@
 
 #include "hexservo/motor_response.hpp"
 #include "hexservo/position_actuators.hpp"
+#include "hexservo/target_tracking.hpp"
 
 #include <cmath>
 #include <limits>
@@ -61,6 +62,8 @@ double least_substeps(const Settings& settings) {
 }  // namespace
 
 void bind_drives(py::module_& m) {
+  m.attr("MOTOR_STEPS") = kMotorSteps;
+  m.attr("FEEDBACK_EASE") = kEase;
   m.def("drive_response", &drive_response, py::arg("commands"), py::arg("position"), py::arg("rate"), py::arg("period"),
         py::arg("bandwidth"), py::arg("damping"), py::arg("speed_limit"), py::arg("acceleration_limit"),
         "Coordinate of a drive that takes positions at each tick, (n,), before the tick's command (n,) is given; "

@@ -13,6 +13,8 @@ class _PybindType(type): ...
 
 ROBOT_PRESETS: tuple[str, ...]
 TERM_CENTRES: tuple[float, ...]
+MOTOR_STEPS: int
+FEEDBACK_EASE: float
 LINEAR_RULE_TABLE: tuple[tuple[float, ...], ...]
 
 class BatchLog(enum.Enum):

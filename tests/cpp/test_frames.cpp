@@ -4,6 +4,7 @@
 #include "compare.hpp"
 
 #include <set>
+#include <utility>
 #include <vector>
 
 using namespace hexservo;
@@ -354,6 +355,59 @@ TEST_CASE("a frame with numbers that are none is refused and harms no later one"
   }
 }
 
+TEST_CASE("poses of the past: between two ticks at fourth order in their distance, on the line at second") {
+  const auto attitude = [](double time) {
+    const double half = 0.5 * std::sin(1.3 * time);
+    return Vector4<double>(std::cos(half), 0.0, std::sin(half), 0.0);
+  };
+  // The largest errors over a history's whole length, that is at its ends as well.
+  const auto errors = [&](double period) {
+    PoseHistory<double> history(12);
+    for (int tick = 0; tick < 20; ++tick) {
+      const double sign = tick % 2 == 0 ? 1.0 : -1.0;  // q and -q are one attitude
+      const double time = 0.4 + period * (tick - 14);
+      history.add(tick, {Vector3<double>(std::exp(time), 0.0, std::sin(3.0 * time)), sign * attitude(time)}, true);
+    }
+    double curve = 0.0, line = 0.0;
+    for (double tick = 8.25; tick < 19.0; tick += 0.25) {
+      const double time = 0.4 + period * (tick - 14);
+      const Vector3<double> place(std::exp(time), 0.0, std::sin(3.0 * time));
+      const auto error = [&](const Pose<double>& found) {
+        const double cosine = std::abs(found.quaternion.dot(attitude(time)));
+        return (found.position - place).norm() + std::acos(std::min(1.0, cosine / found.quaternion.norm()));
+      };
+      curve = std::max(curve, error(history.at(tick)));
+      line = std::max(line, error(history.on_line(tick)));
+    }
+    return std::pair(curve, line);
+  };
+  const auto [curve, line] = errors(0.02);
+  const auto [half_curve, half_line] = errors(0.01);
+  CAPTURE(curve, line, half_curve, half_line);
+  CHECK(std::log2(curve / half_curve) == doctest::Approx(4.0).epsilon(0.05));
+  CHECK(std::log2(line / half_line) == doctest::Approx(2.0).epsilon(0.05));
+}
+
+TEST_CASE("poses of the past: ticks of uneven distances are joined by straight lines") {
+  for (const double third : {2.0, 2.9, 3.1}) {  // distances 1, third - 1, 1
+    PoseHistory<double> history(4);
+    double place = 0.0;
+    for (const double tick : {0.0, 1.0, third, third + 1.0}) {
+      history.add(tick, {Vector3<double>(place, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}}, true);
+      place = place == 0.0 ? 1.0 : 0.0;
+    }
+    const double asked = 0.5 * (1.0 + third);
+    CHECK(history.on_line(asked).position(0) == doctest::Approx(0.5).epsilon(1e-14));
+    CHECK(history.at(asked).position(0) == doctest::Approx(0.5).epsilon(1e-14));  // of odd symmetry about there
+    const double curved = std::abs(history.at(0.5).position(0) - history.on_line(0.5).position(0));
+    CHECK((curved > 0.01) == (third < 3.0));
+  }
+  PoseHistory<double> close(4);
+  for (const double tick : {0.0, 1.0, 1.001, 2.0})
+    close.add(tick, {Vector3<double>(tick == 1.0 ? 1e-3 : 0.0, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}}, true);
+  CHECK(close.at(0.5).position(0) == doctest::Approx(5e-4).epsilon(1e-12));
+}
+
 TEST_CASE("poses of the past: each tick's own to the last bit, between two of them on the way, none beyond") {
   PoseHistory<double> history(4);
   CHECK(std::isnan(history.at(0.0).position(0)));
@@ -366,6 +420,7 @@ TEST_CASE("poses of the past: each tick's own to the last bit, between two of th
       const bool kept = asked <= tick && asked > tick - 4;
       CHECK(std::isnan(history.at(asked).position(0)) == !kept);
       if (kept) {
+        CHECK(history.on_line(asked).position == pose_of(asked).position);
         CHECK(history.at(asked).position == pose_of(asked).position);
         CHECK(history.at(asked).quaternion == pose_of(asked).quaternion);
       }

@@ -26,7 +26,9 @@ FACING = Rotation.from_rotvec([-1.2091996, -1.2091996, 1.2091996])
 DISTANCE, FOCAL, TICK = 0.6, 2001.8, 0.02
 
 
-def head(yaw: float, *, pitch: float = 0.0, turned: bool = True, gains: dict[str, Any] | None = None) -> hs.Scenario:
+def head(
+    yaw: float, *, pitch: float = 0.0, turned: bool = True, size: float = 0.15, gains: dict[str, Any] | None = None
+) -> hs.Scenario:
     """Return the head on six cranks with drives of positions, and a target `yaw` and `pitch` [deg] aside.
 
     The target is turned towards the camera, or stays parallel to its image, where the middle of its image is that of
@@ -42,7 +44,7 @@ def head(yaw: float, *, pitch: float = 0.0, turned: bool = True, gains: dict[str
     def tag(turn: Rotation) -> dict[str, Any]:
         attitude = turn * FACING if turned else FACING
         pose = [*(CENTRE + turn.apply([DISTANCE, 0.0, 0.0])), *attitude.as_rotvec()]
-        return {"size": 0.15, "pose": [float(number) for number in pose]}
+        return {"size": size, "pose": [float(number) for number in pose]}
 
     base["target"] = {"tag": tag(Rotation.identity()), "desired_pose": [0.0] * 6}
     ahead = np.asarray(hs.Scenario.from_mapping(base).target.desired_features).tolist()
@@ -282,6 +284,46 @@ def test_what_is_followed_stands_still_after_a_second_without_frames() -> None:
     print("ahead of the place last seen:", [f"{1e3 * way:.1f} mm" for way in ahead])
     assert ahead[0] == pytest.approx(ahead[1], abs=0.01 * velocity)
     assert 0.5 * velocity <= ahead[0] <= velocity
+
+
+def test_an_exposure_between_two_readings_is_as_good_as_one_at_a_reading() -> None:
+    """A platform that swings by A at 2 Hz, under a target at rest 10 deg aside, which the command stays on.
+
+    The straight line between two readings cuts the bend by A (2 pi f T)^2/8, the cubic leaves the fourth power.
+    """
+    swing, frequency, place = np.radians(10.0), 2.0, still(10.0)
+    scenario = head(10.0, turned=False, size=0.02, gains={"noise": 0.5}).updated(
+        {"camera": {"noise": 0.0, "image_size": None}}
+    )
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+
+    def turn(time: float) -> Rotation:
+        return Rotation.from_rotvec([0.0, 0.0, swing * np.sin(2.0 * np.pi * frequency * time)])
+
+    def frame(time: float) -> dict[str, Any]:
+        eye = hexapod.home_position + turn(time).apply(CENTRE - hexapod.home_position)
+        depth = float((place - eye) @ turn(time).apply([1.0, 0.0, 0.0]))
+        seen = hs.project(scenario, [0.0, 0.0, 0.0, *turn(time).as_rotvec()])
+        return {"features": seen, "depth": np.full(4, -depth), "exposure": time}
+
+    def missed(shift: float) -> float:
+        """Return how far the commands of the second second point beside the target at most [deg]."""
+        controller, angles = hs.Controller(scenario), []
+        for k in range(2, 100):
+            lengths = hexapod.leg_lengths(hexapod.home_position, turn(TICK * k).as_quat()[[3, 0, 1, 2]])
+            image = frame(TICK * (k - 2 + shift)) if k % 3 == 2 and k > 3 else {}
+            out = controller.step(**image, leg_lengths=lengths, now=TICK * k)
+            pose = hexapod.forward_kinematics(out.leg_positions, hexapod.home_position, hexapod.home_quaternion)
+            ray = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).apply([1.0, 0.0, 0.0])
+            angles.append(np.arctan2(ray[1], ray[0]) - np.arctan2(place[1], place[0]))
+        return float(np.degrees(np.abs(angles[48:]).max()))
+
+    line = np.degrees(swing) * (2.0 * np.pi * frequency * TICK) ** 2 / 8.0
+    at_reading = missed(0.0)
+    between = [missed(shift) for shift in (0.25, 0.5, 0.75)]
+    print(f"at a reading {at_reading:.4f}, between {between}, straight line {line:.4f} deg")
+    assert at_reading <= 0.1 * line
+    assert max(between) <= at_reading + 0.1 * line
 
 
 def test_a_point_whose_pixel_lies_on_no_ray_is_not_seen() -> None:

@@ -60,8 +60,8 @@ def run(head: Head, law: Law, case: Case, camera: Camera, rate: float, latency: 
     rate
         Of the frames [Hz]; they begin at a random time within the first period.
     latency
-        A number of ms, or ``scattered``: of each frame from 50 to 200 ms, both with stamped frames; or ``unknown``: a
-        constant one from 50 to 200 ms, and no stamps.
+        A number of ms, or ``scattered``: of each frame from 50 to 200 ms, or ``drawn``: a constant one from 50 to
+        200 ms, all with stamped frames; or ``unknown``: as ``drawn``, and no stamps.
     seed
         Of distance (0.9 to 1.1 m), latency, begin and noise of the frames.
     """
@@ -90,7 +90,13 @@ def run(head: Head, law: Law, case: Case, camera: Camera, rate: float, latency: 
                 exposures += 1
                 pixels = camera.image(face.points(times[k]), position[k], axes[k], random)
                 late = random.uniform(*LATENCY)
-                late = constant if latency == "unknown" else late if latency == "scattered" else float(latency) / 1e3
+                late = (
+                    constant
+                    if latency in ("drawn", "unknown")
+                    else late
+                    if latency == "scattered"
+                    else float(latency) / 1e3
+                )
                 if pixels is not None:
                     shown += 1
                     waiting.append(Frame(pixels, times[k], times[k] + late, latency != "unknown"))

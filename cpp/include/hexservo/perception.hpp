@@ -99,6 +99,9 @@ void track_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const
   }
 }
 
+/// Largest ratio of the distances between four ticks that a cubic is laid through.
+inline constexpr double kUnevenTicks = 2.0;
+
 /// Poses of the last ticks; memory is taken once, at construction.
 template <class S>
 class PoseHistory {
@@ -122,20 +125,16 @@ class PoseHistory {
     if (!replaces) ++count_;
   }
 
-  /// The pose at a time: that of its tick, or between two ticks on the straight line. NaN where the time is not
-  /// covered.
+  /// The pose at a time: that of its tick, or between two ticks on the cubic through the four nearest ones, since a
+  /// straight line cuts the bend of an accelerated motion; on the straight line where fewer are kept, or where one of
+  /// their distances is more than `kUnevenTicks` times another. NaN where the time is not covered.
   Pose<S> at(const S& tick) const noexcept {
-    const double first = of_lane(tick, 0);
-    if (all(tick == S(first))) return between(first);
-    Pose<S> pose;
-    for (int lane = 0; lane < kLanes<S>; ++lane) {
-      const Pose<S> found = between(of_lane(tick, lane));
-      S one(0.0);
-      set_lane(one, lane, 1.0);
-      const Mask<S> here = one > S(0.5);
-      pose = select_pose(here, found, pose);
-    }
-    return pose;
+    return of_lanes(tick, [this](double one) { return between(one, true); });
+  }
+
+  /// Likewise, always on the straight line: how far it is from `at` bounds what the ticks leave open between them.
+  Pose<S> on_line(const S& tick) const noexcept {
+    return of_lanes(tick, [this](double one) { return between(one, false); });
   }
 
   /// The earliest tick that is kept; there has to be one.
@@ -162,23 +161,66 @@ class PoseHistory {
 
   std::size_t place(std::size_t index) const noexcept { return index % entries_.size(); }
 
-  Pose<S> between(double tick) const noexcept {
+  /// Poses whose times may differ from lane to lane.
+  template <class F>
+  Pose<S> of_lanes(const S& tick, F&& pose_at) const noexcept {
+    const double first = of_lane(tick, 0);
+    if (all(tick == S(first))) return pose_at(first);
+    Pose<S> pose;
+    for (int lane = 0; lane < kLanes<S>; ++lane) {
+      const Pose<S> found = pose_at(of_lane(tick, lane));
+      S one(0.0);
+      set_lane(one, lane, 1.0);
+      const Mask<S> here = one > S(0.5);
+      pose = select_pose(here, found, pose);
+    }
+    return pose;
+  }
+
+  Pose<S> between(double tick, bool curved) const noexcept {
     constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
-    const Pose<S> unknown{Vector3<S>::Constant(S(kUnknown)), Vector4<S>::Constant(S(kUnknown))};
-    std::size_t low = count_ > entries_.size() ? count_ - entries_.size() : 0, high = count_;
-    if (low == high || !(tick >= entries_[place(low)].tick && tick <= entries_[place(high - 1)].tick)) return unknown;
+    const std::size_t kept = std::min(count_, entries_.size()), oldest = count_ - kept;
+    std::size_t low = oldest, high = count_;
+    if (kept == 0 || !(tick >= entries_[place(low)].tick && tick <= entries_[place(high - 1)].tick))
+      return {Vector3<S>::Constant(S(kUnknown)), Vector4<S>::Constant(S(kUnknown))};
     while (high - low > 1) {  // as many rounds as the capacity has bits
       const std::size_t middle = low + (high - low) / 2;
       (entries_[place(middle)].tick <= tick ? low : high) = middle;
     }
-    const Entry& before = entries_[place(low)];
-    if (before.tick == tick) return before.pose;
-    const Entry& after = entries_[place(low + 1)];
-    const S share((tick - before.tick) / (after.tick - before.tick));
-    const S cosine = before.pose.quaternion.dot(after.pose.quaternion);  // q and -q are one attitude
-    const Vector4<S> end = select(cosine < S(0.0), Vector4<S>(-after.pose.quaternion), after.pose.quaternion);
-    return {before.pose.position + share * (after.pose.position - before.pose.position),
-            before.pose.quaternion + share * (end - before.pose.quaternion)};
+    if (entries_[place(low)].tick == tick) return entries_[place(low)].pose;
+    if (curved && kept >= 4) {
+      const std::size_t first = std::clamp(low, oldest + 1, count_ - 3) - 1;
+      if (evenly_spaced(first)) return through<4>(first, tick);
+    }
+    return through<2>(low, tick);
+  }
+
+  /// Whether four ticks are spaced so that the cubic through them can be trusted: one that is close to its neighbour
+  /// makes a slope of the noise.
+  bool evenly_spaced(std::size_t first) const noexcept {
+    double shortest = std::numeric_limits<double>::infinity(), longest = 0.0;
+    for (std::size_t i = first; i < first + 3; ++i) {
+      const double distance = entries_[place(i + 1)].tick - entries_[place(i)].tick;
+      shortest = std::min(shortest, distance);
+      longest = std::max(longest, distance);
+    }
+    return longest <= kUnevenTicks * shortest;
+  }
+
+  /// On the polynomial through some ticks (Lagrange).
+  template <std::size_t kTicks>
+  Pose<S> through(std::size_t first, double tick) const noexcept {
+    Pose<S> pose{Vector3<S>::Zero(), Vector4<S>::Zero()};
+    for (std::size_t i = first; i < first + kTicks; ++i) {
+      double weight = 1.0;
+      for (std::size_t j = first; j < first + kTicks; ++j)
+        if (j != i) weight *= (tick - entries_[place(j)].tick) / (entries_[place(i)].tick - entries_[place(j)].tick);
+      const Pose<S>& here = entries_[place(i)].pose;
+      const S cosine = here.quaternion.dot(entries_[place(first)].pose.quaternion);  // q and -q are one attitude
+      pose.position += S(weight) * here.position;
+      pose.quaternion += select(cosine < S(0.0), S(-weight), S(weight)) * here.quaternion;
+    }
+    return pose;
   }
 
   std::pmr::vector<Entry> entries_;

@@ -274,16 +274,22 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
     target.view = select_pose<S>(good, estimate.pose, target.view);
   }
   const S period(gains.period), first(state.poses.oldest());
-  const auto followed = [&](const S& latency) {
-    const S tick = stamp - latency / period;
-    const Pose<S> at = unit_pose<S>(state.poses.at(plan.stamped ? tick : max(tick, first)));
+  const auto followed_from = [&](const Pose<S>& interpolated) {
+    const Pose<S> at = unit_pose<S>(interpolated);
     if (!directs) return pose_to_follow<S>(at, target.view, task.target.goal);
     return Pose<S>{lift<S>(task.camera, at.position, rotation_matrix(at.quaternion), middle, depth),
                    plan.home.quaternion};
   };
+  const auto followed = [&](const S& latency) {
+    const S tick = stamp - latency / period;
+    return followed_from(state.poses.at(plan.stamped ? tick : max(tick, first)));
+  };
   const LatencyRange<S>& latency = state.latency_range;
   const Pose<S> measured = followed(S(latency.estimate + S(0.5 * plan.jitter)));
-  if (!plan.stamped) {
+  if (plan.stamped) {  // its latency is 0, its exposure may be between two readings of the joints
+    const Vector6<S> bend = pose_difference<S>(followed_from(state.poses.on_line(stamp)), measured);
+    for (int j = 0; j < 6; ++j) variance(j) += bend(j) * bend(j);
+  } else {
     const Vector6<S> late = pose_difference<S>(followed(latency.least), measured),
                      soon = pose_difference<S>(followed(S(latency.most + S(plan.jitter))), measured);
     for (int j = 0; j < 6; ++j) variance(j) += max(S(late(j) * late(j)), S(soon(j) * soon(j)));

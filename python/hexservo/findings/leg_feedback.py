@@ -8,11 +8,11 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.signal import cont2discrete
 
+from hexservo import _core
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["feedback_margin"]
 
-_EASE = 0.5  # `kEase` of target_tracking.hpp
 _GRID = 4096  # angles up to that of half the servo rate, between which a crossing of the real axis is looked for
 
 
@@ -57,7 +57,7 @@ def feedback_margin(scenario: Scenario) -> float:
     numerator, denominator = np.ravel(held[0]), np.ravel(held[1])
     delay = max(round(actuators.delay / period), 1)
     slower = 2.0 * math.sqrt(max(damping**2 - 1.0, 0.0)) / w  # of the leg's two time constants, by how much
-    ease = -math.expm1(-period / (_EASE * slower)) if slower > 0.0 else 1.0
+    ease = -math.expm1(-period / (_core.FEEDBACK_EASE * slower)) if slower > 0.0 else 1.0
 
     def loop(angle: float) -> complex:
         z = np.exp(1j * angle)

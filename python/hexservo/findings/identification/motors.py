@@ -30,7 +30,6 @@ __all__ = ["MotorFit", "fit_motors"]
 
 _KEYS = ("kp", "damping", "armature", "friction")  # of `actuators.motor`, the last one may be zero
 _LEG_STEP = 1.25e-3  # [s], most of a step of the legs
-_STEPS = 8  # of the legs in one of the loop: `kMotorSteps`
 _STIFFNESSES = np.geomspace(1e-3, 1e1, 13)  # tried first, times the limit over how far the legs were sent
 _DELAYS = (-1, 0, 1, 2)  # beside that of the drives, which takes a part of it for lag [ticks]
 _SMALLEST = 1e-4  # friction and armature that are looked for at least, as shares of what acts
@@ -87,7 +86,7 @@ class _Plant:
         self._step = float(f"{log.period:.9g}")
         self._settings = core_parameters(machine)
         self._settings["simulation.step"] = self._step
-        self._settings["simulation.substeps"] = max(1, math.ceil(self._step / (_STEPS * _LEG_STEP)))
+        self._settings["simulation.substeps"] = max(1, math.ceil(self._step / (_core.MOTOR_STEPS * _LEG_STEP)))
         self._settings["actuators.motor.kv"] = 0.0
         hexapod = _core.Hexapod(self._settings.robot)
         self._start = hexapod.forward_kinematics(log.joints[0], hexapod.home_position, hexapod.home_quaternion)
