@@ -243,6 +243,9 @@ def main() -> None:
     pythons = options.python or [sys.executable]
     seconds = epoch()
     os.environ |= {"SOURCE_DATE_EPOCH": str(seconds), "LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "0"}
+    # pip unpacks the sources in a folder of another name each time: with paths relative to it, ccache (where it is)
+    # compiles what does not depend on the interpreter once for all wheels.
+    os.environ |= {"CCACHE_BASEDIR": tempfile.gettempdir(), "CCACHE_NOHASHDIR": "true"}
     os.umask(0o022)
     for old in [*options.out.glob("hexservo-*.tar.gz"), *options.out.glob("hexservo-*.whl")]:
         old.unlink()
