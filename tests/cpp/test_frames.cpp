@@ -383,7 +383,10 @@ TEST_CASE("poses of the past: between two ticks at fourth order in their distanc
   };
   const auto [curve, line] = errors(0.02);
   const auto [half_curve, half_line] = errors(0.01);
-  CAPTURE(curve, line, half_curve, half_line);
+  CAPTURE(curve);
+  CAPTURE(line);
+  CAPTURE(half_curve);
+  CAPTURE(half_line);
   CHECK(std::log2(curve / half_curve) == doctest::Approx(4.0).epsilon(0.05));
   CHECK(std::log2(line / half_line) == doctest::Approx(2.0).epsilon(0.05));
 }
