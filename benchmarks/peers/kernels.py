@@ -15,7 +15,7 @@ from timing import Block
 
 FOLDER = Path(__file__).resolve().parent
 BUILD = FOLDER.parents[1] / "build" / "peers"
-PROGRAMS = ("hexservo_kernels", "fuzzylite_system", "visp_law")
+PROGRAMS = ("hexservo_functions", "fuzzylite_system", "visp_law")
 
 
 class MissingError(Exception):

@@ -44,7 +44,7 @@ def _fuzzy(row: Row, rounds: int) -> None:
     bells = np.array([1 / 6, 2.0])
     with (
         running("fuzzylite_system", None, np.concatenate([bells, weights]), inputs, FUZZYLITE) as peer,
-        running("hexservo_kernels", "fuzzy", weights, inputs.reshape(160, 12), BUILT) as own,
+        running("hexservo_functions", "fuzzy", weights, inputs.reshape(160, 12), BUILT) as own,
     ):
         row.version = peer.version
         difference = largest_difference(peer.answers().ravel(), own.answers().ravel())
@@ -84,7 +84,7 @@ def _jacobian(row: Row, rounds: int) -> None:
     with (
         running("visp_law", "jacobian", parameters, rows, VISP) as peer,
         running(
-            "hexservo_kernels", "jacobian", np.array([focal]), np.concatenate([own_rows, desired], axis=1), BUILT
+            "hexservo_functions", "jacobian", np.array([focal]), np.concatenate([own_rows, desired], axis=1), BUILT
         ) as own,
     ):
         row.version = peer.version
@@ -113,7 +113,7 @@ def _law(row: Row, rounds: int) -> None:
     with (
         running("visp_law", "velocity", parameters, rows, VISP) as peer,
         running(
-            "hexservo_kernels", "tick", goals, np.concatenate([seen, depth, position, quaternion, twist], axis=1), BUILT
+            "hexservo_functions", "tick", goals, np.concatenate([seen, depth, position, quaternion, twist], axis=1), BUILT
         ) as own,
     ):
         row.version = peer.version

@@ -61,6 +61,21 @@ TEST_CASE("solutions are Eigen's on random symmetric positive definite matrices"
   check_against_eigen<6>(random);
 }
 
+TEST_CASE("the units of a matrix do not matter: entries of 1e-25 and of 1e25 are solved as well as those of 1") {
+  Random random(7205);
+  CAPTURE(random.seed());
+  for (int trial = 0; trial < 50; ++trial) {
+    const Matrix6<double> A = random.positive_definite<6>(1e6);
+    const Vector6<double> b = random.matrix<6>();
+    const Vector6<double> x = Cholesky<double, 6>(A).solve(b);
+    for (const double scale : {std::ldexp(1.0, -83), std::ldexp(1.0, 83)}) {  // powers of two: no other rounding
+      const Cholesky<double, 6> solver(Matrix6<double>(scale * A));
+      REQUIRE_FALSE(solver.failed());
+      CHECK(solver.solve(Vector6<double>(scale * b)) == x);
+    }
+  }
+}
+
 TEST_CASE("matrices that are not positive definite fail, and finite ones never silently") {
   Random random(7202);
   CAPTURE(random.seed());

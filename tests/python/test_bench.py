@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -280,6 +281,14 @@ def test_one_run_outruns_numpy(tmp_path: Path) -> None:
     (row,) = json.loads((tmp_path / "peers.json").read_text(encoding="utf-8"))["rows"]
     assert row["status"] == "measured"
     assert row["comparison"]["ratio"] >= 100.0
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
+def test_the_project_of_the_kernel_programs_configures(tmp_path: Path) -> None:
+    """Beside the core, whose targets it must not repeat; the C++ tests' build compiles the program without libraries."""
+    command = ["cmake", "-S", str(ROOT / "benchmarks" / "peers"), "-B", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_a_kernel_program_that_does_not_compile_is_a_failure(tmp_path: Path) -> None:

@@ -38,8 +38,9 @@ int fuzzy() {
       u_rate(j) = row[2 * j + 1];
     }
     FuzzyBasis<double> basis;
-    fuzzy_basis<double>(bells, u, u_rate, basis);
-    Eigen::Map<Vector6<double>>{out} = FuzzyStage<double>{&weights}.output(basis).vector();
+    AxisVector<double> share, output;
+    fire<double>(bells, FuzzyStage<double>{&weights}, u, u_rate, basis, share, output);
+    Eigen::Map<Vector6<double>>{out} = output.vector();
   });
 }
 

@@ -3,6 +3,11 @@
 ///
 /// Eigen's own decompositions pivot and branch on data and do not compile on a pack of lanes. Here a pivot that is not
 /// above `kPivotFloor` times the largest diagonal entry raises the lane's failure mask and the other lanes go on.
+///
+/// No division waits for another one: elimination without fractions (Bareiss, Mathematics of Computation 22, 1968)
+/// carries minors of A, and what is left of A is them over the minor before, whose reciprocal is ready by then.
+/// Each step's rounding is that of a division first. Minors are products of up to N entries, which may be within
+/// 1e-25 and 1e25.
 #pragma once
 
 #include "hexservo/types.hpp"
@@ -27,20 +32,25 @@ class Cholesky {
 #pragma GCC unroll 6
     for (int i = 1; i < N; ++i) largest = max(largest, A(i, i));
     failed_ = !(largest > S(0.0));
+    S minor_before(1.0), inverse_before(1.0);  // leading principal minors
 #pragma GCC unroll 6
     for (int j = 0; j < N; ++j) {
-      const S pivot = L_(j, j);
-      const Mask<S> good = pivot > S(kPivotFloor) * largest;
+      const S minor = L_(j, j);
+      const Mask<S> good = minor > S(kPivotFloor) * largest * minor_before;  // the pivot, times the minor before
       failed_ = failed_ | !good;
-      inverse_D_(j) = select(good, S(S(1.0) / pivot), S(1.0));  // the division need not wait for the verdict
+      const S inverse = select(good, S(S(1.0) / minor), S(1.0));
 #pragma GCC unroll 6
-      for (int i = j + 1; i < N; ++i) {
-        const S factor = L_(i, j) * inverse_D_(j);
+      for (int i = j + 1; i < N; ++i)
 #pragma GCC unroll 6
-        for (int k = j + 1; k <= i; ++k) L_(i, k) -= factor * L_(k, j);
-      }
+        for (int k = j + 1; k <= i; ++k) {
+          L_(i, k) = minor * L_(i, k) - L_(i, j) * L_(k, j);
+          if (j > 0) L_(i, k) *= inverse_before;
+        }
 #pragma GCC unroll 6
-      for (int i = j + 1; i < N; ++i) L_(i, j) *= inverse_D_(j);
+      for (int i = j + 1; i < N; ++i) L_(i, j) *= inverse;
+      inverse_D_(j) = j > 0 ? S(inverse * minor_before) : inverse;
+      minor_before = minor;
+      inverse_before = inverse;
     }
   }
 

@@ -50,9 +50,16 @@ def versions() -> dict[str, str]:
 
 
 def _cpu_model() -> str:
+    """Name the processor; where a hypervisor hides its number, by family and model, which tell generations apart."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return platform.processor() or "unknown"
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
+    first: dict[str, str] = {}
+    for line in lines:
+        name, _, value = line.partition(":")
+        first.setdefault(name.strip(), value.strip())
+    model = first.get("model name", "")
+    if model and not any(letter.isdigit() for letter in model) and {"cpu family", "model"} <= first.keys():
+        return f"{model} (family {first['cpu family']}, model {first['model']})"
+    return model or platform.machine()
