@@ -31,7 +31,7 @@ class Robot {
       : gains_(gains),
         points_B_(hexservo::loop_parameters<Law, N>(exported::settings()).points_T),
         plant_(gains.task.body, errors()),
-        body_(hexservo::body_state<double>(hexservo::home_pose(gains.hexapod), hexservo::Vector6<double>::Zero())),
+        body_(hexservo::BodyMotion<double>::at_rest(hexservo::home_pose(gains.hexapod))),
         camera_(gains.frames, {}),
         encoders_(gains.encoders, {}) {
     depth_error_.setConstant(0.3);
@@ -55,7 +55,7 @@ class Robot {
 
   /// The legs push with these forces [N] for a period.
   void push(const hexservo::Vector6<double>& leg_forces) {
-    hexservo::runge_kutta_step(gains_.period, body_, [&](const hexservo::BodyState<double>& body) {
+    hexservo::runge_kutta_step(gains_.period, body_, [&](const hexservo::BodyMotion<double>& body) {
       return hexservo::body_rate(plant_, body, attitude(body), legs(body).wrench(leg_forces));
     });
     hexservo::normalise_quaternion(body_);
@@ -72,10 +72,10 @@ class Robot {
     return errors;
   }
 
-  static hexservo::Matrix3<double> attitude(const hexservo::BodyState<double>& body) {
+  static hexservo::Matrix3<double> attitude(const hexservo::BodyMotion<double>& body) {
     return hexservo::rotation_matrix(hexservo::quaternion_of(body));
   }
-  hexservo::Legs<double> legs(const hexservo::BodyState<double>& body) const {
+  hexservo::Legs<double> legs(const hexservo::BodyMotion<double>& body) const {
     return hexservo::inverse_kinematics(gains_.hexapod, hexservo::position_of(body), attitude(body));
   }
   hexservo::Image<double, N> image() const {
@@ -86,7 +86,7 @@ class Robot {
   Eigen::Matrix<double, 3, N> points_B_;
   hexservo::Plant<double> plant_;
   hexservo::Vector<double, N> depth_error_;
-  hexservo::BodyState<double> body_;
+  hexservo::BodyMotion<double> body_;
   hexservo::Frames<double, N> camera_;
   hexservo::Frame<double, N> frame_;
   hexservo::Encoders<double> encoders_;

@@ -72,8 +72,8 @@ inline std::vector<Instant<double>> recorded() {
     at.error = p.gains.kp.cwiseProduct(loop.record().sample().feature_error);
     const ImageJacobian<double> J(task.camera, task.jacobian_sign, at.image, at.position, at.R_BE);
     const Vector<double, 2 * kPoints> rate = -p.gains.kp.cwiseProduct(J.push(at.twist));
-    at.u = AxisVector<double>(Vector6<double>(p.gains.fuzzy.error_scale.cwiseProduct(J.pull(at.error))));
-    at.u_rate = AxisVector<double>(Vector6<double>(p.gains.fuzzy.rate_scale.cwiseProduct(J.pull(rate))));
+    at.u = AxisVector<double>(Vector6<double>(p.gains.fuzzy.error_scale.cwiseProduct(J.pull(at.error).vector())));
+    at.u_rate = AxisVector<double>(Vector6<double>(p.gains.fuzzy.rate_scale.cwiseProduct(J.pull(rate).vector())));
     for (int step = 0; step < 4; ++step) loop.advance();
   }
   return instants;

@@ -89,7 +89,8 @@ template <class S>
 void dynamics(benchmark::State& state) {
   const LoopParameters<S, Hybrid> p = parameters_of<S>();
   const Plant<S> plant(p.body, p.dynamics_error);
-  time_each<S>(state, [&](const Instant<S>& at) { return body_rate(plant, at.body, at.R_BE, at.wrench); });
+  time_each<S>(state,
+               [&](const Instant<S>& at) { return body_rate(plant, BodyMotion<S>::of(at.body), at.R_BE, at.wrench); });
 }
 
 }  // namespace

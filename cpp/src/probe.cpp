@@ -545,7 +545,8 @@ void Probe::acceleration(Rows position, Rows quaternion, Rows twist, Rows wrench
   for (std::size_t i = 0; i < n; ++i)
     put(acceleration, i,
         hexservo::acceleration(parts_->plant, rotation_matrix(row<4>(quaternion, i)), row<6>(twist, i),
-                               row<6>(wrench, i)));
+                               row<6>(wrench, i))
+            .vector());
 }
 
 void Probe::estimated_wrenches(Rows quaternion, Rows twist, Rows acceleration, Column inertial, Column coriolis) const {

@@ -105,18 +105,18 @@ BodyState<double> drive_legs(const Hexapod<double>& hexapod, const RigidBody<dou
   if (steps < 1) refuse("steps", "a whole number >= 1", words(steps));
   if (!(start.segment<4>(3).norm() > 0.0)) refuse("start", "a quaternion that is not zero", "zero");
 
-  BodyState<double> state = start;
-  normalise_quaternion(state);
+  BodyMotion<double> motion = BodyMotion<double>::of(start);
+  normalise_quaternion(motion);
   const Plant<double> plant(body, error);
-  const auto rate_at = [&](const BodyState<double>& s) {
-    const Matrix3<double> R_BE = rotation_matrix(quaternion_of(s));
-    return body_rate(plant, s, R_BE, inverse_kinematics(hexapod, position_of(s), R_BE).wrench(leg_forces));
+  const auto rate_at = [&](const BodyMotion<double>& at) {
+    const Matrix3<double> R_BE = rotation_matrix(quaternion_of(at));
+    return body_rate(plant, at, R_BE, inverse_kinematics(hexapod, position_of(at), R_BE).wrench(leg_forces));
   };
   for (long long i = 0; i < steps; ++i) {
-    runge_kutta_step(step, state, rate_at);
-    normalise_quaternion(state);
+    runge_kutta_step(step, motion, rate_at);
+    normalise_quaternion(motion);
   }
-  return state;
+  return motion.state();
 }
 
 }  // namespace hexservo

@@ -71,7 +71,7 @@ std::vector<GoalMinimum> goal_minima(const CameraView<double>& camera, const Eig
     const ImageJacobian<double, N> J(camera, -1.0, fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
     const Cholesky<double, 6> solver(J.normal_matrix(weights));
     const Vector<double, 2 * N> residual = desired_features - fit.features;
-    const Vector6<double> gradient = J.pull(weights.times(residual));
+    const Vector6<double> gradient = J.pull(weights.times(residual)).vector();
     if (!std::isfinite(fit.squared_residual) || solver.failed() ||
         !(gradient.dot(solver.solve(gradient)) <= kGoalMinimum))
       return;

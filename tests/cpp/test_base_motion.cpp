@@ -154,8 +154,9 @@ TEST_CASE("the inertial wrench gives the actual platform the acceleration -a, wh
   const Plant<double> plant(RigidBody<double>{}, error);
   const Vector3<double> a = random.matrix<3>(3.0);
   const Vector6<double> gain =
-      acceleration<double>(plant, Matrix3<double>::Identity(), Vector6<double>::Zero(),
-                           plant.weight + inertial_wrench<double>(plant, Matrix3<double>::Identity(), a));
+      acceleration<double>(plant, Matrix3<double>::Identity(), Vector6<double>(Vector6<double>::Zero()),
+                           plant.weight + inertial_wrench<double>(plant, Matrix3<double>::Identity(), a))
+          .vector();
   CHECK(distance(gain.head<3>(), -a) <= 100.0 * kEpsilon);
   CHECK(gain.tail<3>().norm() == 0.0);
   CHECK(inertial_wrench<double>(plant, Matrix3<double>::Identity(), a)(1) ==

@@ -58,7 +58,8 @@ Flat flat_rate(const Parameters& p, const ControlTask<double>& task, const Flat&
 
   const TermStrengths<double> u = normalised(law.rate.basis.error), u_rate = normalised(law.rate.basis.rate);
   Flat rate = Flat::Zero();
-  rate.head<13>() = body_rate(Plant<double>(p.body, p.dynamics_error), body, R_BE, law.wrench);
+  rate.head<13>() =
+      body_rate(Plant<double>(p.body, p.dynamics_error), BodyMotion<double>::of(body), R_BE, law.wrench).state();
   for (int row = 0; row < 7 && p.gains.fuzzy.enabled; ++row)
     for (int column = 0; column < 7; ++column)
       for (int axis = 0; axis < 6; ++axis)
@@ -273,8 +274,9 @@ TEST_CASE("the loop is of order four: errors fall 16-fold with half the step (ta
       const Measurement<double> seen = loop.observe();
       const Matrix3<double> R_BE = rotation_matrix(seen.pose.quaternion);
       const ImageJacobian<double> J(task.camera, task.jacobian_sign, seen.image, seen.pose.position, R_BE);
-      const Vector6<double> g = J.pull(p.gains.kp.cwiseProduct(task.desired_features - seen.image.features));
-      const Vector6<double> g_rate = -J.pull(p.gains.kp.cwiseProduct(J.push(seen.twist)));
+      const Vector<double, 8> error = task.desired_features - seen.image.features;
+      const Vector6<double> g = J.pull(Vector<double, 8>(p.gains.kp.cwiseProduct(error))).vector();
+      const Vector6<double> g_rate = -J.pull(Vector<double, 8>(p.gains.kp.cwiseProduct(J.push(seen.twist)))).vector();
       largest_input = std::max({largest_input, g.cwiseProduct(p.gains.fuzzy.error_scale).cwiseAbs().maxCoeff(),
                                 g_rate.cwiseProduct(p.gains.fuzzy.rate_scale).cwiseAbs().maxCoeff()});
     }

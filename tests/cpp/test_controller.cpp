@@ -492,8 +492,7 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
     const Gains gains = controller_gains<Hybrid>(settings, period);
     State state = initial_state(gains);
     const Plant<double> plant(p.body, p.dynamics_error);
-    BodyState<double> body =
-        body_state<double>({p.hexapod.home_position, {1.0, 0.0, 0.0, 0.0}}, Vector6<double>::Zero());
+    BodyMotion<double> body = BodyMotion<double>::at_rest({p.hexapod.home_position, {1.0, 0.0, 0.0, 0.0}});
     for (int tick = 0; tick < ticks; ++tick) {
       const Matrix3<double> R_BE = rotation_matrix(quaternion_of(body));
       const Image<double> image = take_image(p.camera.focal, position_of(body), R_BE, p.points_T);
@@ -503,7 +502,7 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
       const ControllerOutput out = step(gains, state, input);
       REQUIRE_FALSE(out.invalid_input());
       // the wrench of a tick holds until the next one, and is what the leg forces give
-      runge_kutta_step(period, body, [&](const BodyState<double>& b) {
+      runge_kutta_step(period, body, [&](const BodyMotion<double>& b) {
         return body_rate(plant, b, rotation_matrix(quaternion_of(b)), out.wrench);
       });
       normalise_quaternion(body);
@@ -511,7 +510,7 @@ TEST_CASE("a tick in a loop with the plant tends to the continuous loop, at firs
     double weight_error = 0.0;
     for (std::size_t r = 0; r < state.law.size(); ++r)
       weight_error = std::max(weight_error, distance(state.law[r], continuous.law_state()[r]));
-    const std::array<double, 2> error = {(body - true_body).norm(), weight_error};
+    const std::array<double, 2> error = {(body.state() - true_body).norm(), weight_error};
     for (std::size_t i = 0; i < 2; ++i) {
       CAPTURE(i);
       CAPTURE(error[i]);

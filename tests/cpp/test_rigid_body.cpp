@@ -42,17 +42,18 @@ DynamicsError<double> random_error(Random& random, double size) {
 }
 
 /// RK4 over `steps` steps of h [s] under a wrench that does not change.
-BodyState<double> integrate(const RigidBody<double>& body, BodyState<double> state, const Vector6<double>& wrench,
-                            double h, int steps) {
+BodyState<double> integrate(const RigidBody<double>& body, const BodyState<double>& start,
+                            const Vector6<double>& wrench, double h, int steps) {
   const Plant<double> plant(body, {});
-  const auto rate_at = [&](const BodyState<double>& s) {
-    return body_rate(plant, s, rotation_matrix(quaternion_of(s)), wrench);
+  const auto rate_at = [&](const BodyMotion<double>& at) {
+    return body_rate(plant, at, rotation_matrix(quaternion_of(at)), wrench);
   };
+  BodyMotion<double> motion = BodyMotion<double>::of(start);
   for (int i = 0; i < steps; ++i) {
-    runge_kutta_step(h, state, rate_at);
-    normalise_quaternion(state);
+    runge_kutta_step(h, motion, rate_at);
+    normalise_quaternion(motion);
   }
-  return state;
+  return motion.state();
 }
 
 }  // namespace
@@ -102,7 +103,7 @@ TEST_CASE(
     const Matrix6<double> C = (ones - error.coriolis).cwiseProduct(coriolis_matrix<double>(body, R_BE, twist));
     const Vector6<double> G = (Vector6<double>::Ones() - error.gravity).cwiseProduct(gravity_wrench(body));
     const Vector6<double> expected = Eigen::FullPivLU<Matrix6<double>>(D).solve(wrench - C * twist - G);
-    const Vector6<double> result = acceleration(Plant<double>(body, error), R_BE, twist, wrench);
+    const Vector6<double> result = acceleration(Plant<double>(body, error), R_BE, twist, wrench).vector();
     // Both blocks are well conditioned on their own (inertias differ by less than 20, errors leave more than 0.6).
     CHECK(relative_distance(result.head<3>(), expected.head<3>()) <= 100.0 * kEpsilon);
     CHECK(relative_distance(result.tail<3>(), expected.tail<3>()) <= 1000.0 * kEpsilon);
@@ -122,7 +123,7 @@ TEST_CASE("acceleration off centre solves (3) with errors of all entries") {
     const Matrix6<double> D = (ones - error.inertia).cwiseProduct(mass_matrix(body, R_BE));
     const Matrix6<double> C = (ones - error.coriolis).cwiseProduct(coriolis_matrix<double>(body, R_BE, twist));
     const Vector6<double> G = (Vector6<double>::Ones() - error.gravity).cwiseProduct(gravity_wrench(body, R_BE));
-    const Vector6<double> result = acceleration(Plant<double>(body, error), R_BE, twist, wrench);
+    const Vector6<double> result = acceleration(Plant<double>(body, error), R_BE, twist, wrench).vector();
     // What is left of the equation, next to its terms.
     const Vector6<double> left = D * result + C * twist + G - wrench;
     const Vector6<double> terms = (D.cwiseAbs() * result.cwiseAbs()) + wrench.cwiseAbs() + G.cwiseAbs();
@@ -211,8 +212,8 @@ TEST_CASE("z points down: a platform without actuators falls with +9.8 m/s^2 alo
     Vector6<double> fall = rest;
     fall(2) = 9.8;
     const Plant<double> plant(body, {});
-    CHECK(distance(acceleration(plant, R_BE, rest, rest), fall) <= 10.0 * kEpsilon * 9.8);
-    CHECK(acceleration(plant, R_BE, rest, gravity_wrench(body)).isZero(0.0));
+    CHECK(distance(acceleration(plant, R_BE, rest, rest).vector(), fall) <= 10.0 * kEpsilon * 9.8);
+    CHECK(acceleration(plant, R_BE, rest, gravity_wrench(body)).vector().isZero(0.0));
     Vector6<double> printed = rest;  // m (0, 0, -9.8, 0, 0, 0) of (1)
     printed(2) = body.mass * -9.8;
     CHECK(gravity_wrench(body) == printed);
@@ -346,15 +347,17 @@ TEST_CASE("state: parts go in and come out") {
   CAPTURE(random.seed());
   const Pose<double> pose{random.matrix<3>(), random.quaternion(2.0, 3.0)};
   const Vector6<double> twist = random.six(1.0, 1.0);
-  BodyState<double> state = body_state(pose, twist);
+  const BodyState<double> state = body_state(pose, twist);
   CHECK(position_of(state) == pose.position);
   CHECK(quaternion_of(state) == pose.quaternion);
   CHECK(twist_of(state) == twist);
-  normalise_quaternion(state);
-  CHECK(quaternion_of(state).norm() == doctest::Approx(1.0).epsilon(4.0 * kEpsilon));
-  CHECK(distance(quaternion_of(state), pose.quaternion.normalized()) <= 4.0 * kEpsilon);
-  CHECK(position_of(state) == pose.position);
-  CHECK(twist_of(state) == twist);
+  BodyMotion<double> motion = BodyMotion<double>::of(state);
+  CHECK(motion.state() == state);
+  normalise_quaternion(motion);
+  CHECK(quaternion_of(motion).norm() == doctest::Approx(1.0).epsilon(4.0 * kEpsilon));
+  CHECK(distance(quaternion_of(motion), pose.quaternion.normalized()) <= 4.0 * kEpsilon);
+  CHECK(position_of(motion) == pose.position);
+  CHECK(twist_of(motion) == twist);
 }
 
 // --- what is refused

@@ -454,8 +454,7 @@ class ImageJacobian {
   }
 
   /// J^T p, a wrench in B, for an image force p (2N).
-  Vector6<S> pull(const Vector<S, 2 * N>& image_force) const { return pull(Pairs<S, N>(image_force)).vector(); }
-  [[gnu::always_inline]] SideBySide<S, 6> pull(const Pairs<S, N>& image_force) const {
+  SideBySide<S, 6> pull(const Pairs<S, N>& image_force) const {
     Vector3<R> force(R(0.0), R(0.0), R(0.0)), moment(R(0.0), R(0.0), R(0.0));
     for (std::size_t r = 0; r < registers; ++r)
       add_point_wrench<R>(R(f_), R(inverse_f_), points_.x.part[r], points_.y.part[r], inverse_depth_.part[r],

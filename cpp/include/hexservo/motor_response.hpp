@@ -40,7 +40,7 @@ inline std::vector<Vector6<double>> motor_response(const RobotParameters& robot,
   const auto legs_at = [&](const BodyMotion<double>& body) {
     return inverse_kinematics(geometry, position_of(body), Matrix3<double>(rotation_matrix(quaternion_of(body))));
   };
-  BodyMotion<double> body = BodyMotion<double>::of(body_state<double>(start, Vector6<double>::Zero()));
+  BodyMotion<double> body = BodyMotion<double>::at_rest(start);
   const LegsSideBySide<double> at_start = legs_at(body);
   const Vector6<double> held = WrenchMapSolver<double>(geometry, at_start).leg_forces(-free(0.0, body).wrench);
   ActuatorParameters<double> actuators;

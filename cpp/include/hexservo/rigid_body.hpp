@@ -206,6 +206,7 @@ struct BodyMotion {
     return {SideBySide<S, 3>(Vector3<S>(position_of(state))), SideBySide<S, 4>(Vector4<S>(quaternion_of(state))),
             SideBySide<S, 6>(Vector6<S>(twist_of(state)))};
   }
+  static BodyMotion at_rest(const Pose<S>& pose) { return of(body_state<S>(pose, Vector6<S>::Zero())); }
   BodyState<S> state() const { return body_state<S>({position.vector(), quaternion.vector()}, twist.vector()); }
 
   friend BodyMotion operator+(const BodyMotion& a, const BodyMotion& b) {
@@ -244,12 +245,6 @@ void normalise_quaternion(BodyMotion<S>& motion) {
   const SideBySide<S, 4>& q = motion.quaternion;
   const S squared_length = dots(q, q, q, q)[0];
   motion.quaternion = S(S(1.0) / sqrt(squared_length)) * q;
-}
-template <class S>
-void normalise_quaternion(BodyState<S>& state) {
-  BodyMotion<S> motion = BodyMotion<S>::of(state);
-  normalise_quaternion(motion);
-  state = motion.state();
 }
 
 /// I' = R I R^T, the inertia in B [kg m^2].
@@ -382,7 +377,8 @@ template <class S>
 /// @return (m/s^2; rad/s^2), in B
 template <class S>
 [[gnu::always_inline]] inline SideBySide<S, 6> acceleration(const Plant<S>& plant, const Matrix3<S>& R_BE,
-                                                            const SideBySide<S, 6>& twist, const Vector6<S>& wrench) {
+                                                            const std::type_identity_t<SideBySide<S, 6>>& twist,
+                                                            const Vector6<S>& wrench) {
   if (plant.body.off_centre) [[unlikely]] {
     const Matrix3<S> attitude = R_BE;  // copies, so that those of the other way stay in registers
     const Vector6<S> motion = twist.vector(), force = wrench;
@@ -409,11 +405,6 @@ template <class S>
       (wrench(0) - plant.weight(0)) * plant.inverse_mass(0), (wrench(1) - plant.weight(1)) * plant.inverse_mass(1),
       (wrench(2) - plant.weight(2)) * plant.inverse_mass(2), angular(0), angular(1), angular(2));
 }
-template <class S>
-Vector6<S> acceleration(const Plant<S>& plant, const Matrix3<S>& R_BE, const Vector6<S>& twist,
-                        const Vector6<S>& wrench) {
-  return acceleration(plant, R_BE, SideBySide<S, 6>(twist), wrench).vector();
-}
 
 /// Time derivative of the platform's state under a wrench in B [N; N m].
 template <class S>
@@ -426,11 +417,6 @@ BodyMotion<S> body_rate(const Plant<S>& plant, const BodyMotion<S>& motion, cons
   return {SideBySide<S, 3>::of(twist(0), twist(1), twist(2)),
           SideBySide<S, 4>::of(turning(0), turning(1), turning(2), turning(3)),
           acceleration(plant, R_BE, twist, wrench)};
-}
-template <class S>
-BodyState<S> body_rate(const Plant<S>& plant, const BodyState<S>& state, const Matrix3<S>& R_BE,
-                       const Vector6<S>& wrench) {
-  return body_rate(plant, BodyMotion<S>::of(state), R_BE, wrench).state();
 }
 
 /// Kinetic energy 1/2 chi-dot^T D chi-dot [J].

@@ -26,7 +26,7 @@ void runge_kutta_step(double h, const Rate& k1, Function&& derivative_at, Combin
   combine(std::array<const Rate*, 4>{&k1, &k2, &k3, &k4});
 }
 
-/// The same for a state that is a plain vector: y becomes y(t + h).
+/// The same for a state that is a vector, which has sums and multiples: y becomes y(t + h).
 /// @param rate_at state -> its time derivative
 template <class State, class Function>
 void runge_kutta_step(double h, State& y, Function&& rate_at) {
@@ -35,7 +35,7 @@ void runge_kutta_step(double h, State& y, Function&& rate_at) {
       h, State(rate_at(start)),
       [&](double scale, const State& rate) { return State(rate_at(State(start + scale * rate))); },
       [&](const std::array<const State*, 4>& k) {
-        for (std::size_t i = 0; i < 4; ++i) y += h * kRungeKuttaWeights[i] * *k[i];
+        for (std::size_t i = 0; i < 4; ++i) y = State(y + (h * kRungeKuttaWeights[i]) * *k[i]);
       });
 }
 

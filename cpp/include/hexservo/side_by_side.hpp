@@ -270,7 +270,7 @@ struct Pairs {
 
   Pairs() = default;
   /// @param alternating written by `vector`, or long ago
-  explicit Pairs(const Vector<S, 2 * K>& alternating) {
+  Pairs(const Vector<S, 2 * K>& alternating) {  // NOLINT: the same
     if constexpr (width > 1 && K % width == 0) {
       for (std::size_t r = 0; r < SideBySide<S, K>::registers; ++r) {
         std::array<typename SideBySide<S, K>::Register, 2> two;

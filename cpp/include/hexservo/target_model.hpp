@@ -261,7 +261,7 @@ PoseFit<S, N> fit_pose(const CameraView<S>& camera, const Vectors3<S, N>& points
   for (int round = 0; round < end.rounds && !all(ended); ++round) {
     const ImageJacobian<S, N> J(camera, S(-1.0), best.features, best.inverse_depth, best.pose.position, best.R_BE);
     const Vector<S, 2 * N> residual = measured - best.features;
-    const Vector6<S> gradient = J.pull(weights.times(residual)) + prior.gradient(best.prior_error);
+    const Vector6<S> gradient = J.pull(weights.times(residual)).vector() + prior.gradient(best.prior_error);
     Matrix6<S> A = J.normal_matrix(weights);
     A.diagonal() += prior.weight;
     const Mask<S> damped = mu > S(0.0);
@@ -413,7 +413,7 @@ S unexplained_variance(const CameraView<S>& camera, const PoseFit<S, N>& fit, co
   const Vector<S, 2 * N> residual = measured - fit.features;
   const Cholesky<S, 6> solver(information);
   // The vector first: a difference of squares would carry the rounding of the larger, explained part.
-  const Vector<S, 2 * N> rest = residual - J.push(solver.solve(J.pull(weights.times(residual))));
+  const Vector<S, 2 * N> rest = residual - J.push(solver.solve(J.pull(weights.times(residual)).vector()));
   const Vector<S, 2 * N> unexplained = select(solver.failed(), residual, rest);
   return weights.root_times(unexplained).squaredNorm() * weights.per_freedom();
 }
@@ -542,7 +542,7 @@ PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S
   A.diagonal() += prior.weight;
   const Cholesky<S, 6> solver(A);
   const Vector<S, 2 * N> residual = features - fit.features;
-  const Vector6<S> gradient = J.pull(weights.times(residual)) + prior.gradient(fit.prior_error);
+  const Vector6<S> gradient = J.pull(weights.times(residual)).vector() + prior.gradient(fit.prior_error);
   estimate.pose = fit.pose;
   estimate.squared_residual = fit.squared_residual;
   estimate.decrement = gradient.dot(solver.solve(gradient));
@@ -632,7 +632,7 @@ SettledFit<S, N> settle_pose(const CameraView<S>& camera, const Vectors3<S, N>& 
     const PoseFit<S, N>& fit = out.fit;
     const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
     const Vector<S, 2 * N> residual = weights.times(measured - fit.features);
-    const Vector6<S> gradient = J.pull(residual) + prior.gradient(fit.prior_error);
+    const Vector6<S> gradient = J.pull(residual).vector() + prior.gradient(fit.prior_error);
     out.information = J.normal_matrix(weights);
     S closeness(0.0);
     for (int i = 0; i < N; ++i) closeness += weights.share(i) * fit.inverse_depth(i);

@@ -90,7 +90,8 @@ struct Composite : FuzzyLaw<CompositeGains> {
     } else {
       out.fuzzy_output.setZero();
     }
-    const Vector6<S> image_wrench = J.pull(constants.kp.cwiseProduct(feature_error));
+    const Vector<S, 2 * N> image_force = constants.kp.cwiseProduct(feature_error);
+    const Vector6<S> image_wrench = J.pull(image_force).vector();
     const Vector6<S> others = image_wrench + constants.kt.cwiseProduct(pose_error) -
                               constants.kd.cwiseProduct(input.twist) - out.fuzzy_output;
     const Vector6<S> switched = task.switching_wrench(constants.kv, input, others).vector();

@@ -33,8 +33,8 @@ struct Kelly : StatelessLaw<KellyGains> {
                                               Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, input.features, input.inverse_depth,
                                 input.pose.position, input.R_BE);
-    const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
-    const Vector6<S> image_wrench = J.pull(gains.kp.cwiseProduct(feature_error));
+    const Vector<S, 2 * N> image_force = gains.kp.cwiseProduct(task.desired_features - input.features);
+    const Vector6<S> image_wrench = J.pull(image_force).vector();
     out.wrench = image_wrench - gains.kd.cwiseProduct(input.twist) + task.gravity_wrench;
     task.add_weight_moment(input.R_BE, out.wrench);
     listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.kd.cwiseProduct(input.twist)); });

@@ -35,7 +35,8 @@ Vector6<S> most_probable_pose_error(const ImageJacobian<S, N>& J, const Vector<S
                                     const PointWeights<S, N>& weights = {}) {
   Matrix6<S> information = J.normal_matrix(weights);
   for (int j = 0; j < 6; ++j) information(j, j) += prior(j);
-  return solve_normal_equations<S>(information, J.pull(weights.times(feature_error)) + prior.cwiseProduct(expected));
+  return solve_normal_equations<S>(information,
+                                   J.pull(weights.times(feature_error)).vector() + prior.cwiseProduct(expected));
 }
 
 }  // namespace hexservo
