@@ -113,7 +113,11 @@ def _law(row: Row, rounds: int) -> None:
     with (
         running("visp_law", "velocity", parameters, rows, VISP) as peer,
         running(
-            "hexservo_functions", "tick", goals, np.concatenate([seen, depth, position, quaternion, twist], axis=1), BUILT
+            "hexservo_functions",
+            "tick",
+            goals,
+            np.concatenate([seen, depth, position, quaternion, twist], axis=1),
+            BUILT,
         ) as own,
     ):
         row.version = peer.version

@@ -285,7 +285,7 @@ def test_one_run_outruns_numpy(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
 def test_the_project_of_the_kernel_programs_configures(tmp_path: Path) -> None:
-    """Beside the core, whose targets it must not repeat; the C++ tests' build compiles the program without libraries."""
+    """Beside the core, whose targets it must not repeat; the build of the C++ tests compiles its own program."""
     command = ["cmake", "-S", str(ROOT / "benchmarks" / "peers"), "-B", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
