@@ -1,8 +1,7 @@
 #include "hexservo/hexapod.hpp"
 
+#include "spectra.hpp"
 #include "walk.hpp"
-
-#include <Eigen/SVD>
 
 namespace hexservo {
 
@@ -212,7 +211,7 @@ Vector6<double> wrench_map_singular_values(const Hexapod<double>& hexapod, const
   Matrix6<double> H = legs.wrench_map();
   if (!H.allFinite()) return Vector6<double>::Zero();  // a crank that does not close
   H.bottomRows<3>() /= hexapod.platform_radius;
-  return Eigen::JacobiSVD<Matrix6<double>>(H).singularValues();
+  return detail::singular_values(H);
 }
 
 Vector6<double> lever_arms(const Hexapod<double>& hexapod, const Pose<double>& pose) {

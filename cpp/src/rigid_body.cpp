@@ -1,8 +1,7 @@
 #include "hexservo/rigid_body.hpp"
 
+#include "spectra.hpp"
 #include "walk.hpp"
-
-#include <Eigen/Eigenvalues>
 
 namespace hexservo {
 
@@ -25,16 +24,14 @@ void validate_inertia_error(const Matrix6<double>& delta, const RigidBody<double
   const std::string key = "uncertainty.inertia";
   if ((delta - delta.transpose()).cwiseAbs().maxCoeff() > 0.0) refuse(key, "a symmetric 6x6 array", "one that is not");
   if (is_away(body)) {
-    const Eigen::SelfAdjointEigenSolver<Matrix6<double>> all(Matrix6<double>::Ones() - delta, Eigen::EigenvaluesOnly);
-    if (!(all.eigenvalues()(0) >= -1e-12))
+    const double smallest = detail::eigenvalues(Matrix6<double>::Ones() - delta)(0);
+    if (!(smallest >= -1e-12))
       refuse(key, "errors with 1 - error positive semidefinite, since the centre of mass is off the platform's origin",
-             words("an eigenvalue of ", all.eigenvalues()(0)));
+             words("an eigenvalue of ", smallest));
     return;
   }
   const Matrix3<double> angular = delta.bottomRightCorner<3, 3>();
-  const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(Matrix3<double>::Ones() - angular,
-                                                              Eigen::EigenvaluesOnly);
-  const bool schur = solver.eigenvalues()(0) >= -1e-12;
+  const bool schur = detail::eigenvalues(Matrix3<double>::Ones() - angular)(0) >= -1e-12;
   const bool small = angular.cwiseAbs().maxCoeff() * inertia.norm() < smallest_moment;
   if (!schur && !small)
     refuse(key,
@@ -67,8 +64,7 @@ void validate(const RigidBody<double>& body, const DynamicsError<double>& error)
     refuse("robot.inertia", "a symmetric 3x3 matrix", "one that is not");
   // About the centre of mass, which is E's origin in the paper.
   const Matrix3<double> central = is_away(body) ? I - displaced_inertia(body.mass, body.centre_E) : I;
-  const Eigen::SelfAdjointEigenSolver<Matrix3<double>> solver(central, Eigen::EigenvaluesOnly);
-  const Vector3<double> principal = solver.eigenvalues();  // ascending
+  const Vector3<double> principal = detail::eigenvalues(central);  // ascending
   const std::string got = words("principal moments ", principal(0), ", ", principal(1), ", ", principal(2), " kg m^2",
                                 is_away(body) ? " about the centre of mass" : "");
   if (!(principal(0) > 0.0))

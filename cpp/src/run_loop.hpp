@@ -118,9 +118,9 @@ class Log {
   std::array<double, static_cast<std::size_t>(kLanes<S>)> last_time_{};
 };
 
-template <class S, class LawState, int N>
-void answer(const LoopRecord<S, N>& record, const LawState& law_state, const S& steps, bool stopped, int lane,
-            const RunRequest& request) {
+/// Fills in one lane's answer, but for the weights.
+template <class S, int N>
+void answer(const LoopRecord<S, N>& record, const S& steps, bool stopped, int lane, const RunRequest& request) {
   RunAnswer& a = request.answers[lane];
   double* next = a.sample;
   write_sample(record.sample(), request.points, lane, [&](std::size_t quantity) {
@@ -140,7 +140,6 @@ void answer(const LoopRecord<S, N>& record, const LawState& law_state, const S& 
   limit(record.metrics().speed(), a.speed_first_time, a.speed_peak);
   limit(record.metrics().base_joint(), a.base_joint_first_time, a.base_joint_peak);
   limit(record.metrics().platform_joint(), a.platform_joint_first_time, a.platform_joint_peak);
-  if (a.weights != nullptr) write_weights(law_state, lane, a.weights);
   a.end_time = of_lane(record.sample_time(), lane);
   a.steps = static_cast<long long>(of_lane(steps, lane));
   a.cause = static_cast<int>(of_lane(record.cause(), lane));
@@ -150,6 +149,14 @@ void answer(const LoopRecord<S, N>& record, const LawState& law_state, const S& 
     a.cause = static_cast<int>(StopCause::not_finite);
   a.limit_leg = static_cast<int>(of_lane(record.limit_leg(), lane));
   a.interrupted = stopped && a.cause == static_cast<int>(StopCause::none) && a.steps < request.steps;
+}
+
+template <class S, class LawState, int N>
+void answer(const LoopRecord<S, N>& record, const LawState& law_state, const S& steps, bool stopped, int lane,
+            const RunRequest& request) {
+  answer(record, steps, stopped, lane, request);
+  const RunAnswer& a = request.answers[lane];
+  if (a.weights != nullptr) write_weights(law_state, lane, a.weights);
 }
 
 /// Whether the caller requests the end of the run; it may run any code, in its own thread's mode.
@@ -206,7 +213,10 @@ RunStatus run(const RunRequest& request) {
 
 template <class S, class Law, int N>
 RunStatus run_continuous(const RunRequest& request) {
-  return run<ClosedLoop<S, Law, N>, S, Law, N>(request);
+  if constexpr (kTracks<Law>)
+    return RunStatus::unknown_law;  // such a scenario is refused: the law lives on frames
+  else
+    return run<ClosedLoop<S, Law, N>, S, Law, N>(request);
 }
 
 template <class S, class Law, int N>

@@ -83,7 +83,7 @@ struct SampledRun::BooksOf final : Books {
       rows.emplace(request, plant.record(), no_weights);
     }
     RunAnswer& answer = log.answer();
-    detail::answer(plant.record(), no_weights, static_cast<double>(plant.plant().ticks()), !complete, 0, request);
+    detail::answer(plant.record(), static_cast<double>(plant.plant().ticks()), !complete, 0, request);
     // Also where only the command of the last tick is missing, whose step has been made.
     answer.interrupted = !complete && answer.cause == static_cast<int>(StopCause::none);
     rows->end(0);

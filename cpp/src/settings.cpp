@@ -3,11 +3,12 @@
 #include "hexservo/position_actuators.hpp"
 #include "hexservo/simulation.hpp"
 #include "motion.hpp"
+#include "spectra.hpp"
 #include "start_of_run.hpp"
 #include "walk.hpp"
 
-#include <Eigen/Eigenvalues>
-#include <Eigen/SVD>
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
 
 namespace hexservo {
 
@@ -49,7 +50,7 @@ void require_full_rank(const std::string& key, double f, const Image<double, N>&
   }
   if (!J.allFinite())  // of such a matrix the decomposition computes nothing, and returns what the memory held
     refuse(key, "features and depths with a finite image Jacobian", "one that overflows");
-  const auto sigma = Eigen::JacobiSVD<Eigen::Matrix<double, 2 * N, 6>>(J).singularValues();
+  const Vector6<double> sigma = detail::singular_values(J);
   if (!(sigma(5) > kRankDeficient * sigma(0)))
     refuse(key, "features that determine the pose (not all on one line)",
            words("an image Jacobian with smallest/largest singular value ", sigma(5) / sigma(0)));
@@ -322,10 +323,8 @@ void require_damping(const SceneParameters<double, N>& p) {
              words(p.virtual_damping(i)));
   }
   const Vector6<double> root = p.virtual_damping.cwiseSqrt();
-  const double fastest = Eigen::SelfAdjointEigenSolver<Matrix6<double>>(
-                             root.asDiagonal() * mobility * root.asDiagonal(), Eigen::EigenvaluesOnly)
-                             .eigenvalues()(5) *
-                         p.step;
+  const Matrix6<double> rates = root.asDiagonal() * mobility * root.asDiagonal();
+  const double fastest = detail::eigenvalues(rates)(5) * p.step;
   if (!(fastest <= kStable))  // entries that are coupled by the inertia are faster together
     refuse("controller.virtual_platform.damping",
            words("at most ", kStable / fastest,
@@ -413,7 +412,7 @@ double motor_substeps(const Plant<double>& plant, const Hexapod<double>& hexapod
   const Matrix6<double> H = inverse_kinematics(hexapod, pose.position, R_BE).wrench_map();
   const Matrix6<double> mass = plant.mass_matrix_at(R_BE) + motor.armature * H * H.transpose();
   const Matrix6<double> mobility = H.transpose() * mass.ldlt().solve(H);
-  const double a = Eigen::SelfAdjointEigenSolver<Matrix6<double>>(mobility, Eigen::EigenvaluesOnly).eigenvalues()(5);
+  const double a = detail::eigenvalues(mobility)(5);
   const double rate = std::max((motor.kv + motor.damping) * a, 2.0 * std::sqrt(motor.kp * a));  // times a step: up to 1
   return std::ceil(rate * period / kMotorSteps);
 }
@@ -596,8 +595,7 @@ void validate_payload(const Payload& load) {
   if (load.mass == 0.0) return;
   if ((load.inertia - load.inertia.transpose()).cwiseAbs().maxCoeff() > 1e-12 * load.inertia.cwiseAbs().maxCoeff())
     refuse("robot.payload.inertia", "a symmetric 3x3 matrix", "one that is not");
-  const Vector3<double> principal =
-      Eigen::SelfAdjointEigenSolver<Matrix3<double>>(load.inertia, Eigen::EigenvaluesOnly).eigenvalues();
+  const Vector3<double> principal = detail::eigenvalues(load.inertia);
   if (!(principal(0) >= 0.0) || principal(2) - principal(0) - principal(1) > 1e-9 * principal.sum())
     refuse("robot.payload.inertia", "principal moments >= 0 none of which exceeds the sum of the other two",
            words(principal(0), ", ", principal(1), ", ", principal(2), " kg m^2"));

@@ -19,8 +19,9 @@ StartOfRun start_of_run(const LoopParameters<double, Law, N>& p) {
   const auto seen = [](const LoopRecord<double, N>& record) {
     return StartOfRun{static_cast<StopCause>(static_cast<int>(record.cause())), static_cast<int>(record.limit_leg())};
   };
-  return p.mode == LoopMode::sampled ? seen(SampledLoop<double, Law, N>(p).record())
-                                     : seen(ClosedLoop<double, Law, N>(p).record());
+  if constexpr (!kTracks<Law>)
+    if (p.mode == LoopMode::continuous) return seen(ClosedLoop<double, Law, N>(p).record());
+  return seen(SampledLoop<double, Law, N>(p).record());
 }
 
 #define HEXSERVO_ELSEWHERE(Law)                                                                       \

@@ -368,8 +368,20 @@ void set_lane(Eigen::Matrix<Lanes<W>, R, C>& target, int lane, const Eigen::Matr
 }
 template <class Pack, class Single>
   requires(!std::is_same_v<Pack, Single>)
+void set_lane(Pack& target, int lane, const Single& source);
+
+namespace detail {
+/// Sets one lane of what a visit names: a type of its own, so that blocks are compiled once for all that contain them.
+struct LaneSetter {
+  int lane;
+  void operator()(const auto& /*field*/, auto& to, const auto& from) const { set_lane(to, lane, from); }
+};
+}  // namespace detail
+
+template <class Pack, class Single>
+  requires(!std::is_same_v<Pack, Single>)
 void set_lane(Pack& target, int lane, const Single& source) {
-  Pack::visit([lane](const auto&, auto& to, const auto& from) { set_lane(to, lane, from); }, target, source);
+  Pack::visit(detail::LaneSetter{lane}, target, source);
 }
 
 }  // namespace hexservo

@@ -114,8 +114,18 @@ struct LoopParameters : SceneParameters<S, N> {
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
-    SceneParameters<S, N>::visit(v, self...);
+    SceneParameters<S, N>::visit(v, scene(self)...);  // one function for the scenes of all laws
     v(Field{"gains"}, self.gains...);
+  }
+
+ private:
+  template <class T, int M>
+  static SceneParameters<T, M>& scene(SceneParameters<T, M>& p) {
+    return p;
+  }
+  template <class T, int M>
+  static const SceneParameters<T, M>& scene(const SceneParameters<T, M>& p) {
+    return p;
   }
 };
 
@@ -127,8 +137,8 @@ Eigen::Matrix<S, 3, N> believed_points(const SceneParameters<S, N>& p) {
 }
 
 /// The task of a loop's law: estimates, goal and reference.
-template <class S, class Law, int N>
-ControlTask<S, N> control_task(const LoopParameters<S, Law, N>& p) {
+template <class S, int N>
+ControlTask<S, N> control_task(const SceneParameters<S, N>& p) {
   const PlatformCamera<S> camera(p.assumed_camera);
   const Pose<S> home = home_pose(p.hexapod);
   return {camera,

@@ -15,8 +15,7 @@ template <class S, int N = kPoints>
 class LoopRecord {
  public:
   /// @param start where the run begins
-  template <class Law>
-  LoopRecord(const LoopParameters<S, Law, N>& p, const WorldState<S, N>& start)
+  LoopRecord(const SceneParameters<S, N>& p, const WorldState<S, N>& start)
       : legs_(p.hexapod),
         mid_lengths_(p.hexapod.mid_lengths),
         stroke_(p.hexapod.stroke),

@@ -23,8 +23,7 @@ inline constexpr int kFollowingRounds = 4;
 template <class S, int N = kPoints>
 class SampledPlant {
  public:
-  template <class Law>
-  explicit SampledPlant(const LoopParameters<S, Law, N>& p)
+  explicit SampledPlant(const SceneParameters<S, N>& p)
       : period_(p.step),
         substeps_(p.substeps),
         depth_error_(p.depth_error),
@@ -166,15 +165,13 @@ class SampledPlant {
            any(p.bandwidth < S(std::numeric_limits<double>::infinity()));
   }
 
-  template <class Law>
-  static BaseMotion<S> base_motion(const LoopParameters<S, Law, N>& p) {
+  static BaseMotion<S> base_motion(const SceneParameters<S, N>& p) {
     BaseMotion<S> base(p.base_motion, p.seed, p.recorded);
     if (p.target_frame == TargetFrame::world) base.find_place();
     return base;
   }
 
-  template <class Law>
-  WorldState<S, N> start(const LoopParameters<S, Law, N>& p) noexcept {
+  WorldState<S, N> start(const SceneParameters<S, N>& p) noexcept {
     if (target_moves_) place_target(0.0);
     return world_.start(p);
   }
@@ -297,7 +294,7 @@ template <class S, int N = kPoints>
 class CommandedPlant {
  public:
   template <class Law>
-  explicit CommandedPlant(const LoopParameters<S, Law, N>& p) : gains_(safety_gains(p)), state_(gains_), plant_(p) {
+  explicit CommandedPlant(const LoopParameters<S, Law, N>& p) : gains_(safety_gains<S, N>(p, motion_gains(p))), state_(gains_), plant_(p) {
     state_.perception.update(gains_, plant_.sense());
   }
 

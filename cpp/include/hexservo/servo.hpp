@@ -62,21 +62,21 @@ MotionGains<S> motion_gains(const LoopParameters<S, Law, N>& p) {
 }
 
 /// What decides on a command for a scenario, estimates only.
-template <class S, class Law, int N>
-SafetyGains<S, N> safety_gains(const LoopParameters<S, Law, N>& p) {
+template <class S, int N>
+SafetyGains<S, N> safety_gains(const SceneParameters<S, N>& p, const MotionGains<S>& motion) {
   return {{p.hexapod, LegGeometry<S>(p.hexapod), p.assumed_camera, Lens<S>(p.assumed_lens), p.assumed_desired, p.frames,
            p.pose_source, p.encoders, p.step, p.points},
           p.body,
           p.safe,
           p.actuators.saturation ? p.hexapod.force_limit : S(std::numeric_limits<double>::infinity()),
-          motion_gains(p)};
+          motion};
 }
 
 /// The controller of a scenario.
 template <class S, class Law, int N>
 ServoGains<S, Law, N> servo_gains(const LoopParameters<S, Law, N>& p) {
-  ServoGains<S, Law, N> gains{safety_gains(p),
-                              control_task(p),
+  ServoGains<S, Law, N> gains{safety_gains<S, N>(p, motion_gains(p)),
+                              control_task<S, N>(p),
                               typename Law::template Constants<S, N>(p.gains),
                               Law::initial_state(p.gains),
                               {}};

@@ -80,13 +80,11 @@ void replace(WorldState<S, N>& state, const WorldState<S, N>& next, const Mask<S
 template <class S, int N = kPoints>
 class World {
  public:
-  template <class Law>
-  explicit World(const LoopParameters<S, Law, N>& p)
+  explicit World(const SceneParameters<S, N>& p)
       : plant_(p.plant_body, p.dynamics_error), camera_(p.camera), points_T_(p.points_T), convention_(p.convention) {}
 
   /// Where a run starts.
-  template <class Law>
-  WorldState<S, N> start(const LoopParameters<S, Law, N>& p) const noexcept {
+  WorldState<S, N> start(const SceneParameters<S, N>& p) const noexcept {
     const auto body = BodyMotion<S>::of(body_state<S>(p.start, p.start_twist));
     return {body, printed_camera() ? View<S, N>(p.initial_image, rotation_matrix(quaternion_of(body))) : view_of(body)};
   }
