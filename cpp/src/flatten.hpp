@@ -13,7 +13,7 @@ namespace hexservo::detail {
 template <class T, class F>
 void for_each_leaf(T& value, F& f);
 
-/// Visitor that goes on to the leaves: like the functions below a type of its own, so that a block is compiled once for
+/// Visitor that goes on to the leaves: like the functions below a separate type, so that a block is compiled once for
 /// all that contain it.
 template <class F>
 struct LeafVisitor {

@@ -1,6 +1,6 @@
 /// @file
-/// Singular values and eigenvalues of small matrices. Every size of a matrix compiles a decomposition again, which takes
-/// longer than all else in most files: these are compiled once, for any size.
+/// Singular values and eigenvalues of small matrices. Every size of a matrix compiles a decomposition again, which
+/// takes longer than all else in most files: these are compiled once, for any size.
 #pragma once
 
 #include <Eigen/Core>

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import shlex
 import signal
 import subprocess
@@ -49,6 +50,19 @@ def test_defaults_make_a_machine_that_settles(tmp_path: Path) -> None:
     half = 0.041  # [m], 0.3 of 0.8 of the image's height at 0.5 m, rounded to two digits, on both sides
     corners = [[-half, half, -0.66], [half, half, -0.66], [half, -half, -0.66], [-half, -half, -0.66]]
     np.testing.assert_allclose(np.array(scenario.target.points), np.array(corners))
+
+
+def test_the_travel_along_each_axis_ends_where_the_legs_do(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    done = answered(file, answers())
+    scenario = hs.load_scenario(file)
+    said = re.findall(r"^  (?:about )?[xyz] +(\S+) to (\S+) (mm|deg)$", done.output, re.MULTILINE)
+    assert len(said) == 6
+    for axis, (below, above, unit) in enumerate(said):
+        scale = 1e-3 if unit == "mm" else np.pi / 180
+        for end in (scale * float(below), scale * float(above)):
+            reached = [hs.reachable(scenario, share * end * np.eye(6)[axis]).within for share in (0.999, 1.001)]
+            assert reached == [True, False]  # printed with four digits
 
 
 @pytest.mark.parametrize("rate", ["10", "24", "29.97", "30", "59.94", "100", "144", "333"])

@@ -371,7 +371,7 @@ template <class Pack, class Single>
 void set_lane(Pack& target, int lane, const Single& source);
 
 namespace detail {
-/// Sets one lane of what a visit names: a type of its own, so that blocks are compiled once for all that contain them.
+/// Sets one lane of what a visit names: a separate type, so that a block is compiled once for all that contain it.
 struct LaneSetter {
   int lane;
   void operator()(const auto& /*field*/, auto& to, const auto& from) const { set_lane(to, lane, from); }

@@ -294,7 +294,8 @@ template <class S, int N = kPoints>
 class CommandedPlant {
  public:
   template <class Law>
-  explicit CommandedPlant(const LoopParameters<S, Law, N>& p) : gains_(safety_gains<S, N>(p, motion_gains(p))), state_(gains_), plant_(p) {
+  explicit CommandedPlant(const LoopParameters<S, Law, N>& p)
+      : gains_(safety_gains<S, N>(p, motion_gains(p))), state_(gains_), plant_(p) {
     state_.perception.update(gains_, plant_.sense());
   }
 

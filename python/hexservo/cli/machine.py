@@ -20,6 +20,8 @@ from hexservo.scenario.rules import Name
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
+    from hexservo.findings.analysis.workspace import Reach
+
 __all__ = ["new"]
 
 _TITLE = "# Made by `hexservo new --machine`."
@@ -395,33 +397,25 @@ def _count(value: float) -> str | None:
 
 def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:
     """Write what follows from the answers: travel along each axis, and warnings."""
+    from hexservo.findings.analysis.scene import scene_of
+    from hexservo.findings.analysis.workspace import reaches
     from hexservo.findings.check import unlikely
 
     dialogue.say("\nWhat follows: travel from home to a leg's end or a singular pose, one direction at a time")
-    for axis, (label, unit, scale) in enumerate(
-        [(f"{name}", "mm", 1e3) for name in "xyz"] + [(f"about {name}", "deg", 1.0 / _DEGREE) for name in "xyz"]
+    ends = [[_end(reached) for reached in reaches(scene_of(scenario), sign * np.eye(6))] for sign in (-1.0, 1.0)]
+    for axis, (label, unit) in enumerate(
+        [(f"{name}", "mm") for name in "xyz"] + [(f"about {name}", "deg") for name in "xyz"]
     ):
-        ends = [scale * _travel(scenario, axis, sign) for sign in (-1.0, 1.0)]
-        dialogue.say(f"  {label:8s} {-ends[0]:9.4g} to {ends[1]:.4g} {unit}")
+        dialogue.say(f"  {label:8s} {-ends[0][axis]:9.4g} to {ends[1][axis]:.4g} {unit}")
     for sentence in unlikely(scenario):
         complain(sentence, head="Warning")
 
 
-def _travel(scenario: hs.Scenario, axis: int, sign: float) -> float:
-    """Return how far the platform goes along one axis [m or rad] within all limits, by bisection."""
-    low, high = 0.0, 1e-4
-    pose = [0.0] * 6
-
-    def inside(amount: float) -> bool:
-        pose[axis] = sign * amount
-        return hs.reachable(scenario, pose).within
-
-    while inside(high) and high < 3.0:
-        low, high = high, 1.5 * high
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if inside(middle) else (low, middle)
-    return low
+def _end(reached: Reach) -> float:
+    """Return how far the platform goes along an axis [mm] or about it [deg]; at most half a turn is looked at."""
+    if np.any(reached.direction[3:]):
+        return min(reached.distance, math.pi) / _DEGREE
+    return 1e3 * reached.distance
 
 
 def _metres(millimetres: list[float]) -> list[float]:

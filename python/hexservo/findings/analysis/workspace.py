@@ -104,7 +104,7 @@ def analyse(scenario: Scenario) -> Workspace:
     sideways = random.normal(size=(RANDOM, 3))
     sideways /= np.linalg.norm(sideways, axis=1)[:, None]
     none = np.zeros((RANDOM, 3))
-    ends = _reaches(scene, np.vstack([units, np.hstack([sideways, none]), np.hstack([none, sideways])]))
+    ends = reaches(scene, np.vstack([units, np.hstack([sideways, none]), np.hstack([none, sideways])]))
     shifts, turns = ends[len(units) : -RANDOM], ends[-RANDOM:]
     start = _place(scene, "start", scene.start)
     goal = None if goals is None else _place(scene, "goal", goals.best.view.pose)
@@ -148,10 +148,10 @@ def reach(scene: Scene, direction: Array) -> Reach:
     direction
         (6,): shift [m] and rotation vector [rad] per unit of distance, in B.
     """
-    return _reaches(scene, direction[None])[0]
+    return reaches(scene, direction[None])[0]
 
 
-def _reaches(scene: Scene, directions: Array) -> list[Reach]:
+def reaches(scene: Scene, directions: Array) -> list[Reach]:
     """Return `reach` of all directions (n, 6), which march side by side."""
     turning = np.linalg.norm(directions[:, 3:], axis=1)
     joints = np.reshape(scene.hexapod.platform_joints, (6, 3))
