@@ -290,7 +290,7 @@ $(ALL_TOOLS): pyproject.toml $(VENV) | system
 	touch $@
 
 $(PACKAGE): $(SOURCES) $(BUILD_TOOLS) | system
-	@echo "Building and installing hexservo into .venv (the first time: some 5 minutes of processor time)"
+	@echo "Building and installing hexservo into .venv (the first time: some 8 minutes of processor time)"
 	mkdir -p build
 	touch $@.begun  # the stamp's time: what is saved during the build is newer than the stamp
 	if ! python -m pip install --verbose --no-build-isolation . 2>&1 | tee build/install.log \

@@ -474,7 +474,7 @@ def test_a_road_has_the_spectrum_of_its_class(sampled: hs.Scenario, roughness: s
     power = np.zeros(len(n))
     for seed in range(seeds):
         scenario = sampled.updated({"base_motion": {"kind": "road", "road": road}, "seed": seed})
-        height = -motion_of(scenario, time)[0][:, 2]
+        height = -_core.Probe(core_parameters(scenario)).base_motion(time)[0][:, 2]
         power += 2 * step * speed / np.square(window).sum() * np.abs(np.fft.rfft(window * height)) ** 2 / seeds
     for low, high in itertools.pairwise(bands):
         inside = (n >= low) & (n < high)

@@ -96,14 +96,15 @@ class _Record:
         way = float(np.ptp(self.commands[: self.fitted]))
         return way > 0.0 and way > _STILL * self.scatter and float(np.ptp(self.joints[: self.fitted])) > 0.0
 
-    def response(self, delay: int, values: Array) -> Array:
-        """Return the coordinate at each tick, (n,).
+    def response(self, delay: int, values: Array, ticks: int | None = None) -> Array:
+        """Return the coordinate at each tick, (n,), or at the first ones alone.
 
         The values are bandwidth, damping, speed and acceleration limit; place and rate at the first tick; the command
         that was given before it.
         """
         bandwidth, damping, speed, acceleration, place, rate, before = values
-        commands = np.concatenate([np.full(delay, before), self.commands[: len(self.commands) - delay]])
+        count = len(self.commands) if ticks is None else ticks
+        commands = np.concatenate([np.full(delay, before), self.commands[: max(0, count - delay)]])[:count]
         return _core.drive_response(commands, place, rate, self.period, bandwidth, damping, speed, acceleration)
 
 
@@ -291,7 +292,7 @@ def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool])
         return found
 
     def residuals(x: Array) -> Array:
-        left = record.response(delay, unpacked(x))[: record.fitted] - measured
+        left = record.response(delay, unpacked(x), record.fitted) - measured
         return np.where(np.isfinite(left), left, 1e3 * scale) / scale
 
     logs = np.clip(np.log(np.maximum(values[:4][free[:4]], 1e-12)), lowest[free[:4]], highest[free[:4]])
@@ -329,7 +330,7 @@ def _starts(record: _Record, delay: int, limits: tuple[float, float]) -> list[Ar
     tried = []
     for bandwidth, damping in product(np.geomspace(fastest / 400.0, fastest, _BANDWIDTHS), _DAMPINGS):
         values = np.array([bandwidth, damping, *limits, measured[0], 0.0, record.commands[0]])
-        left = record.response(delay, values)[: record.fitted] - measured
+        left = record.response(delay, values, record.fitted) - measured
         tried.append((float(left @ left), values))
     return [values for _, values in sorted(tried, key=lambda one: one[0])]
 

@@ -91,12 +91,13 @@ class _Plant:
         hexapod = _core.Hexapod(self._settings.robot)
         self._start = hexapod.forward_kinematics(log.joints[0], hexapod.home_position, hexapod.home_quaternion)
 
-    def response(self, delay: int, values: Mapping[str, float]) -> Array:
-        """Return the legs' coordinates at each tick, (n, 6)."""
+    def response(self, delay: int, values: Mapping[str, float], ticks: int | None = None) -> Array:
+        """Return the legs' coordinates at each tick, (n, 6), or at the first ones alone."""
         self._settings["actuators.delay"] = delay * self._step
         for key, value in values.items():
             self._settings[f"actuators.motor.{key}"] = value
-        return _core.motor_response(self._settings, self._commands, self._start.position, self._start.quaternion)
+        commands = self._commands[:ticks]
+        return _core.motor_response(self._settings, commands, self._start.position, self._start.quaternion)
 
     def substeps(self) -> int:
         """Return how many steps of the loop a tick needs with the last values, and a quarter more."""
@@ -130,7 +131,7 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
     scale = float(np.std(measured - measured.mean(axis=0)))
 
     def residuals(delay: int, logs: Array) -> Array:
-        left = (plant.response(delay, _values(logs))[:fitted] - measured) / scale
+        left = (plant.response(delay, _values(logs), fitted) - measured) / scale
         return np.asarray(np.where(np.isfinite(left), np.clip(left, -1e3, 1e3), 1e3).ravel())
 
     around = round(float(np.median([fit.delay.value for fit in drives.moved if fit.delay is not None])))
