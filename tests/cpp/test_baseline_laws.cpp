@@ -4,12 +4,10 @@
 #include "hexservo/simulation.hpp"
 
 #include "compare.hpp"
+#include "decompositions.hpp"
 #include "laws.hpp"
 #include "random.hpp"
 #include "scenarios.hpp"
-
-#include <Eigen/QR>
-#include <Eigen/SVD>
 
 #include <array>
 #include <cmath>
@@ -155,11 +153,11 @@ TEST_CASE(
         Vector<double, 14> b;
         A << J, Matrix6<double>(s.gains.damping.cwiseSqrt().asDiagonal());
         b << s.feature_error(), Vector6<double>::Zero();
-        const Eigen::JacobiSVD<Eigen::MatrixXd> svd(A, Eigen::ComputeThinU | Eigen::ComputeThinV);
-        const Vector6<double> velocity = s.gains.gain * svd.solve(b);
+        const Vector6<double> velocity = s.gains.gain * least_squares(A, b);
         const Vector6<double> tau = s.gains.ki.asDiagonal() * (velocity - s.input.twist) + s.task.gravity_wrench;
         // normal equations square the condition, below 1e3 here; the differences are good to 1e-12
-        REQUIRE(svd.singularValues()(0) / svd.singularValues()(5) < 1e3);
+        const Vector6<double> sigma = singular_values(A);
+        REQUIRE(sigma(0) / sigma(5) < 1e3);
         CHECK(relative_distance(s.wrench(), tau) <= 1e-6);
       }
 }
@@ -282,7 +280,7 @@ TEST_CASE(
       Vector<double, 14> b;
       A << J, Matrix6<double>(weight.asDiagonal());
       b << s.feature_error(), weight.cwiseProduct(difference(s.task.reference, s.input.pose));
-      const Vector6<double> e = A.colPivHouseholderQr().solve(b);
+      const Vector6<double> e = least_squares(A, b);
       const Matrix3<double>& R = s.input.R_BE;
       const Matrix3<double> I = R * s.task.body.inertia_E * R.transpose();
       const Vector3<double> omega = s.input.twist.tail<3>();

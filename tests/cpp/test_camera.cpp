@@ -3,9 +3,8 @@
 #include "hexservo/rigid_body.hpp"
 
 #include "compare.hpp"
+#include "decompositions.hpp"
 #include "random.hpp"
-
-#include <Eigen/SVD>
 
 #include <type_traits>
 
@@ -77,7 +76,7 @@ const Features kGoal = (Features() << 10, 10, 45, -73, -64, 29, -30, -23).finish
 double condition_number(const Features& features, double depth) {
   const Image<double> image{features, Depths::Constant(depth)};
   const Eigen::MatrixXd J = jacobian(-1.0, image, Matrix3<double>::Identity()).matrix();
-  const Eigen::VectorXd sigma = Eigen::JacobiSVD<Eigen::MatrixXd>(J).singularValues();
+  const Eigen::VectorXd sigma = singular_values(J);
   return sigma(0) / sigma(5);
 }
 

@@ -4,12 +4,10 @@
 
 #include "allocations.hpp"
 #include "compare.hpp"
+#include "decompositions.hpp"
 #include "laws.hpp"
 #include "random.hpp"
 #include "scenarios.hpp"
-
-#include <Eigen/Eigenvalues>
-#include <Eigen/QR>
 
 #include <algorithm>
 #include <array>
@@ -207,11 +205,11 @@ TEST_CASE(
     const Vector6<double> weight = s.gains.prior.cwiseSqrt();
     A << s.jacobian().matrix(), Matrix6<double>(weight.asDiagonal());
     b << s.feature_error(), weight.cwiseProduct(prior_error);
-    const Vector6<double> least_squares = A.colPivHouseholderQr().solve(b);
+    const Vector6<double> by_reflections = least_squares(A, b);
     // Normal equations square the condition, which the prior bounds: 5e6 px^2/m^2 over 5e3, and some reserve.
-    CHECK(relative_distance(e, least_squares) <= 1e5 * kEpsilon);
+    CHECK(relative_distance(e, by_reflections) <= 1e5 * kEpsilon);
     const Matrix6<double> normal = A.transpose() * A;
-    CHECK(relative_distance(e, normal.ldlt().solve(A.transpose() * b)) <= 1e5 * kEpsilon);
+    CHECK(relative_distance(e, solve_by_cholesky(normal, A.transpose() * b)) <= 1e5 * kEpsilon);
   }
 }
 
@@ -226,7 +224,7 @@ TEST_CASE("limits of e: a prior of great weight alone decides, one of no weight 
     CHECK(relative_distance(certain, d) <= 1e-10);  // 1e7 px^2/m^2 over 1e20, with features of 100 px
     const Vector6<double> free =
         most_probable_pose_error(s.jacobian(), s.feature_error(), Vector6<double>::Zero().eval(), d);
-    const Vector6<double> pseudo_inverse = s.jacobian().matrix().colPivHouseholderQr().solve(s.feature_error());
+    const Vector6<double> pseudo_inverse = least_squares(s.jacobian().matrix(), s.feature_error());
     CHECK(relative_distance(free, pseudo_inverse) <= 1e-6);  // condition of J up to 1e4, squared
   }
 }
@@ -292,7 +290,7 @@ TEST_CASE(
     const Jacobian J = s.jacobian().matrix();
     const Matrix6<double> M = s.gains.prior.asDiagonal();
     const Vector6<double> e =
-        (J.transpose() * J + M).ldlt().solve(J.transpose() * s.feature_error() + M * expected_by_prior(s));
+        solve_by_cholesky(J.transpose() * J + M, J.transpose() * s.feature_error() + M * expected_by_prior(s));
     Vector6<double> tau = J.transpose() * s.gains.kp.asDiagonal() * s.feature_error() + s.task.gravity_wrench;
     for (int j = 0; j < 6; ++j) {
       const double twist = s.input.twist(j);
@@ -567,7 +565,9 @@ TEST_CASE("the drift's cause: eigenvalues of (J-hat^T J-hat)^-1 J-hat^T J below 
   const double f = p.camera.focal;
   const Vector3<double> p_BE = Vector3<double>::Zero();
   const Matrix3<double> R_BE = Matrix3<double>::Identity();
-  const auto smallest = [](const Matrix6<double>& A) { return A.eigenvalues().real().minCoeff(); };
+  const auto smallest = [](const Matrix6<double>& A, const Matrix6<double>& B) {
+    return smallest_real_part(solve_by_cholesky(A, B));
+  };
   // where the run starts, and the goal reached by translation
   for (const bool at_goal : {false, true}) {
     CAPTURE(at_goal);
@@ -582,8 +582,8 @@ TEST_CASE("the drift's cause: eigenvalues of (J-hat^T J-hat)^-1 J-hat^T J below 
         for (int i = 0; i < 4; ++i) error(i) = (pattern >> i & 1) == 1 ? -size : size;
         const Image<double> measured = measured_image(image, error);
         const Jacobian known = ImageJacobian<double>(f, -1.0, measured, p_BE, R_BE).matrix();
-        negative += smallest((known.transpose() * known).ldlt().solve(known.transpose() * J)) < 0.0 ? 1 : 0;
-        worst = std::min(worst, smallest((known.transpose() * known + M).ldlt().solve(known.transpose() * J + M)));
+        negative += smallest(known.transpose() * known, known.transpose() * J) < 0.0 ? 1 : 0;
+        worst = std::min(worst, smallest(known.transpose() * known + M, known.transpose() * J + M));
       }
       CHECK(negative == (at_goal ? 13 : 11));
       CHECK(worst > 0.0);

@@ -4,11 +4,10 @@
 #include "../../examples/gains.hpp"
 #include "allocations.hpp"
 #include "compare.hpp"
+#include "decompositions.hpp"
 #include "laws.hpp"
 #include "random.hpp"
 #include "scenarios.hpp"
-
-#include <Eigen/LU>
 
 #include <array>
 #include <bit>
@@ -127,7 +126,7 @@ Vector6<double> forces_by_lu(const Hexapod<double>& hexapod, const Pose<double>&
     const Vector3<double> c = (pose.position + arm - hexapod.base_joints_B.col(i)).normalized();
     H.col(i) << c, arm.cross(c);
   }
-  return H.fullPivLu().solve(wrench);
+  return solve_by_lu(H, wrench);
 }
 
 /// How many of the `entries` are those of the image.

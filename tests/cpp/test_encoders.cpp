@@ -5,10 +5,10 @@
 
 #include "allocations.hpp"
 #include "compare.hpp"
+#include "decompositions.hpp"
 #include "random.hpp"
 
 #include <Eigen/LU>
-#include <Eigen/SVD>
 
 #include <bit>
 #include <functional>
@@ -87,7 +87,7 @@ double pose_distance(const Pose<double>& a, const Pose<double>& b) { return pose
 
 /// Largest length of (H^T)^-1 x for |x_i| <= 1, with moments as they are: metres and radians.
 double worst_gain(const Hexapod<double>& hexapod, const Pose<double>& pose) {
-  return std::sqrt(6.0) / Eigen::JacobiSVD<Matrix6<double>>(legs_at(hexapod, pose).wrench_map()).singularValues()(5);
+  return std::sqrt(6.0) / singular_values(legs_at(hexapod, pose).wrench_map())(5);
 }
 
 /// A pose turned by a rotation vector in B and moved, by Eigen.

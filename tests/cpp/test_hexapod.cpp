@@ -3,9 +3,8 @@
 #include "hexservo/perception.hpp"
 
 #include "compare.hpp"
+#include "decompositions.hpp"
 #include "random.hpp"
-
-#include <Eigen/Eigenvalues>
 
 #include <functional>
 #include <vector>
@@ -442,8 +441,7 @@ TEST_CASE("singular values of the wrench map are the roots of the eigenvalues of
       const Pose<double> pose = pose_within_stroke(hexapod, random);
       Matrix6<double> H = legs_at(hexapod, pose).wrench_map();
       H.bottomRows<3>() /= hexapod.platform_radius;
-      const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(H * H.transpose(), Eigen::EigenvaluesOnly);
-      const Vector6<double> expected = solver.eigenvalues().reverse().cwiseSqrt();
+      const Vector6<double> expected = symmetric_eigenvalues(H * H.transpose()).reverse().cwiseSqrt();
       CHECK(distance(wrench_map_singular_values(hexapod, pose), expected) <= 100.0 * kEpsilon);
     }
   });
