@@ -54,6 +54,7 @@ def test_motors_are_found_from_a_log_of_mujoco(paper: hs.Scenario, kind: str) ->
     assert hs.simulate(found.scenario).outcome == "completed"
 
 
+@pytest.mark.slow
 def test_intervals_of_motors_contain_the_true_values(paper: hs.Scenario) -> None:
     """Of 4 logs with white noise: of 16 intervals of 95 % at least 13 (99.9 %, binomial)."""
     machine, random = machine_of(paper, "prismatic"), np.random.default_rng(SEED)

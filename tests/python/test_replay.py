@@ -142,7 +142,8 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return built
     folder = tmp_path_factory.mktemp("core")
     subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release"], check=True, capture_output=True)
-    subprocess.run(["cmake", "--build", folder, "-j2"], check=True, capture_output=True)
+    build = ["cmake", "--build", str(folder), "--target", "hexservo_core", "-j2"]
+    subprocess.run(build, check=True, capture_output=True)
     return folder / "libhexservo_core.a"
 
 
