@@ -402,11 +402,10 @@ def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:
     from hexservo.findings.check import unlikely
 
     dialogue.say("\nWhat follows: travel from home to a leg's end or a singular pose, one direction at a time")
-    ends = [[_end(reached) for reached in reaches(scene_of(scenario), sign * np.eye(6))] for sign in (-1.0, 1.0)]
-    for axis, (label, unit) in enumerate(
-        [(f"{name}", "mm") for name in "xyz"] + [(f"about {name}", "deg") for name in "xyz"]
-    ):
-        dialogue.say(f"  {label:8s} {-ends[0][axis]:9.4g} to {ends[1][axis]:.4g} {unit}")
+    axes = [(name, "mm") for name in "xyz"] + [(f"about {name}", "deg") for name in "xyz"]
+    ends = [_end(reached) for reached in reaches(scene_of(scenario), np.vstack([-np.eye(6), np.eye(6)]))]
+    for (label, unit), below, above in zip(axes, ends[:6], ends[6:], strict=True):
+        dialogue.say(f"  {label:8s} {-below:9.4g} to {above:.4g} {unit}")
     for sentence in unlikely(scenario):
         complain(sentence, head="Warning")
 
