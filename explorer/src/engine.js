@@ -30,6 +30,7 @@ export class Runner {
     runner.id = 0;
     runner.busy = false;
     runner.waiting = null;
+    runner.spare = {};
     runner.worker = await worker((message) => {
       if (message.id !== runner.id) return;
       if (message.progress !== undefined) {
@@ -57,7 +58,13 @@ export class Runner {
     this.busy = true;
     this.slow = false;
     this.id += 1;
-    this.worker.postMessage({ id: this.id, scenario });
+    this.worker.postMessage({ id: this.id, scenario, spare: this.spare }, Object.values(this.spare).map(({ buffer }) => buffer));
+    this.spare = {};
+  }
+
+  /** Takes a result that is no longer shown, for a later run to write over. */
+  reuse(result) {
+    this.spare = result.samples;
   }
 }
 

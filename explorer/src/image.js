@@ -4,6 +4,7 @@ import { cleared, colours, isShortcut, lineColour, pointIn, ticks } from "./view
 
 const NEAR = 22; // pixels within which a goal is taken
 const PAD = 34;
+const FINE = 0.3; // pixels that a path may be longer or shorter for being drawn with fewer lines
 
 export class ImageView {
   /**
@@ -29,14 +30,20 @@ export class ImageView {
 
   fit() {
     const { goals, samples, rows, points } = this.shown;
+    const errors = samples.feature_error;
     let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
     const take = (x, y) => {
       if (!(Math.abs(x) < 1e5 && Math.abs(y) < 1e5)) return;
-      [left, right, low, high] = [Math.min(left, x), Math.max(right, x), Math.min(low, y), Math.max(high, y)];
+      if (x < left) left = x;
+      if (x > right) right = x;
+      if (y < low) low = y;
+      if (y > high) high = y;
     };
-    for (let i = 0; i < points; ++i) take(goals[2 * i], goals[2 * i + 1]);
-    for (let k = 0; k < rows; ++k)
-      for (let i = 0; i < points; ++i) take(...this.feature(samples, k, i));
+    for (let i = 0; i < points; ++i) {
+      const [x, y] = [goals[2 * i], goals[2 * i + 1]];
+      take(x, y);
+      for (let at = 2 * i; at < 2 * points * rows; at += 2 * points) take(x - errors[at], y - errors[at + 1]);
+    }
     const half = 0.56 * Math.max(right - left, high - low, 2);
     this.view = { x: (left + right) / 2, y: (low + high) / 2, half };
   }
@@ -56,7 +63,7 @@ export class ImageView {
     if (!this.shown) return;
     this.row = row;
     const [c, width, height] = cleared(this.canvas);
-    const { goals, samples, rows, points } = this.shown;
+    const { goals, samples, points } = this.shown;
     const colour = colours();
     this.middle = [PAD / 2 + width / 2, (height - PAD / 2) / 2];
     this.scale = Math.min(width - PAD, height - PAD) / (2 * this.view.half);
@@ -64,7 +71,7 @@ export class ImageView {
     c.lineJoin = "round";
     for (let i = 0; i < points; ++i) {
       c.beginPath();
-      for (let k = 0; k < rows; ++k) c.lineTo(...this.place(...this.feature(samples, k, i)));
+      this.path(c, i);
       c.strokeStyle = lineColour(i);
       c.lineWidth = 1.6;
       c.stroke();
@@ -104,6 +111,23 @@ export class ImageView {
         c.stroke();
       }
     }
+  }
+
+  /** Where a feature went: a line for each piece of way that can be seen, and to what was the last finite place. */
+  path(c, point) {
+    const { goals, samples, rows, points } = this.shown;
+    const errors = samples.feature_error;
+    const [goalX, goalY] = this.place(goals[2 * point], goals[2 * point + 1]);
+    let [x, y, drawnX, drawnY] = [NaN, NaN, NaN, NaN];
+    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points) {
+      const [nextX, nextY] = [goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]];
+      if (!Number.isFinite(nextX + nextY)) continue;
+      [x, y] = [nextX, nextY];
+      if (Math.abs(x - drawnX) + Math.abs(y - drawnY) < FINE) continue;
+      c.lineTo(x, y);
+      [drawnX, drawnY] = [x, y];
+    }
+    if (Number.isFinite(x)) c.lineTo(x, y);
   }
 
   /** Around the features, in the order of their direction from the middle. */

@@ -71,8 +71,10 @@ function answer(message, tag) {
   globalThis.explorer.refusal = null;
   document.body.classList.remove("stale");
   say("");
+  const before = result;
   result = message.result;
   show();
+  if (before) runner.reuse(before);
   queueMicrotask(() => latencies.push(performance.now() - tag.asked)); // after the charts, which draw in microtasks
   globalThis.explorer.shown = toAddress(tag.state);
 }

@@ -32,12 +32,10 @@ export class MachineView {
     this.result = result;
     this.up = new Vector3(...up).normalize();
     this.base = vectors(scene.base_joints);
-    const middle = mean(this.base);
-    this.radius = Math.max(...this.base.map((foot) => foot.distanceTo(middle)));
-    this.floor = floor(middle, this.up, 1.5 * this.radius, line);
-    this.ground = plate(this.base, -0.04 * this.radius, this.up, c7);
     const upInPlatform = this.up.clone().applyQuaternion(framesAt(result, 0).platform.quaternion.conjugate());
-    this.platform = plate(vectors(scene.platform_joints), 0.05 * this.radius, upInPlatform, accent);
+    const plates = String([scene.base_joints, scene.platform_joints, up, upInPlatform.toArray(), line, accent, c7]);
+    if (this.plates !== plates) this.build(scene, upInPlatform);
+    this.plates = plates;
     this.scene = new Scene();
     this.scene.background = new Color(panel);
     if (this.held) return; // the view rests
@@ -45,6 +43,16 @@ export class MachineView {
     const far = vectors(scene.camera_on_base ? scene.camera_position : scene.target); // what is away from the machine
     const floorPoints = vectors(this.floor.geometry.attributes.position.array).map((point) => point.applyMatrix4(this.floor.matrixWorld));
     this.kept = [...floorPoints, ...far, ...ways, positionAt(result, 0)].filter(isFinitePoint);
+  }
+
+  /** Makes what stays as it is during a run, and from run to run while the machine is the same. */
+  build({ platform_joints }, upInPlatform) {
+    const { line, accent, c7 } = colours();
+    const middle = mean(this.base);
+    this.radius = Math.max(...this.base.map((foot) => foot.distanceTo(middle)));
+    this.floor = floor(middle, this.up, 1.5 * this.radius, line);
+    this.ground = plate(this.base, -0.04 * this.radius, this.up, c7);
+    this.platform = plate(vectors(platform_joints), 0.05 * this.radius, upInPlatform, accent);
   }
 
   /** @param {number} row the sample of now */
@@ -68,10 +76,12 @@ export class MachineView {
 
   /** Where the platform was, as far as it moved. */
   trail(row) {
+    const { position } = this.result.samples;
     const way = [];
+    const at = new Vector3();
     for (let k = 0; k <= row; ++k) {
-      const at = positionAt(this.result, k);
-      if (!k || at.distanceTo(way.at(-1)) > 0.02 * this.radius) way.push(at);
+      at.fromArray(position, 3 * k);
+      if (!k || at.distanceTo(way.at(-1)) > 0.02 * this.radius) way.push(at.clone());
     }
     return way;
   }

@@ -67,12 +67,15 @@ export function plate(joints, height, up, color) {
   return new three.Mesh(new ConvexGeometry([...joints, ...joints.map((joint) => joint.clone().add(normal))]), new three.MeshLambertMaterial({ color }));
 }
 
+const PYRAMID = new ConvexGeometry([new three.Vector3(), ...[-1, 1].flatMap((x) => [-1, 1].map((y) => new three.Vector3(x, y, -1)))]);
+const PYRAMID_EDGES = new three.EdgesGeometry(PYRAMID);
+
 /** What a camera at the origin sees up to a distance, `half` its half width at distance 1. */
 export function pyramid(half, reach, color) {
-  const corners = [-half, half].flatMap((x) => [-half, half].map((y) => new three.Vector3(x, y, -1).multiplyScalar(reach)));
-  const geometry = new ConvexGeometry([new three.Vector3(), ...corners]);
   const glass = new three.MeshBasicMaterial({ color, opacity: 0.1 });
-  return new three.Group().add(new three.Mesh(geometry, glass), lines(new three.EdgesGeometry(geometry), color, 1));
+  const made = new three.Group().add(new three.Mesh(PYRAMID, glass), lines(PYRAMID_EDGES, color, 1));
+  made.scale.set(half * reach, half * reach, reach);
+  return made;
 }
 
 /** Arrows from one point, in the order of their directions in the plane that they are in. */

@@ -1,7 +1,7 @@
 /**
  * Runs scenarios away from the page. Of two requests for a run the newer one counts: the older one is left where it is.
  *
- * In: {module}; {id, scenario}: a run; {id, map: {scenario, names, cells: [[index, a, b]...]}}; {id}: stop.
+ * In: {module}; {id, scenario, spare}: a run, and samples to write over; {id, map: {scenario, names, cells: [[index, a, b]...]}}; {id}: stop.
  * Out: {ready}; {id, result} or {id, refusal}, {id, progress}; {id, cells: [[index, outcome, metrics, refusal]...]} or {id, refusal}.
  */
 import { Core, Refusal } from "./core.js";
@@ -20,7 +20,7 @@ const breath = () =>
     channel.port2.postMessage(0);
   });
 
-async function run(id, scenario) {
+async function run(id, scenario, spare) {
   core.apply(scenario);
   core.begin();
   const steps = scenario["simulation.duration"] / scenario["simulation.step"];
@@ -31,7 +31,7 @@ async function run(id, scenario) {
     await breath();
     if (newest !== id) return;
   }
-  const result = core.result();
+  const result = core.result(spare);
   core.end();
   postMessage(
     { id, result },
@@ -76,7 +76,7 @@ onmessage = async ({ data }) => {
   }
   newest = data.id;
   try {
-    if (data.scenario) await run(data.id, data.scenario);
+    if (data.scenario) await run(data.id, data.scenario, data.spare);
     else if (data.map) await map(data.id, data.map);
   } catch (error) {
     postMessage({ id: data.id, refusal: error.message, known: error instanceof Refusal });
