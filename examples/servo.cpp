@@ -1,8 +1,9 @@
 // A servo loop: read the sensors, take a tick, command the legs, sleep until the next period. No Python, no heap.
 //
 // Camera, joint sensors and legs are simulated here by `Robot`; its two functions are what a real program would
-// replace. gains.hpp was written by `hexservo export paper --header gains.hpp`; any other scenario's header will do,
-// whatever number of points its target has.
+// replace. gains.hpp was written by `hexservo export paper --header gains.hpp`; the header of any other machine that
+// takes forces will do, whatever number of points its target has. One that takes positions is commanded
+// `leg_positions` in place of `leg_forces` (docs/position-machines.md).
 //
 //   servo [SECONDS]    how long to run, 1 s if not given; exit code 0 if the features settle at their goal
 #include "gains.hpp"
@@ -103,7 +104,13 @@ int main(int argc, char** argv) {
   }
 
   const auto gains = exported::controller_gains();  // may throw: before the loop, never in it
-  auto state = hexservo::initial_state(gains);      // takes the memory that the ticks need
+  if (gains.motion.acts) {
+    std::fprintf(stderr,
+                 "servo: expected gains of a machine that takes forces, as the simulated legs here do, "
+                 "got those of one that takes positions\n");
+    return 2;
+  }
+  auto state = hexservo::initial_state(gains);  // takes the memory that the ticks need
   Robot robot(gains);
   const auto settling = exported::settings().metrics;
 

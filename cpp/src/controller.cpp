@@ -5,6 +5,10 @@
 #include "hexservo/subnormals.hpp"
 #include "weight_rows.hpp"
 
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
 namespace hexservo {
 
 namespace {
@@ -41,6 +45,8 @@ struct NumberWriter {
   }
   void operator()(PoseMemory<double>& memory) { memory.for_each_member(*this); }
   void operator()(const NoState<double>& /*law*/) {}
+  void time(auto& numbers_of) { (*this)(numbers_of); }
+  void finite(auto& numbers_of) { (*this)(numbers_of); }
 };
 
 /// The same numbers, back to where they came from.
@@ -56,11 +62,32 @@ struct NumberReader {
     next += matrix.size();
   }
   void operator()(FuzzyWeights<double>& weights) {
+    require(kWeightNumbers, "a finite number", [](double number) { return std::isfinite(number); });
     weights = detail::weights_from(next);
     next += kWeightNumbers;
   }
   void operator()(PoseMemory<double>& memory) { memory.for_each_member(*this); }
   void operator()(NoState<double>& /*law*/) {}
+
+  /// A time, or several; -infinity where there was none yet.
+  void time(auto& times) {
+    require(count(times), "a time", [](double number) { return number < std::numeric_limits<double>::infinity(); });
+    (*this)(times);
+  }
+  void finite(auto& numbers) {
+    require(count(numbers), "a finite number", [](double number) { return std::isfinite(number); });
+    (*this)(numbers);
+  }
+
+  static std::size_t count(double /*number*/) { return 1; }
+  template <int R, int C>
+  static std::size_t count(const Eigen::Matrix<double, R, C>& matrix) {
+    return static_cast<std::size_t>(matrix.size());
+  }
+  void require(std::size_t numbers, const char* what, bool (*is_one)(double)) const {
+    const double* found = std::find_if_not(next, next + numbers, is_one);
+    if (found != next + numbers) detail::refuse("state", detail::words(what, " in this place"), detail::words(*found));
+  }
 
   double whole(double most) {
     const double number = *next++;

@@ -12,6 +12,8 @@
 
 #include <bit>
 #include <functional>
+#include <limits>
+#include <optional>
 
 using namespace hexservo;
 using namespace hexservo::test;
@@ -52,9 +54,11 @@ class JointSensors {
         perception_(sensing_) {}
 
   /// @param spoilt lanes whose second encoder gives no number
-  void observe(long long tick, const Pose<S>& pose, const Vector6<S>& twist, const Mask<S>& spoilt = Mask<S>(false)) {
+  /// @param clock the time that the tick is given [ticks]
+  void observe(long long tick, const Pose<S>& pose, const Vector6<S>& twist, const Mask<S>& spoilt = Mask<S>(false),
+               std::optional<double> clock = {}) {
     SensorInput<S> input;
-    input.now = static_cast<double>(tick);
+    input.now = clock.value_or(static_cast<double>(tick));
     input.joints =
         encoders_.read(tick, inverse_kinematics(sensing_.legs, pose.position, rotation_matrix(pose.quaternion)), twist);
     input.joints.lengths(1) = select(spoilt, S(kNaN), input.joints.lengths(1));
@@ -66,6 +70,7 @@ class JointSensors {
   const Vector6<S>& twist() const { return perception_.now().twist; }
   const Mask<S>& failed() const { return perception_.now().unsensed; }
   const Mask<S>& usable() const { return perception_.now().joints; }
+  const Mask<S>& timed() const { return perception_.now().usable; }
 
  private:
   Sensing<S> sensing_;
@@ -321,6 +326,44 @@ TEST_CASE("between readings everything holds, and differences are taken over the
     }
     CHECK(pose_distance(sensors.pose(), read.pose) <= 1e-12);
     CHECK(distance(sensors.twist(), twist) == 0.0);
+  }
+}
+
+TEST_CASE("whatever the clock does, pose and twist are those of the legs, and the law may not act") {
+  const Hexapod<double> hexapod = make_hexapod(robot_preset("micro"));
+  struct Fault {
+    const char* name;
+    std::function<double(double)> clock;  // from the tick on at which it fails
+  };
+  constexpr long long kFails = 40, kEnds = 90;
+  for (const Fault& fault : std::initializer_list<Fault>{
+           {"back by 1000 ticks", [](double t) { return t - 1000.0; }},
+           {"one tick of far ahead, then as before", [](double t) { return t == kFails ? t + 1000.0 : t; }},
+           {"NaN", [](double) { return kNaN; }},
+           {"infinity", [](double) { return std::numeric_limits<double>::infinity(); }},
+           {"stands still, then NaN", [](double t) { return t < kFails + 5 ? kFails - 1.0 : kNaN; }},
+           {"stands still", [](double) { return kFails - 1.0; }}}) {
+    CAPTURE(fault.name);
+    JointSensors<double> healthy = encoders({{}, 1}, hexapod), faulty = healthy;
+    long long refused = 0;
+    for (long long tick = 0; tick < kEnds + 40; ++tick) {
+      const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
+      const double time = static_cast<double>(tick);
+      const bool fails = tick >= kFails && tick < kEnds;
+      healthy.observe(tick, truth.pose, truth.twist);
+      faulty.observe(tick, truth.pose, truth.twist, false, fails ? fault.clock(time) : time);
+      REQUIRE(pose_distance(faulty.pose(), truth.pose) <= 1e-12);
+      refused += faulty.timed() ? 0 : 1;
+      // One that has run ahead is behind for as long; one that stands is found out after some ticks, then counted
+      // again.
+      const bool counts = faulty.timed() ? !fails : true;
+      if (counts && tick != kFails) {
+        REQUIRE(faulty.usable());
+        const double change = fails && tick <= kFails + static_cast<long long>(kStandingTicks) ? 0.2 : 1e-9;
+        CHECK(distance(faulty.twist(), healthy.twist()) <= change);  // of up to 0.6 rad/s
+      }
+    }
+    CHECK(refused >= kEnds - kFails - static_cast<long long>(kStandingTicks) - 1);
   }
 }
 

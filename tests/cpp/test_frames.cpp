@@ -415,7 +415,8 @@ TEST_CASE("poses of the past: each tick's own to the last bit, between two of th
   PoseHistory<double> history(4);
   CHECK(std::isnan(history.at(0.0).position(0)));
   const auto pose_of = [](double tick) {
-    return Pose<double>{Vector3<double>(0.1 * tick, 1.0 / (1.0 + tick), -0.15), {1.0, 0.01 * tick, 0.0, -0.02}};
+    const Vector4<double> attitude(1.0, 0.01 * tick, 0.0, -0.02);
+    return Pose<double>{Vector3<double>(0.1 * tick, 1.0 / (1.0 + tick), -0.15), attitude.normalized()};
   };
   for (int tick = 0; tick < 10; ++tick) {
     history.add(tick, pose_of(tick), true);
@@ -431,9 +432,25 @@ TEST_CASE("poses of the past: each tick's own to the last bit, between two of th
   }
   const Pose<double> between = history.at(8.25);
   CHECK(between.position(0) == doctest::Approx(0.825).epsilon(1e-14));
-  CHECK(between.quaternion(1) == doctest::Approx(0.0825).epsilon(1e-14));
+  CHECK(between.quaternion(1) / between.quaternion(0) == doctest::Approx(0.0825).epsilon(1e-6));
   Pose<double> turned = pose_of(10);
   turned.quaternion *= -1.0;  // the same attitude
   history.add(10, turned, true);
-  CHECK(history.at(9.5).quaternion(0) == doctest::Approx(1.0).epsilon(1e-14));
+  const Vector4<double> halfway = history.at(9.5).quaternion;
+  CHECK(halfway(1) / halfway(0) == doctest::Approx(0.095).epsilon(1e-6));
+}
+
+TEST_CASE("poses of the past: the lengths of quaternions count for nothing between two ticks") {
+  PoseHistory<double> history(6), stretched(6);
+  for (int tick = 0; tick < 6; ++tick) {
+    const double half = 0.05 * tick;
+    Pose<double> pose{Vector3<double>(0.01 * tick, 0.0, 0.0), {std::cos(half), 0.0, std::sin(half), 0.0}};
+    history.add(tick, pose, true);
+    pose.quaternion *= tick % 2 == 0 ? 1.0 : 100.0;
+    stretched.add(tick, pose, true);
+  }
+  for (double asked = 0.0; asked <= 5.0; asked += 0.25) {
+    CHECK((history.at(asked).quaternion - stretched.at(asked).quaternion).norm() <= 1e-14);
+    CHECK((history.on_line(asked).quaternion - stretched.on_line(asked).quaternion).norm() <= 1e-14);
+  }
 }

@@ -275,7 +275,9 @@ def test_export_writes_refuses_and_replaces(paper: hs.Scenario, tmp_path: Path) 
     header = tmp_path / "gains.hpp"
     code, out, error = run("paper", "--header", str(header))
     assert (code, error) == (0, "")
-    assert out == f'{header}: gains of the scenario "paper" for a period of 1 ms\n'
+    first, *notes = out.splitlines()
+    assert first == f'{header}: gains of the scenario "paper" for a period of 1 ms'
+    assert [note.partition(":")[0] for note in notes] == ["Note", "Note"]
     assert header.read_text(encoding="utf-8") == gains_header(paper)
 
     changed = ("paper", "--header", str(header), "--set", "controller.hybrid.kp=2e-6", "--period", "5e-4")

@@ -284,11 +284,28 @@ def test_commands_stay_within_what_the_legs_can_do(law: str) -> None:
     free = (np.abs(wanted[2:] - home) < 0.7 * stroke).all(axis=1)  # a stop at an end of the stroke takes 1 mm of 4
     # The limit is of the rate at the end of a tick: a tick that is not limited moves at the mean of two of them.
     assert np.abs(np.diff(speed, axis=0) / tick)[free].max() <= most * (1.02 if massless else 1.52)
-    assert np.abs(wanted - home).max() <= stroke + 2e-6
+    assert np.abs(wanted - home).max() <= stroke * (1 + 1e-12)
     assert np.abs(wanted - home).max() >= 0.8 * stroke
     assert ticks["saturated"].any()
     run = hs.simulate(scenario)
     assert np.abs(run.leg_lengths - home).max() <= 1.15 * stroke  # legs that follow late, and brake no harder
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "goal"),
+    [("reachy-mini", "resolved_rate", [0.5, 0.5, 0.5]), ("pi-h824-positions", "pbvs", [0.0, 0.3, 0.0])],
+)
+def test_a_goal_out_of_reach_leaves_the_commands_within_the_stroke(name: str, law: str, goal: list[float]) -> None:
+    """Legs slide along the ends of their stroke, where the rates of a tick move them beyond by rounding alone."""
+    scenario = hs.load_scenario(name).updated({"controller.law": law, "simulation.duration": 2.0})
+    pixels = hs.project(scenario, np.array([0.0, 0.0, 0.0, *goal]))
+    scenario = scenario.updated({"target.desired_features": pixels.tolist()})
+    settings = core_parameters(scenario)
+    ticks = _core.recorded_ticks(settings)
+    middle, stroke = _core.Hexapod(settings.robot).mid_lengths, scenario.robot.stroke
+    away = np.abs(ticks["leg_positions"] - middle)
+    assert away.max() <= stroke * (1 + 1e-12)
+    assert (away.max(axis=0) >= 0.99 * stroke).any()  # one at least is at an end of its stroke
 
 
 def test_without_an_image_the_legs_stop_and_stay() -> None:

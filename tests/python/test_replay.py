@@ -288,6 +288,55 @@ def test_a_state_of_another_controller_is_refused() -> None:
     np.testing.assert_array_equal(one.state(), state)
 
 
+@pytest.mark.parametrize("name", ["composite-30hz", "real-machine", "slow-camera"])
+def test_a_state_with_a_number_that_none_has_is_refused_or_harmless(name: str) -> None:
+    """Leg rates may be NaN, and so a twist; no other number, since the law would never act again."""
+    scenario = hs.load_scenario(name).updated({"simulation.duration": 0.1})
+    ticks = ticks_of(scenario)
+    controller = hs.Controller(scenario)
+    count = len(ticks["now"])
+    for k in range(count - 5):
+        step(controller, ticks, k)
+    state, now = controller._core.state(), controller._next
+    taken = 0
+    for place in range(len(state)):
+        spoilt, before = state.copy(), taken
+        spoilt[place] = np.nan
+        with contextlib.suppress(ValueError):
+            controller._core.restore(spoilt)
+            taken += 1
+        if taken == before:
+            continue
+        controller._next = now
+        outputs = [step(controller, ticks, k) for k in range(count - 5, count)]
+        assert [output.status for output in outputs] == ["valid"] * 5, place
+    assert taken <= 6  # a twist
+
+
+@pytest.mark.parametrize("clock", [lambda now: now - 1.0, lambda now: np.nan], ids=["back", "nan"])
+def test_a_clock_that_fails_leaves_the_brake_of_a_controller_that_has_lost_its_camera(clock: Any) -> None:
+    """The legs are read without a usable clock too: a moving platform brakes."""
+    scenario = hs.load_scenario("real-machine").updated({"simulation.duration": 0.12, "camera.timeout": 0.08})
+    ticks = ticks_of(scenario)
+    faulty, healthy = hs.Controller(scenario), hs.Controller(scenario)
+    count = len(ticks["now"])
+    for k in range(count - 10):
+        step(faulty, ticks, k)
+        step(healthy, ticks, k)
+    moved = 0.0
+    for k in range(count - 10, count):
+        now, legs = float(ticks["now"][k, 0]), ticks["leg_lengths"][k]
+        brake = healthy.step(leg_lengths=legs, now=now + 0.08)  # beyond the timeout
+        output = faulty.step(leg_lengths=legs, now=clock(now))
+        assert output.status == "unusable"
+        if k == count - 10:  # the readings of `healthy` are late once
+            continue
+        assert brake.status == "stale_image"
+        moved = max(moved, np.abs(brake.wrench - brake.wrench[2] * np.eye(6)[2]).max())
+        np.testing.assert_allclose(output.wrench, brake.wrench, rtol=1e-6, atol=1e-9)
+    assert moved > 1e-3  # it brakes
+
+
 GRID = {
     "target.initial_features": None,
     "target.depth": None,

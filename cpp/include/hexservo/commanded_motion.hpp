@@ -34,9 +34,9 @@ struct CommandedMotion {
   void for_each_member(F&& f) {
     if (!acts) return;
     f(begun);
-    f(pose.position);
-    f(pose.quaternion);
-    f(twist);
+    f.finite(pose.position);
+    f.finite(pose.quaternion);
+    f.finite(twist);
     f(legs);
   }
 };

@@ -95,7 +95,9 @@ struct ControllerOutput {
 
 inline constexpr double kMaxServoPeriod = 1.0;  ///< longest time between two ticks [s]
 
-/// Prepares the controller of a scenario: estimates only, no plant (the errors in `settings.uncertainty` do not enter).
+/// Prepares the controller of a scenario: estimates only, no plant. Of `settings.uncertainty` it takes over what
+/// the controller itself assumes wrongly: depth, focal length, principal point, mount, and the latency of `sampled`
+/// mode. For a real machine these are 0, unless its estimates are known to be wrong by so much.
 ///
 /// A scenario in `sampled` mode brings its camera, its joint sensors and the limits of its actuators; one in
 /// `continuous` mode has a frame and a pose at every tick.

@@ -56,11 +56,15 @@ template <class S, int N>
   for (int i = 0; i < N; ++i) carried.usable = carried.usable & (carried.image.depth(i) < S(0.0));
 }
 
+/// How far beyond its stroke a leg may be and still be at its end: rounding, as a share of the stroke.
+inline constexpr double kStrokeTolerance = 1e-9;
+
 /// Leg rates that the legs can have over a period [m/s].
 /// @param rates as wanted; @param before of the period before; @param legs where they are
 template <class S, int N>
 Vector6<S> feasible_rates(const SafetyGains<S, N>& gains, Vector6<S> rates, const Vector6<S>& before,
                           const Vector6<S>& legs) noexcept {
+  using std::abs;
   using std::sqrt;
   const S period(gains.period), acceleration = min(gains.motion.acceleration_limit, S(1e300));
   const S fastest = largest_abs(rates);
@@ -68,9 +72,10 @@ Vector6<S> feasible_rates(const SafetyGains<S, N>& gains, Vector6<S> rates, cons
   const Vector6<S> change = rates - before;
   const S most = acceleration * period, largest = largest_abs(change);
   rates = select(largest > most, Vector6<S>(before + S(most / largest) * change), rates);
-  const auto bound = [&](const S& room) {  // the fastest that stops in time
-    const S left = max(room, S(0.0));
-    return min(S(left / period), S(sqrt(S(S(2.0) * acceleration * left))));
+  const auto bound = [&](const S& room) {  // the fastest that stops in time; back where a leg is beyond its stroke
+    const S left = abs(room);
+    const S rate = min(S(left / period), min(S(sqrt(S(S(2.0) * acceleration * left))), gains.motion.speed_limit));
+    return select(room < S(-kStrokeTolerance) * gains.hexapod.stroke, S(-rate), select(room > S(0.0), rate, S(0.0)));
   };
   for (int i = 0; i < 6; ++i) {
     const S from_middle = legs(i) - gains.hexapod.mid_lengths(i);
@@ -149,21 +154,25 @@ template <class S, int N>
   wanted = select(out.acts, wanted, Vector6<S>(Vector6<S>::Zero()));
 
   const Vector6<S> rates = legs.rates(wanted), before = legs.rates(motion.twist);
-  const Vector6<S> feasible = feasible_rates(gains, rates, before, motion.legs);
+  const Vector6<S> feasible = feasible_rates(gains, rates, before, legs.lengths);
   const Mask<S> limited = largest_abs(Vector6<S>(feasible - rates)) > S(0.0);
   Vector6<S> twist = select(limited, solver.twist(feasible), wanted);
   const Pose<S> as_legs_can = carried(motion.pose, twist, S(gains.period));
   const Mask<S> as_it_moves = out.acts & (!limited) & Mask<S>(!law.massless);
   pose = select_pose(as_it_moves, pose, as_legs_can);
 
-  const Vector6<S> target =
-      inverse_kinematics(gains.legs, pose.position, rotation_matrix(pose.quaternion)).lengths.vector();
+  Vector6<S> target = inverse_kinematics(gains.legs, pose.position, rotation_matrix(pose.quaternion)).lengths.vector();
   const Mask<S> reachable = motion.begun & is_finite(S(target.sum())) & is_finite(S(twist.sum()));
   twist = select(reachable, twist, Vector6<S>(Vector6<S>::Zero()));
   out.saturated = out.acts & (limited | (!reachable));
   out.wrench =
       wrench_of_motion(gains.body, R_BE, motion.twist, Vector6<S>((twist - motion.twist) * (S(1.0) / S(gains.period))));
   out.leg_forces = solver.leg_forces(out.wrench);
+  for (int i = 0; i < 6; ++i) {  // none leaves its stroke, or goes further where it started beyond
+    const S low = gains.hexapod.mid_lengths(i) - gains.hexapod.stroke;
+    const S high = gains.hexapod.mid_lengths(i) + gains.hexapod.stroke;
+    target(i) = clip(target(i), min(low, motion.legs(i)), max(high, motion.legs(i)));
+  }
   motion.twist = twist;
   motion.legs = select(reachable, target, motion.legs);
   motion.pose = select_pose(reachable, pose, motion.pose);

@@ -52,6 +52,9 @@ struct Sensing {
 /// How far a time may be off a tick, or an age off its limit, and still be at it: rounding [ticks].
 inline constexpr double kTickTolerance = 1e-6;
 
+/// Ticks on which a clock may stand still; one that does so for longer has stopped.
+inline constexpr std::size_t kStandingTicks = 10;
+
 inline constexpr int kEncoderRounds = 12;  ///< most Newton rounds of a reading: any motion without a singular pose
 
 /// Newton rounds of a reading, 4 to `kEncoderRounds`: three, and one for every millisecond between two readings.
@@ -102,6 +105,9 @@ void track_pose(const LegGeometry<S>& geometry, const Vector6<S>& lengths, const
 /// Largest ratio of the distances between four ticks that a cubic is laid through.
 inline constexpr double kUnevenTicks = 2.0;
 
+/// How far the square of a quaternion's length may be off 1 where it counts as 1.
+inline constexpr double kUnitQuaternion = 1e-9;
+
 /// Poses of the last ticks; memory is taken once, at construction.
 template <class S>
 class PoseHistory {
@@ -122,6 +128,12 @@ class PoseHistory {
     } else {
       entry.pose = select_pose(active, pose, entries_[last].pose);
     }
+    // Of unit length, since a longer one would count for more between two ticks; what rounding leaves does not count.
+    using std::abs;
+    using std::sqrt;
+    const S squared = entry.pose.quaternion.squaredNorm();
+    if (const Mask<S> longer = abs(S(squared - S(1.0))) > S(kUnitQuaternion); any(longer)) [[unlikely]]
+      entry.pose.quaternion *= select(longer, S(S(1.0) / sqrt(squared)), S(1.0));
     if (!replaces) ++count_;
   }
 
@@ -146,9 +158,9 @@ class PoseHistory {
   template <class F>
   void for_each_member(F&& f) {
     for (Entry& entry : entries_) {
-      f(entry.tick);
-      f(entry.pose.position);
-      f(entry.pose.quaternion);
+      f.finite(entry.tick);
+      f.finite(entry.pose.position);
+      f.finite(entry.pose.quaternion);
     }
     f(count_);
   }
@@ -254,7 +266,8 @@ class Perception {
   /// @param memory of the poses that are kept, taken here alone
   explicit Perception(const Sensing<S, N>& sensing,
                       std::pmr::memory_resource* memory = std::pmr::get_default_resource())
-      : history_(lifts_points(sensing.frames) ? 2 + oldest_stamp(sensing.frames) + sensing.frames.period : 0, memory) {
+      : reads_legs_(sensing.pose_source == PoseSource::encoders),
+        history_(lifts_points(sensing.frames) ? 2 + oldest_stamp(sensing.frames) + sensing.frames.period : 0, memory) {
     constexpr double kInfinity = std::numeric_limits<double>::infinity();
     now_.image.features.setZero();  // of no consequence but finite
     now_.image.depth.setConstant(S(-1.0));
@@ -273,8 +286,7 @@ class Perception {
 
   /// Takes over what the sensors gave.
   void update(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
-    now_.usable = Mask<S>(input.now >= clock_ && std::isfinite(input.now));
-    clock_ = std::isfinite(input.now) ? std::max(clock_, input.now) : clock_;
+    follow_clock(sensing, input.now);
     sense_joints(sensing, input);
     if (lifts_points(sensing.frames) && any(now_.usable & now_.joints))
       history_.add(input.now, now_.pose, now_.usable & now_.joints);
@@ -294,28 +306,49 @@ class Perception {
 
   const Perceived<S, N>& now() const noexcept { return now_; }
 
-  /// Calls `f` with each member that is kept from tick to tick, always in the same order; the rest of `now` is computed
-  /// at each tick.
+  /// Calls `f` with each member that is kept from tick to tick, always in the same order: `f.time` with those that are
+  /// never NaN nor infinity, `f.finite` with those that are always finite. The rest of `now` is computed at each tick.
   template <class F>
   void for_each_member(F&& f) {
-    f(now_.pose.position);
-    f(now_.pose.quaternion);
-    f(now_.twist);
-    f(now_.newest);
+    if (reads_legs_) {
+      f.finite(now_.pose.position);
+      f.finite(now_.pose.quaternion);
+      f(now_.twist);  // of rates that may be NaN
+    }
+    f.time(now_.newest);
     f(now_.unsensed);
-    f(clock_);
+    f.time(clock_);
+    f(standing_);
+    f(clock_failed_);
+    f.finite(joint_time_);
     history_.for_each_member(f);
-    f(held_.features);
-    f(held_.depth);
-    f(points_T_);
-    f(seen_at_);
-    f(lost_);
-    f(lengths_);
-    f(read_at_);
+    f.finite(held_.features);
+    f.finite(held_.depth);
+    f.finite(points_T_);
+    f.time(seen_at_);
+    f.finite(lost_);
+    f.finite(lengths_);
+    f.time(read_at_);
     now_.legs.reset();  // of the pose before
   }
 
  private:
+  /// The joints are read at every tick, whether or not the clock is usable: where it fails, and where it comes back, a
+  /// period has passed since the tick before. One that stands still fails where a rate or an age depends on it.
+  void follow_clock(const Sensing<S, N>& sensing, double now) noexcept {
+    const bool first = clock_ == -std::numeric_limits<double>::infinity();
+    const bool advances = std::isfinite(now) && now > clock_, stands = now == clock_ && !first;
+    const double missed = clock_failed_ ? 1.0 : static_cast<double>(standing_) + 1.0;  // ticks that it did not count
+    standing_ = stands ? std::min(standing_ + 1, kStandingTicks + 1) : 0;
+    const bool counts = sensing.pose_source == PoseSource::encoders ||
+                        any(sensing.frames.timeout < S(std::numeric_limits<double>::infinity()));
+    const bool usable = advances || (stands && (!counts || standing_ <= kStandingTicks));
+    joint_time_ += !usable || clock_failed_ ? missed : first ? 0.0 : now - clock_;
+    clock_failed_ = !usable;
+    if (advances) clock_ = now;
+    now_.usable = Mask<S>(usable);
+  }
+
   void sense_joints(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
     if (sensing.pose_source == PoseSource::truth) {
       now_.pose = input.pose;
@@ -328,8 +361,8 @@ class Perception {
     now_.joints = is_finite(now_.pose.position) & is_finite(squared_length) & (squared_length > S(0.0)) &
                   (largest_abs(now_.twist) <= S(kMaxTwist)) & (!now_.unsensed);
     if (sensing.pose_source == PoseSource::encoders)  // a reading that never comes leaves a pose of long ago
-      now_.joints = now_.joints &
-                    (S(input.now) - read_at_ <= S(2.0 * static_cast<double>(sensing.encoders.period) + kTickTolerance));
+      now_.joints = now_.joints & (S(joint_time_) - read_at_ <=
+                                   S(2.0 * static_cast<double>(sensing.encoders.period) + kTickTolerance));
   }
 
   /// Pose and twist of six lengths, where there are some.
@@ -339,13 +372,13 @@ class Perception {
     for (int i = 1; i < 6; ++i) reads = reads | (lengths(i) == lengths(i));
     if (!any(reads)) return;
     const Mask<S> first = read_at_ == S(-std::numeric_limits<double>::infinity());
-    const S elapsed = select(first, S(0.0), S((S(input.now) - read_at_) * S(sensing.period)));
+    const S elapsed = select(first, S(0.0), S((S(joint_time_) - read_at_) * S(sensing.period)));
     // A platform may start anywhere; after that it moves.
     const S rounds = select(first, S(static_cast<double>(kKinematicsRounds)), encoder_rounds(elapsed));
     if (!now_.legs) now_.legs.emplace(sensing.legs, now_.pose);
     ForwardKinematics<S> found;
     track_pose(sensing.legs, lengths, now_.pose, now_.twist, *now_.legs, elapsed, rounds, found);
-    const Mask<S> known = reads & found.converged & now_.usable;  // without a clock there is no rate
+    const Mask<S> known = reads & found.converged;
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
     now_.pose = select_pose(known, found.pose, now_.pose);
 
@@ -360,7 +393,7 @@ class Perception {
     if (!all(known)) [[unlikely]]
       now_.legs.emplace(sensing.legs, now_.pose);
     lengths_ = select(rated, lengths, lengths_);
-    read_at_ = select(known, S(input.now), read_at_);
+    read_at_ = select(known, S(joint_time_), read_at_);
   }
 
   /// Takes over a frame that is newer than the one before, or the same again.
@@ -444,14 +477,18 @@ class Perception {
   }
 
   Perceived<S, N> now_;
+  bool reads_legs_;  ///< pose and twist are made of them, from those of the tick before
   double clock_ = -std::numeric_limits<double>::infinity();  ///< newest time [ticks]
+  std::size_t standing_ = 0;                                 ///< ticks for which it has stood still
+  bool clock_failed_ = false;                                ///< at the tick before
+  double joint_time_ = 0.0;  ///< since the first tick, without what a clock fails [ticks]
   PoseHistory<S> history_;
   Image<S, N> held_;                 ///< last image of each point
   Eigen::Matrix<S, 3, N> points_T_;  ///< the same, lifted [m]
   Vector<S, N> seen_at_;             ///< its exposure [ticks]; -infinity where a point was never seen
   Vector<S, N> lost_;                ///< 1 where the newest frame does not show a point
   Vector6<S> lengths_;               ///< newest reading of the encoders [m]
-  S read_at_ = S(-std::numeric_limits<double>::infinity());  ///< its tick
+  S read_at_ = S(-std::numeric_limits<double>::infinity());  ///< its time, of `joint_time_`
 };
 
 }  // namespace hexservo

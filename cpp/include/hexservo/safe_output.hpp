@@ -56,10 +56,10 @@ struct SafetyState {
   template <class F>
   void for_each_member(F&& f) {
     perception.for_each_member(f);
-    f(last_pose.position);
-    f(last_pose.quaternion);
-    f(stop_pose.position);
-    f(stop_pose.quaternion);
+    f.finite(last_pose.position);
+    f.finite(last_pose.quaternion);
+    f.finite(stop_pose.position);
+    f.finite(stop_pose.quaternion);
     f(braking);
     motion.for_each_member(f);
   }
@@ -121,13 +121,13 @@ void decide_at(const SafetyGains<S, N>& gains, SafetyState<S, N>& state, const V
   const Mask<S> finite = is_finite(S(out.leg_forces.sum()));
   out.law_failed = may_act & (!finite);
   out.acts = may_act & finite;
-  out.saturated = out.acts & (largest_abs(out.leg_forces) > gains.saturation_limit);
   if (all(out.acts)) {
     state.last_pose = seen.pose;
     state.braking = Mask<S>(false);
   } else {
     stop_safely(gains, state, wrench, solver, out);
   }
+  out.saturated = largest_abs(out.leg_forces) > gains.saturation_limit;
 }
 
 /// The law's wrench where it may act, and the safe one elsewhere.

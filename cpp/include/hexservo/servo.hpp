@@ -118,7 +118,8 @@ template <class S, class Law, int N>
 void adapt(const ServoGains<S, Law, N>& gains, ServoState<S, Law, N>& state, const ServoTick<S, Law>& tick,
            const Mask<S>& where) noexcept {
   Mask<S> learns = where & tick.command.acts & (!tick.command.saturated);
-  if constexpr (requires { tick.law.rate.strength; }) {  // weights stay finite, however extreme a gain is
+  if constexpr (requires { gains.law.systems.enabled; }) {  // weights stay finite, however extreme a gain is
+    if (!gains.law.systems.enabled) return;
     const Vector6<S> strength = tick.law.rate.strength.vector();
     learns = learns & is_finite(S(strength.sum())) & (largest_abs(strength) <= S(kLargestStrength));
   }

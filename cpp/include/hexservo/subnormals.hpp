@@ -26,11 +26,15 @@ namespace detail {
 #if defined(__SSE2__)
 using FloatingMode = unsigned int;
 inline constexpr FloatingMode kFlushBits = 0x8040;  // FTZ: results, DAZ: operands
+inline constexpr FloatingMode kTrapBits = 0x1f80;   // of each exception; set where it does not trap
+inline constexpr FloatingMode kNoTraps = 0x1f80;
 inline FloatingMode floating_mode() noexcept { return _mm_getcsr(); }
 inline void set_floating_mode(FloatingMode mode) noexcept { _mm_setcsr(mode); }
 #elif defined(__aarch64__)
 using FloatingMode = std::uint64_t;
 inline constexpr FloatingMode kFlushBits = 1U << 24;  // FZ: results and operands
+inline constexpr FloatingMode kTrapBits = 0x9f00;     // of each exception; set where it traps
+inline constexpr FloatingMode kNoTraps = 0;
 inline FloatingMode floating_mode() noexcept {
   FloatingMode mode;
   asm volatile("mrs %0, fpcr" : "=r"(mode));
@@ -39,7 +43,7 @@ inline FloatingMode floating_mode() noexcept {
 inline void set_floating_mode(FloatingMode mode) noexcept { asm volatile("msr fpcr, %0" : : "r"(mode)); }
 #else
 using FloatingMode = unsigned int;
-inline constexpr FloatingMode kFlushBits = 0;
+inline constexpr FloatingMode kFlushBits = 0, kTrapBits = 0, kNoTraps = 0;
 inline FloatingMode floating_mode() noexcept { return 0; }
 inline void set_floating_mode(FloatingMode) noexcept {}
 #endif
@@ -47,25 +51,27 @@ inline void set_floating_mode(FloatingMode) noexcept {}
 
 /// While one exists, subnormal numbers count as zero in this thread, or do not; then the thread's mode is as before.
 ///
-/// Nothing else of the mode changes: rounding, exceptions and their flags are the caller's. A mode that is set already
-/// costs one read; a thread that ticks may therefore keep one of these for itself.
+/// While they count as zero no exception traps either: a number that is not known is NaN, and is compared. Flags of
+/// exceptions may be raised. Nothing else of the mode changes. A mode that is set already costs one read; a thread that
+/// ticks may therefore keep one of these for itself.
 template <bool flush>
 class SubnormalMode {
  public:
-  SubnormalMode() noexcept : before_(detail::floating_mode() & detail::kFlushBits) { change_to(kWanted); }
+  SubnormalMode() noexcept : before_(detail::floating_mode() & kChanged) { change_to(kWanted); }
   ~SubnormalMode() { change_to(before_); }
 
   SubnormalMode(const SubnormalMode&) = delete;
   SubnormalMode& operator=(const SubnormalMode&) = delete;
 
  private:
-  static constexpr detail::FloatingMode kWanted = flush ? detail::kFlushBits : 0;
+  static constexpr detail::FloatingMode kChanged = detail::kFlushBits | (flush ? detail::kTrapBits : 0);
+  static constexpr detail::FloatingMode kWanted = flush ? detail::kFlushBits | detail::kNoTraps : 0;
 
   /// No number that is read from or written to memory is moved across this by the compiler.
   void change_to(detail::FloatingMode bits) noexcept {
     if (before_ == kWanted) return;
     asm volatile("" : : : "memory");
-    detail::set_floating_mode((detail::floating_mode() & ~detail::kFlushBits) | bits);
+    detail::set_floating_mode((detail::floating_mode() & ~kChanged) | bits);
     asm volatile("" : : : "memory");
   }
 

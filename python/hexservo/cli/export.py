@@ -78,13 +78,14 @@ def _refusals() -> Iterator[None]:
 
 
 def _header(scenario: hs.Scenario, file: str, period: float | None, force: bool) -> str:
-    from hexservo.run.export import gains_header, write_header
+    from hexservo.run.export import gains_header, robot_notes, write_header
 
     with _refusals():
         text = gains_header(scenario, period)
     write_header(text, file, force=force)
     ticks = scenario.simulation.step if period is None else period
-    return f'{file}: gains of the scenario "{scenario.name}" for a period of {ticks * 1e3:.6g} ms\n'
+    notes = "".join(f"Note: {note}.\n" for note in robot_notes(scenario))
+    return f'{file}: gains of the scenario "{scenario.name}" for a period of {ticks * 1e3:.6g} ms\n{notes}'
 
 
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:

@@ -107,8 +107,8 @@ def _of_delay(scenario: Scenario, key: str, bandwidth: float, damping: float) ->
     most = damping / (2.0 * math.pi * delay) if delay > 0.0 else math.inf
     if bandwidth > most * _ROUNDING:
         yield (
-            f"{key} is above {number(most)} Hz, where an image that is {quantity(delay, 's')} late takes half of the "
-            "damping away"
+            f"{key} is above {number(most)} Hz, where an image that takes effect {quantity(delay, 's')} late, drives "
+            "included, takes half of the damping away"
         )
 
 

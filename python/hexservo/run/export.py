@@ -17,7 +17,7 @@ from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
-__all__ = ["gains_header", "write_header"]
+__all__ = ["gains_header", "robot_notes", "write_header"]
 
 _SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 
@@ -27,14 +27,49 @@ _TITLE = "// hexservo gains, format 1"
 """First line of every exported header, which distinguishes it from other files."""
 
 
+_ASSUMED = ("depth", "focal_length", "principal_point", "mount.position", "mount.rotation", "latency")
+"""Keys of ``uncertainty`` that are errors of what the controller assumes."""
+
+
+def robot_notes(scenario: Scenario) -> list[str]:
+    """Return what is to be known of an exported controller before a robot moves by it, one sentence each.
+
+    A simulated camera is never unplugged, and its errors are wanted: on a robot a missing ``camera.timeout`` means that
+    the last image is used for ever, and the errors of ``uncertainty`` that are the controller's spoil its estimates.
+    """
+    settings, _ = controller_arguments(scenario, None)
+    notes = []
+    sampled = settings["simulation.mode"] == SAMPLED_MODE
+    if not sampled:
+        notes.append(
+            "the last image is used for ever if no other comes, since a scenario in continuous mode has no timeout: "
+            "set simulation.mode=sampled and camera.timeout for a robot"
+        )
+    elif settings["camera.timeout"] is None:
+        notes.append("the last image is used for ever if no other comes: set camera.timeout for a robot")
+    wrong = [
+        key
+        for key in (f"uncertainty.{name}" for name in _ASSUMED)
+        if np.any(np.asarray(settings[key], float) != 0.0) and (sampled or key != "uncertainty.latency")
+    ]
+    if wrong:
+        notes.append(
+            f"the controller assumes what the scenario has it assume wrongly ({', '.join(wrong)}): "
+            "set that to 0 for a robot"
+        )
+    return notes
+
+
 def gains_header(scenario: Scenario, period: float | None = None) -> str:
     """Return a C++ header with all parameters of the controller of a scenario, as constants.
 
     The header defines ``Law``, ``period``, ``settings()`` and ``controller_gains()`` in the namespace
     ``hexservo_NAME``, where NAME is the scenario's, with "_" for what is neither letter nor digit, and the macro
     ``HEXSERVO_GAINS`` as that namespace where no header before it has. Numbers read back bit for bit. What belongs to
-    the plant is no part of it: its errors (``uncertainty``), the faults of camera, encoders and actuators that a
-    simulation adds, and the motion of the base (docs/model.md, section 7).
+    the plant is no part of it: errors of inertia, Coriolis terms and weight, the faults of camera, encoders and
+    actuators that a simulation adds, and the motion of the base. What ``uncertainty`` has the controller itself assume
+    wrongly is part of it: depth, focal length, principal point, mount and, in ``sampled`` mode, latency (docs/model.md,
+    section 7).
 
     Parameters
     ----------
