@@ -36,7 +36,7 @@ from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_v
 from hexservo.run.variations import checked_variations, known_key
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
-from hexservo.scenario.plain import plain
+from hexservo.scenario.plain import leaf_keys, plain
 from hexservo.scenario.problems import in_words
 from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
 from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenario_names
@@ -304,7 +304,8 @@ def load_plan(
         One of `campaign_names`, the path of a file, or what a file holds. A packaged name wins over a file of the same
         name in the current folder. A path of a scenario in a file is relative to that file.
     changes
-        Of its scenario, as for `load_scenario`; of a `Scenario`, as for `Scenario.updated`.
+        Of its scenario, as for `load_scenario`; of a `Scenario`, as for `Scenario.updated`. A key that `vary` has is
+        refused, since every run draws its own value, unless the drawn number is added to it.
     keys
         In place of keys of the file; None leaves a key as it is.
 
@@ -316,6 +317,8 @@ def load_plan(
         No such campaign, a file that cannot be read, or a campaign that is not valid: then with one line for each
         problem, headed by the file's name.
     """
+    if changes is not None and not isinstance(changes, Mapping):
+        raise wrong_type("changes", "a mapping of dotted keys, or None", changes)
     name, document = None, source
     if isinstance(source, CampaignPlan):
         document = {**source.to_mapping(), "scenario": source.scenario}
@@ -331,9 +334,19 @@ def load_plan(
     try:
         if changes and "scenario" in document:
             document["scenario"] = _changed(document["scenario"], changes)
-        return CampaignPlan(**document)
+        plan = CampaignPlan(**document)
+        _refuse_drawn(plan, changes or {})
     except ScenarioError as error:
         raise ScenarioError(error.problems, error.source or name) from None
+    return plan
+
+
+def _refuse_drawn(plan: CampaignPlan, changes: Mapping[str, Any]) -> None:
+    """Refuse changes of keys whose values no run has, since every run draws its own."""
+    drawn = [key for key in leaf_keys(changes) if key in plan.vary and not plan.vary[key].add]
+    if drawn:
+        reason = "has no effect, since vary has the key too, and every run draws its own value"
+        raise ScenarioError([f"{key}: {reason}; drop the setting, or the key from vary" for key in drawn])
 
 
 def _changed(scenario: Any, changes: Mapping[str, Any]) -> Scenario:

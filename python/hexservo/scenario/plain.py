@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,15 @@ def plain(value: Any, place: str = "", depth: int = 0) -> Any:
 def _is_unicode(text: str) -> bool:
     """Return whether text has no lone surrogates, which can be neither written nor displayed."""
     return text.isascii() or not any("\ud800" <= character <= "\udfff" for character in text)
+
+
+def leaf_keys(changes: Mapping[str, Any], head: str = "") -> Iterator[str]:
+    """Yield the dotted keys that changes name, those within blocks too."""
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            yield from leaf_keys(value, f"{head}{key}.")
+        else:
+            yield f"{head}{key}"
 
 
 def put(keys: dict[str, Any], path: str, value: Any) -> str | None:
