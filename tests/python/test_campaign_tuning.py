@@ -198,6 +198,20 @@ REFUSED = [
     ({"variables": {"controller.composite.kt": {"log": [1, 2], "groups": [0]}}}, "kt.groups: expected a list of sizes"),
     ({"variables": {"controller.composite.kt": {"uniform": [-1, 2]}}}, "kt: expected a number >= 0, but it reaches -1"),
     ({"variables": {"uncertainty.gravity": {"uniform": [0, 0.1]}}}, "gravity: expected a key that vary does not have"),
+    (
+        {"variables": {"metrics.band": {"log": [0.1, 100]}}},
+        "variables.metrics.band: expected a gain, that is a key of controller, got a key of metrics",
+    ),
+    (
+        {"variables": {"robot.mass": {"uniform": [0.5, 2]}}},
+        "variables.robot.mass: expected a gain, .*, got a key of robot",
+    ),
+    (
+        {"variables": {"uncertainty.inertia": {"uniform": [0, 0.1]}}},
+        "inertia: expected a gain, .* a key of uncertainty",
+    ),
+    ({"variables": {"target.rotation": {"uniform": [0, 0.1]}}}, "rotation: expected a gain, .* a key of target"),
+    ({"variables": {"controler.composite.kt": {"log": [1, 2]}}}, 'did you mean "controller.composite.kt"'),
     ({"minimise": "settling"}, 'tune.minimise: unknown metric "settling"; did you mean "settling_time"'),
     ({"minimise": ["rms_error"] * 2}, "tune.minimise: expected a metric, a list of two different ones, or null, got"),
     ({"minimise": []}, "tune.minimise: expected a metric, a list of two different ones, or null, got"),

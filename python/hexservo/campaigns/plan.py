@@ -53,6 +53,7 @@ _OF_LIMITS = {  # metrics that only some scenarios have
     "peak_platform_joint": "robot.joint_limit",
 }
 _OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": "metrics.dwell"}  # metrics of runs that are long enough
+_CHOSEN = "controller"  # the block whose keys a search for gains may choose
 _MOST_CORNERS = 10  # numbers that vary; each doubles the corners
 
 
@@ -263,6 +264,8 @@ def _unfit_variable(scenario: Scenario, key: str, variable: Variable, vary: Mapp
         return "expected a key that vary does not have, got one that it has"
     if problem := _unfit(scenario, key, variable.variation):
         return problem
+    if not key.startswith(f"{_CHOSEN}."):
+        return f"expected a gain, that is a key of {_CHOSEN}, got a key of {key.partition('.')[0]}"
     shapes = known_key(key, scenario.controller.law, scenario.target.count).shapes
     if variable.groups == (0,):
         return "" if () in shapes else "expected groups: the key takes an array alone"
