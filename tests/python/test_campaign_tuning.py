@@ -155,6 +155,7 @@ def test_a_minimised_metric_is_kept_of_the_runs_that_judge_it(tmp_path: Path) ->
     )
     assert result.held_out is not None
     assert result.held_out.plan.kept_metrics()[:2] == ("final_error", "rms_error")
+    assert (result.held_out.failures, result.section().verdict) == (0, "warning"), "of 5 runs, which decide nothing"
     assert (tmp_path / "out" / "tuning.json").exists()
 
 

@@ -123,9 +123,13 @@ class TuneResult(Findings):
             changed: list[list[Cell]] = [[str(one.requirement), one.text, one.share] for one in self.relaxations]
             columns = (Column("requirement"), Column("would hold"), Column("change, in parts of its scale"))
             items.append(Table("Relaxations", columns, changed, "Each alone, the others as they are.", _PAGE))
-        held = self.held_out
-        verdict: Verdict = "bad" if not self.feasible else "warning" if held is not None and held.failures else "good"
-        return Section("tuning", "Tuning", self._sentences(), items, verdict, self._data())
+        return Section("tuning", "Tuning", self._sentences(), items, self._verdict(), self._data())
+
+    def _verdict(self) -> Verdict:
+        """Return that of the runs which the search never used; bad for gains that are not feasible."""
+        if not self.feasible:
+            return "bad"
+        return "open" if self.held_out is None else self.held_out.section().verdict
 
     def sections(self) -> list[Section]:
         """Return the result, the course of the search and, for two metrics, the front."""
