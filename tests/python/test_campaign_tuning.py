@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import math
 import re
@@ -15,6 +16,8 @@ import pytest
 import hexservo as hs
 from hexservo.campaigns.candidates import Candidates, ranking, violation_of
 from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.tune_result import Edge
+from hexservo.campaigns.tuning import edges_of
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.yaml import load_yaml
@@ -89,6 +92,10 @@ def test_tuned_gains_are_better_where_it_was_promised(tmp_path: Path) -> None:
     drawn = held_out.to_dataframe()["uncertainty.gravity"]
     assert not set(drawn) & set(plan.drawing().numbers(0, 100)["uncertainty.gravity"]), "other variations"
     assert "the largest rms error is" in result.section().sentences[1]
+    found = candidates_of(FILE)
+    assert result.edges == edges_of(found, found.place_of(result.scenario))
+    (said,) = dataclasses.replace(result, edges=(Edge("gain", "upper", 3.0),))._sentences()[2:-2]
+    assert said == "Gains at the edge of their range: gain at the upper end, 3. A wider range may have better ones."
     again = hs.tune(FILE, tmp_path / "again", generations=12, rounds=2, seed=4)
     assert (again.gains, again.worst) == (result.gains, result.worst)
 
@@ -174,12 +181,33 @@ def test_what_no_bound_would_change_is_no_relaxation(tmp_path: Path, changes: di
     assert result.advice.startswith("No requirement was found whose relaxation alone helps")
 
 
-def test_margins_of_fewer_variations_are_forgotten() -> None:
-    plan = load_plan(FILE)
+def candidates_of(file: dict[str, Any]) -> Candidates:
+    plan = load_plan(file)
     assert plan.tune is not None
     steps: Any = SimpleNamespace(take=lambda inputs, compute: compute())
-    candidates = Candidates(plan, plan.tune, steps, 1, 1)
-    candidates.judged(candidates.place_of(plan.scenario)[None])
+    return Candidates(plan, plan.tune, steps, 1, 1)
+
+
+def test_gains_at_the_edge_of_their_range_are_named() -> None:
+    variables = {
+        "controller.composite.kt": {"log": [0.01, 100], "groups": [3, 2, 1]},
+        "controller.composite.drive": {"uniform": [1, 40]},
+    }
+    candidates = candidates_of(FILE | {"tune": FILE["tune"] | {"variables": variables}})
+    log = 2e-2 * math.log(1e4)  # 2 % of the range of kt, on its scale
+    near, away = 100 * math.exp(-0.9 * log), 100 * math.exp(-1.1 * log)
+    gains = {"controller.composite.kt": [near] * 3 + [away] * 2 + [0.01], "controller.composite.drive": 1.7}
+    assert [edge.text for edge in edges_of(candidates, candidates.place_of(BASE.updated(gains)))] == [
+        "controller.composite.kt[0] to [2] at the upper end, 100",
+        "controller.composite.kt[5] at the lower end, 0.01",
+        "controller.composite.drive at the lower end, 1",
+    ]
+    assert edges_of(candidates, np.full(4, 0.03)) == edges_of(candidates, np.full(4, 0.97)) == ()
+
+
+def test_margins_of_fewer_variations_are_forgotten() -> None:
+    candidates = candidates_of(FILE)
+    candidates.judged(candidates.place_of(BASE)[None])
     assert np.isfinite(candidates.nearest).any()
     candidates.join({key: values[:1] for key, values in candidates.numbers.items()})
     assert np.isneginf(candidates.nearest).all()

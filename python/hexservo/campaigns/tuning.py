@@ -23,7 +23,7 @@ from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.store import PLAN, read_plan, write_text
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
-from hexservo.campaigns.tune_result import FrontPoint, Generation, Relaxation, TuneResult
+from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxation, TuneResult
 from hexservo.findings.evidence import as_data
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.publish import OutputError, named
@@ -36,6 +36,7 @@ _HELD_OUT = "held-out"
 _TUNED = "tuned.yaml"
 _FRONT = "front.csv"
 _SUMMARY = "tuning.json"
+_EDGE = 0.02  # of a range, from its ends: a gain there might be a better one beyond
 _FRONT_RUNS = 200  # of each point of a front, on variations that the search never used
 
 
@@ -237,6 +238,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         worst=tuple(map(float, both.values[0])),
         before=(float(both.smallest[1]), *map(float, both.values[1])),
         gains=candidates.gains(search.best),
+        edges=edges_of(candidates, search.best),
         loop={
             str(one): value
             for one, value in zip(candidates.asked.subject_to, candidates.loop_numbers(search.best), strict=True)
@@ -290,6 +292,24 @@ def _relaxations(candidates: Candidates) -> tuple[Relaxation, ...]:
         bound = one.bound - (margin if one.comparison in ("<=", "<") else -margin) * scale
         found.append(Relaxation(one, float(bound), float(-margin)))
     return tuple(sorted(found, key=lambda each: each.share))
+
+
+def edges_of(candidates: Candidates, place: Array) -> tuple[Edge, ...]:
+    """Return the gains of a candidate that are near an end of their range, in the scale of the range."""
+    found, start = [], 0
+    for key, variable in candidates.asked.variables.items():
+        shares = place[start : start + len(variable.groups)]
+        start += len(variable.groups)
+        for share, size, last in zip(shares, variable.groups, np.cumsum(variable.groups), strict=True):
+            gain = key
+            if len(variable.groups) > 1:
+                gain += f"[{last - 1}]" if size == 1 else f"[{last - size}] to [{last - 1}]"
+            low, high = variable.variation.box
+            if share <= _EDGE:
+                found.append(Edge(gain, "lower", low))
+            elif share >= 1.0 - _EDGE:
+                found.append(Edge(gain, "upper", high))
+    return tuple(found)
 
 
 def _front_points(candidates: Candidates, front: Array, plan: CampaignPlan) -> tuple[FrontPoint, ...]:
