@@ -269,8 +269,14 @@ def test_what_is_refused_before_a_search(tmp_path: Path) -> None:
     (tmp_path / "letter.txt").write_text("Dear")
     with pytest.raises(OutputError, match="expected a new folder or that of a search, got one with other files"):
         hs.tune(FILE, tmp_path)
-    with pytest.raises(ValueError, match="rounds: expected at least 1, got 0"):
+    with pytest.raises(ValueError, match="rounds: expected an integer of at least 1, got 0"):
         hs.tune(FILE, tmp_path / "out", rounds=0)
+    with pytest.raises(TypeError, match="generations: expected an integer, got float"):
+        hs.tune(FILE, tmp_path / "out", generations=1.5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="seed: expected an integer from 0 to 2147483647, got -1"):
+        hs.tune(FILE, tmp_path / "out", seed=-1)
+    with pytest.raises(TypeError, match="seed: expected an integer, got NoneType"):
+        hs.tune(FILE, tmp_path / "out", seed=None)  # type: ignore[arg-type]
     errors = ["uncertainty.inertia", "uncertainty.coriolis"]
     many = FILE["vary"] | {key: {"uniform": [-0.05, 0.05], "each": True} for key in errors}
     with pytest.raises(hs.ScenarioError, match=r"over: corners: expected 1 to 10 numbers that vary, got 77 numbers"):

@@ -24,11 +24,13 @@ from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.store import PLAN, read_plan, write_text
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
 from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxation, TuneResult
+from hexservo.campaigns.worst_case import MAX_SEED
 from hexservo.findings.evidence import as_data
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.publish import OutputError, named
 from hexservo.run.variations import columns_of, known_key
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.wording import whole_number
 
 __all__ = ["tune"]
 
@@ -86,7 +88,10 @@ def tune(
     ScenarioError
         The file is not valid.
     ValueError
-        It has no block ``tune``, or no number of runs; ``generations`` or ``rounds`` is below 1.
+        It has no block ``tune``, or no number of runs; ``generations`` or ``rounds`` is below 1, or ``seed`` not from
+        0 to 2^31 - 1.
+    TypeError
+        For arguments of other types.
     OutputError
         The folder holds something else or a different search, or cannot be written; pymoo, of the extra ``tune``, is
         not installed for two metrics.
@@ -99,9 +104,8 @@ def tune(
     if plan.tune is None or plan.runs is None:
         missing = "the block tune" if plan.tune is None else "runs"
         raise ValueError(f"source: expected a campaign file with {missing}, got one without")
-    for name, value in (("generations", generations), ("rounds", rounds)):
-        if value < 1:
-            raise ValueError(f"{name}: expected at least 1, got {value}")
+    generations, rounds = whole_number("generations", generations, 1), whole_number("rounds", rounds, 1)
+    seed = whole_number("seed", seed, 0, MAX_SEED)
     if len(plan.tune.minimise) > 1 and find_spec("pymoo") is None:
         raise OutputError('minimise: expected an installation with pymoo for two metrics: pip install "hexservo[tune]"')
     steps = SearchSteps(out, plan, seed, generations, warn or (lambda sentence: None))
