@@ -382,6 +382,14 @@ def test_a_change_of_what_varies_is_refused(changes: dict[str, Any], named: str)
     assert [problem.startswith(message) for problem in refused.value.problems] == [True]
 
 
+def test_a_mass_that_varies_is_refused_where_gains_are_fitted_to_that_of_each_run() -> None:
+    scenario = hs.load_scenario("paper-composite").updated({"controller.composite.auto.bandwidth": 1.0})
+    file = {"scenario": scenario, "vary": {"robot.mass": {"uniform": [1, 2]}}, "require": ["effort <= 1"], "runs": 1}
+    assert load_plan(file, {"uncertainty.gravity": 0.1}).scenario.uncertainty.gravity == 0.1
+    with pytest.raises(hs.ScenarioError, match=r"^robot.mass: has no effect"):
+        load_plan(file, {"robot.mass": 1.5, "uncertainty.gravity": 0.1})
+
+
 def test_a_change_to_which_a_drawn_number_is_added_counts() -> None:
     changed = load_plan(FILE, {"controller.composite.kt": 2.0, "uncertainty": {"coriolis": 0.0}})
     drawn = changed.drawing().numbers(0, 50)["controller.composite.kt"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -36,7 +37,7 @@ from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_v
 from hexservo.run.variations import checked_variations, known_key
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
-from hexservo.scenario.plain import leaf_keys, plain
+from hexservo.scenario.plain import dotted, plain
 from hexservo.scenario.problems import in_words
 from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
 from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenario_names
@@ -308,7 +309,7 @@ def load_plan(
         name in the current folder. A path of a scenario in a file is relative to that file.
     changes
         Of its scenario, as for `load_scenario`; of a `Scenario`, as for `Scenario.updated`. A key that `vary` has is
-        refused, since every run draws its own value, unless the drawn number is added to it.
+        refused where no run has anything of its value.
     keys
         In place of keys of the file; None leaves a key as it is.
 
@@ -334,22 +335,39 @@ def load_plan(
             f"expected a campaign: a block with scenario, vary and require; got {shown_value(document)}", name
         )
     document = {**document, **{key: value for key, value in keys.items() if value is not None}}
+    before = document.get("scenario")
     try:
-        if changes and "scenario" in document:
-            document["scenario"] = _changed(document["scenario"], changes)
+        if changes and before is not None:
+            document["scenario"] = _changed(before, changes)
         plan = CampaignPlan(**document)
-        _refuse_drawn(plan, changes or {})
+        _refuse_idle(plan, before, changes or {})
     except ScenarioError as error:
         raise ScenarioError(error.problems, error.source or name) from None
     return plan
 
 
-def _refuse_drawn(plan: CampaignPlan, changes: Mapping[str, Any]) -> None:
-    """Refuse changes of keys whose values no run has, since every run draws its own."""
-    drawn = [key for key in leaf_keys(changes) if key in plan.vary and not plan.vary[key].add]
-    if drawn:
+def _refuse_idle(plan: CampaignPlan, before: Any, changes: Mapping[str, Any]) -> None:
+    """Refuse changes of keys that vary, without which a plan with the scenario `before` would have the same runs.
+
+    A number that is added to the value has it in every run, and where the file has a goal pose or a tag, the camera's
+    keys are in the goal image, which does not vary.
+    """
+    given = dotted(changes)
+    idle = []
+    for key in given:
+        if key in plan.vary and not plan.vary[key].add:
+            others = {name: value for name, value in given.items() if name != key}
+            with contextlib.suppress(ValueError):  # of a scenario that is not valid without the change
+                if _first_run(plan, _changed(before, others)) == _first_run(plan, plan.scenario):
+                    idle.append(key)
+    if idle:
         reason = "has no effect, since vary has the key too, and every run draws its own value"
-        raise ScenarioError([f"{key}: {reason}; drop the setting, or the key from vary" for key in drawn])
+        raise ScenarioError([f"{key}: {reason}; drop the setting, or the key from vary" for key in idle])
+
+
+def _first_run(plan: CampaignPlan, scenario: Scenario) -> Scenario:
+    """Return the scenario of a run in a plan with this scenario, which draws the same numbers for any."""
+    return scenario.updated(Drawing(scenario, plan.vary, 0).changes(0))
 
 
 def _changed(scenario: Any, changes: Mapping[str, Any]) -> Scenario:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -46,13 +46,12 @@ def _is_unicode(text: str) -> bool:
     return text.isascii() or not any("\ud800" <= character <= "\udfff" for character in text)
 
 
-def leaf_keys(changes: Mapping[str, Any], head: str = "") -> Iterator[str]:
-    """Yield the dotted keys that changes name, those within blocks too."""
+def dotted(changes: Mapping[str, Any], head: str = "") -> dict[str, Any]:
+    """Return changes with those within blocks by their dotted keys too."""
+    found: dict[str, Any] = {}
     for key, value in changes.items():
-        if isinstance(value, Mapping):
-            yield from leaf_keys(value, f"{head}{key}.")
-        else:
-            yield f"{head}{key}"
+        found |= dotted(value, f"{head}{key}.") if isinstance(value, Mapping) else {f"{head}{key}": value}
+    return found
 
 
 def put(keys: dict[str, Any], path: str, value: Any) -> str | None:
