@@ -58,6 +58,10 @@ def test_a_short_command_repeats_the_worst_run(tmp_path: Path) -> None:
             'Error: campaign-paper: robot.mas: unknown key; did you mean "mass"?',
         ),
         (
+            ["campaign-paper-gravity", "--set", "uncertainty.gravity=0.2"],
+            "Error: campaign-paper-gravity: uncertainty.gravity: has no effect, since vary has the key too",
+        ),
+        (
             ["campaign-paper", "--set", "controller.law=kelly", "--set", "controller.law=kely"],
             "controller.law: expected one of",
         ),

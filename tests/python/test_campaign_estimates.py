@@ -98,7 +98,7 @@ def test_subset_simulation_of_what_is_not_rare_or_never_fails() -> None:
     assert often.variation == pytest.approx(math.sqrt((1 - often.probability) / (1000 * often.probability)))
     never = subset_simulation(lambda places, seeds: np.ones(len(places)), 3, 1000, 1)
     assert (never.probability, never.variation) == (0.0, math.inf)
-    with pytest.raises(ValueError, match="samples: expected at least 100, got 99"):
+    with pytest.raises(ValueError, match="samples: expected an integer of at least 100, got 99"):
         subset_simulation(half_space(0.3), 3, 99, 1)
 
 
@@ -147,6 +147,35 @@ FILE: dict[str, Any] = {
     "require": ["peak_leg_excursion <= 0.0036"],
     "runs": 2000,
 }
+
+
+@pytest.mark.parametrize("estimate", [hs.sensitivity, hs.estimate_rare_failures])
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"samples": 4.0}, TypeError, "samples: expected an integer, got float"),
+        ({"samples": True}, TypeError, "samples: expected an integer, got bool"),
+        ({"samples": -1}, ValueError, r"samples: expected an integer of at least \d+, got -1"),
+        ({"seed": None}, TypeError, "seed: expected an integer, got NoneType"),
+        ({"seed": -1}, ValueError, "seed: expected an integer of at least 0, got -1"),
+    ],
+)
+def test_numbers_that_are_not_whole_are_refused(
+    estimate: Callable[..., object], arguments: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=f"^{message}$"):
+        estimate(FILE, **arguments)
+
+
+def test_whole_numbers_of_numpy_are_taken() -> None:
+    def function(inputs: Array) -> Array:
+        return inputs[:1]
+
+    (found,) = sobol_indices(function, 2, np.int64(4), np.uint8(3))  # type: ignore[arg-type]
+    (same,) = sobol_indices(function, 2, 4, 3)
+    assert found is not None
+    assert same is not None
+    np.testing.assert_array_equal(found.total, same.total)
 
 
 @pytest.mark.parametrize("outputs", [2, 3])

@@ -367,6 +367,40 @@ def test_no_such_campaign() -> None:
         load_plan(FILE, {"camera.period": -1})
 
 
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"uncertainty.gravity": 0.2}, "uncertainty.gravity"),
+        ({"seed": 5}, "seed"),
+        ({"uncertainty": {"depth": 0.1, "coriolis": 0.0}}, "uncertainty.depth"),
+    ],
+)
+def test_a_change_of_what_varies_is_refused(changes: dict[str, Any], named: str) -> None:
+    message = f"{named}: has no effect, since vary has the key too, and every run draws its own value; drop the"
+    with pytest.raises(hs.ScenarioError) as refused:
+        load_plan(FILE, changes)
+    assert [problem.startswith(message) for problem in refused.value.problems] == [True]
+
+
+def test_a_mass_that_varies_is_refused_where_gains_are_fitted_to_that_of_each_run() -> None:
+    scenario = hs.load_scenario("paper-composite").updated({"controller.composite.auto.bandwidth": 1.0})
+    file = {"scenario": scenario, "vary": {"robot.mass": {"uniform": [1, 2]}}, "require": ["effort <= 1"], "runs": 1}
+    assert load_plan(file, {"uncertainty.gravity": 0.1}).scenario.uncertainty.gravity == 0.1
+    with pytest.raises(hs.ScenarioError, match=r"^robot.mass: has no effect"):
+        load_plan(file, {"robot.mass": 1.5, "uncertainty.gravity": 0.1})
+
+
+def test_a_change_to_which_a_drawn_number_is_added_counts() -> None:
+    changed = load_plan(FILE, {"controller.composite.kt": 2.0, "uncertainty": {"coriolis": 0.0}})
+    drawn = changed.drawing().numbers(0, 50)["controller.composite.kt"]
+    np.testing.assert_allclose(drawn, 2.0, rtol=0, atol=0.1)
+
+
+def test_changes_that_are_no_mapping_are_refused() -> None:
+    with pytest.raises(TypeError, match="changes: expected a mapping of dotted keys, or None, got int"):
+        load_plan(FILE, 3)  # type: ignore[arg-type]
+
+
 def test_a_machine_without_the_variant_refuses() -> None:
     from hexservo.run.variant import available_variants, chosen_kernel
 

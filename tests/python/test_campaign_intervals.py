@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 from scipy.special import bdtr, bdtrc
 
+from hexservo.campaigns.chunks import Tally
 from hexservo.campaigns.intervals import (
     JEFFREYS,
     RARE,
@@ -18,6 +19,11 @@ from hexservo.campaigns.intervals import (
     log_martingale,
     runs_for_bound,
 )
+from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.result import summary_of
+from hexservo.campaigns.store import new_record
+from hexservo.campaigns.words import summary_section
+from hexservo.findings.evidence import Section
 
 MIXTURES = [JEFFREYS, Mixture(2.0, 5.0)]
 
@@ -162,3 +168,53 @@ def test_the_mean_of_the_martingale_is_one() -> None:
         k = np.arange(n + 1)
         total = np.exp(log_martingale(p, k, n) + stats.binom.logpmf(k, n, p)).sum()
         assert total == pytest.approx(1.0, abs=1e-9)
+
+
+# ---- What they decide -----------------------------------------------------------------------------------------------
+
+
+def judged(failures: int, runs: int, until: dict[str, float] | None = None) -> Section:
+    """The section of a campaign in which so many runs fail."""
+    vary = {"uncertainty.gravity": {"uniform": [-0.1, 0.1]}}
+    file = {"scenario": "paper", "vary": vary, "require": ["outcome == completed"], "runs": max(runs, 1)}
+    plan = load_plan(file | {"until": until})
+    return summary_section(summary_of(plan, new_record(plan), Tally([failures], runs, failures)))
+
+
+LIKELY, NARROW = {"probability_below": 0.2}, {"width_below": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("failures", "runs", "until", "verdict"),
+    [
+        (0, 0, None, "open"),
+        (0, 1, None, "warning"),  # 0 to 0.975
+        (1, 1, None, "warning"),
+        (0, 52, None, "warning"),
+        (0, 53, None, "good"),  # the interval lies below a tenth
+        (1, 10_000, None, "warning"),
+        (6, 6, None, "warning"),  # from 0.47
+        (7, 7, None, "bad"),  # from 0.52
+        (100, 100, None, "bad"),
+        (0, 30, LIKELY, "good"),
+        (1, 1000, LIKELY, "good"),
+        (0, 10, LIKELY, "warning"),
+        (100, 300, LIKELY, "bad"),
+        (0, 100, NARROW, "good"),
+        (0, 53, {"width_below": 1e-3}, "warning"),
+        (1, 1000, NARROW, "warning"),
+        (20, 20, NARROW, "bad"),
+    ],
+)
+def test_verdicts(failures: int, runs: int, until: dict[str, float] | None, verdict: str) -> None:
+    assert judged(failures, runs, until).verdict == verdict
+
+
+def test_a_width_that_is_not_reached_is_said() -> None:
+    assert anytime_interval(0, 200)[1] == pytest.approx(0.030611, abs=1e-6)  # rounded up in the sentence
+    assert judged(0, 200, {"width_below": 1e-3}).sentences[1] == (
+        "The interval is 0.0307 wide: the width of 0.001 that the campaign was to reach is not reached yet."
+    )
+    assert judged(0, 200, NARROW).sentences[1] == (
+        "The interval is 0.0307 wide, not more than 0.1, as the campaign was to reach."
+    )

@@ -211,3 +211,13 @@ def test_the_command_writes_the_page(tmp_path: Path) -> None:
     assert f"report: {tmp_path}/out/report.html" in out
     assert "20 of 20 runs fail" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert (tmp_path / "out" / "pictures" / "interval-failure-probability.svg").is_file()
+
+
+def test_the_command_names_the_page_that_draws_the_indices(tmp_path: Path) -> None:
+    file = tmp_path / "mass.yaml"
+    lines = "scenario: paper\nvary: {uncertainty.gravity: {uniform: [-0.1, 0.1]}}\nrequire: [peak_leg_excursion <= 1]\n"
+    file.write_text(f"{lines}runs: 2\n", encoding="utf-8")
+    arguments = ["campaign", str(file), "--out", str(tmp_path / "out"), "--set", "simulation.duration=0.02"]
+    code, out, err = invoke(*arguments, "--sensitivity")
+    assert (code, err) == (0, "")
+    assert f"The same command with --report draws the indices in {tmp_path}/out/report.html." in out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import math
 import re
@@ -15,6 +16,8 @@ import pytest
 import hexservo as hs
 from hexservo.campaigns.candidates import Candidates, ranking, violation_of
 from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.tune_result import Edge
+from hexservo.campaigns.tuning import edges_of
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.yaml import load_yaml
@@ -89,6 +92,10 @@ def test_tuned_gains_are_better_where_it_was_promised(tmp_path: Path) -> None:
     drawn = held_out.to_dataframe()["uncertainty.gravity"]
     assert not set(drawn) & set(plan.drawing().numbers(0, 100)["uncertainty.gravity"]), "other variations"
     assert "the largest rms error is" in result.section().sentences[1]
+    found = candidates_of(FILE)
+    assert result.edges == edges_of(found, found.place_of(result.scenario))
+    (said,) = dataclasses.replace(result, edges=(Edge("gain", "upper", 3.0),))._sentences()[2:-2]
+    assert said == "Gains at the edge of their range: gain at the upper end, 3. A wider range may have better ones."
     again = hs.tune(FILE, tmp_path / "again", generations=12, rounds=2, seed=4)
     assert (again.gains, again.worst) == (result.gains, result.worst)
 
@@ -155,6 +162,7 @@ def test_a_minimised_metric_is_kept_of_the_runs_that_judge_it(tmp_path: Path) ->
     )
     assert result.held_out is not None
     assert result.held_out.plan.kept_metrics()[:2] == ("final_error", "rms_error")
+    assert (result.held_out.failures, result.section().verdict) == (0, "warning"), "of 5 runs, which decide nothing"
     assert (tmp_path / "out" / "tuning.json").exists()
 
 
@@ -173,12 +181,33 @@ def test_what_no_bound_would_change_is_no_relaxation(tmp_path: Path, changes: di
     assert result.advice.startswith("No requirement was found whose relaxation alone helps")
 
 
-def test_margins_of_fewer_variations_are_forgotten() -> None:
-    plan = load_plan(FILE)
+def candidates_of(file: dict[str, Any]) -> Candidates:
+    plan = load_plan(file)
     assert plan.tune is not None
     steps: Any = SimpleNamespace(take=lambda inputs, compute: compute())
-    candidates = Candidates(plan, plan.tune, steps, 1, 1)
-    candidates.judged(candidates.place_of(plan.scenario)[None])
+    return Candidates(plan, plan.tune, steps, 1, 1)
+
+
+def test_gains_at_the_edge_of_their_range_are_named() -> None:
+    variables = {
+        "controller.composite.kt": {"log": [0.01, 100], "groups": [3, 2, 1]},
+        "controller.composite.drive": {"uniform": [1, 40]},
+    }
+    candidates = candidates_of(FILE | {"tune": FILE["tune"] | {"variables": variables}})
+    log = 2e-2 * math.log(1e4)  # 2 % of the range of kt, on its scale
+    near, away = 100 * math.exp(-0.9 * log), 100 * math.exp(-1.1 * log)
+    gains = {"controller.composite.kt": [near] * 3 + [away] * 2 + [0.01], "controller.composite.drive": 1.7}
+    assert [edge.text for edge in edges_of(candidates, candidates.place_of(BASE.updated(gains)))] == [
+        "controller.composite.kt[0] to [2] at the upper end, 100",
+        "controller.composite.kt[5] at the lower end, 0.01",
+        "controller.composite.drive at the lower end, 1",
+    ]
+    assert edges_of(candidates, np.full(4, 0.03)) == edges_of(candidates, np.full(4, 0.97)) == ()
+
+
+def test_margins_of_fewer_variations_are_forgotten() -> None:
+    candidates = candidates_of(FILE)
+    candidates.judged(candidates.place_of(BASE)[None])
     assert np.isfinite(candidates.nearest).any()
     candidates.join({key: values[:1] for key, values in candidates.numbers.items()})
     assert np.isneginf(candidates.nearest).all()
@@ -198,6 +227,20 @@ REFUSED = [
     ({"variables": {"controller.composite.kt": {"log": [1, 2], "groups": [0]}}}, "kt.groups: expected a list of sizes"),
     ({"variables": {"controller.composite.kt": {"uniform": [-1, 2]}}}, "kt: expected a number >= 0, but it reaches -1"),
     ({"variables": {"uncertainty.gravity": {"uniform": [0, 0.1]}}}, "gravity: expected a key that vary does not have"),
+    (
+        {"variables": {"metrics.band": {"log": [0.1, 100]}}},
+        "variables.metrics.band: expected a gain, that is a key of controller, got a key of metrics",
+    ),
+    (
+        {"variables": {"robot.mass": {"uniform": [0.5, 2]}}},
+        "variables.robot.mass: expected a gain, .*, got a key of robot",
+    ),
+    (
+        {"variables": {"uncertainty.inertia": {"uniform": [0, 0.1]}}},
+        "inertia: expected a gain, .* a key of uncertainty",
+    ),
+    ({"variables": {"target.rotation": {"uniform": [0, 0.1]}}}, "rotation: expected a gain, .* a key of target"),
+    ({"variables": {"controler.composite.kt": {"log": [1, 2]}}}, 'did you mean "controller.composite.kt"'),
     ({"minimise": "settling"}, 'tune.minimise: unknown metric "settling"; did you mean "settling_time"'),
     ({"minimise": ["rms_error"] * 2}, "tune.minimise: expected a metric, a list of two different ones, or null, got"),
     ({"minimise": []}, "tune.minimise: expected a metric, a list of two different ones, or null, got"),
@@ -226,8 +269,14 @@ def test_what_is_refused_before_a_search(tmp_path: Path) -> None:
     (tmp_path / "letter.txt").write_text("Dear")
     with pytest.raises(OutputError, match="expected a new folder or that of a search, got one with other files"):
         hs.tune(FILE, tmp_path)
-    with pytest.raises(ValueError, match="rounds: expected at least 1, got 0"):
+    with pytest.raises(ValueError, match="rounds: expected an integer of at least 1, got 0"):
         hs.tune(FILE, tmp_path / "out", rounds=0)
+    with pytest.raises(TypeError, match="generations: expected an integer, got float"):
+        hs.tune(FILE, tmp_path / "out", generations=1.5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="seed: expected an integer from 0 to 2147483647, got -1"):
+        hs.tune(FILE, tmp_path / "out", seed=-1)
+    with pytest.raises(TypeError, match="seed: expected an integer, got NoneType"):
+        hs.tune(FILE, tmp_path / "out", seed=None)  # type: ignore[arg-type]
     errors = ["uncertainty.inertia", "uncertainty.coriolis"]
     many = FILE["vary"] | {key: {"uniform": [-0.05, 0.05], "each": True} for key in errors}
     with pytest.raises(hs.ScenarioError, match=r"over: corners: expected 1 to 10 numbers that vary, got 77 numbers"):

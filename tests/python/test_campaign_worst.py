@@ -165,6 +165,12 @@ def test_what_has_no_worst_case(tmp_path: Path) -> None:
     result = hs.campaign(only_seeds, tmp_path / "out")
     with pytest.raises(ValueError, match="expected a campaign with runs, in which more than seeds varies"):
         hs.worst_case(result)
+    with pytest.raises(TypeError, match=r"result: expected a CampaignResult \(see hs.campaign\), got dict"):
+        hs.worst_case(only_seeds)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="seed: expected an integer, got NoneType"):
+        hs.worst_case(result, seed=None)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="restarts: expected an integer of at least 1, got 0"):
+        hs.worst_case(result, restarts=0)
 
 
 def test_the_command_searches_the_worst_case(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hexservo.campaigns.distributions import SEED, Variation, uniform_of
+from hexservo.run.variations import known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import numeric_keys, value_at
 from hexservo.scenario.scenario import Scenario
@@ -51,6 +52,7 @@ class Drawing:
 
     def __init__(self, scenario: Scenario, vary: Mapping[str, Variation], key: int) -> None:
         self._key = key
+        self._law = scenario.controller.law
         self._keys: list[_Key] = []
         start = 0
         for name, variation in vary.items():
@@ -74,6 +76,11 @@ class Drawing:
         """
         bits = self._bits(first, last)
         return {one.name: _values(one, bits[:, one.start : one.start + one.count]) for one in self._keys}
+
+    def changes(self, run: int) -> dict[str, Any]:
+        """Return what a run changes in the scenario, by dotted key, for `Scenario.updated`."""
+        drawn = self.variations(self.numbers(run, run + 1))
+        return self.base | {key: plain_row(known_key(key, self._law), values[0]) for key, values in drawn.items()}
 
     def _bits(self, first: int, last: int) -> NDArray[np.uint64]:
         """Return the random bits of runs, (n, m)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -36,7 +37,7 @@ from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_v
 from hexservo.run.variations import checked_variations, known_key
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
-from hexservo.scenario.plain import plain
+from hexservo.scenario.plain import dotted, plain
 from hexservo.scenario.problems import in_words
 from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
 from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenario_names
@@ -53,6 +54,7 @@ _OF_LIMITS = {  # metrics that only some scenarios have
     "peak_platform_joint": "robot.joint_limit",
 }
 _OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": "metrics.dwell"}  # metrics of runs that are long enough
+_CHOSEN = "controller"  # the block whose keys a search for gains may choose
 _MOST_CORNERS = 10  # numbers that vary; each doubles the corners
 
 
@@ -263,6 +265,8 @@ def _unfit_variable(scenario: Scenario, key: str, variable: Variable, vary: Mapp
         return "expected a key that vary does not have, got one that it has"
     if problem := _unfit(scenario, key, variable.variation):
         return problem
+    if not key.startswith(f"{_CHOSEN}."):
+        return f"expected a gain, that is a key of {_CHOSEN}, got a key of {key.partition('.')[0]}"
     shapes = known_key(key, scenario.controller.law, scenario.target.count).shapes
     if variable.groups == (0,):
         return "" if () in shapes else "expected groups: the key takes an array alone"
@@ -304,7 +308,8 @@ def load_plan(
         One of `campaign_names`, the path of a file, or what a file holds. A packaged name wins over a file of the same
         name in the current folder. A path of a scenario in a file is relative to that file.
     changes
-        Of its scenario, as for `load_scenario`; of a `Scenario`, as for `Scenario.updated`.
+        Of its scenario, as for `load_scenario`; of a `Scenario`, as for `Scenario.updated`. A key that `vary` has is
+        refused where no run has anything of its value.
     keys
         In place of keys of the file; None leaves a key as it is.
 
@@ -316,6 +321,8 @@ def load_plan(
         No such campaign, a file that cannot be read, or a campaign that is not valid: then with one line for each
         problem, headed by the file's name.
     """
+    if changes is not None and not isinstance(changes, Mapping):
+        raise wrong_type("changes", "a mapping of dotted keys, or None", changes)
     name, document = None, source
     if isinstance(source, CampaignPlan):
         document = {**source.to_mapping(), "scenario": source.scenario}
@@ -328,12 +335,39 @@ def load_plan(
             f"expected a campaign: a block with scenario, vary and require; got {shown_value(document)}", name
         )
     document = {**document, **{key: value for key, value in keys.items() if value is not None}}
+    before = document.get("scenario")
     try:
-        if changes and "scenario" in document:
-            document["scenario"] = _changed(document["scenario"], changes)
-        return CampaignPlan(**document)
+        if changes and before is not None:
+            document["scenario"] = _changed(before, changes)
+        plan = CampaignPlan(**document)
+        _refuse_idle(plan, before, changes or {})
     except ScenarioError as error:
         raise ScenarioError(error.problems, error.source or name) from None
+    return plan
+
+
+def _refuse_idle(plan: CampaignPlan, before: Any, changes: Mapping[str, Any]) -> None:
+    """Refuse changes of keys that vary, without which a plan with the scenario `before` would have the same runs.
+
+    A number that is added to the value has it in every run, and where the file has a goal pose or a tag, the camera's
+    keys are in the goal image, which does not vary.
+    """
+    given = dotted(changes)
+    idle = []
+    for key in given:
+        if key in plan.vary and not plan.vary[key].add:
+            others = {name: value for name, value in given.items() if name != key}
+            with contextlib.suppress(ValueError):  # of a scenario that is not valid without the change
+                if _first_run(plan, _changed(before, others)) == _first_run(plan, plan.scenario):
+                    idle.append(key)
+    if idle:
+        reason = "has no effect, since vary has the key too, and every run draws its own value"
+        raise ScenarioError([f"{key}: {reason}; drop the setting, or the key from vary" for key in idle])
+
+
+def _first_run(plan: CampaignPlan, scenario: Scenario) -> Scenario:
+    """Return the scenario of a run in a plan with this scenario, which draws the same numbers for any."""
+    return scenario.updated(Drawing(scenario, plan.vary, 0).changes(0))
 
 
 def _changed(scenario: Any, changes: Mapping[str, Any]) -> Scenario:

@@ -18,7 +18,7 @@ from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import number, whole_number
 
 __all__ = ["Levels", "RareFailures", "estimate_rare_failures", "subset_simulation"]
 
@@ -94,8 +94,10 @@ def estimate_rare_failures(
 
     Raises
     ------
+    TypeError
+        For samples or a seed that is no integer.
     ValueError
-        For fewer samples.
+        For fewer samples, or a negative seed.
     ScenarioError
         As `campaign`.
     KeyboardInterrupt
@@ -134,11 +136,12 @@ def subset_simulation(
 
     Raises
     ------
+    TypeError
+        For samples or a seed that is no integer.
     ValueError
-        For fewer samples.
+        For fewer samples, or a negative seed.
     """
-    if samples < 100:
-        raise ValueError(f"samples: expected at least 100, got {samples}")
+    samples, seed = whole_number("samples", samples, 100), whole_number("seed", seed, 0)
     random = np.random.default_rng(seed)
     length = round(1 / _SHARE)
     most_chains = chains = samples // length

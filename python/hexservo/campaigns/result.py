@@ -16,7 +16,6 @@ from hexservo.campaigns.store import SUMMARY, Store, read_plan
 from hexservo.campaigns.words import summary_section
 from hexservo.findings.display import Findings
 from hexservo.run.sealed import ResultError
-from hexservo.run.variations import known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
 from hexservo.scenario.yaml import ScenarioError
@@ -150,7 +149,7 @@ class CampaignResult(Findings):
         It changes the packaged scenario where the campaign varies one and no goal is read in with the changes (as
         the goal pose of a camera that varies); else it names a file to which `scenario(index)` is to be written first.
         """
-        name, changes, scenario = self.plan.scenario.name, changes_of_run(self.plan, index), self.scenario(index)
+        name, changes, scenario = self.plan.scenario.name, self.plan.drawing().changes(index), self.scenario(index)
         try:
             is_the_same = name in scenario_names() and load_scenario(name, changes) == scenario
         except ScenarioError:  # of a packaged goal pose, beside features that vary
@@ -195,17 +194,9 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
 # ---- Runs -----------------------------------------------------------------------------------------------------------
 
 
-def changes_of_run(plan: CampaignPlan, index: int) -> dict[str, Any]:
-    """Return what a run changes in the scenario, by dotted key, for `Scenario.updated`."""
-    law = plan.scenario.controller.law
-    drawing = plan.drawing()
-    drawn = drawing.variations(drawing.numbers(index, index + 1))
-    return drawing.base | {key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()}
-
-
 def scenario_of_run(plan: CampaignPlan, index: int) -> Scenario:
     """Return the scenario of a run."""
-    return plan.scenario.updated(changes_of_run(plan, index))
+    return plan.scenario.updated(plan.drawing().changes(index))
 
 
 def _written(value: Any) -> str:

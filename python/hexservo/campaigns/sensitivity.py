@@ -21,6 +21,7 @@ from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Bars, Cell, Column, Item, Section, Share, Table
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.wording import whole_number
 
 __all__ = ["Indices", "Sensitivity", "sensitivity", "sobol_indices"]
 
@@ -128,8 +129,10 @@ def sensitivity(
 
     Raises
     ------
+    TypeError
+        For arguments of other types.
     ValueError
-        For another number of samples.
+        For another number of samples, or a negative seed.
     ScenarioError
         As `campaign`.
     KeyboardInterrupt
@@ -188,10 +191,13 @@ def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: i
 
     Raises
     ------
+    TypeError
+        For samples or a seed that is no integer.
     ValueError
-        For another number of samples.
+        For another number of samples, or a negative seed.
     """
-    if samples < 4 or samples & (samples - 1):
+    samples, seed = whole_number("samples", samples, 4), whole_number("seed", seed, 0)
+    if samples & (samples - 1):
         raise ValueError(f"samples: expected a power of 2, at least 4, got {samples}")
     calls: list[Array] = []
 

@@ -18,7 +18,7 @@ from hexservo.run.metrics import metric_unit
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
-__all__ = ["FrontPoint", "Generation", "Relaxation", "TuneResult"]
+__all__ = ["Edge", "FrontPoint", "Generation", "Relaxation", "TuneResult"]
 
 _PAGE = "docs/tune.md"
 
@@ -50,6 +50,20 @@ class Relaxation:
 
 
 @dataclass(frozen=True)
+class Edge:
+    """A gain that was chosen at an end of its range: beyond it may be a better one."""
+
+    gain: str  # dotted key; of a group with its entries
+    end: str  # lower, upper
+    limit: float  # of the range there, in the unit of the key
+
+    @property
+    def text(self) -> str:
+        """The gain with the end of its range."""
+        return f"{self.gain} at the {self.end} end, {number(self.limit, 4)}"
+
+
+@dataclass(frozen=True)
 class FrontPoint:
     """Gains of which none of the others is better in both metrics."""
 
@@ -70,6 +84,7 @@ class TuneResult(Findings):
     worst: tuple[float, ...]  # largest value of each minimised metric over these, in its unit; NaN where a run has none
     before: tuple[float, ...]  # margin and metrics of the original gains, over the same variations and noise
     gains: Mapping[str, Any]  # by dotted key
+    edges: tuple[Edge, ...]  # of these gains
     loop: Mapping[str, float]  # what is required of the loop -> its number with the gains; NaN: none
     held_out: CampaignResult | None  # a campaign with other draws; None for gains that are not feasible
     relaxations: tuple[Relaxation, ...]  # for gains that are not feasible, the smallest change first
@@ -123,9 +138,13 @@ class TuneResult(Findings):
             changed: list[list[Cell]] = [[str(one.requirement), one.text, one.share] for one in self.relaxations]
             columns = (Column("requirement"), Column("would hold"), Column("change, in parts of its scale"))
             items.append(Table("Relaxations", columns, changed, "Each alone, the others as they are.", _PAGE))
-        held = self.held_out
-        verdict: Verdict = "bad" if not self.feasible else "warning" if held is not None and held.failures else "good"
-        return Section("tuning", "Tuning", self._sentences(), items, verdict, self._data())
+        return Section("tuning", "Tuning", self._sentences(), items, self._verdict(), self._data())
+
+    def _verdict(self) -> Verdict:
+        """Return that of the runs which the search never used; bad for gains that are not feasible."""
+        if not self.feasible:
+            return "bad"
+        return "open" if self.held_out is None else self.held_out.section().verdict
 
     def sections(self) -> list[Section]:
         """Return the result, the course of the search and, for two metrics, the front."""
@@ -162,6 +181,9 @@ class TuneResult(Findings):
                 f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
+        if self.edges:
+            where = "; ".join(edge.text for edge in self.edges)
+            sentences.append(f"Gains at the edge of their range: {where}. A wider range may have better ones.")
         if self.settled:
             worse = f"The last search for a worse case found none; {self.joined} worst cases are among the variations."
         else:
@@ -181,6 +203,7 @@ class TuneResult(Findings):
             "worst": list(self.worst),
             "before": list(self.before),
             "gains": dict(self.gains),
+            "edges": {edge.gain: edge.end for edge in self.edges},
             "loop": dict(self.loop),
             "held_out": None if self.held_out is None else self.held_out.summary,
             "relaxations": {str(one.requirement): one.bound for one in self.relaxations},

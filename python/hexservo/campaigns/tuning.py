@@ -23,12 +23,14 @@ from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.store import PLAN, read_plan, write_text
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
-from hexservo.campaigns.tune_result import FrontPoint, Generation, Relaxation, TuneResult
+from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxation, TuneResult
+from hexservo.campaigns.worst_case import MAX_SEED
 from hexservo.findings.evidence import as_data
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.publish import OutputError, named
 from hexservo.run.variations import columns_of, known_key
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.wording import whole_number
 
 __all__ = ["tune"]
 
@@ -36,6 +38,7 @@ _HELD_OUT = "held-out"
 _TUNED = "tuned.yaml"
 _FRONT = "front.csv"
 _SUMMARY = "tuning.json"
+_EDGE = 0.02  # of a range, from its ends: a gain there might be a better one beyond
 _FRONT_RUNS = 200  # of each point of a front, on variations that the search never used
 
 
@@ -85,7 +88,10 @@ def tune(
     ScenarioError
         The file is not valid.
     ValueError
-        It has no block ``tune``, or no number of runs; ``generations`` or ``rounds`` is below 1.
+        It has no block ``tune``, or no number of runs; ``generations`` or ``rounds`` is below 1, or ``seed`` not from
+        0 to 2^31 - 1.
+    TypeError
+        For arguments of other types.
     OutputError
         The folder holds something else or a different search, or cannot be written; pymoo, of the extra ``tune``, is
         not installed for two metrics.
@@ -98,9 +104,8 @@ def tune(
     if plan.tune is None or plan.runs is None:
         missing = "the block tune" if plan.tune is None else "runs"
         raise ValueError(f"source: expected a campaign file with {missing}, got one without")
-    for name, value in (("generations", generations), ("rounds", rounds)):
-        if value < 1:
-            raise ValueError(f"{name}: expected at least 1, got {value}")
+    generations, rounds = whole_number("generations", generations, 1), whole_number("rounds", rounds, 1)
+    seed = whole_number("seed", seed, 0, MAX_SEED)
     if len(plan.tune.minimise) > 1 and find_spec("pymoo") is None:
         raise OutputError('minimise: expected an installation with pymoo for two metrics: pip install "hexservo[tune]"')
     steps = SearchSteps(out, plan, seed, generations, warn or (lambda sentence: None))
@@ -237,6 +242,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         worst=tuple(map(float, both.values[0])),
         before=(float(both.smallest[1]), *map(float, both.values[1])),
         gains=candidates.gains(search.best),
+        edges=edges_of(candidates, search.best),
         loop={
             str(one): value
             for one, value in zip(candidates.asked.subject_to, candidates.loop_numbers(search.best), strict=True)
@@ -290,6 +296,24 @@ def _relaxations(candidates: Candidates) -> tuple[Relaxation, ...]:
         bound = one.bound - (margin if one.comparison in ("<=", "<") else -margin) * scale
         found.append(Relaxation(one, float(bound), float(-margin)))
     return tuple(sorted(found, key=lambda each: each.share))
+
+
+def edges_of(candidates: Candidates, place: Array) -> tuple[Edge, ...]:
+    """Return the gains of a candidate that are near an end of their range, in the scale of the range."""
+    found, start = [], 0
+    for key, variable in candidates.asked.variables.items():
+        shares = place[start : start + len(variable.groups)]
+        start += len(variable.groups)
+        for share, size, last in zip(shares, variable.groups, np.cumsum(variable.groups), strict=True):
+            gain = key
+            if len(variable.groups) > 1:
+                gain += f"[{last - 1}]" if size == 1 else f"[{last - size}] to [{last - 1}]"
+            low, high = variable.variation.box
+            if share <= _EDGE:
+                found.append(Edge(gain, "lower", low))
+            elif share >= 1.0 - _EDGE:
+                found.append(Edge(gain, "upper", high))
+    return tuple(found)
 
 
 def _front_points(candidates: Candidates, front: Array, plan: CampaignPlan) -> tuple[FrontPoint, ...]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from hexservo.findings.evidence import Cell, Column, Section, Table
+from hexservo.findings.evidence import Cell, Column, Section, Table, Verdict
 from hexservo.scenario.wording import above, below, number
 
 __all__ = ["summary_section", "verdict_sentences"]
 
 _PAGE = "docs/campaigns.md"
 _OF_EACH = ("failures", "from", "to")
+_OFTEN = 0.5  # failure probability above which a campaign without a goal for it is bad,
+_SELDOM = 0.1  # and below which it may be good
 
 
 def summary_section(summary: dict[str, Any]) -> Section:
@@ -80,10 +82,15 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
 
 def _decided(summary: dict[str, Any]) -> str | None:
     """Return what the interval decides of the goal, if there is one."""
-    bound = (summary["until"] or {}).get("probability_below")
-    if bound is None:
-        return None
     low, high = summary["interval"]
+    until = summary["until"] or {}
+    if (width := until.get("width_below")) is not None:
+        is_so = f"The interval is {above(high - low)} wide"
+        if _is_wide(summary):
+            return f"{is_so}: the width of {width:g} that the campaign was to reach is not reached yet."
+        return f"{is_so}, not more than {width:g}, as the campaign was to reach."
+    if (bound := until.get("probability_below")) is None:
+        return None
     if high <= bound:
         return f"It is below {number(bound)}, as the campaign was to decide."
     if low > bound:
@@ -91,11 +98,21 @@ def _decided(summary: dict[str, Any]) -> str | None:
     return f"Whether it is below {number(bound)} is not decided yet."
 
 
-def _verdict(summary: dict[str, Any]) -> Any:
+def _is_wide(summary: dict[str, Any]) -> bool:
+    """Return whether the interval is wider than the campaign was to reach."""
+    low, high = summary["interval"]
+    width = (summary["until"] or {}).get("width_below")
+    return width is not None and high - low > width
+
+
+def _verdict(summary: dict[str, Any]) -> Verdict:
+    """Return the verdict (docs/campaigns.md, section 5); a goal for the probability takes the place of both limits."""
     if not summary["runs"]:
         return "open"
+    low, high = summary["interval"]
     bound = (summary["until"] or {}).get("probability_below")
+    if low > (_OFTEN if bound is None else bound):
+        return "bad"
     if bound is not None:
-        low, high = summary["interval"]
-        return "good" if high <= bound else "bad" if low > bound else "open"
-    return "warning" if summary["failures"] else "good"
+        return "good" if high <= bound else "warning"
+    return "good" if not summary["failures"] and high <= _SELDOM and not _is_wide(summary) else "warning"

@@ -20,7 +20,7 @@ from hexservo.run.simulation import simulate
 from hexservo.run.variations import known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import number, whole_number, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.findings.diagnosis import Diagnosis
@@ -30,6 +30,9 @@ __all__ = ["WorstCase", "smallest_in_box", "worst_case"]
 CASE = "worst-case.yaml"
 _POPULATION = 12  # candidates of a generation, at least
 _SIGMA = 0.3  # first spread of the candidates, in parts of the box
+MAX_SEED = 2**31 - 1
+"""Largest seed of a search: CMA-ES takes 32 bits, and what follows from a seed is larger than it."""
+
 _STALLED = 1e-3  # a search ends when its candidates' margins differ by less
 
 
@@ -88,23 +91,30 @@ def worst_case(
     result
         A campaign with runs.
     runs
-        To simulate for each search: one for all requirements together, and one for each if there are several.
+        To simulate for each search, at least 1. One search is for all requirements together, and one for each if there
+        are several.
     restarts
         Worst runs of the campaign from which each search begins, which share its `runs`; at least 1.
     seed
-        Of the search: the same one finds the same case.
+        Of the search, from 0 to 2^31 - 1: the same one finds the same case.
     threads
         As for `simulate_batch`.
 
     Raises
     ------
+    TypeError
+        For arguments of other types.
     ValueError
-        The campaign has no runs, or nothing but seeds varies.
+        The campaign has no runs, or nothing but seeds varies; a number is out of its range.
     OutputError
         ``worst-case.yaml`` in the campaign's folder cannot be written (a `ValueError`).
     KeyboardInterrupt
         Ctrl-C: nothing is written.
     """
+    if not isinstance(result, CampaignResult):
+        raise wrong_type("result", "a CampaignResult (see hs.campaign)", result)
+    runs, restarts = whole_number("runs", runs, 1), whole_number("restarts", restarts, 1)
+    seed = whole_number("seed", seed, 0, MAX_SEED)
     plan, starts = result.plan, [one["index"] for one in result.summary["worst"]][:restarts]
     judge = Judge(plan, threads)
     drawing = judge.drawing

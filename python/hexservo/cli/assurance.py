@@ -128,10 +128,12 @@ def campaign(
                 command = f"hexservo run {shlex.quote(str(case.path))}"
                 show_parts("", *printed([case.section()]), f"\nthe worst case found: {command}")
         if sensitivity:
-            found = hs.sensitivity(result.plan, threads=threads)
-            more.append(found.section())
+            indices = hs.sensitivity(result.plan, threads=threads).section()
+            more.append(indices)
             if not quiet:
-                show_parts("", *printed([found.section()]))
+                show_parts("", *printed([indices]))
+                if indices.items and not (report or pictures):
+                    show_parts(f"The same command with --report draws the indices in {out}/report.html.")
         _write_report(result, more, report=report, pictures=pictures, quiet=quiet)
 
 

@@ -27,7 +27,7 @@ from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
-from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.wording import whole_number, wrong_type
 
 if TYPE_CHECKING:
     import pandas
@@ -389,11 +389,7 @@ def _enter(found: BatchResult, index: int, run: _core.Trajectory, scenario: Scen
 def thread_count(threads: int | None) -> int:
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if isinstance(threads, bool) or not isinstance(threads, int):
-        raise wrong_type("threads", "an integer or None", threads)
-    if not 1 <= threads <= _MAX_THREADS:
-        raise ValueError(f"threads: expected an integer from 1 to {_MAX_THREADS}, got {threads}")
-    return threads
+    return whole_number("threads", threads, 1, _MAX_THREADS, "an integer or None")
 
 
 @contextlib.contextmanager

@@ -46,6 +46,14 @@ def _is_unicode(text: str) -> bool:
     return text.isascii() or not any("\ud800" <= character <= "\udfff" for character in text)
 
 
+def dotted(changes: Mapping[str, Any], head: str = "") -> dict[str, Any]:
+    """Return changes with those within blocks by their dotted keys too."""
+    found: dict[str, Any] = {}
+    for key, value in changes.items():
+        found |= dotted(value, f"{head}{key}.") if isinstance(value, Mapping) else {f"{head}{key}": value}
+    return found
+
+
 def put(keys: dict[str, Any], path: str, value: Any) -> str | None:
     """Change one value by its dotted path, or report an error of the path. Unknown keys are found later."""
     *blocks, key = path.split(".")

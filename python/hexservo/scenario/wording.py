@@ -1,10 +1,11 @@
-"""Numbers, quantities and foreign text in messages."""
+"""Numbers, quantities and foreign text in messages, and the errors of arguments."""
 
 from __future__ import annotations
 
 import decimal
+import operator
 
-__all__ = ["above", "below", "joules", "number", "quantity", "quoted", "wrong_type"]
+__all__ = ["above", "below", "joules", "number", "quantity", "quoted", "whole_number", "wrong_type"]
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -55,3 +56,34 @@ def quoted(text: str) -> str:
 def wrong_type(name: str, expected: str, got: object) -> TypeError:
     """Return the error for an argument of another type: "name: expected ..., got int"."""
     return TypeError(f"{name}: expected {expected}, got {type(got).__name__}")
+
+
+def whole_number(name: str, value: object, at_least: int, at_most: int | None = None, kind: str = "an integer") -> int:
+    """Return an argument that is an integer of Python or NumPy, within its limits.
+
+    Parameters
+    ----------
+    name, value
+        Of the argument.
+    at_least, at_most
+        Its limits; None: no upper one.
+    kind
+        What the caller accepts, for the message about another type: "an integer or None".
+
+    Raises
+    ------
+    TypeError
+        For anything else, as a float with a whole value, or a boolean.
+    ValueError
+        For an integer beyond the limits.
+    """
+    try:
+        found = None if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        found = None
+    if found is None:
+        raise wrong_type(name, kind, value)
+    if found < at_least or (at_most is not None and found > at_most):
+        limits = f"of at least {at_least}" if at_most is None else f"from {at_least} to {at_most}"
+        raise ValueError(f"{name}: expected an integer {limits}, got {found}")
+    return found
