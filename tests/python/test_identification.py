@@ -17,7 +17,10 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.evidence import Table
+from hexservo.findings.identification.changes import changes_of
 from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, fit_drives
+from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.frames import MOST_LATENCY, fit_camera
 from hexservo.findings.identification.interval import Interval, correlated, deviations
 from hexservo.findings.identification.log import Log
@@ -134,6 +137,7 @@ def test_both_limits_are_found_where_they_act() -> None:
         assert fit.speed_limit.value == pytest.approx(0.03, rel=2e-3)
         assert fit.acceleration_limit is not None
         assert fit.acceleration_limit.value == pytest.approx(0.6, rel=1e-2)
+        assert fit.explained is not None
         assert fit.explained > 0.999
 
 
@@ -146,7 +150,7 @@ def test_a_leg_that_rests_is_not_identified() -> None:
     assert [fit.leg for fit in found.moved] == [1, 2, 4, 5, 6]
     section = found.section()
     assert section.verdict == "warning"
-    assert any("legs 3" in sentence for sentence in section.sentences)
+    assert any("leg 3" in sentence for sentence in section.sentences)
 
 
 def test_a_leg_that_does_not_follow_is_not_identified() -> None:
@@ -160,6 +164,82 @@ def test_a_leg_that_does_not_follow_is_not_identified() -> None:
     assert found.fits[4].bandwidth is None
     assert found.section().verdict == "warning"
     assert within(found.fits[0].bandwidth, 5.0)
+
+
+def test_a_delay_beyond_what_is_tried_has_no_upper_end(paper: hs.Scenario) -> None:
+    random = np.random.default_rng(SEED)
+    commands = 0.205 + wandering(random, 200, 0.01, 0.004, 0.2)
+    log = record(commands, 0.01, [Drive(5.0, 0.9, MOST_DELAY + 3)] * 6, 1e-6, random)
+    found = hs.identify(log, paper)
+    delay = found.drives.fits[0].delay
+    assert delay is not None
+    assert delay.value == MOST_DELAY
+    assert delay.high == np.inf
+    section = found.drives.section()
+    assert section.verdict == "warning"
+    assert any("ticks and may be more than 8, the most" in sentence for sentence in section.sentences)
+    assert "actuators.delay" not in found.changes
+    assert found.scenario.actuators.delay == paper.actuators.delay
+    assert found.sections()[-1].verdict == "warning"
+    assert "as the log does" not in found.sections()[-1].sentences[0]
+
+
+def test_a_bandwidth_beyond_what_is_searched_has_no_upper_end() -> None:
+    """A drive that is at its command after a tick: any bandwidth from some on is it."""
+    random = np.random.default_rng(SEED)
+    commands = 0.2 + wandering(random, 200, 0.01, 0.004, 0.2)
+    joints = np.concatenate([commands[:1], commands[:-1]]) + random.normal(0.0, 1e-6, commands.shape)
+    log = Log(0.01 * np.arange(200.0), 0.01, commands, joints, None)
+    found = fit_drives(log, METRES)
+    bandwidth = found.fits[0].bandwidth
+    assert bandwidth is not None
+    assert bandwidth.high == np.inf
+    assert "actuators.position.bandwidth" not in changes_of(log, found, None)
+    assert found.section().verdict != "good"
+
+
+@pytest.mark.parametrize("change", ["opposite", "exchanged"])
+def test_joints_that_do_not_follow_the_commands_give_no_drive(change: str) -> None:
+    random = np.random.default_rng(SEED)
+    commands = np.full((200, 6), 0.2)
+    commands[:, 3] += wandering(random, 200, 0.01, 0.004, 0.2)[:, 3]
+    log = record(commands, 0.01, [Drive(2.0, 0.9, 1)] * 6, 1e-6, random)
+    if change == "opposite":
+        log = replace(log, joints=0.4 - log.joints)
+    else:
+        log = replace(log, joints=log.commands, commands=log.joints)
+    found = fit_drives(log, METRES, delays=(0, 1))
+    assert not found.explains
+    section = found.section()
+    assert section.verdict == "bad"
+    assert "commands and joints exchanged, or of opposite sign" in section.sentences[0]
+    assert "predicts at least" not in section.sentences[0]
+    assert not any(key.startswith("actuators") for key in changes_of(log, found, None))
+
+
+def test_a_leg_that_rests_in_the_part_kept_apart_is_not_judged_there() -> None:
+    """What is predicted is stated of the legs that move there alone, and rounded down."""
+    random = np.random.default_rng(SEED)
+    commands = 0.2 + wandering(random, 200, 0.01, 0.004, 0.2)
+    commands[120:, 2] = commands[120, 2]
+    found = fit_drives(record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 5e-6, random), METRES)
+    assert found.fits[2].bandwidth is not None
+    assert found.fits[2].explained is None
+    first = found.section().sentences[0]
+    assert "at least 99.99 % of the motion of each of legs 1, 2, 4, 5, 6 in" in first
+    assert found.worst is not None
+    assert found.worst.explained is not None
+    assert found.worst.explained >= 0.9999
+    rests = replace(found, fits=tuple(replace(fit, explained=None) for fit in found.fits))
+    assert "what the model predicts is not known" in rests.section().sentences[0]
+    assert rests.section().verdict == "warning"
+
+
+def test_intervals_without_an_end_are_written_with_the_other_one() -> None:
+    assert with_interval(Interval(8.0, 8.0, np.inf)) == "at least 8"
+    assert with_interval(Interval(8.0, 7.0, np.inf)) == "8 (7 or more)"
+    assert with_interval(Interval(0.2, -np.inf, 0.3)) == "0.2 (0.3 or less)"
+    assert with_interval(Interval(0.2, -np.inf, np.inf)) == "not known"
 
 
 def test_friction_widens_the_intervals_and_is_named() -> None:
@@ -177,6 +257,8 @@ def test_friction_widens_the_intervals_and_is_named() -> None:
         assert other.bandwidth is not None
         assert one.bandwidth is not None
         assert other.bandwidth.high - other.bandwidth.low > 10 * (one.bandwidth.high - one.bandwidth.low)
+        assert one.explained is not None
+        assert other.explained is not None
         assert other.explained < one.explained
     assert any("friction" in sentence for sentence in held.section().sentences)
 
@@ -234,6 +316,7 @@ def test_an_unknown_latency_is_found_from_motion(paper: hs.Scenario, latency: fl
     dof = 0.7 * 135 * 8 - 7
     assert camera.noise.value == pytest.approx(0.2, rel=4 / np.sqrt(2 * dof))  # four of its standard deviations
     assert within(camera.period, 1 / 30) or camera.period.value == pytest.approx(1 / 30, rel=1e-9)  # type: ignore[union-attr]
+    assert camera.explained is not None
     assert camera.explained > 0.99
 
 
@@ -280,6 +363,47 @@ def test_a_frame_that_is_very_late_is_left_out(paper: hs.Scenario) -> None:
     assert sentence.startswith("1 of ")
 
 
+@pytest.mark.parametrize("stamps", [None, 0.2])
+def test_a_latency_beyond_what_is_searched_has_no_upper_end(paper: hs.Scenario, stamps: float | None) -> None:
+    log = seen_log(paper, 0.3, stamps=stamps)
+    camera = fit_camera(log, Scene(paper))
+    assert camera.at_edge
+    assert camera.latency is not None
+    assert camera.latency.low < 0.3
+    assert camera.latency.high == np.inf
+    section = camera.section()
+    assert section.verdict == "warning"
+    assert "at least" in section.sentences[0]
+    assert "does not tell" not in section.sentences[0]
+    changes = changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    assert "camera.period" in changes
+    assert not {"camera.latency", "camera.latency_jitter", "camera.noise"} & set(changes)
+
+
+def test_exposure_times_that_are_far_too_early_have_no_lower_end(paper: hs.Scenario) -> None:
+    camera = fit_camera(seen_log(paper, 0.01, stamps=-0.2), Scene(paper))
+    assert camera.stamps is not None
+    assert camera.stamps.low == -np.inf
+    assert np.isfinite(camera.stamps.high)
+    assert "after what they state" in camera.section().sentences[0]
+
+
+@pytest.mark.parametrize("change", ["y up", "another order"])
+def test_images_that_the_joints_do_not_predict_give_no_camera(paper: hs.Scenario, change: str) -> None:
+    log = seen_log(paper, 0.05, stamps=None)
+    assert log.frames is not None
+    points = log.frames.features.reshape(-1, 4, 2)
+    wrong = points * [1.0, -1.0] if change == "y up" else points[:, [1, 0, 2, 3]]
+    camera = fit_camera(replace(log, frames=replace(log.frames, features=wrong.reshape(-1, 8))), Scene(paper))
+    assert not camera.explains
+    section = camera.section()
+    assert section.verdict == "bad"
+    assert "another order of the points" in section.sentences[0]
+    assert "y up in place of down" in section.sentences[0]
+    changes = changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    assert not any(key.startswith("camera") for key in changes)
+
+
 def test_a_platform_at_rest_does_not_tell_the_latency(paper: hs.Scenario) -> None:
     log = seen_log(paper, 0.1, stamps=None, moving=False)
     camera = fit_camera(log, Scene(paper))
@@ -287,6 +411,8 @@ def test_a_platform_at_rest_does_not_tell_the_latency(paper: hs.Scenario) -> Non
     assert (camera.latency.low, camera.latency.high) == (0.0, MOST_LATENCY)
     assert not camera.latency_is_known
     assert "does not tell the latency" in camera.section().sentences[0]
+    assert camera.explained is None
+    assert camera.section().verdict == "warning"
 
 
 def test_the_target_is_found_where_it_is(paper: hs.Scenario) -> None:
@@ -339,6 +465,24 @@ def test_the_identified_scenario_moves_as_the_core_s_own_run(paper: hs.Scenario)
     assert found.scenario.actuators.delay == 0.02
     assert found.scenario.actuators.position.bandwidth == pytest.approx(7.0, rel=1e-4)
     assert found.scenario.actuators.position.damping == pytest.approx(0.7, rel=1e-4)
+
+
+def test_a_log_without_images_keeps_the_camera_in_whole_ticks(paper: hs.Scenario) -> None:
+    """Its ticks are longer than those of the scenario; so are delays and the end of the run in whole ones."""
+    times = {"camera.period": 0.033, "camera.latency": 0.042, "actuators.delay": 0.004, "simulation.duration": 3.01}
+    machine = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.001, **times})
+    random = np.random.default_rng(SEED)
+    commands = 0.205 + wandering(random, 120, 0.02, 0.004, 0.4)
+    log = record(commands, 0.02, [Drive(4.0, 0.9)] * 6, 1e-6, random)
+    found = hs.identify(log, machine)
+    assert found.rounded == {"simulation.duration": 3.0, "camera.period": 0.04, "camera.latency": 0.04}
+    assert found.scenario.camera.period == 0.04
+    assert "camera.period" not in found.changes
+    (table,) = found.sections()[-1].items
+    assert isinstance(table, Table)
+    assert ["camera.period", "0.04 (whole ticks)", "0.033"] in table.rows
+    rests = hs.identify(replace(log, commands=np.full_like(commands, 0.205)), machine)
+    assert rests.rounded["actuators.delay"] == 0.0
 
 
 def written(log: Log, path: Path) -> Path:

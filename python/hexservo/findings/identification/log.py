@@ -16,12 +16,15 @@ from hexservo.findings.identification.mcap_log import read_mcap
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["FITTED", "MAX_BYTES", "MAX_ROWS", "Log", "read_log"]
+__all__ = ["FITTED", "LEAST_EXPLAINED", "MAX_BYTES", "MAX_ROWS", "Log", "leg_moves", "read_log"]
 
 MAX_ROWS = 1_000_000
 MAX_BYTES = 500_000_000
 FITTED = 0.7
 """Share of a log that models are fitted to; the rest shows how well they predict."""
+LEAST_EXPLAINED = 0.5
+"""Share of the motion in that rest that a model has to predict: one that predicts less is of something else."""
+_STILL = 5.0  # standard deviations of the noise that a leg has to move by
 _FEWEST = 50  # rows: with fewer there is nothing to fit
 _UNEVEN = 0.05  # of the period: most that a tick may be off its place
 _TIME, _EXPOSURE, _ARRIVAL = "time", "exposure", "arrival"
@@ -75,6 +78,21 @@ class Log:
             )
         if self.frames is not None:
             _check_frames(self.frames)
+
+
+def leg_moves(commands: Array, joints: Array, part: slice) -> bool:
+    """Return whether a leg was commanded to move by more than its noise in a part of a log, and moved at all.
+
+    Parameters
+    ----------
+    commands, joints
+        (n,) of the leg in the whole log [m; rad].
+    part
+        Ticks that count.
+    """
+    noise = float(np.std(np.diff(joints))) / float(np.sqrt(2.0))
+    way = float(np.ptp(commands[part]))
+    return way > 0.0 and way > _STILL * noise and float(np.ptp(joints[part])) > 0.0
 
 
 def _check_frames(frames: Frames) -> None:
