@@ -15,6 +15,7 @@ from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.log import Log, read_log
 from hexservo.findings.identification.motors import MotorFit, fit_motors
+from hexservo.findings.identification.reach import require_reach
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
@@ -79,13 +80,15 @@ def identify(
     Raises
     ------
     ScenarioError
-        A file that cannot be read, or what is wrong with it; a log in which no leg moves.
+        A file that cannot be read, or what is wrong with it; legs that are out of the machine's reach, as in another
+        unit.
     TypeError
         For other types.
     """
     if not isinstance(machine, Scenario):
         raise wrong_type("machine", "a Scenario", machine)
     record = log if isinstance(log, Log) else read_log(log)
+    require_reach(record, machine, None if isinstance(log, Log) else os.fsdecode(log))
     with reporting(progress, "legs identified") as report:
         drives = fit_drives(record, leg_units(machine.robot), report)
     camera = None if record.frames is None else fit_camera(record, Scene(machine))
