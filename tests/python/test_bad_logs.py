@@ -92,7 +92,7 @@ def near_home(machine: hs.Scenario, ticks: int = 60) -> Log:
 @pytest.mark.parametrize(
     ("machine", "change", "words"),
     [
-        ("pi-h824", lambda q: 1e3 * q, "near 0.18 m (travel +-0.0112 m), got 180 as a rule: are they in mm?"),
+        ("pi-h824", lambda q: 1e3 * q, "near 0.18 m (travel +-0.0112 m), got 180 (median): are they in mm?"),
         ("pi-h824", lambda q: q - 0.18, "are they counted from home?"),
         ("pi-h824", lambda q: 1e3 * (q - 0.175), "are they in mm, and counted from home?"),
         ("pi-h824", lambda q: -q, "are their signs reversed?"),

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hexservo as hs
+from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.changes import changes_of
 from hexservo.findings.identification.drives import MOST_DELAY, fit_drives
@@ -30,7 +33,7 @@ def test_a_delay_beyond_what_is_tried_has_no_upper_end(paper: hs.Scenario) -> No
     assert delay.high == np.inf
     section = found.drives.section()
     assert section.verdict == "warning"
-    assert any("ticks and may be more than 8, the most" in sentence for sentence in section.sentences)
+    assert any("8, the most that is tried" in sentence for sentence in section.sentences)
     assert "actuators.delay" not in found.changes
     assert found.scenario.actuators.delay == paper.actuators.delay
     assert found.sections()[-1].verdict == "warning"
@@ -68,6 +71,20 @@ def test_joints_that_do_not_follow_the_commands_give_no_drive(change: str) -> No
     assert "commands and joints exchanged, or of opposite sign" in section.sentences[0]
     assert "predicts at least" not in section.sentences[0]
     assert not any(key.startswith("actuators") for key in changes_of(log, found, None))
+
+
+def test_diagnose_names_what_the_log_does_not_give(paper: hs.Scenario, tmp_path: Path) -> None:
+    random = np.random.default_rng(SEED)
+    commands = np.full((60, 6), 0.2)
+    commands[:, 3] += wandering(random, 60, 0.01, 0.004, 0.1)[:, 3]
+    log = record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 1e-6, random)
+    names = ["time", *(f"{kind}_{leg}" for kind in ("command", "joint") for leg in range(1, 7))]
+    table = np.column_stack([log.time, commands, 0.4 - log.joints])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(names), comments="")
+    arguments = ["--machine", "paper", "--set", "simulation.duration=0.1"]
+    done = CliRunner().invoke(app, ["diagnose", str(tmp_path / "log.csv"), *arguments])
+    assert "Drives of the legs: Fitted to" in done.stderr
+    assert "no key of the drives is taken over" in done.stderr
 
 
 def test_a_leg_that_rests_in_the_part_kept_apart_is_not_judged_there() -> None:

@@ -36,9 +36,17 @@ class Identification(Findings):
     motors: MotorFit | None = None  # None where they were not asked for, or not all legs moved
     rounded: dict[str, Any] = field(default_factory=dict)  # times of the machine in whole ticks of the log, likewise
 
+    @property
+    def doubtful(self) -> list[Section]:
+        """The parts whose model is not of the machine, with the likely reasons: none of their keys is taken over."""
+        return [section for section in self._parts() if section.verdict == "bad"]
+
+    def _parts(self) -> list[Section]:
+        return [part.section() for part in (self.drives, self.motors, self.camera) if part is not None]
+
     def sections(self) -> Sequence[Section]:
         """Return the findings as sentences, tables and curves."""
-        parts = [part.section() for part in (self.drives, self.motors, self.camera) if part is not None]
+        parts = self._parts()
         given = {key: value_of(self.machine, key) for key in (*self.changes, *self.rounded)}
         verdicts = {part.title: part.verdict for part in parts}
         return [*parts, Changes(self.changes, self.rounded, given, verdicts).section()]

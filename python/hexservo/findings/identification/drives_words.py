@@ -180,8 +180,9 @@ def _of_the_edges(found: Drives) -> list[str]:
     late = [fit for fit in found.moved if fit.delay is not None and not fit.delay.is_bounded]
     if late:
         least = min(fit.delay.low for fit in late if fit.delay is not None)
+        more = f" and may be more than {MOST_DELAY}" if least < MOST_DELAY else ""
         words.append(
-            f"The delay of {_legs(late)} is at least {least:.0f} ticks and may be more than {MOST_DELAY}, the most "
+            f"The delay of {_legs(late)} is at least {least:.0f} ticks{more}, the most "
             "that is tried and that a scenario has. Where that is the best value the key `actuators.delay` is left as "
             "it is; bandwidth and damping then take what is missing of it. A log with longer ticks shows longer delays."
         )

@@ -51,7 +51,7 @@ def require_reach(log: Log, machine: Scenario, source: str | None = None) -> Non
         often = np.median(strokes, axis=0)
         leg = int(np.argmax(often))
         if often[leg] > _USUALLY[units.coordinate]:
-            got = f"got {number(usual[leg])} as a rule"
+            got = f"got {number(usual[leg])} (median)"
             guess = next(_guesses(usual, middle, home, stroke, units.coordinate))
         elif strokes.max() > _FARTHEST or (units.coordinate == "m" and values.min() <= 0.0):
             tick, leg = divmod(int(np.argmax(strokes if strokes.max() > _FARTHEST else -values)), 6)
