@@ -13,9 +13,11 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.findings.identification.changes import changes_of
-from hexservo.findings.identification.drives import MOST_DELAY
+from hexservo.findings.identification.drives import MOST_DELAY, fit_drives
 from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.motors import fit_motors
 from hexservo.scenario.blocks import Motors
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
 from test_identification import commands_of, within
 from test_motors import in_mujoco, on_motors, rotary
@@ -104,6 +106,20 @@ def test_a_delay_of_motors_beyond_what_is_tried_is_no_key(paper: hs.Scenario) ->
     assert other.section().verdict == "bad"
     changes = changes_of(Log(TICK * np.arange(300.0), TICK, commands, joints, None), found.drives, None, other)
     assert not any(key.startswith("actuators.motor") for key in changes)
+
+
+def test_delays_are_tried_on_to_the_best_one(paper: hs.Scenario) -> None:
+    """From drives whose delay is 2 ticks too long, so that the best one is below all that are tried at first."""
+    machine = machine_of(paper, "prismatic")
+    settings = core_parameters(machine)
+    hexapod = _core.Hexapod(settings.robot)
+    commands = commands_of(machine, np.random.default_rng(SEED), 200, TICK, 0.004)
+    joints = _core.motor_response(settings, commands, hexapod.home_position, hexapod.home_quaternion)
+    log = Log(TICK * np.arange(200.0), TICK, commands, joints, None)
+    drives = fit_drives(log, leg_units(machine.robot), delays=(DELAY + 2,))
+    found = fit_motors(log, given(machine), drives)
+    assert found is not None
+    assert found.delay == DELAY
 
 
 def test_a_response_is_that_of_a_run(paper: hs.Scenario) -> None:
