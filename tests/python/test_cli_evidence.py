@@ -95,7 +95,7 @@ def test_sections_are_printed_in_words_and_tables(command: str) -> None:
         "A note.",
         "Explained in docs/model.md",
         "",
-        "V over time: see `hexservo report`",
+        "V over time: a figure, drawn in a notebook, and of a run by `hexservo report`",
         "",
         "Theme two: not applicable",
         "Does not apply.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,12 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
+from hexservo.findings.identification.changes import changes_of
+from hexservo.findings.identification.drives import MOST_DELAY, fit_drives
 from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.motors import fit_motors
 from hexservo.scenario.blocks import Motors
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
 from test_identification import commands_of, within
 from test_motors import in_mujoco, on_motors, rotary
@@ -80,6 +85,41 @@ def test_intervals_of_motors_contain_the_true_values(paper: hs.Scenario) -> None
         assert motors.delay == DELAY
     print(f"seed {SEED}: {kept} of 16 intervals contain the true value")
     assert kept >= 13
+
+
+def test_a_delay_of_motors_beyond_what_is_tried_is_no_key(paper: hs.Scenario) -> None:
+    machine = on_motors(paper, MOTOR, **(SAMPLED | {"actuators__delay": MOST_DELAY * TICK}))
+    settings = core_parameters(machine)
+    hexapod = _core.Hexapod(settings.robot)
+    commands = commands_of(machine, np.random.default_rng(SEED), 300, TICK, 0.004)
+    joints = _core.motor_response(settings, commands, hexapod.home_position, hexapod.home_quaternion)
+    found = hs.identify(Log(TICK * np.arange(300.0), TICK, commands, joints, None), given(machine), motors=True)
+    assert found.motors is not None
+    assert found.motors.delay == MOST_DELAY
+    assert found.motors.explains
+    section = found.motors.section()
+    assert section.verdict == "warning"
+    assert any("at least 8 ticks" in sentence for sentence in section.sentences)
+    assert found.changes["actuators.motor.kp"] == pytest.approx(MOTOR["kp"], rel=0.03)
+    assert "actuators.delay" not in found.changes
+    other = replace(found.motors, explained=-0.2)
+    assert other.section().verdict == "bad"
+    changes = changes_of(Log(TICK * np.arange(300.0), TICK, commands, joints, None), found.drives, None, other)
+    assert not any(key.startswith("actuators.motor") for key in changes)
+
+
+def test_delays_are_tried_on_to_the_best_one(paper: hs.Scenario) -> None:
+    """From drives whose delay is 2 ticks too long, so that the best one is below all that are tried at first."""
+    machine = machine_of(paper, "prismatic")
+    settings = core_parameters(machine)
+    hexapod = _core.Hexapod(settings.robot)
+    commands = commands_of(machine, np.random.default_rng(SEED), 200, TICK, 0.004)
+    joints = _core.motor_response(settings, commands, hexapod.home_position, hexapod.home_quaternion)
+    log = Log(TICK * np.arange(200.0), TICK, commands, joints, None)
+    drives = fit_drives(log, leg_units(machine.robot), delays=(DELAY + 2,))
+    found = fit_motors(log, given(machine), drives)
+    assert found is not None
+    assert found.delay == DELAY
 
 
 def test_a_response_is_that_of_a_run(paper: hs.Scenario) -> None:

@@ -116,7 +116,10 @@ def _judge(
         if json is not None:
             check_json(name, json, force)
         if machine is not None:
-            of: Any = _run(identified(run, machine, settings).scenario)
+            model = identified(run, machine, settings)
+            for section in model.doubtful:
+                complain(*section.sentences, head=section.title)
+            of: Any = _run(model.scenario)
         else:
             of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [])
         try:

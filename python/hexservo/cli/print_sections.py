@@ -39,7 +39,7 @@ def _printed_item(item: Item) -> Iterator[RenderableType]:
         yield Text(item.title, style="underline")
         yield _table(item) if _least_width(item) <= width() else _listed(item)
     else:
-        yield Text(f"{item.title}: see `hexservo report`", style="dim")
+        yield Text(f"{item.title}: a figure, drawn in a notebook, and of a run by `hexservo report`", style="dim")
     for words in (item.note, f"Explained in {item.page}" if item.page else ""):
         if words:
             yield Text(words, style="dim")

@@ -10,11 +10,12 @@ from typing import Any
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
-from hexservo.findings.identification.changes import Changes, changes_of
+from hexservo.findings.identification.changes import Changes, changes_of, in_whole_ticks, value_of
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.log import Log, read_log
 from hexservo.findings.identification.motors import MotorFit, fit_motors
+from hexservo.findings.identification.reach import require_reach
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
@@ -28,17 +29,27 @@ class Identification(Findings):
     """What the log of a machine gives, and the scenario with it."""
 
     machine: Scenario = field(repr=False)  # that was given
-    scenario: Scenario  # the machine with `changes`
+    scenario: Scenario  # the machine with `changes` and `rounded`
     changes: dict[str, Any]  # keys of the scenario that the log gives, by dotted name
     drives: Drives
     camera: CameraFit | None  # None where the log has no image
     motors: MotorFit | None = None  # None where they were not asked for, or not all legs moved
+    rounded: dict[str, Any] = field(default_factory=dict)  # times of the machine in whole ticks of the log, likewise
+
+    @property
+    def doubtful(self) -> list[Section]:
+        """The parts whose model is not of the machine, with the likely reasons: none of their keys is taken over."""
+        return [section for section in self._parts() if section.verdict == "bad"]
+
+    def _parts(self) -> list[Section]:
+        return [part.section() for part in (self.drives, self.motors, self.camera) if part is not None]
 
     def sections(self) -> Sequence[Section]:
         """Return the findings as sentences, tables and curves."""
-        parts = [part.section() for part in (self.drives, self.motors, self.camera) if part is not None]
-        given = {key: _value(self.machine, key) for key in self.changes}
-        return [*parts, Changes(self.changes, given).section()]
+        parts = self._parts()
+        given = {key: value_of(self.machine, key) for key in (*self.changes, *self.rounded)}
+        verdicts = {part.title: part.verdict for part in parts}
+        return [*parts, Changes(self.changes, self.rounded, given, verdicts).section()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data, for JSON: keys, and each section's numbers."""
@@ -77,13 +88,15 @@ def identify(
     Raises
     ------
     ScenarioError
-        A file that cannot be read, or what is wrong with it; a log in which no leg moves.
+        A file that cannot be read, or what is wrong with it; legs that are out of the machine's reach, as in another
+        unit.
     TypeError
         For other types.
     """
     if not isinstance(machine, Scenario):
         raise wrong_type("machine", "a Scenario", machine)
     record = log if isinstance(log, Log) else read_log(log)
+    require_reach(record, machine, None if isinstance(log, Log) else os.fsdecode(log))
     with reporting(progress, "legs identified") as report:
         drives = fit_drives(record, leg_units(machine.robot), report)
     camera = None if record.frames is None else fit_camera(record, Scene(machine))
@@ -91,14 +104,8 @@ def identify(
     if motors:
         with reporting(progress, "delays of motors tried") as report:
             found = fit_motors(record, machine, drives, report)
-        if found is not None:  # one delay for the motors and for what the controller takes them for
+        if found is not None and found.explains:  # one delay for the motors and for what the controller takes them for
             drives = fit_drives(record, leg_units(machine.robot), delays=(found.delay,))
-    changes = changes_of(record, drives, camera) | ({} if found is None else found.changes)
-    return Identification(machine, machine.updated(changes), changes, drives, camera, found)
-
-
-def _value(scenario: Scenario, key: str) -> Any:
-    value: Any = scenario
-    for part in key.split("."):
-        value = getattr(value, part)
-    return value
+    changes = changes_of(record, drives, camera, found)
+    rounded = in_whole_ticks(record, machine, changes)
+    return Identification(machine, machine.updated(changes | rounded), changes, drives, camera, found, rounded)

@@ -8,13 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.identification.drives import Drives
+from hexservo.findings.evidence import Verdict
+from hexservo.findings.identification.drives import MOST_DELAY, Drives
 from hexservo.findings.identification.frames import CameraFit
 from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.part import Part
+from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Changes", "changes_of"]
+__all__ = ["Changes", "changes_of", "in_whole_ticks", "value_of"]
 
+_FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
+    "simulation.duration": 1,
+    "camera.period": 1,
+    "camera.latency": 0,
+    "camera.latency_jitter": 0,
+    "camera.timeout": 1,
+    "uncertainty.latency": 0,
+    "sensors.period": 1,
+    "actuators.delay": 0,
+}
+_WHOLE = 1e-9  # of a tick, or of the time: what is not seen of a difference
 _MAJORITY = 4  # legs in which a limit is seen, for the scenario to have it
 
 
@@ -23,39 +37,82 @@ class Changes(Part):
     """Keys of the scenario by dotted name."""
 
     identified: Mapping[str, Any]
+    rounded: Mapping[str, Any]  # times that the log does not give, in whole ticks of it
     given: Mapping[str, Any]  # what the scenario of the machine had
+    verdicts: Mapping[str, Verdict]  # of the parts that the log was searched for, by title
 
 
-def changes_of(log: Log, drives: Drives, camera: CameraFit | None) -> dict[str, Any]:
-    """Return the keys that the log gives, by dotted name."""
+def changes_of(log: Log, drives: Drives, camera: CameraFit | None, motors: MotorFit | None = None) -> dict[str, Any]:
+    """Return the keys that the log gives, by dotted name: none of a part whose model is not of the machine."""
     step = float(f"{log.period:.9g}")
     changes: dict[str, Any] = {"simulation.mode": "sampled", "simulation.step": step}
-    if drives.moved:
-        delay = round(float(np.median([fit.delay.value for fit in drives.moved if fit.delay is not None])))
-        changes |= {
-            "actuators.kind": "position",
-            "actuators.delay": _whole(delay * step, step),
-            "actuators.position.bandwidth": _together(drives, "bandwidth"),
-            "actuators.position.damping": _together(drives, "damping"),
-            "actuators.position.speed_limit": _together(drives, "speed_limit"),
-            "actuators.position.acceleration_limit": _together(drives, "acceleration_limit"),
-        }
-    if camera is not None and not camera.open:
-        changes |= {"camera.noise": _digits(camera.noise.value if camera.noise else 0.0)}
-        if camera.period is not None:
-            changes |= {"camera.period": max(step, _whole(camera.period.value, step))}
-        if camera.latency is not None and camera.latency_is_known:
-            jitter = min(camera.jitter or 0.0, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
-            changes |= {"camera.latency": max(0.0, _whole(camera.latency.value - jitter / 2, step))}
-            changes |= {"camera.latency_jitter": _whole(jitter, step)}
-        changes |= {"camera.dropout": _digits(max(camera.dropout, 0.0))}
+    if drives.moved and drives.explains:
+        changes |= {"actuators.kind": "position"} | _of_drives(drives, step)
+    if camera is not None and camera.explains:
+        changes |= _of_camera(camera, step)
+    if motors is not None and motors.explains:
+        changes |= motors.changes
+        if motors.delay < MOST_DELAY:
+            changes["actuators.delay"] = _whole(motors.delay * step, step)
     return changes
 
 
+def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the times of a machine that the log does not give and that are no whole ticks of it, as such."""
+    step, rounded = float(f"{log.period:.9g}"), {}
+    for key, fewest in _FEWEST_TICKS.items():
+        given = value_of(machine, key)
+        if key in changes or given is None:
+            continue
+        ticks = np.copysign(max(round(abs(given) / step), fewest), given)
+        if key == "actuators.delay":
+            ticks = min(ticks, MOST_DELAY)
+        if abs(given - ticks * step) > _WHOLE * max(step, abs(given)):
+            rounded[key] = _whole(float(ticks) * step, step)
+    return rounded
+
+
+def value_of(scenario: Scenario, key: str) -> Any:
+    """Return the value of a key by its dotted name."""
+    value: Any = scenario
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
+    changes: dict[str, Any] = {}
+    delay = round(float(np.median([fit.delay.value for fit in drives.moved if fit.delay is not None])))
+    if delay < MOST_DELAY:  # at which the true one may be longer
+        changes["actuators.delay"] = _whole(delay * step, step)
+    for name in ("bandwidth", "damping"):
+        if (value := _together(drives, name)) is not None:
+            changes[f"actuators.position.{name}"] = value
+    for name in ("speed_limit", "acceleration_limit"):
+        changes[f"actuators.position.{name}"] = _together(drives, name)  # None: no limit
+    return changes
+
+
+def _of_camera(camera: CameraFit, step: float) -> dict[str, Any]:
+    changes: dict[str, Any] = {}
+    if camera.noise is not None and not camera.at_edge:  # where motion that the model lacks is a part of it
+        changes |= {"camera.noise": _digits(camera.noise.value)}
+    if camera.period is not None:
+        changes |= {"camera.period": max(step, _whole(camera.period.value, step))}
+    if camera.latency is not None and camera.latency_is_known:
+        jitter = min(camera.jitter or 0.0, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
+        changes |= {"camera.latency": max(0.0, _whole(camera.latency.value - jitter / 2, step))}
+        changes |= {"camera.latency_jitter": _whole(jitter, step)}
+    return changes | {"camera.dropout": _digits(max(camera.dropout, 0.0))}
+
+
 def _together(drives: Drives, name: str) -> float | None:
-    """Return one value for all legs: the mean of the logarithms, each counted by how well it is known."""
+    """Return one value for all legs: the mean of the logarithms, each counted by how well it is known.
+
+    None where it is known of fewer than four legs, and not of all that moved.
+    """
     found = [getattr(fit, name) for fit in drives.moved]
-    known = [one for one in found if one is not None]
+    known = [one for one in found if one is not None and one.is_bounded]
     if not known or (len(known) < len(found) and len(known) < _MAJORITY):
         return None
     values = np.log([one.value for one in known])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hexservo.findings.evidence import Column, Section, Table
+from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.changes import Changes
 
 __all__ = ["section"]
@@ -15,14 +15,28 @@ PAGE = "docs/identification.md"
 def section(found: Changes) -> Section:
     """Return what the scenario of the machine has now, and had before."""
     rows = [[key, _text(value), _text(found.given[key])] for key, value in found.identified.items()]
+    verdicts = set(found.verdicts.values())
+    verdict: Verdict = "bad" if "bad" in verdicts else "good" if verdicts == {"good"} else "warning"
+    rows += [[key, f"{_text(value)} (whole ticks)", _text(found.given[key])] for key, value in found.rounded.items()]
     table = Table("Keys of the scenario", (Column("key"), Column("identified"), Column("given")), rows, page=PAGE)
     return Section(
         "keys",
         "The scenario",
-        ["The scenario with these keys moves and sees as the log does; law and gains are those that were given."],
+        [_sentence(found, verdict)],
         (table,),
-        "good",
-        {"changes": dict(found.identified)},
+        verdict,
+        {"changes": dict(found.identified), "rounded": dict(found.rounded)},
+    )
+
+
+def _sentence(found: Changes, verdict: Verdict) -> str:
+    if verdict == "good":
+        sees = "moves and sees" if "Camera" in found.verdicts else "moves"
+        return f"The scenario with these keys {sees} as the log does; law and gains are those that were given."
+    doubtful = " and ".join(f'"{title}"' for title, one in found.verdicts.items() if one != "good")
+    return (
+        f"See {doubtful} before you rely on this scenario: what the log does not determine, or what no model predicts, "
+        "is that of the scenario that was given, as law and gains are."
     )
 
 

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from hexservo import _core
 from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
-from hexservo.findings.identification.log import FITTED, Log
+from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, leg_moves
 from hexservo.findings.identification.rests import Rests, find_rests, with_friction
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
@@ -30,9 +30,11 @@ MOST_DELAY = 8
 
 _BANDWIDTHS = 9  # of a coarse grid, from 1/400 of the fastest that ticks show
 _DAMPINGS = (0.35, 0.8, 1.6)
-_STILL = 5.0  # standard deviations of the noise that a leg has to move by
 _LIMITS = ((False, False), (True, False), (False, True), (True, True))  # of speed and acceleration: which act
 _NONE = (np.inf, np.inf)
+_SLOWEST, _FASTEST = 0.05, 0.6  # bandwidths that are searched: times the record, and times a tick
+_LEAST_DAMPED, _MOST_DAMPED = 0.01, 50.0
+_EDGE = 1.001  # ratio to an end of what is searched that is no different from it
 _TRIED = 3  # delays that are fitted of those that start best
 _WHITE = 1.3  # ticks over which residuals of a fit that found the true drive are correlated, at most
 _STARTS = 4  # from which a fit is tried again whose residuals are correlated further
@@ -46,13 +48,13 @@ class DriveFit:
     leg: int  # 1 to 6
     bandwidth: Interval | None  # [Hz]; None of a leg that hardly moved, as all that follows
     damping: Interval | None  # [1]
-    delay: Interval | None  # [ticks]
+    delay: Interval | None  # [ticks]; no upper end where `MOST_DELAY` is as likely as the value
     speed_limit: Interval | None  # [m/s], or [rad/s]; None where no limit is seen: then `fastest` was
     acceleration_limit: Interval | None  # [m/s^2], or [rad/s^2]; likewise
     fastest: float  # [m/s], or [rad/s], of the response that was fitted
     noise: float  # standard deviation of what the fit leaves [m], or [rad]
     correlated: float  # ticks over which what it leaves is correlated, 1 of white noise
-    explained: float  # share of the variance of the part kept apart that is predicted; 1: all
+    explained: float | None  # share of the variance of the part kept apart that is predicted, 1: all; None: rests there
     rests: Rests | None = None  # how far from its command friction leaves it; None where the log has too few rests
 
 
@@ -74,6 +76,18 @@ class Drives(Part):
         """The drives of which something is known."""
         return [fit for fit in self.fits if fit.bandwidth is not None]
 
+    @property
+    def worst(self) -> DriveFit | None:
+        """The leg of whose motion in the part kept apart least is predicted; None where none moves there."""
+        judged = [(fit.explained, fit.leg) for fit in self.fits if fit.explained is not None]
+        return self.fits[min(judged)[1] - 1] if judged else None
+
+    @property
+    def explains(self) -> bool:
+        """Whether the model is of these legs at all, as far as the part kept apart shows it."""
+        worst = self.worst
+        return worst is None or worst.explained is None or worst.explained >= LEAST_EXPLAINED
+
 
 @dataclass(frozen=True, eq=False)
 class _Record:
@@ -92,9 +106,16 @@ class _Record:
 
     @property
     def moves(self) -> bool:
-        """Whether the leg was commanded to move by more than its noise, and moved at all."""
-        way = float(np.ptp(self.commands[: self.fitted]))
-        return way > 0.0 and way > _STILL * self.scatter and float(np.ptp(self.joints[: self.fitted])) > 0.0
+        """Whether the leg moves in what is fitted."""
+        return leg_moves(self.commands, self.joints, slice(self.fitted))
+
+    def explained(self, predicted: Array) -> float | None:
+        """Return the share of the motion that is predicted (n,) where nothing is fitted; None without motion there."""
+        apart = slice(self.fitted, None)
+        if not leg_moves(self.commands, self.joints, apart):
+            return None
+        left = self.joints[apart] - predicted[apart]
+        return 1.0 - float(np.mean(left**2)) / float(np.var(self.joints[apart]))
 
     def response(self, delay: int, values: Array, ticks: int | None = None) -> Array:
         """Return the coordinate at each tick, (n,), or at the first ones alone.
@@ -203,26 +224,25 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
     """Return what the best model states, and what it predicts at all ticks."""
     if not models:
         still = np.full_like(record.joints, record.joints[: record.fitted].mean())
-        return DriveFit(leg, None, None, None, None, None, 0.0, record.scatter, 1.0, 0.0), still
+        return DriveFit(leg, None, None, None, None, None, 0.0, record.scatter, 1.0, None), still
     best = _best(models)
     alike = _alike(best, models)
     delays = [model.delay for model in alike]
     predicted = record.response(best.delay, best.values)
-    rest = record.joints[record.fitted :]
-    left = rest - predicted[record.fitted :]
-    spread = float(np.var(rest))
     return (
         DriveFit(
             leg=leg,
             bandwidth=_hull(best, alike, 0),
             damping=_hull(best, alike, 1),
-            delay=Interval(float(best.delay), float(min(delays)), float(max(delays))),
+            delay=Interval(
+                float(best.delay), float(min(delays)), np.inf if max(delays) == MOST_DELAY else float(max(delays))
+            ),
             speed_limit=_hull(best, alike, 2) if best.limits[0] else None,
             acceleration_limit=_hull(best, alike, 3) if best.limits[1] else None,
             fastest=float(np.abs(np.diff(predicted[: record.fitted])).max() / record.period),
             noise=best.noise,
             correlated=best.correlated,
-            explained=1.0 - float(np.mean(left**2)) / spread if spread > 0.0 else 0.0,
+            explained=record.explained(predicted),
             rests=record.rests,
         ),
         predicted,
@@ -242,6 +262,7 @@ class _Model:
     count: int  # residuals
     correlated: float
     motion: float  # standard deviation of what was measured
+    searched: Array  # (4, 2) least and largest of the first four values that were searched
 
     @property
     def noise(self) -> float:
@@ -268,7 +289,11 @@ class _Model:
         wide = half_width(float(self.sigma[place]))
         value = float(self.values[index])
         with np.errstate(over="ignore"):
-            return Interval(value, value * float(np.exp(-wide)), value * float(np.exp(wide)))
+            low, high = value * float(np.exp(-wide)), value * float(np.exp(wide))
+        if not (low > 0.0 and np.isfinite(high)):
+            return Interval(value, -np.inf, np.inf)
+        lowest, highest = self.searched[index]
+        return Interval(value, low, high).opened(_EDGE * lowest, highest / _EDGE)
 
 
 def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool]) -> _Model:
@@ -278,9 +303,9 @@ def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool])
     values[2:4] = np.where(limits, values[2:4], np.inf)
     scale = max(float(np.ptp(measured)), np.finfo(float).tiny)
 
-    slow, fast = 0.05 / (record.fitted * record.period), 0.6 / record.period
-    lowest = np.log([slow, 0.01, 1e-12, 1e-12])
-    highest = np.log([fast, 50.0, 1e12, 1e12])
+    slow, fast = _SLOWEST / (record.fitted * record.period), _FASTEST / record.period
+    searched = np.array([[slow, fast], [_LEAST_DAMPED, _MOST_DAMPED], [1e-12, 1e12], [1e-12, 1e12]])
+    lowest, highest = np.log(searched).T
 
     units = np.array([scale, scale / record.period, scale])
 
@@ -315,6 +340,7 @@ def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool])
         len(left),
         together,
         float(np.std(measured)),
+        searched,
     )
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
 
 import numpy as np
 
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
-from hexservo.findings.identification.drives import DriveFit, Drives
+from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import below, number
 
 __all__ = ["section", "with_interval"]
 
@@ -31,7 +32,7 @@ def section(found: Drives) -> Section:
             with_interval(fit.acceleration_limit) or "not seen",
             _rests(fit),
             1e3 * fit.noise,
-            100.0 * fit.explained,
+            None if fit.explained is None else 100.0 * fit.explained,
         ]
         for fit in found.fits
     ]
@@ -63,10 +64,17 @@ def section(found: Drives) -> Section:
 
 
 def with_interval(found: Interval | None) -> str | None:
-    """Write an interval: "5.04 (5.03 to 5.05)"; None without one."""
+    """Write an interval: "5.04 (5.03 to 5.05)", "at least 8" with an open end; None without one."""
     if found is None:
         return None
     digits = _digits(found)
+    if not found.is_bounded:
+        end, more = (found.high, "less") if np.isfinite(found.high) else (found.low, "more")
+        if not np.isfinite(end):
+            return "not known"
+        if end == found.value:
+            return f"at {'least' if more == 'more' else 'most'} {end:.{digits}g}"
+        return f"{found.value:.{digits}g} ({end:.{digits}g} or {more})"
     if found.low == found.high:
         return f"{found.value:.{digits}g}"
     return f"{found.value:.{digits}g} ({found.low:.{digits}g} to {found.high:.{digits}g})"
@@ -94,22 +102,31 @@ def _rests(fit: DriveFit) -> Cell:
 def _verdict(found: Drives) -> Verdict:
     if not found.moved:
         return "open"
-    return "good" if len(found.moved) == 6 and all(fit.explained >= _GOOD for fit in found.fits) else "warning"
+    if not found.explains:
+        return "bad"
+    known = all(one is not None and one.is_bounded for fit in found.fits for one in _values(fit))
+    return "good" if known and all((fit.explained or 0.0) >= _GOOD for fit in found.fits) else "warning"
+
+
+def _values(fit: DriveFit) -> tuple[Interval | None, ...]:
+    """Return what is found of a leg in any case."""
+    return fit.bandwidth, fit.damping, fit.delay
 
 
 def _sentences(found: Drives) -> list[str]:
     moved = found.moved
     if not moved:
         return ["No leg was commanded to move by more than its noise: nothing of the drives can be found."]
-    worst = min(moved, key=lambda fit: fit.explained)
     words = [
-        f"Fitted to {number(found.fitted)} s of the log, in ticks of {number(1e3 * found.period)} ms. The model "
-        f"predicts at least {number(100 * worst.explained)} % of the motion of each leg in the "
-        f"{number(found.apart)} s that were kept apart."
+        f"Fitted to {number(found.fitted)} s of the log, in ticks of {number(1e3 * found.period)} ms. "
+        + _of_the_prediction(found)
     ]
     if len(moved) < 6:
-        still = ", ".join(str(fit.leg) for fit in found.fits if fit.bandwidth is None)
-        words.append(f"Not commanded to move by more than their noise, or at rest, and not identified: legs {still}.")
+        still = _legs(fit for fit in found.fits if fit.bandwidth is None)
+        words.append(f"Not commanded to move by more than their noise, or at rest, and not identified: {still}.")
+    if not found.explains:
+        return words
+    words += _of_the_edges(found)
     bandwidths = [fit.bandwidth.value for fit in moved if fit.bandwidth is not None]
     if max(bandwidths) > _ALIKE * min(bandwidths):
         words.append(
@@ -135,10 +152,59 @@ def _sentences(found: Drives) -> list[str]:
     return words
 
 
+def _of_the_prediction(found: Drives) -> str:
+    worst = found.worst
+    if worst is None or worst.explained is None:
+        return (
+            f"No leg moves in the {number(found.apart)} s that were kept apart: what the model predicts is not known."
+        )
+    if not found.explains:
+        share = f"no more than {number(100 * worst.explained)} %" if worst.explained > 0.0 else "nothing"
+        return (
+            f"The model predicts {share} of the motion of leg {worst.leg} in the {number(found.apart)} s that were "
+            "kept apart: the joints do not follow these commands, and no key of the drives is taken over. Likely "
+            "reasons: commands and joints exchanged, or of opposite sign; another order of the legs, or another unit, "
+            "in one of them; a leg that does not do what it is commanded."
+        )
+    judged = [fit for fit in found.fits if fit.explained is not None]
+    whose = "each leg" if len(judged) == 6 else f"{'each of ' if len(judged) > 1 else ''}{_legs(judged)}"
+    return (
+        f"The model predicts at least {below(100 * worst.explained, 4)} % of the motion of {whose} in the "
+        f"{number(found.apart)} s that were kept apart."
+    )
+
+
+def _of_the_edges(found: Drives) -> list[str]:
+    """Return what to know of values at the edge of what is searched."""
+    words = []
+    late = [fit for fit in found.moved if fit.delay is not None and not fit.delay.is_bounded]
+    if late:
+        least = min(fit.delay.low for fit in late if fit.delay is not None)
+        more = f" and may be more than {MOST_DELAY}" if least < MOST_DELAY else ""
+        words.append(
+            f"The delay of {_legs(late)} is at least {least:.0f} ticks{more}, the most "
+            "that is tried and that a scenario has. Where that is the best value the key `actuators.delay` is left as "
+            "it is; bandwidth and damping then take what is missing of it. A log with longer ticks shows longer delays."
+        )
+    for name in ("bandwidth", "damping"):
+        legs = [fit for fit in found.moved if not getattr(fit, name).is_bounded]
+        if legs:
+            words.append(
+                f"The {name} of {_legs(legs)} is at the edge of what is searched, or the log does not determine it: "
+                f"`actuators.position.{name}` is of the other legs, or is left as it is."
+            )
+    return words
+
+
+def _legs(fits: Iterable[DriveFit]) -> str:
+    numbers = [str(fit.leg) for fit in fits]
+    return f"leg {numbers[0]}" if len(numbers) == 1 else f"legs {', '.join(numbers)}"
+
+
 def _curves(found: Drives) -> tuple[Curves, ...]:
     if not found.moved:
         return ()
-    leg = min(found.moved, key=lambda fit: fit.explained).leg - 1
+    leg = (found.worst or found.moved[0]).leg - 1
     return (
         Curves(
             f"Leg {leg + 1} in the part kept apart, the worst one",

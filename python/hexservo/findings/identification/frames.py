@@ -17,7 +17,7 @@ from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
-from hexservo.findings.identification.log import FITTED, Frames, Log
+from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_features
@@ -32,6 +32,7 @@ _TRIED = 11  # latencies of a coarse grid
 _ROUNDS = 60  # evaluations of a fit
 _RARE = 0.01  # share of the frames at either end of the latencies from which jitter is not taken
 _SAME = 1e-9  # times that differ by less are the same [s]
+_EDGE = 5e-4  # latencies that are so near to an end of what is searched are no different from it [s]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,12 +43,13 @@ class CameraFit(Part):
     period: Interval | None = None  # between exposures [s]
     dropout: float = 0.0  # share of the frames of that period that did not arrive
     latency: Interval | None = (
-        None  # from the true exposure to arrival [s]; 0 to `MOST_LATENCY` where the log leaves it open
+        None  # from the true exposure to arrival [s]; 0 to `MOST_LATENCY` where the log leaves it open, and without an
+        # end where it may be beyond what is searched
     )
     jitter: float | None = None  # most that a frame is later than the earliest, usually [s]; None without exposures
     stamps: Interval | None = None  # what exposure times are late by [s]; None without them
     noise: Interval | None = None  # standard deviation of a coordinate [px]
-    explained: float = 0.0  # share of the image motion kept apart that is predicted; 1: all
+    explained: float | None = None  # share of the image motion kept apart that is predicted, 1: all; None: none there
     target: Array = field(default_factory=lambda: np.zeros(6))  # displacement of the scenario's target [m; rad]
     stragglers: int = 0  # frames whose latency is far from that of the others: they do not count in latency and jitter
     open: str = ""  # why nothing was found; empty if something was
@@ -56,6 +58,16 @@ class CameraFit(Part):
     def latency_is_known(self) -> bool:
         """Whether the log determines the latency."""
         return self.latency is not None and self.latency.high - self.latency.low < MOST_LATENCY / 2
+
+    @property
+    def at_edge(self) -> bool:
+        """Whether the latency, or what exposure times are late by, is at the edge of what is searched."""
+        return self.latency is not None and not self.latency.is_bounded
+
+    @property
+    def explains(self) -> bool:
+        """Whether the model is of these images at all, as far as the part kept apart shows it."""
+        return not self.open and (self.explained is None or self.explained >= LEAST_EXPLAINED)
 
 
 def fit_camera(log: Log, scene: Scene) -> CameraFit:
@@ -76,7 +88,7 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
         return CameraFit(count, open=reason)
     period, dropout = _clock(frames)
     sight = _Sight.of(log, frames, scene)
-    fit = _fit(sight, frames)
+    fit = _fit(sight, log, frames)
     if isinstance(fit, str):
         return CameraFit(count, period, dropout, open=fit)
     shift, noise, explained, target = fit
@@ -87,12 +99,14 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
     jitter = float(high - low) / (1 - 2 * _RARE)  # of a uniform one
     usual = late[np.abs(late - (low + high) / 2) <= jitter + _SAME]
     mean, sigma = float(usual.mean()), float(usual.std() / np.sqrt(len(usual)))
-    stamped = Interval.around(mean, float(np.hypot(sigma, (shift.high - shift.low) / 2 / half_width(1.0))))
+    wide = np.hypot(half_width(sigma), min(shift.high - shift.value, shift.value - shift.low))
+    late_by = mean + shift.value
+    ends = (end if np.isinf(end) else late_by + side * wide for end, side in ((shift.low, -1), (shift.high, 1)))
     return CameraFit(
         count,
         period,
         dropout,
-        Interval(*(value + shift.value for value in (stamped.value, stamped.low, stamped.high))),
+        Interval(late_by, *map(float, ends)),
         jitter,
         shift,
         noise,
@@ -176,7 +190,7 @@ class _Sight:
         return np.asarray(features - self.features) if (depth < 0.0).all() else None
 
 
-def _fit(sight: _Sight, frames: Frames) -> tuple[Interval, Interval, float, Array] | str:
+def _fit(sight: _Sight, log: Log, frames: Frames) -> tuple[Interval, Interval, float | None, Array] | str:
     """Return the shift of the frames' times, the noise, what is predicted, and where the target is."""
     count = len(sight.times)
     if count < _FEWEST:
@@ -218,14 +232,26 @@ def _fit(sight: _Sight, frames: Frames) -> tuple[Interval, Interval, float, Arra
     noise = Interval(
         float(np.sqrt(power / freedom)), float(np.sqrt(power / together / low)), float(np.sqrt(power / together / high))
     )
-    rest = sight.left(shift.value, fit.x[1:] * unit)
-    predicted = 0.0
-    if rest is not None:
-        motion = sight.features[fitted:] - sight.features[fitted:].mean(axis=0)
-        power = float((motion**2).sum())
-        predicted = 1.0 - float((rest[fitted:] ** 2).sum()) / power if power > 0.0 else 0.0
-    return shift, noise, predicted, fit.x[1:] * unit
+    return shift, noise, _predicted(sight, log, shift.value, fit.x[1:] * unit, fitted), fit.x[1:] * unit
 
 
-def _bounded(found: Interval, low: float, high: float) -> Interval:
-    return Interval(*(float(np.clip(value, low, high)) for value in (found.value, found.low, found.high)))
+def _predicted(sight: _Sight, log: Log, late: float, displacement: Array, fitted: int) -> float | None:
+    """Return the share of the image motion that is predicted after the frames that are fitted; None of one at rest."""
+    apart = slice(int(np.searchsorted(log.time, sight.times[fitted] - late)), None)
+    if not any(leg_moves(log.commands[:, leg], log.joints[:, leg], apart) for leg in range(6)):
+        return None
+    rest = sight.left(late, displacement)
+    motion = sight.features[fitted:] - sight.features[fitted:].mean(axis=0)
+    power = float((motion**2).sum())
+    return 0.0 if rest is None or power == 0.0 else 1.0 - float((rest[fitted:] ** 2).sum()) / power
+
+
+def _bounded(found: Interval, lowest: float, highest: float) -> Interval:
+    """Return an interval within what was searched; a latency has no end there where it is known and may be beyond.
+
+    No frame arrives before it is taken: 0 is an end of a latency. Exposure times may be early.
+    """
+    within = Interval(*(float(np.clip(value, lowest, highest)) for value in (found.value, found.low, found.high)))
+    if found.high - found.low >= MOST_LATENCY / 2:
+        return within
+    return within.opened(-np.inf if lowest == 0.0 else lowest + _EDGE, highest - _EDGE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from hexservo.findings.evidence import Column, Section, Table
+from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.frames import MOST_LATENCY, CameraFit
 from hexservo.scenario.wording import number
@@ -28,15 +28,27 @@ def section(found: CameraFit) -> Section:
         ("exposure times are late by", with_interval(found.stamps and found.stamps.times(1e3)), "ms"),
         ("frames that did not arrive", number(100 * found.dropout), "%"),
         ("noise of a coordinate", with_interval(found.noise), "px"),
-        ("predicted of the part kept apart", number(100 * found.explained), "%"),
+        ("predicted of the part kept apart", None if found.explained is None else number(100 * found.explained), "%"),
     ]
     table = Table("Camera, with 95 % intervals", (Column("quantity"), Column("value"), Column("unit")), rows, page=PAGE)
-    good = found.latency_is_known and found.explained >= _GOOD
-    return Section("camera", _TITLE, _sentences(found), (table,), "good" if good else "warning", data)
+    good = found.latency_is_known and (found.explained or 0.0) >= _GOOD
+    verdict: Verdict = "bad" if not found.explains else "good" if good else "warning"
+    return Section("camera", _TITLE, _sentences(found), (table,), verdict, data)
 
 
 def _sentences(found: CameraFit) -> list[str]:
     latency = found.latency
+    if not found.explains and found.explained is not None:
+        share = f"no more than {number(100 * found.explained)} %" if found.explained > 0.0 else "nothing"
+        return [
+            f"Joints and target predict {share} of the motion of the image in the part kept apart: the image is "
+            "not of this model, and no key of the camera is taken over. Likely reasons: another order of the points "
+            "than the target's; y up in place of down, or pixels that are not those of the scenario's camera "
+            "(camera.axes, focal_pixels, principal_point); another place of the camera (camera.mount) or of the "
+            "target; the order or the sign of the legs; an image that moves by little more than its noise."
+        ]
+    if latency is not None and found.at_edge:
+        return _at_edge(found)
     if latency is None or not found.latency_is_known:
         return [
             f"The log does not tell the latency of the camera, which may be anything from 0 to "
@@ -58,9 +70,29 @@ def _sentences(found: CameraFit) -> list[str]:
             f"{found.stragglers} of {found.frames} frames arrived far from when the others do, and are left out of "
             "latency and jitter."
         )
+    return [*words, _of_the_target(found)]
+
+
+def _at_edge(found: CameraFit) -> list[str]:
+    stamps, kept = found.stamps, "the keys `camera.latency` and `camera.noise` are left as they are"
+    if stamps is None:
+        words = (
+            f"A frame arrives at least {1e3 * MOST_LATENCY:.0f} ms after it was taken, at the edge of what is "
+            f"searched: {kept}."
+        )
+    else:
+        words = (
+            f"The exposure times do not agree with the joints: frames were taken at least "
+            f"{number(1e3 * abs(stamps.value))} ms {'before' if stamps.value > 0 else 'after'} what they state, at the "
+            "edge of what is searched. Are they of the same clock as the joints? Until then "
+            f"{kept}."
+        )
+    return [words, _of_the_target(found)]
+
+
+def _of_the_target(found: CameraFit) -> str:
     shift = found.target
-    words.append(
+    return (
         f"The target is {number(1e3 * float((shift[:3] ** 2).sum() ** 0.5))} mm and "
         f"{number(1e3 * float((shift[3:] ** 2).sum() ** 0.5))} mrad from where the scenario has it."
     )
-    return words

@@ -20,16 +20,33 @@ _LAGS = 200  # samples over which residuals may be correlated
 
 @dataclass(frozen=True)
 class Interval:
-    """A number, and the interval that contains it with 95 % confidence if the model holds."""
+    """A number, and the interval that contains it with 95 % confidence if the model holds.
+
+    An end is infinite where nothing bounds it: where the value lies at the edge of what was tried, the true one may be
+    beyond; where the log does not determine it, both ends are.
+    """
 
     value: float
     low: float
     high: float
 
+    @property
+    def is_bounded(self) -> bool:
+        """Whether both ends are known."""
+        return bool(np.isfinite(self.low) and np.isfinite(self.high))
+
     @classmethod
     def around(cls, value: float, sigma: float) -> Interval:
         """Return the interval of a normal estimate with this standard deviation."""
         return cls(float(value), float(value - half_width(sigma)), float(value + half_width(sigma)))
+
+    def opened(self, lowest: float, highest: float) -> Interval:
+        """Return the interval of a value that was searched from `lowest` to `highest`: open where it reaches an end."""
+        return Interval(
+            self.value,
+            -np.inf if self.value <= lowest else self.low,
+            np.inf if self.value >= highest else self.high,
+        )
 
     def times(self, factor: float) -> Interval:
         """Return the same in other units."""

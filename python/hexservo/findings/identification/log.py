@@ -16,16 +16,21 @@ from hexservo.findings.identification.mcap_log import read_mcap
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["FITTED", "MAX_BYTES", "MAX_ROWS", "Log", "read_log"]
+__all__ = ["FITTED", "LEAST_EXPLAINED", "MAX_BYTES", "MAX_ROWS", "Log", "leg_moves", "read_log"]
 
 MAX_ROWS = 1_000_000
 MAX_BYTES = 500_000_000
 FITTED = 0.7
 """Share of a log that models are fitted to; the rest shows how well they predict."""
+LEAST_EXPLAINED = 0.5
+"""Share of the motion in that rest that a model has to predict: one that predicts less is of something else."""
+_STILL = 5.0  # standard deviations of the noise that a leg has to move by
 _FEWEST = 50  # rows: with fewer there is nothing to fit
+_LONGEST = 0.5  # [s]: no machine is commanded more seldom
 _UNEVEN = 0.05  # of the period: most that a tick may be off its place
 _TIME, _EXPOSURE, _ARRIVAL = "time", "exposure", "arrival"
 _LEGS = tuple(range(1, 7))
+_REQUIRED = (_TIME, *(f"{name}_{leg}" for name in ("command", "joint") for leg in _LEGS))  # columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +66,22 @@ class Log:
         count = len(self.time)
         for name in ("commands", "joints"):
             values = getattr(self, name)
-            if values.shape != (count, 6) or not np.isfinite(values).all():
+            if values.shape != (count, 6):
                 raise ValueError(f"{name}: expected ({count}, 6) finite numbers, got shape {values.shape}")
+            if not np.isfinite(values).all():
+                tick, leg = np.argwhere(~np.isfinite(values))[0]
+                raise ValueError(
+                    f"{name}: expected finite numbers, got {values[tick, leg]} of leg {leg + 1} at tick {tick}"
+                )
         if count < _FEWEST:
             raise ValueError(f"time: expected at least {_FEWEST} ticks, got {count}")
+        if not np.isfinite(self.time).all():
+            raise ValueError("time: expected finite numbers, got others")
+        if self.period > _LONGEST:
+            raise ValueError(
+                f"time: expected seconds, with ticks of at most {_LONGEST} s, got one every {self.period:.6g}: are "
+                "they in ms? Divide the times by 1000, arrival and exposure too"
+            )
         places = self.time[0] + self.period * np.arange(count)
         off = np.abs(self.time - places)
         if not self.period > 0.0 or not (off <= _UNEVEN * self.period).all():
@@ -75,6 +92,21 @@ class Log:
             )
         if self.frames is not None:
             _check_frames(self.frames)
+
+
+def leg_moves(commands: Array, joints: Array, part: slice) -> bool:
+    """Return whether a leg was commanded to move by more than its noise in a part of a log, and moved at all.
+
+    Parameters
+    ----------
+    commands, joints
+        (n,) of the leg in the whole log [m; rad].
+    part
+        Ticks that count.
+    """
+    noise = float(np.std(np.diff(joints))) / float(np.sqrt(2.0))
+    way = float(np.ptp(commands[part]))
+    return way > 0.0 and way > _STILL * noise and float(np.ptp(joints[part])) > 0.0
 
 
 def _check_frames(frames: Frames) -> None:
@@ -148,7 +180,11 @@ def _parsed(lines: Iterable[str], source: str) -> Log:
             raise ScenarioError(f"line {reader.line_num}: expected {len(columns)} fields, got {len(cells)}", source)
         if len(rows) == MAX_ROWS:
             raise ScenarioError(f"line {reader.line_num}: expected at most {MAX_ROWS} ticks, got more", source)
-        rows.append([_number(cell, reader.line_num, source) for cell in cells])
+        row = [_number(cell, name, reader.line_num, source) for cell, name in zip(cells, columns, strict=True)]
+        for name in _REQUIRED:
+            if math.isnan(row[columns[name]]):
+                raise ScenarioError(f"line {reader.line_num}, {name}: expected a finite number, got none", source)
+        rows.append(row)
     if columns is None or not rows:
         raise ScenarioError("expected a line of column names and lines of numbers, got none", source)
     table = dict(zip(columns, np.array(rows).T, strict=True))
@@ -162,24 +198,23 @@ def _parsed(lines: Iterable[str], source: str) -> Log:
 def _columns(cells: Sequence[str], source: str) -> tuple[Mapping[str, int], int]:
     """Return the place of each column and the number of points; the file may be the wrong one, so none is quoted."""
     names = [cell.strip() for cell in cells]
-    required = [_TIME, *(f"{name}_{leg}" for name in ("command", "joint") for leg in _LEGS)]
-    missing = [name for name in required if name not in names]
+    missing = [name for name in _REQUIRED if name not in names]
     if missing:
-        raise ScenarioError(f"expected the columns {', '.join(required)}, got none of {', '.join(missing)}", source)
+        raise ScenarioError(f"expected the columns {', '.join(_REQUIRED)}, got none of {', '.join(missing)}", source)
     points = sum(f"x_{point}" in names for point in range(1, len(names)))
     image = [f"{axis}_{point}" for point in range(1, points + 1) for axis in "xy"]
-    known = {*required, *image, *([_EXPOSURE, _ARRIVAL] if points else [])}
+    known = {*_REQUIRED, *image, *([_EXPOSURE, _ARRIVAL] if points else [])}
     unknown = len(set(names) - known)
     if unknown or len(names) != len(set(names)) or not set(image) <= set(names):
         raise ScenarioError(
-            f"expected each of {', '.join(required)} once, and of an image x_1, y_1, x_2, ..., exposure and arrival, "
+            f"expected each of {', '.join(_REQUIRED)} once, and of an image x_1, y_1, x_2, ..., exposure and arrival, "
             f"got {unknown or 'repeated or unpaired'} other columns",
             source,
         )
     return {name: place for place, name in enumerate(names)}, points
 
 
-def _number(cell: str, line: int, source: str) -> float:
+def _number(cell: str, column: str, line: int, source: str) -> float:
     if not cell.strip():
         return math.nan
     try:
@@ -187,7 +222,9 @@ def _number(cell: str, line: int, source: str) -> float:
     except ValueError:
         value = math.inf
     if math.isinf(value):
-        raise ScenarioError(f"line {line}: expected a finite number, got other text ({len(cell)} characters)", source)
+        raise ScenarioError(
+            f"line {line}, {column}: expected a finite number, got other text ({len(cell)} characters)", source
+        )
     return value
 
 

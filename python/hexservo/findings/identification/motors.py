@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from hexservo import _core
 from hexservo.findings.identification.drives import MOST_DELAY, Drives
 from hexservo.findings.identification.interval import Interval, correlated, deviations, half_width
-from hexservo.findings.identification.log import FITTED, Log
+from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, leg_moves
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
 from hexservo.scenario.arrays import Array
@@ -50,12 +50,18 @@ class MotorFit(Part):
     correlated: float  # ticks over which that is correlated
     error: float  # root mean square of the prediction's error in the part kept apart [m], or [rad]
     error_of_drives: float  # the same of six responses without coupling (`Drives`)
+    explained: float | None  # share of the variance kept apart that is predicted, of the worst leg; None: none moves
     units: LegUnits = field(repr=False)
     time: Array = field(repr=False)  # (k,) of the part kept apart, thinned [s]
     measured: Array = field(repr=False)  # (k, 6)
     predicted: Array = field(repr=False)  # (k, 6)
 
     substeps: int  # of the loop in a tick, with which its legs follow such motors
+
+    @property
+    def explains(self) -> bool:
+        """Whether the model is of these legs at all, as far as the part kept apart shows it."""
+        return self.explained is None or self.explained >= LEAST_EXPLAINED
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -117,7 +123,7 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
     drives
         Of the same log: where the search begins.
     report
-        Is called with the delays done, and 4.
+        Is called with the delays done, and how many there are.
 
     Returns
     -------
@@ -137,7 +143,7 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
     around = round(float(np.median([fit.delay.value for fit in drives.moved if fit.delay is not None])))
     delays = [delay for delay in (around + more for more in _DELAYS) if 0 <= delay <= MOST_DELAY]
     fits: list[_Fit] = []
-    for done, delay in enumerate(delays):
+    for delay in delays:
         left = partial(residuals, delay)
         start = _start(log, machine, drives, left)
         edge = np.log(1e6)
@@ -151,7 +157,10 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
         )
         fits.append(_Fit(delay, found.x, found.jac, found.fun, float(found.cost)))
         if report is not None:
-            report(done + 1, len(delays))
+            report(len(fits), len(delays))
+        if delay == delays[-1]:  # none of the neighbours of the best one is left out
+            best = min(fits, key=lambda fit: fit.cost).delay
+            delays += [more for more in (best - 1, best + 1) if more not in delays and 0 <= more <= MOST_DELAY]
     return _result(log, machine, drives, plant, min(fits, key=lambda fit: fit.cost), fitted, scale)
 
 
@@ -191,6 +200,9 @@ def _result(
         intervals["friction"] = Interval(0.0, 0.0, intervals["friction"].high)
     predicted, measured = plant.response(best.delay, values)[fitted:], log.joints[fitted:]
     every = max(1, -(-len(measured) // _CURVE))
+    moved = [leg for leg in range(6) if leg_moves(log.commands[:, leg], log.joints[:, leg], slice(fitted, None))]
+    left = predicted[:, moved] - measured[:, moved]
+    shares = list(1.0 - (left**2).mean(axis=0) / measured[:, moved].var(axis=0))
     return MotorFit(
         **intervals,
         delay=best.delay,
@@ -199,6 +211,7 @@ def _result(
         correlated=together,
         error=_rms(predicted - measured),
         error_of_drives=_rms(drives.predicted - drives.measured),
+        explained=min(shares, default=None),
         units=leg_units(machine.robot),
         time=log.time[fitted:][::every],
         measured=measured[::every],

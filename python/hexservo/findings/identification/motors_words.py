@@ -6,7 +6,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict
+from hexservo.findings.identification.drives import MOST_DELAY
 from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.scenario.wording import number
@@ -15,7 +16,7 @@ __all__ = ["section"]
 
 PAGE = "docs/identification.md"
 
-_KEPT = ("kp", "damping", "armature", "friction", "delay", "limit", "noise", "error", "error_of_drives")
+_KEPT = ("kp", "damping", "armature", "friction", "delay", "limit", "noise", "error", "error_of_drives", "explained")
 
 
 def section(found: MotorFit) -> Section:
@@ -30,7 +31,7 @@ def section(found: MotorFit) -> Section:
             ["damping", with_interval(found.damping), "N m s/rad" if rotary else "N s/m"],
             ["armature", with_interval(found.armature), "kg m^2" if rotary else "kg"],
             ["dry friction", with_interval(found.friction), "N m" if rotary else "N"],
-            ["delay", str(found.delay), "ticks"],
+            ["delay", str(found.delay) if found.delay < MOST_DELAY else f"at least {MOST_DELAY}", "ticks"],
         ],
         note="Damping is `kv` and `damping` together, which act alike below the limit of the effort.",
         page=PAGE,
@@ -41,6 +42,17 @@ def section(found: MotorFit) -> Section:
         f"Mass and inertia of the platform, and the limit of {number(found.limit)} {found.units.effort}, are those of "
         "the machine that was given.",
     ]
+    if not found.explains and found.explained is not None:
+        share = f"no more than {number(100 * found.explained)} %" if found.explained > 0.0 else "nothing"
+        words.append(
+            f"That is {share} of the motion of a leg: the machine does not move as this model, and none of its keys is "
+            "taken over."
+        )
+    if found.delay == MOST_DELAY:
+        words.append(
+            f"The delay is at least {MOST_DELAY} ticks, the most that is tried and that a scenario has: the key "
+            "`actuators.delay` is left as it is."
+        )
     if found.correlated > 5.0:
         words.append(
             f"What the fit leaves is correlated over {number(found.correlated)} ticks: something acts that these "
@@ -62,6 +74,12 @@ def section(found: MotorFit) -> Section:
         title="Motors of the legs",
         sentences=words,
         items=(table, curves),
-        verdict="good" if found.error <= found.error_of_drives else "warning",
+        verdict=_verdict(found),
         data={key: value for key, value in asdict(found).items() if key in _KEPT},
     )
+
+
+def _verdict(found: MotorFit) -> Verdict:
+    if not found.explains:
+        return "bad"
+    return "good" if found.error <= found.error_of_drives and found.delay < MOST_DELAY else "warning"

@@ -1,0 +1,152 @@
+"""Logs that are refused: bad files, numbers that are none, legs that are out of the machine's reach."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo import _core
+from hexservo.cli.commands import app
+from hexservo.findings.identification.drives import MOST_DELAY
+from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.reach import require_reach
+from hexservo.scenario.parameters import core_parameters
+
+Array = NDArray[np.float64]
+
+SEED = 20260
+HEAD = "time," + ",".join(f"command_{i}" for i in range(1, 7)) + "," + ",".join(f"joint_{i}" for i in range(1, 7))
+
+
+def lines_of(count: int, width: int = 12) -> list[str]:
+    return [",".join([f"{0.01 * tick:.9g}", *(["0.2"] * width)]) for tick in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "column names"),
+        ("t,x\n1,2\n", "expected the columns time, command_1"),
+        (f"{HEAD},torque_1\n", "1 other columns"),
+        (f"{HEAD},x_1\n", "other columns"),
+        ("\n".join([HEAD, *lines_of(3), "1,2"]), "line 5: expected 13 fields, got 2"),
+        ("\n".join(["# a", "#", HEAD, *lines_of(3), " # b", "1,2"]), "line 8: expected 13 fields, got 2"),
+        ("\n".join([HEAD, *lines_of(60, 11)]), "line 2: expected 13 fields, got 12"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "inf", 1), "line 2, command_1: expected a finite number"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "secret", 1), "other text (6 characters)"),
+        (
+            "\n".join([HEAD, *lines_of(60)]).replace("0.2", "", 1),
+            "line 2, command_1: expected a finite number, got none",
+        ),
+        ("\n".join([HEAD, *lines_of(60)]).replace("0.3,0.2", "0.3,nan", 1), "line 32, command_1: expected a finite"),
+        ("\n".join([HEAD, *(f"{20 * tick}{',0.2' * 12}" for tick in range(60))]), "one every 20: are they in ms?"),
+        ("\n".join([HEAD, *lines_of(10)]), "at least 50 ticks"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("\n0.3,", "\n0.37,"), "resample the log"),
+        (HEAD + "\n" + '"' + "9" * 200_000 + '"\n', "field larger than field limit"),
+    ],
+)
+def test_a_bad_log_is_refused_in_words(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.read_log(file)
+    assert words in str(caught.value)
+    assert "secret" not in str(caught.value)
+
+
+def test_special_files_are_refused_at_once(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, tmp_path, Path("/dev/zero"), tmp_path / "none.csv"):
+        with pytest.raises(hs.ScenarioError, match="cannot be read"):
+            hs.read_log(path)
+    (tmp_path / "latin.csv").write_bytes(b"\xff\xfe\n")
+    with pytest.raises(hs.ScenarioError, match="UTF-8"):
+        hs.read_log(tmp_path / "latin.csv")
+
+
+def test_a_log_without_motion_gives_no_drive(paper: hs.Scenario, tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("\n".join([HEAD, *lines_of(60)]), encoding="utf-8")
+    found = hs.identify(file, paper)
+    assert found.drives.moved == []
+    assert found.drives.section().verdict == "open"
+    assert "actuators.kind" not in found.changes
+
+
+def near_home(machine: hs.Scenario, ticks: int = 60) -> Log:
+    """A log of legs that are within a tenth of the stroke of the middle of their travel."""
+    middle = _core.Hexapod(core_parameters(machine).robot).mid_lengths
+    legs = middle + 0.1 * machine.robot.stroke * np.random.default_rng(SEED).uniform(-1.0, 1.0, (ticks, 6))
+    return Log(0.01 * np.arange(float(ticks)), 0.01, legs, legs, None)
+
+
+@pytest.mark.parametrize(
+    ("machine", "change", "words"),
+    [
+        ("pi-h824", lambda q: 1e3 * q, "near 0.18 m (travel +-0.0112 m), got 180 (median): are they in mm?"),
+        ("pi-h824", lambda q: q - 0.18, "are they counted from home?"),
+        ("pi-h824", lambda q: 1e3 * (q - 0.175), "are they in mm, and counted from home?"),
+        ("pi-h824", lambda q: -q, "are their signs reversed?"),
+        ("pi-h824", lambda q: q + 0.1, "is this a log of the machine in the scenario, in m?"),
+        ("pi-h824", lambda q: 0.627 * np.array([1, -1] * 3) + 0 * q, "are they angles of cranks?"),
+        ("pi-h824", lambda q: np.where(np.arange(60)[:, None] == 7, q + 1.0, q), "at 0.07 s: is the reading wrong?"),
+        ("reachy-mini-head", np.degrees, "near 0.627 rad (travel +-0.77 rad), got"),
+        ("reachy-mini-head", np.degrees, "are they in degrees?"),
+        ("reachy-mini-head", lambda q: -q, "are their signs reversed?"),
+        ("reachy-mini-head", lambda q: q[:, [0, 2, 4, 1, 3, 5]], "are the legs in another order?"),
+        ("reachy-mini-head", lambda q: 0.18 + 0 * q, "are they lengths in m?"),
+    ],
+)
+def test_legs_that_are_out_of_reach_are_refused(machine: str, change: Callable[[Array], Array], words: str) -> None:
+    scenario = hs.load_scenario(machine)
+    log = near_home(scenario)
+    for name in ("commands", "joints"):
+        if name == "commands":
+            wrong = replace(log, commands=change(log.commands))
+        else:
+            wrong = replace(log, joints=change(log.joints))
+        with pytest.raises(hs.ScenarioError) as caught:
+            require_reach(wrong, scenario)
+        assert str(caught.value).startswith(f"{name}: expected ")
+        assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("machine", ["pi-h824", "reachy-mini-head"])
+def test_legs_a_little_beyond_their_stroke_are_not_refused(machine: str) -> None:
+    scenario = hs.load_scenario(machine)
+    log = near_home(scenario)
+    require_reach(replace(log, commands=log.commands + 0.8 * scenario.robot.stroke), scenario)
+    jump = np.where(np.arange(60)[:, None] < 20, 1.5 * scenario.robot.stroke, 0.0)
+    require_reach(replace(log, joints=log.joints - jump), scenario)
+
+
+def test_the_command_names_the_file_of_legs_out_of_reach(tmp_path: Path) -> None:
+    """Angles of cranks for a machine with prismatic legs: a message, and no traceback."""
+    table = np.column_stack([0.01 * np.arange(60.0), *[np.full(60, 0.6 * (-1) ** leg) for leg in range(12)]])
+    log = tmp_path / "cranks.csv"
+    np.savetxt(log, table, delimiter=",", header=HEAD, comments="")
+    done = CliRunner().invoke(app, ["identify", str(log), "--machine", "pi-h824"])
+    assert done.exit_code == 2
+    assert "cranks.csv: commands: expected lengths of leg" in done.output
+
+
+def test_a_log_in_memory_names_what_is_no_number() -> None:
+    joints = np.full((60, 6), 0.2)
+    joints[7, 2] = np.nan
+    with pytest.raises(ValueError, match="joints: expected finite numbers, got nan of leg 3 at tick 7"):
+        Log(0.01 * np.arange(60.0), 0.01, np.full((60, 6), 0.2), joints, None)
+
+
+def test_other_types_are_refused() -> None:
+    with pytest.raises(TypeError, match="machine"):
+        hs.identify("log.csv", "paper")  # type: ignore[arg-type]
+    assert MOST_DELAY == 8

@@ -1,0 +1,153 @@
+"""What a log does not give: values at the edge of what is tried, and models that do not predict it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo.cli.commands import app
+from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.identification.changes import changes_of
+from hexservo.findings.identification.drives import MOST_DELAY, fit_drives
+from hexservo.findings.identification.drives_words import with_interval
+from hexservo.findings.identification.frames import fit_camera
+from hexservo.findings.identification.interval import Interval
+from hexservo.findings.identification.log import Log
+from recorded_machines import Drive, record, wandering
+from test_identification import METRES, SEED, seen_log
+
+
+def test_a_delay_beyond_what_is_tried_has_no_upper_end(paper: hs.Scenario) -> None:
+    random = np.random.default_rng(SEED)
+    commands = 0.205 + wandering(random, 200, 0.01, 0.004, 0.2)
+    log = record(commands, 0.01, [Drive(5.0, 0.9, MOST_DELAY + 3)] * 6, 1e-6, random)
+    found = hs.identify(log, paper)
+    delay = found.drives.fits[0].delay
+    assert delay is not None
+    assert delay.value == MOST_DELAY
+    assert delay.high == np.inf
+    section = found.drives.section()
+    assert section.verdict == "warning"
+    assert any("8, the most that is tried" in sentence for sentence in section.sentences)
+    assert "actuators.delay" not in found.changes
+    assert found.scenario.actuators.delay == paper.actuators.delay
+    assert found.sections()[-1].verdict == "warning"
+    assert "as the log does" not in found.sections()[-1].sentences[0]
+
+
+def test_a_bandwidth_beyond_what_is_searched_has_no_upper_end() -> None:
+    """A drive that is at its command after a tick: any bandwidth from some on is it."""
+    random = np.random.default_rng(SEED)
+    commands = 0.2 + wandering(random, 200, 0.01, 0.004, 0.2)
+    joints = np.concatenate([commands[:1], commands[:-1]]) + random.normal(0.0, 1e-6, commands.shape)
+    log = Log(0.01 * np.arange(200.0), 0.01, commands, joints, None)
+    found = fit_drives(log, METRES)
+    bandwidth = found.fits[0].bandwidth
+    assert bandwidth is not None
+    assert bandwidth.high == np.inf
+    assert "actuators.position.bandwidth" not in changes_of(log, found, None)
+    assert found.section().verdict != "good"
+
+
+@pytest.mark.parametrize("change", ["opposite", "exchanged"])
+def test_joints_that_do_not_follow_the_commands_give_no_drive(change: str) -> None:
+    random = np.random.default_rng(SEED)
+    commands = np.full((200, 6), 0.2)
+    commands[:, 3] += wandering(random, 200, 0.01, 0.004, 0.2)[:, 3]
+    log = record(commands, 0.01, [Drive(2.0, 0.9, 1)] * 6, 1e-6, random)
+    if change == "opposite":
+        log = replace(log, joints=0.4 - log.joints)
+    else:
+        log = replace(log, joints=log.commands, commands=log.joints)
+    found = fit_drives(log, METRES, delays=(0, 1))
+    assert not found.explains
+    section = found.section()
+    assert section.verdict == "bad"
+    assert "commands and joints exchanged, or of opposite sign" in section.sentences[0]
+    assert "predicts at least" not in section.sentences[0]
+    assert not any(key.startswith("actuators") for key in changes_of(log, found, None))
+
+
+def test_diagnose_names_what_the_log_does_not_give(paper: hs.Scenario, tmp_path: Path) -> None:
+    random = np.random.default_rng(SEED)
+    commands = np.full((60, 6), 0.2)
+    commands[:, 3] += wandering(random, 60, 0.01, 0.004, 0.1)[:, 3]
+    log = record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 1e-6, random)
+    names = ["time", *(f"{kind}_{leg}" for kind in ("command", "joint") for leg in range(1, 7))]
+    table = np.column_stack([log.time, commands, 0.4 - log.joints])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(names), comments="")
+    arguments = ["--machine", "paper", "--set", "simulation.duration=0.1"]
+    done = CliRunner().invoke(app, ["diagnose", str(tmp_path / "log.csv"), *arguments])
+    assert "Drives of the legs: Fitted to" in done.stderr
+    assert "no key of the drives is taken over" in done.stderr
+
+
+def test_a_leg_that_rests_in_the_part_kept_apart_is_not_judged_there() -> None:
+    """What is predicted is stated of the legs that move there alone, and rounded down."""
+    random = np.random.default_rng(SEED)
+    commands = 0.2 + wandering(random, 200, 0.01, 0.004, 0.2)
+    commands[120:, 2] = commands[120, 2]
+    found = fit_drives(record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 5e-6, random), METRES)
+    assert found.fits[2].bandwidth is not None
+    assert found.fits[2].explained is None
+    first = found.section().sentences[0]
+    assert "at least 99.99 % of the motion of each of legs 1, 2, 4, 5, 6 in" in first
+    assert found.worst is not None
+    assert found.worst.explained is not None
+    assert found.worst.explained >= 0.9999
+    rests = replace(found, fits=tuple(replace(fit, explained=None) for fit in found.fits))
+    assert "what the model predicts is not known" in rests.section().sentences[0]
+    assert rests.section().verdict == "warning"
+
+
+def test_intervals_without_an_end_are_written_with_the_other_one() -> None:
+    assert with_interval(Interval(8.0, 8.0, np.inf)) == "at least 8"
+    assert with_interval(Interval(8.0, 7.0, np.inf)) == "8 (7 or more)"
+    assert with_interval(Interval(0.2, -np.inf, 0.3)) == "0.2 (0.3 or less)"
+    assert with_interval(Interval(0.2, -np.inf, np.inf)) == "not known"
+
+
+@pytest.mark.parametrize("stamps", [None, 0.2])
+def test_a_latency_beyond_what_is_searched_has_no_upper_end(paper: hs.Scenario, stamps: float | None) -> None:
+    log = seen_log(paper, 0.3, stamps=stamps)
+    camera = fit_camera(log, Scene(paper))
+    assert camera.at_edge
+    assert camera.latency is not None
+    assert camera.latency.low < 0.3
+    assert camera.latency.high == np.inf
+    section = camera.section()
+    assert section.verdict == "warning"
+    assert "at least" in section.sentences[0]
+    assert "does not tell" not in section.sentences[0]
+    changes = changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    assert "camera.period" in changes
+    assert not {"camera.latency", "camera.latency_jitter", "camera.noise"} & set(changes)
+
+
+def test_exposure_times_that_are_far_too_early_have_no_lower_end(paper: hs.Scenario) -> None:
+    camera = fit_camera(seen_log(paper, 0.01, stamps=-0.2), Scene(paper))
+    assert camera.stamps is not None
+    assert camera.stamps.low == -np.inf
+    assert np.isfinite(camera.stamps.high)
+    assert "after what they state" in camera.section().sentences[0]
+
+
+@pytest.mark.parametrize("change", ["y up", "another order"])
+def test_images_that_the_joints_do_not_predict_give_no_camera(paper: hs.Scenario, change: str) -> None:
+    log = seen_log(paper, 0.05, stamps=None)
+    assert log.frames is not None
+    points = log.frames.features.reshape(-1, 4, 2)
+    wrong = points * [1.0, -1.0] if change == "y up" else points[:, [1, 0, 2, 3]]
+    camera = fit_camera(replace(log, frames=replace(log.frames, features=wrong.reshape(-1, 8))), Scene(paper))
+    assert not camera.explains
+    section = camera.section()
+    assert section.verdict == "bad"
+    assert "another order of the points" in section.sentences[0]
+    assert "y up in place of down" in section.sentences[0]
+    changes = changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    assert not any(key.startswith("camera") for key in changes)
