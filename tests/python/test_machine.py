@@ -339,6 +339,16 @@ def test_poses_of_the_wrong_shape_are_refused(paper: hs.Scenario) -> None:
             function(paper, [np.nan] * 6)
 
 
+def test_an_answer_stays_when_the_array_that_was_asked_changes(paper: hs.Scenario) -> None:
+    for size in (1e-4, 1.0):  # within reach, and not
+        asked = np.full(6, size)
+        found = hs.reachable(paper, asked)
+        before = (found.pose.copy(), found.nearest.copy())
+        asked[:] = 7.0
+        np.testing.assert_array_equal([found.pose, found.nearest], before)
+        assert not np.shares_memory(found.pose, found.nearest)
+
+
 def test_travel_that_is_not_even_about_home(paper: hs.Scenario) -> None:
     uneven = paper.updated({"robot.stroke": [-0.004, 0.012]})
     assert uneven.robot.stroke == pytest.approx(0.008)

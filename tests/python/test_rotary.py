@@ -276,6 +276,62 @@ def test_reach_against_a_grid(head: hs.Scenario) -> None:
     assert "mrad of its travel left" in str(hs.reachable(head, np.zeros(6)))
 
 
+def reaches(scenario: hs.Scenario, pose: Array) -> bool:
+    """Whether the legs reach a displacement of home, by the core's inverse kinematics."""
+    legs = hexapod(scenario)
+    there = (legs.home_position + pose[:3], quaternion(Rotation.from_rotvec(pose[3:]) * attitude(legs)))
+    used = [np.abs(legs.leg_lengths(*there) - legs.mid_lengths) / scenario.robot.stroke]
+    if scenario.robot.joint_limit is not None:
+        used += list(legs.leg_tilts(*there) / np.array(scenario.robot.joint_limit)[:, None])
+    if not np.max(used) <= 1.0 + 1e-8:  # NaN where a crank does not close
+        return False
+    home = np.linalg.det(legs.wrench_map(legs.home_position, legs.home_quaternion))
+    return bool(np.linalg.det(legs.wrench_map(*there)) * home > 0.0)
+
+
+def attitude(legs: _core.Hexapod) -> Rotation:
+    return Rotation.from_quat(np.roll(legs.home_quaternion, -1))
+
+
+@pytest.mark.parametrize("which", ["head", "limited", "reachy-mini-head"])
+def test_no_pose_near_the_nearest_one_is_nearer(head: hs.Scenario, which: str) -> None:
+    """Of random poses about the nearest one, up to a fifth of the distance away, none within reach is nearer."""
+    scenario = hs.load_scenario(which) if which == "reachy-mini-head" else head
+    if which == "limited":
+        scenario = head.updated({"robot.joint_limit": [0.15, 0.2]})
+    metric = np.repeat([1.0, hexapod(scenario).platform_radius], 3)
+    for seed in (2, 15, 36, 121):  # some of them end at a singular pose, some where crank and rod are in line
+        print("seed", seed)
+        random = np.random.default_rng(seed)
+        wanted = random.normal(size=6) * np.repeat([0.06, 0.9], 3)
+        found = hs.reachable(scenario, wanted)
+        assert not found.within
+        assert reaches(scenario, found.nearest)
+        turn = Rotation.from_rotvec(wanted[3:])
+
+        def distance(pose: Array, turn: Rotation = turn, wanted: Array = wanted) -> float:
+            between = (turn * Rotation.from_rotvec(pose[3:]).inv()).as_rotvec()
+            return float(np.linalg.norm(metric * np.concatenate([wanted[:3] - pose[:3], between])))
+
+        assert found.distance == pytest.approx(distance(found.nearest), rel=1e-9)
+        for size in (0.003, 0.03, 0.2):
+            for _ in range(60):
+                ball = random.normal(size=6)
+                ball *= found.distance * random.uniform() ** (1 / 6) / np.linalg.norm(ball)
+                near = found.nearest + size * (wanted + ball / metric - found.nearest)
+                if distance(near) < 0.9999 * found.distance:
+                    assert not reaches(scenario, near), (seed, size)
+
+
+def test_a_pose_known_to_be_within_is_not_nearer() -> None:
+    """Straight aside from home a crank stops closing, far from the nearest pose."""
+    scenario = hs.load_scenario("reachy-mini-head")
+    legs, wanted = hexapod(scenario), np.array([0.0, 0.10, 0.0, 0.0, 0.0, 0.0])
+    known = hs.reachable(scenario, [0.0, 0.08, 0.0, 0.0, 0.0, 0.0]).nearest
+    metric = np.repeat([1.0, legs.platform_radius], 3)
+    assert hs.reachable(scenario, wanted).distance <= np.linalg.norm(metric * (known - wanted)) + 1e-9
+
+
 def test_the_march_ends_at_the_first_limit(head: hs.Scenario) -> None:
     scene, random = scene_of(head), np.random.default_rng(11)
     for _ in range(6):

@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hexservo.findings.analysis.reach import nearest_limit
-from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.nearest import distance, nearest_within
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_pixels
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["Reachability", "project", "reachable"]
-
-_FAR = 10.0  # strokes: what stands for a crank that does not close
-_ON_THE_EDGE = 1e-9  # of the stroke: a nearest pose may be so far beyond it
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,7 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
     A pose is within reach where every leg is within its stroke and its joint limits and the wrench map has the
     orientation of home (the sign of its determinant). The nearest one is a local minimum of
     `sqrt(|shift|^2 + (r_p |turn|)^2)`, found by sequential quadratic programming from the last reachable pose on the
-    straight way from home; it may miss a nearer one.
+    straight way from home, of rotary legs also from home; it may miss a nearer one.
 
     Parameters
     ----------
@@ -113,7 +111,7 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
     there = scene.home.moved(wanted)
     nearest = nearest_limit(scene, there)
     within = bool(scene.reachable(there.rows)[0])
-    found = wanted if within else _nearest(scene, wanted)
+    found = wanted.copy() if within else nearest_within(scene, wanted)
     return Reachability(
         within=within,
         limit="singularity" if not within and nearest.within else nearest.limit,
@@ -124,7 +122,7 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
         unit=scene.units.small,
         pose=wanted,
         nearest=found,
-        distance=_distance(scene, wanted, found),
+        distance=distance(scene, wanted, found),
     )
 
 
@@ -133,52 +131,10 @@ def _joint(limit: str) -> str:
 
 
 def _displacements(pose: ArrayLike, lead: tuple[object, ...]) -> Array:
-    moves = np.asarray(pose, dtype=float)
+    moves = np.array(pose, dtype=float)
     if moves.shape[-1:] != (6,) or (not lead and moves.ndim != 1) or not np.isfinite(moves).all():
         raise ValueError(
             f"pose: expected {'(..., 6)' if lead else '6'} finite numbers (m x3, rad x3), got shape {moves.shape}"
             + ("" if np.isfinite(moves).all() else " with numbers that are not finite")
         )
     return moves
-
-
-def _distance(scene: Scene, one: Array, other: Array) -> float:
-    """Return the distance between displacements of home [m]: that of the poses, not of the numbers."""
-    between = scene.home.moved(one).displacement_from(scene.home.moved(other))
-    return float(np.linalg.norm(between * np.repeat([1.0, scene.platform_radius], 3)))
-
-
-def _nearest(scene: Scene, wanted: Array) -> Array:
-    """Minimise the distance to a pose within the legs' limits, on home's side of the singular poses."""
-    from scipy.optimize import minimize
-
-    metric = np.repeat([1.0, scene.platform_radius], 3)  # [m; m/rad]
-    shares = np.linspace(0.0, 1.0, 201)
-    good = scene.reachable(scene.home.moved(shares[:, None] * wanted))
-    start = np.asarray(shares[max(0, int(np.argmin(good)) - 1)] * wanted)
-    target = scene.home.moved(wanted)
-
-    def away(x: Array) -> float:  # in units of the stroke, squared
-        between = target.displacement_from(scene.home.moved(x / metric * scene.stroke_length))
-        return float(((between * metric / scene.stroke_length) ** 2).sum())
-
-    def room(x: Array) -> Array:  # (12,), in units of the stroke; tilts, if limited, in squares, which are smooth
-        pose = scene.home.moved(x / metric * scene.stroke_length)
-        travel = np.minimum(scene.leg_travel(pose) / scene.stroke, _FAR)
-        tilts = np.empty(0) if scene.joint_limit is None else scene.limits_used(pose)[1:].ravel() ** 2
-        return np.concatenate([1.0 - travel, 1.0 + travel, 1.0 - tilts])
-
-    best = minimize(
-        away,
-        start * metric / scene.stroke_length,
-        method="SLSQP",
-        constraints=[{"type": "ineq", "fun": room}],
-        options={"maxiter": 200, "ftol": 1e-12},
-    )
-    # A step of the search ends beyond the border by its tolerance: back towards home until it is within.
-    found = np.asarray(best.x) / metric * scene.stroke_length
-    for share in (1.0, *(1.0 - np.geomspace(_ON_THE_EDGE, 0.5, 40))):
-        if scene.reachable(scene.home.moved(share * found).rows)[0]:
-            nearer = _distance(scene, wanted, share * found) < _distance(scene, wanted, start)
-            return np.asarray(share * found) if nearer else start
-    return start

@@ -43,11 +43,11 @@ class Poses:
         return Poses(self.position.reshape(-1, 3), self.quaternion.reshape(-1, 4))
 
     def carried(self, points: Array) -> Array:
-        """Return points in B, (n, 3) [m], that are fixed to the platform at (n, 3) in E [m], at one pose."""
-        q = np.broadcast_to(self.quaternion, (len(points), 4))
+        """Return points in B, (..., n, 3) [m], that are fixed to the platform at (n, 3) in E [m]."""
+        q = self.quaternion[..., None, :]
         pure = np.column_stack([np.zeros(len(points)), points])
-        turned = _product(_product(q, pure), q * np.array([1.0, -1.0, -1.0, -1.0])) / (q * q).sum(axis=1)[:, None]
-        return np.asarray(self.position + turned[:, 1:])
+        turned = _product(_product(q, pure), q * np.array([1.0, -1.0, -1.0, -1.0])) / (q * q).sum(-1, keepdims=True)
+        return np.asarray(self.position[..., None, :] + turned[..., 1:])
 
     def moved(self, displacement: Array) -> Poses:
         """Return the poses after displacements: one per row, or one for all."""
