@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,4 +150,22 @@ def test_a_log_in_memory_names_what_is_no_number() -> None:
 def test_other_types_are_refused() -> None:
     with pytest.raises(TypeError, match="machine"):
         hs.identify("log.csv", "paper")  # type: ignore[arg-type]
+    lists: dict[str, Any] = {
+        "time": (0.01 * np.arange(60.0)).tolist(),
+        "period": 0.01,
+        "commands": [[0.0] * 6] * 60,
+        "joints": np.zeros((60, 6), dtype=int),
+        "frames": None,
+    }
+    assert Log(**lists).commands.shape == (60, 6)
+    for key, value, words in (
+        ("commands", [[1.0, 2.0]], r"^commands: expected \(60, 6\) finite numbers, got shape \(1, 2\)$"),
+        ("commands", [["0"] * 6] * 60, r"^commands: expected real numbers, got "),
+        ("joints", np.full((60, 6), 1j), r"^joints: expected real numbers, got "),
+        ("time", 3.0, r"^time: expected \(n,\) finite numbers, got shape \(\)$"),
+        ("period", "1", r"^period: expected a number of seconds, got str$"),
+        ("frames", [], r"^frames: expected Frames or None, got list$"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=words):
+            Log(**{**lists, key: value})
     assert MOST_DELAY == 8

@@ -246,6 +246,21 @@ def test_refusals(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> Non
         env.step(np.full((2, 6), np.nan))
     with pytest.raises(ValueError, match="seed: expected one number or 2"):
         env.reset(seed=[1, 2, 3])
+    for numbers in ([["1"] * 6] * 2, np.full((2, 6), 1j)):
+        with pytest.raises(ValueError, match=r"actions: expected real numbers of shape \(2, 6\), got "):
+            env.step(numbers)
+    for several in (env, hs.bridges.gymnasium(scenario)):
+        for seed in (-1, 1.5, "one", True):
+            with pytest.raises(ValueError, match=r"^seed: expected one number.*, whole and not negative, got "):
+                several.reset(seed=seed)
+    with pytest.raises(ValueError, match=r"^action_scale: expected one or 6 finite numbers"):
+        hs.bridges.gymnasium(scenario, action_scale=["1"] * 6)
+    for count in (2.5, "2", True):
+        with pytest.raises(TypeError, match=r"^num_envs: expected an integer or None, got "):
+            hs.bridges.gymnasium(scenario, count)  # type: ignore[arg-type]
+    for mode in ("disabled", "nonsense"):
+        with pytest.raises(ValueError, match=r"^autoreset: expected num_envs beside it"):
+            hs.bridges.gymnasium(scenario, autoreset=mode)  # type: ignore[arg-type]
     monkeypatch.delitem(sys.modules, "hexservo.bridges.environment")
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delattr(hs.bridges, "gymnasium")

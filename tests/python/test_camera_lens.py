@@ -315,6 +315,8 @@ def test_a_bad_calibration_is_refused(tmp_path: Path, text: str, message: str) -
         ((MATRIX, [0.1, 0.2]), "distortion: expected k1, k2, p1, p2 and k3"),
         ((MATRIX, [0.1, 0.2, 0, 0, 0, 0.3, 0, 0]), "distortion: expected k1, k2, p1, p2 and k3"),
         ((MATRIX, None, (0, 4)), "size: expected"),
+        ((np.array(MATRIX) + 0j,), "K: expected real numbers"),
+        ((np.array(MATRIX).astype(str).tolist(),), "K: expected real numbers"),
         ((np.full((3, 3), np.nan),), "K: expected finite numbers"),
     ],
 )

@@ -337,6 +337,17 @@ def test_poses_of_the_wrong_shape_are_refused(paper: hs.Scenario) -> None:
             function(paper, [1.0, 2.0])
         with pytest.raises(ValueError, match="not finite"):
             function(paper, [np.nan] * 6)
+        for wrong in ("abcdef", ["0."] * 6, np.full(6, 1e-3j), [[1], [2, 3]], None):
+            with pytest.raises(ValueError, match=r"^pose: expected .*6.* finite numbers within 1e\+06 .*, got "):
+                function(paper, wrong)  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match=r"^pose: expected .*, got 1e\+308$"):
+            function(paper, [1e308] * 6)
+
+
+def test_no_poses_have_no_images(paper: hs.Scenario) -> None:
+    assert hs.project(paper, np.zeros((0, 6))).shape == (0, 8)
+    assert hs.project(paper, np.zeros((2, 0, 6))).shape == (2, 0, 8)
+    assert hs.project(paper, np.zeros((2, 3, 6))).shape == (2, 3, 8)
 
 
 def test_an_answer_stays_when_the_array_that_was_asked_changes(paper: hs.Scenario) -> None:

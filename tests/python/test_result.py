@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +154,25 @@ def test_simulate_takes_a_scenario_only(paper: hs.Scenario) -> None:
     for wrong in ("paper", paper.to_mapping(), None):
         with pytest.raises(TypeError, match=r"scenario: expected a Scenario .* got "):
             hs.simulate(wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda wrong: hs.project(wrong, np.zeros(6)),
+        lambda wrong: hs.reachable(wrong, np.zeros(6)),
+        hs.feedback_margin,
+        lambda wrong: hs.bridges.control(wrong, "plant"),
+        hs.bridges.fmu,
+        lambda wrong: hs.bridges.gymnasium(wrong, 2),
+        hs.bridges.mjcf,
+        hs.metrics,
+    ],
+)
+def test_what_takes_a_scenario_or_a_result_takes_nothing_else(function: Callable[[Any], Any]) -> None:
+    for wrong in ("paper", None):
+        with pytest.raises(TypeError, match=r"^(scenario: expected a Scenario|result: expected a Result) .* got "):
+            function(wrong)
 
 
 # ---- Metrics and events ---------------------------------------------------------------------------------------------

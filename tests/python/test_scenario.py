@@ -409,6 +409,17 @@ def test_foreign_objects_are_refused(value: Any) -> None:
     assert line == f"controller.hybrid.kp: expected {expected}, got a Python {type(value).__name__}"
 
 
+def test_changes_are_a_mapping() -> None:
+    scenario = hs.load_scenario("paper")
+    for wrong in (3, [("uncertainty.depth", 0.1)], "uncertainty.depth"):
+        with pytest.raises(TypeError, match=r"^changes: expected a mapping of dotted keys to values, got "):
+            scenario.updated(wrong)  # type: ignore[arg-type]
+        with pytest.raises(TypeError, match=r"^changes: expected a mapping"):
+            hs.load_scenario("paper", wrong)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"^name_or_path: expected the name of a packaged scenario or a path, got int"):
+        hs.load_scenario(3)  # type: ignore[arg-type]
+
+
 def test_the_maths_has_its_say() -> None:
     lines = refusal({"robot.inertia": [1e-4, 1e-4, 3e-4]})  # a body's largest moment is at most the sum of the others
     assert len(lines) == 1

@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from hexservo import _core
 from hexservo.bridges.extras import extra
 from hexservo.findings.analysis.scene import Scene, scene_of
-from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.arrays import Array, Mask, real_numbers
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -42,6 +43,10 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         start_spread: ArrayLike = 0.0,
         autoreset: Literal["next_step", "same_step", "disabled"] = "next_step",
     ) -> None:
+        if not isinstance(scenario, Scenario):
+            raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer):
+            raise wrong_type("num_envs", "an integer or None", num_envs)
         if num_envs < 1:
             raise ValueError(f"num_envs: expected at least 1, got {num_envs}")
         if action not in ("wrench", "twist"):
@@ -50,7 +55,7 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
             raise ValueError(f"autoreset: expected one of {', '.join(_MODES)}, got {autoreset!r}")
         steps = max(1, round(scenario.simulation.duration / scenario.simulation.step))
         self.scenario = scenario.updated({"simulation.mode": "sampled", "simulation.log_every": steps})
-        self.num_envs = num_envs
+        self.num_envs = int(num_envs)
         scene = scene_of(self.scenario)
         self._settings = core_parameters(self.scenario)
         self._start: Array = np.array(self._settings["simulation.start.pose"])
@@ -90,19 +95,16 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         Parameters
         ----------
         seed
-            Of all random numbers, those of environment i from seed + i, or one per environment.
+            Of all random numbers, those of environment i from seed + i, or one per environment; 0 or more.
         options
             ``reset_mask``: (num_envs,) of bool.
+
+        Raises
+        ------
+        ValueError
+            "seed: expected ..., got ..." for other seeds, and a mask of another shape.
         """
-        seeds: list[int | None]
-        if seed is None:
-            seeds = [None] * self.num_envs
-        elif isinstance(seed, int | np.integer):
-            seeds = [int(seed) + index for index in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"seed: expected one number or {self.num_envs}, got {len(seeds)}")
+        seeds = _seeds(seed, self.num_envs)
         if not self._generators:
             self._generators = [np.random.default_rng(each) for each in seeds]
         mask = np.ones(self.num_envs, dtype=bool)
@@ -128,7 +130,9 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         """
         if not self._states:
             raise gym.error.ResetNeeded("call reset before step")
-        given = np.asarray(actions, dtype=float)
+        given = real_numbers(actions)
+        if given is None:
+            raise ValueError(f"actions: expected real numbers of shape ({self.num_envs}, 6), got {actions!r:.60}")
         if given.shape != (self.num_envs, 6):
             raise ValueError(f"actions: expected shape ({self.num_envs}, 6), got {given.shape}")
         if np.isnan(given).any():
@@ -211,7 +215,8 @@ class HexapodEnv(gym.Env):  # type: ignore[misc]
         return self._one.action_scale
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Start an episode."""
+        """Start an episode, from a seed that is 0 or more."""
+        (seed,) = _seeds(seed, 1)
         super().reset(seed=seed)
         observed, info = self._one.reset(seed=int(self.np_random.integers(2**31)))
         return observed[0], _first(info)
@@ -253,7 +258,7 @@ def gymnasium(
         (6,) or one number [m; rad]: an episode starts at the scenario's start plus a displacement in B, uniform
         within plus and minus it.
     autoreset
-        Gymnasium's `AutoresetMode` of the vector environment.
+        Gymnasium's `AutoresetMode` of the vector environment; a single one has none.
 
     Returns
     -------
@@ -268,10 +273,14 @@ def gymnasium(
     ------
     ImportError
         Without Gymnasium; the extra ``gymnasium`` installs it.
+    TypeError
+        For anything but a `Scenario`, and a number of environments that is no integer.
     ValueError
-        For values that are not as above, and what the core refuses.
+        For values that are not as above, for `autoreset` without `num_envs`, and what the core refuses.
     """
     if num_envs is None:
+        if autoreset != "next_step":
+            raise ValueError(f"autoreset: expected num_envs beside it, got {autoreset!r} for a single environment")
         return HexapodEnv(scenario, action=action, action_scale=action_scale, start_spread=start_spread)
     return HexapodVectorEnv(
         scenario,
@@ -292,18 +301,31 @@ def _rectified(settings: Settings, pixels: Array) -> Array:
     return np.asarray(settings.assumed_camera.features(_points(pixels))).ravel()
 
 
+def _seeds(seed: Any, count: int) -> list[int | None]:
+    """Return the seed of each environment; None: none is given."""
+    if seed is None:
+        return [None] * count
+    given = [int(seed) + index for index in range(count)] if _is_seed(seed) else seed
+    several = isinstance(given, list | tuple | np.ndarray) and len(given) == count
+    if not several or not all(each is None or _is_seed(each) for each in given):
+        more = f" or {count}" if count > 1 else ""
+        raise ValueError(f"seed: expected one number{more}, whole and not negative, got {seed!r:.60}")
+    return [None if each is None else int(each) for each in given]
+
+
+def _is_seed(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= 0)
+
+
 def _first(info: dict[str, Any]) -> dict[str, Any]:
     return {name: values[0] for name, values in info.items() if not name.startswith("_")}
 
 
 def _six(name: str, numbers: ArrayLike) -> Array:
-    try:
-        found = np.broadcast_to(np.asarray(numbers, dtype=float), (6,)).copy()
-    except (TypeError, ValueError):
-        found = np.array([np.nan])
-    if not np.isfinite(found).all() or (found < 0.0).any():
+    found = real_numbers(numbers)
+    if found is None or found.shape not in ((), (1,), (6,)) or not (np.isfinite(found) & (found >= 0.0)).all():
         raise ValueError(f"{name}: expected one or 6 finite numbers that are not negative, got {numbers!r}")
-    return found
+    return np.broadcast_to(found, (6,)).copy()
 
 
 def _wrench_scale(scene: Scene) -> Array:

@@ -24,6 +24,7 @@ from hexservo.scenario.leg_units import leg_units, unit_of
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["UnitKind", "fmu", "write_fmu"]
 
@@ -68,11 +69,15 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
 
     Raises
     ------
+    TypeError
+        For anything but a `Scenario`.
     ValueError
         For another version or kind, a plant in continuous mode, and what the core refuses.
     FileNotFoundError
         Where the package was built without `c_library`, which the unit contains.
     """
+    if not isinstance(scenario, Scenario):
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     if fmi not in _PLATFORM:
         raise ValueError(f"fmi: expected 2 or 3, got {fmi!r}")
     if what not in get_args(UnitKind):

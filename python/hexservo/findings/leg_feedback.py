@@ -10,6 +10,7 @@ from scipy.signal import cont2discrete
 
 from hexservo import _core
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["feedback_margin"]
 
@@ -39,6 +40,8 @@ def feedback_margin(scenario: Scenario) -> float:
 
     Raises
     ------
+    TypeError
+        For anything but a `Scenario`.
     ValueError
         If the legs do not take positions.
 
@@ -47,6 +50,8 @@ def feedback_margin(scenario: Scenario) -> float:
     >>> round(hs.feedback_margin(hs.load_scenario("reachy-mini")), 1)
     1.8
     """
+    if not isinstance(scenario, Scenario):
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     actuators, period = scenario.actuators, scenario.simulation.step
     if not actuators.takes_positions:
         raise ValueError(

@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.nearest import distance, nearest_within
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.pixels import to_pixels
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["Reachability", "project", "reachable"]
+
+_LARGEST = 1e6  # [m; rad], of a displacement: squares of much larger ones have no value
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +77,20 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
 
     Raises
     ------
+    TypeError
+        For anything but a `Scenario`.
     ValueError
-        For poses that are not six finite numbers each, and for a camera `as_printed`, which has no points.
+        For poses that are not six finite numbers within 1e6 each, and for a camera `as_printed`, which has no points.
     """
+    if not isinstance(scenario, Scenario):
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     moves = _displacements(pose, (...,))
     scene = scene_of(scenario)
     poses = scene.home.moved(moves)
     features, depth = scene.probe.image(poses.rows.position, poses.rows.quaternion)
     seen = np.asarray((depth < 0).all(axis=1))[:, None]
     pixels = to_pixels(scenario, np.where(seen, features, np.nan))
-    return np.asarray(pixels.reshape(*moves.shape[:-1], -1))
+    return np.asarray(pixels.reshape(*moves.shape[:-1], features.shape[-1]))
 
 
 def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
@@ -103,9 +110,13 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
 
     Raises
     ------
+    TypeError
+        For anything but a `Scenario`.
     ValueError
-        For a pose that is not six finite numbers.
+        For a pose that is not six finite numbers within 1e6.
     """
+    if not isinstance(scenario, Scenario):
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
     wanted = _displacements(pose, ())
     scene = scene_of(scenario)
     there = scene.home.moved(wanted)
@@ -131,10 +142,16 @@ def _joint(limit: str) -> str:
 
 
 def _displacements(pose: ArrayLike, lead: tuple[object, ...]) -> Array:
-    moves = np.array(pose, dtype=float)
-    if moves.shape[-1:] != (6,) or (not lead and moves.ndim != 1) or not np.isfinite(moves).all():
-        raise ValueError(
-            f"pose: expected {'(..., 6)' if lead else '6'} finite numbers (m x3, rad x3), got shape {moves.shape}"
-            + ("" if np.isfinite(moves).all() else " with numbers that are not finite")
-        )
-    return moves
+    moves = real_numbers(pose)
+    if moves is None:
+        got = f"{pose!r:.60}"
+    elif moves.shape[-1:] != (6,) or (not lead and moves.ndim != 1):
+        got = f"shape {moves.shape}"
+    elif not np.isfinite(moves).all():
+        got = f"shape {moves.shape} with numbers that are not finite"
+    elif moves.size and (largest := float(np.abs(moves).max())) > _LARGEST:
+        got = f"{largest:.6g}"
+    else:
+        return moves
+    shape = "(..., 6)" if lead else "6"
+    raise ValueError(f"pose: expected {shape} finite numbers within {_LARGEST:g} (m x3, rad x3), got {got}")

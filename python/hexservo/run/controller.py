@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hexservo import _core
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
@@ -68,7 +68,7 @@ class Controller:
     Raises
     ------
     TypeError
-        For anything but a `Scenario`.
+        For anything but a `Scenario`, and a period that is no number.
     ValueError
         For a period that is out of range, or does not fit the camera's times.
     """
@@ -159,11 +159,13 @@ class Controller:
 
         Raises
         ------
+        TypeError
+            For times that are no numbers.
         ValueError
             "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers.
         """
-        time = self._next if now is None else now
-        exposed = np.nan if features is None else time if exposure is None else exposure
+        time = self._next if now is None else _seconds("now", now)
+        exposed = np.nan if features is None else time if exposure is None else _seconds("exposure", exposure)
         wrench, leg_forces, fuzzy_output, status, saturated, leg_positions, latency = self._core.step(
             features, depth, position, quaternion, twist, leg_lengths, leg_rates, exposed, time
         )
@@ -183,4 +185,14 @@ class Controller:
 
 def controller_arguments(scenario: Scenario, period: float | None) -> tuple[Settings, float]:
     """Return the core's settings of a scenario's controller and its period, the scenario's unless one is given."""
-    return core_parameters(scenario), scenario.simulation.step if period is None else period
+    return core_parameters(scenario), scenario.simulation.step if period is None else _seconds("period", period)
+
+
+def _seconds(name: str, given: object) -> float:
+    """Return one real number."""
+    if isinstance(given, float):  # of every tick
+        return given
+    number = real_numbers(given)
+    if number is None or number.ndim:
+        raise wrong_type(name, "a number of seconds", given)
+    return float(number)

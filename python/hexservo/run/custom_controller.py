@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hexservo import _core
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
@@ -106,10 +106,7 @@ def function_name(function: object) -> str:
 
 
 def _six(what: str, command: ArrayLike, seen: Observation) -> Array:
-    try:
-        numbers = np.asarray(command, dtype=float)
-    except (TypeError, ValueError):
-        numbers = None
+    numbers = real_numbers(command)
     if numbers is not None and numbers.shape == (6,) and np.isfinite(numbers).all():
         return numbers
     if numbers is None:

@@ -83,7 +83,14 @@ def metrics(result: Result) -> dict[str, float]:
     has no meaning (docs/model.md section 8): ``settling_time`` of a run that is not settled, ``rms_error`` of one that
     ends before ``metrics.rms_start``, ``chatter`` of one that ends where it starts, peaks of a speed or a joint that
     the robot does not limit.
+
+    Raises
+    ------
+    TypeError
+        For anything but a `Result`.
     """
+    if not hasattr(result, "streamed_metrics"):  # whose module imports this one
+        raise wrong_type("result", "a Result (see hs.simulate)", result)
     return dict(result.streamed_metrics)
 
 

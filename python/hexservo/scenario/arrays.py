@@ -1,14 +1,29 @@
-"""Types of NumPy arrays."""
+"""Types of NumPy arrays, and what counts as real numbers."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from numbers import Real
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array", "Complex", "Mask"]
+__all__ = ["Array", "Complex", "Mask", "real_numbers"]
 
 Array: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
 Mask: TypeAlias = NDArray[np.bool_]
+
+
+def real_numbers(given: Any) -> Array | None:
+    """Return a copy of real numbers as an array of floats, of any shape; None for text, complex and ragged ones.
+
+    NumPy itself takes the text "1" for 1 and the real part of a complex number.
+    """
+    try:
+        found = np.asarray(given)
+        if found.dtype.kind == "O" and not all(isinstance(item, Real) for item in found.flat):
+            return None
+        return found.astype(float) if found.dtype.kind in "biufO" else None
+    except (TypeError, ValueError, OverflowError):  # ragged, or an integer beyond the floats
+        return None

@@ -10,7 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.plain import plain
 from hexservo.scenario.rules import shown_value
 from hexservo.scenario.yaml import ScenarioError, load_yaml, read_text
 
@@ -143,10 +144,9 @@ def _coefficients(distortion: ArrayLike, model: str) -> list[float]:
 
 
 def _numbers(name: str, value: Any, shape: tuple[int, ...] | None) -> Array:
-    try:
-        numbers = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected numbers, got {shown_value(value)}") from None
+    numbers = real_numbers(value)
+    if numbers is None:
+        raise ValueError(f"{name}: expected real numbers, got {shown_value(plain(value))}")
     if shape is not None and numbers.shape != shape:
         raise ValueError(f"{name}: expected {' x '.join(map(str, shape))} numbers, got the shape {numbers.shape}")
     if not np.isfinite(numbers).all():

@@ -27,6 +27,7 @@ from hexservo.scenario.plain import plain, put
 from hexservo.scenario.problems import in_words, listing
 from hexservo.scenario.rules import did_you_mean, is_number, shown_value
 from hexservo.scenario.tag import require_counts_elsewhere
+from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
 
 __all__ = ["Document", "Scenario", "load_scenario", "read_document", "scenario_names"]
@@ -137,9 +138,12 @@ class Scenario(Blocks):
 
         Raises
         ------
+        TypeError
+            For anything but a mapping.
         ScenarioError
             With one line for each problem; an unknown key comes with the nearest known one.
         """
+        _require_mapping(changes)
         return Scenario(**_changed(self._written(), changes))
 
     def to_mapping(self) -> dict[str, Any]:
@@ -188,9 +192,13 @@ class Document:
 
         Raises
         ------
+        TypeError
+            For changes that are no mapping.
         ScenarioError
             With one line for each problem, headed by the source where the keys are not valid without the changes.
         """
+        if changes is not None:
+            _require_mapping(changes)
         keys, source = self._with(changes) if changes and isinstance(self.keys, dict) else (self.keys, self.source)
         try:
             return Scenario(**_as_block(keys))
@@ -224,6 +232,8 @@ def load_scenario(name_or_path: str | os.PathLike[str], changes: Mapping[str, An
 
     Raises
     ------
+    TypeError
+        For anything but a name or a path, and for changes that are no mapping.
     ScenarioError
         No such scenario (with the nearest name), a file that cannot be read, or a scenario that is not valid: then
         with one line for each problem, headed by the file's name unless the changes are the cause.
@@ -233,6 +243,8 @@ def load_scenario(name_or_path: str | os.PathLike[str], changes: Mapping[str, An
 
 def read_document(name_or_path: str | os.PathLike[str]) -> Document:
     """Return what a packaged scenario or a file has written, with the arguments and errors of `load_scenario`."""
+    if not isinstance(name_or_path, str | bytes | os.PathLike):
+        raise wrong_type("name_or_path", "the name of a packaged scenario or a path", name_or_path)
     names = scenario_names()
     if isinstance(name_or_path, str):
         if name_or_path in names:
@@ -261,6 +273,11 @@ def _chosen(keys: dict[str, Any], whole: dict[str, Any], written: dict[str, Any]
 
 def _are_blocks(*values: Any) -> bool:
     return all(isinstance(value, dict) for value in values)
+
+
+def _require_mapping(changes: object) -> None:
+    if not isinstance(changes, Mapping):
+        raise wrong_type("changes", "a mapping of dotted keys to values", changes)
 
 
 def _changed(keys: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,12 +8,14 @@ import os
 import stat
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
 
 from hexservo.findings.identification.mcap_log import read_mcap
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
 __all__ = ["FITTED", "LEAST_EXPLAINED", "MAX_BYTES", "MAX_ROWS", "Log", "leg_moves", "read_log"]
@@ -41,6 +43,10 @@ class Frames:
     arrival: Array  # (m,) when the program had them [s]
     exposure: Array | None  # (m,) when they were taken [s]; None where the log has no such times
 
+    def __post_init__(self) -> None:
+        """Make arrays of lists, and refuse what is not numbers."""
+        _make_arrays(self, ("features", "arrival") if self.exposure is None else ("features", "arrival", "exposure"))
+
 
 @dataclass(frozen=True, eq=False)
 class Log:
@@ -56,13 +62,24 @@ class Log:
     frames: Frames | None  # None where the log has no image
 
     def __post_init__(self) -> None:
-        """Refuse arrays that do not fit each other.
+        """Make arrays of lists, and refuse those that do not fit each other.
 
         Raises
         ------
+        TypeError
+            For a period that is no number, and for frames of another type.
         ValueError
-            For other shapes, numbers that are not finite, and times that are not evenly spaced.
+            For what is not numbers, other shapes, numbers that are not finite, and times that are not evenly spaced.
         """
+        _make_arrays(self, ("time", "commands", "joints"))
+        period: object = self.period
+        frames: object = self.frames
+        if not isinstance(period, Real):
+            raise wrong_type("period", "a number of seconds", period)
+        if not isinstance(frames, Frames | None):
+            raise wrong_type("frames", "Frames or None", frames)
+        if self.time.ndim != 1:
+            raise ValueError(f"time: expected (n,) finite numbers, got shape {self.time.shape}")
         count = len(self.time)
         for name in ("commands", "joints"):
             values = getattr(self, name)
@@ -107,6 +124,15 @@ def leg_moves(commands: Array, joints: Array, part: slice) -> bool:
     noise = float(np.std(np.diff(joints))) / float(np.sqrt(2.0))
     way = float(np.ptp(commands[part]))
     return way > 0.0 and way > _STILL * noise and float(np.ptp(joints[part])) > 0.0
+
+
+def _make_arrays(record: Frames | Log, names: Sequence[str]) -> None:
+    for name in names:
+        given = getattr(record, name)
+        numbers = real_numbers(given)
+        if numbers is None:
+            raise ValueError(f"{name}: expected real numbers, got {given!r:.60}")
+        object.__setattr__(record, name, numbers)
 
 
 def _check_frames(frames: Frames) -> None:
