@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from hexservo.draw.legs import leg_limits
+from hexservo.draw.paper_figures import paper_figures
 from hexservo.draw.plots import (
     control_wrench,
     feature_errors,
     feature_paths,
-    paper_figures,
     platform_motion,
     rule_table,
 )

@@ -88,7 +88,7 @@ def test_the_figure_has_a_panel_for_each_limit(result: hs.Result, tmp_path: Path
         plots.leg_limits(result, axes=Figure().subplots(3, 1))
     four = Figure().subplots(4, 1)
     assert plots.leg_limits(result, axes=four) == tuple(four)
-    written = {path.name for path in plots.paper_figures(result, tmp_path)}
+    written = {path.name for path in hs.plots.paper_figures(result, tmp_path)}
     assert {"legs.svg", "legs.png"} <= written
 
 

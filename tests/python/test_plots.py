@@ -22,6 +22,9 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo.draw import plots
 from hexservo.draw.panels import _spread
+from hexservo.draw.paper_figures import paper_figures
+from hexservo.run.files import MARKER
+from hexservo.run.publish import OutputError
 from hexservo.run.samples import rotation_vectors
 
 Array = NDArray[np.float64]
@@ -513,9 +516,9 @@ def test_spread_labels_stay_where_there_is_room_and_share_the_way_where_there_is
 @pytest.mark.parametrize("name", ["paper", "slow", "diverges", "diverges at once", "one step"])
 def test_paper_figures_writes_ten_files(name: str, tmp_path: Path) -> None:
     result = run(**RUNS[name])
-    paths = plots.paper_figures(result, tmp_path / "new" / "out")
+    paths = paper_figures(result, tmp_path / "new" / "out")
     assert paths == [tmp_path / "new" / "out" / f"{name}.{kind}" for name in NAMES for kind in ("svg", "png")]
-    assert sorted(paths) == sorted((tmp_path / "new" / "out").iterdir())
+    assert sorted([*paths, tmp_path / "new" / "out" / MARKER]) == sorted((tmp_path / "new" / "out").iterdir())
     for path in paths:
         assert path.stat().st_size < 1_000_000
         if path.suffix == ".svg":
@@ -535,24 +538,38 @@ def test_paper_figures_writes_ten_files(name: str, tmp_path: Path) -> None:
 def test_paper_figures_are_the_same_bytes_for_the_same_run(paper: hs.Result, tmp_path: Path) -> None:
     again = run()
     for one, other in zip(
-        plots.paper_figures(paper, tmp_path / "one"), plots.paper_figures(again, tmp_path / "other"), strict=True
+        paper_figures(paper, tmp_path / "one"), paper_figures(again, tmp_path / "other"), strict=True
     ):
         assert one.read_bytes() == other.read_bytes(), one.name
         assert b"dc:date" not in one.read_bytes()
 
 
-def test_paper_figures_replace_older_ones_and_leave_the_rest(paper: hs.Result, tmp_path: Path) -> None:
-    (tmp_path / "fig3_feature_paths.svg").write_text("old")
-    (tmp_path / "notes.txt").write_text("mine")
-    paths = plots.paper_figures(paper, str(tmp_path))
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in paths} | {"notes.txt"}
-    assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert "<svg" in (tmp_path / "fig3_feature_paths.svg").read_text(encoding="utf-8")
+def test_paper_figures_replace_older_ones_on_request_and_no_other_files(paper: hs.Result, tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "fig3_feature_paths.svg").write_text("mine")
+    for force in (False, True):
+        with pytest.raises(OutputError, match="holds files that are not results of hexservo"):
+            paper_figures(paper, mine, force=force)
+    assert [path.name for path in mine.iterdir()] == ["fig3_feature_paths.svg"]
+    assert (mine / "fig3_feature_paths.svg").read_text() == "mine"
+    paths = paper_figures(paper, str(tmp_path / "ours"))
+    with pytest.raises(OutputError, match=r"holds results already; replace them with --force \(force=True in Python\)"):
+        paper_figures(paper, tmp_path / "ours")
+    assert paper_figures(run(), tmp_path / "ours", force=True) == paths
+    (tmp_path / "ours" / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"did not write, so it is kept: notes\.txt"):
+        paper_figures(paper, tmp_path / "ours", force=True)
+
+
+def test_paper_figures_take_a_result_only(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"^result: expected a Result .* got str$"):
+        paper_figures("paper", tmp_path)  # type: ignore[arg-type]
 
 
 def test_files_have_ordinary_permissions(paper: hs.Result, tmp_path: Path) -> None:
     (tmp_path / "plain").touch()
-    for path in plots.paper_figures(paper, tmp_path):
+    for path in paper_figures(paper, tmp_path / "figures"):
         assert path.stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
@@ -570,10 +587,8 @@ def test_an_unusable_folder_is_refused_with_a_message(
     make: Callable[[Path], Path], paper: hs.Result, tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("kept")
-    with pytest.raises(
-        ValueError, match=r"^folder: expected a writable folder, or one that can be created, got .*\(.+\)$"
-    ):
-        plots.paper_figures(paper, make(tmp_path))
+    with pytest.raises(OutputError, match=r": (expected a folder|File name too long)"):
+        paper_figures(paper, make(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_text() == "kept"
 
@@ -590,8 +605,8 @@ def test_nothing_appears_when_a_file_cannot_be_written(
         return write(path, content)
 
     monkeypatch.setattr(Path, "write_bytes", full_disk)
-    with pytest.raises(ValueError, match="No space left on device"):
-        plots.paper_figures(paper, tmp_path)
+    with pytest.raises(OutputError, match="No space left on device"):
+        paper_figures(paper, tmp_path / "figures")
     assert not list(tmp_path.iterdir())
 
 
@@ -599,11 +614,11 @@ def test_nothing_appears_when_a_file_cannot_be_written(
 
 
 def test_settings_of_the_user_are_neither_changed_nor_used(paper: hs.Result, tmp_path: Path) -> None:
-    ours = [path.read_bytes() for path in plots.paper_figures(paper, tmp_path / "ours")]
+    ours = [path.read_bytes() for path in paper_figures(paper, tmp_path / "ours")]
     theirs = {"font.size": 30, "svg.fonttype": "none", "savefig.dpi": 10, "savefig.bbox": "tight", "lines.linewidth": 9}
     with matplotlib.rc_context(theirs):  # type: ignore[arg-type]
         before = dict(matplotlib.rcParams)
-        again = [path.read_bytes() for path in plots.paper_figures(paper, tmp_path / "again")]
+        again = [path.read_bytes() for path in paper_figures(paper, tmp_path / "again")]
         assert dict(matplotlib.rcParams) == before
     assert again == ours
 

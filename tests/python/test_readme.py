@@ -125,7 +125,7 @@ def test_the_first_example_runs(tmp_path: Path) -> None:
     assert f"{settling_time} s, 0.080 px at 5 s" in claims
     (error,) = re.findall(r"is (\d+\.\d) px$", drift)
     assert f"{error} px, 197 mm at 5 s" in claims
-    figures = sorted(file.name for file in (tmp_path / "out" / "figures").iterdir())
+    figures = sorted(file.name for file in (tmp_path / "out" / "figures").glob("fig*"))
     assert len(figures) == 10
     assert all((tmp_path / "out" / "figures" / name).stat().st_size > 0 for name in figures)
 

@@ -2,15 +2,13 @@
 
 Each function returns a `matplotlib.figure.Figure` of a printed column's or page's width, with text of 7 to 8 points.
 Given ``ax`` or ``axes`` of an existing figure, it draws into these, in the caller's style, and returns them.
-`paper_figures` writes all of them. Lines have every sample, or, if that is more than print resolves, the smallest and
-largest sample of each bin, so that no peak is lost.
+Lines have every sample, or, if that is more than print resolves, the smallest and largest sample of each bin, so that
+no peak is lost.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -59,7 +57,6 @@ from hexservo.draw.style import (
     Ink,
     image_bytes,
     styled,
-    write_figures,
 )
 from hexservo.run.leg_limits import limits_of_motion
 from hexservo.run.metrics import metrics
@@ -84,7 +81,6 @@ __all__ = [
     "control_wrench",
     "feature_errors",
     "feature_paths",
-    "paper_figures",
     "paper_images",
     "platform_motion",
     "rule_table",
@@ -396,35 +392,8 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     return figure if given is None else given
 
 
-def paper_figures(result: Result, folder: str | os.PathLike[str]) -> list[Path]:
-    """Write figures 2(a), 2(b), 3, 4 and 5 as SVG and PNG (200 dpi) into a folder, which is created if necessary.
-
-    Of a robot with speed or joint limits `leg_limits` is written too.
-    Files of the same name are replaced. The same run gives the same bytes. Either all files are written completely or
-    none is.
-
-    Returns
-    -------
-    list of Path
-        The files: for each figure the SVG, then the PNG. A law without fuzzy systems has no figure 2(a).
-
-    Raises
-    ------
-    ValueError
-        The folder cannot be made or written to.
-    """
-    target = Path(folder)
-    try:
-        return write_figures(target, paper_images(result))
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise ValueError(
-            f'folder: expected a writable folder, or one that can be created, got "{target}" ({reason})'
-        ) from error
-
-
 def paper_images(result: Result) -> dict[str, bytes]:
-    """Return the files of `paper_figures` by name."""
+    """Return the files of `hexservo.draw.paper_figures` by name."""
     controller = result.scenario.controller
     has_table = "fuzzy" in type(controller.gains).model_fields
     figures = {

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import wraps
-from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import matplotlib
@@ -123,24 +121,3 @@ def image_bytes(figure: Figure, extension: str) -> bytes:
     else:
         figure.savefig(buffer, format="png", pil_kwargs={"compress_level": 1})  # little larger, much faster
     return buffer.getvalue()
-
-
-def write_figures(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files under temporary names, then rename all of them.
-
-    Raises
-    ------
-    OSError
-        Something could not be written; no temporary file is left.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    temporary = {folder / f".{name}.{os.getpid()}.part": folder / name for name in files}
-    try:
-        for path, content in zip(temporary, files.values(), strict=True):
-            path.write_bytes(content)
-        for path, final in temporary.items():
-            path.replace(final)
-    finally:
-        for path in temporary:
-            path.unlink(missing_ok=True)
-    return list(temporary.values())
