@@ -54,7 +54,7 @@ def test_a_run_that_crosses_the_band_at_its_end_is_not_settled(swinging: hs.Scen
     assert row.why.startswith("within 2 px at the end, but for less than 0.2 s")
     result = hs.simulate(scenario)
     assert np.isnan(hs.metrics(result)["settling_time"])
-    assert "they are within 2 px, but for less than 0.2 s" in " ".join(summary_sentences(result))
+    assert "did not settle: within 2 px at the end, but for less than 0.2 s" in " ".join(summary_sentences(result))
 
 
 @pytest.mark.parametrize("band", [0.5, 2.0, 5.0, 9.0, 11.0])

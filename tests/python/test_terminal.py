@@ -160,11 +160,11 @@ def test_a_comparison_fits_the_terminal_whole(columns: int, monkeypatch: pytest.
 
 
 def test_a_scenario_may_come_from_standard_input(paper: hs.Scenario) -> None:
-    text = paper.updated({"simulation.duration": 0.5, "name": "piped"}).to_yaml()
+    text = paper.updated({"simulation.duration": 1.5, "name": "piped"}).to_yaml()
     code, out, error = invoke("check", "-", stdin=text)
     assert (code, error) == (0, "")
     assert out.startswith('standard input: valid (scenario "piped"')
-    assert "piped: completed, 0.5 s" in invoke("run", "-", stdin=text)[1]
+    assert "piped: completed, 1.5 s" in invoke("run", "-", stdin=text)[1]
     assert invoke("show", "-", "--set", "name=other", stdin=text)[1].startswith("name: other")
     code, _, error = invoke("check", "-", stdin=text + "sed: 1\n")
     assert code == 2
@@ -186,7 +186,9 @@ def test_a_run_that_has_to_settle_and_does_not_ends_with_4() -> None:
     assert invoke("run", "paper-gravity", "-q")[0] == 0
     code, _, error = invoke("run", "paper-gravity", "-q", "--require-settled")
     assert code == 4
-    assert error == "Not settled: paper-gravity: 37.6 px from the goal at the end\n"
+    assert error == "Not settled: paper-gravity: 37.58 px from the goal at the end, above 2 px\n"
+    code, _, error = invoke("run", "paper", "-q", "--require-settled", "--set", "metrics.dwell=100")
+    assert (code, error) == (4, "Not settled: paper: within 2 px at the end, but for less than 100 s\n")
     diverging = ["run", "paper", "-q", "--set", "controller.jacobian=printed"]
     assert invoke(*diverging)[0] == invoke(*diverging, "--require-settled")[0] == 3
 

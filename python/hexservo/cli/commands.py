@@ -39,7 +39,6 @@ from hexservo.cli.terminal import (
     write,
 )
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -103,6 +102,7 @@ def run(
     with errors_as_messages():
         from hexservo.cli.output import write_results
         from hexservo.run.files import check_folder, has_results
+        from hexservo.run.metrics import unsettled
         from hexservo.run.publish import OutputError
 
         chosen = load(scenario, settings or [], camera)
@@ -130,8 +130,7 @@ def run(
             complain(f"{chosen.name}: {ending(result)}{_kept(out) if kept else ''}", head="Ended early")
             raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
         if require_settled and math.isnan(hs.metrics(result)["settling_time"]):
-            residual = number(hs.metrics(result)["final_error"])
-            complain(f"{chosen.name}: {residual} px from the goal at the end", head="Not settled")
+            complain(f"{chosen.name}: {unsettled(hs.metrics(result), chosen.metrics)}", head="Not settled")
             raise typer.Exit(NOT_SETTLED)
 
 

@@ -17,7 +17,7 @@ from hexservo.run.display import comparison_text
 from hexservo.run.drawn import figure_of, html_of, image_of
 from hexservo.run.files import write_folder
 from hexservo.run.leg_limits import leg_limits
-from hexservo.run.metrics import METRICS, metric_unit, readable_unit
+from hexservo.run.metrics import METRICS, metric_unit, readable_unit, unsettled
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
@@ -73,10 +73,8 @@ class ComparisonRow:
             sentence = self.detail
         elif self.settled:
             sentence = f"within {measured.band:g} px from {self.metrics['settling_time']:.4g} s on"
-        elif self.metrics["final_error"] <= measured.band:
-            sentence = f"within {measured.band:g} px at the end, but for less than {measured.dwell:g} s"
         else:
-            sentence = f"{self.metrics['final_error']:.4g} px from the goal at the end, above {measured.band:g} px"
+            sentence = unsettled(self.metrics, measured)
         excess = {limit.kind: f"{limit.exceeded} of {limit.text}" for limit in leg_limits(self.scenario)}
         return "; ".join([sentence, *(excess[what] for what in self.passed_limits)])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from hexservo.scenario.leg_units import unit_of
@@ -11,9 +11,18 @@ from hexservo.scenario.wording import number, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
-    from hexservo.scenario.blocks import Robot
+    from hexservo.scenario.blocks import Metrics, Robot
 
-__all__ = ["METRICS", "asked_metrics", "metric_unit", "metrics", "readable", "readable_unit", "shown_metrics"]
+__all__ = [
+    "METRICS",
+    "asked_metrics",
+    "metric_unit",
+    "metrics",
+    "readable",
+    "readable_unit",
+    "shown_metrics",
+    "unsettled",
+]
 
 # name -> (unit, what it is); of rotary legs rad and N m stand for m and N: `metric_unit`
 METRICS: dict[str, tuple[str, str]] = {
@@ -33,7 +42,10 @@ METRICS: dict[str, tuple[str, str]] = {
     "relative_overshoot": ("1", "overshoot as a fraction of the initial error of the component"),
     "peak_feature_distance": ("px", "largest distance of a feature from the image centre"),
     "peak_line_deviation": ("px", "largest distance of a feature from its straight way"),
-    "effort": ("N^2 s", "integral of the squared wrench beyond the estimated weight"),
+    "effort": (
+        "N^2 s",
+        "integral of the squared wrench beyond the estimated weight, moments divided by the platform radius",
+    ),
     "chatter": ("N/s", "total variation of that wrench per second"),
     "peak_leg_speed": ("m/s", "largest speed of a leg, where robot.speed_limit is given"),
     "peak_base_joint": ("rad", "largest tilt of a leg at the base from home, where robot.joint_limit is given"),
@@ -92,6 +104,21 @@ def metrics(result: Result) -> dict[str, float]:
     if not hasattr(result, "streamed_metrics"):  # whose module imports this one
         raise wrong_type("result", "a Result (see hs.simulate)", result)
     return dict(result.streamed_metrics)
+
+
+def unsettled(values: Mapping[str, float], measured: Metrics) -> str:
+    """Return why a run of a scenario with these settings has no settling time: how far it is at the end, or how long.
+
+    Parameters
+    ----------
+    values
+        Its metrics by name.
+    measured
+        The block ``metrics`` of its scenario.
+    """
+    if values["final_error"] <= measured.band:
+        return f"within {measured.band:g} px at the end, but for less than {measured.dwell:g} s"
+    return f"{number(values['final_error'], 4)} px from the goal at the end, above {measured.band:g} px"
 
 
 def shown_metrics(result: Result) -> dict[str, float]:

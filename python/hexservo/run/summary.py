@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hexservo.run.leg_limits import leg_limits
-from hexservo.run.metrics import metrics, readable
+from hexservo.run.metrics import metrics, readable, unsettled
 from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:
@@ -34,11 +34,7 @@ def _settling(result: Result) -> str:
     values, measured = metrics(result), result.scenario.metrics
     settled = values["settling_time"]
     if settled != settled:
-        if values["final_error"] <= measured.band:
-            stay = f"at the end they are within {measured.band:g} px, but for less than {measured.dwell:g} s"
-        else:
-            stay = f"at the end an error is larger than {measured.band:g} px"
-        return f"The features did not settle: {stay}."
+        return f"The features did not settle: {unsettled(values, measured)}."
     if result.outcome != "completed":
         return f"Until then the features had been within {measured.band:g} px since {settled:.4g} s."
     if settled == 0:
