@@ -56,6 +56,42 @@ def test_the_weight_is_shared_by_the_legs(paper: hs.Scenario) -> None:
         assert not unlikely(paper.updated({**heavy, "robot.force_limit": 1.001 * share}))
 
 
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("camera.latency", "no image arrives in the run"),
+        ("camera.period", "the image exposed at the start is the only one of the run"),
+        ("metrics.dwell", "no run that starts outside metrics.band settles"),
+        ("metrics.rms_start", "the RMS error is averaged over nothing"),
+    ],
+)
+def test_times_that_the_run_is_too_short_for(key: str, words: str) -> None:
+    """Against what runs show: the exposures that a controller sees, the settling time, the RMS error."""
+    scenario = hs.load_scenario("paper").updated({"simulation.mode": "sampled", "simulation.duration": 2.0})
+
+    def seen(changes: dict[str, Any]) -> tuple[bool, bool, bool, bool]:
+        exposures: set[float] = set()
+
+        def still(now: hs.Observation) -> np.ndarray[Any, Any]:
+            if now.exposure == now.exposure:
+                exposures.add(now.exposure)
+            return np.zeros(6)
+
+        hs.simulate(scenario.updated(changes), controller=still)
+        # the law reaches a band of 0.9 of the first error at once
+        band = 0.9 * hs.metrics(hs.simulate(scenario))["peak_error"]
+        found = hs.metrics(hs.simulate(scenario.updated({"metrics.band": band, **changes})))
+        nans = [math.isnan(found[name]) for name in ("settling_time", "rms_error")]
+        return (not exposures, len(exposures) == 1, *nans)
+
+    place = ("camera.latency", "camera.period", "metrics.dwell", "metrics.rms_start").index(key)
+    for time, happens in ((2.0, True), (33.0, True), (1.5, False)):
+        found = [line for line in unlikely(scenario.updated({key: time})) if "simulation.duration" in line]
+        assert found == [f"{key}: {time:g} s is not shorter than simulation.duration, 2 s, so that {words}"] * happens
+        if time != 2.0:
+            assert seen({key: time})[place] == happens
+
+
 def test_home_below_the_base_and_a_stroke_beyond_a_leg(paper: hs.Scenario) -> None:
     below = paper.updated({"robot.home_position": [0.0, 0.0, 0.15]})
     assert "puts home below the base" in only(below, "robot.home_position")

@@ -35,9 +35,10 @@ def unlikely(scenario: Scenario) -> list[str]:
     """Return a sentence for each legal but probably unintended setting.
 
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
-    goal with stroke, joint limits and image, the start's twist with the speed limit, and in sampled mode the servo
-    period with the loop of the gains, linearised at home with the switching term as in `linear_law`; gains with
-    duration, servo rate, delays and forces (`of_gains`). Does not simulate.
+    goal with stroke, joint limits and image, the start's twist with the speed limit, times of the camera and of the
+    metrics with the duration, and in sampled mode the servo period with the loop of the gains, linearised at home with
+    the switching term as in `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Does not
+    simulate.
     """
     scene = scene_of(scenario)
     try:
@@ -49,6 +50,7 @@ def unlikely(scenario: Scenario) -> list[str]:
         *_of_goal(scene),
         *_of_points(scene),
         *_of_image(scenario),
+        *_of_duration(scenario),
         *_of_period(scenario, fastest),
         *of_gains(scene, fastest),
     ]
@@ -133,6 +135,24 @@ def _of_image(scenario: Scenario) -> Iterator[str]:
         if len(outside):
             points = f"point{'s' if len(outside) > 1 else ''} {', '.join(map(str, outside))}"
             yield f"{what} is outside the image of {width:.0f} x {height:.0f} px ({points})"
+
+
+def _of_duration(scenario: Scenario) -> Iterator[str]:
+    """Find times that a run is too short for. The first image is exposed at its start."""
+    consequences = {
+        "camera.latency": "no image arrives in the run",
+        "camera.period": "the image exposed at the start is the only one of the run",
+        "metrics.dwell": "no run that starts outside metrics.band settles",
+        "metrics.rms_start": "the RMS error is averaged over nothing",
+    }
+    duration = scenario.simulation.duration
+    for key, consequence in consequences.items():
+        time = value_at(scenario, key)
+        if time is not None and time >= duration:
+            yield (
+                f"{key}: {quantity(time, 's')} is not shorter than simulation.duration, {quantity(duration, 's')}, so "
+                f"that {consequence}"
+            )
 
 
 def _of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
