@@ -193,6 +193,10 @@ def test_a_run_that_has_to_settle_and_does_not_ends_with_4() -> None:
     assert invoke(*diverging)[0] == invoke(*diverging, "--require-settled")[0] == 3
 
 
+def test_the_meaning_of_the_effort_has_how_moments_count() -> None:
+    assert "moments divided by the platform radius" in hs.METRICS["effort"][1]  # docs/model.md section 8
+
+
 def test_a_comparison_that_has_to_settle_counts_the_runs_that_do_not() -> None:
     arguments = ["compare", "--scenarios", "paper,paper-gravity", "--laws", "hybrid,composite", "-q"]
     assert invoke(*arguments)[0] == 0
