@@ -69,7 +69,7 @@ def test_times_that_the_run_is_too_short_for(key: str, words: str) -> None:
     """Against what runs show: the exposures that a controller sees, the settling time, the RMS error."""
     scenario = hs.load_scenario("paper").updated({"simulation.mode": "sampled", "simulation.duration": 2.0})
 
-    def seen(changes: dict[str, Any]) -> tuple[bool, bool, bool, bool]:
+    def seen(changes: dict[str, Any]) -> tuple[bool, ...]:
         exposures: set[float] = set()
 
         def still(now: hs.Observation) -> np.ndarray[Any, Any]:
