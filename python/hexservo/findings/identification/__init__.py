@@ -10,13 +10,14 @@ from typing import Any
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
-from hexservo.findings.identification.changes import Changes, changes_of, in_whole_ticks, value_of
+from hexservo.findings.identification.changes import Changes, changes_of, in_whole_ticks
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.log import Log, read_log
 from hexservo.findings.identification.motors import MotorFit, fit_motors
 from hexservo.findings.identification.reach import require_reach
 from hexservo.run.progress import ProgressCallback, reporting
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
@@ -47,7 +48,7 @@ class Identification(Findings):
     def sections(self) -> Sequence[Section]:
         """Return the findings as sentences, tables and curves."""
         parts = self._parts()
-        given = {key: value_of(self.machine, key) for key in (*self.changes, *self.rounded)}
+        given = {key: value_at(self.machine, key) for key in (*self.changes, *self.rounded)}
         verdicts = {part.title: part.verdict for part in parts}
         return [*parts, Changes(self.changes, self.rounded, given, verdicts).section()]
 

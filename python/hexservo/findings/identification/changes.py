@@ -14,9 +14,10 @@ from hexservo.findings.identification.frames import CameraFit
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.part import Part
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Changes", "changes_of", "in_whole_ticks", "value_of"]
+__all__ = ["Changes", "changes_of", "in_whole_ticks"]
 
 _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
     "simulation.duration": 1,
@@ -61,7 +62,7 @@ def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> d
     """Return the times of a machine that the log does not give and that are no whole ticks of it, as such."""
     step, rounded = float(f"{log.period:.9g}"), {}
     for key, fewest in _FEWEST_TICKS.items():
-        given = value_of(machine, key)
+        given = value_at(machine, key)
         if key in changes or given is None:
             continue
         ticks = np.copysign(max(round(abs(given) / step), fewest), given)
@@ -70,14 +71,6 @@ def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> d
         if abs(given - ticks * step) > _WHOLE * max(step, abs(given)):
             rounded[key] = _whole(float(ticks) * step, step)
     return rounded
-
-
-def value_of(scenario: Scenario, key: str) -> Any:
-    """Return the value of a key by its dotted name."""
-    value: Any = scenario
-    for part in key.split("."):
-        value = getattr(value, part)
-    return value
 
 
 def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
