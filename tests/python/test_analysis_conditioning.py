@@ -20,6 +20,7 @@ from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.analysis.words import along, motion_in_words, number, numbers
 from hexservo.findings.evidence import Curves
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.pixels import points_outside
 
 CORNERS = np.pi * np.array([1, 3, 5, 7]) / 4
 SEED = 20
@@ -62,7 +63,7 @@ def test_a_square_worked_out_by_hand(size: float, depth: float) -> None:
     scene = scene_of(hs.load_scenario("paper"))
     features, z = in_circle(np.sqrt(2) * size, CORNERS), np.full(4, -depth)
     view = View(scene.home, features, z, scene.jacobian(features, z, scene.home))
-    found = conditioning.sight("start", view, depth, scene.root_weights)
+    found = conditioning.sight("start", view, depth, scene)
     f, a = scene.camera.focal_pixels, size
     across = depth * np.sqrt((f**2 + a**2) ** 2 + a**4) / (2 * f * a**2)
     tilt = f / (2 * a**2)
@@ -105,6 +106,33 @@ def test_pose_sigma_is_the_spread_of_poses_estimated_from_noisy_images(name: str
         estimates.append(way)
     # A standard deviation of 3000 samples is itself known to 1.3 %.
     np.testing.assert_allclose(np.std(estimates, axis=0) / noise, found.pose_sigma, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("pi-h824", {"camera.focal_pixels": [1500.0, 300.0]}),
+        ("reachy-mini", {}),
+        ("reachy-mini-head", {}),
+        ("pi-h824", {"camera.distortion.brown_conrady": [-0.2, 0.05, 2e-3, -1e-3, 0.0]}),
+    ],
+)
+def test_pose_sigma_is_of_noise_in_the_pixels_of_the_camera(name: str, changes: dict[str, Any]) -> None:
+    """Against central differences of `hs.project`, which gives pixels of the camera with its lens."""
+    scenario = hs.load_scenario(name).updated(changes)
+    found = conditioning.analyse(scenario)
+    start = found.scene.start.displacement_from(found.scene.home)
+    steps = 1e-5 * np.eye(6)
+    # A small displacement in B after `start`: shifts add, and turns of B come last.
+    moved = [found.scene.start.moved(sign * steps).displacement_from(found.scene.home) for sign in (1.0, -1.0)]
+    after, before = (hs.project(scenario, displaced) for displaced in moved)
+    jacobian = (after - before).T / 2e-5
+    sigma = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    assert start.shape == (6,)
+    np.testing.assert_allclose(found.start.pose_sigma, sigma, rtol=1e-4)
+    assert found.start.condition == pytest.approx(np.linalg.cond(jacobian), rel=1e-4)
+    widest = found.placements[3].features  # at the edge of the circle that the image has room for
+    assert not points_outside(scenario, widest).any()
 
 
 def test_singular_directions_do_to_the_image_what_they_are_said_to(paper: hs.Scenario) -> None:

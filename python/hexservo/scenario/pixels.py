@@ -21,11 +21,13 @@ __all__ = [
     "has_camera_wrong",
     "has_pixels",
     "on_pinhole",
+    "pixel_slopes",
     "points_outside",
     "to_features",
     "to_pixels",
 ]
 
+_SLOPE_STEP = 0.01  # [px] of features
 WRONG_CAMERA = ("uncertainty.focal_length", "uncertainty.principal_point")
 """Keys of what the controller has wrong about the camera."""
 
@@ -68,6 +70,23 @@ def to_pixels(scenario: Blocks, features: Any) -> Array:
         return numbers
     found = core_parameters(scenario).camera.pixels(numbers.reshape(-1, 2))
     return np.asarray(found).reshape(numbers.shape)
+
+
+def pixel_slopes(scenario: Blocks, features: Any) -> Array:
+    """Return how the camera's pixels of a point change with its features, (..., n, 2, 2), row: of u, of v [px/px].
+
+    Parameters
+    ----------
+    scenario
+        Whose true camera.
+    features
+        (..., 2n) of its pinhole [px]. NaN where the lens shows no such point.
+    """
+    numbers = np.asarray(features, dtype=float)
+    places = numbers.reshape(*numbers.shape[:-1], -1, 1, 2)
+    steps = _SLOPE_STEP * np.eye(2)  # central differences
+    after, before = (to_pixels(scenario, places + sign * steps) for sign in (1.0, -1.0))
+    return np.asarray(np.swapaxes(after - before, -1, -2) / (2.0 * _SLOPE_STEP))
 
 
 def desired_features(scenario: Blocks) -> Array:

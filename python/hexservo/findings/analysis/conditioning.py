@@ -22,7 +22,7 @@ _SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the displayed least observable motio
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Singular value decomposition of the image Jacobian at one pose. Directions and errors are in B."""
+    """Singular value decomposition of the Jacobian of pixels at one pose. Directions and errors are in B."""
 
     place: str
     view: View
@@ -87,17 +87,15 @@ def analyse(scenario: Scenario) -> Conditioning:
     start = scene.view(scene.start)
     return Conditioning(
         scene=scene,
-        start=sight("start", start, start.mean_depth, scene.root_weights),
-        goal=None if goals is None else sight("goal", goals.best.view, start.mean_depth, scene.root_weights),
-        nearest=None
-        if goals is None
-        else sight("nearest goal", goals.nearest.view, start.mean_depth, scene.root_weights),
+        start=sight("start", start, start.mean_depth, scene),
+        goal=None if goals is None else sight("goal", goals.best.view, start.mean_depth, scene),
+        nearest=None if goals is None else sight("nearest goal", goals.nearest.view, start.mean_depth, scene),
         goals=goals,
         placements=placements(scene),
     )
 
 
-def sight(place: str, view: View, length: float, root_weights: Array) -> Sight:
+def sight(place: str, view: View, length: float, scene: Scene) -> Sight:
     """Decompose the image Jacobian of a view by singular values.
 
     Parameters
@@ -108,10 +106,10 @@ def sight(place: str, view: View, length: float, root_weights: Array) -> Sight:
         With the true Jacobian.
     length
         L, of what turns are multiplied by [m].
-    root_weights
-        As `Scene.root_weights`: a point of weight w counts as one whose noise has 1/w of the variance.
+    scene
+        Whose camera has the noise: 1 px of it in each coordinate, of a point of weight w 1/w of the variance.
     """
-    jacobian = root_weights * view.jacobian
+    jacobian = scene.of_noise(view.features, view.jacobian)
     units = np.repeat([1.0, length], 3)
     _, scaled_values, rows = np.linalg.svd(jacobian / units, full_matrices=False)
     rows = without_sign(rows)

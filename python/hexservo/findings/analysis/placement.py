@@ -8,6 +8,8 @@ import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.pixels import has_pixels, points_outside
+from hexservo.scenario.scenario import Scenario
 
 __all__ = [
     "DEPTH_SHARE",
@@ -43,13 +45,27 @@ class Placement:
 def image_radius(scene: Scene) -> float:
     """Return the radius about the image centre within which features may be placed [px].
 
-    95 % of half the smaller side of ``camera.image_size``; without it 240 px, or as far out as the scenario's own
-    features are.
+    95 % of half the smaller side of ``camera.image_size``, or where pixels are not features of the largest circle
+    of features that is in the image; without an image size 240 px, or as far out as the scenario's own features are.
     """
     size = scene.scenario.camera.image_size
+    if size is not None and has_pixels(scene.scenario.camera):
+        return BORDER * _widest(scene.scenario, float(np.hypot(*size)))
     if size is not None:
         return BORDER * 0.5 * float(min(size))
     return max(RADIUS, float(np.hypot(*scene.view(scene.home).features.reshape(-1, 2).T).max()))
+
+
+def _widest(scenario: Scenario, most: float) -> float:
+    """Return the radius of the largest circle of features about the principal point that is in the image [px]."""
+    least, angles = 0.0, np.linspace(0.0, 2.0 * np.pi, 65)[:-1]
+    while most - least > 1e-3:
+        middle = 0.5 * (least + most)
+        if points_outside(scenario, in_circle(middle, angles)).any():
+            most = middle
+        else:
+            least = middle
+    return least
 
 
 def in_circle(radius: Array | float, angles: Array) -> Array:
@@ -132,8 +148,9 @@ def _but(point: int, count: int, factor: float) -> Array:
 
 
 def _scaled(scene: Scene, features: Array, depth: Array, length: float) -> Array:
-    """Return sqrt(W) J at home with rotations scaled by a length, (2p, 6) [px/m]."""
-    return np.asarray(scene.root_weights * scene.jacobian(features, depth, scene.home) / np.repeat([1.0, length], 3))
+    """Return sqrt(W) J of the camera's pixels at home with rotations scaled by a length, (2p, 6) [px/m]."""
+    jacobian = scene.of_noise(features, scene.jacobian(features, depth, scene.home))
+    return np.asarray(jacobian / np.repeat([1.0, length], 3))
 
 
 def _search(scene: Scene, radius: float, length: float, tested: list[Placement]) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import Settings, core_parameters
-from hexservo.scenario.pixels import desired_features, to_features
+from hexservo.scenario.pixels import desired_features, has_pixels, pixel_slopes, to_features
 from hexservo.scenario.scenario import Scenario
 
 __all__ = ["AT_HOME", "AT_REST", "WIDER", "Scene", "View", "scene_of"]
@@ -196,6 +196,17 @@ class Scene:
     def root_weights(self) -> Array:
         """(2p, 1), root of what each coordinate counts: rows of a Jacobian times it have the same noise."""
         return np.asarray(np.sqrt(np.repeat(self.settings["target.weights"], 2))[:, None])
+
+    def of_noise(self, features: Array, jacobian: Array) -> Array:
+        """Return rows of a Jacobian (2p, 6) of features (2p,) as rows that all have the noise of a pixel.
+
+        Noise is that of the camera's pixels, which lens and second focal length make others than features. A point that
+        the lens does not show gives nothing.
+        """
+        if has_pixels(self.scenario.camera):
+            slopes = pixel_slopes(self.scenario, features)
+            jacobian = np.nan_to_num((slopes @ jacobian.reshape(-1, 2, 6)).reshape(jacobian.shape), nan=0.0)
+        return np.asarray(self.root_weights * jacobian)
 
     def limits_left(self, poses: Poses) -> Array:
         """Return which share of its limits the leg nearest to one has left, (...); negative beyond it."""
