@@ -120,7 +120,7 @@ def test_pose_sigma_is_the_spread_of_poses_estimated_from_noisy_images(name: str
 def test_pose_sigma_is_of_noise_in_the_pixels_of_the_camera(name: str, changes: dict[str, Any]) -> None:
     """Against central differences of `hs.project`, which gives pixels of the camera with its lens."""
     scenario = hs.load_scenario(name).updated(changes)
-    found = conditioning.analyse(scenario)
+    found = hs.analyse(scenario, ["conditioning"]).conditioning
     start = found.scene.start.displacement_from(found.scene.home)
     steps = 1e-5 * np.eye(6)
     # A small displacement in B after `start`: shifts add, and turns of B come last.

@@ -28,6 +28,7 @@ _POSITIONS = (
     "it is about a platform that the law's wrench holds, and the legs of this machine follow positions (actuators.kind)"
 )
 _WITH_MOTION = ("largest_start",)  # whose runs are those of the scenario
+_OF_PIXELS = ("conditioning",)  # whose noise is that of the camera's pixels
 _OF_KNOWN_CAMERA = ("camera_rate",)  # is open where the controller has the camera wrong
 _RIGHT_CAMERA = (
     "The controller's focal length and principal point are taken as those of the camera, also in runs; in this "
@@ -129,7 +130,8 @@ def analyse(
             if progress is not None:
                 progress(name)
             part = import_module(f"hexservo.findings.analysis.{module}").analyse
-            of = scenario if name in _OF_KNOWN_CAMERA and has_camera_wrong(scenario) else pinhole
+            own = name in _OF_PIXELS or (name in _OF_KNOWN_CAMERA and has_camera_wrong(scenario))
+            of = scenario if own else pinhole
             found[name] = _computed(scenario, name, partial(part, of))
     return Analysis(scenario, found)
 
