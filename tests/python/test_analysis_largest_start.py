@@ -56,6 +56,15 @@ def test_a_border_lies_below_the_smallest_that_fails() -> None:
     assert border({}) == (0.0, None)
 
 
+def test_periods_that_a_run_does_not_show_are_not_tried() -> None:
+    """500 servo periods of this machine are 10 s, and a run is of 2 s."""
+    scenario = hs.load_scenario("reachy-mini").updated({"simulation.duration": 2.0})
+    found = largest_start.analyse(scenario)
+    times = {t.what: max(t.tried) for t in found.timings}
+    assert 0.5 < times["period"] < 1.0
+    assert 1.0 < times["latency"] < 2.0
+
+
 def test_both_sides_of_a_border_are_printed_with_digits_that_differ() -> None:
     turn = Direction("turn +z", np.array([0.0, 0, 0, 0, 0, math.radians(14.2)]), 1.0, "stroke", {}, {}, None, {}, 2.0)
     near = replace(turn, tried={0.8120: True, 0.8130: False})

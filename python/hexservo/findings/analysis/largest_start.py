@@ -420,7 +420,10 @@ def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float,
                 if ends.only_limits[k] and excess is not None:
                     beyond[tick * step] = excess
 
-    run([*_TICKS] if what == "period" else [0, *_TICKS])
+    # A run of less than two periods shows nothing of them, and one shorter than the latency has no image.
+    longest = base.simulation.duration / (2.0 if what == "period" else 1.0)
+    shown = [tick for tick in _TICKS if tick * step < longest] or [1]
+    run(shown if what == "period" else [0, *shown])
     for _ in range(_ROUNDS):
         failed = min((tick for tick, good in tried.items() if not good), default=None)
         if failed is None:
