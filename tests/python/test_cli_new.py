@@ -73,6 +73,27 @@ def test_every_rate_and_bandwidth_make_a_grid_of_times(tmp_path: Path, rate: str
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.parametrize(
+    ("rate", "bandwidth"), [("30", "100"), ("30", "5"), ("30", "0.5"), ("0.4", "2"), ("0.4", "30")]
+)
+def test_a_run_is_longer_than_the_times_that_it_is_measured_by(tmp_path: Path, rate: str, bandwidth: str) -> None:
+    file = tmp_path / "mine.yaml"
+    done = answered(file, answers(p20=rate, p26=bandwidth))
+    assert done.exit_code == 0, done.output
+    assert "simulation.duration" not in done.output  # of a warning
+    scenario = hs.load_scenario(file)
+    times = (scenario.metrics.dwell, scenario.metrics.rms_start, scenario.camera.period, 5 / float(bandwidth))
+    np.testing.assert_allclose(scenario.simulation.duration, 2 * max(times), rtol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [24.0, 29.97, 30.0, 60.0, 120.0, 180.0, 333.0])
+def test_the_camera_has_the_rate_that_was_answered(tmp_path: Path, rate: float) -> None:
+    file = tmp_path / "mine.yaml"
+    assert answered(file, answers(p20=str(rate))).exit_code == 0
+    camera = hs.load_scenario(file).camera
+    assert (camera.period, camera.latency) == (1 / rate, 1 / rate)
+
+
 def test_the_inertia_in_brackets_is_one_of_a_body(tmp_path: Path) -> None:
     """0.25 m r^2 has digits here that rounding alone would make more than a body has."""
     done = answered(tmp_path / "mine.yaml", answers(p2="87", p9="1.07"))

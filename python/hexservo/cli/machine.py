@@ -14,6 +14,7 @@ import typer
 import hexservo as hs
 from hexservo.cli.dialogue import Check, Dialogue, one_number
 from hexservo.cli.terminal import INTERRUPTED, complain, errors_as_messages, write
+from hexservo.scenario.blocks import Metrics
 from hexservo.scenario.laws import GENERAL_LAW
 from hexservo.scenario.rules import Name
 
@@ -27,7 +28,9 @@ __all__ = ["new"]
 _TITLE = "# Made by `hexservo new --machine`."
 _DEGREE = math.pi / 180.0
 _TICKS = 150  # servo periods in one of the bandwidth, at least: more than `hexservo check` asks for
-_PERIODS = 10  # of the bandwidth in a run
+_PERIODS = 10  # of the bandwidth in a run, at least
+_ROOM = 2  # times the longest of the metrics' times and the frame period that a run lasts, at least
+_ROUNDING = 1e-9  # relative, by which a number may be above the whole number that it stands for
 _MOST_POINTS = 16
 _PRODUCTS = ([0, 0, 1], [1, 2, 2])  # places of xy, xz, yz in an inertia
 
@@ -87,10 +90,12 @@ def _scenario_text(dialogue: Dialogue, name: str) -> str:
     target = _target(dialogue, place, home * looks, camera["image_size"], focal)
     bandwidth = dialogue.number("Bandwidth of the loop [Hz]", 1.0)
     period = camera["period"]
-    parts = max(1, math.ceil(period * _TICKS * bandwidth))
+    parts = max(1, math.ceil(period * _TICKS * bandwidth * (1.0 - _ROUNDING)))
     step = period / parts  # not rounded: times are whole numbers of it
     dialogue.say(f"The servo period is {1e3 * step:.4g} ms, {f'1/{parts} of' if parts > 1 else ''} the frame period.")
-    frames = math.ceil(_PERIODS / bandwidth / period)
+    metrics = Metrics()
+    duration = max(_PERIODS / bandwidth, _ROOM * max(metrics.dwell, metrics.rms_start, period))
+    frames = math.ceil(duration / period * (1.0 - _ROUNDING))
     document: dict[str, Any] = {
         "name": name,
         "description": "A machine from its data sheet",
@@ -295,7 +300,7 @@ def _camera(dialogue: Dialogue) -> tuple[dict[str, Any], Rotation]:
     camera = _intrinsics(dialogue)
     camera["mount"] = {"position": place, **({"rotation": _vector(looks)} if any(turn) else {})}
     rate = dialogue.number("Frames per second [1/s]", 30.0)
-    period = _rounded(round(1e3 / rate) * 1e-3 if rate <= 200.0 else 1.0 / rate)
+    period = 1.0 / rate  # not rounded: the rate is the one that was asked for
     dialogue.say(f"The frame period is {1e3 * period:.4g} ms, and an image is used as long after its exposure.")
     noise = dialogue.number("Noise of a detected point, standard deviation [px]", 0.2, zero=True)
     return {**camera, "period": period, "latency": period, "noise": noise, "prediction": "encoder"}, looks
